@@ -5,6 +5,7 @@
 
 use std::io::{self, Read};
 use std::path::{Component, Path, PathBuf};
+use std::sync::atomic::{AtomicU64, Ordering};
 
 #[cfg(feature = "parquet")]
 mod folder;
@@ -20,13 +21,27 @@ pub use folder::{FileError, Folder, make_folder};
 #[cfg(feature = "sim")]
 pub use journal::Journal;
 #[cfg(feature = "sim")]
-pub use output::{Output, Overwrite};
+pub use output::{Output, Overwrite, end};
 
 /// The folder, as paths name it, that holds the built-in files and nothing else.
 pub const BUILTIN_FOLDER: &str = "<builtin>";
 
-/// The maximum size of an input file: 1 GiB.
+/// The maximum size of an input file that is read as a whole: 1 GiB. [`limit_reads`] can lower it.
 pub const MAX_BYTES: u64 = 1 << 30;
+
+/// The maximum size that applies now.
+static LIMIT: AtomicU64 = AtomicU64::new(MAX_BYTES);
+
+/// Sets the maximum size of the files that this process reads as a whole, at most [`MAX_BYTES`]. Nothing notices in time
+/// that a file of any size takes too much memory.
+pub fn limit_reads(bytes: u64) {
+    LIMIT.store(bytes.min(MAX_BYTES), Ordering::Relaxed);
+}
+
+/// Returns the maximum size of the files that this process reads as a whole.
+pub fn read_limit() -> u64 {
+    LIMIT.load(Ordering::Relaxed)
+}
 
 /// The reason why a file could not be read.
 #[derive(Clone, Debug, PartialEq, Eq)]
@@ -41,8 +56,8 @@ pub enum ReadError {
         /// Its column in characters, from 1.
         column: usize,
     },
-    /// The file is larger than [`MAX_BYTES`].
-    TooLarge,
+    /// The file is larger than this many bytes.
+    TooLarge(u64),
     /// Any other error, with the system's message.
     Io(String),
 }
@@ -54,7 +69,7 @@ impl std::fmt::Display for ReadError {
             ReadError::NotText { line, column } => {
                 write!(f, "not UTF-8 text (first bad byte in line {line}, column {column})")
             }
-            ReadError::TooLarge => write!(f, "larger than {} MiB", MAX_BYTES >> 20),
+            ReadError::TooLarge(limit) => write!(f, "larger than {} MiB", limit >> 20),
             ReadError::Io(message) => write!(f, "{message}"),
         }
     }
@@ -123,13 +138,14 @@ pub fn read_file(path: &Path) -> Result<Vec<u8>, ReadError> {
     read_whole(open_regular(path)?)
 }
 
-/// Reads an open file. Refuses one of more than [`MAX_BYTES`] before it reads a byte.
+/// Reads an open file. Refuses one of more than [`read_limit`] before it reads a byte.
 ///
 /// # Errors
 /// Why the file cannot be read.
 pub fn read_whole(file: std::fs::File) -> Result<Vec<u8>, ReadError> {
+    let limit = read_limit();
     match file.metadata() {
-        Ok(found) if found.is_file() && found.len() > MAX_BYTES => Err(ReadError::TooLarge),
+        Ok(found) if found.is_file() && found.len() > limit => Err(ReadError::TooLarge(limit)),
         _ => read_bytes(file),
     }
 }
@@ -279,26 +295,30 @@ fn folder_of(path: &Path) -> &Path {
     }
 }
 
-/// Returns whether two paths lead to one existing regular file, also through links.
-pub fn is_same_file(one: &Path, other: &Path) -> bool {
-    match (identity(one), identity(other)) {
-        (Some(one), Some(other)) => one == other,
-        _ => false,
+/// Identifies a regular file, whatever path leads to it: device and inode, or the path without links.
+#[derive(Clone, Debug, PartialEq, Eq, PartialOrd, Ord)]
+pub struct FileId(#[cfg(unix)] (u64, u64), #[cfg(not(unix))] PathBuf);
+
+impl FileId {
+    /// Returns the identity of an existing regular file.
+    pub fn of(path: &Path) -> Option<FileId> {
+        #[cfg(unix)]
+        {
+            use std::os::unix::fs::MetadataExt;
+            let found = std::fs::metadata(path).ok().filter(std::fs::Metadata::is_file)?;
+            Some(FileId((found.dev(), found.ino())))
+        }
+        #[cfg(not(unix))]
+        path.canonicalize().ok().filter(|path| path.is_file()).map(FileId)
     }
 }
 
-/// Returns device and inode of a regular file.
-#[cfg(unix)]
-fn identity(path: &Path) -> Option<(u64, u64)> {
-    use std::os::unix::fs::MetadataExt;
-    let found = std::fs::metadata(path).ok().filter(std::fs::Metadata::is_file)?;
-    Some((found.dev(), found.ino()))
-}
-
-/// Returns the path of a regular file without links.
-#[cfg(not(unix))]
-fn identity(path: &Path) -> Option<PathBuf> {
-    path.canonicalize().ok().filter(|path| path.is_file())
+/// Returns whether two paths lead to one file, which need not exist.
+pub fn is_same_file(one: &Path, other: &Path) -> bool {
+    match (FileId::of(one), FileId::of(other)) {
+        (None, None) => matches!((real_path(one), real_path(other)), (Ok(one), Ok(other)) if one == other),
+        (one, other) => one == other,
+    }
 }
 
 /// Reads all input as text.
@@ -315,10 +335,10 @@ pub fn read_from(input: impl Read) -> Result<String, ReadError> {
 /// Why the input cannot be read.
 pub fn read_bytes(input: impl Read) -> Result<Vec<u8>, ReadError> {
     let fail = |error: std::io::Error| ReadError::Io(error.to_string());
-    let mut bytes = Vec::new();
-    input.take(MAX_BYTES + 1).read_to_end(&mut bytes).map_err(fail)?;
-    match bytes.len() as u64 > MAX_BYTES {
-        true => Err(ReadError::TooLarge),
+    let (mut bytes, limit) = (Vec::new(), read_limit());
+    input.take(limit + 1).read_to_end(&mut bytes).map_err(fail)?;
+    match bytes.len() as u64 > limit {
+        true => Err(ReadError::TooLarge(limit)),
         false => Ok(bytes),
     }
 }

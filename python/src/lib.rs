@@ -141,7 +141,7 @@ fn read_file(py: Python<'_>, path: PathBuf) -> PyResult<String> {
 #[pyfunction]
 fn check_readable(py: Python<'_>, path: PathBuf, whole: bool) -> PyResult<()> {
     let checked = files::check_readable(&path).and_then(|()| match path.metadata() {
-        Ok(found) if whole && found.is_file() && found.len() > MAX_BYTES => Err(ReadError::TooLarge),
+        Ok(found) if whole && found.is_file() && found.len() > MAX_BYTES => Err(ReadError::TooLarge(MAX_BYTES)),
         _ => Ok(()),
     });
     checked.map_err(|error| read_error(py, &path, &error))

@@ -5,7 +5,7 @@ mod verdict;
 
 use crate::builtin::BuiltinFiles;
 use crate::cli::configuration::{Checked, open_run};
-use crate::cli::{Failure, compile, inputs_of, integer, load_workspace, report, terminal};
+use crate::cli::{Failure, MemoryOption, compile, inputs_of, integer, load_workspace, report, terminal};
 use crate::config::rule_file;
 use crate::datalog::diff::{Equivalence, Options, diff, unsat_core};
 use crate::datalog::{Edb, Rules};
@@ -51,6 +51,8 @@ pub struct Arguments {
     /// Print one JSON object
     #[arg(long)]
     json: bool,
+    #[command(flatten)]
+    _memory: MemoryOption,
 }
 
 /// Returns exit code 0 if it finds no difference, 1 if it finds one.

@@ -2,7 +2,7 @@
 
 use crate::builtin::BuiltinFiles;
 use crate::cli::kind::Kind;
-use crate::cli::{Failure, finish, read, terminal, unreadable, unwritable};
+use crate::cli::{Failure, MemoryOption, finish, read, terminal, unreadable, unwritable};
 use crate::config::rule_file;
 use crate::datalog;
 use crate::diag::{Diagnostic, Sources};
@@ -18,6 +18,8 @@ pub struct Arguments {
     /// Write nothing; list the files that are not formatted, and exit with code 1 if there are any
     #[arg(long)]
     check: bool,
+    #[command(flatten)]
+    _memory: MemoryOption,
 }
 
 pub fn run(arguments: &Arguments, sources: &mut Sources) -> Result<(), Failure> {

@@ -1,7 +1,7 @@
 //! `logicity icons`, and the icon options of other commands.
 
 use crate::city::Split;
-use crate::cli::{Failure, ForceOption, Inputs, finish, integer, messages, one_of, terminal, unwritable};
+use crate::cli::{Failure, ForceOption, Inputs, MemoryOption, finish, integer, messages, one_of, terminal, unwritable};
 use crate::files;
 use crate::render::{
     Class, Difficulty, DrawingVersion, Icons, Mode, PACK_FILE_MAX, PACK_FILES_MAX, Pack, PackFault, sheet, write_png,
@@ -126,6 +126,8 @@ struct SheetArguments {
     output: PathBuf,
     #[command(flatten)]
     force: ForceOption,
+    #[command(flatten)]
+    _memory: MemoryOption,
 }
 
 fn class(text: &str) -> Result<Class, String> {
@@ -140,7 +142,7 @@ fn class(text: &str) -> Result<Class, String> {
 pub fn run(arguments: &Arguments) -> Result<(), Failure> {
     let Command::Sheet(sheet_of) = &arguments.command;
     let path = &sheet_of.output;
-    let inputs = Inputs(sheet_of.icons.files());
+    let inputs = Inputs::new(sheet_of.icons.files());
     let mut out = sheet_of.force.create("icons", path, &inputs)?;
     let icons = sheet_of.icons.load(Seed(sheet_of.seed))?.with_split(sheet_of.split);
     let picture = sheet(&icons, &sheet_of.classes);

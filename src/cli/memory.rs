@@ -45,8 +45,8 @@ pub fn system_limit() -> Option<SystemLimit> {
 /// buffers of fixed size.
 const BESIDES: u64 = 64 << 20;
 
-/// The part of [`BESIDES`] that buffers may need in a process that was larger when its command began.
-const BUFFERS: u64 = 32 << 20;
+/// The part of [`BESIDES`] that buffers may need, also in a process that was larger when its command began.
+pub const BUFFERS: u64 = 32 << 20;
 
 /// Calls `end` once the resident memory of this process exceeds `limit` by more than the program itself needs.
 ///

@@ -42,12 +42,13 @@ use crate::city::{Action, MapConfig};
 use crate::config::{load_map, missing_file, rule_file};
 use crate::datalog::{Edb, Limits, Program, Workspace};
 use crate::diag::{Code, Diagnostic, Limit, Sources, neutral, render, similar_file};
-use crate::files::{self, FileError, Output, Overwrite, ReadError, ReadFile};
+use crate::files::{self, FileError, FileId, Output, Overwrite, ReadError, ReadFile};
 use crate::sim::{LoadError, LoadedCity};
 use clap::builder::{PossibleValue, PossibleValuesParser, TypedValueParser};
 use clap::{ArgMatches, CommandFactory, FromArgMatches, Parser, Subcommand};
 use indicatif::{ProgressBar, ProgressStyle};
 use kind::Kind;
+use std::collections::BTreeSet;
 use std::ffi::{OsStr, OsString};
 use std::fmt::Display;
 use std::fs::File;
@@ -208,43 +209,48 @@ impl ForceOption {
         if path == Path::new("-") {
             return Ok(terminal::screened(Output::stdout()));
         }
-        inputs.refuse(path)?;
-        let output = Output::create(path, by, self.overwrite());
-        output.map(terminal::screened).map_err(|error| unwritable(path, &error))
+        let outputs = self.create_all(by, &[path], inputs)?;
+        Ok(outputs.into_iter().next().expect("one for each path"))
     }
 
-    /// Reports now if a file that is written later cannot be written.
-    fn check(&self, by: &str, path: &Path, inputs: &Inputs) -> Result<(), Failure> {
-        inputs.refuse(path)?;
-        Output::check(path, by, self.overwrite()).map_err(|error| unwritable(path, &error))
+    /// Begins to write several output files, none of which is standard output.
+    fn create_all(&self, by: &str, paths: &[&Path], inputs: &Inputs) -> Result<Vec<Output>, Failure> {
+        paths.iter().try_for_each(|path| inputs.refuse(path))?;
+        let outputs = Output::create_all(paths, by, self.overwrite());
+        let outputs = outputs.map_err(|(position, error)| unwritable(paths[position], &error))?;
+        Ok(outputs.into_iter().map(terminal::screened).collect())
     }
 }
 
 /// The files that a command reads. No output replaces one of them, not even with `--force`.
-struct Inputs(Vec<PathBuf>);
+#[derive(Default)]
+struct Inputs(BTreeSet<FileId>);
 
 impl Inputs {
+    /// Returns the files with these paths; `-` means standard input.
+    fn new(paths: impl IntoIterator<Item = PathBuf>) -> Inputs {
+        Inputs::default().with(paths)
+    }
+
     /// Returns the files of texts: rules with their includes, configurations with their parts.
     fn of(sources: &Sources) -> Inputs {
-        Inputs(sources.ids().map(|id| PathBuf::from(sources.name(id))).collect())
+        Inputs::new(sources.ids().map(|id| PathBuf::from(sources.name(id))))
     }
 
     /// Adds files; `-` means standard input.
     fn with(mut self, paths: impl IntoIterator<Item = PathBuf>) -> Inputs {
-        let named = |path: PathBuf| {
-            if path == Path::new("-") {
-                "/dev/stdin".into()
-            } else {
-                path
-            }
+        let named = |path: PathBuf| match path == Path::new("-") {
+            true => "/dev/stdin".into(),
+            false => path,
         };
-        self.0.extend(paths.into_iter().map(named));
+        let existing = paths.into_iter().filter_map(|path| FileId::of(&named(path)));
+        self.0.extend(existing);
         self
     }
 
     /// Fails if an output is one of the files.
     fn refuse(&self, output: &Path) -> Result<(), Failure> {
-        match self.0.iter().any(|input| files::is_same_file(input, output)) {
+        match FileId::of(output).is_some_and(|output| self.0.contains(&output)) {
             true => Err(Failure::Usage(format!(
                 "cannot write `{}`: this command reads it\n\
                  help: choose another path; `--force` does not replace inputs",
@@ -466,32 +472,27 @@ fn run(mut command: clap::Command, arguments: &[OsString]) -> u8 {
     };
     memory::exit_when_exhausted();
     signals::end_at_once();
-    if let Some(limit) = limit {
-        memory::watch(limit, move |size| {
-            let fault = Diagnostic::new(
-                Code::LIMIT_EXCEEDED,
-                format!("the command takes more than {} MiB", limit >> 20),
-            )
-            .note(format!(
-                "the process uses {} MiB, with the program itself and its input",
-                size >> 20
-            ))
-            .exceeds(Limit::Memory(limit));
-            report(&[fault], &Sources::new());
-            std::process::exit(1);
-        });
-    }
-    let mut sources = Sources::new();
+    files::limit_reads(limit.saturating_add(memory::BUFFERS));
+    memory::watch(limit, move |size| {
+        let fault = Diagnostic::new(
+            Code::LIMIT_EXCEEDED,
+            format!("the command takes more than {} MiB", limit >> 20),
+        )
+        .note(format!(
+            "the process uses {} MiB, with the program itself and its input",
+            size >> 20
+        ))
+        .exceeds(Limit::Memory(limit));
+        report(&[fault], &Sources::new());
+        files::end(1);
+    });
+    let (mut sources, mut code) = (Sources::new(), 0);
     let result = match arguments.command {
         Command::Run(arguments) => run::run(&arguments, &mut sources),
         Command::New(arguments) => new::run(&arguments),
         Command::Check(arguments) => check::run(&arguments, &mut sources),
         Command::Fmt(arguments) => fmt::run(&arguments, &mut sources),
-        Command::Diff(arguments) => match diff::run(&arguments, &mut sources) {
-            Ok(0) => Ok(()),
-            Ok(code) => return code,
-            Err(failure) => Err(failure),
-        },
+        Command::Diff(arguments) => diff::run(&arguments, &mut sources).map(|differs| code = differs),
         Command::Query(arguments) => query::run(&arguments, &mut sources),
         #[cfg(feature = "repl")]
         Command::Repl(arguments) => repl::run(&arguments, &mut sources),
@@ -519,9 +520,10 @@ fn run(mut command: clap::Command, arguments: &[OsString]) -> u8 {
     };
     // The process of a caller in Python continues, and must not ignore the next request.
     signals::end_at_once();
+    files::limit_reads(files::MAX_BYTES);
     // The end of the process would ignore that the last line cannot be written.
     match result.and_then(|()| io::stdout().flush().map_err(Failure::from)) {
-        Ok(()) => 0,
+        Ok(()) => code,
         Err(failure) => exit(failure, &sources),
     }
 }
@@ -639,6 +641,12 @@ fn unreadable(path: &Path, error: &ReadError) -> Failure {
         ReadError::NotText { .. } => Diagnostic::new(Code::NOT_TEXT, format!("`{}` is {error}", path.display()))
             .help("save the file as UTF-8")
             .into(),
+        ReadError::TooLarge(limit) if *limit < files::MAX_BYTES => {
+            let fault = Diagnostic::new(Code::LIMIT_EXCEEDED, format!("`{}` is {error}", path.display()));
+            fault
+                .exceeds(Limit::Memory(limit.saturating_sub(memory::BUFFERS)))
+                .into()
+        }
         error => {
             let near = (*error == ReadError::NotFound).then(|| near_file(path)).flatten();
             let help = near.map_or_else(String::new, |near| format!("\nhelp: did you mean `{near}`?"));
@@ -692,10 +700,25 @@ struct LimitOptions {
     /// 1G for each scene, tick or task; for each tick of a trace 100M plus 1K for each row of the default of `--max-rows`]
     #[arg(long, value_name = "COUNT", value_parser = count_of::<u64>)]
     max_steps: Option<u64>,
+    #[command(flatten)]
+    memory: MemoryOption,
+}
+
+/// The limit of memory, for every command that reads files.
+#[derive(clap::Args, Clone, Copy, Default)]
+struct MemoryOption {
     /// Fail if input, rows, indexes, symbols and buffers need more than SIZE, in MiB or with a suffix: K, M, G, T or KiB,
     /// MiB, GiB, TiB (powers of 1024). Limits of the system (`ulimit -v`, control groups) lower it [default: 4096]
     #[arg(long, value_name = "SIZE", value_parser = memory)]
     max_memory: Option<u64>,
+}
+
+impl MemoryOption {
+    /// Returns the bytes that the command may use, with `usual` for an unset option.
+    fn bytes(self, usual: u64) -> u64 {
+        let system = memory::system_limit().map_or(u64::MAX, |limit| limit.bytes);
+        self.max_memory.unwrap_or(usual).min(system)
+    }
 }
 
 impl LimitOptions {
@@ -704,23 +727,19 @@ impl LimitOptions {
         Limits {
             rows: self.max_rows.unwrap_or(usual.rows),
             steps: self.max_steps.unwrap_or(usual.steps),
-            bytes: (self.max_memory.unwrap_or(usual.bytes))
-                .min(memory::system_limit().map_or(u64::MAX, |limit| limit.bytes)),
+            bytes: self.memory.bytes(usual.bytes),
         }
     }
 }
 
-/// Returns the memory that a command may use, in bytes; `None` if it does not take the option.
-fn memory_limit(matches: &ArgMatches) -> Option<u64> {
+/// Returns the memory that a command may use, in bytes.
+fn memory_limit(matches: &ArgMatches) -> u64 {
     if let Some((_, inner)) = matches.subcommand() {
         return memory_limit(inner);
     }
-    let max_memory = matches.try_get_one::<u64>("max_memory").ok()?.copied();
-    let options = LimitOptions {
-        max_memory,
-        ..LimitOptions::default()
-    };
-    Some(options.limits(Limits::default()).bytes)
+    // A command without the option has the usual limit.
+    let max_memory = matches.try_get_one::<u64>("max_memory").ok().flatten().copied();
+    MemoryOption { max_memory }.bytes(Limits::default().bytes)
 }
 
 /// Parses a count with an optional decimal suffix, such as `20K`.

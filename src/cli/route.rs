@@ -2,7 +2,7 @@
 
 use crate::city::{AgentKind, Routing};
 use crate::city::{Cell, CityMap, NoRoute, Router};
-use crate::cli::{Failure, find_map, one_of, terminal};
+use crate::cli::{Failure, MemoryOption, find_map, one_of, terminal};
 use crate::diag::{Code, Diagnostic, Sources};
 use std::io::{BufWriter, Write};
 use std::sync::Arc;
@@ -25,6 +25,8 @@ pub struct Arguments {
     /// published program)
     #[arg(long, value_parser = one_of(&Routing::ALL, Routing::name), default_value = "weighted")]
     routing: Routing,
+    #[command(flatten)]
+    _memory: MemoryOption,
 }
 
 fn traveler(kind: AgentKind) -> &'static str {

@@ -5,13 +5,16 @@ use crate::cli::kind::Kind;
 use crate::cli::{Failure, LimitOptions, open};
 use crate::datalog::Limits;
 use crate::diag::{Code, Diagnostic, Sources};
+use crate::files;
 use crate::sim::{Archive, LoadError, LoadedCity, Replay, TraceHeader, TraceTick, trace_limits};
 use std::io::{BufRead, BufReader, Read};
 use std::path::{Path, PathBuf};
 use std::sync::Arc;
 
-/// The longest line, in bytes (256 MiB).
-pub const LINE_MAX: u64 = 1 << 28;
+/// Returns the longest line, in bytes: 256 MiB, or less memory.
+pub fn line_max() -> u64 {
+    files::read_limit().min(1 << 28)
+}
 
 /// An open trace, after its header.
 pub struct TraceReader {
@@ -21,6 +24,8 @@ pub struct TraceReader {
     /// Size of the file, and of the lines read so far, in bytes.
     pub length: u64,
     pub read: u64,
+    /// The number of the next tick, once one has been read.
+    next: Option<u64>,
     /// The header.
     pub header: TraceHeader,
 }
@@ -49,14 +54,21 @@ impl TraceReader {
             number,
             length,
             read,
+            next: None,
         })
     }
 
-    /// Returns the next tick, or `None` at the end.
+    /// Returns the next tick, or `None` at the end. The numbers of the ticks are consecutive.
     pub fn tick(&mut self) -> Result<Option<TraceTick>, Failure> {
         let line = next_line(&mut *self.lines, &self.path, &mut self.number, &mut self.read)?;
-        line.map(|line| TraceTick::read(&line).map_err(|fault| self.placed(fault)))
-            .transpose()
+        let Some(line) = line else { return Ok(None) };
+        let tick = TraceTick::read(&line).map_err(|fault| self.placed(fault))?;
+        if let Some(expected) = self.next.filter(|&expected| expected != tick.tick) {
+            let message = format!("found tick {} instead of tick {expected}", tick.tick);
+            return Err(self.placed(Diagnostic::new(Code::INVALID_TRACE, message)));
+        }
+        self.next = Some(tick.tick.saturating_add(1));
+        Ok(Some(tick))
     }
 
     /// Returns a fault with the place of the last line read.
@@ -153,15 +165,16 @@ fn next_line(
 ) -> Result<Option<String>, Failure> {
     loop {
         let mut bytes = Vec::new();
-        let found = (&mut *lines).take(LINE_MAX).read_until(b'\n', &mut bytes);
+        let longest = line_max();
+        let found = (&mut *lines).take(longest).read_until(b'\n', &mut bytes);
         let found = found.map_err(|error| Failure::file("read", path, error))?;
         if found == 0 {
             return Ok(None);
         }
         *read += found as u64;
         *number += 1;
-        if found as u64 == LINE_MAX && !bytes.ends_with(b"\n") {
-            let message = format!("a line of more than {} MiB", LINE_MAX >> 20);
+        if found as u64 == longest && !bytes.ends_with(b"\n") {
+            let message = format!("a line of more than {} MiB", longest >> 20);
             return Err(placed(Diagnostic::new(Code::INVALID_TRACE, message), path, *number));
         }
         let line = String::from_utf8(bytes).map_err(|_| {

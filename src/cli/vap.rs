@@ -4,8 +4,8 @@ use crate::cancel::Cancel;
 use crate::city::{Action, Split};
 use crate::cli::icons::IconOptions;
 use crate::cli::{
-    Failure, ForceOption, LimitOptions, integer, load_city, one_of, progress, refuse_stdout_as_folder, terminal,
-    threads,
+    Failure, ForceOption, LimitOptions, MemoryOption, integer, load_city, one_of, progress, refuse_stdout_as_folder,
+    terminal, threads,
 };
 use crate::diag::Sources;
 use crate::files::Folder;
@@ -84,6 +84,8 @@ struct Make {
     out: PathBuf,
     #[command(flatten)]
     force: ForceOption,
+    #[command(flatten)]
+    _memory: MemoryOption,
 }
 
 #[derive(clap::Args)]
@@ -96,6 +98,8 @@ struct Check {
     /// Print one JSON object
     #[arg(long)]
     json: bool,
+    #[command(flatten)]
+    _memory: MemoryOption,
 }
 
 #[derive(clap::Args)]
@@ -105,6 +109,8 @@ struct Stats {
     /// Print one JSON object
     #[arg(long)]
     json: bool,
+    #[command(flatten)]
+    _memory: MemoryOption,
 }
 
 pub fn run(arguments: &Arguments, sources: &mut Sources) -> Result<(), Failure> {

@@ -56,7 +56,7 @@ pub fn run(arguments: &Arguments, sources: &mut Sources) -> Result<(), Failure> 
             return Err(Failure::Usage(message));
         }
     }
-    let inputs = Inputs(traces.clone()).with(icons.files());
+    let inputs = Inputs::new(traces.clone()).with(icons.files());
     let inputs = inputs.with(arguments.config.iter().chain(&arguments.rules).cloned());
     let mut file_out = arguments.force.create("view", output, &inputs)?;
     let mut pages = Vec::new();

@@ -369,7 +369,7 @@ fn merge(base: &mut Node, over: Node) {
 fn unreadable(path: &Path, error: &ReadError) -> Diagnostic {
     let code = match error {
         ReadError::NotText { .. } => Code::NOT_TEXT,
-        ReadError::TooLarge => Code::LIMIT_EXCEEDED,
+        ReadError::TooLarge(_) => Code::LIMIT_EXCEEDED,
         ReadError::NotFound | ReadError::Io(_) => Code::MISSING_FILE,
     };
     Diagnostic::new(code, format!("cannot read `{}`: {error}", path.display()))

@@ -9,13 +9,15 @@
 //! the leftovers of dead processes are removed. Standard output, other open descriptors and character devices are
 //! written directly.
 
-use crate::files::record::{TEMPORARY, existing};
+use crate::files::record::{Record, TEMPORARY, existing};
 use crate::files::{LINKS_MAX, descriptor, folder_of, record};
 use sha2::{Digest, Sha256};
+use std::collections::{BTreeMap, BTreeSet};
 use std::ffi::OsStr;
 use std::fs::{self, File, OpenOptions, TryLockError};
 use std::io::{self, IsTerminal, Write};
 use std::path::{Path, PathBuf};
+use std::sync::{Mutex, MutexGuard, PoisonError};
 use std::thread;
 use std::time::{Duration, SystemTime, UNIX_EPOCH};
 
@@ -52,9 +54,11 @@ struct Replacement {
     overwrite: Overwrite,
     /// The command to record as the writer of the result, if it is to be recorded.
     by: Option<String>,
-    /// Holds the lock of the temporary file.
-    _lock: File,
+    temporary: Temporary,
 }
+
+/// One of several outputs that failed: its position among them, and the error.
+pub type Failed = (usize, io::Error);
 
 impl Output {
     /// Begins to write the file at `path`, whose folder must exist, or the stream with this path. `by` is the command
@@ -65,10 +69,25 @@ impl Output {
     /// reserved name; `AlreadyExists` if `overwrite` does not permit replacing the existing file; `ResourceBusy` if
     /// another process writes the same file.
     pub fn create(path: &Path, by: &str, overwrite: Overwrite) -> io::Result<Output> {
-        match stream(path)? {
-            Some(writer) => Ok(Output::streaming(writer, path)),
-            None => Output::begin(path, overwrite, Some(by)),
+        only(Output::create_all(&[path], by, overwrite))
+    }
+
+    /// Begins to write several files, as [`Output::create`] does for one. Reads each folder and its record only once.
+    ///
+    /// # Errors
+    /// As [`Output::create`]; then no output has begun.
+    pub fn create_all(paths: &[&Path], by: &str, overwrite: Overwrite) -> Result<Vec<Output>, Failed> {
+        let mut outputs: Vec<Option<Output>> = Vec::new();
+        for (position, path) in paths.iter().enumerate() {
+            let stream = stream(path).map_err(|error| (position, error))?;
+            outputs.push(stream.map(|stream| Output::streaming(stream, path)));
         }
+        let files = (0..paths.len()).filter(|&position| outputs[position].is_none());
+        let files: Vec<(usize, &Path)> = files.map(|position| (position, paths[position])).collect();
+        for (position, output) in Output::begin(&files, overwrite, Some(by))? {
+            outputs[position] = Some(output);
+        }
+        Ok(outputs.into_iter().flatten().collect())
     }
 
     /// Returns an output that writes to standard output.
@@ -101,61 +120,69 @@ impl Output {
     /// # Errors
     /// As [`Output::create`].
     pub fn edit(path: &Path) -> io::Result<Output> {
-        Output::begin(path, Overwrite::Any, None)
+        let begun = Output::begin(&[(0, path)], Overwrite::Any, None);
+        only(begun.map(|begun| begun.into_iter().map(|(_, output)| output).collect()))
     }
 
-    fn begin(path: &Path, overwrite: Overwrite, by: Option<&str>) -> io::Result<Output> {
-        let target = follow_links(path)?;
-        let folder = folder_of(&target);
-        if !folder.is_dir() {
-            let message = format!("there is no folder `{}`", folder.display());
-            return Err(io::Error::new(io::ErrorKind::NotFound, message));
+    /// Begins to write files, each with its position, folder by folder.
+    fn begin(files: &[(usize, &Path)], overwrite: Overwrite, by: Option<&str>) -> Result<Vec<(usize, Output)>, Failed> {
+        let targets = (files.iter()).map(|&(position, path)| match follow_links(path) {
+            Ok(target) => Ok((target, position)),
+            Err(error) => Err((position, error)),
+        });
+        let mut begun = Vec::new();
+        for (folder, targets) in by_folder(targets.collect::<Result<_, _>>()?) {
+            let failed = |error| (targets[0].1, error);
+            if !folder.is_dir() {
+                let message = format!("there is no folder `{}`", folder.display());
+                return Err(failed(io::Error::new(io::ErrorKind::NotFound, message)));
+            }
+            let _lock = lock(&folder).map_err(failed)?;
+            let busy = remove_leftovers(&folder).map_err(failed)?;
+            // Only a regular file can be replaced by the record.
+            let record = by.map(|_| Record::read(&folder)).transpose().map_err(failed)?;
+            for (target, position) in targets {
+                let replacing = Replacing { overwrite, by };
+                let output = Output::begin_one(target, &busy, record.as_ref(), replacing);
+                begun.push((position, output.map_err(|error| (position, error))?));
+            }
         }
+        Ok(begun)
+    }
+
+    /// Begins to write a file in a folder that is locked. `busy` describes the files that are being written.
+    fn begin_one(
+        target: PathBuf,
+        busy: &BTreeMap<String, String>,
+        record: Option<&Record>,
+        replacing: Replacing<'_>,
+    ) -> io::Result<Output> {
         let name = name_of(&target)?;
         if record::is_reserved(&name) || temporary_of(&name).is_some() {
             let message = "logicity uses names like this one for its own records";
             return Err(io::Error::new(io::ErrorKind::InvalidInput, message));
         }
-        let _lock = lock(folder)?;
-        remove_leftovers(folder, &name)?;
-        if by.is_some() {
-            // Only a regular file can be replaced by the record.
-            record::check(folder)?;
+        if let Some(who) = busy.get(&short(&name)) {
+            return Err(io::Error::new(io::ErrorKind::ResourceBusy, who.clone()));
         }
         let existing = existing(&target)?;
-        check_own(folder, &name, existing.as_ref(), overwrite, by)?;
+        replacing.check(record, &name, existing.as_ref())?;
         if existing.is_some() {
             // A file that the user protected against writing.
             OpenOptions::new().write(true).open(&target)?;
         }
-        let seconds = SystemTime::now()
-            .duration_since(UNIX_EPOCH)
-            .map_or(0, |time| time.as_secs());
-        let temporary = folder.join(format!(".{}{TEMPORARY}{}-{seconds}", short(&name), std::process::id()));
-        let file = create_temporary(&temporary, existing.as_ref())?;
-        match file.try_lock() {
-            Ok(()) | Err(TryLockError::Error(_)) => {}
-            Err(TryLockError::WouldBlock) => return Err(io::ErrorKind::ResourceBusy.into()),
-        }
+        let temporary = Temporary::create(folder_of(&target), &name, existing.as_ref())?;
         Ok(Output {
-            writer: io::BufWriter::new(Box::new(file.try_clone()?)),
-            path: temporary,
+            writer: io::BufWriter::new(Box::new(temporary.file.try_clone()?)),
+            path: temporary.path.clone(),
             is_terminal: false,
             replacement: Some(Replacement {
                 target,
-                overwrite,
-                by: by.map(str::to_owned),
-                _lock: file,
+                overwrite: replacing.overwrite,
+                by: replacing.by.map(str::to_owned),
+                temporary,
             }),
         })
-    }
-
-    /// Checks that [`Output::create`] would succeed. Commands that write much later call it before their work.
-    ///
-    /// # Errors
-    /// As [`Output::create`].
-    pub fn check(path: &Path, by: &str, overwrite: Overwrite) -> io::Result<()> {
-        Output::create(path, by, overwrite).map(drop)
     }
 
     /// Returns whether a file has a name of temporary files.
@@ -175,48 +202,128 @@ impl Output {
     /// Errors of the system; then an existing file at that path is unchanged, unless only the record could not be
     /// written. `AlreadyExists` if another program made the file in the meantime; then the result is kept under another
     /// name, which the message contains.
-    pub fn finish(mut self) -> io::Result<()> {
-        self.writer.flush()?;
-        let Some(replacement) = self.replacement.take() else {
-            return Ok(());
-        };
-        let replaced = replacement.replace(&self.path);
-        if replaced.is_err() {
-            // If the rename failed, the file still has its temporary name.
-            let _ = fs::remove_file(&self.path);
-        }
-        replaced
+    pub fn finish(self) -> io::Result<()> {
+        Output::finish_all(vec![self]).map_err(|(_, error)| error)
     }
-}
 
-impl Replacement {
-    fn replace(&self, temporary: &Path) -> io::Result<()> {
-        let folder = folder_of(&self.target);
-        let name = name_of(&self.target)?;
-        let _lock = lock(folder)?;
-        let existing = existing(&self.target)?;
-        let by = self.by.as_deref();
-        if let Err(error) = check_own(folder, &name, existing.as_ref(), self.overwrite, by) {
-            let free = (1..).map(|number| folder.join(format!("{name}.{number}")));
-            let free = free.into_iter().find(|path| fs::symlink_metadata(path).is_err());
-            let free = free.expect("finitely many names are taken");
-            fs::rename(temporary, &free)?;
-            let message = format!("{error}; the result is in `{}`", free.display());
-            return Err(io::Error::new(error.kind(), message));
+    /// Completes several files, as [`Output::finish`] does one. Writes the record of each folder only once.
+    ///
+    /// # Errors
+    /// As [`Output::finish`]. The outputs before the one that failed in the same folder are complete.
+    pub fn finish_all(outputs: Vec<Output>) -> Result<(), Failed> {
+        let mut complete = Vec::new();
+        for (position, mut output) in outputs.into_iter().enumerate() {
+            output.writer.flush().map_err(|error| (position, error))?;
+            let replacement = output.replacement.take();
+            complete.extend(replacement.map(|file| (file.target.clone(), (position, file))));
         }
-        fs::rename(temporary, &self.target)?;
-        if let Some(by) = by {
-            record::add(folder, &name, &fs::metadata(&self.target)?, by)?;
+        for (folder, files) in by_folder(complete) {
+            let failed = |error| (files[0].1.0, error);
+            let _lock = lock(&folder).map_err(failed)?;
+            let is_recorded = files.iter().any(|(_, (_, file))| file.by.is_some());
+            let mut record = is_recorded.then(|| Record::read(&folder)).transpose().map_err(failed)?;
+            let replaced = (files.iter()).try_for_each(|(_, (position, file))| {
+                file.replace(record.as_mut()).map_err(|error| (*position, error))
+            });
+            let recorded = record.map_or(Ok(()), |record| record.write(&folder)).map_err(failed);
+            replaced.and(recorded)?;
         }
         Ok(())
     }
 }
 
-impl Drop for Output {
-    fn drop(&mut self) {
-        if self.replacement.is_some() {
-            let _ = fs::remove_file(&self.path);
+/// Returns the result for the only one of several outputs.
+fn only(outputs: Result<Vec<Output>, Failed>) -> io::Result<Output> {
+    let outputs = outputs.map_err(|(_, error)| error)?;
+    Ok(outputs.into_iter().next().expect("one for each path"))
+}
+
+/// Groups files by folder, in their order within each.
+fn by_folder<T>(files: Vec<(PathBuf, T)>) -> BTreeMap<PathBuf, Vec<(PathBuf, T)>> {
+    let mut folders: BTreeMap<PathBuf, Vec<(PathBuf, T)>> = BTreeMap::new();
+    for (path, of) in files {
+        folders.entry(folder_of(&path).to_owned()).or_default().push((path, of));
+    }
+    folders
+}
+
+impl Replacement {
+    /// Renames the temporary file in a folder that is locked, and adds the result to the record of the folder.
+    fn replace(&self, record: Option<&mut Record>) -> io::Result<()> {
+        let name = name_of(&self.target)?;
+        let existing = existing(&self.target)?;
+        let replacing = Replacing {
+            overwrite: self.overwrite,
+            by: self.by.as_deref(),
+        };
+        if let Err(error) = replacing.check(record.as_deref(), &name, existing.as_ref()) {
+            let folder = folder_of(&self.target);
+            let free = (1..).map(|number| folder.join(format!("{name}.{number}")));
+            let free = free.into_iter().find(|path| fs::symlink_metadata(path).is_err());
+            let free = free.expect("finitely many names are taken");
+            fs::rename(&self.temporary.path, &free)?;
+            let message = format!("{error}; the result is in `{}`", free.display());
+            return Err(io::Error::new(error.kind(), message));
         }
+        fs::rename(&self.temporary.path, &self.target)?;
+        if let (Some(record), Some(by)) = (record, replacing.by) {
+            record.add(&name, &fs::metadata(&self.target)?, by);
+        }
+        Ok(())
+    }
+}
+
+/// The temporary files of this process, for [`end`].
+static TEMPORARIES: Mutex<BTreeSet<PathBuf>> = Mutex::new(BTreeSet::new());
+
+fn temporaries() -> MutexGuard<'static, BTreeSet<PathBuf>> {
+    TEMPORARIES.lock().unwrap_or_else(PoisonError::into_inner)
+}
+
+/// Ends the process at once, without its temporary files.
+pub fn end(code: i32) -> ! {
+    // Locked to the end, so that no other thread begins one.
+    let temporaries = temporaries();
+    // A process keeps the files of the one from which it was forked.
+    let process = |path: &Path| Some(temporary_of(path.file_name()?.to_str()?)?.1);
+    for path in temporaries
+        .iter()
+        .filter(|path| process(path) == Some(std::process::id()))
+    {
+        let _ = fs::remove_file(path);
+    }
+    std::process::exit(code)
+}
+
+/// A temporary file, locked until it is dropped. It is removed then, unless it has been renamed.
+struct Temporary {
+    path: PathBuf,
+    file: File,
+}
+
+impl Temporary {
+    /// Creates the temporary file of the file `name` in `folder`.
+    fn create(folder: &Path, name: &str, existing: Option<&fs::Metadata>) -> io::Result<Temporary> {
+        let seconds = SystemTime::now()
+            .duration_since(UNIX_EPOCH)
+            .map_or(0, |time| time.as_secs());
+        let path = folder.join(format!(".{}{TEMPORARY}{}-{seconds}", short(name), std::process::id()));
+        let mut temporaries = temporaries();
+        let file = create_temporary(&path, existing)?;
+        temporaries.insert(path.clone());
+        drop(temporaries);
+        let temporary = Temporary { path, file };
+        match temporary.file.try_lock() {
+            Ok(()) | Err(TryLockError::Error(_)) => Ok(temporary),
+            Err(TryLockError::WouldBlock) => Err(io::ErrorKind::ResourceBusy.into()),
+        }
+    }
+}
+
+impl Drop for Temporary {
+    fn drop(&mut self) {
+        let _ = fs::remove_file(&self.path);
+        temporaries().remove(&self.path);
     }
 }
 
@@ -299,8 +406,9 @@ fn lock(folder: &Path) -> io::Result<Option<File>> {
     ))
 }
 
-/// Removes the temporary files of dead processes. Fails if another process writes the file `name`.
-fn remove_leftovers(folder: &Path, name: &str) -> io::Result<()> {
+/// Removes the temporary files of dead processes. Returns who writes the other ones, by the [`short`] name of the file.
+fn remove_leftovers(folder: &Path) -> io::Result<BTreeMap<String, String>> {
+    let mut busy = BTreeMap::new();
     for entry in fs::read_dir(folder)? {
         let path = entry?.path();
         let Some((of, process, seconds)) = path.file_name().and_then(|name| temporary_of(name.to_str()?)) else {
@@ -311,17 +419,17 @@ fn remove_leftovers(folder: &Path, name: &str) -> io::Result<()> {
         }
         match File::open(&path).map(|file| file.try_lock()) {
             Ok(Ok(())) => drop(fs::remove_file(&path)),
-            Ok(Err(TryLockError::WouldBlock)) if of == short(name) => {
+            Ok(Err(TryLockError::WouldBlock)) => {
                 let who = match process == std::process::id() {
                     true => "this process already writes it".to_owned(),
                     false => format!("process {process} has been writing it since {} UTC", date(seconds)),
                 };
-                return Err(io::Error::new(io::ErrorKind::ResourceBusy, who));
+                busy.insert(of.to_owned(), who);
             }
             _ => {}
         }
     }
-    Ok(())
+    Ok(busy)
 }
 
 /// Returns a name that is short enough to be a part of another one.
@@ -362,25 +470,28 @@ fn create_temporary(path: &Path, existing: Option<&fs::Metadata>) -> io::Result<
     options.open(path)
 }
 
-/// Fails if an existing file must not be replaced, because the command `by` did not write it.
-fn check_own(
-    folder: &Path,
-    name: &str,
-    existing: Option<&fs::Metadata>,
+/// What an output of the command `by` may replace.
+#[derive(Clone, Copy)]
+struct Replacing<'a> {
     overwrite: Overwrite,
-    by: Option<&str>,
-) -> io::Result<()> {
-    let Some(existing) = existing else { return Ok(()) };
-    if overwrite == Overwrite::Any {
-        return Ok(());
+    by: Option<&'a str>,
+}
+
+impl Replacing<'_> {
+    /// Fails if an existing file must not be replaced, because the command did not write it.
+    fn check(self, record: Option<&Record>, name: &str, existing: Option<&fs::Metadata>) -> io::Result<()> {
+        let Some(existing) = existing else { return Ok(()) };
+        if self.overwrite == Overwrite::Any {
+            return Ok(());
+        }
+        let message = match record.and_then(|record| record.writer(name, existing)) {
+            Some(writer) if Some(writer) == self.by => return Ok(()),
+            // The record is a file that others can edit.
+            Some(writer) if is_command(writer) => format!("the file exists, and `{writer}` wrote it, another command"),
+            _ => "the file exists, and logicity did not write it or it has changed since".to_owned(),
+        };
+        Err(io::Error::new(io::ErrorKind::AlreadyExists, message))
     }
-    let message = match record::writer(folder, name, existing)? {
-        Some(writer) if Some(writer.as_str()) == by => return Ok(()),
-        // The record is a file that others can edit.
-        Some(writer) if is_command(&writer) => format!("the file exists, and `{writer}` wrote it, another command"),
-        _ => "the file exists, and logicity did not write it or it has changed since".to_owned(),
-    };
-    Err(io::Error::new(io::ErrorKind::AlreadyExists, message))
 }
 
 /// Returns whether a text may be the name of a command, such as `vap coco`.
@@ -435,6 +546,10 @@ mod tests {
         output.finish()
     }
 
+    fn check(path: &Path, by: &str, overwrite: Overwrite) -> io::Result<()> {
+        Output::create(path, by, overwrite).map(drop)
+    }
+
     fn names(folder: &Path) -> Vec<String> {
         let entries = fs::read_dir(folder).expect("it is there");
         let mut names: Vec<String> = (entries.map(|entry| entry.expect("readable").file_name()))
@@ -466,7 +581,7 @@ mod tests {
         write(&path, "third", Overwrite::Any).expect("any file may be replaced");
         write(&path, "fourth", Overwrite::Own).expect("its own again");
 
-        let refused = Output::check(folder.path(), "test", Overwrite::Any).map_err(|error| error.kind());
+        let refused = check(folder.path(), "test", Overwrite::Any).map_err(|error| error.kind());
         assert_eq!(refused, Err(io::ErrorKind::InvalidInput), "a folder");
     }
 
@@ -574,7 +689,7 @@ mod tests {
         let pipe = folder.path().join("pipe");
         let made = std::process::Command::new("mkfifo").arg(&pipe).status();
         assert!(made.expect("it runs").success());
-        let refused = Output::check(&pipe, "test", Overwrite::Any).map_err(|error| error.kind());
+        let refused = check(&pipe, "test", Overwrite::Any).map_err(|error| error.kind());
         assert_eq!(refused, Err(io::ErrorKind::InvalidInput));
     }
 
@@ -598,7 +713,7 @@ mod tests {
         assert_eq!(fs::metadata(&file).expect("there").permissions().mode() & 0o777, 0o640);
 
         symlink("round", folder.path().join("round")).expect("new");
-        let refused = Output::check(&folder.path().join("round"), "test", Overwrite::Any);
+        let refused = check(&folder.path().join("round"), "test", Overwrite::Any);
         assert!(refused.expect_err("a loop").to_string().contains("symbolic links"));
     }
 

@@ -41,6 +41,7 @@ const CHECK: &[Case] = &[
     ("check good.dl/inside.dl", 2, "good.dl/inside.dl"),
     ("check loop.dl", 2, "loop.dl"),
     ("check dangling.dl", 2, "a symbolic link to `nowhere/nothing.dl`"),
+    ("check names/first.dl", 1, "too many included files"),
     ("check zero.dl", 2, "it is a device"),
     ("check all.dl", 1, "\"for all\" counts the exceptions"),
     ("check equation.dl", 1, "write it in quotes: `\"Car_2\"`"),
@@ -102,6 +103,7 @@ const FORMAT: &[Case] = &[
     ("fmt zero.dl", 2, "it is a device"),
     ("fmt latin1.dl", 1, "not-text"),
     ("fmt nul.dl", 1, "nul.dl"),
+    ("fmt large.dl", 1, "rule file too large"),
     ("fmt faults.dl", 1, "errors"),
     ("fmt deep-parentheses.dl", 1, "limit-exceeded"),
     ("fmt rules/vocabulary.dl", 0, ""),
@@ -146,6 +148,8 @@ const DIFF: &[Case] = &[
 const QUERY: &[Case] = &[
     ("query", 2, "RULES"),
     ("query missing.dl", 2, "missing.dl"),
+    ("query outputs.dl -D many", 0, "wrote many/P3999.csv"),
+    ("query good.dl -D records/kernel", 2, "the system generates its content"),
     ("query folder", 2, "folder"),
     ("query nul.dl", 1, "nul.dl"),
     ("query input.dl -F missing", 2, "missing"),
@@ -525,6 +529,13 @@ const TRACES: &[Case] = &[
     ("explain trace-heading.jsonl --agent Car_1", 1, "heading"),
     ("explain trace-action.jsonl --agent Car_1", 1, "action"),
     ("explain trace-derived.jsonl --agent Car_1", 1, "trace-mismatch"),
+    (
+        "explain trace-gap.jsonl --agent Car_1",
+        1,
+        "found tick 77 instead of tick 2",
+    ),
+    ("check --coverage trace-gap.jsonl", 1, "found tick 77 instead of tick 2"),
+    ("induce trace-gap.jsonl", 1, "found tick 77 instead of tick 2"),
     ("explain trace.jsonl --agent Car_1 > /dev/full", 2, "standard output"),
     ("view", 2, "TRACE"),
     ("view missing.jsonl", 2, "missing.jsonl"),
@@ -1265,6 +1276,18 @@ impl Fixtures {
         self.link("zero.dl", "/dev/zero");
         self.link("zero", "/dev/zero");
         self.link("linked-city.dl", "city.dl");
+        self.link("records/kernel/.logicity.json", "/proc/self/status");
+        let outputs = (0..4000).map(|number| format!(".decl P{number}(x: number)\nP{number}(1).\n.output P{number}\n"));
+        self.put("outputs.dl", outputs.collect::<String>());
+        // Links give each of three files 25 names, so that they include each other in 15,625 ways.
+        for (file, next) in [("first", "second"), ("second", "third"), ("third", "fourth")] {
+            let includes = (0..25).map(|link| format!(".include \"l{link}/{next}.dl\"\n"));
+            self.put(&format!("names/{file}.dl"), includes.collect::<String>());
+        }
+        self.put("names/fourth.dl", "");
+        (0..25).for_each(|link| self.link(&format!("names/l{link}"), "."));
+        let large = fs::File::create(self.path("large.dl")).unwrap();
+        large.set_len(65 << 20).unwrap();
         let city = |rules: &str| format!(".include \"vocabulary.dl\"\n{rules}\n");
         self.put("city.dl", city("Stop(X) :- CollidingClose(X, Y)."));
         self.put("all.dl", city("Stop(X) :- IsCar(X), \u{2200}Y IsClose(X, Y)."));

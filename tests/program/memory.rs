@@ -177,7 +177,7 @@ fn stays_bounded(limit: u64, arguments: &[&str], words: &str) {
     );
 }
 
-/// Every command that takes the limit, on a file far larger than the limit.
+/// Every command that reads files, on a file far larger than the limit.
 #[test]
 fn every_command_stays_within_its_limit() {
     let folder = tempfile::tempdir().unwrap();
@@ -191,11 +191,17 @@ fn every_command_stays_within_its_limit() {
     let target = folder.path().join("out");
     let out = target.to_str().unwrap();
     let page = &format!("{out}.html");
-    let commands: [&[&str]; 14] = [
+    let map = &sparse("large.yaml");
+    fs::create_dir(folder.path().join("set")).unwrap();
+    sparse("set/manifest.json");
+    let set = folder.path().join("set");
+    let commands: [&[&str]; 17] = [
         &["bench", "tick", "--rules", rules],
         &["check", rules],
         &["episodes", "make", "expert", "--rules", rules, "--output", out],
+        &["diff", rules, rules],
         &["explain", data, "--agent", "Car_1"],
+        &["fmt", rules],
         &["induce", data],
         &["induce", small, "--rules", rules],
         &["infer", data],
@@ -203,6 +209,7 @@ fn every_command_stays_within_its_limit() {
         &["query", rules],
         &["questions", "--rules", rules],
         &["repl", rules],
+        &["route", "--map", map, "--type", "car", "--from", "1,1", "--to", "2,2"],
         &["run", "expert", "--rules", rules],
         &["view", data, "-o", page],
         &["run", data],
@@ -210,6 +217,20 @@ fn every_command_stays_within_its_limit() {
     for command in commands {
         stays_bounded(16, command, "");
     }
+    let check = measure(&["vap", "check", set.to_str().unwrap(), "--max-memory", "16"]);
+    assert!(
+        check.code == 2 && check.error.contains("larger than 48 MiB"),
+        "{}",
+        check.error
+    );
+    assert!(check.peak < (16 << 20) + BESIDES, "{} MiB", check.peak >> 20);
+    let names = fs::read_dir(folder.path()).unwrap();
+    let mut names = names.map(|entry| entry.unwrap().file_name().into_string().unwrap());
+    assert_eq!(
+        names.find(|name| name.starts_with('.')),
+        None,
+        "no temporary file remains"
+    );
 }
 
 /// Facts are counted while they are read, however well they are compressed.

@@ -135,10 +135,7 @@ impl AskOptions {
                 return Err(Failure::Usage(message.to_owned()));
             }
             inputs.refuse(path)?;
-            if outputs
-                .iter()
-                .any(|output| *output == path || files::is_same_file(output, path))
-            {
+            if outputs.iter().any(|output| files::is_same_file(output, path)) {
                 let message = format!("`{}` cannot be both the log and another output", path.display());
                 return Err(Failure::Usage(message));
             }

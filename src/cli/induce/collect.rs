@@ -4,10 +4,10 @@ use crate::builtin::BuiltinFiles;
 use crate::cancel::Cancel;
 use crate::cli::induce::Arguments;
 use crate::cli::scenes::{SceneLine, SceneLines, open_input};
-use crate::cli::trace::{LINE_MAX, TraceReader};
+use crate::cli::trace::{TraceReader, line_max};
 use crate::cli::{Failure, LimitOptions, report, unreadable};
 use crate::diag::{Code, Diagnostic, Sources};
-use crate::files::{self, Folder, MAX_BYTES, ReadError, read_bytes};
+use crate::files::{self, Folder, ReadError, read_bytes};
 use crate::induce::{Examples, State};
 use crate::rng::Seed;
 use crate::sim::{Executor, Inference, LoadedCity};
@@ -47,7 +47,7 @@ pub fn city_of_traces(
             continue;
         }
         let mut line = Vec::new();
-        lines.take(LINE_MAX).read_until(b'\n', &mut line).map_err(fail)?;
+        lines.take(line_max()).read_until(b'\n', &mut line).map_err(fail)?;
         if !is_trace(&line) {
             continue;
         }
@@ -199,10 +199,11 @@ impl FileCollector<'_> {
         let begin = lines.fill_buf().map_err(fail)?;
         let is_table = path.extension().is_some_and(|extension| extension == "parquet") || begin.starts_with(PARQUET);
         if is_table {
-            if std::fs::metadata(path).is_ok_and(|found| found.is_file() && found.len() > MAX_BYTES) {
-                return Err(unreadable(path, &ReadError::TooLarge));
+            let limit = files::read_limit();
+            if std::fs::metadata(path).is_ok_and(|found| found.is_file() && found.len() > limit) {
+                return Err(unreadable(path, &ReadError::TooLarge(limit)));
             }
-            let bytes = read_bytes(lines).map_err(|error| Failure::file("read", path, error))?;
+            let bytes = read_bytes(lines).map_err(|error| unreadable(path, &error))?;
             return self.add_steps(bytes, path, name, to);
         }
         if begin.starts_with(HDF5) {
@@ -211,7 +212,7 @@ impl FileCollector<'_> {
         let mut first = Vec::new();
         lines
             .by_ref()
-            .take(LINE_MAX)
+            .take(line_max())
             .read_until(b'\n', &mut first)
             .map_err(fail)?;
         let is_trace = is_trace(&first);

@@ -164,9 +164,8 @@ pub fn run(arguments: &Arguments, sources: &mut Sources) -> Result<(), Failure> 
     check(arguments)?;
     let (city, archived) = load(arguments, sources)?;
     let oracle = arguments.ask.load(sources, &city.scenario, &arguments.limits)?;
-    let mut inputs = Inputs::of(sources);
-    inputs.0.drain(..archived);
-    let inputs = inputs.with(arguments.data.iter().chain(&arguments.test).cloned());
+    let files = sources.ids().skip(archived).map(|id| sources.name(id).into());
+    let inputs = Inputs::new(files).with(arguments.data.iter().chain(&arguments.test).cloned());
     // A file that cannot be written is reported before the work.
     let mut rules_out = arguments.force.create("induce", &arguments.output, &inputs)?;
     let report_out = (arguments.report.as_deref())

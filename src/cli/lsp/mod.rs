@@ -20,7 +20,7 @@ mod words;
 
 use crate::builtin::BuiltinFiles;
 use crate::city::Action;
-use crate::cli::{Failure, memory};
+use crate::cli::{Failure, MemoryOption};
 use crate::datalog;
 use crate::datalog::Rules;
 use crate::diag::{Diagnostic, Fix, Label, Severity, SourceId, Sources, Span};
@@ -53,10 +53,8 @@ pub struct Arguments {
     /// Communicate over standard input and output; this is the only transport
     #[arg(long)]
     stdio: bool,
-    /// End with code 1 if the server needs more than SIZE, in MiB or with a suffix: K, M, G, T or KiB, MiB, GiB, TiB
-    /// (powers of 1024). Limits of the system (`ulimit -v`, control groups) lower it [default: 4096]
-    #[arg(long, value_name = "SIZE", value_parser = memory)]
-    max_memory: Option<u64>,
+    #[command(flatten)]
+    _memory: MemoryOption,
 }
 
 pub fn run(_: &Arguments) -> Result<(), Failure> {

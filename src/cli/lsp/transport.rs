@@ -84,7 +84,7 @@ pub fn end_with(process: Option<u64>) {
         while is_alive(process) {
             thread::sleep(PARENT_POLL);
         }
-        std::process::exit(1);
+        crate::files::end(1);
     });
 }
 

@@ -7,14 +7,18 @@ use crate::cli::query::{Arguments, print_relation, relations};
 use crate::cli::{Failure, Inputs, finish, terminal, unwritable};
 use crate::datalog::{Directive, MarkKind, Program, RelId, Relation, RowPlace, Session, facts};
 use crate::diag::{Code, Diagnostic};
-use crate::files::{is_same_file, make_folder, normalize, real_path};
+use crate::files::{FileId, Output, make_folder, normalize, real_path};
 use flate2::Compression;
 use flate2::write::GzEncoder;
+use std::collections::BTreeMap;
 use std::io::{self, Write};
 use std::path::{Path, PathBuf};
 
 /// The streams that rules may name as files.
 const STREAMS: [&str; 3] = ["/dev/stdout", "/dev/stderr", "/dev/null"];
+
+/// The number of files that are written together: each is open until all are complete.
+const TOGETHER: usize = 64;
 
 /// One `.output` or `.printsize` directive.
 struct Target<'a> {
@@ -23,6 +27,23 @@ struct Target<'a> {
     directive: &'a Directive,
     /// The file; `None` for standard output.
     path: Option<PathBuf>,
+}
+
+impl Target<'_> {
+    /// Returns the path, unless it is that of a stream.
+    fn file(&self) -> Option<&Path> {
+        let is_stream = |path: &&Path| STREAMS.iter().any(|stream| *path == Path::new(stream));
+        self.path.as_deref().filter(|path| !is_stream(path))
+    }
+
+    /// Returns the fault of two directives that name one file.
+    fn clash(&self, first: &Target<'_>) -> Diagnostic {
+        let (one, other) = (&first.relation.name, &self.relation.name);
+        let message = format!("`{one}` and `{other}` have the same file");
+        (Diagnostic::new(Code::INVALID_OUTPUT, message).at(self.directive.span, ""))
+            .also(first.directive.span, "also written here")
+            .help("write another `filename` for one of them")
+    }
 }
 
 /// Returns the outputs of a program in source order.
@@ -60,56 +81,61 @@ fn path_of(folder: &Path, relation: &str, directive: &Directive) -> Option<PathB
     }
 }
 
-/// Makes the folders of the outputs, and reports files that the rules may not write or that cannot be written, before
-/// the evaluation.
-pub fn check(program: &Program, arguments: &Arguments, inputs: &Inputs) -> Result<(), Failure> {
+/// Returns the outputs that are files, each once. Makes the folder of results if there are any. Reports files that the
+/// rules may not write.
+fn files<'a>(targets: &'a [Target<'a>], arguments: &Arguments) -> Result<Vec<&'a Target<'a>>, Failure> {
     let folder = &arguments.output;
-    let targets = targets(program, folder);
-    let files: Vec<(&Target<'_>, &Path)> = (targets.iter())
-        .filter_map(|target| Some((target, target.path.as_deref()?)))
-        .filter(|(_, path)| !STREAMS.iter().any(|stream| *path == Path::new(stream)))
+    let files: Vec<(&Target<'_>, &Path)> = targets
+        .iter()
+        .filter_map(|target| Some((target, target.file()?)))
         .collect();
     if files.is_empty() {
-        return Ok(());
+        return Ok(Vec::new());
     }
     make_folder(folder)?;
     let root = real_path(folder).map_err(|error| unwritable(folder, &error))?;
-    let mut faults = Vec::new();
-    let mut real: Vec<(PathBuf, &Target<'_>)> = Vec::new();
-    for (target, path) in &files {
-        let Target {
-            directive, relation, ..
-        } = target;
-        let fault = |message: String| Diagnostic::new(Code::INVALID_OUTPUT, message).at(directive.span, "");
+    let (mut faults, mut found) = (Vec::new(), Vec::new());
+    let mut known: BTreeMap<PathBuf, &Target<'_>> = BTreeMap::new();
+    for (target, path) in files {
         let leads_to = real_path(path).map_err(|error| unwritable(path, &error))?;
         if !arguments.output_anywhere && !leads_to.starts_with(&root) {
-            let message = format!("`{}` would be written outside of the folder of results", relation.name);
-            let place = format!("it would be written to `{}`", leads_to.display());
+            let name = &target.relation.name;
+            let message = format!("`{name}` would be written outside of the folder of results");
+            let fault = Diagnostic::new(Code::INVALID_OUTPUT, message).at(target.directive.span, "");
             faults.push(
-                (fault(message).note(place))
+                (fault.note(format!("it would be written to `{}`", leads_to.display())))
                     .help("use a name inside the folder of `-D`, or permit any file with `--output-anywhere`"),
             );
             continue;
         }
-        match real.iter().find(|(known, _)| *known == leads_to) {
+        match known.get(&leads_to) {
             // Files that are included twice may repeat a directive.
-            Some((_, first)) if is_repeated(first, target) => {}
-            Some((_, first)) => {
-                let message = format!("`{}` and `{}` have the same file", first.relation.name, relation.name);
-                faults.push(
-                    (fault(message).also(first.directive.span, "also written here"))
-                        .help("write another `filename` for one of them"),
-                );
+            Some(first) if is_repeated(first, target) => {}
+            Some(first) => faults.push(target.clash(first)),
+            None => {
+                known.insert(leads_to, target);
+                found.push(target);
             }
-            None => real.push((leads_to, target)),
         }
     }
-    if !faults.is_empty() {
-        return Err(faults.into());
+    if faults.is_empty() {
+        Ok(found)
+    } else {
+        Err(faults.into())
     }
-    for (_, path) in &files {
+}
+
+/// Makes the folders of the outputs, and reports files that the rules may not write or that cannot be written, before
+/// the evaluation.
+pub fn check(program: &Program, arguments: &Arguments, inputs: &Inputs) -> Result<(), Failure> {
+    let targets = targets(program, &arguments.output);
+    let files = files(&targets, arguments)?;
+    let paths: Vec<&Path> = files.iter().filter_map(|target| target.file()).collect();
+    for path in &paths {
         make_folder(path.parent().unwrap_or(Path::new(".")))?;
-        arguments.force.check("query", path, inputs)?;
+    }
+    for group in paths.chunks(TOGETHER) {
+        drop(arguments.force.create_all("query", group, inputs)?);
     }
     Ok(())
 }
@@ -125,66 +151,76 @@ fn is_repeated(one: &Target<'_>, other: &Target<'_>) -> bool {
 pub fn write(out: &mut dyn Write, session: &Session, arguments: &Arguments, inputs: &Inputs) -> Result<(), Failure> {
     let to_terminal = arguments.output == Path::new("-");
     let targets = targets(session.program(), &arguments.output);
-    let mut written: Vec<&Target<'_>> = Vec::new();
-    for target in &targets {
-        let Target {
-            id,
-            relation,
-            directive,
-            path,
-        } = target;
-        if directive.kind == MarkKind::PrintSize {
-            writeln!(out, "{}\t{}", relation.name, session.len(*id))?;
-            continue;
-        }
-        let mut format = directive.format.clone();
+    for target in targets.iter().filter(|target| target.file().is_none()) {
+        let (id, name) = (target.id, &target.relation.name);
+        let mut format = target.directive.format.clone();
         // Soufflé does the same.
         format.headers |= to_terminal;
-        let header = facts::header(relation, &format);
-        let rows = |out: &mut dyn Write| facts::write_rows(session, *id, &format, out);
-        let Some(path) = path else {
-            print_relation(out, &relation.name, &header, rows)?;
-            continue;
-        };
-        let same = |known: &&&Target<'_>| known.path.as_deref().is_some_and(|known| is_same_file(known, path));
-        match written.iter().find(same) {
-            Some(known) if is_repeated(known, target) => continue,
-            // The file system ignores case, or normalizes names.
-            Some(known) => {
-                let message = format!("`{}` and `{}` have the same file", known.relation.name, relation.name);
-                let fault = Diagnostic::new(Code::INVALID_OUTPUT, message).at(directive.span, "");
-                return Err(fault.help("write another `filename` for one of them").into());
+        let header = facts::header(target.relation, &format);
+        let rows = |out: &mut dyn Write| facts::write_rows(session, id, &format, out);
+        match &target.path {
+            _ if target.directive.kind == MarkKind::PrintSize => writeln!(out, "{name}\t{}", session.len(id))?,
+            None => print_relation(out, name, &header, rows)?,
+            Some(stream) => {
+                out.flush()?;
+                let mut output = arguments.force.create("query", stream, inputs)?;
+                write_rows(&mut output, target, session).map_err(|error| unwritable(stream, &error))?;
+                finish(output, stream)?;
             }
-            None => {}
         }
-        write_relation(path, directive.compress, (inputs, arguments), &header, rows)?;
-        if !STREAMS.iter().any(|stream| path == Path::new(stream)) {
-            let shown = path.strip_prefix(".").unwrap_or(path).display();
-            let _ = writeln!(terminal::err(), "wrote {shown}");
-        }
-        written.push(target);
+    }
+    let mut written = BTreeMap::new();
+    // Checks the links again: the evaluation may have taken long.
+    for group in files(&targets, arguments)?.chunks(TOGETHER) {
+        write_files(group, session, (arguments, inputs), &mut written)?;
     }
     Ok(())
 }
 
-/// Writes a relation to a file, which appears only once it is complete.
-fn write_relation(
-    path: &Path,
-    compress: bool,
-    (inputs, arguments): (&Inputs, &Arguments),
-    header: &str,
-    rows: impl Fn(&mut dyn Write) -> io::Result<()>,
+/// Writes relations to files, which appear once all are complete. `written` has the files of earlier calls.
+fn write_files<'a>(
+    targets: &[&'a Target<'a>],
+    session: &Session,
+    (arguments, inputs): (&Arguments, &Inputs),
+    written: &mut BTreeMap<FileId, &'a Target<'a>>,
 ) -> Result<(), Failure> {
-    let fail = |error: io::Error| unwritable(path, &error);
-    let mut file = arguments.force.create("query", path, inputs)?;
-    if compress {
-        let mut stream = GzEncoder::new(&mut file, Compression::default());
-        stream.write_all(header.as_bytes()).map_err(fail)?;
-        rows(&mut stream).map_err(fail)?;
-        stream.finish().map_err(fail)?;
-    } else {
-        file.write_all(header.as_bytes()).map_err(fail)?;
-        rows(&mut file).map_err(fail)?;
+    let paths: Vec<&Path> = targets.iter().filter_map(|target| target.file()).collect();
+    // Of names that look different, one file results if the file system ignores case, or normalizes names.
+    let written_as = |path: &Path, written: &BTreeMap<FileId, &'a Target<'a>>| written.get(&FileId::of(path)?).copied();
+    for (target, path) in targets.iter().zip(&paths) {
+        if let Some(first) = written_as(path, written) {
+            return Err(target.clash(first).into());
+        }
     }
-    finish(file, path)
+    let mut outputs: Vec<Output> = arguments.force.create_all("query", &paths, inputs)?;
+    for ((target, path), output) in targets.iter().zip(&paths).zip(&mut outputs) {
+        write_rows(output, target, session).map_err(|error| unwritable(path, &error))?;
+    }
+    Output::finish_all(outputs).map_err(|(position, error)| unwritable(paths[position], &error))?;
+    for (target, path) in targets.iter().zip(&paths) {
+        let _ = writeln!(
+            terminal::err(),
+            "wrote {}",
+            path.strip_prefix(".").unwrap_or(path).display()
+        );
+        let first = FileId::of(path).and_then(|file| written.insert(file, target));
+        if let Some(first) = first {
+            return Err(target.clash(first).into());
+        }
+    }
+    Ok(())
+}
+
+/// Writes a relation with its header.
+fn write_rows(output: &mut Output, target: &Target<'_>, session: &Session) -> io::Result<()> {
+    let format = &target.directive.format;
+    let header = facts::header(target.relation, format);
+    if !target.directive.compress {
+        output.write_all(header.as_bytes())?;
+        return facts::write_rows(session, target.id, format, output);
+    }
+    let mut stream = GzEncoder::new(output, Compression::default());
+    stream.write_all(header.as_bytes())?;
+    facts::write_rows(session, target.id, format, &mut stream)?;
+    stream.finish().map(drop)
 }

@@ -311,7 +311,7 @@ mod tests {
             B(1, 2) :- A(_, _).";
         let mut sources = Sources::new();
         let entry = sources.add("test.dl", text);
-        let none = |_: &std::path::Path| Err(ReadError::TooLarge);
+        let none = |_: &std::path::Path| Err(ReadError::TooLarge(0));
         let program = Program::load(&mut sources, entry, &none).0.expect("it is right");
         let plans = &program.0.plans;
         let symbols = Symbols::new();

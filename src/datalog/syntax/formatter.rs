@@ -12,6 +12,7 @@
 
 use crate::diag::{Diagnostic, Faults, SourceId, Sources};
 
+use crate::datalog::syntax::include::small_text;
 use crate::datalog::syntax::lexer;
 use crate::datalog::syntax::lexer::{Kind, Lexed, Token};
 use crate::datalog::syntax::parser;
@@ -26,8 +27,10 @@ const INDENT: usize = 4;
 /// # Errors
 /// All faults, if the file does not parse.
 pub fn format(sources: &Sources, id: SourceId) -> Result<String, Vec<Diagnostic>> {
-    let text = sources.text(id);
     let mut faults = Faults::default();
+    let Some(text) = small_text(sources, id, &mut faults) else {
+        return Err(faults.finish());
+    };
     let lexed = lexer::lex(id, text, &mut faults);
     let (_, starts) = parser::parse_tokens(id, text, &lexed, &mut faults);
     if faults.failed() {

@@ -20,6 +20,9 @@ const ENDING: &str = "dl";
 /// Maximum length of a chain of includes.
 const MAX_DEPTH: usize = 64;
 
+/// Maximum number of files of a program. Symbolic links give one file any number of names.
+const MAX_FILES: usize = 10_000;
+
 /// The items of all files of a program.
 #[derive(Clone, Debug, Default)]
 pub(crate) struct Gathered {
@@ -78,7 +81,7 @@ pub(crate) fn parse_one(sources: &Sources, id: SourceId, faults: &mut Faults) ->
 }
 
 /// Returns the text of a rule file, or reports that it is too large.
-fn small_text<'s>(sources: &'s Sources, id: SourceId, faults: &mut Faults) -> Option<&'s str> {
+pub(super) fn small_text<'s>(sources: &'s Sources, id: SourceId, faults: &mut Faults) -> Option<&'s str> {
     let text = sources.text(id);
     if text.len() > MAX_TEXT_BYTES {
         let fault = Diagnostic::new(Code::LIMIT_EXCEEDED, "rule file too large")
@@ -149,6 +152,9 @@ impl Walk<'_> {
             if let Some(&id) = self.included.get(&key) {
                 return self.open(id, key, span);
             }
+            if self.included.len() >= MAX_FILES {
+                return self.too_many(span);
+            }
             match self.read.read(path) {
                 Ok(text) => {
                     let id = self.sources.add(path.display().to_string(), text);
@@ -185,13 +191,20 @@ impl Walk<'_> {
             ReadError::NotText { .. } => {
                 Diagnostic::new(Code::NOT_TEXT, format!("`{path}` is {error}")).at(span, "included here")
             }
-            ReadError::TooLarge => {
+            ReadError::TooLarge(_) => {
                 Diagnostic::new(Code::LIMIT_EXCEEDED, format!("`{path}` is {error}")).at(span, "included here")
             }
             ReadError::Io(_) => Diagnostic::new(Code::MISSING_INCLUDE, format!("cannot read `{path}`: {error}"))
                 .at(span, "included here"),
         };
         self.faults.push(fault);
+    }
+
+    fn too_many(&mut self, span: Span) {
+        self.gathered.incomplete = true;
+        let fault = Diagnostic::new(Code::LIMIT_EXCEEDED, "too many included files").at(span, "");
+        self.faults
+            .push(fault.note(format!("a program has at most {MAX_FILES} files")));
     }
 
     /// Returns a similar name of an existing file: with the usual extension, or a built-in file.
