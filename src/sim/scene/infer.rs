@@ -49,6 +49,9 @@ pub struct Inference {
     dense: Option<Dense>,
 }
 
+/// The explanations of a fact, as JSON, or why there are none.
+pub type Explained = Result<Vec<serde_json::Value>, Vec<Diagnostic>>;
+
 /// The entities and base facts of a scene.
 #[derive(Clone, Debug)]
 pub struct SceneFacts {
@@ -318,7 +321,7 @@ impl Inference {
         &mut self,
         (sources, source): (&Sources, SourceId),
         (rules, question): (&Sources, SourceId),
-    ) -> Result<(Answer<'static>, Result<Vec<serde_json::Value>, Vec<Diagnostic>>), Vec<Diagnostic>> {
+    ) -> Result<(Answer<'static>, Explained), Vec<Diagnostic>> {
         let cancel = Cancel::never();
         let scene = self.ground_with(sources, source, &cancel)?;
         let whole = Span::new(source, 0..sources.text(source).len());

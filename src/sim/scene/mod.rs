@@ -11,6 +11,6 @@ mod theory;
 
 pub use conflict::{CONFLICT_BUDGET, Finding, Overlap, conflicts, scene_json};
 pub use constraints::CityConstraints;
-pub use infer::{Answer, EgoAnswer, Inference, SceneFacts};
+pub use infer::{Answer, EgoAnswer, Explained, Inference, SceneFacts};
 pub use lint::{Examined, agent_lints, conflict_lints, examine};
 pub use theory::CityTheory;

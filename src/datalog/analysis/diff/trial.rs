@@ -28,6 +28,9 @@ impl Purpose {
 /// The cost of one scene, in conflicts of the SAT search.
 const SCENE_COST: u64 = 10;
 
+/// The number of scenes for which one counts that exceeds [`LIMITS`], which takes far longer.
+const EXCEEDED_COST: u64 = 1000;
+
 /// The share of random scenes: one in this many.
 const RANDOM_SHARE: u64 = 5;
 
@@ -88,6 +91,8 @@ struct Trial<'a> {
     nameless: bool,
     held: BTreeSet<Fact>,
     tried: u64,
+    /// The scenes tried, with [`EXCEEDED_COST`].
+    spent: u64,
     steps: u64,
 }
 
@@ -140,11 +145,17 @@ pub(super) fn search(
         }
         seen_entities = entities_max;
         size += 1;
+        // Without facts that vary, there is no other scene.
+        if trial.open().next().is_none() {
+            break;
+        }
     }
-    for number in 0..scenes.saturating_sub(trial.tried) {
+    let mut number = 0;
+    while trial.spent < scenes && trial.open().next().is_some() {
         let mut random = Seed(0).stream(Purpose::SCENE, number, 0);
         let entities = random.random_range(0..=RANDOM_MAX.0.min(options.entities_max));
         let facts = trial.draw(entities, &mut random);
+        number += 1;
         if trial.differs(&facts, entities) {
             let facts = trial.shrink(facts, entities);
             return Ok(Equivalence::Different(trial.describe(rules, entities, &facts)));
@@ -202,6 +213,7 @@ impl<'a> Trial<'a> {
             nameless: rules.iter().all(|rules| is_nameless(rules)),
             held: BTreeSet::new(),
             tried: 0,
+            spent: 0,
             steps: 0,
         })
     }
@@ -287,7 +299,7 @@ impl<'a> Trial<'a> {
             if chosen.len() == size {
                 let facts: Vec<Fact> = chosen.iter().map(|&position| possible[position].clone()).collect();
                 if self.is_new(&facts, &names) {
-                    if self.tried >= most {
+                    if self.spent >= most {
                         return Level::TooMany;
                     }
                     if self.differs(&facts, entities) {
@@ -403,6 +415,7 @@ impl<'a> Trial<'a> {
     /// exceeds the limits shows no difference.
     fn differs(&mut self, facts: &[Fact], entities: usize) -> bool {
         self.tried += 1;
+        self.spent += 1;
         let wanted = self.complete(facts, entities);
         let changes: Vec<(Fact, bool)> = (self.held.difference(&wanted).map(|fact| (fact.clone(), false)))
             .chain(wanted.difference(&self.held).map(|fact| (fact.clone(), true)))
@@ -421,7 +434,9 @@ impl<'a> Trial<'a> {
                 };
                 debug_assert!(outcome.is_ok(), "a row of a base predicate");
             }
-            let kept = session.commit().is_ok() && constraints::violations(session).is_empty();
+            let committed = session.commit().is_ok();
+            self.spent += if committed { 0 } else { EXCEEDED_COST };
+            let kept = committed && constraints::violations(session).is_empty();
             answers.push(kept.then(|| answer(session, self.outputs)));
         }
         matches!(answers.as_slice(), [Some(left), Some(right)] if left != right)
