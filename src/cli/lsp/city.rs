@@ -120,7 +120,7 @@ impl ReadFile for Recorder<'_> {
     fn read(&self, path: &Path) -> Result<String, ReadError> {
         self.paths.borrow_mut().insert(normalize(path));
         match fs::metadata(path).is_ok_and(|data| data.len() > BYTES_MAX) {
-            true => Err(ReadError::TooLarge),
+            true => Err(ReadError::TooLarge(BYTES_MAX)),
             false => self.files.read(path),
         }
     }
