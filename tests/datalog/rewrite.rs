@@ -90,6 +90,20 @@ fn derived(session: &Session) -> usize {
     all.map(|relation| session.len(*relation)).sum()
 }
 
+/// Predicates that use each other are not unfolded. The checker refuses them, so the marks come after it.
+#[test]
+fn a_cycle_of_inline_predicates_is_kept() {
+    let text = ".decl E(x: number) .input E .decl A(x: number) .decl B(x: number) .decl C(x: number) .output C
+        A(x) :- B(x). B(x) :- A(x). C(x) :- A(x). C(x) :- E(x).";
+    let mut rules = program(text).rules().clone();
+    for name in ["A", "B"] {
+        let relation = rules.relation(name).expect("declared");
+        rules.relations[relation.index()].inline = true;
+    }
+    let (unfolded, kept) = unfold(&rules).expect("marked predicates");
+    assert_eq!((kept.len(), unfolded.clauses.len()), (2, rules.clauses.len()));
+}
+
 #[test]
 fn an_inline_product_is_not_computed() {
     let text = ".decl A(x: number, y: number)

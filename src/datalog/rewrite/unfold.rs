@@ -58,11 +58,19 @@ pub fn unfold(rules: &Rules) -> Option<(Rules, Vec<RelId>)> {
             let atoms = clauses.flat_map(|clause| &clause.body).filter_map(Literal::atom);
             atoms.filter_map(|atom| place.get(&atom.relation).copied()).collect()
         };
+        let used: Vec<Vec<usize>> = members.iter().map(used).collect();
         // A component comes after those that it uses.
-        let (component, _) = components(&members.iter().map(used).collect::<Vec<_>>());
+        let (component, _) = components(&used);
         let mut order: Vec<usize> = (0..members.len()).collect();
         order.sort_by_key(|&member| component[member]);
-        order.into_iter().for_each(|member| unfolder.define(members[member]));
+        // The unfolding of predicates that use each other would have no end.
+        let mut done = vec![false; members.len()];
+        for member in order {
+            if used[member].iter().all(|&other| done[other]) {
+                done[member] = true;
+                unfolder.define(members[member]);
+            }
+        }
     }
     let mut clauses: Vec<Clause> = Vec::new();
     for clause in &rules.clauses {
