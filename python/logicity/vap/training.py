@@ -21,7 +21,6 @@ from numpy.typing import NDArray
 from ..city import ACTIONS
 from ..errors import missing_extra
 from ..files import read_tensors
-from ..learn.storage import restore_optimizer
 from .data import UNARY, VapDataset
 
 try:
@@ -299,7 +298,7 @@ def fit(
     if checkpoint is not None and checkpoint.exists():
         saved = read_tensors(checkpoint, "a checkpoint")
         network.load_state_dict(saved["network"])
-        restore_optimizer(optimizer, saved["optimizer"])
+        optimizer.load_state_dict(saved["optimizer"])
         schedule.load_state_dict(saved["schedule"])
         history, best = saved["history"], saved["best"]
     for epoch in range(len(history), settings.epochs):
