@@ -6,6 +6,8 @@ SOLVERS := .venv-solvers
 # The targets of `make fuzz`, and the time for each in seconds.
 FUZZ_TARGETS := parse check query evaluate config scene rows popper labeled_scenes
 FUZZ_SECONDS := 600
+# The table to which each target appends a row. Rows in tests/fuzz/executions.csv are those of unchanged commits.
+FUZZ_TABLE := target/fuzz.csv
 
 .PHONY: test quick lint features rust doc wheel installed python python-all rllib page docs links playground vscode solvers peers fuzz $(FUZZ_TARGETS:%=fuzz-%)
 
@@ -62,7 +64,9 @@ python: installed
 	$(VENV)/bin/pip install --quiet --disable-pip-version-check "$$(echo $(WHEELS)/*.whl)[test]"
 	$(VENV)/bin/ruff check python
 	$(VENV)/bin/ruff format --check python
-	$(VENV)/bin/mypy --strict --config-file python/pyproject.toml python/logicity python/tests python/benches python/examples
+	$(VENV)/bin/ruff check --config python/pyproject.toml tests/fuzz
+	$(VENV)/bin/ruff format --config python/pyproject.toml --check tests/fuzz
+	$(VENV)/bin/mypy --strict --config-file python/pyproject.toml python/logicity python/tests python/benches python/examples tests/fuzz
 	LOGICITY_WHEEL=$$(echo $(WHEELS)/*.whl) $(VENV)/bin/python -m pytest -q python/tests
 
 # Builds the site into target/docs; warnings and broken links are errors. The build itself reads no network. The site
@@ -236,6 +240,7 @@ fuzz-popper: SEEDS := tests/fuzz/seeds/popper
 fuzz-labeled_scenes: SEEDS := tests/fuzz/seeds/labeled_scenes
 
 $(FUZZ_TARGETS:%=fuzz-%): fuzz-%:
-	mkdir -p tests/fuzz/corpus/$*
-	cargo fuzz run --fuzz-dir tests/fuzz --sanitizer none $* tests/fuzz/corpus/$* $(SEEDS) -- \
-	    -max_total_time=$(FUZZ_SECONDS) -timeout=10 -rss_limit_mb=1024 $(OPTIONS)
+	mkdir -p tests/fuzz/corpus/$* $(dir $(FUZZ_TABLE))
+	$(PYTHON) tests/fuzz/record.py $(FUZZ_TABLE) $* \
+	    cargo fuzz run --fuzz-dir tests/fuzz --sanitizer none $* tests/fuzz/corpus/$* $(SEEDS) -- \
+	    -max_total_time=$(FUZZ_SECONDS) -timeout=10 -rss_limit_mb=1024 -print_final_stats=1 $(OPTIONS)

@@ -1,5 +1,6 @@
 //! The files around the code agree with each other: metadata of the packages, workflows, hooks, changelog.
 
+use std::collections::BTreeSet;
 use std::fs;
 use std::path::PathBuf;
 
@@ -316,4 +317,18 @@ fn dependencies_are_updated_and_pinned() {
             assert!(!content.to_string().contains("actions/cache"), "{name} reads a cache");
         }
     }
+}
+
+/// The table of executions has rows of each target, and no execution failed.
+#[test]
+fn executions_of_the_fuzzer_are_recorded() {
+    let table = read("tests/fuzz/executions.csv");
+    let mut lines = table.lines();
+    assert_eq!(lines.next(), Some("commit,date,target,corpus,longest,executions,seconds,result"));
+    let row = Regex::new(r"^[0-9a-f]{8},\d{4}-\d\d-\d\d,(\w+),\d+,\d+,\d+,\d+,(passed|interrupted)$").unwrap();
+    let recorded: BTreeSet<String> = lines
+        .map(|line| row.captures(line).unwrap_or_else(|| panic!("{line}"))[1].to_owned())
+        .collect();
+    let listed = value("Makefile", "^FUZZ_TARGETS := (.*)$");
+    assert_eq!(recorded, listed.split(' ').map(str::to_owned).collect());
 }
