@@ -324,7 +324,10 @@ fn dependencies_are_updated_and_pinned() {
 fn executions_of_the_fuzzer_are_recorded() {
     let table = read("tests/fuzz/executions.csv");
     let mut lines = table.lines();
-    assert_eq!(lines.next(), Some("commit,date,target,corpus,longest,executions,seconds,result"));
+    assert_eq!(
+        lines.next(),
+        Some("commit,date,target,corpus,longest,executions,seconds,result")
+    );
     let row = Regex::new(r"^[0-9a-f]{8},\d{4}-\d\d-\d\d,(\w+),\d+,\d+,\d+,\d+,(passed|interrupted)$").unwrap();
     let recorded: BTreeSet<String> = lines
         .map(|line| row.captures(line).unwrap_or_else(|| panic!("{line}"))[1].to_owned())
