@@ -10,7 +10,8 @@
 //! over other entities than the roots); a derivation may be arbitrarily long (recursion); values have an order or a
 //! size (numbers, `<`).
 
-use crate::datalog::analysis::diff::{Individual, Output, Side};
+use crate::datalog::analysis::diff::Cut;
+use crate::datalog::analysis::diff::pair::{Individual, Output, Pair, Side};
 use crate::datalog::check::{Atom, Clause, Literal, RelId, Term, VarId};
 use crate::datalog::syntax::ast::{BaseType, Comparison};
 use crate::datalog::value::Value;
@@ -18,7 +19,28 @@ use indexmap::IndexSet;
 use std::collections::{BTreeSet, HashMap};
 
 /// Maximum number of facts about roots for all outputs together. Beyond it, later outputs have no bound.
-pub(super) const FACTS_MAX: usize = 200_000;
+const FACTS_MAX: usize = 200_000;
+
+/// Returns the size up to which an exhaustive search is a proof, if it is known, and whether a limit ended its
+/// computation.
+pub(super) fn proof(pair: &Pair<'_>) -> (Option<usize>, BTreeSet<Cut>) {
+    let sides = [&pair.sides[0], &pair.sides[1]];
+    // In evaluation order, so that the bound of an output can use the equality of earlier ones.
+    let mut order: Vec<&Output> = pair.outputs.iter().collect();
+    order.sort_by_key(|output| sides[0].stratum[output.ids[0].index()]);
+    let mut equal = BTreeSet::new();
+    let mut proof = Some(0);
+    let mut literals_left = FACTS_MAX;
+    for output in order {
+        let needed = entities(sides, output, &equal, &mut literals_left);
+        if needed.is_some() {
+            equal.insert(output.name.clone());
+        }
+        proof = proof.zip(needed).map(|(most, needed)| most.max(needed));
+    }
+    let cut = (proof.is_none() && literals_left == 0).then_some(Cut::Proof);
+    (proof, cut.into_iter().collect())
+}
 
 /// An argument of a fact about the roots.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, PartialOrd, Ord, Hash)]
@@ -54,7 +76,7 @@ enum SharedRoot {
 /// Returns the number of entities that suffice to show a difference in the output; `None` if no bound is known. The
 /// predicates in `equal` have equal rows on both sides unless an earlier output differs, so the witnesses of their
 /// facts count once. A computation that exceeds its limit sets `literals_left` to 0.
-pub(super) fn entities(
+fn entities(
     sides: [&Side<'_>; 2],
     output: &Output,
     equal: &BTreeSet<String>,

@@ -6,7 +6,7 @@
 //! clause gets a canonical text. Where color refinement does not distinguish variables, equal clauses may get different
 //! texts; then there is no proof, but no wrong one either.
 
-use crate::datalog::analysis::diff::{Pair, Side};
+use crate::datalog::analysis::diff::pair::{Pair, Side};
 use crate::datalog::check::{Atom, Clause, Literal, RelId, Term, VarId};
 use crate::datalog::syntax::ast::BaseType;
 use crate::datalog::value::Value;

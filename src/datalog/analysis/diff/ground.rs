@@ -4,8 +4,8 @@
 //! gates are shared, so clauses that differ only in names and order cost nothing, and equal rules are equivalent by
 //! construction.
 
+use crate::datalog::analysis::diff::pair::{Individual, ScopeRows, Side};
 use crate::datalog::analysis::diff::sat::{Lit, Outcome, Solver};
-use crate::datalog::analysis::diff::{Individual, Side};
 use crate::datalog::check::{Atom, Clause, Constraint, DeclaredConstraint, Literal, RelId, Term, VarId};
 use crate::datalog::syntax::ast::{BaseType, Comparison};
 use crate::datalog::value::Value;
@@ -13,17 +13,6 @@ use std::collections::{BTreeMap, BTreeSet, HashMap};
 
 /// The circuit would exceed its limits.
 pub(super) struct TooLarge;
-
-/// The rows of a scope.
-#[derive(Clone, Copy, Debug, PartialEq, Eq)]
-pub(super) enum ScopeRows {
-    /// Every entity sees every other and itself.
-    Full,
-    /// Every entity sees itself; the other rows vary.
-    Selves,
-    /// All rows vary, like those of another predicate.
-    Free,
-}
 
 /// A base predicate, by its position among the shared ones, with the individuals of a row.
 pub(super) type BaseFact = (usize, Vec<usize>);

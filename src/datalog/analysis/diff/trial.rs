@@ -6,7 +6,8 @@
 //! scenes at random and shrinks one that shows a difference. All limits are counts, so the result is reproducible.
 
 use crate::datalog::analysis::constraints;
-use crate::datalog::analysis::diff::{Base, Difference, Equivalence, Model, Options, Output, relevant};
+use crate::datalog::analysis::diff::pair::{Base, Output, relevant};
+use crate::datalog::analysis::diff::{Difference, Equivalence, Model, Options};
 use crate::datalog::check::{Constraint, DeclaredConstraint, Literal, RelId, Rules, Term};
 use crate::datalog::eval::limits::Limits;
 use crate::datalog::program::Program;

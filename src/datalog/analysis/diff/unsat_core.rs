@@ -1,8 +1,10 @@
 //! The integrity constraints that a proof of equality needs: an unsatisfiable core.
 
-use crate::datalog::analysis::diff::ground::{Circuit, ScopeRows};
+use crate::datalog::analysis::diff::bound;
+use crate::datalog::analysis::diff::ground::Circuit;
+use crate::datalog::analysis::diff::pair::{Pair, ScopeRows};
 use crate::datalog::analysis::diff::sat::Outcome;
-use crate::datalog::analysis::diff::{Options, Pair, Remaining, Scenes, last_size};
+use crate::datalog::analysis::diff::{Options, Remaining, Scenes, last_size};
 use crate::datalog::check::{DeclaredConstraint, Rules};
 use crate::diag::Diagnostic;
 use std::collections::{BTreeSet, HashMap};
@@ -33,7 +35,7 @@ pub fn unsat_core<'r>(
         };
         rules.constraints.iter().map(number).collect::<Vec<usize>>()
     });
-    let (proof, _) = pair.proof();
+    let (proof, _) = bound::proof(&pair);
     let mut budget = Remaining::new(options);
     let mut core = BTreeSet::new();
     for (&view, views) in pair.views.iter().zip((1..=pair.views.len()).rev()) {

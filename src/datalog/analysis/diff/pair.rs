@@ -1,0 +1,323 @@
+//! Two rule sets, prepared for the search.
+
+use crate::datalog::analysis::diff::Options;
+use crate::datalog::check::{Clause, Constraint, DeclaredConstraint, Literal, RelId, Relation, Rules};
+use crate::datalog::syntax::ast::BaseType;
+use crate::datalog::value::Value;
+use crate::diag::{Code, Diagnostic, did_you_mean};
+use crate::symbol::Symbol;
+use std::collections::{BTreeSet, HashMap, HashSet};
+
+/// Two rule sets, prepared for the search.
+pub(super) struct Pair<'a> {
+    pub(super) base: Vec<Base>,
+    pub(super) outputs: Vec<Output>,
+    pub(super) sides: [Side<'a>; 2],
+    /// The rows of scopes for which to search, in this order.
+    pub(super) views: Vec<ScopeRows>,
+}
+
+impl<'a> Pair<'a> {
+    pub(super) fn new(left: &'a Rules, right: &'a Rules, options: &Options) -> Result<Pair<'a>, Vec<Diagnostic>> {
+        let base = shared_base(left, right)?;
+        let outputs = outputs(left, right, options)?;
+        let mut sides = [left, right].map(|rules| side(rules, &base));
+        // A predicate that guards on one side is complete on both.
+        let scopes: BTreeSet<usize> = (sides.iter())
+            .flat_map(|side| side.scopes.iter().filter_map(|scope| side.base[scope.index()]))
+            .collect();
+        for side in &mut sides {
+            let shared = (side.base.iter().zip((0..).map(RelId)))
+                .filter(|(position, _)| position.is_some_and(|position| scopes.contains(&position)));
+            side.scopes = shared.map(|(_, relation)| relation).collect();
+        }
+        let open = match options.self_sight {
+            true => ScopeRows::Selves,
+            false => ScopeRows::Free,
+        };
+        let is_scoped = sides.iter().any(|side| !side.scopes.is_empty());
+        Ok(Pair {
+            base,
+            outputs,
+            sides,
+            views: if is_scoped {
+                vec![ScopeRows::Full, open]
+            } else {
+                vec![open]
+            },
+        })
+    }
+}
+
+/// The rows of a scope.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub(super) enum ScopeRows {
+    /// Every entity sees every other and itself.
+    Full,
+    /// Every entity sees itself; the other rows vary.
+    Selves,
+    /// All rows vary, like those of another predicate.
+    Free,
+}
+
+/// One of the two programs, prepared for the search.
+#[derive(Clone)]
+pub(super) struct Side<'a> {
+    pub(super) rules: &'a Rules,
+    /// The clauses, including facts, by [`RelId`].
+    pub(super) clauses: Vec<Vec<&'a Clause>>,
+    /// The strata, by [`RelId`].
+    pub(super) stratum: Vec<Option<usize>>,
+    /// The positions among the shared base predicates, by [`RelId`].
+    pub(super) base: Vec<Option<usize>>,
+    /// The facts in the text for predicates without rules; the rows contain positions of individuals.
+    pub(super) facts: HashSet<(RelId, Vec<usize>)>,
+    /// The base predicates that serve as guards on either side.
+    pub(super) scopes: BTreeSet<RelId>,
+    /// The positions of the constraints that concern a fact, by [`RelId`].
+    pub(super) constraints: Vec<Vec<usize>>,
+}
+
+/// A value. Strings compare as text, numbers as numbers.
+#[derive(Clone, Debug, PartialEq, Eq, PartialOrd, Ord, Hash)]
+pub(super) enum Individual {
+    Text(String),
+    Number(i32),
+}
+
+impl Individual {
+    pub(super) fn base(&self) -> BaseType {
+        match self {
+            Individual::Text(_) => BaseType::Symbol,
+            Individual::Number(_) => BaseType::Number,
+        }
+    }
+
+    pub(super) fn shown(&self) -> String {
+        match self {
+            Individual::Text(text) => text.clone(),
+            Individual::Number(number) => number.to_string(),
+        }
+    }
+}
+
+impl Side<'_> {
+    pub(super) fn individual(&self, value: Value, base: BaseType) -> Individual {
+        match base {
+            BaseType::Number | BaseType::Unsigned | BaseType::Float => Individual::Number(value.as_number()),
+            BaseType::Symbol => {
+                Individual::Text(self.rules.symbols.text(Symbol(value.0)).unwrap_or_default().to_owned())
+            }
+        }
+    }
+}
+
+/// A predicate to compare.
+pub(super) struct Output {
+    pub(super) name: String,
+    pub(super) columns: Vec<BaseType>,
+    pub(super) ids: [RelId; 2],
+}
+
+/// A base predicate.
+pub(super) struct Base {
+    pub(super) name: String,
+}
+
+fn shared_base(left: &Rules, right: &Rules) -> Result<Vec<Base>, Vec<Diagnostic>> {
+    let mut base: Vec<Base> = Vec::new();
+    let mut known: HashSet<&str> = HashSet::new();
+    let mut faults = Vec::new();
+    let by_name = [left, right].map(Rules::relations_by_name);
+    for (rules, other, twins) in [(left, right, &by_name[1]), (right, left, &by_name[0])] {
+        for relation in rules.relations.iter().filter(|relation| relation.input) {
+            let columns: Vec<BaseType> = relation.columns.iter().map(|column| column.base).collect();
+            let twin = twins.get(relation.name.as_str()).map(|id| &other.relations[id.index()]);
+            if let Some(twin) = twin {
+                let fits = twin
+                    .columns
+                    .iter()
+                    .map(|column| column.base)
+                    .eq(columns.iter().copied());
+                let message = match (fits, twin.derived && twin.edb.is_none()) {
+                    (true, false) => None,
+                    (_, true) => Some(format!(
+                        "`{}` is input on one side and derived on the other",
+                        relation.name
+                    )),
+                    (false, _) => Some(format!("`{}` has different columns on the two sides", relation.name)),
+                };
+                if let Some(message) = message {
+                    faults.push(
+                        Diagnostic::new(Code::RULE_MISMATCH, message)
+                            .at(relation.span, "")
+                            .also(twin.span, "the other one"),
+                    );
+                    continue;
+                }
+            }
+            if known.insert(&relation.name) {
+                base.push(Base {
+                    name: relation.name.clone(),
+                });
+            }
+        }
+    }
+    if faults.is_empty() { Ok(base) } else { Err(faults) }
+}
+
+/// Returns the base predicates that affect the outputs: those that their clauses read, and those that constraints
+/// imply.
+pub(super) fn relevant(rules: [&Rules; 2], base: &[Base], outputs: &[Output]) -> BTreeSet<usize> {
+    let positions = positions(base);
+    let mut relevant = BTreeSet::new();
+    for (side, rules) in rules.into_iter().enumerate() {
+        let mut reads = vec![Vec::new(); rules.relations.len()];
+        for clause in &rules.clauses {
+            let atoms = clause.body.iter().filter_map(Literal::atom);
+            reads[clause.head.relation.index()].extend(atoms.map(|atom| atom.relation));
+        }
+        for DeclaredConstraint { constraint, domain, .. } in &rules.constraints {
+            let mut implied = |premise: RelId, relation: RelId| reads[premise.index()].push(relation);
+            match *constraint {
+                Constraint::Implies(one, other) => implied(one, other),
+                Constraint::Reflexive(other) => domain.iter().for_each(|&(one, _)| implied(one, other)),
+                Constraint::Covering(ref others) => {
+                    for &(one, _) in domain {
+                        others.iter().for_each(|&other| implied(one, other));
+                    }
+                }
+                Constraint::Disjoint(..)
+                | Constraint::Irreflexive(_)
+                | Constraint::Symmetric(_)
+                | Constraint::Asymmetric(_) => {}
+            }
+        }
+        let mut open: Vec<RelId> = outputs.iter().map(|output| output.ids[side]).collect();
+        let mut seen = BTreeSet::new();
+        while let Some(relation) = open.pop() {
+            if seen.insert(relation) {
+                open.extend(&reads[relation.index()]);
+                relevant.extend(positions.get(rules.relations[relation.index()].name.as_str()));
+            }
+        }
+    }
+    relevant
+}
+
+/// Returns the positions of the base predicates by name.
+fn positions(base: &[Base]) -> HashMap<&str, usize> {
+    base.iter().map(|base| base.name.as_str()).zip(0..).collect()
+}
+
+fn outputs(left: &Rules, right: &Rules, options: &Options) -> Result<Vec<Output>, Vec<Diagnostic>> {
+    let mut names: Vec<&str> = options.predicates.iter().map(String::as_str).collect();
+    if names.is_empty() {
+        let mut known: HashSet<&str> = HashSet::new();
+        for relation in left
+            .relations
+            .iter()
+            .chain(&right.relations)
+            .filter(|relation| relation.output)
+        {
+            if known.insert(&relation.name) {
+                names.push(&relation.name);
+            }
+        }
+    }
+    let mut outputs = Vec::new();
+    let mut faults = Vec::new();
+    let [in_left, in_right] = [left, right].map(Rules::relations_by_name);
+    for name in names {
+        let (Some(&a), Some(&b)) = (in_left.get(name), in_right.get(name)) else {
+            let side = match (in_left.contains_key(name), in_right.contains_key(name)) {
+                (false, false) => "neither side declares",
+                (false, true) => "the left side does not declare",
+                _ => "the right side does not declare",
+            };
+            let message = format!("{side} a predicate `{name}`");
+            let fault = Diagnostic::new(Code::RULE_MISMATCH, message);
+            let shared = in_left.keys().copied().filter(|name| in_right.contains_key(name));
+            let shared: BTreeSet<&str> = shared.collect();
+            faults.push(match did_you_mean(name, shared) {
+                Some(near) => fault.help(format!("did you mean `{near}`?")),
+                None => fault.help("compare only predicates that both sides declare: `--predicates NAME,...`"),
+            });
+            continue;
+        };
+        let [x, y] = [(left, a), (right, b)].map(|(rules, id)| &rules.relations[id.index()]);
+        let columns: Vec<BaseType> = x.columns.iter().map(|column| column.base).collect();
+        if !y.columns.iter().map(|column| column.base).eq(columns.iter().copied()) {
+            let message = format!("`{name}` has different columns on the two sides");
+            faults.push(
+                Diagnostic::new(Code::RULE_MISMATCH, message)
+                    .at(x.span, "")
+                    .also(y.span, "the other one"),
+            );
+            continue;
+        }
+        outputs.push(Output {
+            name: name.to_owned(),
+            columns,
+            ids: [a, b],
+        });
+    }
+    if faults.is_empty() { Ok(outputs) } else { Err(faults) }
+}
+
+fn side<'a>(rules: &'a Rules, base: &[Base]) -> Side<'a> {
+    let mut clauses = vec![Vec::new(); rules.relations.len()];
+    for clause in &rules.clauses {
+        clauses[clause.head.relation.index()].push(clause);
+    }
+    let mut stratum = vec![None; rules.relations.len()];
+    for (position, one) in rules.strata.iter().enumerate() {
+        for relation in &one.relations {
+            stratum[relation.index()] = Some(position);
+        }
+    }
+    let positions = positions(base);
+    let position = |relation: &Relation| positions.get(relation.name.as_str()).copied();
+    let mut bases: Vec<Option<usize>> = (rules.relations.iter())
+        .map(|relation| position(relation).filter(|_| !relation.derived))
+        .collect();
+    // Where rules derive further rows of an input predicate, a hidden one has those of the scene.
+    for relation in &rules.relations {
+        if let Some(edb) = relation.edb {
+            bases[edb.index()] = position(relation);
+        }
+    }
+    let guards = rules
+        .clauses
+        .iter()
+        .flat_map(|clause| &clause.body)
+        .filter_map(|literal| match literal {
+            Literal::Guard(atom) => Some(atom.relation),
+            _ => None,
+        });
+    Side {
+        rules,
+        clauses,
+        stratum,
+        base: bases,
+        facts: HashSet::new(),
+        scopes: guards
+            .filter(|relation| !rules.relations[relation.index()].derived)
+            .collect(),
+        constraints: constraints_of(rules),
+    }
+}
+
+/// Returns the positions of the constraints that name a predicate or have it in their domain, by predicate.
+fn constraints_of(rules: &Rules) -> Vec<Vec<usize>> {
+    let mut of = vec![Vec::new(); rules.relations.len()];
+    for (at, DeclaredConstraint { constraint, domain, .. }) in rules.constraints.iter().enumerate() {
+        let concerned: BTreeSet<RelId> = domain
+            .iter()
+            .map(|&(relation, _)| relation)
+            .chain(constraint.relations())
+            .collect();
+        concerned.into_iter().for_each(|relation| of[relation.index()].push(at));
+    }
+    of
+}
