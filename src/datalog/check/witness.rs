@@ -282,15 +282,7 @@ fn has_selection(literal: &Literal) -> bool {
 
 /// Returns the result, the aggregate and its target if the literal has the form `x = min y : { ... }`.
 fn selection(literal: &Literal) -> Option<(&Term, &Aggregate, &Term)> {
-    let Literal::Compare {
-        op: Comparison::Equal,
-        left,
-        right,
-        ..
-    } = literal
-    else {
-        return None;
-    };
+    let (left, right) = equal_sides(literal)?;
     let (result, aggregate) = match (&left.kind, &right.kind) {
         (_, TermKind::Aggregate(aggregate)) => (left, aggregate),
         (TermKind::Aggregate(aggregate), _) => (right, aggregate),
@@ -305,17 +297,22 @@ fn selection(literal: &Literal) -> Option<(&Term, &Aggregate, &Term)> {
     (simple && selects).then_some((result, aggregate, target))
 }
 
+/// Returns the sides of an equality.
+fn equal_sides(literal: &Literal) -> Option<(&Term, &Term)> {
+    match literal {
+        Literal::Compare {
+            op: Comparison::Equal,
+            left,
+            right,
+            ..
+        } => Some((left, right)),
+        _ => None,
+    }
+}
+
 /// Returns the aggregate of a literal `x = count : { ... }`.
 fn equated(literal: &Literal) -> Option<&Aggregate> {
-    let Literal::Compare {
-        op: Comparison::Equal,
-        left,
-        right,
-        ..
-    } = literal
-    else {
-        return None;
-    };
+    let (left, right) = equal_sides(literal)?;
     match (&left.kind, &right.kind) {
         (TermKind::Variable(_), TermKind::Aggregate(aggregate))
         | (TermKind::Aggregate(aggregate), TermKind::Variable(_)) => Some(aggregate),

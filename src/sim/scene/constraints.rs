@@ -124,7 +124,7 @@ impl CityTheory {
         }
     }
 
-    /// Adds that each agent is of one of the kinds.
+    /// Adds the constraint that each agent has one of the kinds.
     fn derive_cover(&self, rules: &Rules, read: &[Known<'_>], inputs: &KnownInputs<'_>, found: &mut Collector) {
         let kinds: Vec<&Known<'_>> = read.iter().filter(|one| is_kind(one)).collect();
         let Some(first) = kinds.first() else { return };
