@@ -21,7 +21,7 @@ pub use folder::{FileError, Folder, make_folder};
 #[cfg(feature = "sim")]
 pub use journal::Journal;
 #[cfg(feature = "sim")]
-pub use output::{Output, Overwrite, end};
+pub use output::{Output, Overwrite, end, without_temporaries};
 
 /// The folder, as paths name it, that holds the built-in files and nothing else.
 pub const BUILTIN_FOLDER: &str = "<builtin>";

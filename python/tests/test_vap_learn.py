@@ -556,6 +556,33 @@ def test_training_resumes_to_the_same_weights(samples: Samples, tmp_path: Path) 
     assert all(torch.equal(resumed[0][name], value) for name, value in whole[0].items())
 
 
+@pytest.mark.parametrize("part", ["network", "optimizer", "schedule", "history", "best"])
+def test_a_checkpoint_of_another_training_is_refused(part: str, tmp_path: Path) -> None:
+    data = torch.arange(8.0).reshape(4, 2)
+    checkpoint = tmp_path / "checkpoint.pt"
+
+    def train(epochs: int, width: int = 1) -> None:
+        model = torch.nn.Linear(2, width)
+        settings = TrainingSettings(epochs=epochs, batch=2)
+        fit(model, lambda chosen, _: model(data[chosen]).square().mean(), 4, settings, 0, lambda: 0.0, checkpoint)
+
+    train(1)
+    good = read_tensors(checkpoint, "a checkpoint")
+    train(2)
+    checkpoint.unlink()
+    train(1, width=3)
+    other = read_tensors(checkpoint, "a checkpoint")
+    for fault in [None, {}, {"last_epoch": "x"}, [{"loss": "x"}]] + [other[part]] * (part in ("network", "best")):
+        torch.save({**good, part: fault}, checkpoint)
+        with pytest.raises(ValueError, match="not a checkpoint of this training: .*; remove it to train from the"):
+            train(2)
+    moments = good["optimizer"]["state"][0]
+    for faulty in ({**moments, "exp_avg": torch.zeros(5)}, {**moments, "step": "x"}):
+        torch.save({**good, "optimizer": {**good["optimizer"], "state": {0: faulty}}}, checkpoint)
+        with pytest.raises(ValueError, match="not a checkpoint of this training"):
+            train(2)
+
+
 # --- experiments
 
 

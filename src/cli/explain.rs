@@ -6,7 +6,7 @@ use crate::city::Cell;
 use crate::cli::trace::TraceReader;
 use crate::cli::{Failure, LimitOptions, integer, terminal};
 use crate::datalog::explain::{Explainer, ExplanationPrinter};
-use crate::diag::{Code, Diagnostic, SourceId, Sources, did_you_mean};
+use crate::diag::{Code, Diagnostic, SourceId, Sources, did_you_mean, listed};
 use crate::sim::{AskedFact, Decision, Driven, Replay, TraceTick, World};
 use serde_json::json;
 use std::io::Write;
@@ -53,8 +53,8 @@ pub fn run(arguments: &Arguments, sources: &mut Sources) -> Result<(), Failure> 
         Some(agent) => Some(names.iter().position(|name| name == agent).ok_or_else(|| {
             let near = did_you_mean(agent, names.iter().copied());
             let help = near.map_or_else(
-                || format!("the trace has: {}", names.join(", ")),
-                |name| format!("did you mean `{name}`? The trace has: {}", names.join(", ")),
+                || format!("the trace has {}", listed(&names)),
+                |name| format!("did you mean `{name}`? The trace has {}", listed(&names)),
             );
             Failure::Usage(format!("the trace has no agent `{agent}`\nhelp: {help}"))
         })?),

@@ -8,7 +8,7 @@ use crate::cli::why::Question;
 use crate::cli::{Failure, ForceOption, Inputs, LimitOptions, load_workspace, report, terminal};
 use crate::datalog::{ClauseId, Directive, Edb, EvalError, MarkKind, RelId, RowPlace, Rules, rewrite};
 use crate::datalog::{Delta, EvalEvent, Limits, Options, Program, RuleStats, Session, Threads, constraints};
-use crate::diag::{Code, Diagnostic, Sources};
+use crate::diag::{Code, Diagnostic, Sources, listed};
 use crate::files;
 use crate::files::ReadError;
 use rows::{decompressed, load_rows};
@@ -334,7 +334,7 @@ fn refuse_missing(program: &Program, folder: &Path) -> Result<(), Failure> {
     if missing.len() < 2 {
         return Ok(());
     }
-    let (count, missing) = (missing.len(), missing.join(", "));
+    let (count, missing) = (missing.len(), listed(&missing));
     Err(Failure::Usage(format!(
         "{count} files of facts are missing: {missing}\nhelp: an empty file stands for a predicate without facts"
     )))

@@ -4,7 +4,7 @@ use crate::city::{Action, AgentKind};
 use crate::config::model::*;
 use crate::config::read::{Fields, entries, is_name, list, name};
 use crate::config::yaml::Node;
-use crate::diag::{Code, Diagnostic, Located, MAX_FAULTS, Span, did_you_mean};
+use crate::diag::{Code, Diagnostic, Located, MAX_FAULTS, Span, did_you_mean, listed};
 use crate::predicate::{Concept, Definition, Sees};
 use std::collections::HashMap;
 
@@ -174,7 +174,7 @@ impl<'p> Concepts<'p> {
             .note(format!(
                 "concepts of a {}: {}",
                 kind.name().to_lowercase(),
-                known.join(", ")
+                listed(&known)
             ))
         };
         faults.push(fault);

@@ -19,6 +19,7 @@ pub use faults::{Faults, MAX_FAULTS};
 pub use neutral::neutral;
 pub use render::{json_error, render, to_json};
 pub use source::{Located, Position, SourceId, Sources, Span};
+use std::borrow::Borrow;
 use std::path::Path;
 
 /// The severity of a [`Diagnostic`].
@@ -178,6 +179,16 @@ impl Diagnostic {
     }
 }
 
+/// Lists names for a message: the first 20, and how many there are besides.
+pub fn listed<S: Borrow<str>>(names: &[S]) -> String {
+    const SHOWN: usize = 20;
+    let (shown, rest) = names.split_at(names.len().min(SHOWN));
+    match rest.len() {
+        0 => shown.join(", "),
+        more => format!("{} and {more} more", shown.join(", ")),
+    }
+}
+
 /// Returns the candidate closest to `name` if it is close enough for a typing error. Ties go to the earlier candidate.
 ///
 /// Without a close candidate, returns the only one that begins or ends with `name`, if there is one.
@@ -234,6 +245,14 @@ const PART_MIN: usize = 3;
 #[cfg(test)]
 mod tests {
     use super::*;
+
+    #[test]
+    fn long_lists_of_names_are_cut() {
+        let names: Vec<String> = (0..30).map(|number| number.to_string()).collect();
+        assert_eq!(listed(&names[..2]), "0, 1");
+        assert!(listed(&names[..20]).ends_with(", 18, 19"));
+        assert!(listed(&names).ends_with(", 18, 19 and 10 more"));
+    }
 
     #[test]
     fn similar_files_have_the_missing_ending_or_a_close_name() {

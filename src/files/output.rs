@@ -282,7 +282,11 @@ fn temporaries() -> MutexGuard<'static, BTreeSet<PathBuf>> {
 
 /// Ends the process at once, without its temporary files.
 pub fn end(code: i32) -> ! {
-    // Locked to the end, so that no other thread begins one.
+    without_temporaries(|| std::process::exit(code))
+}
+
+/// Removes the temporary files of this process, and lets no other thread begin one until `end` returns.
+pub fn without_temporaries<T>(end: impl FnOnce() -> T) -> T {
     let temporaries = temporaries();
     // A process keeps the files of the one from which it was forked.
     let process = |path: &Path| Some(temporary_of(path.file_name()?.to_str()?)?.1);
@@ -292,7 +296,7 @@ pub fn end(code: i32) -> ! {
     {
         let _ = fs::remove_file(path);
     }
-    std::process::exit(code)
+    end()
 }
 
 /// A temporary file, locked until it is dropped. It is removed then, unless it has been renamed.

@@ -135,6 +135,11 @@ fn habits_of_other_languages_are_reported_once_with_help() {
             (false, false) => format!("x = {help}"),
             _ => help.to_owned(),
         };
+        // The advice keeps the variable of the author, even if it occurs only once.
+        let literal = match literal.matches('y').count() {
+            1 => literal.replace('y', "_"),
+            _ => literal,
+        };
         load_clean("main.dl", &format!("{HEAD}B(x) :- A(x), {literal}.\n"));
     }
     for (written, help) in [
@@ -213,6 +218,57 @@ fn a_string_without_a_closing_quote_is_one_error() {
     }
 }
 
+/// Variables of aggregates are no exception, unless a scope guards them.
+#[test]
+fn variables_of_aggregates_that_occur_once_are_reported() {
+    const HEAD: &str = ".decl A(x: number, y: number)\n.input A\n.decl R(n: number)\n.output R\n";
+    for (clause, lone) in [
+        ("R(n) :- n = sum y : { A(x, y) }.", "x"),
+        ("R(n) :- n = count : { A(x, y), x < 1 }.", "y"),
+        (
+            "R(x + 1) :- A(x, x), sum y : { A(_, y), A(z, _) } > count : { A(_, _) }.",
+            "z",
+        ),
+        (
+            "R(n) :- n = count : { A(_, k), k > max y : { A(k, y), A(_, w) } }.",
+            "w",
+        ),
+        ("R(n) :- n = min y : { A(x, y) }.", "x"),
+        ("R(n) :- A(n, _) ; n = sum y : { A(x, y) }.", "x"),
+        // Another variable than outside, where nothing else binds it.
+        ("R(n) :- n = count : { A(n, _) }.", "n"),
+        ("R(n) :- A(n, _), n = count : { A(n, _) }.", ""),
+        ("R(n) :- n = max x : { A(_, n), x = n }.", ""),
+        ("R(x) :- n = min y : { A(x, y) }, n > 0.", ""),
+        ("R(n) :- A(x, _), n = sum y : { A(x, y) }.", ""),
+        ("R(n) :- n = sum y : { A(_x, y) }.", ""),
+    ] {
+        let (sources, loaded) = load_text("main.dl", &format!("{HEAD}{clause}\n"));
+        let found: Vec<&Diagnostic> = loaded.diagnostics.iter().collect();
+        let messages: Vec<&str> = found.iter().map(|one| one.message.as_str()).collect();
+        let expected = match lone {
+            "" => Vec::new(),
+            name => vec![format!("the variable `{name}` occurs only once")],
+        };
+        assert_eq!(
+            messages,
+            expected,
+            "{clause}\n{}",
+            render(&loaded.diagnostics, &sources, false)
+        );
+        let is_note = found.iter().any(|one| !one.notes.is_empty());
+        assert_eq!(is_note, lone == "n", "{clause}");
+    }
+    let city = ".include \"vocabulary.dl\"\n.decl Crowded(x: agent)\nCrowded(X) :- IsClose(X, _), count : { IsClose(X, Y) } > 3.\n\
+                Stop(X) :- Crowded(X).\n";
+    let (sources, loaded) = load_text("main.dl", city);
+    assert!(
+        loaded.diagnostics.is_empty(),
+        "{}",
+        render(&loaded.diagnostics, &sources, false)
+    );
+}
+
 #[test]
 fn suggestions_are_edits_that_remove_the_fault() {
     const HEAD: &str = ".decl Road, Way(x: symbol, y: symbol)\n.input Road\n.output Way\n";
@@ -231,6 +287,11 @@ fn suggestions_are_edits_that_remove_the_fault() {
             "Way(x, y) :- Road(x, z), Road(_, y).",
             "singleton-variable",
             "Way(x, y) :- Road(x, _), Road(_, y).",
+        ),
+        (
+            "Way(x, x) :- Road(x, _), count : { Road(x, z) } > 1.",
+            "singleton-variable",
+            "Way(x, x) :- Road(x, _), count : { Road(x, _) } > 1.",
         ),
         (
             "Way(x, y) :- Road(x, y), x == y.",

@@ -82,8 +82,9 @@ fn the_command_reports_the_bound() {
     );
     let output = logicity(["diff", &one, &same, "--effort", "2000"]);
     let said = String::from_utf8(output.stdout).unwrap();
+    // The values 0, 1 and 2, so three facts.
     assert!(
-        said.starts_with("no difference found in 200 scenes: all scenes of at most "),
+        said.starts_with("no difference found in 200 scenes: all scenes of at most 3 facts "),
         "{said}"
     );
     assert_eq!(output.status.code(), Some(0));

@@ -21,6 +21,7 @@ from numpy.typing import NDArray
 from ..city import ACTIONS
 from ..errors import missing_extra
 from ..files import read_tensors
+from ..terminal import first_line
 from .data import UNARY, VapDataset
 
 try:
@@ -30,6 +31,7 @@ try:
 except ImportError as error:
     raise missing_extra("vap", error) from error
 
+from ..learn.storage import restore_optimizer
 from .concepts import RELATIONS, ConceptModel
 from .loader import as_tensors, padded_batch
 from .reasoners import GraphReasoner
@@ -287,6 +289,10 @@ def fit(
 
     Returns:
         For each epoch, `loss`, `score` and `cpu_seconds`.
+
+    Raises:
+        OSError: If the checkpoint cannot be read.
+        ValueError: If it is not one of this training.
     """
     kinds = {"adam": torch.optim.Adam, "adamw": torch.optim.AdamW}
     decay = {"weight_decay": settings.weight_decay} if settings.optimizer == "adamw" else {}
@@ -297,10 +303,20 @@ def fit(
     best = deepcopy(network.state_dict())
     if checkpoint is not None and checkpoint.exists():
         saved = read_tensors(checkpoint, "a checkpoint")
-        network.load_state_dict(saved["network"])
-        optimizer.load_state_dict(saved["optimizer"])
-        schedule.load_state_dict(saved["schedule"])
-        history, best = saved["history"], saved["best"]
+        try:
+            # Loading the best weights shows whether they fit.
+            for weights in ("best", "network"):
+                network.load_state_dict(saved[weights])
+            restore_optimizer(optimizer, saved["optimizer"])
+            if _types(saved["schedule"]) != _types(schedule.state_dict()):
+                raise ValueError("the state of the learning rate does not fit")
+            schedule.load_state_dict(saved["schedule"])
+            history, best = [_read_epoch(epoch) for epoch in saved["history"]], saved["best"]
+        except (AttributeError, KeyError, RuntimeError, TypeError, ValueError) as error:
+            reason = first_line(str(error), repr(error))
+            raise ValueError(
+                f"{checkpoint} is not a checkpoint of this training: {reason}; remove it to train from the beginning"
+            ) from None
     for epoch in range(len(history), settings.epochs):
         generator = torch.Generator().manual_seed(seed * 100_003 + epoch)
         torch.manual_seed(seed * 100_003 + epoch)
@@ -334,6 +350,14 @@ def fit(
     network.load_state_dict(best)
     network.eval()
     return history
+
+
+def _read_epoch(epoch: dict[str, float]) -> dict[str, float]:
+    return {name: float(epoch[name]) for name in ("loss", "score", "cpu_seconds")}
+
+
+def _types(state: dict[str, Any]) -> dict[str, type]:
+    return {name: type(value) for name, value in state.items()}
 
 
 def save(state: dict[str, Any], path: Path) -> None:

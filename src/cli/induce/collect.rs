@@ -6,7 +6,7 @@ use crate::cli::induce::Arguments;
 use crate::cli::scenes::{SceneLine, SceneLines, open_input};
 use crate::cli::trace::{TraceReader, line_max};
 use crate::cli::{Failure, LimitOptions, report, unreadable};
-use crate::diag::{Code, Diagnostic, Sources};
+use crate::diag::{Code, Diagnostic, Sources, listed};
 use crate::files::{self, Folder, ReadError, read_bytes};
 use crate::induce::{Examples, State};
 use crate::rng::Seed;
@@ -169,7 +169,7 @@ impl FileCollector<'_> {
         }
         if collected.examples.count() == 0 {
             let names: Vec<String> = paths.iter().map(|path| format!("`{}`", path.display())).collect();
-            let message = format!("no examples in {}", names.join(", "));
+            let message = format!("no examples in {}", listed(&names));
             return Err(Diagnostic::new(Code::INVALID_SCENE, message).into());
         }
         Ok(collected)

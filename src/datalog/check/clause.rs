@@ -5,7 +5,7 @@ use std::borrow::Cow;
 use std::collections::{HashMap, HashSet};
 use std::ops::Range;
 
-use crate::diag::{Code, Diagnostic, Faults};
+use crate::diag::{Code, Diagnostic, Faults, Span};
 use crate::symbol::Symbols;
 
 use crate::datalog::check::body;
@@ -364,7 +364,8 @@ fn alternative(
         ..
     } = scoped;
     if sound && !is_fact {
-        lone_variables(clause, body, &variables, &guarded, names, faults);
+        let is_scoped = scopes.current().is_some();
+        lone_variables(clause, body, &variables, (&guarded, is_scoped), names, faults);
     }
     let bases = variables.iter().map(|variable| base(variable.ty, names)).collect();
     let derived = &mut names.relations[head.relation.index()].derived;
@@ -397,12 +398,12 @@ fn base(ty: VariableType, names: &Names) -> Option<BaseType> {
 }
 
 /// Warns of equations that are always true, and of other variables that occur once. A guarded variable means "some
-/// agent in view" and needs no second occurrence.
-fn lone_variables(
-    clause: &ast::Clause,
-    body: &[&ast::Literal],
-    variables: &[Known],
-    guarded: &[bool],
+/// agent in view" and needs no second occurrence, nor does a variable of an aggregate under a scope.
+fn lone_variables<'c>(
+    clause: &'c ast::Clause,
+    body: &[&'c ast::Literal],
+    variables: &'c [Known],
+    (guarded, is_scoped): (&[bool], bool),
     names: &Names,
     faults: &mut Faults,
 ) {
@@ -487,17 +488,68 @@ fn lone_variables(
         if *guarded || !once || reported.contains(&name) || !is_lone(name) {
             continue;
         }
-        let fault = Diagnostic::new(
-            Code::SINGLETON_VARIABLE,
-            format!("the variable `{name}` occurs only once"),
-        )
-        .at(variable.first, "")
-        .help(format!("write `_` or `_{name}` if its value does not matter"))
-        .fix("replace it with `_`", [(variable.first, "_".to_owned())])
-        .fix(
-            format!("rename it to `_{name}`"),
-            [(variable.first, format!("_{name}"))],
-        );
-        faults.push(fault);
+        faults.push(singleton(name, variable.first));
+        reported.push(name);
+    }
+    if is_scoped {
+        return;
+    }
+    let mut inside: Vec<(&str, Span)> = Vec::new();
+    for literal in body {
+        variables_of_aggregates(literal, false, &mut |name, span| inside.push((name, span)));
+    }
+    for &(name, span) in &inside {
+        let written = witness::written(name);
+        let is_once = match witness::is_shadow(name) {
+            true => inside.iter().filter(|(other, _)| *other == name).count() == 1,
+            false => is_lone(name),
+        };
+        if !is_once || !explicit(written) || reported.contains(&name) {
+            continue;
+        }
+        let fault = singleton(written, span);
+        faults.push(match witness::is_shadow(name) {
+            true => fault.note(format!(
+                "the `{written}` outside is another variable, since only this aggregate binds it"
+            )),
+            false => fault,
+        });
+        reported.push(name);
+    }
+}
+
+fn singleton(name: &str, place: Span) -> Diagnostic {
+    Diagnostic::new(
+        Code::SINGLETON_VARIABLE,
+        format!("the variable `{name}` occurs only once"),
+    )
+    .at(place, "")
+    .help(format!("write `_` or `_{name}` if its value does not matter"))
+    .fix("replace it with `_`", [(place, "_".to_owned())])
+    .fix(format!("rename it to `_{name}`"), [(place, format!("_{name}"))])
+}
+
+/// Calls `each` with the variables in the bodies of aggregates, and with all if the literal is `inside` of one.
+fn variables_of_aggregates<'c>(literal: &'c ast::Literal, inside: bool, each: &mut impl FnMut(&'c str, Span)) {
+    fn of_term<'c>(term: &'c ast::Term, inside: bool, each: &mut impl FnMut(&'c str, Span)) {
+        match &term.kind {
+            ast::TermKind::Variable(name) if inside => each(name, term.place.0),
+            ast::TermKind::Functor(_, arguments) => {
+                arguments.iter().for_each(|argument| of_term(argument, inside, each));
+            }
+            ast::TermKind::Cast(inner, _) => of_term(inner, inside, each),
+            ast::TermKind::Aggregate(aggregate) => {
+                let literals = aggregate.body.iter();
+                literals.for_each(|literal| variables_of_aggregates(literal, true, each));
+            }
+            _ => {}
+        }
+    }
+    match literal {
+        ast::Literal::Atom { atom, .. } => atom.terms.iter().for_each(|term| of_term(term, inside, each)),
+        ast::Literal::Compare { left, right, .. } => {
+            [left, right].into_iter().for_each(|side| of_term(side, inside, each));
+        }
+        ast::Literal::Any(_) => {}
     }
 }

@@ -26,6 +26,9 @@ use crate::datalog::syntax::ast::{Aggregate, Atom, Literal, Term, TermKind};
 use crate::datalog::syntax::ast::{names_in, names_of};
 use crate::datalog::syntax::functor::AggregateOp;
 
+/// The end of the names from [`Rewriting::shadow`]. Names of the source have no dot.
+const LOCAL: &str = ".local";
+
 /// The rewriting would make a body too long.
 pub(crate) struct TooLong;
 
@@ -109,7 +112,7 @@ impl Rewriting {
         if shadowed.is_empty() {
             return;
         }
-        let local = |name: &str| TermKind::Variable(format!("+{name}.{}", self.fresh));
+        let local = |name: &str| TermKind::Variable(format!("+{name}.{}{LOCAL}", self.fresh));
         let names: Names = (shadowed.into_iter())
             .map(|name| (name.clone(), local(&name)))
             .collect();
@@ -235,13 +238,19 @@ impl Rewriting {
 
 /// Returns the name that the source has for a variable that the checker renamed: `x` for `+x.0.found`; `_` if none.
 pub(crate) fn written(name: &str) -> &str {
-    let Some(renamed) = name.strip_prefix('+') else {
+    let renamed = name.trim_start_matches('+');
+    if renamed.len() == name.len() {
         return name;
-    };
+    }
     match renamed.split_once('.') {
         Some((written, _)) => written,
         None => "_",
     }
+}
+
+/// Returns whether the variable has its name from [`Rewriting::shadow`].
+pub(crate) fn is_shadow(name: &str) -> bool {
+    name.ends_with(LOCAL)
 }
 
 /// Returns the number of literals in a literal, with those of its aggregates.

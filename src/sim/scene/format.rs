@@ -3,7 +3,7 @@
 
 use crate::city::{Action, AgentKind};
 use crate::city::{Cell, CityMap, Heading};
-use crate::diag::{Code, Diagnostic, Faults, SourceId, Sources, Span, did_you_mean, json_error};
+use crate::diag::{Code, Diagnostic, Faults, SourceId, Sources, Span, did_you_mean, json_error, listed};
 use crate::sim::tick::ground::MAX_ENTITIES;
 use indexmap::IndexMap;
 use indexmap::map::Entry;
@@ -327,7 +327,7 @@ impl<'a> Reader<'a> {
         let fault = self.fault(raw, message, "unknown concept");
         Err(vec![match did_you_mean(&concept, known.iter().copied()) {
             Some(name) => fault.help(format!("did you mean `{name}`?")),
-            None => fault.help(format!("a {kind} can be: {}", known.join(", "))),
+            None => fault.help(format!("a {kind} can be: {}", listed(&known))),
         }])
     }
 
@@ -426,7 +426,7 @@ impl<'a> Reader<'a> {
                 let known = self.terms.predicates.iter().map(|(known, _)| *known);
                 return Err(vec![match did_you_mean(&name, known.clone()) {
                     Some(known) => fault.help(format!("did you mean `{known}`?")),
-                    None => fault.help(format!("base predicates are: {}", known.collect::<Vec<_>>().join(", "))),
+                    None => fault.help(format!("base predicates are: {}", listed(&known.collect::<Vec<_>>()))),
                 }]);
             };
             let rows: Vec<&RawValue> = self.value(raw)?;

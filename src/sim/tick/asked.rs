@@ -4,7 +4,7 @@ use crate::city::Action;
 use crate::config::Scenario;
 use crate::datalog::explain::{ExplainError, Explainer, Explanation, ExplanationPrinter};
 use crate::datalog::{BaseType, RelId, Rules, Session, Term, Value, is_name, parse_value};
-use crate::diag::{Code, Diagnostic, SourceId, Sources, Span, did_you_mean};
+use crate::diag::{Code, Diagnostic, SourceId, Sources, Span, did_you_mean, listed};
 use crate::symbol::Symbol;
 use serde_json::json;
 
@@ -183,18 +183,11 @@ fn unknown_predicate(rules: &Rules, scenario: &Scenario, name: &str, span: Span)
     }
 }
 
-/// The most agents that a message lists.
-const AGENTS_SHOWN: usize = 20;
-
 fn unknown_agent(agents: &[&str], name: &str, span: Span) -> Diagnostic {
     let fault = Diagnostic::new(Code::INVALID_FACT, format!("there is no agent `{name}`")).at(span, "");
     match did_you_mean(name, agents.iter().copied()) {
         Some(near) => fault.did_you_mean(near, &[span]),
-        None => {
-            let more = if agents.len() > AGENTS_SHOWN { ", ..." } else { "" };
-            let shown = &agents[..agents.len().min(AGENTS_SHOWN)];
-            fault.note(format!("the agents are {}{more}", shown.join(", ")))
-        }
+        None => fault.note(format!("the agents are {}", listed(agents))),
     }
 }
 

@@ -20,7 +20,7 @@ pub use text::{Origin, broken_constraints, only_action, report_json, rule_file};
 
 use crate::city::Action;
 use crate::datalog::{Constraint, RelId};
-use crate::diag::{Code, Diagnostic};
+use crate::diag::{Code, Diagnostic, listed};
 use crate::induce::{Constraints, ENTITIES_MAX, Examples, Predicate, Settings, State, Vocabulary, tuples};
 use crate::sim::{self, Facts, OBSERVED_MAX, World};
 use crate::task::spf::{Env, Episode};
@@ -202,7 +202,7 @@ impl InductionTask {
             format!(
                 "learned clauses use base predicates only, not derived ones such as {}: define those in the \
                  configuration, if a kind of base predicate can express them",
-                names.join(", ")
+                listed(&names)
             )
         })
     }

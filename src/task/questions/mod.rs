@@ -13,7 +13,7 @@ pub use wording::{RulesFile, letter};
 use crate::city::{Action, AgentKind, AgentName, AgentSet, Split};
 use crate::datalog::ClauseId;
 use crate::datalog::explain::Explainer;
-use crate::diag::{Code, Diagnostic, did_you_mean};
+use crate::diag::{Code, Diagnostic, did_you_mean, listed};
 use crate::predicate::Definition;
 use crate::rng::{Purpose, Rng, RngExt, Seed};
 use crate::sim::{Facts, GroundState, MAX_ENTITIES, Settings, Simulation, World};
@@ -294,7 +294,7 @@ fn check(world: &World, request: &Request) -> Result<(), Vec<Diagnostic>> {
             let fault = Diagnostic::new(Code::INVALID_VALUE, message);
             match did_you_mean(concept, concepts.iter().copied()) {
                 Some(name) => fault.help(format!("did you mean `{name}`?")),
-                None => fault.help(format!("its car concepts are: {}", concepts.join(", "))),
+                None => fault.help(format!("its car concepts are: {}", listed(&concepts))),
             }
         })
         .collect();

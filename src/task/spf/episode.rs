@@ -9,7 +9,7 @@
 use crate::city::{Action, AgentConfig, AgentKind, AgentName, Split};
 use crate::city::{Agent, Cell, CityMap};
 use crate::config::{PredicateConfig, SpfConfig};
-use crate::diag::{Code, Diagnostic, SourceId, Sources, Span, did_you_mean, json_error};
+use crate::diag::{Code, Diagnostic, SourceId, Sources, Span, did_you_mean, json_error, listed};
 use crate::files::{ReadError, ReadFile};
 use crate::task::spf::{ControlMode, SpfTask, constrained_by_name};
 use serde::{Deserialize, Serialize};
@@ -152,7 +152,7 @@ impl EpisodeAgent {
                 None => fault.help(format!(
                     "concepts of a {}: {}",
                     kind.name().to_lowercase(),
-                    known.join(", ")
+                    listed(&known)
                 )),
             });
         }

@@ -41,7 +41,7 @@ pub use vector::{Ending, Layer, PolicyNetwork, Trajectories};
 use crate::city::{Action, AgentSet, Split};
 use crate::config::{CurriculumStage, EntityOrder, Scenario, SpfConfig, ViolationsPer};
 use crate::datalog::explain::ExplanationPrinter;
-use crate::diag::{Code, Diagnostic, Sources, did_you_mean};
+use crate::diag::{Code, Diagnostic, Sources, did_you_mean, listed};
 use crate::sim::{Observer, Oracle, World};
 use std::sync::Arc;
 
@@ -88,7 +88,7 @@ impl SpfTask {
                 let fault = Diagnostic::new(Code::INVALID_VALUE, message).at(label.span, "the reward for violating it");
                 match did_you_mean(&label.value, labels.iter().map(String::as_str)) {
                     Some(near) => fault.help(format!("did you mean `{near}`?")),
-                    None => fault.help(format!("the labels are: {}", labels.join(", "))),
+                    None => fault.help(format!("the labels are: {}", listed(&labels))),
                 }
             })
             .collect();

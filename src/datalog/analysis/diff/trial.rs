@@ -146,8 +146,8 @@ pub(super) fn search(
         }
         seen_entities = entities_max;
         size += 1;
-        // Without facts that vary, there is no other scene.
-        if trial.open().next().is_none() {
+        let possible = trial.possible(&trial.names(options.entities_max));
+        if possible.is_some_and(|facts| facts.len() < size) {
             break;
         }
     }
