@@ -8,6 +8,7 @@ leave open.
 from __future__ import annotations
 
 import os
+import struct
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from dataclasses import dataclass, field
@@ -24,7 +25,7 @@ from .city import ACTIONS
 from .describe import Atom, atoms_of
 from .errors import checked_integer, checked_path, missing_extra
 from .evaluation import load_task
-from .files import replacing
+from .files import check_readable, replacing
 from .modes import ENVIRONMENTS, checked_mode
 from .offline import Demonstrations
 from .rules import Program
@@ -420,6 +421,11 @@ def _load_minari(name: str | os.PathLike[str]) -> MinariDataset:
             message = f"neither a file nor a dataset of Minari on this machine: `{name}`"
             raise FileNotFoundError(f"{message}; `minari download {name}` downloads a published one")
     with _reading(name):
+        check_readable(folder / "metadata.json")
+        described = MinariStorage.read_raw_metadata(folder)
+        if not {"observation_space", "action_space"} <= described.keys():
+            # Minari would make the environment to see its spaces, which calls any function that the file names.
+            raise ValueError("its `metadata.json` lacks `observation_space` or `action_space`")
         storage = MinariStorage.read(folder)
         _check_claims(storage)
         return MinariDataset(storage)
@@ -429,23 +435,111 @@ def _check_claims(storage: Any) -> None:
     """Check that a Minari dataset has the episodes that it claims, and that its values fit into memory.
 
     Raises:
-        OSError: If its file is damaged.
-        ValueError: If it claims too much.
+        OSError: If its files are damaged.
+        ValueError: If it claims too much, or has values outside of its files.
     """
-    file = Path(storage.data_path) / "main_data.hdf5"
-    if not file.is_file():
-        return
-    import h5py
-
-    sizes: list[int] = []
-    # A dataset without stored values takes no bytes of the file.
-    with h5py.File(file) as content:
-        count = len(content)
-        content.visititems(lambda _, item: sizes.append(item.nbytes) if hasattr(item, "nbytes") else None)
+    count, size = _stored_in_hdf5(storage) if storage.FORMAT == "hdf5" else _stored_in_tables(storage)
     if not 0 <= storage.total_episodes <= count:
         raise ValueError(f"it claims {storage.total_episodes} episodes, and has {count}")
-    if sum(sizes) > BYTES_MAX:
-        raise ValueError(f"its values take {sum(sizes) >> 20} MiB; at most {BYTES_MAX >> 20} MiB can be read")
+    if size > BYTES_MAX:
+        raise ValueError(f"its values take {size >> 20} MiB; at most {BYTES_MAX >> 20} MiB can be read")
+
+
+def _stored_in_hdf5(storage: Any) -> tuple[int, int]:
+    """Return the number of episodes of a Minari dataset, and the bytes of its values."""
+    import h5py
+
+    file = Path(storage.data_path) / "main_data.hdf5"
+    check_readable(file, whole=False)
+    links: list[Any] = []
+    items: list[Any] = []
+    with h5py.File(file) as content:
+        content.visititems_links(lambda name, link: links.append((name, link)))
+        # Visits an item once, however many links it has.
+        content.visititems(lambda _, item: items.append(item))
+        for name, link in links:
+            if not isinstance(link, h5py.HardLink):
+                raise ValueError(f"`{name}` is a link")
+        if len(links) != len(items):
+            raise ValueError("it has values in several places at once")
+        values = [item for item in items if isinstance(item, h5py.Dataset)]
+        for item in values:
+            if item.external or item.is_virtual:
+                raise ValueError(f"`{item.name.removeprefix('/')}` has its values in another file")
+        # A dataset without stored values takes no bytes of the file.
+        return len(content), sum(item.nbytes for item in values)
+
+
+def _stored_in_tables(storage: Any) -> tuple[int, int]:
+    """Return the number of episodes of a Minari dataset in Arrow or Parquet files, and the bytes of its values.
+
+    The values of Parquet take what its metadata claims, and those of Arrow as much as their file, because compressed
+    files are refused. Missing values take no bytes of either.
+    """
+    import pyarrow.dataset
+    import pyarrow.parquet
+
+    count, size = 0, 0
+    for folder in Path(storage.data_path).iterdir():
+        if not folder.name.isdecimal():
+            continue
+        count += 1
+        for file in folder.glob(f"*.{storage.FORMAT}"):
+            check_readable(file, whole=False)
+            if storage.FORMAT == "arrow":
+                _check_uncompressed(file)
+                stored = file.stat().st_size
+            else:
+                metadata = pyarrow.parquet.read_metadata(file)
+                stored = sum(metadata.row_group(group).total_byte_size for group in range(metadata.num_row_groups))
+            content = pyarrow.dataset.dataset(file, format=storage.FORMAT)
+            size += max(stored, content.count_rows() * sum(map(_width, content.schema.types)))
+    return count, size
+
+
+def _width(kind: Any) -> int:
+    """Return the bytes of a value of a type of Arrow, and 8 if they differ."""
+    if kind.num_fields > 0:
+        inner = (kind.field(index).type for index in range(kind.num_fields))
+        return int(getattr(kind, "list_size", 1)) * sum(map(_width, inner))
+    try:
+        return max(1, kind.bit_width // 8)
+    except ValueError:
+        return 8
+
+
+def _check_uncompressed(file: Path) -> None:
+    """Check that no record batch of an Arrow file is compressed, and that none has values in a dictionary.
+
+    Raises:
+        ValueError: If one is or has, or if the file is damaged.
+    """
+    import pyarrow
+
+    def place(metadata: bytes, table: int, number: int) -> int | None:
+        """Return the place of a field in a table of FlatBuffers; `None` if the table lacks the field."""
+        vtable = table - struct.unpack_from("<i", metadata, table)[0]
+        position = 4 + 2 * number
+        within = position < struct.unpack_from("<H", metadata, vtable)[0]
+        offset = struct.unpack_from("<H", metadata, vtable + position)[0] if within else 0
+        return table + offset if offset else None
+
+    with pyarrow.memory_map(str(file)) as content:
+        # The file format is the stream format after eight bytes.
+        content.seek(8)
+        for message in pyarrow.ipc.MessageReader.open_stream(content):
+            if message.type == "dictionary":
+                raise ValueError(f"`{file.name}` has a dictionary")
+            metadata = message.metadata.to_pybytes()
+            try:
+                # The header is field 2 of a message, and the compression field 3 of the header of a record batch.
+                header = place(metadata, struct.unpack_from("<I", metadata)[0], 2)
+                if message.type == "record batch" and header is not None:
+                    batch = header + struct.unpack_from("<I", metadata, header)[0]
+                    if place(metadata, batch, 3) is not None:
+                        raise ValueError(f"`{file.name}` is compressed")
+            except struct.error:
+                raise ValueError(f"`{file.name}` is damaged") from None
 
 
 def _minari(dataset: MinariDataset) -> _Source:

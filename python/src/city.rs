@@ -1,7 +1,9 @@
 //! Scenes and simulations.
 
 use crate::output::{overwrite_if, unwritable};
-use crate::{LimitArguments, Shared, Signals, input_error, limits_of, read_error, threads_of, to_python};
+use crate::{
+    LimitArguments, Shared, Signals, input_error, limits_of, missing_file_error, read_error, threads_of, to_python,
+};
 use logicity::builtin::{BuiltinFiles, ReadWith};
 use logicity::cancel::Cancel;
 use logicity::city::{Action, Split};
@@ -16,7 +18,7 @@ use logicity::sim::{
 };
 use numpy::ndarray::{Array1, Array2};
 use numpy::{IntoPyArray, PyArray1, PyArray2, PyArray3};
-use pyo3::exceptions::{PyFileNotFoundError, PyValueError};
+use pyo3::exceptions::PyValueError;
 use pyo3::prelude::*;
 use pyo3::types::PyDict;
 use std::cell::RefCell;
@@ -81,10 +83,7 @@ impl Loaded {
             Err(LoadError::RuleFile(path, error)) => Err(read_error(py, &path, &error)),
             Err(LoadError::Rules(faults)) => Err(input_error(py, &faults, &sources)),
             Err(LoadError::Config(faults)) => Err(match missing_file(&faults) {
-                Some(fault) => {
-                    let help = fault.help.iter().map(|help| format!("; {help}")).collect::<String>();
-                    PyFileNotFoundError::new_err(fault.message.clone() + &help)
-                }
+                Some(fault) => missing_file_error(fault),
                 None => input_error(py, &faults, &sources),
             }),
         }

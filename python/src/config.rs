@@ -1,10 +1,10 @@
 //! Configuration files that Python interprets.
 
-use crate::{input_error, to_python};
+use crate::{input_error, missing_file_error, to_python};
 use logicity::builtin::BuiltinFiles;
-use logicity::config::{CODES, Tree, load_tree};
+use logicity::config::{CODES, Tree, load_tree, missing_file};
 use logicity::diag::{self, Code, Diagnostic, Sources};
-use pyo3::exceptions::{PyBaseException, PyFileNotFoundError, PyValueError};
+use pyo3::exceptions::{PyBaseException, PyValueError};
 use pyo3::prelude::*;
 use std::path::PathBuf;
 
@@ -27,13 +27,9 @@ impl PyConfigFile {
         let mut sources = Sources::new();
         match load_tree(&mut sources, &path, folder, &BuiltinFiles) {
             Ok(tree) => Ok(PyConfigFile { tree, sources }),
-            Err(faults) => Err(match faults.as_slice() {
-                // The file that the caller named has no location in any source.
-                [fault] if fault.code == Code::MISSING_FILE && fault.primary.is_none() => {
-                    let help = fault.help.iter().map(|help| format!("; {help}")).collect::<String>();
-                    PyFileNotFoundError::new_err(fault.message.clone() + &help)
-                }
-                _ => input_error(py, &faults, &sources),
+            Err(faults) => Err(match missing_file(&faults) {
+                Some(fault) => missing_file_error(fault),
+                None => input_error(py, &faults, &sources),
             }),
         }
     }

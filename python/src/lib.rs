@@ -118,6 +118,16 @@ fn run_command_line(py: Python<'_>, arguments: Vec<OsString>) -> (i32, Vec<&'sta
     }
 }
 
+/// Returns the exception for a configuration that the caller named and that cannot be read.
+fn missing_file_error(fault: &Diagnostic) -> PyErr {
+    let help = fault.help.iter().map(|help| format!("; {help}")).collect::<String>();
+    let message = fault.message.clone() + &help;
+    match fault.message.ends_with(&ReadError::NotFound.to_string()) {
+        true => PyFileNotFoundError::new_err(message),
+        false => PyOSError::new_err(message),
+    }
+}
+
 /// Returns the exception for an unreadable file that the caller named.
 fn read_error(py: Python<'_>, path: &Path, error: &ReadError) -> PyErr {
     let message = format!("cannot read `{}`: {error}", path.display());

@@ -130,6 +130,10 @@ def test_invalid_files_and_options_raise(kind: Any, tmp_path: Path) -> None:
         kind("nowhere.yaml")
     with pytest.raises(FileNotFoundError, match=r"nowhere\.dl"):
         kind(rules="nowhere.dl")
+    for option in ("config", "rules"):
+        with pytest.raises(OSError, match="cannot read `/dev/null`") as caught:
+            kind(**{option: "/dev/null"})
+        assert not isinstance(caught.value, FileNotFoundError)
     with pytest.raises(ValueError, match=r'"auto", "dense", "relational", not "quick"'):
         kind(executor="quick")
     for seed in (-1, 2**64):

@@ -182,6 +182,28 @@ def test_faults_of_a_minari_dataset_name_it(tmp_path: Path, monkeypatch: pytest.
     def described(**keys: Any) -> None:
         metadata.write_text(json.dumps({**json.loads(text), **keys}))
 
+    canary = tmp_path / "canary"
+
+    def without_spaces() -> None:
+        """Let Minari make an environment by a function of Python that the file names."""
+        described(
+            env_spec=json.dumps({**spec, "entry_point": "os:mkdir", "kwargs": {"path": str(canary)}}),
+            observation_space=None,
+        )
+        kept = {key: value for key, value in json.loads(metadata.read_text()).items() if value is not None}
+        metadata.write_text(json.dumps(kept))
+
+    def linked(link: object) -> None:
+        with h5py.File(content, "r+") as file:
+            del file["episode_0/observations"]
+            file["episode_0/observations"] = file[link] if isinstance(link, str) else link
+
+    def external() -> None:
+        with h5py.File(content, "r+") as file:
+            del file["episode_0/observations"]
+            place = [("/dev/zero", 0, 85 * 4 * 9)]
+            file["episode_0"].create_dataset("observations", shape=(9, 85), dtype="f4", external=place)
+
     def unallocated() -> None:
         """Claim 32 GiB, of which the file has nothing."""
         with h5py.File(content, "r+") as file:
@@ -195,6 +217,12 @@ def test_faults_of_a_minari_dataset_name_it(tmp_path: Path, monkeypatch: pytest.
         (lambda: described(total_episodes=10**12), "it claims 1000000000000 episodes, and has 2"),
         (lambda: described(env_spec=json.dumps({**spec, "kwargs": [1]})), "no mapping of arguments"),
         (lambda: content.write_bytes(data[:1000]), "truncated"),
+        (without_spaces, "lacks `observation_space`"),
+        (lambda: linked(h5py.ExternalLink("other.hdf5", "/x")), "`episode_0/observations` is a link"),
+        (lambda: linked(h5py.SoftLink("/episode_1/observations")), "`episode_0/observations` is a link"),
+        (lambda: linked("episode_1/observations"), "values in several places at once"),
+        (lambda: linked("/"), "values in several places at once"),
+        (external, "`episode_0/observations` has its values in another file"),
         (unallocated, "its values take 32[0-9]{3} MiB; at most 2048 MiB can be read"),
     ]
     for damage, message in faults:
@@ -204,6 +232,44 @@ def test_faults_of_a_minari_dataset_name_it(tmp_path: Path, monkeypatch: pytest.
         metadata.write_text(text)
         content.write_bytes(data)
     assert len(logicity.induce(folder).clauses) > 0
+    assert not canary.exists()
+
+
+@pytest.mark.parametrize("kind", ["arrow", "parquet"])
+def test_tables_of_a_minari_dataset_are_bounded(kind: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    needs("minari", "offline")
+    needs("PIL", "icons")
+    pyarrow = needs("pyarrow", "offline")
+    tables = needs("pyarrow.parquet", "offline")
+    monkeypatch.setenv("MINARI_DATASETS_PATH", str(tmp_path))
+    author = {"author": "A", "author_email": "a@example.org", "code_permalink": "https://example.org"}
+    demonstrations = logicity.demonstrations("easy", 2)
+    demonstrations.to_minari("logicity/tables-v0", data_format=kind, **author)
+    folder = tmp_path / "logicity" / "tables-v0" / "data"
+    assert bodies(logicity.induce(folder)) == bodies(logicity.induce(demonstrations))
+    (file,) = (folder / "0").glob(f"*.{kind}")
+
+    def write(table: Any, **options: Any) -> None:
+        if kind == "parquet":
+            tables.write_table(table, file, **options)
+            return
+        with pyarrow.ipc.new_file(file, table.schema, options=pyarrow.ipc.IpcWriteOptions(**options)) as writer:
+            writer.write_table(table)
+
+    missing = pyarrow.Array.from_buffers(pyarrow.null(), (1 << 28) + 1, [None])
+    write(pyarrow.table({"observations": missing}))
+    with pytest.raises(ValueError, match="its values take [0-9]+ MiB; at most 2048 MiB can be read"):
+        logicity.induce(folder)
+    if kind == "arrow":
+        write(pyarrow.table({"observations": np.zeros(1 << 20)}), compression="zstd")
+        with pytest.raises(ValueError, match=f"`{file.name}` is compressed"):
+            logicity.induce(folder)
+        write(pyarrow.table({"observations": pyarrow.array(["a", "a"]).dictionary_encode()}))
+        with pytest.raises(ValueError, match=f"`{file.name}` has a dictionary"):
+            logicity.induce(folder)
+    file.write_bytes(b"none")
+    with pytest.raises(ValueError, match="cannot read the Minari dataset"):
+        logicity.induce(folder)
 
 
 def test_the_options_of_the_environment_are_those_of_the_rules() -> None:

@@ -28,6 +28,7 @@ from logicity.vap import UNARY, VapDataset, make_dataset
 torch: Any = needs("torch", "vap")
 needs("stable_baselines3", "learn")
 from logicity.commands import run as command  # noqa: E402
+from logicity.files import read_tensors  # noqa: E402
 from logicity.learn.cells import finished, prepare, run_cell  # noqa: E402
 from logicity.learn.experiment import Selection, load_experiment  # noqa: E402
 from logicity.learn.jobs import run_in_processes  # noqa: E402
@@ -576,6 +577,9 @@ def test_a_checkpoint_of_another_training_is_refused(part: str, tmp_path: Path) 
         torch.save({**good, part: fault}, checkpoint)
         with pytest.raises(ValueError, match="not a checkpoint of this training: .*; remove it to train from the"):
             train(2)
+    torch.save({**good, "history": good["history"] * 3}, checkpoint)
+    with pytest.raises(ValueError, match="the number of epochs does not fit"):
+        train(2)
     moments = good["optimizer"]["state"][0]
     for faulty in ({**moments, "exp_avg": torch.zeros(5)}, {**moments, "step": "x"}):
         torch.save({**good, "optimizer": {**good["optimizer"], "state": {0: faulty}}}, checkpoint)

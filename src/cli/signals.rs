@@ -11,7 +11,6 @@ use crate::files;
 #[cfg(unix)]
 use signal_hook::consts::SIGHUP;
 use signal_hook::consts::{SIGINT, SIGTERM};
-#[cfg(windows)]
 use signal_hook::flag;
 #[cfg(unix)]
 use signal_hook::{iterator::Signals, low_level};
@@ -52,16 +51,22 @@ pub fn code() -> u8 {
 }
 
 /// Handles requests for the whole life of the process, on a thread: a handler of a signal must not remove files.
+///
+/// A request ends the process without that thread if it has not noticed the one before: it may wait for a file system,
+/// and a forked process has no such thread.
 #[cfg(unix)]
 fn listen() -> io::Result<()> {
+    static UNNOTICED: AtomicBool = AtomicBool::new(false);
     let masks = std::fs::read_to_string("/proc/self/status").unwrap_or_default();
     let handled = [SIGINT, SIGTERM, SIGHUP].into_iter().filter(|&signal| {
         // Python restores its own handler of Ctrl-C only if a command runs on its main thread.
         !is_in(&masks, "SigIgn:", signal) && !(signal == SIGINT && is_in(&masks, "SigCgt:", signal))
     });
-    let mut signals = Signals::new(handled)?;
+    let mut signals = Signals::new([0; 0])?;
+    let handle = signals.handle();
     std::thread::Builder::new().spawn(move || {
         for signal in signals.forever() {
+            UNNOTICED.store(false, Ordering::SeqCst);
             if AT_ONCE.swap(true, Ordering::SeqCst) {
                 files::without_temporaries(|| {
                     // A shell leaves its loop only if Ctrl-C ends a command by the signal itself.
@@ -74,6 +79,12 @@ fn listen() -> io::Result<()> {
             SIGNAL.store(signal.unsigned_abs() as usize, Ordering::SeqCst);
         }
     })?;
+    for signal in handled {
+        // In this order, so that the thread notices the first request, and it does not end the process.
+        flag::register_conditional_shutdown(signal, 128 + signal, &UNNOTICED)?;
+        flag::register(signal, &UNNOTICED)?;
+        handle.add_signal(signal)?;
+    }
     Ok(())
 }
 

@@ -312,6 +312,8 @@ def fit(
                 raise ValueError("the state of the learning rate does not fit")
             schedule.load_state_dict(saved["schedule"])
             history, best = [_read_epoch(epoch) for epoch in saved["history"]], saved["best"]
+            if not history or schedule.last_epoch * settings.epochs != len(history) * steps:
+                raise ValueError("the number of epochs does not fit")
         except (AttributeError, KeyError, RuntimeError, TypeError, ValueError) as error:
             reason = first_line(str(error), repr(error))
             raise ValueError(
