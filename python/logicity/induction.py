@@ -503,7 +503,7 @@ def _width(kind: Any) -> int:
         inner = (kind.field(index).type for index in range(kind.num_fields))
         return int(getattr(kind, "list_size", 1)) * sum(map(_width, inner))
     try:
-        return max(1, kind.bit_width // 8)
+        return max(1, int(kind.bit_width) // 8)
     except ValueError:
         return 8
 

@@ -60,7 +60,8 @@ fn listen() -> io::Result<()> {
     let masks = std::fs::read_to_string("/proc/self/status").unwrap_or_default();
     let handled = [SIGINT, SIGTERM, SIGHUP].into_iter().filter(|&signal| {
         // Python restores its own handler of Ctrl-C only if a command runs on its main thread.
-        !is_in(&masks, "SigIgn:", signal) && !(signal == SIGINT && is_in(&masks, "SigCgt:", signal))
+        let is_of_python = signal == SIGINT && is_in(&masks, "SigCgt:", signal);
+        !is_of_python && !is_in(&masks, "SigIgn:", signal)
     });
     let mut signals = Signals::new([0; 0])?;
     let handle = signals.handle();
