@@ -319,7 +319,7 @@ fn dependencies_are_updated_and_pinned() {
     }
 }
 
-/// The table of executions has rows of each target, and no execution failed.
+/// The table of executions has rows of each target and 10^8 executions in total, and none failed.
 #[test]
 fn executions_of_the_fuzzer_are_recorded() {
     let table = read("tests/fuzz/executions.csv");
@@ -328,10 +328,14 @@ fn executions_of_the_fuzzer_are_recorded() {
         lines.next(),
         Some("commit,date,target,corpus,longest,executions,seconds,result")
     );
-    let row = Regex::new(r"^[0-9a-f]{8},\d{4}-\d\d-\d\d,(\w+),\d+,\d+,\d+,\d+,(passed|interrupted)$").unwrap();
-    let recorded: BTreeSet<String> = lines
-        .map(|line| row.captures(line).unwrap_or_else(|| panic!("{line}"))[1].to_owned())
-        .collect();
+    let row = Regex::new(r"^[0-9a-f]{8},\d{4}-\d\d-\d\d,(\w+),\d+,\d+,(\d+),\d+,(passed|interrupted)$").unwrap();
+    let (mut recorded, mut total) = (BTreeSet::new(), 0);
+    for line in lines {
+        let columns = row.captures(line).unwrap_or_else(|| panic!("{line}"));
+        recorded.insert(columns[1].to_owned());
+        total += columns[2].parse::<u64>().unwrap();
+    }
     let listed = value("Makefile", "^FUZZ_TARGETS := (.*)$");
     assert_eq!(recorded, listed.split(' ').map(str::to_owned).collect());
+    assert!(total >= 100_000_000, "{total}");
 }
