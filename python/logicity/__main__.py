@@ -17,6 +17,10 @@ from .terminal import print_message
 
 __all__ = ["main"]
 
+if hasattr(os, "register_at_fork"):
+    # A command off the main thread leaves its handlers of signals, which need a thread of Rust.
+    os.register_at_fork(after_in_child=_logicity.end_forked)
+
 
 def main(arguments: Sequence[str] | None = None) -> int:
     """Run a command.

@@ -556,7 +556,7 @@ def _assignment(text: str) -> dict[str, object]:
         raise argparse.ArgumentTypeError(f"expected KEY=VALUE, found `{text}`")
     try:
         parsed: object = json.loads(value)
-    except json.JSONDecodeError:
+    except (RecursionError, ValueError):
         parsed = value
     for key in reversed(keys.split(".")):
         parsed = {key: parsed}
@@ -589,7 +589,7 @@ def _observation_of(policy: Policy) -> ObservationKind:
 def _object(text: str) -> dict[str, object]:
     try:
         value = json.loads(text)
-    except json.JSONDecodeError as error:
+    except (RecursionError, ValueError) as error:
         raise argparse.ArgumentTypeError(f"not JSON: {error}") from None
     if not isinstance(value, dict):
         raise argparse.ArgumentTypeError("not a JSON object")

@@ -50,6 +50,19 @@ def check_readable(path: str | os.PathLike[str], *, whole: bool = True, named: b
         pass
 
 
+def read_json(path: str | os.PathLike[str]) -> Any:
+    """Return the value in a regular file of JSON, of at most 1 GiB.
+
+    Raises:
+        OSError: If it cannot be read.
+        ValueError: If it is not JSON.
+    """
+    try:
+        return json.loads(read_text(path))
+    except RecursionError:
+        raise ValueError("it is nested too deeply") from None
+
+
 def read_text(path: str | os.PathLike[str]) -> str:
     """Return the text of a regular file in UTF-8, of at most 1 GiB.
 

@@ -181,10 +181,10 @@ class InducedRules:
 
 @dataclass(frozen=True)
 class _Steps:
-    """An episode of a Parquet table."""
+    """An episode that was read from a file."""
 
-    observations: NDArray[np.float32]
-    actions: NDArray[np.int64]
+    observations: NDArray[Any]
+    actions: NDArray[Any]
 
 
 @dataclass
@@ -427,92 +427,109 @@ def _load_minari(name: str | os.PathLike[str]) -> MinariDataset:
             # Minari would make the environment to see its spaces, which calls any function that the file names.
             raise ValueError("its `metadata.json` lacks `observation_space` or `action_space`")
         storage = MinariStorage.read(folder)
-        _check_claims(storage)
+        # Minari numbers the claimed episodes at once.
+        if not 0 <= storage.total_episodes <= (count := _count(storage)):
+            raise ValueError(f"it claims {storage.total_episodes} episodes, and has {count}")
         return MinariDataset(storage)
 
 
-def _check_claims(storage: Any) -> None:
-    """Check that a Minari dataset has the episodes that it claims, and that its values fit into memory.
-
-    Raises:
-        OSError: If its files are damaged.
-        ValueError: If it claims too much, or has values outside of its files.
-    """
-    count, size = _stored_in_hdf5(storage) if storage.FORMAT == "hdf5" else _stored_in_tables(storage)
-    if not 0 <= storage.total_episodes <= count:
-        raise ValueError(f"it claims {storage.total_episodes} episodes, and has {count}")
-    if size > BYTES_MAX:
-        raise ValueError(f"its values take {size >> 20} MiB; at most {BYTES_MAX >> 20} MiB can be read")
-
-
-def _stored_in_hdf5(storage: Any) -> tuple[int, int]:
-    """Return the number of episodes of a Minari dataset, and the bytes of its values."""
+def _count(storage: Any) -> int:
+    """Return the number of episodes that a Minari dataset stores."""
+    if storage.FORMAT != "hdf5":
+        return sum(folder.name.isdecimal() for folder in Path(storage.data_path).iterdir())
     import h5py
 
+    with h5py.File(_hdf5_file(storage)) as content:
+        return len(content)
+
+
+def _hdf5_file(storage: Any) -> Path:
     file = Path(storage.data_path) / "main_data.hdf5"
     check_readable(file, whole=False)
-    links: list[Any] = []
-    items: list[Any] = []
-    with h5py.File(file) as content:
-        content.visititems_links(lambda name, link: links.append((name, link)))
-        # Visits an item once, however many links it has.
-        content.visititems(lambda _, item: items.append(item))
-        for name, link in links:
-            if not isinstance(link, h5py.HardLink):
-                raise ValueError(f"`{name}` is a link")
-        if len(links) != len(items):
-            raise ValueError("it has values in several places at once")
-        values = [item for item in items if isinstance(item, h5py.Dataset)]
-        for item in values:
-            if item.external or item.is_virtual:
-                raise ValueError(f"`{item.name.removeprefix('/')}` has its values in another file")
-        # A dataset without stored values takes no bytes of the file.
-        return len(content), sum(item.nbytes for item in values)
+    return file
 
 
-def _stored_in_tables(storage: Any) -> tuple[int, int]:
-    """Return the number of episodes of a Minari dataset in Arrow or Parquet files, and the bytes of its values.
-
-    The values of Parquet take what its metadata claims, and those of Arrow as much as their file, because compressed
-    files are refused. Missing values take no bytes of either.
-    """
-    import pyarrow.dataset
-    import pyarrow.parquet
-
-    count, size = 0, 0
-    for folder in Path(storage.data_path).iterdir():
-        if not folder.name.isdecimal():
-            continue
-        count += 1
-        for file in folder.glob(f"*.{storage.FORMAT}"):
-            check_readable(file, whole=False)
-            if storage.FORMAT == "arrow":
-                _check_uncompressed(file)
-                stored = file.stat().st_size
-            else:
-                metadata = pyarrow.parquet.read_metadata(file)
-                stored = sum(metadata.row_group(group).total_byte_size for group in range(metadata.num_row_groups))
-            content = pyarrow.dataset.dataset(file, format=storage.FORMAT)
-            size += max(stored, content.count_rows() * sum(map(_width, content.schema.types)))
-    return count, size
-
-
-def _width(kind: Any) -> int:
-    """Return the bytes of a value of a type of Arrow, and 8 if they differ."""
-    if kind.num_fields > 0:
-        inner = (kind.field(index).type for index in range(kind.num_fields))
-        return int(getattr(kind, "list_size", 1)) * sum(map(_width, inner))
-    try:
-        return max(1, int(kind.bit_width) // 8)
-    except ValueError:
-        return 8
-
-
-def _check_uncompressed(file: Path) -> None:
-    """Check that no record batch of an Arrow file is compressed, and that none has values in a dictionary.
+def _stored_in_hdf5(storage: Any, indices: Sequence[int]) -> Iterator[_Steps]:
+    """Yield episodes of a Minari dataset in an HDF5 file.
 
     Raises:
-        ValueError: If one is or has, or if the file is damaged.
+        OSError: If the file is damaged.
+        ValueError: If its values are not numbers, lie outside of the file, or take too much memory.
+    """
+    import h5py
+
+    read = 0
+    with h5py.File(_hdf5_file(storage)) as content:
+        for index in indices:
+            arrays = []
+            for name in ("observations", "actions"):
+                place = f"episode_{index}/{name}"
+                for part in (f"episode_{index}", place):
+                    if not isinstance(content.get(part, getlink=True), h5py.HardLink):
+                        raise ValueError(f"`{part}` is a link")
+                values = content[place]
+                if not isinstance(values, h5py.Dataset) or values.dtype.kind not in "biuf":
+                    raise ValueError(f"`{place}` has no numbers")
+                if values.external or values.is_virtual:
+                    raise ValueError(f"`{place}` has its values in another file")
+                # A dataset without stored values takes no bytes of the file, and several may be the same.
+                read += values.nbytes
+                _check_bytes(read)
+                arrays.append(values[()])
+            yield _Steps(*arrays)
+
+
+def _stored_in_tables(storage: Any, indices: Sequence[int]) -> Iterator[_Steps]:
+    """Yield episodes of a Minari dataset in Arrow or Parquet files.
+
+    Raises:
+        OSError: If a file is damaged.
+        ValueError: If its values are not numbers, or take too much memory.
+    """
+    import pyarrow
+    import pyarrow.parquet
+
+    read = 0
+    for index in indices:
+        files = sorted((Path(storage.data_path) / str(index)).glob(f"*.{storage.FORMAT}"))
+        if len(files) != 1:
+            raise ValueError(f"episode {index} has {len(files)} files, not one")
+        (file,) = files
+        check_readable(file, whole=False)
+        arrow = _uncompressed(file) if storage.FORMAT == "arrow" else None
+        schema = pyarrow.parquet.read_schema(file) if arrow is None else arrow.schema
+        rows = pyarrow.parquet.read_metadata(file).num_rows if arrow is None else arrow.num_rows
+        observation, action = (schema.field(name).type for name in ("observations", "actions"))
+        is_list = pyarrow.types.is_fixed_size_list(observation)
+        number = observation.value_type if is_list else observation
+        if not (pyarrow.types.is_integer(number) or pyarrow.types.is_floating(number)):
+            raise ValueError(f"the observations of episode {index} have the type {observation}, not numbers")
+        if not pyarrow.types.is_integer(action):
+            raise ValueError(f"the actions of episode {index} have the type {action}, not integers")
+        width = observation.list_size if is_list else 1
+        read += rows * (width * number.bit_width + action.bit_width) // 8
+        _check_bytes(read)
+        columns = ["observations", "actions"]
+        table = pyarrow.parquet.ParquetFile(file).read(columns) if arrow is None else arrow.select(columns)
+        table.validate()
+        observations, actions = (table[name].combine_chunks() for name in columns)
+        values = observations.flatten() if is_list else observations
+        if observations.null_count + values.null_count + actions[:-1].null_count > 0:
+            raise ValueError(f"episode {index} lacks values")
+        # The last observation has no action; Minari writes 0 there.
+        yield _Steps(values.to_numpy(zero_copy_only=False).reshape(-1, width), actions[:-1].to_numpy())
+
+
+def _check_bytes(read: int) -> None:
+    if read > BYTES_MAX:
+        raise ValueError(f"its values take more than {BYTES_MAX >> 20} MiB")
+
+
+def _uncompressed(file: Path) -> Any:
+    """Return the table in an Arrow file without compressed values and dictionaries. It takes no memory but the file's.
+
+    Raises:
+        ValueError: If the file has such values, or is damaged.
     """
     import pyarrow
 
@@ -524,9 +541,10 @@ def _check_uncompressed(file: Path) -> None:
         offset = struct.unpack_from("<H", metadata, vtable + position)[0] if within else 0
         return table + offset if offset else None
 
+    # After eight bytes, the file format is the stream format. The footer may name other places, and is not read.
+    begin = 8
     with pyarrow.memory_map(str(file)) as content:
-        # The file format is the stream format after eight bytes.
-        content.seek(8)
+        content.seek(begin)
         for message in pyarrow.ipc.MessageReader.open_stream(content):
             if message.type == "dictionary":
                 raise ValueError(f"`{file.name}` has a dictionary")
@@ -540,6 +558,8 @@ def _check_uncompressed(file: Path) -> None:
                         raise ValueError(f"`{file.name}` is compressed")
             except struct.error:
                 raise ValueError(f"`{file.name}` is damaged") from None
+        content.seek(begin)
+        return pyarrow.ipc.open_stream(content).read_all()
 
 
 def _minari(dataset: MinariDataset) -> _Source:
@@ -554,15 +574,17 @@ def _minari(dataset: MinariDataset) -> _Source:
     return _Source(episodes, title, spec.kwargs.get("config"), spec.kwargs)
 
 
-def _episodes(dataset: MinariDataset) -> Iterator[Any]:
+def _episodes(dataset: MinariDataset) -> Iterator[_Steps]:
     """Yield the episodes of a Minari dataset.
 
+    Reads only observations and actions: what the file says about other values may take any memory.
+
     Raises:
-        ValueError: If its files are damaged, or claim too much.
+        ValueError: If its files are damaged, have values that are not numbers, or take too much memory.
     """
     with _reading(dataset.id):
-        _check_claims(dataset.storage)
-        yield from dataset
+        read = _stored_in_hdf5 if dataset.storage.FORMAT == "hdf5" else _stored_in_tables
+        yield from read(dataset.storage, [int(index) for index in dataset.episode_indices])
 
 
 @contextmanager

@@ -118,6 +118,12 @@ fn run_command_line(py: Python<'_>, arguments: Vec<OsString>) -> (i32, Vec<&'sta
     }
 }
 
+/// Makes the next signal end a forked process. The thread that handles signals for commands remains in its parent.
+#[pyfunction]
+fn end_forked() {
+    logicity::cli::end_forked();
+}
+
 /// Returns the exception for a configuration that the caller named and that cannot be read.
 fn missing_file_error(fault: &Diagnostic) -> PyErr {
     let help = fault.help.iter().map(|help| format!("; {help}")).collect::<String>();
@@ -410,6 +416,7 @@ fn _logicity(module: &Bound<'_, PyModule>) -> PyResult<()> {
     module.add_function(wrap_pyfunction!(check_readable, module)?)?;
     module.add_function(wrap_pyfunction!(python_commands, module)?)?;
     module.add_function(wrap_pyfunction!(run_command_line, module)?)?;
+    module.add_function(wrap_pyfunction!(end_forked, module)?)?;
     config::register(module)?;
     engine::register(module)?;
     city::register(module)?;

@@ -748,7 +748,11 @@ def test_other_files_are_not_policies(suffix: str, tmp_path: Path, capsys: pytes
 
 
 def test_policy_files_of_no_learner_are_refused(tmp_path: Path) -> None:
-    for value, message in [({"algorithm": "sarsa"}, "unknown learner `sarsa`"), ([1], "names no learner")]:
+    for value, message in [
+        ({"algorithm": "sarsa"}, "unknown learner `sarsa`"),
+        ({"algorithm": ["dqn"]}, "names no learner"),
+        ([1], "names no learner"),
+    ]:
         torch.save(value, tmp_path / "policy.pt")
         with pytest.raises(ValueError, match=message):
             load_policy(tmp_path / "policy.pt")

@@ -6,6 +6,7 @@ import math
 import multiprocessing
 import pickle
 import random
+import re
 import shutil
 import subprocess
 import sys
@@ -259,6 +260,12 @@ def test_invalid_data_sets_raise(own: Path, tmp_path: Path) -> None:
             "version 2; this package reads versions 3 and 4; make the data set again with",
         ),
         (manifest.replace('"logicity vap"', '"photographs"'), "a data set `photographs`"),
+        (manifest.replace('"logicity vap"', '"\\u001b[31m"'), re.escape("a data set `\\u001b[31m`")),
+        (manifest.replace('"world": 0', '"world": 1e999'), "not a manifest .*: `world` is not an integer"),
+        (manifest.replace('"world": 0', '"world": 9223372036854775808123'), "`world` is not an integer"),
+        (manifest.replace('"frames": 89', '"frames": -5'), "`frames` is not an integer from 0"),
+        (manifest.replace('"frames": 89', '"frames": true'), "`frames` is not an integer from 0"),
+        ("[" * 10**6, "not a manifest .*: it is nested too deeply"),
         ("{", "not a manifest"),
         ("[]", "not a manifest"),
         (manifest.replace('"split"', '"half"'), "not a manifest"),

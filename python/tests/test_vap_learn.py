@@ -562,29 +562,41 @@ def test_a_checkpoint_of_another_training_is_refused(part: str, tmp_path: Path) 
     data = torch.arange(8.0).reshape(4, 2)
     checkpoint = tmp_path / "checkpoint.pt"
 
-    def train(epochs: int, width: int = 1) -> None:
-        model = torch.nn.Linear(2, width)
-        settings = TrainingSettings(epochs=epochs, batch=2)
-        fit(model, lambda chosen, _: model(data[chosen]).square().mean(), 4, settings, 0, lambda: 0.0, checkpoint)
+    def train(width: int = 1, last: int = 2, **changes: Any) -> None:
+        def report(epoch: int) -> None:
+            if epoch == last:
+                raise KeyboardInterrupt
 
-    train(1)
-    good = read_tensors(checkpoint, "a checkpoint")
-    train(2)
-    checkpoint.unlink()
-    train(1, width=3)
-    other = read_tensors(checkpoint, "a checkpoint")
-    for fault in [None, {}, {"last_epoch": "x"}, [{"loss": "x"}]] + [other[part]] * (part in ("network", "best")):
-        torch.save({**good, part: fault}, checkpoint)
+        model = torch.nn.Linear(2, width)
+        settings = TrainingSettings(**{"epochs": 3, "batch": 2, **changes})
+
+        def loss(chosen: torch.Tensor, _: torch.Generator) -> torch.Tensor:
+            return model(data[chosen]).square().mean()
+
+        fit(model, loss, 4, settings, 0, lambda: 0.0, checkpoint, report)
+
+    def interrupted(**changes: Any) -> Any:
+        checkpoint.unlink(missing_ok=True)
+        with pytest.raises(KeyboardInterrupt):
+            train(**changes)
+        return read_tensors(checkpoint, "a checkpoint")
+
+    def refused(state: Any) -> None:
+        torch.save(state, checkpoint)
         with pytest.raises(ValueError, match="not a checkpoint of this training: .*; remove it to train from the"):
-            train(2)
-    torch.save({**good, "history": good["history"] * 3}, checkpoint)
-    with pytest.raises(ValueError, match="the number of epochs does not fit"):
-        train(2)
+            train()
+
+    other, good = interrupted(width=3), interrupted()
+    for fault in [None, {}, {"last_epoch": "x"}, [{"loss": "x"}]] + [other[part]] * (part in ("network", "best")):
+        refused({**good, part: fault})
+    refused({**good, "history": good["history"] * 3})
     moments = good["optimizer"]["state"][0]
     for faulty in ({**moments, "exp_avg": torch.zeros(5)}, {**moments, "step": "x"}):
-        torch.save({**good, "optimizer": {**good["optimizer"], "state": {0: faulty}}}, checkpoint)
-        with pytest.raises(ValueError, match="not a checkpoint of this training"):
-            train(2)
+        refused({**good, "optimizer": {**good["optimizer"], "state": {0: faulty}}})
+    refused(interrupted(epochs=4))
+    refused(interrupted(learning_rate=0.5))
+    torch.save(good, checkpoint)
+    train(last=99)
 
 
 # --- experiments

@@ -389,6 +389,11 @@ pub fn main() -> ExitCode {
     ExitCode::from(run(Arguments::command(), &arguments))
 }
 
+/// Makes the next signal end a forked process of Python, which has no thread that handles requests.
+pub fn end_forked() {
+    signals::end_forked();
+}
+
 /// Runs the command line of the Python package. `arguments` excludes the program name.
 pub fn run_with_python(arguments: &[OsString]) -> Outcome {
     if let Some((words, rest)) = python_command(arguments) {

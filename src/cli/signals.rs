@@ -1,9 +1,9 @@
 //! Requests to end: Ctrl-C, SIGTERM and SIGHUP. The exit code is 128 plus the number of the signal, as in shells: 130,
 //! 143 and 129. Windows has no SIGHUP.
 //!
-//! Every command ends at once, without its temporary files. One that calls [`cancel`] stops its work instead, writes its
-//! results and then ends; a second request ends it at once. A signal that the caller ignores, as `nohup` does, stays
-//! ignored.
+//! Every command removes its temporary files and ends at once; after Ctrl-C, by SIGINT itself. One that calls [`cancel`]
+//! stops its work instead, writes its results and then ends; a second request ends it at once. A signal that the caller
+//! ignores, as `nohup` does, stays ignored.
 
 use crate::cancel::Cancel;
 #[cfg(unix)]
@@ -13,10 +13,15 @@ use signal_hook::consts::SIGHUP;
 use signal_hook::consts::{SIGINT, SIGTERM};
 use signal_hook::flag;
 #[cfg(unix)]
-use signal_hook::{iterator::Signals, low_level};
+use signal_hook::{
+    iterator::{Handle, Signals},
+    low_level,
+};
 use std::io;
 use std::os::raw::c_int;
 use std::sync::Once;
+#[cfg(unix)]
+use std::sync::OnceLock;
 use std::sync::atomic::{AtomicBool, AtomicUsize, Ordering};
 
 /// Whether the next request ends the process at once.
@@ -25,20 +30,40 @@ static AT_ONCE: AtomicBool = AtomicBool::new(false);
 /// The number of the signal that a polling command got; 0 before.
 static SIGNAL: AtomicUsize = AtomicUsize::new(0);
 
-/// Makes requests end the process at once with their code, also where the system ignores the default action, as for the
-/// first process of a container.
+/// Ends the process on the next request, with its exit code, even where the system ignores the default action, as for
+/// the first process of a container.
 pub fn end_at_once() {
     static LISTEN: Once = Once::new();
     AT_ONCE.store(true, Ordering::SeqCst);
     // Where this fails, the default action ends the process.
-    LISTEN.call_once(|| drop(listen()));
+    LISTEN.call_once(|| {
+        let _ = listen(SIGTERM);
+        #[cfg(unix)]
+        let _ = listen(SIGHUP);
+    });
+    // Other systems do not show whether the caller ignores Ctrl-C, as a shell does for its background jobs.
+    if cfg!(target_os = "linux") {
+        listen_for_interrupts();
+    }
 }
 
 /// Returns a request that arrives when the user interrupts the command or the system asks it to end.
 pub fn cancel() -> Cancel {
     SIGNAL.store(0, Ordering::SeqCst);
     AT_ONCE.store(false, Ordering::SeqCst);
+    listen_for_interrupts();
     Cancel::when(|| SIGNAL.load(Ordering::Relaxed) != 0)
+}
+
+/// Makes the next request end a forked process at once: it has no thread that handles requests.
+pub fn end_forked() {
+    #[cfg(unix)]
+    UNNOTICED.store(true, Ordering::SeqCst);
+}
+
+fn listen_for_interrupts() {
+    static LISTEN: Once = Once::new();
+    LISTEN.call_once(|| drop(listen(SIGINT)));
 }
 
 /// Returns the exit code of an interrupted command.
@@ -50,28 +75,43 @@ pub fn code() -> u8 {
     128 + u8::try_from(signal).unwrap_or(0)
 }
 
-/// Handles requests for the whole life of the process, on a thread: a handler of a signal must not remove files.
-///
-/// A request ends the process without that thread if it has not noticed the one before: it may wait for a file system,
-/// and a forked process has no such thread.
+/// Whether the thread that handles requests has not noticed the last one yet.
 #[cfg(unix)]
-fn listen() -> io::Result<()> {
-    static UNNOTICED: AtomicBool = AtomicBool::new(false);
+static UNNOTICED: AtomicBool = AtomicBool::new(false);
+
+/// Handles a signal for the whole life of the process, on a thread, because a signal handler must not remove files. If
+/// the thread has not noticed the previous request, the handler ends the process: the thread may wait for a file system.
+#[cfg(unix)]
+fn listen(signal: c_int) -> io::Result<()> {
+    static HANDLE: OnceLock<Option<Handle>> = OnceLock::new();
     let masks = std::fs::read_to_string("/proc/self/status").unwrap_or_default();
-    let handled = [SIGINT, SIGTERM, SIGHUP].into_iter().filter(|&signal| {
-        // Python restores its own handler of Ctrl-C only if a command runs on its main thread.
-        let is_of_python = signal == SIGINT && is_in(&masks, "SigCgt:", signal);
-        !is_of_python && !is_in(&masks, "SigIgn:", signal)
-    });
+    // Python restores its own handler of Ctrl-C only if a command runs on its main thread.
+    let is_of_python = signal == SIGINT && is_in(&masks, "SigCgt:", signal);
+    if is_of_python || is_in(&masks, "SigIgn:", signal) {
+        return Ok(());
+    }
+    if let Some(handle) = HANDLE.get_or_init(|| handle_on_thread().ok()) {
+        // In this order, so that the first request reaches the thread instead of ending the process.
+        flag::register_conditional_shutdown(signal, 128 + signal, &UNNOTICED)?;
+        flag::register(signal, &UNNOTICED)?;
+        handle.add_signal(signal)?;
+    }
+    Ok(())
+}
+
+/// Starts the thread that handles requests.
+#[cfg(unix)]
+fn handle_on_thread() -> io::Result<Handle> {
     let mut signals = Signals::new([0; 0])?;
     let handle = signals.handle();
-    std::thread::Builder::new().spawn(move || {
+    std::thread::Builder::new().name("signals".into()).spawn(move || {
         for signal in signals.forever() {
             UNNOTICED.store(false, Ordering::SeqCst);
             if AT_ONCE.swap(true, Ordering::SeqCst) {
                 files::without_temporaries(|| {
-                    // A shell leaves its loop only if Ctrl-C ends a command by the signal itself.
-                    if signal == SIGINT && SIGNAL.load(Ordering::SeqCst) == 0 {
+                    // A shell ends its loops only if Ctrl-C ends a command by the signal itself. The first process of a
+                    // container cannot end so.
+                    if signal == SIGINT && SIGNAL.load(Ordering::SeqCst) == 0 && std::process::id() != 1 {
                         let _ = low_level::emulate_default_handler(signal);
                     }
                     low_level::exit(128 + signal)
@@ -80,25 +120,17 @@ fn listen() -> io::Result<()> {
             SIGNAL.store(signal.unsigned_abs() as usize, Ordering::SeqCst);
         }
     })?;
-    for signal in handled {
-        // In this order, so that the thread notices the first request, and it does not end the process.
-        flag::register_conditional_shutdown(signal, 128 + signal, &UNNOTICED)?;
-        flag::register(signal, &UNNOTICED)?;
-        handle.add_signal(signal)?;
-    }
-    Ok(())
+    Ok(handle)
 }
 
-/// Handles requests for the whole life of the process. Temporary files remain; the next command removes them.
+/// Handles a signal for the whole life of the process. Temporary files remain until the next command that writes to
+/// their folder.
 #[cfg(windows)]
-fn listen() -> io::Result<()> {
-    for signal in [SIGINT, SIGTERM] {
-        // In this order, so that the first request does not end a polling command at once.
-        flag::register_conditional_shutdown(signal, 128 + signal, &AT_ONCE)?;
-        flag::register_usize(signal, &SIGNAL, signal.unsigned_abs() as usize)?;
-        flag::register(signal, &AT_ONCE)?;
-    }
-    Ok(())
+fn listen(signal: c_int) -> io::Result<()> {
+    // In this order, so that the first request does not end a polling command at once.
+    flag::register_conditional_shutdown(signal, 128 + signal, &AT_ONCE)?;
+    flag::register_usize(signal, &SIGNAL, signal.unsigned_abs() as usize)?;
+    flag::register(signal, &AT_ONCE).map(drop)
 }
 
 /// Returns whether a signal is in a mask of `/proc/self/status`, which only Linux has.

@@ -90,7 +90,7 @@ pub fn load_map(sources: &mut Sources, path: &Path, read: Read<'_>) -> Result<Ma
     finish(map, composer.faults)
 }
 
-/// The fault that the loaded file does not exist, if that is all.
+/// Returns the fault of the loaded file itself, if it is the only one: the file is missing or cannot be read.
 pub fn missing_file(faults: &[Diagnostic]) -> Option<&Diagnostic> {
     match faults {
         [fault] if fault.code == Code::MISSING_FILE && fault.primary.is_none() => Some(fault),

@@ -179,7 +179,7 @@ impl Diagnostic {
     }
 }
 
-/// Lists names for a message: the first 20, and how many there are besides.
+/// Lists names for a message: the first 20, and the number of the others.
 pub fn listed<S: Borrow<str>>(names: &[S]) -> String {
     const SHOWN: usize = 20;
     let (shown, rest) = names.split_at(names.len().min(SHOWN));

@@ -273,7 +273,7 @@ impl Replacement {
     }
 }
 
-/// The temporary files of this process, for [`end`].
+/// The temporary files of this process, for [`without_temporaries`].
 static TEMPORARIES: Mutex<BTreeSet<PathBuf>> = Mutex::new(BTreeSet::new());
 
 fn temporaries() -> MutexGuard<'static, BTreeSet<PathBuf>> {
@@ -285,8 +285,8 @@ pub fn end(code: i32) -> ! {
     without_temporaries(|| std::process::exit(code))
 }
 
-/// Removes the temporary files of this process, and lets no other thread begin one until `end` returns.
-pub fn without_temporaries<T>(end: impl FnOnce() -> T) -> T {
+/// Removes the temporary files of this process, then calls `then`. No other thread can create one meanwhile.
+pub fn without_temporaries<T>(then: impl FnOnce() -> T) -> T {
     let temporaries = temporaries();
     // A process keeps the files of the one from which it was forked.
     let process = |path: &Path| Some(temporary_of(path.file_name()?.to_str()?)?.1);
@@ -296,7 +296,7 @@ pub fn without_temporaries<T>(end: impl FnOnce() -> T) -> T {
     {
         let _ = fs::remove_file(path);
     }
-    end()
+    then()
 }
 
 /// A temporary file, locked until it is dropped. It is removed then, unless it has been renamed.

@@ -313,8 +313,8 @@ fn an_aggregate_takes_any_expression() {
         let printed = print(&tree(&text).0);
         assert_eq!(print(&tree(&printed).0), printed, "{text}");
     }
-    // Without a body these are variables and functions.
     assert_eq!(diagnostics(&text("sum 1").replace("A(x) }", "A(_) }")), []);
+    // Without a body these are variables and functions.
     let other = ".decl A(x: number)\n.decl M(y: number)\n.input A\n.output M\nM(y) :- A(max), A(min), y = max - min.\n\
                  M(y) :- A(max), A(x), y = max(x, max) - min(x, 1), y > max - count : { A(_) }.\n";
     assert_eq!(diagnostics(other), []);

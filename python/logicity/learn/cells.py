@@ -27,7 +27,7 @@ from typing import Any, cast
 from .. import _logicity
 from .._logicity import __version__
 from ..evaluation import Benchmark, task_hashes
-from ..files import check_readable, read_text, write_json
+from ..files import check_readable, read_json, write_json
 from ..modes import ENVIRONMENTS
 from ..terminal import print_message
 from .config import TrainConfig
@@ -214,7 +214,7 @@ def reuse(cells: Sequence[Job], root: Path, other: Path) -> list[str]:
         raise FileNotFoundError(f"{other}: not the folder of an experiment: it has no folder `cells`")
     for path in sorted(other.glob("cells/*/cell.json")):
         try:
-            document = json.loads(read_text(path))
+            document = read_json(path)
             if document["task"] == "spf" and _measured(path.parent, document["identity"]) is not None:
                 trained[_training(document["spec"])] = path.parent
         except (ValueError, KeyError, RecursionError, TypeError):
@@ -258,7 +258,7 @@ def finished(cell: Job, root: Path) -> dict[str, Any] | None:
 def _measured(folder: Path, identity: str) -> dict[str, Any] | None:
     """Return the content of `measured.json` in a folder with a model, if it is that of the cell with an identity."""
     try:
-        measured = json.loads(read_text(folder / "measured.json"))
+        measured = read_json(folder / "measured.json")
     except (FileNotFoundError, NotADirectoryError, RecursionError, ValueError):
         return None
     if not any(folder.glob("best.*")) and not (folder / "model.pt").exists():
@@ -290,7 +290,7 @@ def run_cell(
         ValueError: If this process has another version of the package, rules or episodes than the cell.
         Exception: Those of the training and of the evaluations.
     """
-    document = json.loads(read_text(folder / "cell.json"))
+    document = read_json(folder / "cell.json")
     spec = document["spec"]
     # The process that ran the cell may have been lost after its last file.
     measured = _measured(folder, document["identity"])
@@ -348,7 +348,7 @@ def _trained(folder: Path) -> dict[str, Any] | None:
     A cell with one was reused or has lost its `measured.json`.
     """
     try:
-        result = json.loads(read_text(folder / "result.json"))
+        result = read_json(folder / "result.json")
     except (FileNotFoundError, RecursionError, ValueError):
         return None
     complete = isinstance(result, dict) and "test" in result and any(folder.glob("best.*"))

@@ -4,15 +4,15 @@ from __future__ import annotations
 
 import errno
 import importlib
-import json
 import os
 from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from ..errors import UntrustedError
-from ..files import read_tensors, read_text
+from ..files import read_json, read_tensors
 from ..rule_policy import saved_by
+from ..terminal import neutral
 from .learner import Learner, Policy
 
 if TYPE_CHECKING:
@@ -145,8 +145,8 @@ def _header(file: Path) -> dict[str, Any]:
 
 def _check_learner(file: Path, name: object) -> None:
     """Raise `ValueError` if a file of a policy names no known learner."""
-    if name not in LEARNERS:
-        what = "names no learner" if name is None else f"has the unknown learner `{name}`"
+    if not isinstance(name, str) or name not in LEARNERS:
+        what = f"has the unknown learner `{neutral(name)}`" if isinstance(name, str) else "names no learner"
         raise ValueError(f"{file} is not a policy: it {what}; known: {', '.join(LEARNERS)}")
 
 
@@ -154,7 +154,7 @@ def _recorded(file: Path) -> dict[str, Any]:
     """Return the configuration that a run records for one of its policies; empty without a record."""
     run = file.parent.parent if file.parent.name.startswith("checkpoint-") else file.parent
     try:
-        config = json.loads(read_text(run / "config.json"))
+        config = read_json(run / "config.json")
     except (OSError, RecursionError, ValueError):
         return {}
     if not isinstance(config, dict):

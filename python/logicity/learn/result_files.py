@@ -9,7 +9,7 @@ from contextlib import contextmanager
 from pathlib import Path
 from typing import Any
 
-from ..files import file_hash, read_text, reserved
+from ..files import file_hash, read_json, reserved
 
 __all__ = ["HASHED", "as_text", "is_published", "place_of", "read_file", "rehashed", "row_key", "updating"]
 
@@ -40,7 +40,7 @@ def read_file(
     if not file.exists():
         return None
     try:
-        results = json.loads(read_text(file))
+        results = read_json(file)
     except (ValueError, RecursionError) as error:
         raise ValueError(f"{file}: not JSON: {error}") from None
     if not isinstance(results, dict) or results.get("format") != version or not isinstance(results.get("rows"), list):

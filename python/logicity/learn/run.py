@@ -30,7 +30,7 @@ from .. import _logicity
 from .._logicity import __version__
 from ..errors import UntrustedError
 from ..evaluation import MEASURES, Benchmark, Evaluation, load_task, task_hashes
-from ..files import check_readable, file_hash, read_text, reserved, write_json
+from ..files import check_readable, file_hash, read_json, reserved, write_json
 from ..terminal import first_line, neutral, print_message
 from . import random_state
 from .config import TrainConfig
@@ -225,7 +225,7 @@ def _read_json(path: Path, remedy: str) -> dict[str, Any]:
         OSError: If the file cannot be read.
     """
     try:
-        value = json.loads(read_text(path))
+        value = read_json(path)
     except FileNotFoundError:
         raise FolderError(f"{path.parent} has no file `{path.name}`; {remedy}") from None
     except (RecursionError, ValueError) as error:

@@ -16,7 +16,7 @@ except ImportError as error:
     raise missing_extra("learn", error) from error
 
 from ..files import read_tensors
-from ..terminal import first_line
+from ..terminal import first_line, neutral
 
 if TYPE_CHECKING:
     from ..env_config import ArrayKind
@@ -83,8 +83,8 @@ def build_policy(
     if not isinstance(saved, dict) or not {"format", "algorithm", "config", "weights"} <= saved.keys():
         raise ValueError(f"{path} is not a policy")
     algorithm = saved["algorithm"]
-    if algorithm not in algorithms:
-        raise ValueError(f"{path} is a policy of {algorithm}, not of {' or '.join(algorithms)}")
+    if not isinstance(algorithm, str) or algorithm not in algorithms:
+        raise ValueError(f"{path} is a policy of {neutral(str(algorithm))}, not of {' or '.join(algorithms)}")
     if saved["format"] != FORMAT:
         raise ValueError(f"{path} has version {saved['format']} of the format, and only {FORMAT} can be read")
     try:

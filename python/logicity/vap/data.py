@@ -2,10 +2,9 @@
 
 from __future__ import annotations
 
-import json
 import os
 from bisect import bisect_right
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
 from functools import lru_cache
 from itertools import accumulate, pairwise
@@ -18,7 +17,8 @@ from numpy.typing import NDArray
 
 from .. import _logicity
 from ..errors import as_integer, checked_integer, checked_path
-from ..files import read_text
+from ..files import read_json
+from ..terminal import neutral
 from ..types import Split
 
 __all__ = ["BINARY", "PICTURE_SIDE", "UNARY", "VapDataset", "VapSample"]
@@ -300,23 +300,36 @@ def _read_manifest(folder: Path) -> tuple[dict[str, Any], dict[int, int]]:
     """Return the settings of a data set, and the number of frames by world."""
     path = folder / "manifest.json"
     try:
-        manifest = json.loads(read_text(path))
+        manifest = read_json(path)
         settings = manifest["settings"]
         data, version = settings["data"], settings["version"]
     except (KeyError, TypeError, ValueError) as error:
         raise not_a_manifest(path, error) from None
     if data != "logicity vap" or version not in VERSIONS:
         raise ValueError(
-            f"`{path}` belongs to a data set `{data}` of version {version}; "
+            f"`{path}` belongs to a data set `{neutral(str(data))}` of version {neutral(str(version))}; "
             f"this package reads versions {VERSIONS[0]} and {VERSIONS[1]}; make the data set again with "
             "`logicity vap make`"
         )
     try:
-        counts = {int(world["world"]): int(world["frames"]) for world in manifest["worlds"]}
+        counts = {count_in(world, "world"): count_in(world, "frames") for world in manifest["worlds"]}
         named = {name: settings[name] for name in ("mode", "agents", "split", "pictures")}
     except (KeyError, TypeError, ValueError) as error:
         raise not_a_manifest(path, error) from None
     return named, counts
+
+
+def count_in(world: Mapping[str, Any], key: str) -> int:
+    """Return a number of a world in a manifest.
+
+    Raises:
+        KeyError: If it is missing.
+        ValueError: If it is not an integer from 0 to 2**31 - 1.
+    """
+    number = world[key]
+    if type(number) is not int or not 0 <= number < 2**31:
+        raise ValueError(f"`{key}` is not an integer from 0 to 2**31 - 1")
+    return number
 
 
 def not_a_manifest(path: Path, error: Exception) -> ValueError:

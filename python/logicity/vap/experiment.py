@@ -26,7 +26,7 @@ from .. import _logicity
 from .._logicity import __version__
 from ..city import ACTIONS, Inference
 from ..errors import did_you_mean, missing_extra
-from ..files import file_hash, read_tensors, read_text, write_json
+from ..files import file_hash, read_json, read_tensors, write_json
 from ..learn.cells import Job
 from ..learn.config import Fault, contains, faults, merged
 from ..learn.experiment import (
@@ -584,7 +584,7 @@ def run_cell(
     """
     if wandb is not None:
         raise ValueError("--wandb: experiments of Visual Action Prediction send no curves: remove the option")
-    document = json.loads(read_text(folder / "cell.json"))
+    document = read_json(folder / "cell.json")
     spec = document["spec"]
     data = Path(document["data"])
     if not data.parent.is_dir():

@@ -24,8 +24,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ..errors import checked_path, checked_threads, missing_extra
-from ..files import check_readable, file_hash, read_tensors, read_text, write_json
-from .data import PICTURE_SIDE, VapDataset, not_a_manifest
+from ..files import check_readable, file_hash, read_json, read_tensors, write_json
+from .data import PICTURE_SIDE, VapDataset, count_in, not_a_manifest
 from .make import make_dataset
 
 try:
@@ -390,12 +390,12 @@ def _worlds(samples: VapDataset) -> list[_World]:
     """Return the worlds of a data set."""
     path = samples.folder / "manifest.json"
     try:
-        listed = {int(world["world"]): world for world in json.loads(read_text(path))["worlds"]}
+        listed = {count_in(world, "world"): world for world in read_json(path)["worlds"]}
         return [
             _World(
                 number,
                 positions,
-                int(listed[number]["agents"]),
+                count_in(listed[number], "agents"),
                 {name: str(file["sha256"]) for name, file in listed[number]["files"].items()},
             )
             for number, positions in samples.worlds().items()
@@ -458,7 +458,7 @@ def _record_file(path: Path) -> Path:
 def _record(path: Path) -> dict[str, Any] | None:
     """Return the record of a file of features, or `None` if it is missing or damaged."""
     try:
-        record = json.loads(read_text(_record_file(path)))
+        record = read_json(_record_file(path))
     except (FileNotFoundError, ValueError):
         return None
     return record if isinstance(record, dict) and record.keys() == set(RECORD_KEYS) else None
@@ -509,7 +509,7 @@ def _begin(target: Path, extract: Extractor) -> None:
 def _read(folder: Path) -> dict[str, Any]:
     path = folder / "features.json"
     try:
-        document = json.loads(read_text(path))
+        document = read_json(path)
     except ValueError as error:
         raise ValueError(f"{path}: not JSON: {error}") from None
     if not isinstance(document, dict) or document.get("format") != FORMAT:

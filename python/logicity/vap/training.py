@@ -304,15 +304,16 @@ def fit(
     if checkpoint is not None and checkpoint.exists():
         saved = read_tensors(checkpoint, "a checkpoint")
         try:
-            # Loading the best weights shows whether they fit.
+            # Loads the best weights only to check their names and shapes.
             for weights in ("best", "network"):
                 network.load_state_dict(saved[weights])
             restore_optimizer(optimizer, saved["optimizer"])
-            if _types(saved["schedule"]) != _types(schedule.state_dict()):
-                raise ValueError("the state of the learning rate does not fit")
+            if _constants(saved["schedule"]) != _constants(schedule.state_dict()):
+                raise ValueError("its learning rate follows another schedule")
             schedule.load_state_dict(saved["schedule"])
             history, best = [_read_epoch(epoch) for epoch in saved["history"]], saved["best"]
-            if not history or schedule.last_epoch * settings.epochs != len(history) * steps:
+            done = len(history)
+            if not 0 < done <= settings.epochs or schedule.last_epoch * settings.epochs != done * steps:
                 raise ValueError("the number of epochs does not fit")
         except (AttributeError, KeyError, RuntimeError, TypeError, ValueError) as error:
             reason = first_line(str(error), repr(error))
@@ -358,8 +359,10 @@ def _read_epoch(epoch: dict[str, float]) -> dict[str, float]:
     return {name: float(epoch[name]) for name in ("loss", "score", "cpu_seconds")}
 
 
-def _types(state: dict[str, Any]) -> dict[str, type]:
-    return {name: type(value) for name, value in state.items()}
+def _constants(schedule: dict[str, Any]) -> dict[str, Any]:
+    """Return what does not change in the state of a schedule, and the types of the rest."""
+    constants = ("T_max", "base_lrs", "eta_min")
+    return {name: value if name in constants else type(value) for name, value in schedule.items()}
 
 
 def save(state: dict[str, Any], path: Path) -> None:

@@ -441,6 +441,10 @@ fn lone_variables<'c>(
         let (ast::TermKind::Variable(one), ast::TermKind::Variable(other)) = (&left.kind, &right.kind) else {
             continue;
         };
+        // Written by the checker.
+        if one.starts_with('+') || other.starts_with('+') {
+            continue;
+        }
         if one == other {
             let fault = Diagnostic::new(Code::VACUOUS_EQUATION, format!("`{one} = {other}` is always true"));
             faults.push(fault.at(place.0, "").help("remove it"));
@@ -495,8 +499,14 @@ fn lone_variables<'c>(
         return;
     }
     let mut inside: Vec<(&str, Span)> = Vec::new();
+    let mut add = |name, span| inside.push((name, span));
+    for term in clause.heads.iter().flat_map(|head| &head.terms) {
+        variables_of_aggregates(term, false, &mut add);
+    }
     for literal in body {
-        variables_of_aggregates(literal, false, &mut |name, span| inside.push((name, span)));
+        for term in sides(literal) {
+            variables_of_aggregates(term, false, &mut add);
+        }
     }
     for &(name, span) in &inside {
         let written = witness::written(name);
@@ -510,7 +520,7 @@ fn lone_variables<'c>(
         let fault = singleton(written, span);
         faults.push(match witness::is_shadow(name) {
             true => fault.note(format!(
-                "the `{written}` outside is another variable, since only this aggregate binds it"
+                "the `{written}` outside of this aggregate is another variable: it gets its value from the result"
             )),
             false => fault,
         });
@@ -529,27 +539,34 @@ fn singleton(name: &str, place: Span) -> Diagnostic {
     .fix(format!("rename it to `_{name}`"), [(place, format!("_{name}"))])
 }
 
-/// Calls `each` with the variables in the bodies of aggregates, and with all if the literal is `inside` of one.
-fn variables_of_aggregates<'c>(literal: &'c ast::Literal, inside: bool, each: &mut impl FnMut(&'c str, Span)) {
-    fn of_term<'c>(term: &'c ast::Term, inside: bool, each: &mut impl FnMut(&'c str, Span)) {
-        match &term.kind {
-            ast::TermKind::Variable(name) if inside => each(name, term.place.0),
-            ast::TermKind::Functor(_, arguments) => {
-                arguments.iter().for_each(|argument| of_term(argument, inside, each));
+/// Calls `each` with the variables in the aggregates of a term except their targets, and with all if the term itself is
+/// `inside` of an aggregate.
+fn variables_of_aggregates<'c>(term: &'c ast::Term, inside: bool, each: &mut impl FnMut(&'c str, Span)) {
+    match &term.kind {
+        ast::TermKind::Variable(name) if inside => each(name, term.place.0),
+        ast::TermKind::Functor(_, arguments) => {
+            for argument in arguments {
+                variables_of_aggregates(argument, inside, each);
             }
-            ast::TermKind::Cast(inner, _) => of_term(inner, inside, each),
-            ast::TermKind::Aggregate(aggregate) => {
-                let literals = aggregate.body.iter();
-                literals.for_each(|literal| variables_of_aggregates(literal, true, each));
-            }
-            _ => {}
         }
+        ast::TermKind::Cast(inner, _) => variables_of_aggregates(inner, inside, each),
+        ast::TermKind::Aggregate(aggregate) => {
+            for target in aggregate.target.iter().filter(|_| inside) {
+                variables_of_aggregates(target, true, each);
+            }
+            for term in aggregate.body.iter().flat_map(sides) {
+                variables_of_aggregates(term, true, each);
+            }
+        }
+        _ => {}
     }
+}
+
+/// Returns the terms of an atom or a comparison.
+fn sides(literal: &ast::Literal) -> Vec<&ast::Term> {
     match literal {
-        ast::Literal::Atom { atom, .. } => atom.terms.iter().for_each(|term| of_term(term, inside, each)),
-        ast::Literal::Compare { left, right, .. } => {
-            [left, right].into_iter().for_each(|side| of_term(side, inside, each));
-        }
-        ast::Literal::Any(_) => {}
+        ast::Literal::Atom { atom, .. } => atom.terms.iter().collect(),
+        ast::Literal::Compare { left, right, .. } => vec![left, right],
+        ast::Literal::Any(_) => Vec::new(),
     }
 }

@@ -146,7 +146,12 @@ pub(super) fn search(
         }
         seen_entities = entities_max;
         size += 1;
-        let possible = trial.possible(&trial.names(options.entities_max));
+        let entities = trial.entities(size);
+        // More facts would have more entities.
+        if entities < options.entities_max && entities < trial.entities(size + 1) {
+            continue;
+        }
+        let possible = trial.possible(&trial.names(entities.min(options.entities_max)));
         if possible.is_some_and(|facts| facts.len() < size) {
             break;
         }
