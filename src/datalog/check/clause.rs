@@ -441,8 +441,17 @@ fn lone_variables<'c>(
         let (ast::TermKind::Variable(one), ast::TermKind::Variable(other)) = (&left.kind, &right.kind) else {
             continue;
         };
-        // Written by the checker.
-        if one.starts_with('+') || other.starts_with('+') {
+        // The checker writes the result of `n = min x : { ... }` as such an equation.
+        let result = match (one.starts_with('+'), other.starts_with('+')) {
+            (false, false) => None,
+            (true, _) => Some((other, right)),
+            (false, true) => Some((one, left)),
+        };
+        if let Some((name, term)) = result {
+            if explicit(name) && is_lone(name) && !reported.contains(&name.as_str()) {
+                faults.push(singleton(name, term.place.0));
+                reported.push(name);
+            }
             continue;
         }
         if one == other {
