@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import os
 import signal
 import subprocess
 import sys
@@ -190,3 +191,28 @@ def test_missing_files_are_reported_with_similar_names(tmp_path: Path, capsys: p
     assert capsys.readouterr().err == f"error: cannot read `{typo}`: no such file\n{help}\n"
     assert main(["grade", str(tmp_path / "answers.jsonl"), "--questions", str(tmp_path / "none.jsonl")]) == 2
     assert "name the questions with --questions" in capsys.readouterr().err
+
+
+@pytest.mark.skipif(not hasattr(os, "fork"), reason="forks")
+def test_a_process_forked_after_a_command_ends_on_sigterm() -> None:
+    """A command off the main thread cannot restore the handlers of signals, whose thread a fork lacks."""
+    program = (
+        "import os, signal, sys, threading, time\n"
+        "from logicity.__main__ import main\n"
+        "worker = threading.Thread(target=main, args=(['codes'],))\n"
+        "worker.start()\n"
+        "worker.join()\n"
+        "ready, begin = os.pipe()\n"
+        "child = os.fork()\n"
+        "if child == 0:\n"
+        "    os.write(begin, b'.')\n"
+        "    time.sleep(60)\n"
+        "    os._exit(0)\n"
+        "os.read(ready, 1)\n"
+        "os.kill(child, signal.SIGTERM)\n"
+        "print(os.waitstatus_to_exitcode(os.waitpid(child, 0)[1]), file=sys.stderr)\n"
+    )
+    begun = time.monotonic()
+    ran = subprocess.run([sys.executable, "-c", program], capture_output=True, text=True, timeout=100)
+    assert ran.returncode == 0 and ran.stderr.endswith("143\n"), ran.stderr
+    assert time.monotonic() - begun < 50
