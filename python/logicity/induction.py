@@ -496,9 +496,12 @@ def _stored_in_tables(storage: Any, indices: Sequence[int]) -> Iterator[_Steps]:
             raise ValueError(f"episode {index} has {len(files)} files, not one")
         (file,) = files
         check_readable(file, whole=False)
-        arrow = _uncompressed(file) if storage.FORMAT == "arrow" else None
-        schema = pyarrow.parquet.read_schema(file) if arrow is None else arrow.schema
-        rows = pyarrow.parquet.read_metadata(file).num_rows if arrow is None else arrow.num_rows
+        if storage.FORMAT == "parquet":
+            parquet = pyarrow.parquet.ParquetFile(file)
+            schema, rows, read_columns = parquet.schema_arrow, parquet.metadata.num_rows, parquet.read
+        else:
+            arrow = _uncompressed(file)
+            schema, rows, read_columns = arrow.schema, arrow.num_rows, arrow.select
         observation, action = (schema.field(name).type for name in ("observations", "actions"))
         is_list = pyarrow.types.is_fixed_size_list(observation)
         number = observation.value_type if is_list else observation
@@ -510,7 +513,7 @@ def _stored_in_tables(storage: Any, indices: Sequence[int]) -> Iterator[_Steps]:
         read += rows * (width * number.bit_width + action.bit_width) // 8
         _check_bytes(read)
         columns = ["observations", "actions"]
-        table = pyarrow.parquet.ParquetFile(file).read(columns) if arrow is None else arrow.select(columns)
+        table = read_columns(columns)
         table.validate()
         observations, actions = (table[name].combine_chunks() for name in columns)
         values = observations.flatten() if is_list else observations

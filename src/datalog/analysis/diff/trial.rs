@@ -146,6 +146,10 @@ pub(super) fn search(
         }
         seen_entities = entities_max;
         size += 1;
+        // Without facts that vary, there is no other scene.
+        if trial.open().next().is_none() {
+            break;
+        }
         let entities = trial.entities(size);
         // More facts would have more entities.
         if entities < options.entities_max && entities < trial.entities(size + 1) {
