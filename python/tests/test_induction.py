@@ -298,7 +298,7 @@ def test_tables_of_a_minari_dataset_are_bounded(kind: str, tmp_path: Path, monke
             logicity.induce(folder)
     write(replaced("infos" if "infos" in good.column_names else "rewards", words))
     assert bodies(logicity.induce(folder)) == bodies(logicity.induce(demonstrations))
-    monkeypatch.setattr(logicity.induction, "BYTES_MAX", 1000)
+    monkeypatch.setattr(logicity.minari_files, "BYTES_MAX", 1000)
     with pytest.raises(ValueError, match="its values take more than 0 MiB"):
         logicity.induce(folder)
     file.write_bytes(b"none")
