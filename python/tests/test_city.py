@@ -131,9 +131,9 @@ def test_invalid_files_and_options_raise(kind: Any, tmp_path: Path) -> None:
     with pytest.raises(FileNotFoundError, match=r"nowhere\.dl"):
         kind(rules="nowhere.dl")
     for option in ("config", "rules"):
-        with pytest.raises(OSError, match="cannot read `/dev/null`") as caught:
+        with pytest.raises(OSError, match="cannot read `/dev/null`") as refused:
             kind(**{option: "/dev/null"})
-        assert not isinstance(caught.value, FileNotFoundError)
+        assert not isinstance(refused.value, FileNotFoundError)
     with pytest.raises(ValueError, match=r'"auto", "dense", "relational", not "quick"'):
         kind(executor="quick")
     for seed in (-1, 2**64):
