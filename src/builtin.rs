@@ -1,4 +1,5 @@
 //! The built-in rules and configurations.
+// Decision: docs/decisions/safety.md#d069
 
 use std::path::Path;
 

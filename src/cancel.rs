@@ -15,6 +15,7 @@
 //! interrupted.store(true, Relaxed);
 //! assert!(cancel.requested());
 //! ```
+// Decision: docs/decisions/safety.md#d022
 
 use std::fmt;
 use std::sync::Arc;

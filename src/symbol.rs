@@ -5,6 +5,7 @@
 //!
 //! A table grows through a shared reference, since rules create texts during evaluation. A text never moves, so
 //! [`Symbols::text`] takes no lock.
+// Decision: docs/decisions/facts.md#d013
 
 use indexmap::IndexSet;
 use std::fmt;

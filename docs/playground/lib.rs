@@ -3,6 +3,7 @@
 //! The page holds two workers with an instance of this module each. One calls [`check`], which may take seconds for
 //! costly rules. The other one calls [`City`]. Results are JSON. Long work ends at a deadline with a diagnostic, so
 //! neither worker hangs; the page restarts a worker that fails.
+// Decision: docs/decisions/tools.md#d052
 
 use logicity::builtin::{self, BuiltinFiles, ReadWith};
 use logicity::cancel::Cancel;

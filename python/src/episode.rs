@@ -1,4 +1,5 @@
 //! Conversion of the start of an episode from and to Python.
+// Decision: docs/decisions/tasks.md#d006
 
 use logicity::city::Cell;
 use logicity::city::{Action, AgentName};

@@ -10,6 +10,7 @@
 //!   of policies;
 //! - `induce`: rules learned from demonstrations;
 //! - `vap`: data sets of Visual Action Prediction.
+// Decision: docs/decisions/tools.md#d028
 
 mod actor;
 mod city;

@@ -1,4 +1,5 @@
 //! Data sets of Visual Action Prediction: creation, checks, the tables of a world as arrays, and pictures.
+// Decision: docs/decisions/pictures.md#d049
 
 use crate::city::{Loaded, one_of};
 use crate::output::overwrite_if;

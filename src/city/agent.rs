@@ -1,4 +1,5 @@
 //! Agents and their placement.
+// Decision: docs/decisions/city.md#d059
 
 use crate::cancel::Cancel;
 use crate::city::{AgentConfig, AgentKind, AgentName, AgentSet};

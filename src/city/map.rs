@@ -1,4 +1,5 @@
 //! The static map.
+// Decision: docs/decisions/city.md#d057
 
 use crate::city::Cell;
 use crate::city::{AgentKind, Building, Widths};

@@ -9,6 +9,7 @@
 //! The graph is regular, so the program does not store it. It searches for routes in a part of the map around start and
 //! goal: a best route leaves their bounding box by at most one block. All parts of [`PART`] x [`PART`] blocks are
 //! equal, so the route found between two lanes of one part is cached for all.
+// Decision: docs/decisions/city.md#d058
 
 use crate::city::map::Zone;
 use crate::city::route::{NoRoute, Way, steps};

@@ -6,6 +6,7 @@
 //! An evaluation that the system stops for its memory ends without a message. So the default of `--max-memory` is below
 //! the limits of the system, with room for what the evaluation does not count: the program itself, the stacks of
 //! threads and address space that is reserved and not used.
+// Decision: docs/decisions/safety.md#d021
 
 use std::sync::OnceLock;
 use std::thread;

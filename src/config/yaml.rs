@@ -6,6 +6,7 @@
 //!
 //! The parser builds the tree from events rather than through serde, because serde stops at the first fault and its
 //! errors have at most one place. This module does not know what the keys mean.
+// Decision: docs/decisions/city.md#d056
 
 use crate::diag::{Code, Diagnostic, SourceId, Sources, Span};
 use serde_json::{Map, Value as Json};

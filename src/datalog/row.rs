@@ -4,6 +4,7 @@
 //! compile time. So all code on rows is generic over one width `W`: the program's largest arity, rounded up to one of
 //! [`WIDTHS`]. Zeros pad narrower rows; only loaded relations have rows of their own width ([`ByWidth`]). A set of rows
 //! is a sorted slice without duplicates.
+// Decision: docs/decisions/facts.md#d007
 
 use crate::datalog::value::Value;
 use std::cmp::Ordering;

@@ -5,6 +5,7 @@
 //! to text through a [`Span`] into [`Sources`].
 //!
 //! This module does not depend on rules, configurations or cities.
+// Decision: docs/decisions/language.md#d068
 
 mod code;
 mod explanation;

@@ -2,6 +2,7 @@
 //!
 //! The record [`RECORD`] lists each file with its size, its time of change and the command that wrote it. A file is the
 //! program's own if size and time still match. The caller holds the lock of the folder.
+// Decision: docs/decisions/safety.md#d065
 
 use crate::files::{ReadError, open_regular};
 use serde::{Deserialize, Serialize};

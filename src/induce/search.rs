@@ -7,6 +7,7 @@
 //!
 //! The negative rows are many, and few of them matter. So the search begins with a sample. It compares a clause that is
 //! false in the whole sample with all negative rows, and adds to the sample some of those in which it holds.
+// Decision: docs/decisions/tasks.md#d070
 
 use crate::cancel::Cancel;
 use crate::induce::bits::{self, Bits};

@@ -1,4 +1,5 @@
 //! The explanations of a run, with equal nodes stored once.
+// Decision: docs/decisions/tools.md#d051
 
 use crate::datalog;
 use crate::datalog::ClauseId;

@@ -17,6 +17,7 @@
 //!
 //! A `Relation` answers in two steps, like a spatial query: a rectangle of cells is the filter, a test of two agents
 //! the refinement. Property tests compare the fast forms with the definitions.
+// Decision: docs/decisions/city.md#d004
 
 mod colliding;
 mod concept;

@@ -1,6 +1,7 @@
 //! Things that lie on the ground and distract under noise: manhole covers, fallen leaves, and the shadows of trees.
 //!
 //! Each thing is a function of its place on the map, so a part of the ground shows the same things as the whole.
+// Decision: docs/decisions/pictures.md#d047
 
 use crate::city::{Cell, CityMap, Ground};
 use crate::render::picture::{Picture, PixelBox};

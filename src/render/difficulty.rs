@@ -1,4 +1,5 @@
 //! The difficulty of pictures, and what depends on it: the version of the drawing code, and the style of icons.
+// Decision: docs/decisions/pictures.md#d071
 
 /// The difficulty of recognizing agents in a picture, in percent: 0 is clean.
 ///

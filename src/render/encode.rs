@@ -1,4 +1,5 @@
 //! Encodes pictures as PNG and GIF, and decodes PNG.
+// Decision: docs/decisions/pictures.md#d048
 
 use crate::render::picture::{Picture, Rgb};
 use std::borrow::Cow;

@@ -1,4 +1,5 @@
 //! Icon packs: PNG and SVG files by third parties, one folder per class.
+// Decision: docs/decisions/pictures.md#d063
 
 use crate::render::class::Class;
 use resvg::tiny_skia::{IntSize, Pixmap, Transform};

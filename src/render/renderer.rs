@@ -1,4 +1,5 @@
 //! Pictures of one view of a map: draws the ground once and the agents every time.
+// Decision: docs/decisions/pictures.md#d061
 
 use crate::city::AgentKind;
 use crate::city::CityMap;

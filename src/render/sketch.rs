@@ -1,4 +1,5 @@
 //! Resolution-independent drawings: shapes that paint in order, at any scale and heading.
+// Decision: docs/decisions/pictures.md#d062
 
 use crate::rng::{Rng, RngExt};
 use resvg::tiny_skia::{

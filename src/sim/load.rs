@@ -1,4 +1,5 @@
 //! Loads a city: one call from the path of a configuration to a scenario with its compiled rules.
+// Decision: docs/decisions/city.md#d002
 
 use crate::config::{Scenario, load_scenario, rule_file};
 use crate::datalog::{Limits, Program};

@@ -96,12 +96,55 @@ fn named_files_exist() {
 #[test]
 fn reasons_stand_where_manifests_say() {
     let manifest = fs::read_to_string(root().join("Cargo.toml")).unwrap();
-    let reason = Regex::new(r#"(?m)^#.*the reasons are in (\S+?)\.?\n([a-z_]+) = \{ package = "([^"]+)""#).unwrap();
+    let reason = Regex::new(r#"(?m)^#.*the reasons are in ([^\s#]+)\S*\n([a-z_]+) = \{ package = "([^"]+)""#).unwrap();
     let found: Vec<_> = reason.captures_iter(&manifest).collect();
     assert!(!found.is_empty());
     for found in found {
         let text = fs::read_to_string(root().join(&found[1])).unwrap();
         assert!(text.contains(&found[3]), "{} does not mention {}", &found[1], &found[3]);
+    }
+}
+
+/// Each decision is one section, whose anchor has its number, with a date and a status. Comments and links name
+/// decisions that exist, on the page where they are.
+#[test]
+fn cited_decisions_exist() {
+    let section = Regex::new(
+        r"(?m)^\(d(\d{3})\)=\n## (\d{3})\. \S.*\n\n\d{4}-\d\d-\d\d, (?:accepted|rejected|(?:in part )?superseded by \[)",
+    )
+    .unwrap();
+    let heading = Regex::new(r"(?m)^## \d").unwrap();
+    let texts = texts();
+    let pages = (texts.iter()).filter_map(|(file, text)| Some((file.strip_prefix("docs/decisions/")?, text)));
+    let mut decisions = BTreeSet::new();
+    let mut numbers = BTreeSet::new();
+    for (page, text) in pages.clone() {
+        let sections: Vec<_> = section.captures_iter(text).collect();
+        assert_eq!(
+            heading.find_iter(text).count(),
+            sections.len(),
+            "{page}: a section lacks a part"
+        );
+        for found in sections {
+            assert_eq!(found[1], found[2], "{page}");
+            assert!(numbers.insert(found[1].to_owned()), "two decisions {}", &found[1]);
+            decisions.insert(format!("{page}#d{}", &found[1]));
+        }
+    }
+    assert!(numbers.len() >= 71, "{numbers:?}");
+
+    let cited = Regex::new(r"decisions/([a-z]+\.md#d\d+)").unwrap();
+    for (file, text) in &texts {
+        for found in cited.captures_iter(text) {
+            assert!(decisions.contains(&found[1]), "{file}: no decision {}", &found[1]);
+        }
+    }
+    let link = Regex::new(r"\]\(([a-z]+\.md)?(#d\d+)\)").unwrap();
+    for (page, text) in pages {
+        for found in link.captures_iter(text) {
+            let target = format!("{}{}", found.get(1).map_or(page, |page| page.as_str()), &found[2]);
+            assert!(decisions.contains(&target), "{page}: no decision {target}");
+        }
     }
 }
 

@@ -1,5 +1,6 @@
 //! Compares logicity with its peers on five programs: checks that they count the same, and measures CPU time and
 //! memory.
+// Decision: docs/decisions/safety.md#d024
 
 mod ascent;
 mod case;

@@ -1,4 +1,5 @@
 //! One rule file with its includes: its diagnostics, and the names in it with their meanings.
+// Decision: docs/decisions/tools.md#d031
 
 use crate::builtin;
 use crate::city::Action;

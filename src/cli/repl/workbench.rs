@@ -6,6 +6,7 @@
 //!
 //! A change either succeeds as a whole or has no effect. Changes to facts of predicates without rules commit to the
 //! session; other changes build a new program, and the facts move to its session.
+// Decision: docs/decisions/tools.md#d030
 
 use crate::builtin::BuiltinFiles;
 use crate::cli::kind::Kind;

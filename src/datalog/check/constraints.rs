@@ -1,4 +1,5 @@
 //! Integrity constraints, such as `.disjoint` and `.reflexive`, on the facts of base predicates.
+// Decision: docs/decisions/language.md#d034
 
 use crate::diag::{Code, Diagnostic, Faults, Span};
 

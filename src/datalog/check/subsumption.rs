@@ -5,6 +5,7 @@
 //! [`Theory`] determines what follows from a literal; [`NoConstraints`] is the empty one.
 //!
 //! The search compares few pairs. A clause can subsume only clauses with all its traits, and [`Subsets`] finds these.
+// Decision: docs/decisions/language.md#d036
 
 use std::cmp::Ordering;
 use std::collections::btree_map::Entry;

@@ -20,6 +20,7 @@
 //!
 //! Binary facts come from a [`BinaryFacts`], which can store them ([`BitFacts`], in `facts`) or compute them lazily.
 //! The answers equal those of [`super::naive`] if every symbol in the facts is an entity.
+// Decision: docs/decisions/executors.md#d039
 
 mod analyze;
 mod body;

@@ -20,6 +20,7 @@
 //! first: once for all values of the head's first variable, then for the present one. Most searches that fail fail
 //! there, without a step. This removes no value that is part of a solution, so tables stay valid: if the values of a
 //! separator are in their domains, so are those of the branches that they allow.
+// Decision: docs/decisions/executors.md#d040
 
 use crate::datalog::dense::program::{Branch, Dense, Range};
 use crate::datalog::dense::search::{BinaryFacts, Search};

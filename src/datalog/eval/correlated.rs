@@ -1,4 +1,5 @@
 //! The values of correlated aggregates that an evaluation keeps.
+// Decision: docs/decisions/evaluation.md#d012
 
 use crate::datalog::check::RelId;
 use crate::datalog::value::Value;

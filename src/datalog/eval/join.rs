@@ -1,4 +1,5 @@
 //! Runs a plan: a pipelined nested-loop join over sorted rows, without intermediate relations.
+// Decision: docs/decisions/evaluation.md#d017
 
 use crate::cancel::Cancel;
 use crate::datalog::eval::correlated::CorrelatedValues;

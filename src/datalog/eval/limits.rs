@@ -1,4 +1,5 @@
 //! The resource limits of an evaluation and the errors when it exceeds one.
+// Decision: docs/decisions/safety.md#d020
 
 use crate::datalog::check::{Clause, ClauseId, Literal, Rules, Term, VarId};
 use crate::datalog::eval::growth;

@@ -11,6 +11,7 @@
 //!
 //! The algorithm counts no derivations, so it stores nothing between commits besides the relations. A clause can stop
 //! at the first derivation of a head, and one commit can recompute a stratum that the next maintains.
+// Decision: docs/decisions/facts.md#d025
 
 use crate::datalog::check::RelId;
 use crate::datalog::eval::exec::{Commit, Failure, Meter, Quota, State, specs};

@@ -3,6 +3,7 @@
 //! Facts dominate the memory of many programs, and padding them to the width of the widest relation may multiply it. So
 //! a relation that no clause derives loads its facts into narrow rows, and joins read these. Narrow rows do not change:
 //! the first change after a commit moves the relation to a table of the program's width.
+// Decision: docs/decisions/facts.md#d008
 
 use crate::datalog::eval::delta::Rows;
 use crate::datalog::eval::pending::PendingChanges;

@@ -3,6 +3,7 @@
 //! datafrog's variables do the bookkeeping, here and in [`super::maintain`]. Derived rows wait in a variable, are *new*
 //! for one round, and join its *stable* batches afterwards. The joins are in [`super::join`]: datafrog's need the
 //! number of joins and the row types at compile time.
+// Decision: docs/decisions/evaluation.md#d014
 
 use crate::datalog::check::{ClauseId, RelId};
 use crate::datalog::eval::exec::{Commit, Failure, Meter, Quota, State};

@@ -2,6 +2,7 @@
 //!
 //! Rules often derive the same row many times. Where words are dense, as interned symbols and small numbers are,
 //! testing a bit costs much less than sorting repetitions away. The bits of new rows also form a sorted list.
+// Decision: docs/decisions/evaluation.md#d018
 
 use crate::datalog::row::Row;
 use crate::datalog::value::Value;

@@ -1,4 +1,5 @@
 //! Statistics of a commit: the strategy for each stratum and the work of each clause.
+// Decision: docs/decisions/evaluation.md#d023
 
 use crate::datalog::check::ClauseId;
 

@@ -1,4 +1,5 @@
 //! The storage of a relation: its rows, its indexes, and incremental updates of both.
+// Decision: docs/decisions/facts.md#d026
 
 use crate::datalog::plan::steps::IndexSpec;
 use crate::datalog::row::{Batch, Row, difference, gallop};

@@ -3,6 +3,7 @@
 //! The rows of a plan's first scan are split into chunks. Each thread evaluates some chunks into its own output, and
 //! the outputs are merged. The assignment of chunks to threads affects neither the rows nor the number of rows scanned,
 //! so answers and statistics equal those of one thread. Small work stays on the calling thread.
+// Decision: docs/decisions/evaluation.md#d019
 
 use crate::cancel::Cancel;
 use crate::datalog::eval::join;

@@ -21,6 +21,7 @@
 //!
 //! This module uses only the public functions of a session, so it is independent of storage and evaluation. The work is
 //! bounded; see [`Explainer::set_limit`].
+// Decision: docs/decisions/analysis.md#d027
 
 mod explanation_printer;
 mod search;

@@ -10,6 +10,7 @@
 //! An aggregate ranges over a set, so this needs a plan that finds each row of the hidden relation once. A row
 //! determines the rows of the body's atoms if the head has all their variables. A minimum or maximum may find a row
 //! any number of times.
+// Decision: docs/decisions/evaluation.md#d011
 
 use crate::datalog::check::{Clause, Literal, Rules, Term};
 use crate::datalog::plan::steps::Grouping;

@@ -4,6 +4,7 @@
 //! ones. It plans a program once before there are rows. [`crate::datalog::eval::adapt`] replans clauses when the sizes
 //! of relations are known. Then the atom with the fewest matching rows comes next. Where several atoms lack only the
 //! same variable, one leapfrog join can bind it.
+// Decision: docs/decisions/evaluation.md#d016
 
 use crate::datalog::check::{Atom, Clause, Literal, RelId, Term, VarId};
 use crate::datalog::plan::estimate::{Flow, Known, Reckoning, Size, cost_of_parts};

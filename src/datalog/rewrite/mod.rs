@@ -3,6 +3,7 @@
 //! The rewritten rules derive the same rows of `.output` and `.printsize` predicates. They have other clauses, so use
 //! them where only these rows matter: `query` does, unless it explains a fact. A rewritten clause keeps the place of
 //! the clause that it comes from.
+// Decision: docs/decisions/language.md#d037
 
 mod demand;
 mod unfold;

@@ -9,6 +9,7 @@
 //!   keeps the author's line breaks between literals and adds breaks where a line would be too long.
 //! - A comment behind code stays there, in the same column if there is room. A comment on a separate line keeps that
 //!   line.
+// Decision: docs/decisions/language.md#d053
 
 use crate::diag::{Diagnostic, Faults, SourceId, Sources};
 

@@ -3,6 +3,7 @@
 //! A program may hold millions of facts, and the syntax tree of a fact is some thirty times as long as its text. So the
 //! facts of plain numbers and strings are kept as words, in place of trees. [`PackedFacts::clause`] restores the tree,
 //! with all places, where one is needed.
+// Decision: docs/decisions/facts.md#d009
 
 use crate::datalog::syntax::ast::{Atom, Clause, Item, Name, Place, Term, TermKind};
 use crate::diag::{SourceId, Span};

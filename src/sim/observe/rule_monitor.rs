@@ -3,6 +3,7 @@
 //! One evaluation gives both if bodies use the action predicates only for the agent of the head: the other literals do
 //! not depend on the ego's action ([`Conditions`]). Other rules are evaluated unchanged for the derived actions, and
 //! once more for each judged action with the action predicates of all bodies replaced by inputs.
+// Decision: docs/decisions/executors.md#d042
 
 use crate::cancel::Cancel;
 use crate::city::Action;

@@ -4,6 +4,7 @@
 //! clause. A difference is a minimal scene that satisfies the constraints of the rules and derives both; "equivalent"
 //! proves that no such scene exists. If every clause of one action negates the other, the pair is excluded without a
 //! search, even for rules that `diff` cannot prove equivalent.
+// Decision: docs/decisions/analysis.md#d033
 
 use crate::city::Action;
 use crate::datalog::diff::{Difference, Equivalence, Options, diff, unsat_core};

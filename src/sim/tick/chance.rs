@@ -1,4 +1,5 @@
 //! Random draws for predicates that hold with a probability.
+// Decision: docs/decisions/city.md#d005
 
 use crate::rng::{Purpose, RngExt, Seed};
 

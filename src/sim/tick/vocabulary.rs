@@ -1,4 +1,5 @@
 //! The interface between configuration and rules: base predicates and actions of a scenario, bound to a program.
+// Decision: docs/decisions/city.md#d003
 
 use crate::city::Action;
 use crate::config::{ActionsConfig, PredicateConfig, Scenario};

@@ -3,6 +3,7 @@
 //! Binary facts are computed lazily with the fast form of their predicate ([`Relation`]): row and column indexes select
 //! the entities in the rectangle that it reaches, and each is tested. Of a few entities, pairwise distances select them
 //! ([`Near`]), which need no index to keep.
+// Decision: docs/decisions/executors.md#d041
 
 use crate::city::AgentKind;
 use crate::city::{Agent, Cell, CityMap, Heading, Junction};

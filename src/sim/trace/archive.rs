@@ -2,6 +2,7 @@
 //!
 //! A trace is self-contained: a replay needs no file that the header names, and opens none. The names hold no folder of
 //! the machine that made the trace: built-in files keep their names, any other file has its name without folders.
+// Decision: docs/decisions/safety.md#d066
 
 use crate::config::{Scenario, load_scenario};
 use crate::datalog;

@@ -3,6 +3,7 @@
 //! An agent waits for another if a clause of `Stop` holds for it under a binding that names the other. Every derivation
 //! of `Stop` counts, not one proof: an agent moves again only when all of them are gone. Agents that do not move and
 //! wait for each other in a cycle are deadlocked: none of them moves unless another agent changes the situation.
+// Decision: docs/decisions/analysis.md#d032
 
 use crate::city::Action;
 use crate::datalog::explain::{ExplainError, Explainer};

@@ -3,6 +3,7 @@
 //! [`QuestionSet::draw`] simulates cities and samples decisions of cars; `wording` formats them as text. A question
 //! does not state the rules, unless its [`Prompt`] does. Its reader must infer them from demonstrations, which come from
 //! another agent set than the questions.
+// Decision: docs/decisions/tasks.md#d050
 
 mod statement;
 mod wording;

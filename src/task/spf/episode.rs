@@ -5,6 +5,7 @@
 //! `concepts` and `priority`. Every other line is an episode: `seed`; `trips` (row and column of start and of goal of each agent); `changes` (agents that
 //! differ from the header, by name); and `oracle` (`steps`, `return`, and `constrained`: the number of constrained
 //! steps, by action).
+// Decision: docs/decisions/tasks.md#d043
 
 use crate::city::{Action, AgentConfig, AgentKind, AgentName, Split};
 use crate::city::{Agent, Cell, CityMap};

@@ -1,4 +1,5 @@
 //! Traces of episodes.
+// Decision: docs/decisions/tasks.md#d044
 
 use crate::cancel::Cancel;
 use crate::city::{Action, Split};

@@ -1,4 +1,5 @@
 //! Makes data sets. A data set is a function of its request, so an interrupted run can be resumed.
+// Decision: docs/decisions/pictures.md#d045
 
 use crate::cancel::Cancel;
 use crate::city::Split;

@@ -4,6 +4,7 @@
 //! - [`Worlds`] computes the worlds of one split. A world has [`TICKS`] ticks; those from [`FIRST_TICK`] on are
 //!   [`Frame`]s. A [`Renderer`] draws them on the ground of the world.
 //! - [`table`] stores the facts of frames as columns.
+// Decision: docs/decisions/pictures.md#d046
 
 mod card;
 mod check;

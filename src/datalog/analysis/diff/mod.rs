@@ -13,6 +13,7 @@
 //! The search first assumes every *scope* (a guard predicate, see `.scope`) to be complete: every entity sees every
 //! other. Only if that shows no difference may the rows of scopes vary like those of any predicate. Each of the two
 //! searches gets half of the budget.
+// Decision: docs/decisions/analysis.md#d054
 
 mod bound;
 mod canonical;

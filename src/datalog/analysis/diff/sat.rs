@@ -2,6 +2,7 @@
 //!
 //! The search is deterministic and bounded by a number of conflicts. It tries unforced variables as false first, so
 //! models have few true variables.
+// Decision: docs/decisions/analysis.md#d055
 
 use batsat::{Callbacks, ClauseKind, SolverInterface, lbool};
 

@@ -7,6 +7,7 @@
 //!
 //! The context determines the base type of a plain number (`1`) or an operator. So the constants of comparisons and
 //! expressions stay open until the types of all variables are known.
+// Decision: docs/decisions/language.md#d010
 
 use std::collections::{HashMap, HashSet};
 

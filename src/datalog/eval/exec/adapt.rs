@@ -2,6 +2,7 @@
 //!
 //! Before there are rows, the planner uses the clause alone. When a stratum is evaluated and the relations that it
 //! reads have grown or shrunk by [`FACTOR`], its clauses are replanned with measured sizes.
+// Decision: docs/decisions/evaluation.md#d015
 
 use crate::datalog::check::RelId;
 use crate::datalog::eval::exec::{Commit, State};

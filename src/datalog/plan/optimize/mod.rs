@@ -8,6 +8,7 @@
 //! `theory` derives consequences of a literal, and `saturate` searches the forms of a body. The optimizer does not
 //! expand derived predicates, so its results hold whatever the other clauses are. It uses constraints only if the
 //! caller asks. It is bounded and deterministic: it uses no clock and no hash order.
+// Decision: docs/decisions/evaluation.md#d035
 
 mod repeated;
 mod saturate;
