@@ -9,8 +9,8 @@ use regex::Regex;
 /// Files and folders to read, from the root of the repository.
 const PLACES: &[&str] = &[
     ".ci",
+    ".githooks",
     ".github",
-    ".pre-commit-config.yaml",
     "ARCHITECTURE.md",
     "CHANGELOG.md",
     "CITATION.cff",
@@ -177,7 +177,7 @@ fn pattern(idiom: &str) -> Regex {
 fn collect(place: &Path, found: &mut Vec<PathBuf>) {
     let name = place.file_name().unwrap().to_str().unwrap();
     if place.is_dir() && !place.is_symlink() {
-        if SKIPPED.contains(&name) || (name.starts_with('.') && ![".ci", ".github"].contains(&name)) {
+        if SKIPPED.contains(&name) || (name.starts_with('.') && ![".ci", ".githooks", ".github"].contains(&name)) {
             return;
         }
         let mut inside: Vec<_> = fs::read_dir(place)

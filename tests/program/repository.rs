@@ -2,7 +2,8 @@
 
 use std::collections::BTreeSet;
 use std::fs;
-use std::path::PathBuf;
+use std::path::{Path, PathBuf};
+use std::process::Command;
 
 use regex::Regex;
 use serde_json::Value;
@@ -143,11 +144,10 @@ fn workflows_run_what_runs_here() {
             commands.extend(commands_of(job).into_iter().map(|command| (name.clone(), command)));
         }
     }
-    for entry in read(".pre-commit-config.yaml")
-        .lines()
-        .filter_map(|line| line.trim().strip_prefix("entry: "))
-    {
-        commands.push((".pre-commit-config.yaml".to_owned(), entry.to_owned()));
+    for hook in ["pre-commit", "pre-push"].map(|name| format!(".githooks/{name}")) {
+        let text = read(&hook);
+        let lines = text.lines().map(str::trim).filter(|line| line.starts_with("make "));
+        commands.extend(lines.map(|line| (hook.clone(), line.to_owned())));
     }
     assert!(commands.len() >= 30, "{commands:?}");
     for (file, command) in &commands {
@@ -173,6 +173,67 @@ fn workflows_run_what_runs_here() {
             path => assert!(root().join(path).is_file(), "{file}: {command}"),
         }
     }
+}
+
+/// Returns the complaints of the hook `commit-msg` about a message, in a repository with this many added lines.
+fn complaints(repository: &Path, message: &str, lines: usize) -> Vec<String> {
+    let run = |program: &Path, arguments: &[&str]| {
+        let mut command = Command::new(program);
+        command.current_dir(repository).args(arguments);
+        // git sets these when a hook runs the tests.
+        for name in ["GIT_DIR", "GIT_INDEX_FILE", "GIT_WORK_TREE"] {
+            command.env_remove(name);
+        }
+        command.output().unwrap()
+    };
+    fs::write(repository.join("added"), "line\n".repeat(lines)).unwrap();
+    fs::write(repository.join("message"), message).unwrap();
+    for arguments in [&["init", "--quiet"][..], &["add", "added"]] {
+        assert!(run(Path::new("git"), arguments).status.success(), "{arguments:?}");
+    }
+    let output = run(&root().join(".githooks/commit-msg"), &["message"]);
+    let text = String::from_utf8(output.stderr).unwrap();
+    let lines = text.lines().filter_map(|line| line.strip_prefix("commit-msg: "));
+    let found: Vec<String> = lines.map(str::to_owned).collect();
+    assert_eq!(output.status.success(), found.is_empty(), "{text}");
+    found
+}
+
+#[test]
+fn the_hook_checks_messages_of_commits() {
+    let folder = tempfile::tempdir().unwrap();
+    let of = |message: &str, lines| complaints(folder.path(), message, lines);
+    let long = |length: usize| format!("Add {}\n", "é".repeat(length - 4));
+    for accepted in [
+        "Add leapfrog joins to the planner\n",
+        "Process one row at a time\n\nIt is faster.\n# A comment of git\n",
+        "Bring the decisions up to date\n",
+        "Merge branch 'joins'\n",
+        "fixup! Add joins\n",
+        &long(72),
+    ] {
+        assert_eq!(of(accepted, 200), [""; 0], "{accepted}");
+    }
+    assert_eq!(of(&long(73), 1), ["the subject has 73 characters; at most 72 fit"]);
+    assert_eq!(of("Add joins.\n", 1), ["the subject ends with a period"]);
+    assert_eq!(
+        of("add joins\n", 1),
+        ["the subject does not begin with a capital letter"]
+    );
+    for other in ["Added joins\n", "Adds joins\n", "Adding joins\n"] {
+        assert!(of(other, 1)[0].contains("is no imperative"), "{other}");
+    }
+    assert_eq!(
+        of("Add joins\nto the planner\n", 1),
+        ["the line after the subject is not empty"]
+    );
+    let no_body = ["the change has 201 lines: say why in a body"];
+    assert_eq!(of("Add joins\n\n# Changes to be committed:\n", 201), no_body);
+    assert_eq!(
+        of("Add joins\n\nSigned-off-by: A Name <name@example.org>\n", 201),
+        no_body
+    );
+    assert_eq!(of("Add joins\n\nScans were slow.\n", 201), [""; 0]);
 }
 
 /// Workflows use only actions of GitHub itself, each pinned by its commit, so a moved tag changes nothing. A job has no
