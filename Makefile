@@ -165,7 +165,7 @@ $(VENV)/bin/ruff: $(VENV)/bin/python
 
 # Not part of `make test`. Checks licenses and sources of the dependencies of all workspaces against deny.toml. Needs
 # `cargo install --locked cargo-deny`.
-.PHONY: format ruff sdist deny msrv package publish binary release-check
+.PHONY: format ruff sdist deny msrv package publish binary release-check tag
 deny:
 	for manifest in $(patsubst %.lock,%.toml,$(wildcard Cargo.lock */*/Cargo.lock)); do \
 	    cargo deny --manifest-path $$manifest --config deny.toml --locked --all-features check licenses bans sources \
@@ -202,13 +202,18 @@ binary:
 	    target/dist/logicity-$(SYSTEM)
 	tar -C target/dist -czf target/dist/logicity-$(SYSTEM).tar.gz logicity-$(SYSTEM)
 
-# Not part of `make test`. Fails unless the repository can be released as VERSION (without `v`): no file contains the
-# placeholder of its owner, and the changelog has a dated section.
+# Not part of `make test`. Prints why the repository cannot be released as VERSION (without `v`): changes, versions, the
+# changelog, the placeholder of the owner.
 VERSION = $(shell sed -n 's/^version = "\(.*\)"/\1/p' Cargo.toml)
 release-check:
-	! grep -rn "OWNER/logicity" Cargo.toml CITATION.cff SECURITY.md .github python
-	grep -qx 'version = "$(VERSION)"' Cargo.toml
-	grep -qE '^## $(subst .,\.,$(VERSION)) - [0-9]{4}-[0-9]{2}-[0-9]{2}$$' CHANGELOG.md
+	.ci/release-check $(VERSION)
+
+# Not part of `make test`. Tags the commit after all checks of a release: those above, the crate as users get it, the
+# commands of README, and what the files around the code say about each other.
+tag: release-check package
+	cargo test --locked --test program -- readme repository references
+	git tag --annotate v$(VERSION) --message "logicity $(VERSION)"
+	@echo "To release it: git push origin v$(VERSION)"
 
 # Not part of `make test`. Compares the engine with ascent and differential-dataflow. PEERS_OPTIONS are options of the
 # program.

@@ -3,7 +3,7 @@
 use std::collections::BTreeSet;
 use std::fs;
 use std::path::{Path, PathBuf};
-use std::process::Command;
+use std::process::{Command, Output};
 
 use regex::Regex;
 use serde_json::Value;
@@ -175,26 +175,29 @@ fn workflows_run_what_runs_here() {
     }
 }
 
-/// Returns the complaints of the hook `commit-msg` about a message, in a repository with this many added lines.
-fn complaints(repository: &Path, message: &str, lines: usize) -> Vec<String> {
-    let run = |program: &Path, arguments: &[&str]| {
-        let mut command = Command::new(program);
-        command.current_dir(repository).args(arguments);
-        // git sets these when a hook runs the tests.
-        for name in ["GIT_DIR", "GIT_INDEX_FILE", "GIT_WORK_TREE"] {
-            command.env_remove(name);
-        }
-        command.output().unwrap()
-    };
-    fs::write(repository.join("added"), "line\n".repeat(lines)).unwrap();
-    fs::write(repository.join("message"), message).unwrap();
-    for arguments in [&["init", "--quiet"][..], &["add", "added"]] {
-        assert!(run(Path::new("git"), arguments).status.success(), "{arguments:?}");
+/// Runs a program in another repository than this one. git sets the removed variables when a hook runs the tests.
+fn run_in(repository: &Path, program: &Path, arguments: &[&str]) -> Output {
+    let mut command = Command::new(program);
+    for name in ["GIT_DIR", "GIT_INDEX_FILE", "GIT_WORK_TREE"] {
+        command.env_remove(name);
     }
-    let output = run(&root().join(".githooks/commit-msg"), &["message"]);
+    command.current_dir(repository).args(arguments).output().unwrap()
+}
+
+fn git(repository: &Path, arguments: &[&str]) {
+    let options = ["-c", "user.name=A Name", "-c", "user.email=name@example.org"];
+    let output = run_in(repository, Path::new("git"), &[&options, arguments].concat());
+    assert!(output.status.success(), "{arguments:?}: {output:?}");
+}
+
+/// Returns the complaints of a script, and checks that it fails if there are any.
+fn complaints(repository: &Path, script: &str, argument: &str) -> Vec<String> {
+    let output = run_in(repository, &root().join(script), &[argument]);
     let text = String::from_utf8(output.stderr).unwrap();
-    let lines = text.lines().filter_map(|line| line.strip_prefix("commit-msg: "));
-    let found: Vec<String> = lines.map(str::to_owned).collect();
+    let prefix = format!("{}: ", script.rsplit_once('/').unwrap().1);
+    let found: Vec<String> = (text.lines().filter_map(|line| line.strip_prefix(&prefix)))
+        .map(str::to_owned)
+        .collect();
     assert_eq!(output.status.success(), found.is_empty(), "{text}");
     found
 }
@@ -202,7 +205,14 @@ fn complaints(repository: &Path, message: &str, lines: usize) -> Vec<String> {
 #[test]
 fn the_hook_checks_messages_of_commits() {
     let folder = tempfile::tempdir().unwrap();
-    let of = |message: &str, lines| complaints(folder.path(), message, lines);
+    let folder = folder.path();
+    git(folder, &["init", "--quiet"]);
+    let of = |message: &str, lines: usize| {
+        fs::write(folder.join("added"), "line\n".repeat(lines)).unwrap();
+        fs::write(folder.join("message"), message).unwrap();
+        git(folder, &["add", "added"]);
+        complaints(folder, ".githooks/commit-msg", "message")
+    };
     let long = |length: usize| format!("Add {}\n", "é".repeat(length - 4));
     for accepted in [
         "Add leapfrog joins to the planner\n",
@@ -234,6 +244,83 @@ fn the_hook_checks_messages_of_commits() {
         no_body
     );
     assert_eq!(of("Add joins\n\nScans were slow.\n", 201), [""; 0]);
+}
+
+#[test]
+fn a_release_needs_equal_versions_a_date_and_an_owner() {
+    let folder = tempfile::tempdir().unwrap();
+    let folder = folder.path();
+    let write = |name: &str, text: &str| {
+        let path = folder.join(name);
+        fs::create_dir_all(path.parent().unwrap()).unwrap();
+        fs::write(path, text).unwrap();
+        git(folder, &["add", name]);
+    };
+    git(folder, &["init", "--quiet"]);
+    let files = [
+        (
+            "Cargo.toml",
+            "version = \"0.2.0\"\n\n[dependencies.other]\nversion = \"3\"\n",
+        ),
+        ("python/Cargo.toml", "version = \"0.2.0\"\n"),
+        ("benches/peers/Cargo.toml", "version = \"0.0.0\"\n"),
+        ("CITATION.cff", "cff-version: 1.2.0\nversion: 0.2.0\n"),
+        ("python/pyproject.toml", "dynamic = [\"version\"]\n"),
+        (
+            "CHANGELOG.md",
+            "# Changelog\n\n## 0.2.0 - 2024-02-29\n\n## 0.1.0 - Unreleased\n",
+        ),
+    ];
+    for (name, text) in files {
+        write(name, text);
+    }
+    git(folder, &["commit", "--quiet", "--message", "Add files"]);
+    let check = || complaints(folder, ".ci/release-check", "0.2.0");
+    assert_eq!(check(), [""; 0]);
+
+    for (name, text, reason) in [
+        (
+            "python/Cargo.toml",
+            "version = \"0.1.0\"\n",
+            "python/Cargo.toml has version 0.1.0, not 0.2.0",
+        ),
+        (
+            "CITATION.cff",
+            "version: 0.1.0\n",
+            "CITATION.cff has version 0.1.0, not 0.2.0",
+        ),
+        (
+            "python/pyproject.toml",
+            "version = \"0.2.0\"\n",
+            "python/pyproject.toml states a version of its own",
+        ),
+        (
+            "CHANGELOG.md",
+            "## 0.2.0 - Unreleased\n",
+            "the first section of CHANGELOG.md is \"0.2.0 - Unreleased\", not \"0.2.0 - DATE\"",
+        ),
+        (
+            "CHANGELOG.md",
+            "## 0.2.0 - 9999-01-01\n",
+            "the date of the first section of CHANGELOG.md is in the future",
+        ),
+        (
+            "SECURITY.md",
+            "\nhttps://github.com/OWNER/logicity\n",
+            "SECURITY.md:2 names the placeholder OWNER",
+        ),
+    ] {
+        write(name, text);
+        git(folder, &["commit", "--quiet", "--message", "Break a file"]);
+        assert_eq!(check(), [reason]);
+        git(folder, &["reset", "--quiet", "--hard", "HEAD~1"]);
+    }
+    fs::write(folder.join("new"), "").unwrap();
+    assert_eq!(check(), ["the working tree has changes; commit or remove them"]);
+    git(folder, &["add", "new"]);
+    git(folder, &["tag", "v0.2.0"]);
+    git(folder, &["commit", "--quiet", "--message", "Add a file"]);
+    assert_eq!(check(), ["the tag v0.2.0 is on another commit"]);
 }
 
 /// Workflows use only actions of GitHub itself, each pinned by its commit, so a moved tag changes nothing. A job has no
