@@ -9,7 +9,7 @@ FUZZ_SECONDS := 600
 # The table to which each target appends a row. Rows in tests/fuzz/executions.csv are those of unchanged commits.
 FUZZ_TABLE := target/fuzz.csv
 
-.PHONY: test quick lint features rust doc wheel installed python python-all rllib page docs links playground vscode solvers peers fuzz $(FUZZ_TARGETS:%=fuzz-%)
+.PHONY: test quick lint features rust doc wheel installed python python-all rllib page docs links playground vscode solvers peers bench-record fuzz $(FUZZ_TARGETS:%=fuzz-%)
 
 test: lint features rust doc python page docs
 
@@ -74,9 +74,9 @@ python: installed
 SITE := target/docs
 docs: installed
 	$(VENV)/bin/pip install --quiet --disable-pip-version-check "$$(echo $(WHEELS)/*.whl)[docs]"
-	$(VENV)/bin/ruff check --config python/pyproject.toml docs
-	$(VENV)/bin/ruff format --config python/pyproject.toml --check docs
-	MYPYPATH=docs $(VENV)/bin/mypy --strict --config-file python/pyproject.toml docs/conf.py docs/links.py
+	$(VENV)/bin/ruff check --config python/pyproject.toml docs benches/record.py
+	$(VENV)/bin/ruff format --config python/pyproject.toml --check docs benches/record.py
+	MYPYPATH=docs $(VENV)/bin/mypy --strict --config-file python/pyproject.toml docs/conf.py docs/links.py benches/record.py
 	$(VENV)/bin/sphinx-build --builder html --quiet --fail-on-warning --nitpicky --fresh-env --doctree-dir $(SITE)-cache docs $(SITE)
 	$(VENV)/bin/python docs/links.py $(SITE)
 
@@ -220,6 +220,13 @@ tag: release-check package
 PEERS_OPTIONS ?= --repeats 3
 peers:
 	cargo run --release --locked --manifest-path benches/peers/Cargo.toml -- $(PEERS_OPTIONS)
+
+# Not part of `make test`. Measures this commit and appends a line to the history, which the page `Benchmarks` draws. The
+# machine should be idle.
+HISTORY := benches/history.jsonl
+bench-record:
+	cargo build --release --locked --manifest-path benches/peers/Cargo.toml --no-default-features
+	$(PYTHON) benches/record.py benches/peers/target/release/logicity-peers $(HISTORY)
 
 # Not part of `make test`. Compares logicity with z3 and clingo. SOLVERS_OPTIONS are options of benches/solvers/compare.py.
 solvers: $(SOLVERS)/installed

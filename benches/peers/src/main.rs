@@ -2,10 +2,13 @@
 //! memory.
 // Decision: docs/decisions/safety.md#d024
 
+#[cfg(feature = "others")]
 mod ascent;
 mod case;
+#[cfg(feature = "others")]
 mod crepe;
 mod datafrog;
+#[cfg(feature = "others")]
 mod differential;
 mod engine;
 mod measure;
@@ -83,6 +86,7 @@ fn compare(arguments: &Arguments) -> Result<(), Box<dyn std::error::Error>> {
     let cases: Vec<Case> = Case::ALL.into_iter().filter(chosen).collect();
     let wanted = |peer: &Peer| arguments.peers.is_empty() || *peer == Peer::Engine || arguments.peers.contains(peer);
     let mut peers: Vec<Peer> = Peer::ALL.into_iter().filter(wanted).collect();
+    peers.retain(|peer| peer.is_compiled());
     let souffle = peer::souffle_version();
     if souffle.is_none() && peers.iter().any(|peer| peer.is_souffle()) {
         eprintln!("souffle is not on the path; omitting it");

@@ -2,7 +2,9 @@
 
 use crate::case::Case;
 use crate::peer::Peer;
-use crate::{ascent, crepe, datafrog, differential, engine};
+#[cfg(feature = "others")]
+use crate::{ascent, crepe, differential};
+use crate::{datafrog, engine};
 use cpu_time::ProcessTime;
 use std::io::Read;
 use std::path::Path;
@@ -27,10 +29,15 @@ pub fn once(peer: Peer, case: Case) -> Result<(), Box<dyn std::error::Error>> {
     let start = ProcessTime::now();
     let counts = match peer {
         Peer::Engine => engine::counts(case.program(), &facts, case.derived()),
-        Peer::Ascent => ascent::counts(case, &facts),
         Peer::Datafrog => datafrog::counts(case, &facts),
+        #[cfg(feature = "others")]
+        Peer::Ascent => ascent::counts(case, &facts),
+        #[cfg(feature = "others")]
         Peer::Crepe => crepe::counts(case, &facts),
+        #[cfg(feature = "others")]
         Peer::Differential => differential::counts(case, facts),
+        #[cfg(not(feature = "others"))]
+        Peer::Ascent | Peer::Crepe | Peer::Differential => return Err("this peer is not compiled".into()),
         Peer::Query | Peer::Souffle | Peer::SouffleCompiled => return Err("this peer is a separate program".into()),
     };
     let nanoseconds = start.elapsed().as_nanos();

@@ -57,6 +57,11 @@ impl Peer {
         Peer::SouffleCompiled,
     ];
 
+    /// Whether this program contains it or calls it.
+    pub fn is_compiled(self) -> bool {
+        cfg!(feature = "others") || !matches!(self, Peer::Ascent | Peer::Crepe | Peer::Differential)
+    }
+
     /// Whether it needs Soufflé.
     pub fn is_souffle(self) -> bool {
         matches!(self, Peer::Souffle | Peer::SouffleCompiled)
