@@ -51,52 +51,25 @@ const SKIPPED: &[&str] = &[
     "www",
 ];
 
-/// Each line is a regular expression for whole words, and what to write instead. A space also matches a line break
-/// inside a comment, and the underscore of a name.
+/// Idioms that are wrong everywhere, at most fifteen: a regular expression for whole words, and what to write instead. A
+/// space also matches a line break inside a comment, and the underscore of a name.
 const IDIOMS: &[(&str, &str)] = &[
     (
-        "tells?|telling|told",
-        "name the actor and a plain verb: prints, reports, shows, distinguishes",
-    ),
-    ("so many", "give the number, or write `as many`, `that many`"),
-    ("such as (?:have|are|do)", "those that"),
-    ("who(?:so)?ever|whom(?:so)?ever|whom", "name the actor"),
-    (
-        "somebody|nobody|everybody|anybody",
-        "name the actor: a caller, an agent, no agent",
-    ),
-    (
-        "and the like|or the like|the likes? of",
-        "list the cases, or write `similar`",
-    ),
-    ("what there (?:is|are|was|were)", "name the thing"),
-    (
-        "(?:is|are|was|were|be|been|being) asked(?: of| for| about| whether| again)",
-        "name the actor, or write `on request`",
-    ),
-    ("asks? of|asked of", "requires, needs"),
-    ("com(?:es?|ing) to|came to", "equals, costs, reaches, becomes"),
-    ("(?:stands?|stood|standing) beside", "is next to, accompanies"),
-    ("for ever", "forever, without end"),
-    ("by hand", "hand-written, manually"),
-    ("strangers?", "unknown, another user"),
-    ("(?:of )?(?:one|thing)'s own", "separate, another, your own"),
-    ("(?:goes|go|went|going) on", "continues"),
-    ("as well as they come", "drop it"),
-    ("(?:is|are|was|were|be|been) looked (?:at|up as)", "scans, visits"),
-    (
-        "(?:is|are|was|were|be|been) (?:said|spoken|thought) of",
-        "name the actor",
-    ),
-    ("(?:is|are|was|were|be|been) given up", "cancels, stops"),
-    (
-        "(?:what|which)(?: [a-z]+){1,4} (?:is|are|was|were) about",
-        "name the subject",
-    ),
-    (
-        "likewise|lest|whence|thence|thereof|hitherto|heretofore|notwithstanding|albeit",
+        "lest|whence|thence|thereof|hitherto|heretofore|notwithstanding|albeit",
         "use a common word",
     ),
+    ("whosoever|whomsoever|whomever", "name the actor"),
+    ("such as (?:have|are|do)", "those that"),
+    ("for ever", "forever, without end"),
+    ("one and the same", "one, the same"),
+    ("(?:is|are|was|were) of other", "belongs to others, has others"),
+    ("acts? (?:stop|slow|fast|normal)", "chooses Stop, takes the action Stop"),
+    ("ask(?:s|ed)? of", "requires, needs"),
+    ("as well as they come", "drop it"),
+    ("(?:of )?(?:one|thing)'s own", "separate, another, your own"),
+    ("(?:is|are|was|were|be|been) looked (?:at|up as)", "scans, visits"),
+    ("(?:is|are|was|were|be|been) (?:said|spoken) of", "name the actor"),
+    ("(?:is|are|was|were|be|been) given up", "cancels, stops"),
     (
         "(?:colour|behaviour|neighbour|favour|honour|labell|travell|modell|centre|metre|catalogue|grey|kerb)[a-z]*",
         "American spelling",
@@ -225,6 +198,7 @@ fn long_lines(text: &str) -> Vec<usize> {
 
 #[test]
 fn prose_has_no_idioms_that_readers_cannot_search_for() {
+    assert!(IDIOMS.len() <= 15, "at most fifteen idioms");
     assert!(ALLOWED.len() <= 10, "at most ten exceptions");
     let mut files = Vec::new();
     for place in PLACES {
@@ -265,26 +239,26 @@ fn idioms_are_found_across_lines_and_similar_words_are_not() {
             .map(|(line, words, _)| (line, words))
             .collect()
     };
-    assert_eq!(found("a\n/// Told\n"), [(2, "Told")]);
-    assert_eq!(found("// there are so\n    // many rows"), [(1, "so\n    // many")]);
-    assert_eq!(found("\"it goes \\\n on\""), [(1, "goes \\\n on")]);
-    assert_eq!(found("# what the search is about"), [(1, "what the search is about")]);
-    assert_eq!(found("It is asked for."), [(1, "is asked for")]);
+    assert_eq!(found("a\n/// Whence\n"), [(2, "Whence")]);
+    assert_eq!(found("// runs for\n    // ever"), [(1, "for\n    // ever")]);
+    assert_eq!(found("\"it was given \\\n up\""), [(1, "was given \\\n up")]);
+    assert_eq!(found("# the state is of other data"), [(1, "is of other")]);
+    assert_eq!(found("It was asked of the map."), [(1, "asked of")]);
     assert_eq!(found("The colours of a grey car"), [(1, "colours"), (1, "grey")]);
     assert_eq!(
-        found("fn the_run_goes_on(by_hand: u8)"),
-        [(1, "_goes_on"), (1, "by_hand")]
+        found("fn runs_for_ever(such_as_are: u8)"),
+        [(1, "_for_ever"), (1, "such_as_are")]
     );
     for fine in [
         "it is about 20 cells long",
         "x is about to run into y",
-        "told_of, retold, storyteller, intelligent",
-        "the user is asked to confirm",
+        "no reader told so many strangers by hand",
+        "the user is asked to confirm, whatever it comes to",
         "like the others",
         "whose rows",
         "own rows, and a stranglehold",
         "behavior, color, gray, analysis",
-        "income to spend",
+        "the car acts slowly",
         "forever",
     ] {
         assert_eq!(found(fine), [], "{fine}");

@@ -231,7 +231,7 @@ fn the_hook_checks_messages_of_commits() {
         ["the subject does not begin with a capital letter"]
     );
     for other in ["Added joins\n", "Adds joins\n", "Adding joins\n"] {
-        assert!(of(other, 1)[0].contains("is no imperative"), "{other}");
+        assert!(of(other, 1)[0].contains("is not an imperative"), "{other}");
     }
     assert_eq!(
         of("Add joins\nto the planner\n", 1),
