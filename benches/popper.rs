@@ -124,7 +124,7 @@ fn measure(name: &str, [background, examples, bias]: &Texts, tables: Option<&Pat
     );
 }
 
-/// The most columns of a table.
+/// The maximum number of columns of a table.
 const COLUMNS_MAX: usize = 1000;
 
 /// Returns the table of a task for learners of propositional rules, with values separated by tabs. The last column is

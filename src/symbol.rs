@@ -1,9 +1,9 @@
-//! Interned texts.
+//! Interned strings.
 //!
-//! A [`Symbol`] is a small number that represents a text, and [`Symbols`] is the table that maps both ways. Symbols are
+//! A [`Symbol`] is a small number that represents a string, and [`Symbols`] is the table that maps both ways. Symbols are
 //! numbered in order of first appearance, so they are the same in every run.
 //!
-//! A table grows through a shared reference, since rules create texts during evaluation. A text never moves, so
+//! A table grows through a shared reference, since rules create symbols during evaluation. A string never moves, so
 //! [`Symbols::text`] takes no lock.
 // Decision: docs/decisions/facts.md#d013
 
@@ -12,32 +12,32 @@ use std::fmt;
 use std::sync::atomic::{AtomicU64, AtomicUsize, Ordering};
 use std::sync::{Arc, OnceLock, PoisonError, RwLock};
 
-/// An interned text, valid only with the [`Symbols`] that made it.
+/// An interned string, valid only with the [`Symbols`] that made it.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, PartialOrd, Ord, Hash)]
 pub struct Symbol(pub u32);
 
-/// A table of interned texts.
+/// A table of interned strings.
 #[derive(Default)]
 pub struct Symbols {
-    /// Maps texts to numbers.
+    /// Maps strings to numbers.
     numbers: RwLock<IndexSet<Arc<str>>>,
-    /// Maps numbers to texts: block b holds `FIRST_BLOCK << b` texts.
+    /// Maps numbers to strings: block b holds `FIRST_BLOCK << b` strings.
     texts: [OnceLock<Block>; BLOCKS],
-    /// The number of texts; read for every inserted row.
+    /// The number of strings; read for every inserted row.
     len: AtomicUsize,
-    /// The approximate memory of all texts, in bytes.
+    /// The approximate memory of all strings, in bytes.
     bytes: AtomicU64,
 }
 
 type Block = Box<[OnceLock<Arc<str>>]>;
 
-/// The number of texts in the first block; a power of two.
+/// The number of strings in the first block; a power of two.
 const FIRST_BLOCK: usize = 64;
 
-/// The overhead of a text in bytes, rounded up: its entries in both directions, with room to grow, and its allocation.
+/// The overhead of a string in bytes, rounded up: its entries in both directions, with room to grow, and its allocation.
 const TEXT_BYTES: u64 = 128;
 
-/// The number of blocks that hold 2^32 texts.
+/// The number of blocks that hold 2^32 strings.
 const BLOCKS: usize = 27;
 
 /// Returns the block of a number and its index there.
@@ -53,7 +53,7 @@ impl Symbols {
         Self::default()
     }
 
-    /// Returns the symbol of a text; creates it if it is new.
+    /// Returns the symbol of a string; creates it if it is new.
     pub fn intern(&self, text: &str) -> Symbol {
         if let Some(known) = self.get(text) {
             return known;
@@ -87,13 +87,13 @@ impl Symbols {
         }
     }
 
-    /// Returns the symbol of a text, or `None` if it has none.
+    /// Returns the symbol of a string, or `None` if it has none.
     pub fn get(&self, text: &str) -> Option<Symbol> {
         let numbers = self.numbers.read().unwrap_or_else(PoisonError::into_inner);
         numbers.get_index_of(text).map(symbol)
     }
 
-    /// Returns the text of a symbol, or `None` if the table does not have it.
+    /// Returns the string of a symbol, or `None` if the table does not have it.
     pub fn text(&self, symbol: Symbol) -> Option<&str> {
         let (block, at) = place(symbol.0);
         self.texts.get(block)?.get()?.get(at)?.get().map(AsRef::as_ref)
@@ -104,7 +104,7 @@ impl Symbols {
         self.len.load(Ordering::Acquire)
     }
 
-    /// Returns the approximate memory of the table in bytes, a function of the texts alone.
+    /// Returns the approximate memory of the table in bytes, a function of the strings alone.
     pub fn bytes(&self) -> u64 {
         self.bytes.load(Ordering::Relaxed)
     }

@@ -7,7 +7,7 @@
 use logicity::induce::{Atom, Body, Examples, Literal, State, Tally};
 use std::collections::BTreeSet;
 
-/// The most literals of a clause.
+/// The maximum number of literals of a clause.
 const LITERALS_MAX: usize = 8;
 
 /// Settings of FOIL.

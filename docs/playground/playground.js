@@ -8,7 +8,7 @@ const PAUSE = 250;
 /** The time after which a worker counts as stuck, in milliseconds. Its own limit is shorter. */
 const STUCK = 15_000;
 
-/** The most characters of rules in a link or in the editor. */
+/** The maximum number of characters of rules in a link or in the editor. */
 const RULES_MAX = 200_000;
 
 /** The library reported diagnostics. */

@@ -24,7 +24,7 @@ if TYPE_CHECKING:
 
 __all__ = ["StoredEpisode", "load_minari", "stored_episodes"]
 
-#: The most bytes of the values of a Minari dataset. `induce` copies its observations into one array.
+#: The maximum number of bytes of the values of a Minari dataset. `induce` copies its observations into one array.
 BYTES_MAX = 2 << 30
 
 

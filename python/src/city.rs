@@ -45,7 +45,7 @@ const REASONS: [(MoveReason, &str); 4] = [
 /// The name of the source with overrides.
 const OVERRIDES: &str = "<overrides>";
 
-/// The source text of files by path.
+/// The sources of files by path.
 pub type Files = BTreeMap<PathBuf, String>;
 
 /// A loaded city and its sources.
@@ -178,7 +178,7 @@ impl PyInference {
         }
     }
 
-    /// Returns the files that were read, with their text.
+    /// Returns the files that were read, with their sources.
     fn files(&self) -> Files {
         self.files.clone()
     }
@@ -259,7 +259,7 @@ impl PySimulation {
         })
     }
 
-    /// Returns the files that were read, with their text.
+    /// Returns the files that were read, with their sources.
     fn files(&self) -> Files {
         self.files.clone()
     }

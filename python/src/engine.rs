@@ -24,7 +24,7 @@ pub fn register(module: &Bound<'_, PyModule>) -> PyResult<()> {
     module.add_class::<PyRows>()
 }
 
-/// Returns the diagnostics of the source text of rules.
+/// Returns the diagnostics of the source of rules.
 #[pyfunction]
 fn check<'py>(py: Python<'py>, text: &str, name: &str) -> PyResult<Bound<'py, PyAny>> {
     let mut sources = Sources::new();
@@ -70,7 +70,7 @@ impl Loaded {
 #[pyclass(name = "Program", module = "logicity._logicity", frozen)]
 pub struct PyProgram(Arc<Loaded>);
 
-/// The name and the text of a file.
+/// The name and the source of a file.
 type File = (String, String);
 
 #[pymethods]
@@ -109,7 +109,7 @@ impl PyProgram {
         }
     }
 
-    /// Returns the names and text of all files, starting with the entry file.
+    /// Returns the names and sources of all files, starting with the entry file.
     fn files(&self) -> Vec<(&str, &str)> {
         let sources = &self.0.sources;
         sources.ids().map(|id| (sources.name(id), sources.text(id))).collect()

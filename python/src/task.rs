@@ -29,7 +29,7 @@ pub fn register(module: &Bound<'_, PyModule>) -> PyResult<()> {
 #[pyclass(name = "Task", module = "logicity._logicity", frozen)]
 pub struct PyTask {
     pub task: Arc<SpfTask>,
-    /// The arguments of `new`, with the text of the files that were read.
+    /// The arguments of `new`, with the source of the files that were read.
     arguments: Arguments,
     sources: Mutex<Sources>,
     /// The rule files among the sources.
@@ -40,7 +40,7 @@ pub struct PyTask {
     overview: OnceLock<Overview>,
 }
 
-/// The configuration, the rule file, the overrides, the limits, and the text of files by path.
+/// The configuration, the rule file, the overrides, the limits, and the source of files by path.
 type Arguments = (PathBuf, Option<PathBuf>, Option<String>, LimitArguments, Option<Files>);
 
 pub fn split_named(name: &str) -> PyResult<Split> {
@@ -122,7 +122,7 @@ impl PyTask {
         })
     }
 
-    /// Pickles the arguments and the text of the files, so that unpickling reads no file.
+    /// Pickles the arguments and the sources of the files, so that unpickling reads no file.
     fn __reduce__<'py>(slf: &Bound<'py, Self>) -> (Bound<'py, PyType>, Arguments) {
         (slf.get_type(), slf.get().arguments.clone())
     }

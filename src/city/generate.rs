@@ -108,7 +108,7 @@ fn choose_buildings(
         Buildings::Fixed(table) => {
             let wrong = |what: String| {
                 Err(Diagnostic::new(Code::INVALID_MAP, what)
-                    .at(buildings.span, format!("{rows} rows of {cols} buildings are needed"))
+                    .at(buildings.span, format!("expected {rows} rows of {cols} buildings"))
                     .also(blocks.span, format!("{block_rows} x {block_cols} blocks"))
                     .help("a block has four buildings: give two rows of two buildings for each block"))
             };

@@ -30,7 +30,7 @@ const STATES: usize = 64;
 const STATES_BYTES: usize = 1 << 28;
 /// Ticks between two of these states.
 const BETWEEN: usize = 7;
-/// The most entities in a scene: the bits of one word.
+/// The maximum number of entities in a scene: the bits of one word.
 const SCENE_MAX: usize = Width::One.entities();
 /// Ticks after which `scale` places a new city.
 const SCALE_TICKS: u32 = 50;

@@ -30,7 +30,7 @@ pub struct Arguments {
     #[arg(long, value_name = "FACT")]
     why_not: Option<String>,
     /// Print JSON with the keys `tick`, `agent`, `at`, `heading`, `derived`, `action` and `explanations`, plus `driven`
-    /// for a controlled agent; for a fact that is no action of the agent, with the keys `tick`, `fact`, `holds` and
+    /// for a controlled agent; for a fact that is not an action of the agent, with the keys `tick`, `fact`, `holds` and
     /// `nodes`
     #[arg(long)]
     json: bool,

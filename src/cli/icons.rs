@@ -22,7 +22,7 @@ pub struct IconOptions {
     pack_mode: Mode,
     /// Difficulty of pictures from 0 (clean) to 100, in percent: colors, light, sharpness, weather, markings and clutter
     /// vary more. In data sets, the sides of boxes are independent of the class from 50 on. From 50 to 100, the share
-    /// of icons of the test split in a style of its own increases from none to all
+    /// of icons of the test split in a different style increases from none to all
     #[arg(long, value_name = "PERCENT", value_parser = difficulty, default_value = "0")]
     difficulty: Difficulty,
     /// Version of the drawing code: 2, or 1 to make a data set of format 3 again

@@ -660,7 +660,7 @@ fn unreadable(path: &Path, error: &ReadError) -> Failure {
     }
 }
 
-/// The most files of a folder among which [`near_file`] searches.
+/// The maximum number of files of a folder among which [`near_file`] searches.
 const SIMILAR_MAX: usize = 10_000;
 
 /// Returns a file with a name like that of a missing one: in the same folder, or built in.
@@ -872,7 +872,7 @@ where
     }
 }
 
-/// The most threads: each needs memory, and systems refuse to start several thousand.
+/// The maximum number of threads: each needs memory, and systems refuse to start several thousand.
 const THREADS_MAX: usize = 1024;
 
 /// Parses a number of threads; 0 means one per core.

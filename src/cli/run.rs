@@ -27,7 +27,7 @@ use std::path::{Path, PathBuf};
 use std::sync::Arc;
 use std::time::{Duration, Instant};
 
-/// The most ticks in the animation, which keeps it small enough for viewers.
+/// The maximum number of ticks in the animation, which keeps it small enough for viewers.
 const MAX_FRAMES: u64 = 1000;
 /// The time for which the animation shows a tick.
 const FRAME_DELAY: Duration = Duration::from_millis(100);

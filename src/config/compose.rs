@@ -100,7 +100,7 @@ pub(super) struct Composer<'a> {
     pub faults: Vec<Diagnostic>,
     sources: &'a mut Sources,
     read: Read<'a>,
-    /// The path of each text read.
+    /// The path of each file read.
     files: Vec<(SourceId, PathBuf)>,
     nodes_left: usize,
 }

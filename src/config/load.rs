@@ -42,7 +42,7 @@ const BUILDINGS: [(&str, char, Building); 5] = [
 
 /// Loads a run configuration composed of all its files. A bare name such as `expert` means `configs/expert.yaml`.
 ///
-/// It reads files through `read`, and built-in files where `read` finds none. It adds each text to `sources`.
+/// It reads files through `read`, and built-in files where `read` finds none. It adds each file to `sources`.
 ///
 /// # Errors
 /// All faults of all files.

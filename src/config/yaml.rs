@@ -1,4 +1,4 @@
-//! Parses YAML text to a tree with the place of each value.
+//! Parses YAML to a tree with the place of each value.
 //!
 //! ```text
 //! text --events of the YAML crate--> Node (spans, duplicate keys reported, aliases expanded, size bounded)

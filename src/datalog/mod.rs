@@ -1,4 +1,4 @@
-//! An incremental Datalog engine: from rule text to facts that follow changes.
+//! An incremental Datalog engine: from source to facts that follow changes.
 //!
 //! Rules are written in a dialect of Soufflé, with stratified negation, aggregates, expressions and typed columns.
 //!

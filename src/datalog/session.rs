@@ -46,7 +46,7 @@ impl Program {
 
     /// Creates a session without inserted facts.
     ///
-    /// Every relation is empty until the first commit, even one with facts in the rule text.
+    /// Every relation is empty until the first commit, even one with facts in the source.
     pub fn session(&self) -> Session {
         Session {
             store: exec::store(&self.0),
@@ -86,7 +86,7 @@ impl Session {
         self.limits
     }
 
-    /// Returns the bytes of the rows, indexes, pending changes and texts.
+    /// Returns the bytes of the rows, indexes, pending changes and symbols.
     pub fn bytes(&self) -> u64 {
         self.store.bytes() + self.symbols.bytes()
     }
@@ -167,7 +167,7 @@ impl Session {
 
     /// Marks a row not to hold from the next commit on.
     ///
-    /// This undoes an [`insert`](Session::insert), not a rule: a fact of the rule text holds nevertheless.
+    /// This undoes an [`insert`](Session::insert), not a rule: a fact of the source holds nevertheless.
     ///
     /// # Errors
     /// If the row does not fit the relation, or rules alone define the relation.
@@ -296,7 +296,7 @@ impl Session {
 
     /// Returns the distinct rows that one clause derives from the current facts, sorted.
     ///
-    /// For a fact of the rule text this is the fact itself. Several clauses may derive the same row. For a relation
+    /// For a fact of the source this is the fact itself. Several clauses may derive the same row. For a relation
     /// that [is aggregated](Program::is_aggregated) the result is empty.
     pub fn fired(&self, clause: ClauseId) -> Vec<Vec<Value>> {
         if clause.index() < self.program.rules().clauses.len() {

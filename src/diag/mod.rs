@@ -48,7 +48,7 @@ pub struct Diagnostic {
     pub code: Code,
     /// One line, lower case, no full stop.
     pub message: String,
-    /// The place of the fault; absent only if the fault has no place in any text.
+    /// The place of the fault; absent only if the fault has no place in any source.
     pub primary: Option<Label>,
     /// Other places that are involved.
     pub secondary: Vec<Label>,
@@ -73,12 +73,12 @@ pub enum Limit {
     Memory(u64),
 }
 
-/// A suggested change of the texts, for editors.
+/// A suggested change of the sources, for editors.
 #[derive(Clone, Debug, PartialEq, Eq)]
 pub struct Fix {
     /// The effect of the change, in one line.
     pub title: String,
-    /// The ranges to replace, which do not overlap, and their new texts.
+    /// The ranges to replace, which do not overlap, and their replacements.
     pub edits: Vec<(Span, String)>,
 }
 
@@ -132,7 +132,7 @@ impl Diagnostic {
         self
     }
 
-    /// Adds a suggested change of the texts.
+    /// Adds a suggested change of the sources.
     pub fn fix(mut self, title: impl Into<String>, edits: impl IntoIterator<Item = (Span, String)>) -> Self {
         self.fixes.push(Fix {
             title: title.into(),

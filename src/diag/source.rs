@@ -1,8 +1,8 @@
-//! Source texts and positions in them.
+//! Sources and positions in them.
 
 use std::ops::Range;
 
-/// The id of a text in [`Sources`].
+/// The id of a source in [`Sources`].
 #[derive(Clone, Copy, Debug, PartialEq, Eq, PartialOrd, Ord, Hash)]
 pub struct SourceId(u32);
 
@@ -63,7 +63,7 @@ struct Source {
     line_starts: Vec<u32>,
 }
 
-/// The source texts, each under the name that the user knows.
+/// The sources, each under the name that the user knows.
 #[derive(Clone, Debug, Default)]
 pub struct Sources {
     list: Vec<Source>,
@@ -75,12 +75,12 @@ impl Sources {
         Self::default()
     }
 
-    /// Adds a text. Messages show the name; for a file, pass the path as the user gave it.
+    /// Adds a source. Messages show the name; for a file, pass the path as the user gave it.
     pub fn add(&mut self, name: impl Into<String>, text: impl Into<String>) -> SourceId {
         self.add_from(name, text, 1)
     }
 
-    /// Adds a part of a text that begins at line `first_line` of the whole, counted from 1.
+    /// Adds a part of a source that begins at line `first_line` of the whole, counted from 1.
     pub fn add_from(&mut self, name: impl Into<String>, text: impl Into<String>, first_line: usize) -> SourceId {
         let text = text.into();
         let mut line_starts = vec![0];
@@ -99,22 +99,22 @@ impl Sources {
         SourceId(u32::try_from(self.list.len() - 1).expect("fewer than 2^32 sources"))
     }
 
-    /// Returns the ids of all texts in order of addition.
+    /// Returns the ids of all sources in order of addition.
     pub fn ids(&self) -> impl Iterator<Item = SourceId> + use<> {
         (0..u32::try_from(self.list.len()).expect("fewer than 2^32 sources")).map(SourceId)
     }
 
-    /// Returns the name of a text.
+    /// Returns the name of a source.
     pub fn name(&self, id: SourceId) -> &str {
         &self.list[id.0 as usize].name
     }
 
-    /// Returns a text.
+    /// Returns a source.
     pub fn text(&self, id: SourceId) -> &str {
         &self.list[id.0 as usize].text
     }
 
-    /// Returns the text that a span covers. Clips spans to the text and to character boundaries.
+    /// Returns the part that a span covers. Clips spans to the source and to character boundaries.
     pub fn slice(&self, span: Span) -> &str {
         let text = self.text(span.source);
         let start = floor_char(text, span.start as usize);
@@ -122,7 +122,7 @@ impl Sources {
         &text[start..end]
     }
 
-    /// Returns the number of a text's first line: 1 unless the text is a part of a longer one.
+    /// Returns the number of a source's first line: 1 unless the source is a part of a longer one.
     pub fn first_line(&self, id: SourceId) -> usize {
         self.list[id.0 as usize].first_line
     }

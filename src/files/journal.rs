@@ -7,7 +7,7 @@ use std::path::{Path, PathBuf};
 
 /// The longest line, in bytes (64 MiB).
 const LINE_MAX: u64 = 1 << 26;
-/// The most bytes of an incomplete line that are read.
+/// The maximum number of bytes of an incomplete line that are read.
 const TORN_MAX: u64 = 1 << 16;
 
 /// A regular file to which one process appends lines, each at once.

@@ -18,7 +18,7 @@ pub(super) const RECORD: &str = ".logicity.json";
 /// The middle of the names of temporary files: `.NAME.logicity-PID-SECONDS`.
 pub(super) const TEMPORARY: &str = ".logicity-";
 
-/// The most bytes of a record that are read: others may have written it.
+/// The maximum number of bytes of a record that are read: others may have written it.
 const BYTES_MAX: u64 = 16 << 20;
 
 /// The record of a folder.

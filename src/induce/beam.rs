@@ -16,7 +16,8 @@ use std::rc::Rc;
 /// The most clauses of each length that are extended. `cargo bench --bench induce_noise -- noise` measures it, as well
 /// as [`DOUBT`] and the constants of the module `noise`.
 const WIDTH: usize = 24;
-/// The most literals of a clause. A clause for wrong actions alone would otherwise become as long as its examples allow.
+/// The maximum number of literals of a clause. A clause for wrong actions alone would otherwise become as long as its
+/// examples allow.
 const LITERALS_MAX: usize = 10;
 
 /// The description lengths of examples and literals.

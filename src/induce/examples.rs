@@ -5,7 +5,7 @@ use crate::induce::vocabulary::{Assignment, Body, Literal, Vocabulary, tuples};
 use indexmap::IndexMap;
 use indexmap::map::Entry;
 
-/// The most entities of a state.
+/// The maximum number of entities of a state.
 pub const ENTITIES_MAX: usize = 64;
 
 /// A state: facts about entities, the egos first.

@@ -216,7 +216,7 @@ struct ClauseSearch<'a> {
     columns: &'a LabeledColumns,
     /// The problems by number of variables, made when a search needs them.
     problems: Vec<Problem<'a>>,
-    /// The most variables of a clause. The memory may allow fewer than the settings.
+    /// The maximum number of variables of a clause. The memory may allow fewer than the settings.
     variables_max: usize,
     /// All clauses found.
     pool: BTreeMap<Body, FoundClause>,

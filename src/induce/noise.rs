@@ -12,7 +12,8 @@ use crate::rng::{self, Purpose, RngExt, Seed};
 use rayon::prelude::*;
 use std::collections::BTreeMap;
 
-/// The most rounds of adding and revising clauses. They end earlier when the description does not become shorter.
+/// The maximum number of rounds of adding and revising clauses. They end earlier when the description does not become
+/// shorter.
 const ROUNDS_MAX: usize = 5;
 
 /// Bits of a description per unit of the cost of a literal. A literal with one variable takes 6 bits, enough to choose

@@ -11,7 +11,7 @@ use std::ops::Range;
 /// Settings of a search.
 #[derive(Clone, Debug)]
 pub struct Settings {
-    /// The most variables of a clause, those in its head included: at most
+    /// The maximum number of variables of a clause, those in its head included: at most
     /// [`VARIABLES_MAX`](crate::induce::VARIABLES_MAX).
     pub variables: usize,
     /// The seed of the order in which examples are tried.
@@ -22,7 +22,7 @@ pub struct Settings {
     pub seeds_per_round: usize,
     /// A further variable is tried if the best clause newly covers fewer examples than this.
     pub coverage_min: u32,
-    /// The most nodes of one search.
+    /// The maximum number of nodes of one search.
     pub nodes: u32,
     /// The number of distinct states from which clauses are learned at first, at least 1. All other states confirm or
     /// refute them.
@@ -80,7 +80,7 @@ pub struct ActionRules {
     pub clauses: Vec<LearnedClause>,
     /// Whether no cheaper set of the clauses found covers the examples.
     pub is_cheapest: bool,
-    /// The most variables of a clause that the memory allows, if these are fewer than in the settings: clauses with
+    /// The variables of a clause that the memory allows, if these are fewer than in the settings: clauses with
     /// more have too many assignments of entities.
     pub variables_limit: Option<usize>,
     /// Positive states that no clause covers: none separates them from the negative ones, or noise explains them.

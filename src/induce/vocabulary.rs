@@ -2,10 +2,10 @@
 
 use smallvec::SmallVec;
 
-/// The most arguments of a predicate.
+/// The maximum number of arguments of a predicate.
 pub const ARITY_MAX: usize = 3;
 
-/// The most variables of a clause.
+/// The maximum number of variables of a clause.
 pub const VARIABLES_MAX: usize = 7;
 
 /// The names of the variables of clauses, those of the head first.

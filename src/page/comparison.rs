@@ -87,7 +87,10 @@ impl<'a> Comparison<'a> {
                 let place = match (first.acts.first(), first.apart.first()) {
                     (Some(&agent), _) => {
                         let [one, other] = self.runs.map(|run| run.action(first.tick, agent).name());
-                        format!("{} acts {one} and {other}", left.header.agents[agent].id)
+                        format!(
+                            "{} chooses {one} in one run, {other} in the other",
+                            left.header.agents[agent].id
+                        )
                     }
                     (None, Some(&agent)) => format!("{} is in different cells", left.header.agents[agent].id),
                     (None, None) => unreachable!("a difference has an agent"),

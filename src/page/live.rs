@@ -103,7 +103,7 @@ impl Live {
         &self.simulation
     }
 
-    /// Returns the texts of the rules and the configuration.
+    /// Returns the sources of the rules and the configuration.
     pub fn sources(&self) -> &Sources {
         &self.sources
     }

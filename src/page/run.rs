@@ -14,10 +14,10 @@ use crate::sim::{
 use serde::Serialize;
 use std::io::{self, Write};
 
-/// The most decisions in a page; more make it slow to open.
+/// The maximum number of decisions in a page; more make it slow to open.
 pub const DECISIONS_MAX: usize = 400_000;
 
-/// The most cells of a map in a page.
+/// The maximum number of cells of a map in a page.
 const CELLS_MAX: i64 = 1 << 24;
 
 /// Upper bound of tick numbers: JavaScript represents smaller integers exactly.

@@ -8,7 +8,7 @@ use base64::engine::general_purpose::STANDARD;
 use serde::Serialize;
 use std::collections::BTreeMap;
 
-/// The most icon instances per class of agents, and per type of building.
+/// The maximum number of icon instances per class of agents, and per type of building.
 const VARIANTS: u32 = 20;
 
 /// The sizes of icons, in pixels: the short side of a car, and the sides of a pedestrian and of a building.

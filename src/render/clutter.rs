@@ -12,7 +12,7 @@ use resvg::tiny_skia::{Pixmap, Transform};
 
 /// Side of the squares of cells that have at most one thing each.
 const SQUARE: i32 = 9;
-/// The most cells from the middle of a thing to its edge along an axis.
+/// The maximum number of cells from the middle of a thing to its edge along an axis.
 const REACH: i32 = 6;
 /// The opacity of shadows.
 const SHADE: f32 = 0.34;

@@ -10,7 +10,7 @@ use embedded_graphics::text::Alignment;
 pub(super) const PAPER: Rgb = [0xfb, 0xfa, 0xf7];
 pub(super) const TEXT: Rgb = [0x26, 0x2b, 0x33];
 
-/// The most agents with labels. More would be unreadable, and the search for room takes time.
+/// The maximum number of agents with labels. More would be unreadable, and the search for room takes time.
 const MOST: usize = 300;
 
 /// The longest label, in characters.

@@ -20,14 +20,15 @@ const ASPECT_MAX: f32 = 6.0;
 /// The most XML nodes of a drawing, and the most elements that it draws: each time that it refers to one counts.
 const NODES_MAX: u32 = 20_000;
 const DRAWN_MAX: usize = 20_000;
-/// The most pixels of the pictures that drawing needs besides its result: of layers, masks and tiles of patterns.
+/// The maximum number of pixels of the pictures that drawing needs besides its result: of layers, masks and tiles of
+/// patterns.
 const PIXELS_MAX: f32 = 1e8;
 /// The longest style sheets of a drawing, in bytes: each of their rules is tried on each element.
 const STYLE_MAX: usize = 16 << 10;
 /// The deepest nesting of elements, including referenced ones.
 const DEPTH_MAX: usize = 48;
 const SVG: &str = "http://www.w3.org/2000/svg";
-/// The most files of a pack.
+/// The maximum number of files of a pack.
 pub const PACK_FILES_MAX: usize = 2_000;
 
 /// The combination of a pack with generated icons.

@@ -38,7 +38,7 @@ pub enum LoadError {
 }
 
 impl LoadedCity {
-    /// Loads a configuration and its rules and adds every text to `sources`. `rules` overrides the configured rule
+    /// Loads a configuration and its rules and adds every file to `sources`. `rules` overrides the configured rule
     /// file.
     ///
     /// `config` is a path or the name of a built-in configuration, for example `expert`. A rule file that `files` does
@@ -126,7 +126,7 @@ impl LoadedCity {
             (None, Some(archive)) => {
                 let rules = archive.rule_files.first().map(|file| Path::new(&file.name));
                 let city = LoadedCity::with_rules(sources, scenario, rules, archive)?;
-                // The header verifies the texts, and this verifies which file includes which.
+                // The header verifies the sources, and this verifies which file includes which.
                 match city.rules_hash == header.rules_hash {
                     true => Ok(city),
                     false => {

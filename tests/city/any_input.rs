@@ -111,7 +111,7 @@ pub fn labeled_scenes(bytes: &[u8]) {
     assert!(program.is_some(), "{}", render(&diagnostics, &sources, false));
 }
 
-/// The most scenes to learn from.
+/// The maximum number of scenes to learn from.
 const LINES_MAX: usize = 20;
 
 /// The task of learning the rules of easy mode, with these rules.

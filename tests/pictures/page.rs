@@ -766,7 +766,8 @@ fn compare(left: &Run, right: &Run, end: &str) -> Value {
         {
             let id = &left.header().agents[agent].id;
             let actions = [&one, &other].map(|tick| &*tick.agents[agent].action);
-            first = Some(format!("{tick}: {id} acts {}", actions.join(" and ")));
+            let [one, other] = actions;
+            first = Some(format!("{tick}: {id} chooses {one} in one run, {other} in the other"));
         }
         if !acts.is_empty() || !apart.is_empty() {
             wanted.push(json!({"tick": tick, "acts": acts, "apart": apart}));

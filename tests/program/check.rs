@@ -240,7 +240,7 @@ fn absent_agents_and_unread_outputs_are_reported() {
         "so this clause never fires",
         "nor does this one: `Fleet` has no rows",
         "so this always holds",
-        "`.output stop` has no effect in a city: it is no action, and no clause reads it",
+        "`.output stop` has no effect in a city: it is not an action, and no clause reads it",
         "did you mean `Stop`?",
     ] {
         assert!(said.contains(part), "`{part}` is missing in:\n{said}");
@@ -277,7 +277,7 @@ fn all_that_an_absent_agent_empties_is_found_in_seconds() {
     assert!(begin.elapsed() < Duration::from_secs(60), "{:?}", begin.elapsed());
     assert_eq!(said.matches("warning[empty-predicate]").count(), 1, "{said}");
     // Six are shown of the literals in both alternatives and in the 10,002 clauses of the chain.
-    assert!(said.contains("9998 further literals are concerned"), "{said}");
+    assert!(said.contains("9998 further literals are affected"), "{said}");
 }
 
 /// A difference that needs an agent which the city cannot have is none there.

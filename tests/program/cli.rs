@@ -832,7 +832,7 @@ fn a_costly_rule_ends_infer_and_run_at_a_limit() {
     for (option, limit, message) in [
         ("--max-rows", "20K", "the rules derive more than 20000 rows"),
         ("--max-steps", "20K", "the rules scan more than 20000 rows"),
-        ("--max-memory", "1", "rows, indexes and texts take more than 1 MiB"),
+        ("--max-memory", "1", "rows, indexes and symbols take more than 1 MiB"),
     ] {
         let raise = format!("raise the limit with `{option}`");
         let output = with_input(["infer", "--rules", &rules, option, limit], scene);

@@ -120,10 +120,13 @@ fn the_variables_of_a_condition_are_columns() {
         (String::from_utf8(output.stderr).unwrap(), output.status.code())
     };
     for (condition, parts) in [
-        ("IsCar(x)", ["`x` in the condition is no column", "did you mean `X`?"]),
+        (
+            "IsCar(x)",
+            ["`x` in the condition is not a column", "did you mean `X`?"],
+        ),
         (
             "IsCar(Q)",
-            ["`Q` in the condition is no column", "the column of `Fast` is `X`"],
+            ["`Q` in the condition is not a column", "the column of `Fast` is `X`"],
         ),
         ("IsCar(X), Sees(X, Z), IsBus(Y)", ["`Y` in the condition", "write `_`"]),
     ] {

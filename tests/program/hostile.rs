@@ -875,7 +875,7 @@ const INDUCE: &[Case] = &[
     (
         "induce scenes/labeled.jsonl -o new.dl --page new.html",
         2,
-        "is no trace",
+        "is not a trace",
     ),
     (
         "induce trace.jsonl --config easy --page new.html",

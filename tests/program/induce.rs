@@ -302,7 +302,7 @@ fn names_of_entities_add_no_clauses() {
     let outputs = ["-o", "rules.dl", "--page", page.to_str().unwrap()];
     let [o, rules, p, page] = outputs;
     let refused = logicity(["induce", file.to_str().unwrap(), o, rules, p, page]);
-    fails(&refused, 2, &["is no trace", "logicity run"]);
+    fails(&refused, 2, &["is not a trace", "logicity run"]);
     assert!(!Path::new(rules).exists());
     fails(&logicity(["induce", "-", "--test", "-"]), 2, &["read once only"]);
 }

@@ -1718,7 +1718,7 @@ fn configurations_follow_their_bases_and_open_texts() {
     assert!(codes(&editor.diagnostics("taxi.dl")).is_empty());
     let refused = editor.at("textDocument/hover", "shared/base.yaml", (0, 0), json!({}));
     assert!(
-        refused["message"].as_str().unwrap().ends_with("is no rule file"),
+        refused["message"].as_str().unwrap().ends_with("is not a rule file"),
         "{refused}"
     );
     editor.end();

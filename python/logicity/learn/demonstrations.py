@@ -149,7 +149,7 @@ class Sampler:
         """Restore a state.
 
         Raises:
-            ValueError: If the state is of other data.
+            ValueError: If the state was saved for other data.
         """
         order = state["order"]
         if (

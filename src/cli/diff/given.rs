@@ -254,7 +254,7 @@ fn loose_variables(clause: &Clause, predicate: &str) -> Vec<Diagnostic> {
     });
     loose
         .map(|(_, (name, span))| {
-            let message = format!("`{name}` in the condition is no column of `{predicate}`");
+            let message = format!("`{name}` in the condition is not a column of `{predicate}`");
             let fault = Diagnostic::new(Code::RULE_MISMATCH, message)
                 .at(*span, "stands for any value")
                 .note(listed.clone());

@@ -34,7 +34,7 @@ pub struct AskOptions {
     /// reads one scene per line, as `logicity infer` does, and answers each with a line such as `{"action": "Stop"}`
     #[arg(long, value_name = "ORACLE", value_parser = NonEmptyStringValueParser::new())]
     ask: Option<String>,
-    /// The most questions, those of an earlier run in the log included
+    /// Maximum number of questions, including those of an earlier run in the log
     #[arg(long, value_name = "COUNT", requires = "ask", value_parser = integer(0..=usize::MAX),
         default_value_t = AskSettings::default().questions)]
     questions: usize,
@@ -46,7 +46,7 @@ pub struct AskOptions {
     /// from others and facts of `.covering` predicates do not count
     #[arg(long, value_name = "FACTS,ENTITIES", requires = "ask", value_parser = bound)]
     sweep: Option<Bound>,
-    /// The longest time for one answer
+    /// Maximum time for one answer
     #[arg(long, value_name = "SECONDS", requires = "ask", value_parser = seconds, default_value = "60")]
     answer_timeout: Duration,
     /// Append each question with its answer to FILE at once. The same command with an existing log continues where it
@@ -274,7 +274,7 @@ fn too_slow(timeout: Duration) -> OracleError {
 
 /// The longest line of an answer, in bytes.
 const ANSWER_MAX: u64 = 1 << 20;
-/// The most characters of an answer that a message shows.
+/// The maximum number of characters of an answer that a message shows.
 const SHOWN_MAX: usize = 200;
 /// How often a waiting oracle looks for an interrupt.
 const POLL: Duration = Duration::from_millis(20);

@@ -187,7 +187,7 @@ impl FileCollector<'_> {
                 return Err(is_minari(path).into());
             }
             if !path.join(MANIFEST).is_file() {
-                let message = format!("`{}` is no data set: it has no file `{MANIFEST}`", path.display());
+                let message = format!("`{}` is not a data set: it has no file `{MANIFEST}`", path.display());
                 let help = "`logicity vap make` writes data sets; for a trace, name its file";
                 return Err(Failure::Usage(format!("{message}\nhelp: {help}")));
             }
@@ -219,7 +219,7 @@ impl FileCollector<'_> {
         let lines = Box::new(Cursor::new(first).chain(lines));
         if self.is_page_wanted && !is_trace {
             let message = format!(
-                "`{}` is no trace; --page shows a trace as `logicity run` writes it",
+                "`{}` is not a trace; --page shows a trace as `logicity run` writes it",
                 path.display()
             );
             return Err(Failure::Usage(message));

@@ -61,7 +61,7 @@ pub enum Role {
     Uses,
 }
 
-/// A name in the text.
+/// A name in the document.
 #[derive(Clone, Debug)]
 pub struct Occurrence {
     pub span: Span,
@@ -75,7 +75,7 @@ impl Occurrence {
     }
 }
 
-/// The result for one file, the text `entry` of `sources`. Those of its configuration come before it.
+/// The result for one file, the source `entry` of `sources`. Those of its configuration come before it.
 pub struct Analysis {
     pub sources: Sources,
     pub entry: SourceId,
@@ -86,7 +86,7 @@ pub struct Analysis {
     /// faulty rules.
     pub deciding: Option<(Rules, Vec<Action>)>,
     pub files: Vec<(SourceId, ast::File)>,
-    /// All names, in the order of the texts.
+    /// All names, in the order of the documents.
     pub occurrences: Vec<Occurrence>,
     /// The lines of each text.
     texts: BTreeMap<SourceId, Text>,
@@ -94,14 +94,14 @@ pub struct Analysis {
     by_meaning: HashMap<Meaning, Vec<usize>>,
     /// The file, the item in it, and the name in that, where a name is declared first.
     declarations: HashMap<Meaning, [usize; 3]>,
-    /// The texts by normalized path.
+    /// The documents by normalized path.
     by_path: HashMap<PathBuf, SourceId>,
     /// The first include of each text.
     included_by: BTreeMap<SourceId, Span>,
 }
 
 impl Analysis {
-    /// Reads, checks and lints a text with this path, as rules of the city if there is one.
+    /// Reads, checks and lints a document with this path, as rules of the city if there is one.
     pub fn new(path: &Path, text: &str, read: &dyn ReadFile, encoding: Encoding, city: Option<&City>) -> Analysis {
         let mut sources = city.map_or_else(Sources::new, |city| city.sources.clone());
         let entry = sources.add(path.display().to_string(), text);
@@ -133,7 +133,7 @@ impl Analysis {
         }
         cap(&mut hints);
         cap(&mut diagnostics);
-        // The texts before are those of the configuration.
+        // The documents before are those of the configuration.
         let files: Vec<(SourceId, ast::File)> = (sources.ids().skip_while(|id| *id != entry))
             .map(|id| (id, datalog::parse(&sources, id).file))
             .collect();
@@ -173,7 +173,7 @@ impl Analysis {
         analysis
     }
 
-    /// Returns a text with its lines.
+    /// Returns a document with its lines.
     pub fn text(&self, id: SourceId) -> &Text {
         &self.texts[&id]
     }
@@ -195,13 +195,13 @@ impl Analysis {
         (found.span.source == self.entry && byte <= found.span.range().end).then_some(found)
     }
 
-    /// Returns the occurrences of a name, in the order of the texts.
+    /// Returns the occurrences of a name, in the order of the documents.
     pub fn all(&self, meaning: &Meaning) -> impl Iterator<Item = &Occurrence> {
         let found = self.by_meaning.get(meaning).map_or(&[][..], Vec::as_slice);
         found.iter().map(|&at| &self.occurrences[at])
     }
 
-    /// Returns the span of the declaration of a name, or the start of the text that an include at `from` reads.
+    /// Returns the span of the declaration of a name, or the start of the document that an include at `from` reads.
     pub fn declaration(&self, from: SourceId, meaning: &Meaning) -> Option<Span> {
         if let Meaning::Include(path) = meaning {
             return self.target(from, path).map(|target| Span::new(target, 0..0));
@@ -291,9 +291,9 @@ impl Analysis {
             })
     }
 
-    /// Returns the include in the file itself that reaches a text, directly or through others.
+    /// Returns the include in the file itself that reaches a document, directly or through others.
     pub fn include_of(&self, mut id: SourceId) -> Option<Span> {
-        // A chain of includes is at most as long as the number of texts.
+        // A chain of includes is at most as long as the number of documents.
         for _ in &self.files {
             let include = *self.included_by.get(&id)?;
             if include.source == self.entry {
@@ -340,7 +340,7 @@ impl Analysis {
     }
 }
 
-/// The change from one text to another: all between their common beginning and their common end.
+/// The change from one document to another: all between their common beginning and their common end.
 struct Change {
     source: SourceId,
     /// The changed bytes of the earlier text.
@@ -417,7 +417,7 @@ fn declarations(files: &[(SourceId, ast::File)]) -> HashMap<Meaning, [usize; 3]>
     found
 }
 
-/// Returns all names of a file in the order of its text.
+/// Returns all names of a file in the order of its source.
 pub fn occurrences(file: &ast::File) -> Vec<Occurrence> {
     let mut names = Names::default();
     file.items.iter().for_each(|item| names.item(item));

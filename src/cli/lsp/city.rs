@@ -11,7 +11,7 @@ use std::path::{Path, PathBuf};
 use std::rc::Rc;
 use std::time::SystemTime;
 
-/// A configuration with the texts that its places refer to.
+/// A configuration with the documents that its places refer to.
 pub struct City {
     pub sources: Sources,
     pub theory: CityTheory,
@@ -34,19 +34,19 @@ struct Configuration {
 /// The state of a file.
 #[derive(PartialEq)]
 enum State {
-    /// The text in the editor.
+    /// The document in the editor.
     Open(String),
     /// The length of the file and the time of its last change; `None` if there is no such file.
     Saved(Option<(u64, Option<SystemTime>)>),
 }
 
-/// The text of an open file.
+/// The content of an open file.
 type OpenText<'o> = dyn Fn(&Path) -> Option<&'o str> + 'o;
 
-/// The most configurations that the server reads in a folder.
+/// The maximum number of configurations that the server reads in a folder.
 const FILES_MAX: usize = 64;
 
-/// The most bytes of each file of a configuration.
+/// The maximum number of bytes of each file of a configuration.
 const BYTES_MAX: u64 = 1 << 20;
 
 /// Returns whether a path is that of a configuration, or of a part of one.

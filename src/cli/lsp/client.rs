@@ -9,14 +9,14 @@ use std::path::PathBuf;
 #[derive(Clone, Debug, Default)]
 pub struct Client {
     pub encoding: Encoding,
-    /// It accepts edits that name the version of a text.
+    /// It accepts edits that name the version of a document.
     pub versioned_edits: bool,
     /// It accepts symbols with the range of the whole item.
     pub symbol_ranges: bool,
     /// It shows plain text only.
     pub plain_hover: bool,
     pub plain_completion: bool,
-    /// The most folding ranges that it wants.
+    /// The maximum number of folding ranges that it wants.
     pub folding_max: Option<usize>,
     /// It folds whole lines only.
     pub folds_lines: bool,

@@ -12,7 +12,7 @@ use lsp_types::{CompletionItem, CompletionItemKind, Documentation};
 use serde_json::{Value, json};
 use std::collections::BTreeSet;
 
-/// The most names that a completion lists. A longer list takes long to send.
+/// The maximum number of names that a completion lists. A longer list takes long to send.
 const NAMES_MAX: usize = 1000;
 
 /// Completes directives at the start of a line, files in an include, types after a colon, else predicates and, in

@@ -69,7 +69,7 @@ pub fn run(_: &Arguments) -> Result<(), Failure> {
     served
 }
 
-/// The most messages that wait for the server. The transport keeps further ones from the client.
+/// The maximum number of messages that wait for the server. The transport keeps further ones from the client.
 const WAITING_MAX: usize = 64;
 
 /// The time between two looks at a search that runs.
@@ -170,7 +170,7 @@ impl Incoming<'_> {
         waiting.or_else(|| self.connection.receiver.recv().ok())
     }
 
-    /// Returns the next message. Until it arrives, checks the texts and sends their diagnostics.
+    /// Returns the next message. Until it arrives, checks the documents and sends their diagnostics.
     fn next(&self, server: &mut Server) -> Option<Message> {
         loop {
             self.take();
@@ -218,16 +218,16 @@ impl Request<'_> {
     }
 }
 
-/// An open text.
+/// An open document.
 struct Document {
     path: PathBuf,
     uri: String,
     text: Text,
     version: i32,
     analysis: Analysis,
-    /// Whether the text or an included one has changed since the analysis.
+    /// Whether the document or an included one has changed since the analysis.
     stale: bool,
-    /// Whether the text was saved, so that the client waits for its conflicts.
+    /// Whether the document was saved, so that the client waits for its conflicts.
     saved: bool,
     /// The conflicts between actions when it was saved last.
     conflicts: Vec<Diagnostic>,
@@ -238,13 +238,13 @@ struct Document {
 }
 
 impl Document {
-    /// Returns whether the text is a configuration, or a part of one: the server reads it only for rules.
+    /// Returns whether the document is a configuration, or a part of one: the server reads it only for rules.
     fn is_configuration(&self) -> bool {
         city::is_configuration(&self.path)
     }
 }
 
-/// A search for conflicts between the actions of a text.
+/// A search for conflicts between the actions of a document.
 struct ConflictSearch {
     path: PathBuf,
     /// The analysis whose rules it searches.
@@ -293,7 +293,7 @@ impl Server {
         }
     }
 
-    // --- texts
+    // --- documents
 
     /// Handles a notification. The protocol has no answer to a malformed one, so the server writes it to the editor's
     /// log.
@@ -380,14 +380,14 @@ impl Server {
         Ok(())
     }
 
-    /// Requests the conflicts of a text and of those that include it.
+    /// Requests the conflicts of a document and of those that include it.
     fn save(&mut self, path: &Path) {
         for document in self.documents.values_mut() {
             document.saved |= document.path == path || document.analysis.depends_on(path);
         }
     }
 
-    /// Requests a check of all texts: files may have appeared or changed.
+    /// Requests a check of all documents: files may have appeared or changed.
     fn check_again(&mut self) {
         self.documents.values_mut().for_each(|document| document.stale = true);
     }
@@ -460,7 +460,7 @@ impl Server {
         searched.map(|document| self.publish(document)).collect()
     }
 
-    /// Publishes the result of a search that has ended, unless the text has changed, and begins the next one.
+    /// Publishes the result of a search that has ended, unless the document has changed, and begins the next one.
     fn finish_search(&mut self) -> Vec<Message> {
         let Some(search) = self.search.take_if(|search| search.thread.is_finished()) else {
             return Vec::new();
@@ -530,7 +530,7 @@ impl Server {
         self.uri_of(Path::new(sources.name(id)))
     }
 
-    /// Returns the URI of a text: the editor's own if the text is open. `None` for a built-in file.
+    /// Returns the URI of a document: the editor's own if the document is open. `None` for a built-in file.
     fn uri_of(&self, path: &Path) -> Option<String> {
         let path = normalize(path);
         match self.documents.get(&path) {
@@ -617,7 +617,7 @@ impl Server {
         let document = self.documents.get(&key(uri));
         let document = document.ok_or_else(|| (ErrorCode::InvalidParams, format!("`{uri}` is not open")))?;
         match document.is_configuration() {
-            true => Err((ErrorCode::RequestFailed, format!("`{uri}` is no rule file"))),
+            true => Err((ErrorCode::RequestFailed, format!("`{uri}` is not a rule file"))),
             false => Ok(document),
         }
     }
@@ -687,7 +687,7 @@ impl Server {
         Some(self.changes(edits.into_iter().map(|(uri, (version, edits))| (uri, version, edits))))
     }
 
-    /// Returns `null` for a text with syntax errors, which its diagnostics report.
+    /// Returns `null` for a document with syntax errors, which its diagnostics report.
     fn format(&self, uri: &str) -> Result<Value, Refusal> {
         let document = self.document(uri)?;
         let Analysis { sources, entry, .. } = &document.analysis;
@@ -701,7 +701,7 @@ impl Server {
     }
 }
 
-/// Returns the diagnostics of a text with their severities.
+/// Returns the diagnostics of a document with their severities.
 fn faults(document: &Document) -> impl Iterator<Item = (&Diagnostic, DiagnosticSeverity)> {
     let Analysis { diagnostics, hints, .. } = &document.analysis;
     let severe = diagnostics.iter().chain(&document.conflicts);
@@ -730,7 +730,7 @@ fn search_conflicts(rules: &Rules, precedence: &[Action]) -> Vec<Diagnostic> {
     }
 }
 
-/// Returns the semantic tokens of a text: as edits of the result with this name, if that is the last one.
+/// Returns the semantic tokens of a document: as edits of the result with this name, if that is the last one.
 fn all_tokens(document: &Document, previous: Option<&str>) -> Value {
     let data = tokens::encoded(&document.analysis, &(0..document.text.as_str().len()));
     let mut last = document.tokens.borrow_mut();

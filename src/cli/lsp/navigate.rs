@@ -12,7 +12,7 @@ use serde_json::{Map, Value, json};
 use std::ops::Range;
 use std::path::Path;
 
-/// The most symbols of the workspace that an answer lists.
+/// The maximum number of symbols of the workspace that an answer lists.
 const SYMBOLS_MAX: usize = 1000;
 
 impl Server {
@@ -68,7 +68,7 @@ impl Server {
         Ok(place.unwrap_or(Value::Null))
     }
 
-    /// Lists the occurrences of a name in one text.
+    /// Lists the occurrences of a name in one document.
     pub(super) fn highlights(&self, at: &TextDocumentPositionParams) -> Result<Value, Refusal> {
         let (document, _, Some(one)) = self.named(at)? else {
             return Ok(Value::Null);
@@ -214,7 +214,7 @@ impl Server {
             false => kind_and_name(one),
         });
         if faults > file.faults || !expected.eq(occurrences(&tree).iter().map(kind_and_name)) {
-            return refuse(format!("with the name `{new}`, the text means something else"));
+            return refuse(format!("with the name `{new}`, the program means something else"));
         }
         let ranges = places
             .into_iter()
@@ -235,7 +235,7 @@ impl Server {
         }))
     }
 
-    /// Returns an edit of the workspace: for each URI the version of the text and its edits.
+    /// Returns an edit of the workspace: for each URI the version of the document and its edits.
     pub(super) fn changes(&self, edits: impl Iterator<Item = (String, Option<i32>, Vec<Value>)>) -> Value {
         if self.client.versioned_edits {
             let changes = edits.map(
@@ -284,7 +284,7 @@ impl Server {
     }
 }
 
-/// An open text, a byte of it, and the name there.
+/// An open document, a byte of it, and the name there.
 type Named<'d> = (&'d Document, usize, Option<&'d Occurrence>);
 
 /// The path of a file and its edits.
@@ -294,7 +294,7 @@ fn refuse<T>(message: String) -> Result<T, Refusal> {
     Err((ErrorCode::RequestFailed, message))
 }
 
-/// Returns the files in which a name means the same as in a text.
+/// Returns the files in which a name means the same as in a document.
 fn sharing(
     programs: &Programs,
     document: &Document,

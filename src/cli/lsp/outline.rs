@@ -1,4 +1,4 @@
-//! The structure of a text: its symbols, and the parts that an editor can fold.
+//! The structure of a document: its symbols, and the parts that an editor can fold.
 
 use crate::cli::lsp::analysis::Analysis;
 use crate::cli::lsp::client::Client;
@@ -50,7 +50,7 @@ pub fn symbols(items: &[Item], text: &str, with_clauses: bool) -> Vec<Symbol> {
     symbols
 }
 
-/// Lists the symbols of a text for the client.
+/// Lists the symbols of a document for the client.
 pub fn listed(analysis: &Analysis, uri: &str, client: &Client) -> Value {
     let text = analysis.text(analysis.entry);
     let symbols = symbols(analysis.items(), text.as_str(), true).into_iter();
@@ -70,7 +70,7 @@ pub fn listed(analysis: &Analysis, uri: &str, client: &Client) -> Value {
 /// A part to fold: its bytes and its kind.
 type Fold = (Range<usize>, Option<&'static str>);
 
-/// Returns the parts of a text with several lines: clauses, braces and parentheses, comments, includes and scopes.
+/// Returns the parts of a document with several lines: clauses, braces and parentheses, comments, includes and scopes.
 pub fn folds(analysis: &Analysis, client: &Client) -> Value {
     let text = analysis.text(analysis.entry);
     let mut folds = comments_and_brackets(analysis, text);

@@ -49,7 +49,7 @@ impl Encoding {
 /// The distance in bytes between two marks.
 const STEP: usize = 1024;
 
-/// A text with an index of its lines. A line ends with `\n`, `\r\n` or `\r`.
+/// A document with an index of its lines. A line ends with `\n`, `\r\n` or `\r`.
 #[derive(Clone, Debug)]
 pub struct Text {
     text: String,

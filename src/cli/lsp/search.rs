@@ -13,10 +13,10 @@ use std::collections::{BTreeMap, BTreeSet, HashMap};
 use std::fs;
 use std::path::{Path, PathBuf};
 
-/// The most entries of folders that a search visits.
+/// The maximum number of entries of folders that a search visits.
 const ENTRIES_MAX: usize = 200_000;
 
-/// The most bytes of rule files that a search reads.
+/// The maximum number of bytes of rule files that a search reads.
 const BYTES_MAX: usize = 256 << 20;
 
 /// Files that mark a folder as made by a tool: a cache, such as Cargo's `target`, or a virtual environment of Python.
@@ -25,7 +25,7 @@ const MADE_BY_TOOLS: [&str; 2] = ["CACHEDIR.TAG", "pyvenv.cfg"];
 /// The workspace as the editor sees it.
 pub struct EditorWorkspace<'a> {
     pub folders: &'a [PathBuf],
-    /// The open texts by normalized path.
+    /// The open documents by normalized path.
     pub open: BTreeMap<&'a Path, &'a str>,
     pub encoding: Encoding,
     /// Whether the client no longer wants the answer.
@@ -78,7 +78,7 @@ pub struct Programs {
     pub complete: bool,
 }
 
-/// Parses a text by itself, and returns its tree and the number of faults.
+/// Parses a document by itself, and returns its tree and the number of faults.
 pub fn parsed(path: &Path, text: &str) -> (datalog::ast::File, usize) {
     let mut sources = Sources::new();
     let id = sources.add(path.display().to_string(), text);
@@ -87,7 +87,7 @@ pub fn parsed(path: &Path, text: &str) -> (datalog::ast::File, usize) {
 }
 
 impl Programs {
-    /// Reads the open texts, the files of the workspace that `wanted` accepts, and all that these include.
+    /// Reads the open documents, the files of the workspace that `wanted` accepts, and all that these include.
     ///
     /// # Errors
     /// If the client cancels the search.
@@ -128,7 +128,7 @@ impl Programs {
         Ok(loader.programs)
     }
 
-    /// Returns the number of an open text.
+    /// Returns the number of an open document.
     pub fn find(&self, path: &Path) -> Option<usize> {
         self.files.iter().position(|file| file.path == path)
     }
@@ -228,7 +228,7 @@ fn members(set: &[bool]) -> impl Iterator<Item = usize> {
 
 struct Loader<'a> {
     workspace: &'a EditorWorkspace<'a>,
-    /// The open texts by the path of their file without links.
+    /// The open documents by the path of their file without links.
     canonical: HashMap<PathBuf, &'a Path>,
     /// The files by path without links; `None` for those that cannot be read or are not wanted. Only for lookup.
     known: HashMap<PathBuf, Option<usize>>,

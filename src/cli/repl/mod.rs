@@ -24,7 +24,7 @@ use std::time::Duration;
 use table::Column;
 use workbench::{Outcome, Workbench};
 
-/// The most rows of a relation that a terminal shows.
+/// The maximum number of rows of a relation that a terminal shows.
 const SHOWN_MAX: usize = 200;
 
 /// The default limit of derived rows. More are probably a mistake, which a low limit reveals early.

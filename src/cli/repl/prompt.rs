@@ -20,7 +20,7 @@ use std::path::PathBuf;
 const PROMPT: &str = "> ";
 const CONTINUATION: &str = "| ";
 
-/// The most inputs in the history.
+/// The maximum number of inputs in the history.
 const HISTORY_MAX: usize = 1000;
 
 /// The next input.

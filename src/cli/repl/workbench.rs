@@ -1,7 +1,7 @@
-//! The state of a prompt: texts, the program they form, and a session with its facts.
+//! The state of a prompt: sources, the program they form, and a session with its facts.
 //!
 //! ```text
-//! files, typed texts --Workspace--> Rules --> Program --> Session <-- facts: typed, or read from a folder
+//! files, typed sources --Workspace--> Rules --> Program --> Session <-- facts: typed, or read from a folder
 //! ```
 //!
 //! A change either succeeds as a whole or has no effect. Changes to facts of predicates without rules commit to the
@@ -33,7 +33,7 @@ pub struct Workbench<'s> {
     made: Made,
 }
 
-/// The changes to the texts besides loading files.
+/// The changes to the sources besides loading files.
 #[derive(Clone, Default)]
 struct Made {
     /// Texts that the user typed.
@@ -67,7 +67,7 @@ pub struct Answer {
 }
 
 impl<'s> Workbench<'s> {
-    /// Returns a workbench without texts.
+    /// Returns a workbench without sources.
     pub fn new(sources: &'s mut Sources, limits: Limits) -> Result<Self, Failure> {
         let workspace = Workspace::new(Edb::Extensible);
         let loaded = workspace.check();
@@ -104,7 +104,7 @@ impl<'s> Workbench<'s> {
         self.adopt(workspace, self.made.clone(), first_new)
     }
 
-    /// Reloads all files. Typed text stays; clauses and facts retracted from files return.
+    /// Reloads all files. Typed sources stay; clauses and facts retracted from files return.
     pub fn reload(&mut self) -> Result<Outcome, Failure> {
         let first_new = self.sources.ids().count();
         let mut workspace = Workspace::new(Edb::Extensible);
@@ -126,7 +126,7 @@ impl<'s> Workbench<'s> {
         self.commit(loaded)
     }
 
-    /// Adds a text of facts, clauses, declarations and directives.
+    /// Adds a source of facts, clauses, declarations and directives.
     pub fn add(&mut self, id: SourceId) -> Result<Outcome, Failure> {
         let rules = self.session.program().rules();
         let rows = self.workspace.facts(self.sources, id, self.session.symbols())?;
@@ -193,7 +193,7 @@ impl<'s> Workbench<'s> {
             }
             let Relation { name, derived, .. } = &rules.relations[relation.index()];
             if *derived {
-                let message = format!("rules derive `{name}`, and no text states this fact");
+                let message = format!("rules derive `{name}`, and no source states this fact");
                 let fault = Diagnostic::new(Code::INVALID_FACT, message).at(whole, "");
                 return Err(fault.help("if it holds, `explain` prints its proof").into());
             }
@@ -265,8 +265,8 @@ impl<'s> Workbench<'s> {
             .collect()
     }
 
-    /// Makes `texts` the program and moves the facts to it. Reports only warnings about texts from number `first_new`
-    /// on.
+    /// Makes the sources of `workspace` the program and moves the facts to it. Reports only warnings about sources from
+    /// number `first_new` on.
     fn adopt(&mut self, mut workspace: Workspace, mut made: Made, first_new: usize) -> Result<Outcome, Failure> {
         let new: HashSet<SourceId> = self.sources.ids().skip(first_new).collect();
         let (mut rules, mut warnings) = checked(&workspace, &new)?;
@@ -357,7 +357,7 @@ impl<'s> Workbench<'s> {
         self.session.symbols().text(Symbol(value.0)).unwrap_or_default()
     }
 
-    /// Returns the rows of a predicate without rules that no text states.
+    /// Returns the rows of a predicate without rules that no source states.
     fn given(&self, id: RelId) -> Vec<Vec<Value>> {
         let clauses = &self.session.program().rules().clauses;
         let stated: BTreeSet<Vec<Value>> = (clauses.iter())
@@ -394,7 +394,7 @@ impl<'s> Workbench<'s> {
                 continue;
             };
             if rules.relations[place.index()].derived {
-                continue; // The text contains them now.
+                continue; // The source contains them now.
             }
             for mut row in given {
                 for (value, column) in row.iter_mut().zip(&relation.columns) {
@@ -445,10 +445,10 @@ impl<'s> Workbench<'s> {
     }
 }
 
-/// Returns the rules of the texts, and the warnings about the new ones.
+/// Returns the rules of the sources, and the warnings about the new ones.
 ///
 /// # Errors
-/// All errors, and the warnings about the new texts.
+/// All errors, and the warnings about the new sources.
 fn checked(workspace: &Workspace, new: &HashSet<SourceId>) -> Result<(Rules, Vec<Diagnostic>), Vec<Diagnostic>> {
     let Loaded {
         rules, mut diagnostics, ..
@@ -468,7 +468,7 @@ fn not_taken(error: RowError) -> Failure {
     Diagnostic::new(Code::INVALID_FACT, error.to_string()).into()
 }
 
-/// Returns the row of a fact in the text.
+/// Returns the row of a fact in the source.
 fn constants(clause: &datalog::Clause) -> Option<Vec<Value>> {
     if !clause.body.is_empty() {
         return None;

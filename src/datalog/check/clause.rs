@@ -468,7 +468,7 @@ fn lone_variables<'c>(
         let known = variables.iter().find(|variable| variable.name == *name);
         let is_text = known.is_some_and(|variable| base(variable.ty, names) == Some(BaseType::Symbol));
         let message = format!("`{one} = {other}` is always true: the variable `{name}` occurs nowhere else");
-        // The name that the author may have meant as a text.
+        // The name that the author may have meant as a symbol.
         let text = if reads_as_constant(same) && !reads_as_constant(name) {
             same
         } else {
@@ -489,7 +489,7 @@ fn lone_variables<'c>(
         });
         faults.push(match is_text {
             true => fault.help(format!(
-                "if you mean the text `{text}`, write it in quotes: `{one} = {other}`"
+                "if you mean the symbol `{text}`, write it in quotes: `{one} = {other}`"
             )),
             false => fault.help("remove the equation"),
         });

@@ -55,7 +55,7 @@ pub(crate) fn restratified(mut rules: Rules) -> Rules {
 /// Whether rules may derive `.input` predicates (the EDB).
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
 pub enum Edb {
-    /// Only inserted rows and the facts of the text hold. A rule for an `.input` predicate is an error.
+    /// Only inserted rows and the facts of the source hold. A rule for an `.input` predicate is an error.
     #[default]
     Fixed,
     /// As in Soufflé, rules may derive further rows of an `.input` predicate. The checker warns of such rules.

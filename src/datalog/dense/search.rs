@@ -14,7 +14,7 @@ pub trait BinaryFacts<const W: usize> {
         false
     }
 
-    /// Returns the members of `demand` that all lists relate to one and the same member of `among`.
+    /// Returns the members of `demand` that all lists relate to the same member of `among`.
     #[inline]
     fn any<const N: usize>(&self, lists: [usize; N], demand: Set<W>, among: Set<W>) -> Set<W> {
         let mut found = [0; W];

@@ -73,7 +73,7 @@ pub(crate) struct JoinState {
     pub(crate) budget: u64,
     /// With more rows than this, budget and cancellation are checked.
     next_poll: u64,
-    /// The maximum size of all texts, in bytes.
+    /// The maximum size of all symbols, in bytes.
     pub(crate) text_bytes: u64,
     /// The correlated aggregates evaluated so far.
     pub(crate) correlated: CorrelatedValues,
@@ -608,7 +608,7 @@ impl<const W: usize> Join<'_, W> {
         }
     }
 
-    /// Like [`Join::compute`], for a functor that creates texts. Fails if the texts take too much memory.
+    /// Like [`Join::compute`], for a functor that creates symbols. Fails if the symbols take too much memory.
     #[cold]
     fn make(&self, functor: Functor, base: BaseType, arguments: &[Slot]) -> Result<Option<Value>, Abort> {
         if functor == Functor::Cat {

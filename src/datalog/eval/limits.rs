@@ -16,8 +16,8 @@ pub struct Limits {
     pub rows: usize,
     /// Maximum number of rows that scans and tests visit. Default: 10^11, which takes some minutes.
     pub steps: u64,
-    /// Maximum memory of a commit, in bytes. Default: 4 GiB. It counts the session's rows, indexes and texts, copies of
-    /// the rows that change, buffers for derived rows, and kept values of aggregates. Memory that does not grow with
+    /// Maximum memory of a commit, in bytes. Default: 4 GiB. It counts the session's rows, indexes and symbols, copies
+    /// of the rows that change, buffers for derived rows, and kept values of aggregates. Memory that does not grow with
     /// the data is not counted. A search for an explanation counts the aggregates that it evaluates.
     pub bytes: u64,
 }
@@ -55,7 +55,7 @@ pub enum EvalError {
         /// The limit, in bytes.
         limit: u64,
     },
-    /// Rows, indexes and texts take more memory than allowed.
+    /// Rows, indexes and symbols take more memory than allowed.
     TooMuchMemory {
         /// The limit, in bytes.
         limit: u64,
@@ -135,7 +135,7 @@ impl fmt::Display for EvalError {
             EvalError::TooManySteps { limit, .. } => write!(f, "the rules scan more than {limit} rows"),
             EvalError::TooManyInputs { limit } => write!(f, "the inserted rows take more than {}", size(*limit)),
             EvalError::TooMuchMemory { limit, .. } => {
-                write!(f, "rows, indexes and texts take more than {}", size(*limit))
+                write!(f, "rows, indexes and symbols take more than {}", size(*limit))
             }
             EvalError::Cancelled { .. } => write!(f, "the evaluation was cancelled"),
         }
@@ -152,7 +152,7 @@ pub(crate) fn size(bytes: u64) -> String {
 
 impl std::error::Error for EvalError {}
 
-/// A diagnostic without a place, for callers that do not have the source texts.
+/// A diagnostic without a place, for callers that do not have the sources.
 impl From<EvalError> for Diagnostic {
     fn from(error: EvalError) -> Self {
         match error.limit() {

@@ -27,11 +27,11 @@ pub(crate) enum NarrowTable {
 pub(crate) struct Loaded<const V: usize> {
     table: Table<V>,
     pending: PendingChanges<V>,
-    /// The facts in the program text.
+    /// The facts in the source.
     text_facts: Vec<Row<V>>,
 }
 
-/// The parts of a widened relation: rows, pending changes, and facts in the program text.
+/// The parts of a widened relation: rows, pending changes, and facts in the source.
 pub(crate) type Widened<const W: usize> = (Vec<Row<W>>, PendingChanges<W>, Vec<Row<W>>);
 
 macro_rules! each {
@@ -56,12 +56,12 @@ impl NarrowTable {
         }
     }
 
-    /// Adds a fact of the program text.
+    /// Adds a fact of the source.
     pub(crate) fn add_text_fact(&mut self, words: &[Value]) {
         each!(self, loaded => loaded.text_facts.push(Row::new(words)));
     }
 
-    /// Makes the facts of the program text pending. The first commit inserts them like any others.
+    /// Makes the facts of the source pending. The first commit inserts them like any others.
     pub(crate) fn insert_text_facts(&mut self) {
         each!(self, loaded => {
             normalize(&mut loaded.text_facts);

@@ -53,7 +53,7 @@ pub(crate) enum Abort {
     Overflow,
     /// The plans scanned more rows than allowed.
     Budget,
-    /// Rows, indexes or texts take more memory than allowed.
+    /// Rows, indexes or symbols take more memory than allowed.
     Memory,
     /// The caller cancelled it.
     Cancelled,

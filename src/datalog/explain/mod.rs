@@ -7,7 +7,7 @@
 //! Session --explain--> Explanation (facts with their clauses, absences with their reasons) --print--> text
 //! ```
 //!
-//! **A proof has minimal height.** An inserted fact or a fact of the text has height 0. A derived fact has the height
+//! **A proof has minimal height.** An inserted fact or a fact of the source has height 0. A derived fact has the height
 //! of the highest fact in its derivation plus 1. Negated literals, comparisons, expressions and aggregates add nothing.
 //! A proof shows the value of an aggregate, not its rows.
 //!
@@ -99,7 +99,7 @@ pub struct Fact {
 pub enum Origin {
     /// The caller inserted it.
     Input,
-    /// The rule text contains it.
+    /// The source contains it.
     Text(ClauseId),
     /// A clause derives it.
     Derived(Derivation),
@@ -234,7 +234,7 @@ pub enum ExplainError {
         limit: u64,
     },
     /// The search takes more memory than the [limits](Session::limits) of the session leave: for indexes, aggregates,
-    /// new texts, or the explanation itself.
+    /// new symbols, or the explanation itself.
     TooMuchMemory {
         /// The limit, in bytes.
         limit: u64,
@@ -277,7 +277,7 @@ impl From<ExplainError> for Diagnostic {
 }
 
 impl Session {
-    /// Explains why a fact holds: a proof of minimal height, down to inserted facts and facts of the text.
+    /// Explains why a fact holds: a proof of minimal height, down to inserted facts and facts of the source.
     ///
     /// `None` if the fact does not hold.
     ///
@@ -589,7 +589,7 @@ impl Making {
         })
     }
 
-    /// Returns what prevents a clause from deriving the pattern; `None` for a fact of the text.
+    /// Returns what prevents a clause from deriving the pattern; `None` for a fact of the source.
     fn obstacle(
         &mut self,
         search: &mut Search<'_>,

@@ -349,13 +349,13 @@ pub enum Comparison {
     Greater,
     /// `>=`
     GreaterEqual,
-    /// `match(pattern, text)`: the regular expression matches all of the text.
+    /// `match(pattern, s)`: the regular expression matches all of the symbol.
     Match,
-    /// `!match(pattern, text)`
+    /// `!match(pattern, s)`
     NotMatch,
-    /// `contains(part, text)`: the text contains the part.
+    /// `contains(part, s)`: the symbol contains the part.
     Contains,
-    /// `!contains(part, text)`
+    /// `!contains(part, s)`
     NotContains,
 }
 

@@ -80,7 +80,7 @@ pub(crate) fn parse_one(sources: &Sources, id: SourceId, faults: &mut Faults) ->
     }
 }
 
-/// Returns the text of a rule file, or reports that it is too large.
+/// Returns the source of a rule file, or reports that it is too large.
 pub(super) fn small_text<'s>(sources: &'s Sources, id: SourceId, faults: &mut Faults) -> Option<&'s str> {
     let text = sources.text(id);
     if text.len() > MAX_TEXT_BYTES {

@@ -36,7 +36,7 @@ impl Instance {
     }
 }
 
-/// The most entities for which the instances of clauses are kept.
+/// The maximum number of entities for which the instances of clauses are kept.
 const GROUNDED_MAX: usize = 6;
 
 /// A rule set: the first action with a clause that holds is taken.

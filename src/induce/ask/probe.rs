@@ -18,7 +18,7 @@ const LITERALS: (usize, usize) = (4, 10);
 const PAIRS: f64 = 0.5;
 /// The share of negated literals.
 const NEGATED: f64 = 0.5;
-/// The most states of the examples that refute probes.
+/// The maximum number of states of the examples that refute probes.
 const REFUTING_MAX: usize = 1000;
 
 /// A random clause of an action that holds in a random scene, its source. The first entities of the source are those of
@@ -130,7 +130,7 @@ struct Drawing<'a> {
     atoms: &'a [Vec<Atom>],
     /// The weights of the negations of the atoms.
     weights: &'a [Vec<f64>],
-    /// The most entities of a random scene.
+    /// The maximum number of entities of a random scene.
     sizes: usize,
 }
 

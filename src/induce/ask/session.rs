@@ -74,13 +74,13 @@ pub struct Answer {
 pub struct AskSettings {
     /// The seed of the choice of questions.
     pub seed: u64,
-    /// The most questions, those of the sweep and of the log included.
+    /// The maximum number of questions, those of the sweep and of the log included.
     pub questions: usize,
     /// Consecutive random scenes without a surprise after which the rules count as learned.
     pub agreements: usize,
-    /// The most entities of a random scene.
+    /// The maximum number of entities of a random scene.
     pub entities: usize,
-    /// After how many answers an earlier question is repeated; 0 for never. The sweep repeats none.
+    /// Ask an earlier question again after this many answers; 0 for never. The sweep repeats none.
     pub repeat_after: usize,
     /// All scenes of this size are asked at the end.
     pub sweep: Option<Bound>,
@@ -102,9 +102,9 @@ impl Default for AskSettings {
 /// The size of the scenes of a sweep.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub struct Bound {
-    /// The most facts, not counting covering facts and facts that follow from others.
+    /// The maximum number of facts, not counting covering facts and facts that follow from others.
     pub facts: usize,
-    /// The most entities, the egos included.
+    /// The maximum number of entities, the egos included.
     pub entities: usize,
 }
 

@@ -183,7 +183,7 @@ impl Space {
     }
 }
 
-/// The most entities besides the egos whose orders are compared.
+/// The maximum number of entities besides the egos whose orders are compared.
 const ORDERED_MAX: usize = 4;
 
 /// Returns the state with its entities in the order that gives the least set of facts, so that states that differ in

@@ -7,7 +7,7 @@ use crate::induce::popper::tokens::is_word;
 use crate::induce::vocabulary::{ARITY_MAX, Link, VARIABLES_MAX};
 use indexmap::{IndexMap, IndexSet};
 
-/// The most variables of a clause if the bias does not set them, as in Popper.
+/// The maximum number of variables of a clause if the bias does not set them, as in Popper.
 const VARIABLES: usize = 6;
 
 /// Settings that bound the size of a solution. The learner prefers short clauses and few of them without a bound.

@@ -52,10 +52,10 @@ use states::Network;
 use std::collections::BTreeSet;
 use text::{Directives, Kind, Term, parse};
 
-/// The most examples that [`Options::closed_world`] makes.
+/// The maximum number of examples that [`Options::closed_world`] makes.
 const CLOSED_WORLD_MAX: usize = 10_000;
 
-/// The texts of a task.
+/// The sources of a task.
 #[derive(Clone, Copy, Debug)]
 pub struct Files {
     /// The facts and rules, `bk.pl`.
@@ -72,7 +72,7 @@ pub struct Options {
     /// Whether the target is false for all arguments that are not in a positive example. An argument is a constant of
     /// its declared type, or any constant if it has none.
     pub closed_world: bool,
-    /// The most variables of a clause, if fewer than in the bias.
+    /// The maximum number of variables of a clause, if fewer than in the bias.
     pub variables: Option<usize>,
     /// The limits of evaluating the rules of the background knowledge. The memory of all examples has the same limit.
     pub limits: Limits,
@@ -98,9 +98,9 @@ pub struct Task {
     pub target: String,
     /// The predicates of bodies.
     pub vocabulary: Vocabulary,
-    /// The examples in the order of the text.
+    /// The examples in the order of the source.
     pub cases: Vec<Case>,
-    /// The most variables of a clause.
+    /// The maximum number of variables of a clause.
     pub variables: usize,
     /// For each predicate of the vocabulary, its facts.
     pub facts: Vec<Vec<Vec<String>>>,

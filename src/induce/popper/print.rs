@@ -8,7 +8,7 @@ use crate::induce::vocabulary::{Body, Literal, VARIABLE_NAMES};
 use std::collections::BTreeSet;
 use std::fmt::Write;
 
-/// The most characters of a name that is changed.
+/// The maximum number of characters of a name that is changed.
 const NAME_MAX: usize = 100;
 
 /// Learned clauses as a program of the Datalog engine that derives the target.

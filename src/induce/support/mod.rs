@@ -14,7 +14,7 @@ use crate::induce::vocabulary::{ARITY_MAX, Atom, Body, Literal, Vocabulary};
 use entailment::Entailment;
 use std::collections::BTreeMap;
 
-/// The most states of lower precedence that [`support`] compares alternatives with.
+/// The maximum number of states of lower precedence that [`support`] compares alternatives with.
 const NEGATIVE_MAX: usize = 100_000;
 
 /// What the examples say about learned rules.

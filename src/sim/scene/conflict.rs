@@ -22,7 +22,7 @@ pub const CONFLICT_BUDGET: u64 = 20_000;
 /// See [`Options::literals_max`].
 const LITERALS_MAX: usize = 1_000_000;
 
-/// The added predicate. No name in source text begins with `+`.
+/// The added predicate. No name in a source begins with `+`.
 const CONFLICT: &str = "+conflict";
 
 /// The finding for two actions that both have clauses.

@@ -7,7 +7,7 @@ use crate::diag::{Code, Diagnostic, Span};
 use crate::predicate::{Concept, Definition, Kind, Static};
 use std::collections::{BTreeSet, HashMap};
 
-/// The most literals that one warning shows.
+/// The maximum number of literals that one warning shows.
 const SHOWN_MAX: usize = 6;
 
 /// A literal that an empty predicate concerns, and what follows for it.
@@ -153,7 +153,7 @@ fn warning(scenario: &Scenario, config: &PredicateConfig, labels: &[Label]) -> O
         fault = fault.also(*span, label.clone());
     }
     if labels.len() > SHOWN_MAX {
-        fault = fault.note(format!("{} further literals are concerned", labels.len() - SHOWN_MAX));
+        fault = fault.note(format!("{} further literals are affected", labels.len() - SHOWN_MAX));
     }
     fault = fault.also(config.name.span, format!("`{name}` is defined here"));
     Some(match &config.definition {

@@ -43,7 +43,7 @@ pub struct Inference {
     check_constraints: bool,
     /// The limits of each evaluation by the relational executor.
     limits: Limits,
-    /// The texts of the rules, for messages; see [`Inference::name_clauses`].
+    /// The sources of the rules, for messages; see [`Inference::name_clauses`].
     rule_sources: Option<Sources>,
     /// The dense program; `None` if a session decides.
     dense: Option<Dense>,

@@ -119,7 +119,7 @@ fn unused_outputs(rules: &Rules) -> Vec<Diagnostic> {
     });
     let warn = |(relation, _): (&Relation, _)| {
         let name = &relation.name;
-        let message = format!("`.output {name}` has no effect in a city: it is no action, and no clause reads it");
+        let message = format!("`.output {name}` has no effect in a city: it is not an action, and no clause reads it");
         let fault = Diagnostic::new(Code::UNUSED_OUTPUT, message).at(relation.span, "declared here");
         match did_you_mean(name, actions()) {
             Some(near) => fault.help(format!("did you mean `{near}`?")),
@@ -162,7 +162,7 @@ pub fn agent_lints<'s>(rules: &Rules, sets: impl Iterator<Item = &'s AgentSet>) 
     faults.finish()
 }
 
-/// The most agents of a kind among whose names a search finds a similar one.
+/// The maximum number of agents of a kind among whose names a search finds a similar one.
 const SIMILAR_MAX: usize = 1000;
 
 /// The agents of some sets.

@@ -17,7 +17,7 @@ pub struct CityTheory {
     pub(super) profiles: Vec<Profile>,
     /// Whether two agents of one set can have different priorities.
     ranked: bool,
-    /// The most agents that are in the city at once.
+    /// The maximum number of agents that are in the city at once.
     agents_max: usize,
 }
 
@@ -41,7 +41,7 @@ pub(super) struct Known<'s> {
     pub config: &'s PredicateConfig,
 }
 
-/// The inputs of rules that the configuration defines, without those that also have facts in the text.
+/// The inputs of rules that the configuration defines, without those that also have facts in the source.
 pub(super) struct KnownInputs<'s> {
     /// In the order of the configuration.
     pub list: Vec<Known<'s>>,

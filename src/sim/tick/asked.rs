@@ -30,7 +30,7 @@ impl AskedFact {
     /// Reads a question. The name of a predicate alone asks about the agent `ego`, in the first column. Names of agents
     /// need no quotes.
     ///
-    /// `agents` are the names of those in the city. `question` is a text of `sources`.
+    /// `agents` are the names of those in the city. `question` is one of `sources`.
     ///
     /// # Errors
     /// `syntax`; `unknown-predicate`; `arity-mismatch`; `invalid-fact` for a value that is no agent or does not fit its
@@ -106,7 +106,7 @@ impl AskedFact {
                 base => {
                     let value = parse_value(base, text).filter(|_| !quoted);
                     if value.is_none() {
-                        let message = format!("`{text}` is no value of the type `{}`", base.name());
+                        let message = format!("`{text}` is not a value of the type `{}`", base.name());
                         let fault = Diagnostic::new(Code::INVALID_FACT, message).at(*span, "");
                         faults.push(fault.also(declared.span, "declared here"));
                     }
@@ -252,7 +252,7 @@ impl Written {
                 !value.is_empty() && value.chars().all(allowed)
             };
             if !quoted && !plain(value) {
-                return Err(wrong(span, "this is no value: write strings in double quotes"));
+                return Err(wrong(span, "this is not a value: write strings in double quotes"));
             }
             values.push((value.to_owned(), quoted, span));
             (rest, at) = (&rest[length..], at + length);

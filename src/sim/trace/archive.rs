@@ -91,7 +91,7 @@ impl Archive {
     }
 }
 
-/// Returns the SHA-256 hash of the texts of rule files, in order, in hexadecimal: of the texts that an [`Archive`] would
+/// Returns the SHA-256 hash of the sources of rule files, in order, in hexadecimal: of those that an [`Archive`] would
 /// have, so that it does not depend on the folders of the files.
 pub fn hash_sources(sources: &Sources, files: &[SourceId]) -> String {
     let paths: Vec<&str> = files.iter().map(|&id| sources.name(id)).collect();
@@ -112,7 +112,7 @@ fn hash<'a>(texts: impl Iterator<Item = &'a str>) -> String {
 }
 
 impl ReadFile for Archive {
-    /// Returns the text of a rule file. Reads nothing from disk.
+    /// Returns the source of a rule file. Reads nothing from disk.
     fn read(&self, path: &Path) -> Result<String, ReadError> {
         let path = normalize(path);
         let found = self.rule_files.iter().find(|file| Path::new(&file.name) == path);
@@ -148,7 +148,7 @@ fn included<S: AsRef<str>>(names: &[S], from: &str, written: &str) -> Option<usi
     position(beside).or_else(|| position(builtin))
 }
 
-/// Returns the text of a rule file. Replaces the path of each include that would not reach its file under the new
+/// Returns the source of a rule file. Replaces the path of each include that would not reach its file under the new
 /// names.
 fn with_includes(sources: &Sources, id: SourceId, paths: &[&str], names: &[String]) -> String {
     let mut text = sources.text(id).to_owned();

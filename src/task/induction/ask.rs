@@ -561,7 +561,7 @@ impl Questions {
                 )
             }
             End::Agreed if self.last_explored >= self.agreements => format!(
-                "The rules agreed with the oracle on {} random scenes in a row, which is no proof.",
+                "The rules agreed with the oracle on {} random scenes in a row, which is not a proof.",
                 self.agreements
             ),
             End::Agreed => "The rules agree with the oracle on every random scene that could be drawn, which is no \

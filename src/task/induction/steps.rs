@@ -9,7 +9,7 @@ use parquet::errors::ParquetError;
 use parquet::file::reader::{FileReader, SerializedFileReader};
 use std::panic::{AssertUnwindSafe, catch_unwind};
 
-/// The most steps, and about the most numbers, that are read together.
+/// The maximum number of steps, and about the most numbers, that are read together.
 const BATCH: usize = 4_096;
 const NUMBERS: usize = 1 << 22;
 

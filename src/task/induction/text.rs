@@ -10,7 +10,7 @@ use serde_json::{Value, json};
 use std::collections::BTreeMap;
 use std::fmt::Write;
 
-/// The most literals that a comment of a rule file lists.
+/// The maximum number of literals that a comment of a rule file lists.
 const LISTED_MAX: usize = 8;
 /// The number of examples that a clause alone explains below which a comment warns.
 const FEW: u64 = 5;
@@ -46,7 +46,7 @@ impl Origin {
     }
 }
 
-/// Returns learned rules as the text of a rule file.
+/// Returns learned rules as the source of a rule file.
 ///
 /// The file begins with the declarations of the rules of the world: it includes the built-in files that have neither a
 /// clause of a learned action nor an include, and repeats the declarations of all other files. `rule_files` are these
@@ -286,7 +286,7 @@ fn declarations(sources: &Sources, rule_files: &[SourceId], actions: &[&str]) ->
         _ => false,
     };
     let mut text = String::new();
-    // An included file comes before the text that includes it.
+    // An included file comes before the file that includes it.
     for &file in rule_files.iter().rev() {
         let tree = datalog::parse(sources, file).file;
         let builtin = builtin_name(sources.name(file), sources.text(file));

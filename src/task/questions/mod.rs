@@ -32,16 +32,16 @@ const TICKS: u64 = 100;
 /// Ticks without questions at the start of a world, because agents have no heading at first.
 const WARM_UP: u64 = 11;
 
-/// The most questions with one answer per world, because nearby ticks are similar.
+/// The maximum number of questions with one answer per world, because nearby ticks are similar.
 const PER_WORLD: usize = 4;
 
 /// A search ends after this many worlds plus one per question.
 const WORLDS: usize = 200;
 
-/// The most questions of a set.
+/// The maximum number of questions of a set.
 pub const QUESTIONS_MAX: u32 = 20_000;
 
-/// The most demonstrations of a set.
+/// The maximum number of demonstrations of a set.
 pub const SHOTS_MAX: u32 = 100;
 
 /// The parameters of a set of questions.
@@ -57,7 +57,7 @@ pub struct Request {
     pub demonstrations: Split,
     /// The entities that a question names.
     pub entities: Extent,
-    /// The form of the facts in the text.
+    /// The form of the facts in the source.
     pub style: Style,
     /// What the instructions state and request.
     pub prompt: Prompt,
@@ -89,7 +89,7 @@ impl Extent {
     }
 }
 
-/// The form of the facts in the text of a question.
+/// The form of the facts in the source of a question.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum Style {
     /// A list of atoms, as in the paper.

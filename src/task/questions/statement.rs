@@ -19,7 +19,7 @@ use crate::sim::World;
 use crate::task::questions::Style;
 use std::collections::BTreeSet;
 
-/// The most levels of hidden predicates that a sentence unfolds.
+/// The maximum number of levels of hidden predicates that a sentence unfolds.
 const DEPTH_MAX: usize = 4;
 
 /// Returns a sentence for each clause on which an action depends, and how the city chooses among the actions.

@@ -300,7 +300,7 @@ fn agent_name(text: &str) -> Result<AgentName, Diagnostic> {
 }
 
 impl EpisodeSet {
-    /// Loads the recorded episodes of a split from the file in the task's configuration. Adds the text to `sources`.
+    /// Loads the recorded episodes of a split from the file in the task's configuration. Adds the file to `sources`.
     ///
     /// # Errors
     /// `missing-key` if the configuration names no file, `missing-file` if the file cannot be read, `invalid-episode`

@@ -18,10 +18,10 @@ impl Purpose {
 /// drops it.
 const STEPS_MAX: u32 = 1000;
 
-/// The most draws per requested episode.
+/// The maximum number of draws per requested episode.
 const DRAWS: u64 = 1000;
 
-/// The most draws of [`reset_demanding`].
+/// The maximum number of draws of [`reset_demanding`].
 pub const DRAWS_MAX: u64 = 1000;
 
 /// Policies without learning.

@@ -450,7 +450,7 @@ impl<'a> Circuit<'a> {
         self.solver.has_failed(self.switches[switch])
     }
 
-    /// Adds the constraints of both sides to the circuit, for all facts in it and those in the text.
+    /// Adds the constraints of both sides to the circuit, for all facts in it and those in the source.
     pub(super) fn constraints(&mut self) -> Result<(), TooLarge> {
         let sides = self.sides;
         for (side, program) in sides.into_iter().enumerate() {

@@ -70,7 +70,7 @@ pub(super) struct Side<'a> {
     pub(super) stratum: Vec<Option<usize>>,
     /// The positions among the shared base predicates, by [`RelId`].
     pub(super) base: Vec<Option<usize>>,
-    /// The facts in the text for predicates without rules; the rows contain positions of individuals.
+    /// The facts in the source for predicates without rules; the rows contain positions of individuals.
     pub(super) facts: HashSet<(RelId, Vec<usize>)>,
     /// The base predicates that serve as guards on either side.
     pub(super) scopes: BTreeSet<RelId>,

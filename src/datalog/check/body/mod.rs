@@ -566,7 +566,7 @@ impl<'c> Check<'_, 'c> {
             OperandKind::Variable(id) => return Term::Variable(id),
             OperandKind::Nothing => return Term::Wildcard,
             OperandKind::Whole(_) => (None, "a number"),
-            OperandKind::Constant(value, BaseType::Symbol) => (Some((value, BaseType::Symbol)), "a text"),
+            OperandKind::Constant(value, BaseType::Symbol) => (Some((value, BaseType::Symbol)), "a symbol"),
             OperandKind::Constant(value, BaseType::Float) => (Some((value, BaseType::Float)), "a float"),
             OperandKind::Constant(value, BaseType::Number) => (Some((value, BaseType::Number)), "a number"),
             OperandKind::Constant(value, BaseType::Unsigned) => {
@@ -722,7 +722,7 @@ impl<'c> Check<'_, 'c> {
                     && let Err(reason) = Patterns::compile(pattern)
                 {
                     let fault = Diagnostic::new(Code::INVALID_PATTERN, format!("not a regular expression: {reason}"));
-                    let help = "a regular expression of Rust's `regex` matches the whole text; a backslash before a \
+                    let help = "a regular expression of Rust's `regex` matches the whole symbol; a backslash before a \
                                 special character makes it literal, written `\\\\` in a string";
                     self.fault(fault.at(left.place.0, "").help(help));
                 }

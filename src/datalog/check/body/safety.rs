@@ -193,7 +193,7 @@ impl<'c> Check<'_, 'c> {
                     fault = fault
                         .note("a name without quotes is a variable")
                         .help(format!(
-                            "if you mean the text `{name}`, write it in quotes: `\"{name}\"`"
+                            "if you mean the symbol `{name}`, write it in quotes: `\"{name}\"`"
                         ))
                         .fix(
                             "write a constant in quotes",
@@ -216,7 +216,7 @@ impl<'c> Check<'_, 'c> {
                 };
                 let compared = self.variables[index].compared.map(|ty| self.names.base(ty));
                 if !is_constant && compared == Some(BaseType::Symbol) && self.variables[index].negated.is_none() {
-                    fault = fault.help(format!("or, if you mean the text, write it in quotes: `\"{name}\"`"));
+                    fault = fault.help(format!("or, if you mean the symbol, write it in quotes: `\"{name}\"`"));
                 }
             }
             self.fault(fault);

@@ -26,7 +26,7 @@ pub(crate) struct Meter<'a> {
 }
 
 impl<'a> Meter<'a> {
-    /// A meter that allows `budget` rows to be scanned, and texts to grow to `text_bytes`.
+    /// A meter that allows `budget` rows to be scanned, and symbols to grow to `text_bytes`.
     pub(super) fn new(budget: u64, text_bytes: u64, options: CommitOptions<'a>, workers: Option<&'a Workers>) -> Self {
         let mut state = JoinState::new(budget);
         state.text_bytes = text_bytes;
@@ -111,7 +111,7 @@ pub(crate) struct Quota {
     pub(crate) rows: usize,
     /// Maximum rows scanned.
     pub(super) steps: u64,
-    /// Maximum bytes of all that its evaluation adds: rows, indexes, buffers and texts.
+    /// Maximum bytes of all that its evaluation adds: rows, indexes, buffers and symbols.
     pub(crate) bytes: u64,
     /// Whether so much memory is in use that indexes count.
     pub(super) tight: bool,

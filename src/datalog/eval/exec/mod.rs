@@ -106,7 +106,7 @@ pub(crate) struct State<const W: usize> {
     pub(crate) tables: Vec<Table<W>>,
     /// By [`RelId`]: a loaded relation with narrow rows. It has nothing in `tables`, `text_facts` and `pending`.
     narrow: Vec<Option<NarrowTable>>,
-    /// By [`RelId`]: the facts in the program text, for relations that no clause with a body derives. They cannot be
+    /// By [`RelId`]: the facts in the source, for relations that no clause with a body derives. They cannot be
     /// retracted.
     text_facts: Vec<Vec<Row<W>>>,
     /// By [`RelId`]: the changes that the next commit makes.
@@ -204,7 +204,7 @@ impl<const W: usize> State<W> {
             rows: 0,
             copies_max: indexes().max().unwrap_or(0) + 1,
             costs: vec![Cost::default(); compiled.plans.strata.len()],
-            // The first commit inserts the facts of the text like any others.
+            // The first commit inserts the facts of the source like any others.
             pending: text_facts.iter().cloned().map(PendingChanges::of).collect(),
             plans: Arc::clone(&compiled.plans),
             bases: vec![Basis::default(); compiled.plans.strata.len()],
@@ -379,7 +379,7 @@ impl<const W: usize> State<W> {
         let inputs: usize = stratum.inputs.iter().map(|&input| self.len(input)).sum();
         let inputs = inputs as u64;
         let mut given_up = 0;
-        // A stratum that makes texts shares its memory between rows and texts.
+        // A stratum that makes symbols shares its memory between rows and symbols.
         let text_bytes = commit.symbols.bytes() + quota.bytes / 2;
         if self.committed && stratum.maintainable && strategy != Strategy::Recompute {
             // The cost of the last computation from scratch, scaled to the current number of input rows.
@@ -558,7 +558,7 @@ impl<const W: usize> State<W> {
     }
 }
 
-/// Whether a clause of the stratum creates new texts.
+/// Whether a clause of the stratum creates new symbols.
 fn makes_texts(plans: &Plans, stratum: &StratumPlan) -> bool {
     let makes = |plan: &Plan| {
         let mut steps = plan.steps.iter();

@@ -8,7 +8,7 @@ use std::collections::{BTreeMap, HashMap};
 
 /// The known heights.
 pub(super) struct Heights {
-    /// The facts of the text, each with the first clause that states it.
+    /// The facts of the source, each with the first clause that states it.
     text: HashMap<(RelId, Vec<Value>), ClauseId>,
     /// The position of the stratum of each derived relation, by [`RelId`].
     stratum: Vec<Option<usize>>,
@@ -127,7 +127,7 @@ impl Search<'_> {
         Ok(found)
     }
 
-    /// Returns the height and derivation of a derived fact that is not in the text.
+    /// Returns the height and derivation of a derived fact that is not in the source.
     fn derivation(&mut self, stratum: usize, rel: RelId, row: &[Value]) -> Result<(u32, Best), ExplainError> {
         let rules = self.rules();
         let clauses = self.clauses_of(rel);
@@ -410,7 +410,7 @@ impl Search<'_> {
                     let head: Option<Vec<Value>> = (clause.head.terms.iter())
                         .map(|term| value(term, solution.binding))
                         .collect();
-                    // A fact of the text has height 0.
+                    // A fact of the source has height 0.
                     let height = if clause.body.is_empty() {
                         0
                     } else {

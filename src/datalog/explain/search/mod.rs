@@ -152,8 +152,8 @@ impl<'s> Search<'s> {
             cancel: cancel.clone(),
             cancelled: Cell::new(false),
             patterns: RefCell::default(),
-            // The other parts of the memory are for the evaluations, for the indexes of the search, and for new texts,
-            // which an explanation repeats.
+            // The other parts of the memory are for the evaluations, for the indexes of the search, and for new
+            // symbols, which an explanation repeats.
             correlated: RefCell::new(CorrelatedValues::caching(left / 4)),
             bytes_max: left / 4,
             bytes_left: Cell::new(left / 16 * 7),

@@ -33,7 +33,7 @@ use theory::{Closure, Constraints};
 /// The optimizer skips bodies with more literals than this.
 const LITERALS_MAX: usize = 64;
 
-/// The most clauses that a message shows as repeating a part.
+/// The maximum number of clauses that a message shows as repeating a part.
 const USES_SHOWN: usize = 8;
 
 /// The step limit of the search for subsumed clauses.
