@@ -15,7 +15,7 @@ const SCENES: Purpose = Purpose::new(1001);
 
 /// Number of scenes from which rules are learned, and number of fresh scenes on which they are measured.
 const SCENES_COUNT: usize = 10_000;
-/// The scenes that are asked in the end.
+/// The scenes that the learner asks at the end.
 const SWEEP: Bound = Bound { facts: 3, entities: 3 };
 /// Random scenes in a row without a surprise after which the sweep begins.
 const AGREEMENTS: usize = 200;

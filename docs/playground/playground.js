@@ -19,7 +19,7 @@ class Rejected extends Error {
   }
 }
 
-/** A worker with the library. After a defect or a long silence it starts anew, without a city. */
+/** A worker with the library. After a defect or a long silence it restarts, without a city. */
 class Service {
   constructor() {
     this.last = 0;
@@ -44,7 +44,7 @@ class Service {
     else call.resolve(result);
   }
 
-  /** Rejects all calls and starts anew. */
+  /** Rejects all calls and restarts. */
   fail(message) {
     const calls = [...this.waiting.values()];
     this.start();

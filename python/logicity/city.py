@@ -44,7 +44,7 @@ _AgentKey = TypeVar("_AgentKey", bound=str | SupportsIndex)
 class Inference:
     """Applies the rules to scenes.
 
-    Pickling and copying store the loaded source text, so a copy reads no file. Not thread-safe: concurrent use raises
+    Pickling and copying store the loaded sources, so a copy reads no file. Not thread-safe: concurrent use raises
     `RuntimeError`.
 
     Args:
@@ -84,7 +84,7 @@ class Inference:
         return inference
 
     def __reduce__(self) -> tuple[Any, ...]:
-        """Pickle the arguments and the loaded source text."""
+        """Pickle the arguments and the loaded sources."""
         return type(self)._restore, (self._args, self._inference.files())
 
     def answer(self, scene: Scene | SymbolicScene) -> Answer:
@@ -196,7 +196,7 @@ class Simulation:
     """A running city. The same configuration, rules, split, seed and controls give the same ticks.
 
     Not thread-safe: concurrent use raises `RuntimeError`. Long calls release the GIL. Ctrl-C ends `run` after the
-    current tick. A copy continues identically. Pickling and copying store the loaded source text and the controls, so a
+    current tick. A copy continues identically. Pickling and copying store the loaded sources and the controls, so a
     copy reads no file but repeats the ticks, which takes as long as the run so far.
 
     Args:
@@ -240,7 +240,7 @@ class Simulation:
         self._controls: dict[int, list[tuple[int, int]]] = {}
 
     def __getstate__(self) -> dict[str, Any]:
-        """Return the arguments, the loaded source text, the number of ticks, and the controls."""
+        """Return the arguments, the loaded sources, the number of ticks, and the controls."""
         return {"args": self._args, "files": self._city.files(), "now": self.now, "controls": self._controls}
 
     def __setstate__(self, state: dict[str, Any]) -> None:

@@ -91,7 +91,7 @@ class InducedRules:
     """Learned rules. Calling them with a batch of observations returns actions, so they are a policy.
 
     Attributes:
-        text: The rules as the text of a rule file, with comments about their support.
+        text: The rules as the source of a rule file, with comments about their support.
         clauses: The clauses, by action in the order of precedence.
         report: All figures, as `logicity induce --report` writes them.
     """
@@ -238,14 +238,14 @@ def induce(
         overrides: Changes of the configuration, as in `gymnasium.make`. The default is that of the demonstrations.
         ask: The oracle: a function that takes a scene, as `infer` does, and returns the name of the ego's action, or
             the path of a rule file whose clauses the learner does not see. `noise` must be None.
-        questions: The largest number of questions, those of an earlier run in the log included. None is 10 million.
+        questions: The largest number of questions, including those of an earlier run in the log. None is 10 million.
         agreements: The questions end when the rules agree with the oracle on this many random scenes in a row. None is
             400.
-        sweep: Then all scenes of at most this many facts and entities are asked, for example `(3, 2)`: a certificate.
+        sweep: Then ask all scenes of at most this many facts and entities, for example `(3, 2)`: a certificate.
             Facts that follow from others and facts of `.covering` predicates do not count.
         log: A file to which each question is added at once with its answer. The same call with an existing log
-            continues where it stopped. A log of other questions is an error. A function is known by its name, as is
-            the class of an object, so another function of the same name needs another log.
+            continues where it stopped. A log of other questions is an error. It identifies a function by its name, and
+            an object by its class, so another function of the same name needs another log.
 
     Returns:
         The rules. `report["questions"]` describes the questions and the certificate.

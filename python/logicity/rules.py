@@ -27,7 +27,7 @@ def check(text: str, name: str = "<text>") -> list[Diagnostic]:
     """Return the errors and warnings of rules.
 
     Args:
-        text: The source text of the rules.
+        text: The source of the rules.
         name: The file name in the diagnostics. `.include` paths are relative to its folder.
 
     Raises:
@@ -99,10 +99,10 @@ class Program:
     An `.input` predicate may also have rules, as in `logicity query`. It then holds both the inserted and the derived
     rows.
 
-    Pickling and copying store the source text, so a copy reads no file.
+    Pickling and copying store the sources, so a copy reads no file.
 
     Args:
-        text: The source text of the rules.
+        text: The source of the rules.
         name: The file name in messages. `.include` paths are relative to its folder.
 
     Raises:
@@ -133,7 +133,7 @@ class Program:
         return program
 
     def __reduce__(self) -> tuple[Any, ...]:
-        """Pickle the source text."""
+        """Pickle the sources."""
         return type(self)._restore, (self._program.files(),)
 
     def __repr__(self) -> str:

@@ -56,7 +56,7 @@ class Limits(TypedDict, total=False):
 
 
 class Label(TypedDict):
-    """A span of source text with a message. Lines and columns start at 1."""
+    """A span of a source with a message. Lines and columns start at 1."""
 
     file: str
     line: int

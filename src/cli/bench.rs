@@ -73,7 +73,7 @@ impl What {
 #[derive(clap::Args)]
 pub struct Arguments {
     /// The benchmark. infer: the rules alone, on facts in memory, as bits (dense) or as changing rows (relational).
-    /// ground: all facts that the rules can read. tick: a city, placed anew after the configuration's ticks. env:
+    /// ground: all facts that the rules can read. tick: a city, placed again after the configuration's ticks. env:
     /// episodes of the configuration's task under a random policy, with observations. render: pictures like those of
     /// the visual data set, drawn, encoded as PNG and decoded, at difficulties 0 and 50, and smaller ones. scale:
     /// cities of 1000 agents up to --agents

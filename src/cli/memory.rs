@@ -51,8 +51,8 @@ pub const BUFFERS: u64 = 32 << 20;
 
 /// Calls `end` once the resident memory of this process exceeds `limit` by more than the program itself needs.
 ///
-/// A thread reads the size, the less often the more memory is left, so that even the fastest growth does not go far
-/// beyond the limit between two readings. Works where `/proc/self/status` exists.
+/// A thread reads the size, more often when less memory is left, so that even the fastest growth does not exceed the
+/// limit by much between two readings. Works where `/proc/self/status` exists.
 pub fn watch(limit: u64, end: impl FnOnce(u64) + Send + 'static) {
     /// The bytes by which a process may grow in a microsecond, with time to wake this thread on a busy machine.
     const GROWTH: u64 = 16 << 10;

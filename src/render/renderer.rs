@@ -376,7 +376,7 @@ mod tests {
         CityMap::generate(&config).unwrap_or_else(|fault| panic!("{fault:?}"))
     }
 
-    /// Returns the icon of an agent, drawn anew, and its box in a picture.
+    /// Draws the icon of an agent again, and returns it with its box in a picture.
     fn drawn(icons: &Icons, view: &Viewport, agent: &Sprite<'_>) -> (Stamp, Option<PixelBox>) {
         let draw = |size| icons.draw(&agent.class(), agent.instance, agent.facing, size);
         let usual = match agent.kind {

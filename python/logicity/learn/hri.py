@@ -576,7 +576,7 @@ class HriPolicy(Policy):
         return actions, None
 
     def rules(self) -> str:
-        """Return the text of a rule file whose clauses derive the same actions as `predict`.
+        """Return the source of a rule file whose clauses derive the same actions as `predict`.
 
         The file includes the vocabulary of the modes. If several actions are derived, those with precedence exclude the
         others by negated literals.

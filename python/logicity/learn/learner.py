@@ -107,7 +107,7 @@ class Policy(ABC):
         """Write the policy to a file with the suffix `Learner.suffix`."""
 
     def rules(self) -> str | None:
-        """Return the text of a rule file that makes the same decisions as the policy.
+        """Return the source of a rule file that makes the same decisions as the policy.
 
         A policy that is not made of rules returns `None`.
         """

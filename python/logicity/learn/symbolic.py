@@ -48,7 +48,7 @@ class SymbolicPolicy(RulePolicy, Policy):
         return cls(path, saved_by(path)["mode"])
 
     def rules(self) -> str:
-        """Return the text of the rule file."""
+        """Return the source of the rule file."""
         return self.text
 
 
@@ -72,7 +72,7 @@ class SymbolicLearner(Learner):
 
     @abstractmethod
     def rules(self, data: Demonstrations) -> str:
-        """Learn from demonstrations, and return the text of a rule file.
+        """Learn from demonstrations, and return the source of a rule file.
 
         Raises:
             OSError: If another program is missing or fails.

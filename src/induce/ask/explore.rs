@@ -39,7 +39,7 @@ pub fn explore(session: &mut Session<'_>) -> Result<(), End> {
     Ok(())
 }
 
-/// Returns the random scene that is asked next.
+/// Returns the next random scene to ask.
 fn best_scene(session: &mut Session<'_>, probes: &mut Probes) -> Option<State> {
     let mut random = session.random(4);
     let default = session.hypothesis.default;

@@ -82,7 +82,7 @@ pub struct AskSettings {
     pub entities: usize,
     /// Ask an earlier question again after this many answers; 0 for never. The sweep repeats none.
     pub repeat_after: usize,
-    /// All scenes of this size are asked at the end.
+    /// The learner asks all scenes of this size at the end.
     pub sweep: Option<Bound>,
 }
 

@@ -13,7 +13,7 @@ use crate::induce::examples::{State, majority};
 use crate::induce::vocabulary::{Literal, assignments};
 use crate::rng::{Rng, RngExt};
 
-/// Random scenes that are compared before one is asked.
+/// The number of random scenes to compare before the learner asks one.
 const TRIES: usize = 24;
 
 /// Asks about all clauses until the rules agree with every answer.

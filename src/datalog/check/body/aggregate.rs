@@ -497,7 +497,7 @@ impl<'c> Check<'_, 'c> {
         false
     }
 
-    /// Defines a hidden predicate with these columns, of which the first are parameters.
+    /// Defines a hidden predicate with these columns. The first of them are parameters.
     fn define(
         &mut self,
         columns: &[VarId],
