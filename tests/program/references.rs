@@ -52,7 +52,7 @@ fn is_document(path: &str) -> bool {
 #[test]
 fn named_files_exist() {
     let folders = "src|tests|docs|python|benches|configs|rules|editors|examples|results|\\.github";
-    let path = Regex::new(&format!("`((?:{folders})/[^\\s`*<>{{}}$,;:)(]*)`")).unwrap();
+    let path = Regex::new(&format!("`((?:{folders})/[^\\s`*<>{{}}$,;:)(#]*)(?:#[a-z0-9]+)?`")).unwrap();
     // Documents at the root have names in upper case.
     let document = Regex::new(r"\b((?:docs/)?[A-Za-z0-9_/-]+\.md)\b").unwrap();
     let link = Regex::new(r"\]\(([^)#:\s]+)(?:#[^)]*)?\)").unwrap();
