@@ -139,7 +139,7 @@ pub fn popper(bytes: &[u8]) {
     }
 }
 
-/// The maximum number of examples, and predicates, of a task to learn from.
+/// The most examples, and predicates, of a task to learn from.
 const SMALL: usize = 30;
 
 /// Sessions agree with `naive` on a program with changes, written as in `tests/corpus`, and explain its rows.

@@ -260,7 +260,7 @@ fn a_release_needs_equal_versions_a_date_and_an_owner() {
     let files = [
         (
             "Cargo.toml",
-            "version = \"0.2.0\"\n\n[dependencies.other]\nversion = \"3\"\n",
+            "version = \"0.2.0\"\n\n[dependencies]\na = { path = \"a\", version = \"0.2.0\" }\nb = \"3\"\n",
         ),
         ("python/Cargo.toml", "version = \"0.2.0\"\n"),
         ("benches/peers/Cargo.toml", "version = \"0.0.0\"\n"),
@@ -283,6 +283,11 @@ fn a_release_needs_equal_versions_a_date_and_an_owner() {
             "python/Cargo.toml",
             "version = \"0.1.0\"\n",
             "python/Cargo.toml has version 0.1.0, not 0.2.0",
+        ),
+        (
+            "Cargo.toml",
+            "version = \"0.2.0\"\n\n[dependencies]\na = { path = \"a\", version = \"0.1.0\" }\n",
+            "Cargo.toml depends on version 0.1.0 of a crate of this repository",
         ),
         (
             "CITATION.cff",

@@ -1,6 +1,6 @@
 //! Checked rules: the input of planning and evaluation.
 //!
-//! [`load`](crate::datalog::load) makes a [`Rules`] from the source once every check has passed. It never changes
+//! [`load`](crate::datalog::load) makes a [`Rules`] from source text once every check has passed. It never changes
 //! afterwards. Checking resolves all names, flattens expressions, aggregates and disjunctions, and writes `.scope`
 //! guards as ordinary atoms. Every clause is safe: a positive atom binds each variable, or an expression computes it
 //! from bound ones. In the clause of a hidden predicate a guard may bind variables too, and a correlated aggregate
@@ -76,7 +76,7 @@ pub struct Relation {
     pub output: bool,
     /// Whether `.printsize` names it.
     pub printsize: bool,
-    /// Whether it is the head of a clause with a body (IDB). Facts in the source do not count.
+    /// Whether it is the head of a clause with a body (IDB). Facts in the text do not count.
     pub derived: bool,
     /// Whether the checker made it.
     pub hidden: bool,
