@@ -21,6 +21,7 @@ from collections.abc import Callable, Iterator
 from pathlib import Path
 from typing import Any
 
+import history
 import logicity
 from logicity.commands import SUMMARIES, parser_of
 from logicity.describe import describe, environment_page, parallel_page
@@ -544,6 +545,7 @@ GENERATORS: dict[str, Callable[[], str]] = {
     "python": python,
     "playground": playground,
     "rust": rust,
+    "history": lambda: history.page((ROOT / "benches" / "history.jsonl").read_text(encoding="utf-8")),
     **{f"results-{name}": functools.partial(results, name) for name in RESULTS},
     **{Path(name).stem.lower(): functools.partial(repository_file, name) for name in REPOSITORY_FILES},
 }

@@ -8,6 +8,7 @@ and run cargo (`tests/program/readme.rs`).
 from __future__ import annotations
 
 import contextlib
+import importlib
 import io
 import json
 import os
@@ -172,6 +173,26 @@ def test_broken_links_of_a_site_are_found(tmp_path: Path) -> None:
         "page.html: other.html#end: no such anchor",
         "page.html: a.png: no such file",
     ]
+
+
+def test_the_history_of_benchmarks_is_drawn(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.syspath_prepend(DOCS)
+    history = importlib.import_module("history")
+    lines = [
+        {"commit": "1" * 8, "date": "2024-01-01", "machine": "A, 2 cores", "ratios": {"chain": 0.5}},
+        {"commit": "2" * 8, "date": "2024-01-02", "machine": "B, 4 cores", "ratios": {"chain": 0.25, "tick": 0.031}},
+    ]
+    page = history.page("\n".join(map(json.dumps, lines)))
+    # The curve of `chain` falls to the half of its height; that of `tick` is one point.
+    assert '<path d="M12.0 34.0 L120.0 69.0"/>' in page and page.count("<circle") == 3
+    assert page.endswith(
+        "| commit | date | chain | tick | machine |\n"
+        "|---|---|---:|---:|---|\n"
+        "| `22222222` | 2024-01-02 | 0.25 | 0.031 | B, 4 cores |\n"
+        "| `11111111` | 2024-01-01 | 0.5 |  | A, 2 cores |\n"
+    )
+    recorded = history.entries((DOCS.parent / "benches" / "history.jsonl").read_text(encoding="utf-8"))
+    assert recorded and all(ratio > 0 for entry in recorded for ratio in entry.ratios.values())
 
 
 @pytest.mark.parametrize(
