@@ -385,10 +385,10 @@ def results(name: str) -> str:
     """Return the tables of a file of results. One page has those of all smaller experiments of Safe Path Following."""
     file = ROOT / "results" / f"{name}.json"
     if name == "vap":
-        module = imported("logicity.vap.report")
+        module = imported("logicity.experiments.vap.report")
         text: str = module.leaderboard(module.read_results(file))
     else:
-        module = imported("logicity.learn.results")
+        module = imported("logicity.experiments.spf.results")
         text = module.leaderboard(module.read_results(file, name), 2 if name == "spf" else 3)
     return text
 
@@ -412,7 +412,7 @@ def environments() -> str:
 
 def parallel() -> str:
     """Return the page of the environment in which every car is controlled."""
-    imported("logicity.parallel")
+    imported("logicity.envs.parallel")
     return parallel_page()
 
 
@@ -468,12 +468,12 @@ MODULES = {
     "logicity.describe": "Observations",
     "logicity.offline": "Demonstrations",
     "logicity.induction": "Learned rules",
-    "logicity.envs": "Environments",
-    "logicity.layout": "Layouts of observations",
-    "logicity.views": "Views of observations",
-    "logicity.parallel": "Several controlled cars",
-    "logicity.sb3": "Stable-Baselines3",
-    "logicity.torchrl": "TorchRL",
+    "logicity.envs.single": "Environments",
+    "logicity.envs.layout": "Layouts of observations",
+    "logicity.envs.wrappers": "Views of observations",
+    "logicity.envs.parallel": "Several controlled cars",
+    "logicity.envs.sb3": "Stable-Baselines3",
+    "logicity.envs.torchrl": "TorchRL",
     "logicity.learn": "Learners",
     "logicity.vap": "Visual Action Prediction",
     "logicity.questions": "Questions for language models",

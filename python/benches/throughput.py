@@ -95,7 +95,7 @@ def memory(mode: str) -> float:
 
 def stable_baselines(mode: str, count: int) -> float:
     """Measure the adapter for Stable-Baselines3."""
-    from logicity.sb3 import make_vec_env
+    from logicity.envs.sb3 import make_vec_env
 
     envs = make_vec_env(logicity.MODES[mode], count, seed=0, monitor=False)
     actions = np.random.default_rng(0).integers(4, size=(64, count))
@@ -109,9 +109,9 @@ def stable_baselines(mode: str, count: int) -> float:
 
 def training_share(mode: str) -> float:
     """Return the fraction of the CPU time of DQN training that environments and their adapter take."""
+    from logicity.envs.sb3 import make_vec_env
     from logicity.learn import TrainConfig
     from logicity.learn.stable_baselines import new_model
-    from logicity.sb3 import make_vec_env
 
     config = TrainConfig.load(f"configs/baselines/dqn-{logicity.MODES[mode]}-tuned.yaml")
     envs = make_vec_env(config.mode, config.envs, config.seed)

@@ -17,7 +17,7 @@ from torchrl.objectives import ClipPPOLoss
 from torchrl.objectives.value import GAE
 
 import logicity
-from logicity.torchrl import SPFTorchRLEnv
+from logicity.envs.torchrl import SPFTorchRLEnv
 
 STEPS = int(sys.argv[1]) if len(sys.argv) > 1 else 600_000
 ENVS, ROLLOUT, EPOCHS, MINIBATCH, GAMMA, RATE = 256, 16, 2, 1024, 0.9, 1e-3

@@ -12,7 +12,7 @@ import gymnasium
 from stable_baselines3 import DQN
 
 import logicity
-from logicity.sb3 import make_vec_env
+from logicity.envs.sb3 import make_vec_env
 
 STEPS = int(sys.argv[1]) if len(sys.argv) > 1 else 20_000
 

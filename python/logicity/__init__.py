@@ -6,7 +6,7 @@ Where to start:
 - `infer` applies the rules to one scene; `Inference` applies them to many.
 - `Simulation` runs a city.
 - `Program` and `Session` evaluate any Datalog program.
-- `gymnasium.make("logicity/SPF-Expert-v0")` makes an environment with one controlled car, see `logicity.envs`.
+- `gymnasium.make("logicity/SPF-Expert-v0")` makes an environment with one controlled car, see `logicity.envs.single`.
   `parallel_env` makes an environment that controls every car.
 - `observation_names` names the numbers of an observation.
 - `evaluate` measures one policy, `Benchmark` several. `demonstrations` returns trajectories of the oracle, and
@@ -15,8 +15,8 @@ Where to start:
 - `logicity.questions` sends multiple-choice questions to a language model and grades the replies.
 - `logicity.vap` makes and reads data sets of Visual Action Prediction.
 
-The core needs only numpy. Environments and `demonstrations` need the extra `gym`. `logicity.sb3`, `learn`,
-`parallel`, `torchrl` and `icons` each need another extra. Modules are imported on first use.
+The core needs only numpy. Environments and `demonstrations` need the extra `gym`. `logicity.learn`, `logicity.icons`
+and some modules of `logicity.envs` each need another extra. Modules are imported on first use.
 
 Invalid input raises `InputError`, which lists every error with its location. The subclass `LimitError` means that a
 limit was exceeded. The subclass `UnsupportedError` means that the dense executor cannot evaluate the rules. Ctrl-C
@@ -27,25 +27,21 @@ import importlib
 from typing import TYPE_CHECKING
 
 from ._logicity import __version__
-from .registration import register_with_gymnasium
+from .envs.registration import register_with_gymnasium
 
 if TYPE_CHECKING:
     from . import envs as envs
     from . import icons as icons
-    from . import layout as layout
     from . import learn as learn
-    from . import parallel as parallel
     from . import questions as questions
-    from . import sb3 as sb3
-    from . import torchrl as torchrl
     from . import vap as vap
-    from . import views as views
     from .city import ACTIONS, HEADINGS, REASONS, AgentInfo, Decision, Inference, Simulation, Tick, infer
     from .describe import observation_names
+    from .envs.registration import parallel_env
     from .errors import InputError, LimitError, UnsupportedError, UntrustedError
     from .evaluation import Benchmark, EpisodeRecord, Evaluation, Interval, Policy, evaluate
     from .induction import InducedClause, InducedRules, induce
-    from .modes import ENVIRONMENTS, MODES, parallel_env
+    from .modes import ENVIRONMENTS, MODES
     from .offline import Demonstrations, Trajectory, demonstrations
     from .rule_policy import RulePolicy
     from .rules import Change, Column, Explanation, Program, Relation, Rows, Session, check
@@ -74,7 +70,8 @@ _NAMES = {
     "errors": ["InputError", "LimitError", "UnsupportedError", "UntrustedError"],
     "evaluation": ["Benchmark", "EpisodeRecord", "Evaluation", "Interval", "Policy", "evaluate"],
     "induction": ["InducedClause", "InducedRules", "induce"],
-    "modes": ["ENVIRONMENTS", "MODES", "parallel_env"],
+    "envs.registration": ["parallel_env"],
+    "modes": ["ENVIRONMENTS", "MODES"],
     "offline": ["Demonstrations", "Trajectory", "demonstrations"],
     "rule_policy": ["RulePolicy"],
     "rules": ["Change", "Column", "Explanation", "Program", "Relation", "Rows", "Session", "check"],
@@ -84,7 +81,7 @@ _NAMES = {
     ],
 }
 _HOMES = {name: module for module, names in _NAMES.items() for name in names}
-_MODULES = ("envs", "icons", "layout", "learn", "parallel", "questions", "sb3", "torchrl", "vap", "views")
+_MODULES = ("envs", "icons", "learn", "questions", "vap")
 
 __all__ = [
     "ACTIONS",

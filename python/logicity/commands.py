@@ -24,7 +24,7 @@ from .signals import ending_on_signals
 from .terminal import flush, neutral, print_message, print_text
 
 if TYPE_CHECKING:
-    from .env_config import ObservationKind
+    from .envs.config import ObservationKind
     from .evaluation import Benchmark, Evaluation, Policy, Shape
 
 __all__ = ["SUMMARIES", "parser_of", "run"]
@@ -669,9 +669,9 @@ def _train(given: argparse.Namespace) -> int:
 
 
 def _experiment(given: argparse.Namespace) -> int:
-    from .learn.cells import Cell, finished
-    from .learn.experiment import Selection, load_experiment
-    from .learn.language import is_language
+    from .experiments.cells import Cell, finished
+    from .experiments.language.experiment import is_language
+    from .experiments.spf.experiment import Selection, load_experiment
 
     if is_language(given.experiment):
         return _language(given)
@@ -706,7 +706,7 @@ def _experiment(given: argparse.Namespace) -> int:
         return 0
     failed: dict[str, str] = {}
     if not given.report:
-        from .learn.jobs import run
+        from .experiments.jobs import run
 
         jobs = given.jobs or os.cpu_count() or 1
         failed = run(cells, root, jobs, print_message, given.ray, given.wandb, given.reuse, given.trust)
@@ -719,7 +719,7 @@ def _experiment(given: argparse.Namespace) -> int:
 
 def _changes(given: argparse.Namespace) -> dict[str, object]:
     """Return the changes of all options `--set`."""
-    from .learn.config import merged
+    from .learn.faults import merged
 
     changes: dict[str, object] = {}
     for each in given.set:
@@ -748,7 +748,7 @@ def _results_folder(given: argparse.Namespace, file: Path) -> Path:
 
 
 def _language(given: argparse.Namespace) -> int:
-    from .learn.language import LanguageExperiment, run
+    from .experiments.language.experiment import LanguageExperiment, run
 
     for option in ("ray", "rehash", "reuse", "wandb", "submit"):
         if getattr(given, option) is not None:

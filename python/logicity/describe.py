@@ -1,28 +1,26 @@
-"""The layout of observations, and Markdown tables of the environments, both generated from the tasks."""
+"""Names of the numbers of an observation, and Markdown pages of the environments, both generated from the tasks."""
 
 from __future__ import annotations
 
 import inspect
-import itertools
 import json
 import os
 import re
-from collections.abc import Iterator, Mapping
-from typing import Any, TypeAlias
+from collections.abc import Mapping
+from typing import Any
 
 from . import _logicity
 from .city import ACTIONS, HEADINGS
-from .env_config import EnvConfig
+from .envs.config import EnvConfig
+from .envs.layout import atoms_of
 from .errors import did_you_mean
-from .evaluation import load_task
 from .modes import ENVIRONMENTS
 from .rules import Program
+from .tasks import load_task
 from .types import Clause
 
-__all__ = ["Atom", "atoms_of", "describe", "environment_page", "observation_names", "parallel_page"]
+__all__ = ["describe", "environment_page", "observation_names", "parallel_page"]
 
-#: A predicate and its arguments, which are numbers of observed entities. Entity 0 is the ego.
-Atom: TypeAlias = tuple[str, tuple[int, ...]]
 
 SPLITS = ("train", "val", "test")
 
@@ -49,7 +47,7 @@ def environment_page(mode: str) -> str:
         ImportError: If gymnasium is not installed.
         ValueError: If there is no such mode.
     """
-    from .envs import SPFEnv
+    from .envs.single import SPFEnv
 
     if mode not in ENVIRONMENTS:
         raise ValueError(f"unknown mode `{mode}`{did_you_mean(mode, ENVIRONMENTS)}")
@@ -102,7 +100,7 @@ def parallel_page() -> str:
     Raises:
         ImportError: If PettingZoo is not installed.
     """
-    from .parallel import SPFParallelEnv
+    from .envs.parallel import SPFParallelEnv
 
     loaded = {mode: load_task(mode) for mode in ENVIRONMENTS}
     tasks = {mode: _logicity.describe(task) for mode, task in loaded.items()}
@@ -205,7 +203,7 @@ def _documented() -> dict[str, str]:
 
 def _docstring() -> str:
     """Return the docstring of `SPFEnv` with one line for each argument and each key of `info`."""
-    from .envs import SPFEnv
+    from .envs.single import SPFEnv
 
     return re.sub(r"\n(?:  |        )(?=\S)", " ", inspect.cleandoc(SPFEnv.__doc__ or ""))
 
@@ -239,13 +237,6 @@ def observation_names(
     description = _logicity.describe(load_task(mode, rules, overrides))
     atoms = (f"{predicate}({', '.join(map(str, entities))})" for predicate, entities in atoms_of(description))
     return (*atoms, "route length") if description["route_length"] else tuple(atoms)
-
-
-def atoms_of(description: Mapping[str, Any]) -> Iterator[Atom]:
-    """Yield the atoms of a `groundings` observation in order, from the description of the task."""
-    for column in description["columns"]:
-        for entities in itertools.product(range(description["entities"]), repeat=column["arity"]):
-            yield column["predicate"], entities
 
 
 def _table(head: tuple[str, ...], rows: list[tuple[object, ...]]) -> str:

@@ -20,7 +20,7 @@ from numpy.typing import NDArray
 
 from . import _logicity
 from .city import ACTIONS
-from .env_config import EnvConfig, ObservationKind, array_kind, checked_kind
+from .envs.config import EnvConfig, ObservationKind, array_kind, checked_kind
 from .errors import InputError, checked_path
 from .files import check_writable
 from .modes import checked_mode
@@ -30,7 +30,7 @@ from .types import Diagnostic, Limits
 if TYPE_CHECKING:
     from types import TracebackType
 
-    from .layout import View
+    from .envs.views import View
 
 __all__ = ["Benchmark", "EpisodeRecord", "Evaluation", "Interval", "Policy", "evaluate"]
 
@@ -192,27 +192,6 @@ class Progress:
             print("\r\x1b[K", end="", file=sys.stderr, flush=True)
 
 
-def load_task(
-    mode: str | os.PathLike[str],
-    rules: str | os.PathLike[str] | None = None,
-    overrides: Mapping[str, Any] | None = None,
-) -> _logicity.Task:
-    """Load the task of a mode or configuration file. The exceptions are those of `Benchmark`."""
-    return EnvConfig(checked_mode(mode), rules=rules, overrides=overrides).task()
-
-
-def task_hashes(mode: str | os.PathLike[str]) -> dict[str, Any]:
-    """Return what identifies a task and its recorded episodes, as SHA-256.
-
-    `config` and `rules` are the hashes in the headers of traces: that of the configuration with its bases, and that of
-    the rule files. `episodes` has the hash of each split with recorded episodes. The exceptions are those of
-    `Benchmark`.
-    """
-    task = _logicity.describe(load_task(mode))
-    episodes = {split: each["hash"] for split, each in task["splits"].items() if each["episodes"]}
-    return {"config": task["config_hash"], "rules": task["rules_hash"], "episodes": episodes}
-
-
 @contextmanager
 def episodes_that_fit() -> Iterator[None]:
     """Add a hint to errors about recorded episodes that do not fit the agents or the map."""
@@ -262,7 +241,7 @@ class Benchmark:
     ) -> None:
         """Load the task and its episodes."""
         # That module needs `load_task`.
-        from .layout import views_of
+        from .envs.views import views_of
 
         self.mode, self.split = checked_mode(mode), split
         self._kind = array_kind(checked_kind(observation))

@@ -20,14 +20,14 @@ from numpy.typing import ArrayLike, NDArray
 
 from . import _logicity
 from .city import ACTIONS
-from .describe import Atom, atoms_of
+from .envs.layout import Atom, atoms_of
 from .errors import checked_integer, checked_path
-from .evaluation import load_task
 from .files import replacing
 from .minari_files import StoredEpisode, load_minari, stored_episodes
 from .modes import ENVIRONMENTS, checked_mode
 from .offline import Demonstrations
 from .rules import Program
+from .tasks import load_task
 from .types import SymbolicScene
 
 if TYPE_CHECKING:

@@ -4,14 +4,10 @@ from __future__ import annotations
 
 import os
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
 
 from .errors import checked_path, did_you_mean
 
-if TYPE_CHECKING:
-    from .parallel import SPFParallelEnv
-
-__all__ = ["ENVIRONMENTS", "MODES", "checked_mode", "parallel_env"]
+__all__ = ["ENVIRONMENTS", "MODES", "checked_mode"]
 
 MODES = {
     "Easy": "easy",
@@ -39,19 +35,3 @@ def checked_mode(mode: str | os.PathLike[str]) -> str:
     if name not in ENVIRONMENTS and not Path(name).suffix and not Path(name).exists():
         raise ValueError(f"unknown mode `{name}`, and no file has this name{did_you_mean(name, ENVIRONMENTS)}")
     return name
-
-
-def parallel_env(config: str | os.PathLike[str] = "expert", **arguments: Any) -> SPFParallelEnv:
-    """Make a PettingZoo `ParallelEnv` in which every car is a controlled agent.
-
-    Args:
-        config: A run configuration: a built-in name such as `expert`, or a path.
-        arguments: The other parameters of `logicity.parallel.SPFParallelEnv`.
-
-    Raises:
-        ImportError: If PettingZoo is not installed. The extra `pettingzoo` installs it: `pip install
-            './python[pettingzoo]'`.
-    """
-    from .parallel import SPFParallelEnv
-
-    return SPFParallelEnv(config, **arguments)

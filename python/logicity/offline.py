@@ -20,12 +20,13 @@ from numpy.typing import NDArray
 
 from . import _logicity
 from .city import ACTIONS
-from .describe import Atom, atoms_of
-from .env_config import ArrayKind, ViewKind, checked_kind
+from .envs.config import ArrayKind, ViewKind, checked_kind
+from .envs.layout import Atom, atoms_of
 from .errors import as_integer, checked_path, missing_extra
-from .evaluation import episodes_that_fit, load_task
+from .evaluation import episodes_that_fit
 from .files import replacing, reserved
 from .modes import ENVIRONMENTS, checked_mode
+from .tasks import load_task
 
 if TYPE_CHECKING:
     import gymnasium
@@ -320,8 +321,8 @@ def demonstrations(
             episodes make` records episodes for a configuration file.
         n: The number of episodes, by default all. The modes have 40 episodes for `"val"`, and 100 for each other split.
         split: `"train"`, `"val"` or `"test"`.
-        observation: `"groundings"` or `"state"`, as in `gymnasium.make`. `logicity.layout.Views` maps `groundings` to
-            the other kinds.
+        observation: `"groundings"` or `"state"`, as in `gymnasium.make`. `logicity.envs.views.Views` maps `groundings`
+            to the other kinds.
         options: Other options of `gymnasium.make`, such as `overrides`.
 
     Raises:
@@ -365,7 +366,7 @@ def _check_array(kind: str) -> None:
     if kind in get_args(ViewKind):
         raise ValueError(
             f"demonstrations have observations of the kind `groundings` or `state`, not `{kind}`: use `groundings`, "
-            "and map them with `logicity.layout.Views`"
+            "and map them with `logicity.envs.layout.Views`"
         )
     checked_kind(kind)
 

@@ -13,7 +13,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from . import _logicity
-from .env_config import EnvConfig
+from .envs.config import EnvConfig
 from .errors import checked_path
 from .files import replacing
 from .modes import checked_mode

@@ -77,7 +77,7 @@ ON_RAY = """
 import os, signal, sys
 from pathlib import Path
 from logicity.learn import jobs
-from logicity.learn.experiment import Selection, load_experiment
+from logicity.experiments.spf.experiment import Selection, load_experiment
 
 def watch(line):
     if not killed:

@@ -27,7 +27,8 @@ from numpy.typing import NDArray
 import logicity
 from logicity import _logicity
 from logicity.__main__ import main
-from logicity.envs import SPFEnv, SPFVectorEnv
+from logicity.envs.single import SPFEnv
+from logicity.envs.vector import SPFVectorEnv
 
 IDS = [f"logicity/SPF-{mode}-v0" for mode in logicity.MODES]
 WIDTHS = dict(zip(IDS, [85, 140, 205, 205, 205, 205, 205], strict=True))

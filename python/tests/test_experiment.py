@@ -20,17 +20,18 @@ from logicity import InputError
 from logicity.evaluation import Interval
 
 needs("stable_baselines3", "learn")
+from logicity.cluster import _check_listening  # noqa: E402
 from logicity.commands import run as command  # noqa: E402
+from logicity.experiments.cells import Cell, finished, prepare, reuse, run_cell  # noqa: E402
+from logicity.experiments.jobs import exclusive, run_in_processes  # noqa: E402
+from logicity.experiments.report import escaped, markdown_table, paper_table  # noqa: E402
+from logicity.experiments.result_files import as_text  # noqa: E402
+from logicity.experiments.spf.experiment import Experiment, Selection, load_experiment, read_experiment  # noqa: E402
+from logicity.experiments.spf.report import Report, paper_value, pooled, violation_rates  # noqa: E402
+from logicity.experiments.spf.results import check_rows, leaderboard, read_results, submit  # noqa: E402
 from logicity.learn import LEARNERS, load_policy  # noqa: E402
-from logicity.learn.cells import Cell, finished, prepare, reuse, run_cell  # noqa: E402
 from logicity.learn.config import TrainConfig  # noqa: E402
-from logicity.learn.experiment import Experiment, Selection, load_experiment, read_experiment  # noqa: E402
-from logicity.learn.jobs import _check_listening, exclusive, run_in_processes  # noqa: E402
-from logicity.learn.report import escaped, markdown_table, paper_table  # noqa: E402
-from logicity.learn.result_files import as_text  # noqa: E402
-from logicity.learn.results import check_rows, leaderboard, read_results, submit  # noqa: E402
 from logicity.learn.run import train  # noqa: E402
-from logicity.learn.spf_report import Report, paper_value, pooled, violation_rates  # noqa: E402
 from logicity.learn.storage import policy_hash  # noqa: E402
 from logicity.terminal import first_line  # noqa: E402
 
@@ -108,7 +109,7 @@ def test_the_papers_figures_are_those_of_its_tables() -> None:
 def test_the_identity_follows_from_settings_rules_episodes_and_version(
     tiny: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    from logicity.learn import cells as module
+    from logicity.experiments import cells as module
 
     _, cells = cells_of(tiny)
     assert [cell.name for cell in cells][:2] == ["ppo, easy, seed 0", "ppo, easy, seed 1"]
@@ -255,7 +256,7 @@ def test_unknown_selections_are_reported(
     assert "--reuse: only experiments of Safe Path Following" in capsys.readouterr().err
     assert command(words, ["vap", *run, "--wandb", "project"]) == 2
     assert "--wandb: only experiments of Safe Path Following" in capsys.readouterr().err
-    monkeypatch.setattr("logicity.learn.jobs.find_spec", lambda name: None)
+    monkeypatch.setattr("logicity.experiments.jobs.find_spec", lambda name: None)
     assert command(words, [str(tiny), *run, "--wandb", "project"]) == 2
     assert "--wandb: the package wandb is not installed" in capsys.readouterr().err
     assert command(words, [str(tiny), *run, "--list", "--only", "ppo", "--seeds", "5"]) == 0
@@ -442,7 +443,7 @@ def test_a_training_of_another_experiment_is_reused(
         begun.append(config.seed)
         return train(config, *arguments, **options)
 
-    monkeypatch.setattr("logicity.learn.cells.train", counted)
+    monkeypatch.setattr("logicity.experiments.cells.train", counted)
     run_here(cells, root)
     assert begun == [1, 2]
     assert results_of(cells, root) == results_of(cells, tmp_path / "trained")
@@ -581,7 +582,7 @@ def test_a_cell_that_lost_its_measures_is_not_trained_again(
     measured = cells[0].folder(tmp_path) / "measured.json"
     before = measured.read_text()
     measured.write_text(before[:100])
-    monkeypatch.delattr("logicity.learn.cells.train")
+    monkeypatch.delattr("logicity.experiments.cells.train")
     run_here(cells, tmp_path)
     assert measured.read_text() == before
 

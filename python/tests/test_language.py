@@ -33,11 +33,11 @@ from logicity.questions import (
 )
 
 needs("torch", "learn")
-from logicity.learn.jobs import exclusive  # noqa: E402
-from logicity.learn.language import LanguageExperiment, ModelSpec, Unit, Work, answer  # noqa: E402
-from logicity.learn.language_report import LanguageReport  # noqa: E402
-from logicity.learn.question_solvers import SOLVERS, features, similarity  # noqa: E402
-from logicity.learn.report import paper_table  # noqa: E402
+from logicity.experiments.jobs import exclusive  # noqa: E402
+from logicity.experiments.language.experiment import LanguageExperiment, ModelSpec, Unit, Work, answer  # noqa: E402
+from logicity.experiments.language.report import LanguageReport  # noqa: E402
+from logicity.experiments.language.solvers import SOLVERS, features, similarity  # noqa: E402
+from logicity.experiments.report import paper_table  # noqa: E402
 
 FIXTURE = ROOT / "tests" / "fixtures" / "questions.jsonl"
 LABELS = ("N", "VS1", "VS7", "my_rules.dl:5", "my_rules.dl:50")

@@ -14,9 +14,9 @@ needs("torch", "learn")
 import torch  # noqa: E402
 
 from logicity import _logicity  # noqa: E402
-from logicity.describe import atoms_of  # noqa: E402
 from logicity.envs import SPFVectorEnv  # noqa: E402
-from logicity.evaluation import Benchmark, load_task  # noqa: E402
+from logicity.envs.layout import atoms_of  # noqa: E402
+from logicity.evaluation import Benchmark  # noqa: E402
 from logicity.learn import TrainConfig  # noqa: E402
 from logicity.learn.fast_ppo import (  # noqa: E402
     ENDINGS,
@@ -30,6 +30,7 @@ from logicity.learn.fast_ppo import (  # noqa: E402
     losses,
     slots,
 )
+from logicity.tasks import load_task  # noqa: E402
 
 
 def learner(log: Path | None = None, **changes: Any) -> FastPPO:

@@ -15,7 +15,7 @@ needs("gymnasium", "learn")
 
 import logicity  # noqa: E402
 from logicity.city import ACTIONS  # noqa: E402
-from logicity.layout import Layout  # noqa: E402
+from logicity.envs.layout import Layout  # noqa: E402
 from logicity.learn import TrainConfig, hri, load_policy, train  # noqa: E402
 from logicity.learn.demonstrations import layout_of  # noqa: E402
 from logicity.learn.hri import HRI, HriPolicy, HriSettings, Hypothesis, ProgramTemplate  # noqa: E402

@@ -14,7 +14,7 @@ needs("stable_baselines3", "learn")
 from logicity.learn import TrainConfig, load_policy, train  # noqa: E402
 from logicity.learn.cloning import LogicNetwork  # noqa: E402
 from logicity.learn.demonstrations import layout_of  # noqa: E402
-from logicity.learn.features import LogicFeatures  # noqa: E402
+from logicity.learn.extractor import LogicFeatures  # noqa: E402
 from logicity.learn.nlm_dqn import NlmDqnLearner  # noqa: E402
 
 SETTINGS = {

@@ -43,9 +43,9 @@ import logicity
 few = logicity.demonstrations("easy", 1)
 for use in (
     lambda: logicity.icons.load_pipeline("model"),
-    lambda: logicity.sb3.make_vec_env,
+    lambda: logicity.envs.sb3.make_vec_env,
     lambda: logicity.learn.learner_class("dqn"),
-    lambda: logicity.parallel,
+    lambda: logicity.envs.parallel,
     logicity.parallel_env,
     few.to_minari,
     lambda: few.to_parquet("steps.parquet"),
@@ -72,7 +72,7 @@ session = Session(Program('.decl p(x: number) .output p p(1).'))
 session.commit()
 print(session.rows("p"), infer({"entities": ["a"], "ego": "a"}, "easy")["egos"]["a"]["action"])
 print(evaluate("oracle", "easy", "val").tsr.value)
-for use in (lambda: logicity.envs, lambda: demonstrations("easy", 1), lambda: parallel_env("easy")):
+for use in (lambda: logicity.envs.single, lambda: demonstrations("easy", 1), lambda: parallel_env("easy")):
     try:
         use()
     except ImportError as error:
@@ -92,7 +92,7 @@ def test_environments_are_registered_in_any_order_of_imports(order: str) -> None
     text = f"""
 import {order}
 import importlib, sys
-assert logicity.registration._RegisterOnImport not in map(type, sys.meta_path)
+assert logicity.envs.registration._RegisterOnImport not in map(type, sys.meta_path)
 assert "exec_module" not in vars(gymnasium.__spec__.loader)
 env = gymnasium.make("logicity/SPF-Easy-v0")
 importlib.reload(gymnasium)

@@ -15,7 +15,7 @@ from conftest import needs
 
 import logicity
 from logicity import ENVIRONMENTS, Demonstrations, demonstrations
-from logicity.env_config import ArrayKind
+from logicity.envs.config import ArrayKind
 
 
 @pytest.fixture(scope="module")

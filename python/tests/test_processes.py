@@ -79,7 +79,7 @@ def unused_environments() -> Callable[[], Any]:
 
 def rollouts() -> Callable[[], Any]:
     from logicity import _logicity
-    from logicity.evaluation import load_task
+    from logicity.tasks import load_task
 
     width = _logicity.describe(load_task("easy"))["width"]
     rng = np.random.default_rng(0)

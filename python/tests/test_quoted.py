@@ -126,7 +126,7 @@ def test_a_bound_holds() -> None:
 def test_every_learner_is_on_the_leaderboard() -> None:
     """The page about related projects says that all learners of the paper are here."""
     learners = {row["paper"] for row in RESULTS["spf"]}
-    paper = json.loads((ROOT / "python" / "logicity" / "learn" / "paper.json").read_text(encoding="utf-8"))
+    paper = json.loads((ROOT / "python" / "logicity" / "experiments" / "paper.json").read_text(encoding="utf-8"))
     missing = set(paper["spf"]["rows"]) - learners
     assert missing == {"popper", "maxsynth"}, missing
     text = prose("project/related.md")

@@ -13,7 +13,8 @@ from gymnasium.utils.env_checker import data_equivalence
 
 import logicity
 from logicity.__main__ import main
-from logicity.envs import SPFEnv, SPFVectorEnv
+from logicity.envs.single import SPFEnv
+from logicity.envs.vector import SPFVectorEnv
 
 needs("stable_baselines3", "learn")
 from stable_baselines3 import DQN  # noqa: E402
@@ -21,7 +22,7 @@ from stable_baselines3.common.buffers import DictReplayBuffer  # noqa: E402
 from stable_baselines3.common.env_checker import check_env  # noqa: E402
 from stable_baselines3.common.vec_env import DummyVecEnv, VecMonitor  # noqa: E402
 
-from logicity.sb3 import SPFVecEnv, make_vec_env  # noqa: E402
+from logicity.envs.sb3 import SPFVecEnv, make_vec_env  # noqa: E402
 
 
 @pytest.mark.parametrize("mode", list(logicity.MODES))
@@ -65,7 +66,7 @@ def test_episodes_can_be_chosen() -> None:
 
 
 def test_dqn_trains() -> None:
-    envs = logicity.sb3.make_vec_env("easy", 4, seed=0)
+    envs = logicity.envs.sb3.make_vec_env("easy", 4, seed=0)
     assert isinstance(envs, VecMonitor)
     model = DQN("MlpPolicy", envs, learning_starts=100, seed=0)
     model.learn(400)

@@ -25,7 +25,7 @@ with warnings.catch_warnings():
     warnings.simplefilter("ignore")
     torch = needs("torch", "torchrl")
     envs = needs("torchrl.envs", "torchrl")
-    from logicity.torchrl import SPFTorchRLEnv
+    from logicity.envs.torchrl import SPFTorchRLEnv
 
 
 @pytest.fixture(autouse=True)

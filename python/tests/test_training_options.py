@@ -14,8 +14,10 @@ from gymnasium.vector import AutoresetMode
 import logicity
 from logicity import _logicity
 from logicity.describe import _rewards, describe
-from logicity.envs import SPFEnv, SPFVectorEnv
-from logicity.evaluation import Benchmark, load_task
+from logicity.envs.single import SPFEnv
+from logicity.envs.vector import SPFVectorEnv
+from logicity.evaluation import Benchmark
+from logicity.tasks import load_task
 
 SHAPED = {"task": {"reward": {"progress": 5, "goal": 3, "potential": {"weight": 2, "of": "progress", "gamma": 0.9}}}}
 

@@ -28,18 +28,14 @@ needs("stable_baselines3", "learn")
 import torch  # noqa: E402
 from stable_baselines3 import A2C  # noqa: E402
 
-from logicity.learn import (  # noqa: E402
-    TrainConfig,
-    jobs,  # noqa: E402
-    load_policy,
-    train,
-)
-from logicity.learn.cells import prepare, reuse, run_cell  # noqa: E402
-from logicity.learn.experiment import Selection, load_experiment  # noqa: E402
-from logicity.learn.results import read_results  # noqa: E402
+from logicity.envs.sb3 import make_vec_env  # noqa: E402
+from logicity.experiments import jobs  # noqa: E402
+from logicity.experiments.cells import prepare, reuse, run_cell  # noqa: E402
+from logicity.experiments.spf.experiment import Selection, load_experiment  # noqa: E402
+from logicity.experiments.spf.results import read_results  # noqa: E402
+from logicity.learn import TrainConfig, load_policy, train  # noqa: E402
 from logicity.learn.run import FolderError  # noqa: E402
 from logicity.learn.storage import policy_hash, weights_hash  # noqa: E402
-from logicity.sb3 import make_vec_env  # noqa: E402
 
 TINY: dict[str, Any] = {
     **{"algorithm": "a2c", "mode": "easy", "settings": {"network": [8], "n_steps": 16}},
@@ -239,7 +235,7 @@ def test_workers_get_the_trust_of_the_experiment(tmp_path: Path, monkeypatch: py
         trusted.append(trust)
         raise ValueError("stop")
 
-    monkeypatch.setattr("logicity.learn.cells.train", spy)
+    monkeypatch.setattr("logicity.experiments.cells.train", spy)
     (tmp_path / "tiny.yaml").write_text("title: Tiny\nconfig: config.json\nlearners: {a2c: {}}\nmodes: [easy]\n")
     (tmp_path / "config.json").write_text(json.dumps(TINY))
 
@@ -253,7 +249,7 @@ def test_workers_get_the_trust_of_the_experiment(tmp_path: Path, monkeypatch: py
             jobs._in_worker("cell", {"cell.json": (folder / "cell.json").read_bytes()}, None, trust)
     assert trusted == [False, False, True, True]
     command: list[list[str]] = []
-    monkeypatch.setattr("logicity.learn.jobs.subprocess.Popen", lambda words, **options: command.append(words))
+    monkeypatch.setattr("logicity.experiments.jobs.subprocess.Popen", lambda words, **options: command.append(words))
     for trust in (False, True):
         jobs._start(folder, None, None, trust)  # type: ignore[arg-type]
     assert ["--trust" in words for words in command] == [False, True]
@@ -315,7 +311,7 @@ def test_workers_cannot_write_elsewhere(name: str, tmp_path: Path) -> None:
 
 
 def test_models_of_pictures_are_data(tmp_path: Path, canary: Canary) -> None:
-    from logicity.vap.experiment import Work
+    from logicity.experiments.vap.experiment import Work
     from logicity.vap.features import _mapped, _state
 
     path = tmp_path / "start.pt"

@@ -28,18 +28,13 @@ from logicity.vap import UNARY, VapDataset, make_dataset
 torch: Any = needs("torch", "vap")
 needs("stable_baselines3", "learn")
 from logicity.commands import run as command  # noqa: E402
-from logicity.files import read_tensors  # noqa: E402
-from logicity.learn.cells import finished, prepare, run_cell  # noqa: E402
-from logicity.learn.experiment import Selection, load_experiment  # noqa: E402
-from logicity.learn.jobs import run_in_processes  # noqa: E402
-from logicity.learn.report import paper_table  # noqa: E402
-from logicity.learn.result_files import as_text  # noqa: E402
-from logicity.vap.concepts import RELATIONS, ConceptModel, ConceptSettings  # noqa: E402
-from logicity.vap.crops import crop_boxes  # noqa: E402
-from logicity.vap.experiment import VapCell, VapExperiment, facts_of, scenes_of  # noqa: E402
-from logicity.vap.features import DataSpec, compute_features, load_features, prepared  # noqa: E402
-from logicity.vap.reasoners import make_reasoner  # noqa: E402
-from logicity.vap.report import (  # noqa: E402
+from logicity.experiments.cells import finished, prepare, run_cell  # noqa: E402
+from logicity.experiments.jobs import run_in_processes  # noqa: E402
+from logicity.experiments.report import paper_table  # noqa: E402
+from logicity.experiments.result_files import as_text  # noqa: E402
+from logicity.experiments.spf.experiment import Selection, load_experiment  # noqa: E402
+from logicity.experiments.vap.experiment import VapCell, VapExperiment, facts_of, scenes_of  # noqa: E402
+from logicity.experiments.vap.report import (  # noqa: E402
     VapReport,
     check_rows,
     leaderboard,
@@ -48,6 +43,11 @@ from logicity.vap.report import (  # noqa: E402
     read_results,
     submit,
 )
+from logicity.files import read_tensors  # noqa: E402
+from logicity.vap.concepts import RELATIONS, ConceptModel, ConceptSettings  # noqa: E402
+from logicity.vap.crops import crop_boxes  # noqa: E402
+from logicity.vap.features import DataSpec, compute_features, load_features, prepared  # noqa: E402
+from logicity.vap.reasoners import make_reasoner  # noqa: E402
 from logicity.vap.soft_rules import SoftRules  # noqa: E402
 from logicity.vap.training import (  # noqa: E402
     Samples,

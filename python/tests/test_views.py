@@ -13,17 +13,18 @@ from numpy.typing import NDArray
 
 import logicity
 from logicity import _logicity
-from logicity.describe import atoms_of
-from logicity.env_config import ViewKind
-from logicity.envs import SPFEnv, SPFVectorEnv
-from logicity.evaluation import load_task
-from logicity.layout import Layout, View, Views, views_of
-from logicity.views import (
+from logicity.envs.config import ViewKind
+from logicity.envs.layout import Layout, atoms_of
+from logicity.envs.single import SPFEnv
+from logicity.envs.vector import SPFVectorEnv
+from logicity.envs.views import View, Views, views_of
+from logicity.envs.wrappers import (
     GraphObservation,
     RelationalObservation,
     VectorGraphObservation,
     VectorRelationalObservation,
 )
+from logicity.tasks import load_task
 
 MODES = list(logicity.ENVIRONMENTS)
 KINDS: list[ViewKind] = ["relational", "graph"]

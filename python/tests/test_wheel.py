@@ -72,7 +72,7 @@ session.commit()
 print(session.rows("q"))
 """
     assert fresh.run("python", "-c", text) == "[('a',)]\n"
-    message = fresh.run("python", "-c", "import logicity; logicity.envs", code=1)
+    message = fresh.run("python", "-c", "import logicity; logicity.envs.single", code=1)
     assert "pip install './python[gym]'" in message
 
 

@@ -19,7 +19,8 @@ from gymnasium.utils.env_checker import check_env, data_equivalence
 from gymnasium.vector import AsyncVectorEnv, AutoresetMode, SyncVectorEnv
 
 import logicity
-from logicity.envs import SPFEnv, SPFVectorEnv
+from logicity.envs.single import SPFEnv
+from logicity.envs.vector import SPFVectorEnv
 
 ID = "logicity/SPF-Easy-v0"
 
@@ -345,7 +346,7 @@ def advance_vector(envs: Any) -> None:
 
 def stable_baselines(monitor: bool) -> Any:
     needs("stable_baselines3", "learn")
-    from logicity.sb3 import make_vec_env
+    from logicity.envs.sb3 import make_vec_env
 
     envs = make_vec_env("easy", 2, seed=0, monitor=monitor)
     envs.reset()
@@ -354,7 +355,7 @@ def stable_baselines(monitor: bool) -> Any:
 
 def torchrl() -> Any:
     needs("torchrl.envs", "torchrl")
-    from logicity.torchrl import SPFTorchRLEnv
+    from logicity.envs.torchrl import SPFTorchRLEnv
 
     envs = SPFTorchRLEnv(2, "easy")
     envs.set_seed(0)
@@ -363,7 +364,7 @@ def torchrl() -> Any:
 
 
 def viewed(single: bool) -> Any:
-    from logicity.views import GraphObservation, VectorGraphObservation
+    from logicity.envs.wrappers import GraphObservation, VectorGraphObservation
 
     env: Any = GraphObservation(SPFEnv("easy")) if single else VectorGraphObservation(SPFVectorEnv(2, "easy"))
     env.reset(seed=0)

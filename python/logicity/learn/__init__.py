@@ -5,10 +5,12 @@ learners. Each one is a `Learner`, whose result is a `Policy`. `load_policy` rea
 """
 
 from .config import TrainConfig
-from .learner import Learner, LearnerSettings, Policy
+from .learner import Learner, Policy
+from .policies import SavedPolicy, load_policy
 from .registry import LEARNERS as LEARNERS
-from .registry import SavedPolicy, learner_class, load_policy
+from .registry import learner_class
 from .run import train
+from .settings import LearnerSettings
 
 __all__ = [
     "Learner",

@@ -27,25 +27,13 @@ except ImportError as error:
 
 from .curves import Curves
 from .demonstrations import DemonstrationData, Layout, RelationalView, Sampler
-from .learner import (
-    Actions,
-    Count,
-    Learner,
-    LearnerSettings,
-    LearningRate,
-    NonNegative,
-    Observations,
-    Policy,
-    Positive,
-    Progress,
-    Share,
-    check_shape,
-)
+from .learner import Actions, Learner, Observations, Policy, Progress, check_shape
 from .nlm import NeuralLogicMachine
+from .settings import Count, LearnerSettings, LearningRate, NonNegative, Positive, Share
 from .storage import read_checkpoint, restore_optimizer, save_checkpoint
 
 if TYPE_CHECKING:
-    from .config import TrainConfig
+    from .settings import Training
 
 __all__ = [
     "ClonedPolicy",
@@ -287,7 +275,7 @@ class CloningLearner(Learner):
     policy_class = ClonedPolicy
     starts = True
 
-    def __init__(self, config: TrainConfig, log: Path | None = None) -> None:
+    def __init__(self, config: Training, log: Path | None = None) -> None:
         """Read the demonstrations and create the network.
 
         Raises:

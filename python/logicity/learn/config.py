@@ -5,97 +5,37 @@ from __future__ import annotations
 import json
 import os
 import re
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Mapping
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, Any, TypeAlias, cast
+from typing import TYPE_CHECKING, Any, cast
 
 from .. import _logicity
-from ..env_config import ArrayKind, EnvConfig, EnvOptions, Episodes
+from ..envs.config import ArrayKind, EnvConfig
 from ..errors import InputError, did_you_mean, missing_extra
 
 try:
-    from pydantic import (
-        BaseModel,
-        ConfigDict,
-        Field,
-        SerializeAsAny,
-        ValidationError,
-        ValidationInfo,
-        field_validator,
-    )
+    from pydantic import ValidationError, ValidationInfo, field_validator
     from pydantic_core import PydanticCustomError
 except ImportError as error:
     raise missing_extra("learn", error) from error
 
 from ..modes import ENVIRONMENTS, checked_mode
-from .learner import Count, Learner, LearnerSettings, Seed
+from .faults import Fault, contains, faults, inlined, merged, tidy
+from .learner import Learner
 from .registry import LEARNERS, learner_class
+from .settings import LearnerSettings, Training
 
 if TYPE_CHECKING:
-    from pydantic_core import ErrorDetails
-
     from ..types import Diagnostic
 
-__all__ = [
-    *("Fault", "TrainConfig", "contains", "fault_of_override", "faults", "inlined", "located", "merged", "tidy"),
-    "unused",
-]
-
-#: An error in a YAML file: its code, the path of keys to the value, the message, and the help, which may be empty.
-Fault: TypeAlias = tuple[str, list[str], str, str]
+__all__ = ["TrainConfig", "fault_of_override", "located", "unused"]
 
 
-class TrainingOptions(EnvOptions):
-    """The options of training environments."""
-
-    episodes: Episodes
-
-
-class TrainConfig(BaseModel):
+class TrainConfig(Training):
     """The configuration of a training run. `logicity schema training` prints the schema of its YAML files.
 
     Keys that the learner does not use are errors.
     """
-
-    model_config = ConfigDict(extra="forbid", frozen=True, use_attribute_docstrings=True)
-
-    algorithm: str
-    """The name of the learner."""
-    mode: str
-    """The mode, or the path of a configuration file, which determines the rules and the episodes. In a YAML file, a
-    path is relative to the folder of that file."""
-    observation: ArrayKind = "groundings"
-    """The kind of observation: `groundings` or `state`, as in `gymnasium.make`. Learners over entities compute their
-    tensors and graphs from `groundings`."""
-    settings: SerializeAsAny[LearnerSettings] = Field(default_factory=LearnerSettings, validate_default=True)
-    """The settings of the learner."""
-    overrides: dict[str, Any] = Field(default_factory=dict)
-    """Changes to the configuration for training. Validation and test use the mode without overrides. For learners that
-    step environments."""
-    steps: Count = Field(default=200_000, validate_default=True)
-    """The number of training steps: steps of all environments together, or updates of a learner from demonstrations.
-    Only `steps` may change when a run resumes."""
-    envs: Count = 1
-    """The number of parallel environments. For learners that step environments."""
-    episodes: Episodes = "drawn"
-    """The training episodes, as in `gymnasium.make`. For learners that step environments."""
-    demonstrations: Annotated[float, Field(strict=True, gt=0, le=1)] = 1.0
-    """The share of the recorded training episodes whose demonstrations are used. For learners from demonstrations."""
-    start: str | None = None
-    """The file of a policy of the same learner. Training starts from its weights. In a YAML file, a path is relative to
-    the folder of that file. For neural learners."""
-    seed: Seed = 0
-    """The seed of networks, exploration and episodes."""
-    validate_every: Count = 10_000
-    """The number of steps between validations. Each validation writes a checkpoint."""
-    threads: Count = 1
-    """The number of PyTorch threads."""
-
-    def env_options(self) -> TrainingOptions:
-        """Return the options of the training environments."""
-        return TrainingOptions(
-            split="train", episodes=self.episodes, overrides=self.overrides, observation=self.observation
-        )
 
     @field_validator("algorithm")
     @classmethod
@@ -244,17 +184,6 @@ class TrainConfig(BaseModel):
             raise (rejected(changed) if rejected is not None and changed else file.error(wrong)) from None
 
 
-def contains(values: Mapping[str, Any], path: Sequence[str]) -> bool:
-    """Return whether values have a path of keys, or a value other than a mapping on the way to it."""
-    for key in path:
-        if not isinstance(values, Mapping):
-            return True
-        if key not in values:
-            return False
-        values = values[key]
-    return bool(path)
-
-
 def located(path: str | os.PathLike[str], config: TrainConfig, error: ValueError) -> ValueError:
     """Return an error of a training run with its location in the YAML file.
 
@@ -313,15 +242,6 @@ def _path_at(value: Any, column: int, start: int = 0) -> list[str]:
     return []
 
 
-def merged(values: Mapping[str, Any], changes: Mapping[str, Any]) -> dict[str, Any]:
-    """Return values with changes. Mappings merge key by key; any other value replaces the old one."""
-    result = dict(values)
-    for key, value in changes.items():
-        old = result.get(key)
-        result[key] = merged(old, value) if isinstance(old, Mapping) and isinstance(value, Mapping) else value
-    return result
-
-
 def unused(algorithm: str) -> dict[str, str]:
     """Return the keys that a learner does not use, with the reason."""
     learner = learner_class(algorithm)
@@ -368,86 +288,8 @@ def _settings_schema(name: str, settings: type[LearnerSettings]) -> dict[str, An
     }
 
 
-def inlined(schema: Any, definitions: Mapping[str, Any]) -> Any:
-    """Return a schema with the definitions in place of references to them."""
-    if isinstance(schema, dict):
-        if "$ref" in schema:
-            rest = {key: value for key, value in schema.items() if key != "$ref"}
-            return inlined({**definitions[schema["$ref"].rpartition("/")[2]], **rest}, definitions)
-        return {key: inlined(value, definitions) for key, value in schema.items()}
-    return [inlined(value, definitions) for value in schema] if isinstance(schema, list) else schema
-
-
-def tidy(schema: Any) -> Any:
-    """Return a part of a schema without the titles that pydantic makes from names and without line breaks."""
-    if isinstance(schema, dict):
-        return {key: tidy(value) for key, value in schema.items() if key != "title" or not isinstance(value, str)}
-    if isinstance(schema, str):
-        return " ".join(schema.split())
-    return [tidy(value) for value in schema] if isinstance(schema, list) else schema
-
-
 def _custom(message: str) -> PydanticCustomError:
     return PydanticCustomError("custom", "{message}", {"message": message})
-
-
-def faults(
-    error: ValidationError, unknown: Callable[[tuple[str, ...]], tuple[str, str]], depth: int = 2
-) -> list[Fault]:
-    """Return all errors.
-
-    Args:
-        error: The errors of pydantic.
-        unknown: Returns the message and the help for the path of an unknown key.
-        depth: The number of keys after which pydantic may append the name of an alternative to a path.
-    """
-    by_key: dict[tuple[str, ...], list[ErrorDetails]] = {}
-    found = error.errors(include_url=False)
-    # The paths of values with an error in an element. Pydantic counts only their valid elements.
-    faulty = {each["loc"][:end] for each in found for end in range(len(each["loc"]))}
-    for each in found:
-        if each["type"] == "too_short" and each["loc"] in faulty:
-            continue
-        # For a union, every alternative reports an error and appends its name to the path.
-        where = each["loc"]
-        more = len(where) > depth and (isinstance(where[depth], int) or each["type"] in _AT_KEYS)
-        by_key.setdefault(tuple(map(str, where[: depth + more])), []).append(each)
-    return [_fault(path, errors, unknown) for path, errors in by_key.items()]
-
-
-#: The types of errors about a key, not about its value. They have no alternatives.
-_AT_KEYS = ("extra_forbidden", "missing")
-
-
-def _fault(
-    path: tuple[str, ...], errors: Sequence[ErrorDetails], unknown: Callable[[tuple[str, ...]], tuple[str, str]]
-) -> Fault:
-    first, name = errors[0], ".".join(path)
-    if first["type"] == "extra_forbidden":
-        return "unknown-key", list(path), *unknown(path)
-    if first["type"] == "missing":
-        return "missing-key", list(path), f"the key `{name}` is missing", ""
-    if first["type"] == "custom":
-        return "invalid-value", list(path), first["msg"], ""
-    if first["type"] in ("value_error", "assertion_error"):
-        return "invalid-value", list(path), f"`{name}`: {first['ctx']['error']}", ""
-    expected = " or ".join(dict.fromkeys(map(_expected, errors)))
-    return "invalid-value", list(path), f"`{name}` must be {expected}, not `{_shown(first['input']):.40}`", ""
-
-
-def _shown(value: object) -> str:
-    """Return a value as a YAML file can contain it. Only strings that YAML reads as other values have quotes."""
-    if not isinstance(value, str):
-        return json.dumps(value, default=repr)
-    try:
-        float(value)
-    except ValueError:
-        return json.dumps(value) if value.lower() in _NOT_STRINGS else value
-    return json.dumps(value)
-
-
-#: Words that are no strings in YAML.
-_NOT_STRINGS = ("", "~", "null", "true", "false")
 
 
 def _unknown_key(algorithm: object) -> Callable[[tuple[str, ...]], tuple[str, str]]:
@@ -468,44 +310,3 @@ def _unknown_key(algorithm: object) -> Callable[[tuple[str, ...]], tuple[str, st
         return message, elsewhere or did_you_mean(name, known).removeprefix("; ")
 
     return unknown
-
-
-#: What a value must be, by the type of pydantic's error.
-_EXPECTED = {
-    "bool_type": "true or false",
-    "dict_type": "a mapping",
-    "finite_number": "a finite number",
-    "float_type": "a number",
-    "int_from_float": "an integer",
-    "int_type": "an integer",
-    "list_type": "a list",
-    "model_type": "a mapping",
-    "none_required": "null (~)",
-    "string_type": "text",
-    "tuple_type": "a list",
-}
-
-#: As `_EXPECTED`, with the bound of the error.
-_BOUNDS = {
-    "greater_than": "greater than {gt}",
-    "greater_than_equal": "at least {ge}",
-    "less_than": "less than {lt}",
-    "less_than_equal": "at most {le}",
-    "multiple_of": "a multiple of {multiple_of}",
-    "too_short": "a list of {min_length} or more values",
-    "too_long": "a list of at most {max_length} values",
-}
-
-
-def _expected(error: ErrorDetails) -> str:
-    """Describe the values that a key accepts."""
-    kind, context = error["type"], error.get("ctx", {})
-    if kind in _EXPECTED:
-        return _EXPECTED[kind]
-    if kind == "too_short" and context["field_type"] == "Dictionary":
-        return f"a mapping with {context['min_length']} or more keys"
-    if kind in _BOUNDS:
-        return _BOUNDS[kind].format(**context)
-    if kind == "literal_error":
-        return str(context["expected"]).replace("'", "`")
-    return f"valid ({error['msg']})"

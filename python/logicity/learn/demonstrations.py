@@ -10,10 +10,10 @@ import numpy as np
 
 from .. import _logicity
 from ..city import ACTIONS
+from ..envs.layout import Layout
 from ..errors import missing_extra
-from ..evaluation import load_task
-from ..layout import Layout
 from ..offline import Demonstrations, demonstrations
+from ..tasks import load_task
 
 try:
     import torch
@@ -163,7 +163,7 @@ class Sampler:
 
 
 class RelationalView(nn.Module):
-    """Maps observations to padded relational tensors, see `logicity.views.RelationalObservation`.
+    """Maps observations to padded relational tensors, see `logicity.envs.wrappers.RelationalObservation`.
 
     Args:
         layout: The layout of the observations.

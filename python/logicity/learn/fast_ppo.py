@@ -37,29 +37,17 @@ except ImportError as error:
 
 from .. import _logicity
 from ..city import ACTIONS
-from ..describe import atoms_of
-from ..envs import SPFVectorEnv
-from ..evaluation import load_task
+from ..envs.layout import atoms_of
+from ..envs.vector import SPFVectorEnv
 from ..files import read_tensors
+from ..tasks import load_task
 from .curves import Curves
-from .learner import (
-    Actions,
-    Count,
-    Learner,
-    LearnerSettings,
-    LearningRate,
-    NonNegative,
-    Observations,
-    Policy,
-    Positive,
-    Progress,
-    Share,
-    check_shape,
-)
+from .learner import Actions, Learner, Observations, Policy, Progress, check_shape
+from .settings import Count, LearnerSettings, LearningRate, NonNegative, Positive, Share
 from .storage import read_checkpoint, save_checkpoint
 
 if TYPE_CHECKING:
-    from .config import TrainConfig
+    from .settings import Training
 
 __all__ = ["FastPPO", "FastPPOPolicy", "FastPPOSettings"]
 
@@ -430,7 +418,7 @@ class FastPPO(Learner):
     policy_class: ClassVar[type[Policy]] = FastPPOPolicy
     starts: ClassVar[bool] = True
 
-    def __init__(self, config: TrainConfig, log: Path | None = None) -> None:
+    def __init__(self, config: Training, log: Path | None = None) -> None:
         """Create the environments and the network.
 
         Raises:

@@ -28,11 +28,11 @@ from numpy.typing import NDArray
 from pydantic import Field
 
 from ..city import ACTIONS
-from ..describe import Atom
+from ..envs.layout import Atom
 from ..errors import missing_extra
 from ..offline import Demonstrations
 from ..rule_policy import RulePolicy
-from .learner import LearnerSettings, Positive
+from .settings import LearnerSettings, Positive
 from .symbolic import BodyLiteral, SymbolicLearner, arities, clause
 
 __all__ = ["FoldRMLearner", "FoldRMSettings", "Pattern", "Relations", "patterns", "rule_file"]

@@ -27,26 +27,17 @@ from pydantic import Field, field_validator
 
 from .. import _logicity
 from ..city import ACTIONS
-from ..evaluation import load_task
+from ..envs.layout import Layout
 from ..files import read_tensors
-from ..layout import Layout
+from ..tasks import load_task
 from .curves import Curves
 from .demonstrations import DemonstrationData
-from .learner import (
-    Actions,
-    Learner,
-    LearnerSettings,
-    NonNegative,
-    Observations,
-    Policy,
-    Positive,
-    Progress,
-    check_shape,
-)
+from .learner import Actions, Learner, Observations, Policy, Progress, check_shape
+from .settings import LearnerSettings, NonNegative, Positive
 from .storage import read_checkpoint, restore_optimizer, save_checkpoint
 
 if TYPE_CHECKING:
-    from .config import TrainConfig
+    from .settings import Training
 
 __all__ = ["HRI", "Hypothesis", "HriPolicy", "HriSettings", "InventedPredicate", "ProgramTemplate"]
 
@@ -864,7 +855,7 @@ class HRI(Learner):
     interacts = False
     policy_class: ClassVar[type[Policy]] = HriPolicy
 
-    def __init__(self, config: TrainConfig, log: Path | None = None) -> None:
+    def __init__(self, config: Training, log: Path | None = None) -> None:
         """Run the oracle on the recorded training episodes, and draw the first weights."""
         super().__init__(config, log)
         assert isinstance(config.settings, HriSettings)

@@ -18,11 +18,11 @@ except ImportError as error:
     raise missing_extra("learn", error) from error
 
 from ..city import ACTIONS
-from ..envs import SPFVectorEnv
+from ..envs.vector import SPFVectorEnv
 from .learner import Actions, Observations
 
 if TYPE_CHECKING:
-    from .config import TrainConfig
+    from .settings import Training
 
 __all__ = [
     "Bits",
@@ -69,7 +69,7 @@ class Interaction:
         ValueError: If the observations are not binary.
     """
 
-    def __init__(self, config: TrainConfig) -> None:
+    def __init__(self, config: Training) -> None:
         """Make the environments and start their first episodes."""
         self.envs = SPFVectorEnv(
             config.envs,

@@ -5,63 +5,33 @@ from __future__ import annotations
 from abc import ABC, abstractmethod
 from collections.abc import Callable, Mapping
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, Any, ClassVar, Literal, TypeAlias
+from typing import TYPE_CHECKING, Any, ClassVar, Literal, TypeAlias
 
 import numpy as np
 from numpy.typing import NDArray
 
 from ..errors import missing_extra
+from .settings import LearnerSettings
 
 try:
     import torch  # noqa: F401
-    from pydantic import BaseModel, ConfigDict, Field
 except ImportError as error:
     raise missing_extra("learn", error) from error
 
 if TYPE_CHECKING:
-    from ..env_config import ArrayKind
-    from .config import TrainConfig
+    from ..envs.config import ArrayKind
+    from .settings import Training
 
 __all__ = [
-    *("Actions", "Count", "Learner", "LearnerSettings", "LearningRate", "NonNegative", "Observations", "Policy"),
-    *("Positive", "Progress", "Seed", "Share", "StrictModel", "check_shape"),
+    *("Actions", "Learner", "Observations", "Policy", "Progress", "check_shape"),
 ]
 
 Observations: TypeAlias = NDArray[np.float32]
 Actions: TypeAlias = NDArray[np.int64]
 
-#: A positive integer. Booleans and strings are invalid.
-Count: TypeAlias = Annotated[int, Field(strict=True, ge=1)]
-
-#: A seed of random generators. Booleans and strings are invalid.
-Seed: TypeAlias = Annotated[int, Field(strict=True, ge=0, lt=2**32)]
-
-#: A number from 0 to 1.
-Share: TypeAlias = Annotated[float, Field(ge=0, le=1)]
-
-#: A number above 0.
-Positive: TypeAlias = Annotated[float, Field(gt=0)]
-
-#: A learning rate.
-LearningRate: TypeAlias = Annotated[float, Field(gt=0, le=1)]
-
-#: A number of at least 0.
-NonNegative: TypeAlias = Annotated[float, Field(ge=0)]
 
 #: A learner calls it after each step. It validates the learner and writes checkpoints at intervals.
 Progress: TypeAlias = Callable[[], None]
-
-
-class StrictModel(BaseModel):
-    """A part of a YAML file. Unknown keys and values of other types are errors."""
-
-    model_config = ConfigDict(extra="forbid", frozen=True, strict=True, use_attribute_docstrings=True)
-
-
-class LearnerSettings(StrictModel):
-    """The settings of a learner: the values under `settings` in a training file."""
-
-    model_config = ConfigDict(allow_inf_nan=False)
 
 
 def check_shape(observation: Observations, width: int, mode: str) -> None:
@@ -157,7 +127,7 @@ class Learner(ABC):
     #: Whether training can start from the weights of the policy that the key `start` names, see `start_from`.
     starts: ClassVar[bool] = False
 
-    def __init__(self, config: TrainConfig, log: Path | None = None) -> None:
+    def __init__(self, config: Training, log: Path | None = None) -> None:
         """Store the configuration.
 
         Args:

@@ -8,12 +8,12 @@ from stable_baselines3 import DQN
 
 from .cloning import LogicSettings
 from .demonstrations import layout_of
-from .features import LogicFeatures
+from .extractor import LogicFeatures
 from .stable_baselines import StableBaselinesLearner, settings_model
 
 if TYPE_CHECKING:
-    from ..env_config import ArrayKind
-    from .config import TrainConfig
+    from ..envs.config import ArrayKind
+    from .settings import Training
 
 __all__ = ["NlmDqnLearner", "NlmDqnSettings"]
 
@@ -34,7 +34,7 @@ class NlmDqnLearner(StableBaselinesLearner):
     observations: ClassVar[tuple[ArrayKind, ...]] = ("groundings",)
 
     @classmethod
-    def features(cls, config: TrainConfig) -> dict[str, Any]:
+    def features(cls, config: Training) -> dict[str, Any]:
         """Return the atoms of the observations."""
         layout = layout_of(config.mode)
         return {"atoms": layout.atoms(), "route_length": layout.route_length is not None}

@@ -22,8 +22,8 @@ from typing import Annotated, ClassVar, cast
 from pydantic import Field
 
 from ..offline import Demonstrations, popper_names
-from .learner import LearnerSettings, Positive
 from .programs import run_program
+from .settings import LearnerSettings, Positive
 from .symbolic import SymbolicLearner, arities, clause
 
 __all__ = ["MaxSynthLearner", "PopperLearner", "PopperSettings", "read_output", "run_popper"]

@@ -29,13 +29,14 @@ from tqdm import tqdm
 from .. import _logicity
 from .._logicity import __version__
 from ..errors import UntrustedError
-from ..evaluation import MEASURES, Benchmark, Evaluation, load_task, task_hashes
+from ..evaluation import MEASURES, Benchmark, Evaluation
 from ..files import check_readable, file_hash, read_json, reserved, write_json
+from ..tasks import load_task, task_hashes
 from ..terminal import first_line, neutral, print_message
 from . import random_state
 from .config import TrainConfig
 from .learner import Learner
-from .registry import SavedPolicy, load_policy
+from .policies import SavedPolicy, load_policy
 
 __all__ = ["FolderError", "check_overrides", "check_start", "train"]
 

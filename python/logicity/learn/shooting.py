@@ -34,22 +34,12 @@ except ImportError as error:
 from ..city import ACTIONS
 from .curves import Curves
 from .interaction import Bits, Interaction, Transitions, as_bits, random_actions, step_generator
-from .learner import (
-    Actions,
-    Count,
-    Learner,
-    LearnerSettings,
-    LearningRate,
-    Observations,
-    Policy,
-    Progress,
-    Share,
-    check_shape,
-)
+from .learner import Actions, Learner, Observations, Policy, Progress, check_shape
+from .settings import Count, LearnerSettings, LearningRate, Share
 from .storage import build_policy, read_checkpoint, restore_optimizer, save_checkpoint, save_policy
 
 if TYPE_CHECKING:
-    from .config import TrainConfig
+    from .settings import Training
 
 __all__ = ["Ensemble", "Shooting", "ShootingPolicy", "ShootingSettings", "WorldModel", "predicted_returns"]
 
@@ -513,7 +503,7 @@ class Shooting(Learner):
     unit: ClassVar[Literal["environment steps", "updates"]] = "environment steps"
     interacts = True
 
-    def __init__(self, config: TrainConfig, log: Path | None = None) -> None:
+    def __init__(self, config: Training, log: Path | None = None) -> None:
         """Make the environments and the networks.
 
         Raises:

@@ -30,27 +30,16 @@ except ImportError as error:
     raise missing_extra("learn", error) from error
 
 from ..city import ACTIONS
-from ..sb3 import SPFVecEnv, make_vec_env
+from ..envs.sb3 import SPFVecEnv, make_vec_env
 from . import random_state
-from .learner import (
-    Actions,
-    Count,
-    Learner,
-    LearnerSettings,
-    LearningRate,
-    NonNegative,
-    Observations,
-    Policy,
-    Positive,
-    Progress,
-    Share,
-)
+from .learner import Actions, Learner, Observations, Policy, Progress
 from .registry import learner_class
+from .settings import Count, LearnerSettings, LearningRate, NonNegative, Positive, Share
 from .storage import build_policy, read_checkpoint, restore_optimizer, save_checkpoint, save_policy
 
 if TYPE_CHECKING:
-    from ..env_config import ArrayKind
-    from .config import TrainConfig
+    from ..envs.config import ArrayKind
+    from .settings import Training
 
 __all__ = [
     "A2CLearner",
@@ -337,7 +326,7 @@ class StableBaselinesLearner(Learner):
     policy_class: ClassVar[type[Policy]] = StableBaselinesPolicy
     starts: ClassVar[bool] = True
 
-    def __init__(self, config: TrainConfig, log: Path | None = None) -> None:
+    def __init__(self, config: Training, log: Path | None = None) -> None:
         """Create the environments and the model.
 
         Raises:
@@ -354,7 +343,7 @@ class StableBaselinesLearner(Learner):
             raise
 
     @classmethod
-    def features(cls, config: TrainConfig) -> dict[str, Any]:
+    def features(cls, config: Training) -> dict[str, Any]:
         """Return what the network needs to know about the mode besides the settings, as plain data."""
         return {}
 
@@ -517,7 +506,7 @@ def _restore_replay(buffer: ReplayBuffer, state: Mapping[str, Any]) -> None:
     buffer.pos, buffer.full = state["pos"], bool(state["full"])
 
 
-def new_model(config: TrainConfig, env: VecEnv, log: str | None = None) -> BaseAlgorithm:
+def new_model(config: Training, env: VecEnv, log: str | None = None) -> BaseAlgorithm:
     """Create an untrained model.
 
     Args:
@@ -532,7 +521,7 @@ def new_model(config: TrainConfig, env: VecEnv, log: str | None = None) -> BaseA
     frequency = settings.get("train_freq")
     if isinstance(frequency, tuple) and frequency[1] == "episode" and config.envs > 1:
         raise ValueError("`settings.train_freq`: the unit `episode` needs one environment: set `envs: 1`")
-    learner = config.learner
+    learner = learner_class(config.algorithm)
     assert issubclass(learner, StableBaselinesLearner)
     policy = learner.policy_arguments(settings, learner.features(config))
     algorithm, _ = _ALGORITHMS[config.algorithm]

@@ -19,7 +19,7 @@ from ..files import read_tensors
 from ..terminal import first_line, neutral
 
 if TYPE_CHECKING:
-    from ..env_config import ArrayKind
+    from ..envs.config import ArrayKind
     from .learner import Policy
 
 __all__ = [

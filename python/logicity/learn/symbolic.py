@@ -13,16 +13,17 @@ from typing import TYPE_CHECKING, Annotated, ClassVar, Literal, TypeAlias, cast
 from pydantic import Field
 
 from .._logicity import NOISE_MAX, VARIABLES_MAX
-from ..describe import Atom
+from ..envs.layout import Atom
 from ..files import read_text
 from ..induction import induce
 from ..offline import Demonstrations
 from ..rule_policy import RulePolicy, header, saved_by
 from .demonstrations import first_demonstrations
-from .learner import Learner, LearnerSettings, Policy, Progress
+from .learner import Learner, Policy, Progress
+from .settings import LearnerSettings
 
 if TYPE_CHECKING:
-    from .config import TrainConfig
+    from .settings import Training
 
 __all__ = ["InduceLearner", "InduceSettings", "SymbolicLearner", "SymbolicPolicy", "arities", "clause"]
 
@@ -65,7 +66,7 @@ class SymbolicLearner(Learner):
     suffix: ClassVar[str] = ".dl"
     policy_class: ClassVar[type[Policy]] = SymbolicPolicy
 
-    def __init__(self, config: TrainConfig, log: Path | None = None) -> None:
+    def __init__(self, config: Training, log: Path | None = None) -> None:
         """Start without rules."""
         super().__init__(config, log)
         self._text: str | None = None

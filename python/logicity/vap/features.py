@@ -569,7 +569,7 @@ def _on_ray(
     advance: Callable[[], None],
 ) -> None:
     """Compute worlds on Ray. If a worker is lost, its world is computed again."""
-    from ..learn.jobs import RETRIES, connect
+    from ..cluster import RETRIES, connect
 
     data, out = folder.resolve(), target.resolve()
     file = None if weights is None else Path(weights).resolve()

@@ -11,11 +11,11 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from .. import _logicity
-from ..evaluation import Interval, load_task
-from .cells import Cell
-from .experiment import Experiment
-from .report import (
+from ... import _logicity
+from ...evaluation import Interval
+from ...tasks import load_task
+from ..cells import Cell
+from ..report import (
     CellEntry,
     CellReport,
     Runs,
@@ -28,6 +28,7 @@ from .report import (
     markdown_table,
     paper_table,
 )
+from .experiment import Experiment
 
 __all__ = ["Entry", "Report", "paper_value", "per_episode", "pooled", "violation_rates"]
 

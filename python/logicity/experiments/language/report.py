@@ -8,14 +8,14 @@ from importlib.util import find_spec
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from ..city import ACTIONS
-from ..questions import Grade, grade, load_answers, load_logprobs
-from ..redaction import masked
-from ..terminal import first_line
-from .report import aligned, draw_panels, latex_table, markdown_table, paper_table, write_tables
+from ...city import ACTIONS
+from ...questions import Grade, grade, load_answers, load_logprobs
+from ...redaction import masked
+from ...terminal import first_line
+from ..report import aligned, draw_panels, latex_table, markdown_table, paper_table, write_tables
 
 if TYPE_CHECKING:
-    from .language import LanguageExperiment, Work
+    from .experiment import LanguageExperiment, Work
 
 __all__ = ["Entry", "LanguageReport"]
 

@@ -11,7 +11,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from .errors import missing_extra
+from ..errors import missing_extra
 
 try:
     from gymnasium.vector import AutoresetMode
@@ -19,7 +19,8 @@ try:
 except ImportError as error:
     raise missing_extra("learn", error) from error
 
-from .envs import SPFVectorEnv, check_options
+from .interface import check_options
+from .vector import SPFVectorEnv
 
 __all__ = ["SPFVecEnv", "make_vec_env"]
 

@@ -11,10 +11,10 @@ from typing import Any, Literal, TypeAlias, TypedDict, cast, get_args
 
 import numpy as np
 
-from . import _logicity
-from .errors import checked_limits, checked_path, did_you_mean
-from .rules import rule_file
-from .types import Limits, Split
+from .. import _logicity
+from ..errors import checked_limits, checked_path, did_you_mean
+from ..rules import rule_file
+from ..types import Limits, Split
 
 __all__ = ["ArrayKind", "EnvConfig", "EnvOptions", "Episodes", "ObservationKind", "ViewKind"]
 
@@ -22,7 +22,7 @@ ArrayKind: TypeAlias = Literal["groundings", "state"]
 """A kind of observation that is one array: truth values of ground atoms, or the exact state."""
 
 ViewKind: TypeAlias = Literal["relational", "graph"]
-"""A kind of observation that is a dictionary of arrays, computed from `groundings`. See `logicity.layout`."""
+"""A kind of observation that is a dictionary of arrays, computed from `groundings`. See `logicity.envs.layout`."""
 
 ObservationKind: TypeAlias = Literal[ArrayKind, ViewKind]
 """The kind of observation. See `logicity.envs.SPFEnv`."""

@@ -20,12 +20,10 @@ from contextlib import ExitStack, contextmanager, suppress
 from dataclasses import dataclass, field
 from importlib.util import find_spec
 from pathlib import Path
-from types import ModuleType
 from typing import IO, Any
 
-from ..errors import missing_extra
+from ..cluster import ONE_THREAD, RETRIES, connect
 from ..files import reserved
-from ..signals import kept_handlers
 from ..terminal import first_line
 from .cells import Job, finished, inputs, prepare, reuse
 
@@ -36,15 +34,6 @@ Say = Callable[[str], None]
 
 #: The interval between two lines of progress, in seconds.
 SECONDS = 30.0
-
-#: The largest number of times that a cell runs again because its worker is lost.
-RETRIES = 20
-
-#: The time for a Ray cluster to accept a connection, in seconds.
-CONNECT_SECONDS = 10.0
-
-#: The environment variables that give a process one thread. Cells and worlds run in parallel.
-ONE_THREAD = dict.fromkeys(("OMP_NUM_THREADS", "MKL_NUM_THREADS", "OPENBLAS_NUM_THREADS"), "1")
 
 
 @dataclass
@@ -259,7 +248,7 @@ def run_in_processes(
 
 def _start(folder: Path, log: IO[str], wandb: str | None, trust: bool) -> subprocess.Popen[str]:
     options = [*([f"--wandb={wandb}"] if wandb else []), *(["--trust"] if trust else [])]
-    command = [sys.executable, "-m", "logicity.learn.cells", *options, "--", str(folder)]
+    command = [sys.executable, "-m", "logicity.experiments.cells", *options, "--", str(folder)]
     return subprocess.Popen(
         command,
         stdin=subprocess.PIPE,
@@ -288,57 +277,6 @@ def _wait(process: subprocess.Popen[str]) -> int:
     with suppress(OSError):
         process.stdin.close()
     return process.wait()
-
-
-def connect(address: str, workers: int | None = None) -> ModuleType:
-    """Connect to a Ray cluster, or start a local one. Each worker has one thread.
-
-    The caller ends the connection with `shutdown` of the module.
-
-    Args:
-        address: The address of a cluster, or `local` for a new one on this machine.
-        workers: The number of CPUs of a local cluster; by default those of this machine.
-
-    Returns:
-        The module `ray`.
-
-    Raises:
-        ConnectionError: If the cluster does not answer.
-        ImportError: If Ray is not installed.
-    """
-    try:
-        import ray
-    except ImportError as error:
-        raise missing_extra("ray", error) from error
-    _check_listening(address)
-    options: dict[str, Any] = {"num_cpus": workers, "include_dashboard": False} if address == "local" else {}
-    try:
-        # Ray installs a handler of SIGTERM that ends the process with another code, without cleaning up.
-        with kept_handlers():
-            ray.init(address=address, log_to_driver=False, runtime_env={"env_vars": ONE_THREAD}, **options)
-    except Exception as error:
-        # Ray raises a plain `Exception` if a local cluster takes too long to start.
-        raise ConnectionError(f"--ray: no cluster at `{address}`: {error}") from error
-    module: ModuleType = ray
-    return module
-
-
-def _check_listening(address: str) -> None:
-    """Check that a program listens at an address of the form `HOST:PORT` or `ray://HOST:PORT`.
-
-    Without this check, Ray retries for minutes.
-
-    Raises:
-        ConnectionError: If no program listens.
-    """
-    host, separator, port = address.removeprefix("ray://").rpartition(":")
-    if not separator or not port.isdecimal():
-        return
-    try:
-        socket.create_connection((host.strip("[]"), int(port)), CONNECT_SECONDS).close()
-    except (OSError, OverflowError) as error:
-        help = "start a cluster with `ray start --head`, or give `--ray` without an address for one on this machine"
-        raise ConnectionError(f"--ray: no cluster at `{address}`: {error}\nhelp: {help}") from None
 
 
 def run_on_ray(

@@ -1,17 +1,22 @@
-"""Registration of the environments with gymnasium, without importing gymnasium."""
+"""The environments by name: their registration with gymnasium, and a function for PettingZoo. Imports neither."""
 
 from __future__ import annotations
 
 import importlib.util
+import os
 import sys
 from collections.abc import Sequence
 from importlib.abc import MetaPathFinder
 from importlib.machinery import ModuleSpec
 from types import ModuleType
+from typing import TYPE_CHECKING, Any
 
-from .modes import ENVIRONMENTS
+from ..modes import ENVIRONMENTS
 
-__all__ = ["register_environments", "register_with_gymnasium"]
+if TYPE_CHECKING:
+    from .parallel import SPFParallelEnv
+
+__all__ = ["parallel_env", "register_environments", "register_with_gymnasium"]
 
 
 def register_with_gymnasium() -> None:
@@ -33,6 +38,22 @@ def register_environments() -> None:
             vector_entry_point="logicity.envs:SPFVectorEnv",
             kwargs={"config": config},
         )
+
+
+def parallel_env(config: str | os.PathLike[str] = "expert", **arguments: Any) -> SPFParallelEnv:
+    """Make a PettingZoo `ParallelEnv` in which every car is a controlled agent.
+
+    Args:
+        config: A run configuration: a built-in name such as `expert`, or a path.
+        arguments: The other parameters of `logicity.envs.SPFParallelEnv`.
+
+    Raises:
+        ImportError: If PettingZoo is not installed. The extra `pettingzoo` installs it: `pip install
+            './python[pettingzoo]'`.
+    """
+    from .parallel import SPFParallelEnv
+
+    return SPFParallelEnv(config, **arguments)
 
 
 class _RegisterOnImport(MetaPathFinder):

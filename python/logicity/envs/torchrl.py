@@ -9,7 +9,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from .errors import missing_extra
+from ..errors import missing_extra
 
 try:
     import torch
@@ -22,8 +22,8 @@ try:
 except ImportError as error:
     raise missing_extra("torchrl", error) from error
 
-from .city import ACTIONS
-from .envs import SPFVectorEnv
+from ..city import ACTIONS
+from .vector import SPFVectorEnv
 
 __all__ = ["SPFTorchRLEnv"]
 

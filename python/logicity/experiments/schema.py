@@ -7,8 +7,8 @@ from typing import Any
 
 from pydantic import BaseModel
 
-from .config import inlined, tidy
-from .experiment import TASKS
+from ..learn.faults import inlined, tidy
+from .spf.experiment import TASKS
 
 __all__ = ["experiment_schema"]
 
@@ -22,11 +22,11 @@ def experiment_schema() -> dict[str, Any]:
     Raises:
         ImportError: If a package that a task needs is not installed.
     """
-    models = {**TASKS, "language": ("logicity.learn.language", "LanguageExperiment")}
+    models = {**TASKS, "language": ("logicity.experiments.language.experiment", "LanguageExperiment")}
     definitions: dict[str, Any] = {}
     for task, (module, name) in models.items():
         definitions[task] = {"title": TITLES[task], **_schema(getattr(importlib.import_module(module), name))}
-    vap = importlib.import_module("logicity.vap.experiment")
+    vap = importlib.import_module("logicity.experiments.vap.experiment")
     # Every mapping of settings changes some of the keys of one class.
     definitions["vap-settings"] = {"title": f"Settings of {TITLES['vap']}", **_schema(vap.VapSettings)}
     properties = definitions["vap"]["properties"]

@@ -17,14 +17,15 @@ from typing import Annotated, Any, Literal, Protocol, TypeVar, cast
 
 from pydantic import BaseModel, Field, Strict, ValidationError
 
-from .. import _logicity
-from ..errors import InputError, did_you_mean
-from ..modes import ENVIRONMENTS, checked_mode
-from .cells import TEST, Cell, Job
-from .config import Fault, TrainConfig, contains, fault_of_override, faults, merged, unused
-from .learner import Count, Seed, StrictModel
-from .report import paper_table
-from .run import check_overrides, check_start
+from ... import _logicity
+from ...errors import InputError, did_you_mean
+from ...learn.config import TrainConfig, fault_of_override, unused
+from ...learn.faults import Fault, contains, faults, merged
+from ...learn.run import check_overrides, check_start
+from ...learn.settings import Count, Seed, StrictModel
+from ...modes import ENVIRONMENTS, checked_mode
+from ..cells import TEST, Cell, Job
+from ..report import paper_table
 
 __all__ = [
     *("AnyExperiment", "AnyReport", "Experiment", "Selection"),
@@ -34,8 +35,8 @@ __all__ = [
 
 #: The module and the class of the experiments of each task, the value of the key `task`.
 TASKS = {
-    "spf": ("logicity.learn.experiment", "Experiment"),
-    "vap": ("logicity.vap.experiment", "VapExperiment"),
+    "spf": ("logicity.experiments.spf.experiment", "Experiment"),
+    "vap": ("logicity.experiments.vap.experiment", "VapExperiment"),
 }
 
 #: The placeholders in the key `config`.
@@ -141,7 +142,7 @@ def load_experiment(name: str | os.PathLike[str]) -> tuple[AnyExperiment, Path]:
     path, file, values = read_experiment(name)
     task = values.get("task", "spf")
     if not isinstance(task, str) or task not in TASKS:
-        # `logicity.learn.language` reads the files with the task `language`.
+        # `logicity.experiments.language.experiment` reads the files with the task `language`.
         shown = task if isinstance(task, str) else "~" if task is None else json.dumps(task)
         suggestion = did_you_mean(shown, [*TASKS, "language"])
         raise file.error([("invalid-value", ["task"], f"unknown task `{shown}`{suggestion}", "")])
@@ -443,7 +444,7 @@ class Experiment(StrictModel):
 
     def report(self, cells: Sequence[Job], root: Path, failed: Mapping[str, str]) -> AnyReport:
         """Return the results of cells, see `Report`."""
-        from .spf_report import Report
+        from .report import Report
 
         return Report(self, cast(Sequence[Cell], cells), root, failed)
 

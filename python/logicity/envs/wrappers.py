@@ -14,7 +14,7 @@ from typing import TYPE_CHECKING, Any, TypeAlias, cast
 import numpy as np
 from numpy.typing import NDArray
 
-from .errors import missing_extra
+from ..errors import missing_extra
 
 try:
     import gymnasium
@@ -23,10 +23,13 @@ try:
 except ImportError as error:
     raise missing_extra("gym", error) from error
 
-from . import _logicity
-from .env_config import ViewKind
-from .envs import Observations, SPFEnv, SPFVectorEnv
-from .layout import Layout, View, Views
+from .. import _logicity
+from .config import ViewKind
+from .interface import Observations
+from .layout import Layout
+from .single import SPFEnv
+from .vector import SPFVectorEnv
+from .views import View, Views
 
 __all__ = [
     "GraphObservation",

@@ -9,15 +9,16 @@ from typing import Any
 
 import numpy as np
 
-from ..evaluation import Interval, task_hashes
-from ..modes import ENVIRONMENTS
-from .cells import Cell, benchmark_of, finished
+from ...evaluation import Interval
+from ...learn.policies import load_policy
+from ...learn.storage import policy_hash
+from ...modes import ENVIRONMENTS
+from ...tasks import task_hashes
+from ..cells import Cell, benchmark_of, finished
+from ..report import markdown_table, paper_table
+from ..result_files import is_published, place_of, read_file, rehashed, row_key, updating
 from .experiment import Experiment, name_of
-from .registry import load_policy
-from .report import markdown_table, paper_table
-from .result_files import is_published, place_of, read_file, rehashed, row_key, updating
-from .spf_report import MEASURES, clauses_of, paper_value, per_episode, pooled, violation_rates
-from .storage import policy_hash
+from .report import MEASURES, clauses_of, paper_value, per_episode, pooled, violation_rates
 
 __all__ = ["check_rows", "leaderboard", "read_results", "submit"]
 

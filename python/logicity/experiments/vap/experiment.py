@@ -22,14 +22,20 @@ import numpy as np
 from pydantic import BaseModel, Field, ValidationError, model_validator
 from pydantic_core import PydanticCustomError
 
-from .. import _logicity
-from .._logicity import __version__
-from ..city import ACTIONS, Inference
-from ..errors import did_you_mean, missing_extra
-from ..files import file_hash, read_json, read_tensors, write_json
-from ..learn.cells import Job
-from ..learn.config import Fault, contains, faults, merged
-from ..learn.experiment import (
+from ... import _logicity
+from ..._logicity import __version__
+from ...city import ACTIONS, Inference
+from ...errors import did_you_mean, missing_extra
+from ...files import file_hash, read_json, read_tensors, write_json
+from ...learn.faults import Fault, contains, faults, merged
+from ...learn.settings import Seed, StrictModel
+from ...learn.storage import weights_hash
+from ...rules import Program
+from ...vap.data import BINARY, UNARY, symbolic_facts
+from ...vap.features import Backbone, DataSpec, Kind, prepared, weights_file
+from ...vap.metrics import vap_metrics
+from ..cells import Job
+from ..spf.experiment import (
     Selection,
     paper_faults,
     read_experiment,
@@ -39,12 +45,6 @@ from ..learn.experiment import (
     unknown_key,
     validated,
 )
-from ..learn.learner import Seed, StrictModel
-from ..learn.storage import weights_hash
-from ..rules import Program
-from .data import BINARY, UNARY, symbolic_facts
-from .features import Backbone, DataSpec, Kind, prepared, weights_file
-from .metrics import vap_metrics
 
 try:
     import torch
@@ -52,10 +52,10 @@ try:
 except ImportError as error:
     raise missing_extra("vap", error) from error
 
-from .concepts import RELATIONS, ConceptModel, ConceptSettings
-from .reasoners import make_reasoner
-from .soft_rules import SoftRules
-from .training import (
+from ...vap.concepts import RELATIONS, ConceptModel, ConceptSettings
+from ...vap.reasoners import make_reasoner
+from ...vap.soft_rules import SoftRules
+from ...vap.training import (
     Samples,
     TrainingSettings,
     concept_loss,
@@ -571,7 +571,7 @@ def run_cell(
 ) -> dict[str, Any]:
     """Run the cell that `prepare` wrote to a folder, or resume it from its last checkpoint.
 
-    The arguments are those of `logicity.learn.cells.run_cell`, except that `wandb` must be `None`.
+    The arguments are those of `logicity.experiments.cells.run_cell`, except that `wandb` must be `None`.
 
     Returns:
         The content of `measured.json`: the identity, the result of the training, the measures of each predictor, and

@@ -10,11 +10,11 @@ from collections.abc import Callable, Mapping, Sequence
 from pathlib import Path
 from typing import Any, cast
 
-from ..city import ACTIONS, Inference
-from ..files import write_text
-from ..questions import LETTERS, NO_RULE, Demonstration, Question
-from ..rules import Program, Session
-from .programs import run_program
+from ...city import ACTIONS, Inference
+from ...files import write_text
+from ...learn.programs import run_program
+from ...questions import LETTERS, NO_RULE, Demonstration, Question
+from ...rules import Program, Session
 
 __all__ = ["SOLVERS", "Solver", "features", "run_command", "similarity"]
 

@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING, Any, TypeVar, cast
 
 import numpy as np
 
-from .errors import missing_extra
+from ..errors import missing_extra
 
 try:
     import gymnasium
@@ -20,9 +20,10 @@ try:
 except ImportError as error:
     raise missing_extra("pettingzoo", error) from error
 
-from . import _logicity
-from .env_config import EnvConfig, EnvOptions
-from .envs import (
+from .. import _logicity
+from ..errors import did_you_mean
+from .config import EnvConfig, EnvOptions
+from .interface import (
     RENDER_FPS,
     RENDER_MODES,
     EpisodeStart,
@@ -34,8 +35,7 @@ from .envs import (
     observation_space,
     parse_episode,
 )
-from .errors import did_you_mean
-from .layout import View, views_of
+from .views import View, views_of
 
 if TYPE_CHECKING:
     from typing_extensions import Unpack  # Python 3.11; only annotations use it

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from typing import Any
 
-from ..describe import Atom
+from ..envs.layout import Atom
 from ..errors import missing_extra
 
 try:

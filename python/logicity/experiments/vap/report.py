@@ -10,12 +10,12 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from ..city import ACTIONS
-from ..evaluation import Interval
-from ..files import read_tensors
-from ..learn.cells import finished
-from ..learn.experiment import name_of
-from ..learn.report import (
+from ...city import ACTIONS
+from ...evaluation import Interval
+from ...files import read_tensors
+from ...learn.storage import weights_hash
+from ..cells import finished
+from ..report import (
     CellEntry,
     CellReport,
     Runs,
@@ -28,8 +28,8 @@ from ..learn.report import (
     markdown_table,
     paper_table,
 )
-from ..learn.result_files import is_published, place_of, read_file, rehashed, row_key, updating
-from ..learn.storage import weights_hash
+from ..result_files import is_published, place_of, read_file, rehashed, row_key, updating
+from ..spf.experiment import name_of
 from .experiment import VapCell, VapExperiment, measure_again, rules_hash
 
 __all__ = ["VapEntry", "VapReport", "check_rows", "leaderboard", "pooled", "read_results", "submit"]

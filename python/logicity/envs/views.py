@@ -1,126 +1,41 @@
 """Relational and graph views of `groundings` observations.
 
-An observation of the kind `groundings` is a vector of truth values of ground atoms. `Layout` knows the position of each
-atom. `Views` maps batches of observations to two other views, without a loop over observations:
+An observation of the kind `groundings` is a vector of truth values of ground atoms, whose positions `Layout` knows.
+`Views` maps batches of observations to two other views, without a loop over observations:
 
 - *relational*: for N entities, the unary truth values (N, U), the binary truth values (N, N, B) and the mask of the
   entities that are present (N,);
 - *graph*: the complete graph over the N entities, with a loop at each. Node features are the unary truth values, and
   edge features the binary ones.
 
-`logicity.envs.SPFEnv` makes environments with such observations, and `logicity.views` has wrappers.
+`logicity.envs.SPFEnv` makes environments with such observations, and `logicity.envs.wrappers` has wrappers.
 """
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
 from numpy.typing import NDArray
 
-from . import _logicity
-from .describe import Atom, atoms_of
-from .env_config import ObservationKind, ViewKind
-from .errors import missing_extra
+from .. import _logicity
+from ..errors import missing_extra
+from .config import ObservationKind, ViewKind
+from .layout import Layout
 
 if TYPE_CHECKING:
     from gymnasium.spaces import Dict, Space
 
-__all__ = ["Layout", "View", "Views"]
+__all__ = ["View", "Views", "views_of"]
 
 View = dict[str, NDArray[Any]]
 """An observation with named arrays."""
 
 
-@dataclass(frozen=True, eq=False)
-class Layout:
-    """The positions of the truth values in a `groundings` observation.
-
-    Attributes:
-        entities: The number N of observed entities. Entity 0 is the ego.
-        unary: The names of the U unary predicates, in the order of the observation.
-        binary: The names of the B binary predicates, in the same order.
-        unary_at: int64 (N, U): the position of P(i).
-        binary_at: int64 (N, N, B): the position of P(i, j).
-        route_length: The position of the route length, if the task observes it.
-        width: The length of an observation.
-    """
-
-    entities: int
-    unary: tuple[str, ...]
-    binary: tuple[str, ...]
-    unary_at: NDArray[np.int64]
-    binary_at: NDArray[np.int64]
-    route_length: int | None
-    width: int
-
-    @classmethod
-    def of_description(cls, description: Mapping[str, Any]) -> Layout:
-        """Return the layout of a task from its description."""
-        return cls.of_atoms(tuple(atoms_of(description)), bool(description["route_length"]))
-
-    @classmethod
-    def of_atoms(cls, atoms: Sequence[Atom], route_length: bool = False) -> Layout:
-        """Return the layout of observations of these atoms, such as `Demonstrations.atoms`.
-
-        Args:
-            atoms: The atoms in the order of the observation: all ground atoms of each predicate.
-            route_length: Whether a number follows the atoms.
-
-        Raises:
-            ValueError: If a predicate is neither unary nor binary, or a ground atom is missing or repeated.
-        """
-        arities = {name: len(entities) for name, entities in atoms}
-        if set(arities.values()) - {1, 2}:
-            name = next(name for name, arity in arities.items() if arity not in (1, 2))
-            raise ValueError(f"`{name}` has {arities[name]} arguments: views exist for unary and binary predicates")
-        count = 1 + max((entity for _, entities in atoms for entity in entities), default=0)
-        unary = tuple(name for name, arity in arities.items() if arity == 1)
-        binary = tuple(name for name, arity in arities.items() if arity == 2)
-        if len(atoms) != count * len(unary) + count**2 * len(binary) or len(set(atoms)) != len(atoms):
-            raise ValueError("the atoms are not all ground atoms of their predicates, each once")
-        positions = {atom: at for at, atom in enumerate(atoms)}
-        each = range(count)
-        unary_at = [[positions[name, (i,)] for name in unary] for i in each]
-        binary_at = [[[positions[name, (i, j)] for name in binary] for j in each] for i in each]
-        return cls(
-            count,
-            unary,
-            binary,
-            np.array(unary_at, np.int64).reshape(count, len(unary)),
-            np.array(binary_at, np.int64).reshape(count, count, len(binary)),
-            len(atoms) if route_length else None,
-            len(atoms) + route_length,
-        )
-
-    def atoms(self) -> tuple[Atom, ...]:
-        """Return the atoms in the order of the observation."""
-        atoms: dict[int, Atom] = {}
-        for (i, column), at in np.ndenumerate(self.unary_at):
-            atoms[int(at)] = (self.unary[column], (i,))
-        for (i, j, column), at in np.ndenumerate(self.binary_at):
-            atoms[int(at)] = (self.binary[column], (i, j))
-        return tuple(atom for _, atom in sorted(atoms.items()))
-
-    def occurrences(self) -> NDArray[np.float32]:
-        """Return float32 (width, N): 1 where an entity occurs in an atom, else 0."""
-        each, marks = np.arange(self.entities), np.zeros((self.width, self.entities), np.float32)
-        marks[self.unary_at, each[:, None]] = 1.0
-        marks[self.binary_at, each[:, None, None]] = 1.0
-        marks[self.binary_at, each[None, :, None]] = 1.0
-        return marks
-
-    def edge_links(self) -> NDArray[np.int64]:
-        """Return int64 (N * N, 2): the source i and the target j of the edge N * i + j."""
-        return np.stack(np.divmod(np.arange(self.entities**2), self.entities), 1)
-
-
 class Views:
     """Maps observations of one layout to views.
 
-    `logicity.views.RelationalObservation` and `GraphObservation` describe the arrays of the views.
+    `logicity.envs.wrappers.RelationalObservation` and `GraphObservation` describe the arrays of the views.
 
     Args:
         layout: The layout.

@@ -9,7 +9,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from .errors import missing_extra
+from ..errors import missing_extra
 
 __all__ = ["Window"]
 

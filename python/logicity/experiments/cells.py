@@ -2,8 +2,9 @@
 
 A `Job` is a cell of any task, `Cell` one of Safe Path Following.
 
-`python -m logicity.learn.cells FOLDER` runs the cell in a folder. It ends when its standard input is closed. So it does
-not outlive the process that started it. Everything in the folder is data, except for a model that `--trust` permits.
+`python -m logicity.experiments.cells FOLDER` runs the cell in a folder. It ends when its standard input is closed. So
+it does not outlive the process that started it. Everything in the folder is data, except for a model that `--trust`
+permits.
 """
 
 from __future__ import annotations
@@ -26,14 +27,15 @@ from typing import Any, cast
 
 from .. import _logicity
 from .._logicity import __version__
-from ..evaluation import Benchmark, task_hashes
+from ..evaluation import Benchmark
 from ..files import check_readable, read_json, write_json
+from ..learn.config import TrainConfig
+from ..learn.policies import load_policy
+from ..learn.run import train
+from ..learn.supervise import end_with_parent
 from ..modes import ENVIRONMENTS
+from ..tasks import task_hashes
 from ..terminal import print_message
-from .config import TrainConfig
-from .registry import load_policy
-from .run import train
-from .supervise import end_with_parent
 
 __all__ = ["Cell", "Job", "benchmark_of", "finished", "inputs", "prepare", "reuse", "run_cell"]
 
@@ -45,7 +47,7 @@ TEST = {"split": "test", "fresh": None, "seed": 0}
 
 #: The modules whose function `run_cell` runs the cells of tasks other than `spf`. Its arguments are those of `run_cell`
 #: here, except for `trust`.
-RUNNERS = {"vap": "logicity.vap.experiment"}
+RUNNERS = {"vap": "logicity.experiments.vap.experiment"}
 
 
 @dataclass(frozen=True, kw_only=True)

@@ -22,19 +22,19 @@ from typing import Annotated, Any, Literal
 
 from pydantic import BaseModel, Field, Strict, ValidationError, field_validator
 
-from .. import _logicity
-from ..city import ACTIONS, Inference
-from ..errors import did_you_mean
-from ..files import check_readable, write_text
-from ..questions import Endpoint, Question, ask, key_from, load_questions
-from ..rules import Program
-from ..terminal import print_message, print_text
-from .config import Fault, contains, faults, merged
-from .experiment import option_error, read_experiment, repeated
-from .jobs import exclusive
-from .language_report import LanguageReport
-from .learner import Count, StrictModel
-from .question_solvers import SOLVERS, run_command
+from ... import _logicity
+from ...city import ACTIONS, Inference
+from ...errors import did_you_mean
+from ...files import check_readable, write_text
+from ...learn.faults import Fault, contains, faults, merged
+from ...learn.settings import Count, StrictModel
+from ...questions import Endpoint, Question, ask, key_from, load_questions
+from ...rules import Program
+from ...terminal import print_message, print_text
+from ..jobs import exclusive
+from ..spf.experiment import option_error, read_experiment, repeated
+from .report import LanguageReport
+from .solvers import SOLVERS, run_command
 
 __all__ = ["LanguageExperiment", "ModelSpec", "Unit", "is_language", "run"]
 

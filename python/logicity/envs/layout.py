@@ -1,0 +1,106 @@
+"""The layout of observations: the position of each truth value in an observation of the kind `groundings`."""
+
+from __future__ import annotations
+
+import itertools
+from collections.abc import Iterator, Mapping, Sequence
+from dataclasses import dataclass
+from typing import Any, TypeAlias
+
+import numpy as np
+from numpy.typing import NDArray
+
+__all__ = ["Atom", "Layout", "atoms_of"]
+
+#: A predicate and its arguments, which are numbers of observed entities. Entity 0 is the ego.
+Atom: TypeAlias = tuple[str, tuple[int, ...]]
+
+
+def atoms_of(description: Mapping[str, Any]) -> Iterator[Atom]:
+    """Yield the atoms of a `groundings` observation in order, from the description of the task."""
+    for column in description["columns"]:
+        for entities in itertools.product(range(description["entities"]), repeat=column["arity"]):
+            yield column["predicate"], entities
+
+
+@dataclass(frozen=True, eq=False)
+class Layout:
+    """The positions of the truth values in a `groundings` observation.
+
+    Attributes:
+        entities: The number N of observed entities. Entity 0 is the ego.
+        unary: The names of the U unary predicates, in the order of the observation.
+        binary: The names of the B binary predicates, in the same order.
+        unary_at: int64 (N, U): the position of P(i).
+        binary_at: int64 (N, N, B): the position of P(i, j).
+        route_length: The position of the route length, if the task observes it.
+        width: The length of an observation.
+    """
+
+    entities: int
+    unary: tuple[str, ...]
+    binary: tuple[str, ...]
+    unary_at: NDArray[np.int64]
+    binary_at: NDArray[np.int64]
+    route_length: int | None
+    width: int
+
+    @classmethod
+    def of_description(cls, description: Mapping[str, Any]) -> Layout:
+        """Return the layout of a task from its description."""
+        return cls.of_atoms(tuple(atoms_of(description)), bool(description["route_length"]))
+
+    @classmethod
+    def of_atoms(cls, atoms: Sequence[Atom], route_length: bool = False) -> Layout:
+        """Return the layout of observations of these atoms, such as `Demonstrations.atoms`.
+
+        Args:
+            atoms: The atoms in the order of the observation: all ground atoms of each predicate.
+            route_length: Whether a number follows the atoms.
+
+        Raises:
+            ValueError: If a predicate is neither unary nor binary, or a ground atom is missing or repeated.
+        """
+        arities = {name: len(entities) for name, entities in atoms}
+        if set(arities.values()) - {1, 2}:
+            name = next(name for name, arity in arities.items() if arity not in (1, 2))
+            raise ValueError(f"`{name}` has {arities[name]} arguments: views exist for unary and binary predicates")
+        count = 1 + max((entity for _, entities in atoms for entity in entities), default=0)
+        unary = tuple(name for name, arity in arities.items() if arity == 1)
+        binary = tuple(name for name, arity in arities.items() if arity == 2)
+        if len(atoms) != count * len(unary) + count**2 * len(binary) or len(set(atoms)) != len(atoms):
+            raise ValueError("the atoms are not all ground atoms of their predicates, each once")
+        positions = {atom: at for at, atom in enumerate(atoms)}
+        each = range(count)
+        unary_at = [[positions[name, (i,)] for name in unary] for i in each]
+        binary_at = [[[positions[name, (i, j)] for name in binary] for j in each] for i in each]
+        return cls(
+            count,
+            unary,
+            binary,
+            np.array(unary_at, np.int64).reshape(count, len(unary)),
+            np.array(binary_at, np.int64).reshape(count, count, len(binary)),
+            len(atoms) if route_length else None,
+            len(atoms) + route_length,
+        )
+
+    def atoms(self) -> tuple[Atom, ...]:
+        """Return the atoms in the order of the observation."""
+        atoms: dict[int, Atom] = {}
+        for (i, column), at in np.ndenumerate(self.unary_at):
+            atoms[int(at)] = (self.unary[column], (i,))
+        for (i, j, column), at in np.ndenumerate(self.binary_at):
+            atoms[int(at)] = (self.binary[column], (i, j))
+        return tuple(atom for _, atom in sorted(atoms.items()))
+
+    def occurrences(self) -> NDArray[np.float32]:
+        """Return float32 (width, N): 1 where an entity occurs in an atom, else 0."""
+        each, marks = np.arange(self.entities), np.zeros((self.width, self.entities), np.float32)
+        marks[self.unary_at, each[:, None]] = 1.0
+        marks[self.binary_at, each[:, None, None]] = 1.0
+        marks[self.binary_at, each[None, :, None]] = 1.0
+        return marks
+
+    def edge_links(self) -> NDArray[np.int64]:
+        """Return int64 (N * N, 2): the source i and the target j of the edge N * i + j."""
+        return np.stack(np.divmod(np.arange(self.entities**2), self.entities), 1)

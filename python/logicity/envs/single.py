@@ -1,0 +1,320 @@
+"""The gymnasium environment of Safe Path Following (SPF). Needs the extra `gym`.
+
+The agent drives a car along a route without violating a rule. The actions are 0 Slow, 1 Normal, 2 Fast and 3 Stop. An
+episode terminates when the car reaches the goal or violates a rule. It is truncated at the horizon of the
+configuration.
+"""
+
+from __future__ import annotations
+
+import os
+from copy import deepcopy
+from typing import TYPE_CHECKING, Any, cast
+
+import numpy as np
+from numpy.typing import NDArray
+
+from .. import _logicity
+from ..errors import checked_path, missing_extra
+
+try:
+    import gymnasium
+    from gymnasium.error import ResetNeeded
+    from gymnasium.spaces import Discrete
+except ImportError as error:
+    raise missing_extra("gym", error) from error
+
+from .config import EnvConfig, EnvOptions, Episodes
+from .interface import (
+    RENDER_FPS,
+    RENDER_MODES,
+    EpisodeStart,
+    HorizonSpec,
+    Observations,
+    check_masks,
+    check_options,
+    checked_action,
+    checked_render_mode,
+    checked_seed,
+    config_overrides,
+    env_info,
+    masks_of,
+    observation_space,
+    parse_episode,
+    rendered,
+    restore_states,
+    states_of,
+)
+from .views import View, views_of
+
+if TYPE_CHECKING:
+    from typing_extensions import Unpack  # Python 3.11; only annotations use it
+
+__all__ = ["SPFEnv"]
+
+
+class SPFEnv(gymnasium.Env[Any, np.int64]):
+    """Safe Path Following with one controlled car.
+
+    Observations are float32 arrays, or dictionaries of arrays:
+
+    - `observation="groundings"` (default): the truth values, 0 or 1, of the ground atoms over the ego and the first 4
+      other agents in its view. The shape is (85,), (140,) or (205,), depending on the predicates of the mode. With
+      `task: {route_length: true}` in the configuration, the array has one more number, from 0 to 1.
+    - `observation="state"`: the exact state, values from -1 to 1, of shape (20, 15), (20, 16) or (20, 19). The first
+      row is the ego. The other rows are the other agents in its field of view, up to the number of rows.
+    - `observation="relational"`: the truth values of `groundings` as tensors over the entities, see
+      `logicity.envs.wrappers.RelationalObservation`.
+    - `observation="graph"`: the same as a complete graph over the entities, see
+      `logicity.envs.wrappers.GraphObservation`.
+
+    `logicity describe` prints the meaning of each number of the first two kinds.
+
+    The environment truncates episodes itself. `spec.max_episode_steps` is the horizon of the configuration, or the
+    largest step limit of the recorded episodes.
+
+    `info` has these keys:
+
+    - `oracle_action` (int): the action that the rules derive in the current state.
+    - `violations` (bool array, one value per clause): whether the last action violated the clause. `clauses` has the
+      names of the clauses in the same order.
+    - `progress` (float, 0 to 1): the completed share of the route.
+    - `success` (bool): whether the car has reached the goal without violating a rule.
+    - `steps` (int): the number of steps of the episode.
+    - `seed` (int64): the 64 bits of the seed of the episode. `episode["seed"]` is `int(seed) % 2**64`.
+    - `action_mask` (int8 array, one value per action), with `action_masks=True`: 1 if the action violates no clause in
+      the current state, else 0, as `action_space.sample(mask)` expects.
+    - `true_atoms` (tuple of strings), with `atoms=True`: the true atoms that the car observes, such as `IsTiro(Car_1)`.
+
+    Args:
+        config: A run configuration: a built-in name such as `expert`, or a path.
+        split: The set of agents: `train`, `val` or `test`.
+        rules: A rule file that replaces the configuration's.
+        overrides: A mapping that is merged into the configuration, such as `{"task": {"horizon": 100}}`.
+        observation: The kind of observation: `groundings`, `state`, `relational` or `graph`.
+        limits: The limits of each evaluation of the rules, such as `{"max_rows": 50_000_000}`.
+        oracle: Whether `info` has `oracle_action`.
+        action_masks: Whether `info` has `action_mask`. Enables `action_masks()`.
+        episodes: `drawn` generates new episodes. `drawn-demanding` does so, too, and omits the episodes in which the
+            oracle's run, up to the horizon, has fewer constrained steps than `task.constrained_steps` of the
+            configuration (default: 1). It raises `InputError` (`limit-exceeded`) if 1,000 draws in a row are omitted.
+            `recorded` samples the recorded episodes of the split with replacement. The seed determines all three.
+        atoms: Whether `info` has `true_atoms`. Wrappers that convert infos to tensors reject strings.
+        render_mode: `human`, which shows every state in a window and needs the extra `human`, `rgb_array` or `ansi`.
+
+    Raises:
+        InputError: If the configuration, the rule file or an episode is invalid.
+        OSError: If a file cannot be read.
+        TypeError: If an option is unknown.
+        ValueError: If `episodes`, the split or the kind of observation is unknown.
+    """
+
+    metadata = {"render_modes": RENDER_MODES, "render_fps": RENDER_FPS}
+    spec = HorizonSpec()
+
+    def __init__(
+        self,
+        config: str | os.PathLike[str] = "expert",
+        *,
+        episodes: Episodes = "drawn",
+        atoms: bool = False,
+        render_mode: str | None = None,
+        **options: Unpack[EnvOptions],
+    ) -> None:
+        """Load the configuration and the rules."""
+        self._config = EnvConfig(config, SPFEnv, **options)
+        self._kind, self._atoms = self._config.array_kind, atoms
+        self._episodes, self._recorded = episodes, episodes == "recorded"
+        self.render_mode, self._window = checked_render_mode(render_mode)
+        self._task = self._config.task()
+        self._clauses = self._task.clauses()
+        self._views, self._shape = views_of(self._task, self._config.observation), tuple(self._task.shape(self._kind))
+        self.observation_space = observation_space(self._task, self._kind, self._views)
+        self.action_space = Discrete(4)
+        self._base = self._make_core(self._task)
+        self._core, self._core_task = self._base, self._task
+        self._overrides: dict[str, Any] = {}
+        self._seeded = self._begun = False
+
+    def _make_core(self, task: _logicity.Task) -> _logicity.VectorEnv:
+        config = self._config
+        core = _logicity.VectorEnv(task, config.split, 1, "Disabled", self._kind, self._episodes, 1)
+        if config.action_masks:
+            core.judge_actions()
+        return core
+
+    def _new_observation(self) -> Observations:
+        return np.empty(self._shape, np.float32)
+
+    def _output(self, observation: Observations) -> Observations | View:
+        return observation if self._views is None else self._views(observation)
+
+    def reset(self, *, seed: int | None = None, options: dict[str, Any] | None = None) -> tuple[Any, dict[str, Any]]:
+        """Start an episode.
+
+        Args:
+            seed: The seed of a new sequence of episodes, from 0 to 2**64 - 1. `None` continues the sequence.
+            options: `episode` is the number of a recorded episode of the split, or a mapping such as `SPFEnv.episode`;
+                the sequence then does not advance. `map` and `agents` replace these parts of the configuration for this
+                episode.
+
+        Returns:
+            The observation, and `info`.
+
+        Raises:
+            IndexError: If the recorded episode does not exist.
+            InputError: If the mapping is not a valid episode of this environment (`invalid-episode`).
+            ValueError: If an option is unknown, or its value is invalid.
+        """
+        super().reset(seed=seed)
+        options = options or {}
+        check_options(options, ("episode", "map", "agents"))
+        if seed is not None or not self._seeded:
+            self._base.seed(0, checked_seed(seed, self.np_random), 0)
+            self._seeded = True
+        self._apply_overrides(config_overrides(options))
+        observation = self._new_observation()
+        self._begun = False
+        self._core.reset([parse_episode(options.get("episode"))], observation)
+        if self._core is not self._base:
+            self._base.seed(0, *self._core.source(0))
+        self._begun = True
+        if self._window is not None:
+            self.render()
+        return self._output(observation), env_info(self._core.info(0), self._config, self._core, 0, self._atoms)
+
+    def _apply_overrides(self, overrides: dict[str, Any]) -> None:
+        """Switch to the configuration with these overrides, and continue the sequence of episodes."""
+        if not overrides:
+            self._core, self._core_task, self._overrides = self._base, self._task, {}
+            return
+        if self._core is self._base or overrides != self._overrides:
+            task = self._config.task(**overrides)
+            if tuple(task.shape(self._kind)) != self._shape:
+                raise ValueError("`map` and `agents` must not change the shape of observations")
+            self._core, self._core_task, self._overrides = self._make_core(task), task, overrides
+        self._core.seed(0, *self._base.source(0))
+
+    def step(self, action: np.int64 | int) -> tuple[Any, float, bool, bool, dict[str, Any]]:
+        """Run one tick with an action of the controlled car.
+
+        Args:
+            action: 0 Slow, 1 Normal, 2 Fast or 3 Stop.
+
+        Returns:
+            The observation, the reward, `terminated`, `truncated` and `info`.
+
+        Raises:
+            gymnasium.error.ResetNeeded: If no episode has started, or the episode has ended.
+            gymnasium.error.InvalidAction: If the action is not 0, 1, 2 or 3.
+        """
+        self._check_begun()
+        observation = self._new_observation()
+        reward, terminated, truncated, info = self._core.step_one(checked_action(action), observation)
+        info = env_info(info, self._config, self._core, 0, self._atoms)
+        if self._window is not None:
+            self.render()
+        return self._output(observation), reward, terminated, truncated, info
+
+    def action_masks(self) -> NDArray[np.bool_]:
+        """Return for each action whether it violates no clause in the current state. The shape is (4,).
+
+        If every action violates a clause, which the rules of the modes do not allow, all values are `False`.
+
+        Raises:
+            gymnasium.error.Error: If the environment was made without `action_masks=True`.
+            gymnasium.error.ResetNeeded: If no episode has started.
+        """
+        check_masks(self._config)
+        self._check_begun()
+        return cast("NDArray[np.bool_]", masks_of(self._core, 1)[0].astype(np.bool_))
+
+    @property
+    def clauses(self) -> tuple[str, ...]:
+        """The names of the clauses that actions can violate, such as `S1`, in the order of `info["violations"]`."""
+        return self._clauses
+
+    @property
+    def episode(self) -> EpisodeStart:
+        """The start of the current episode. Pass it to `reset(options={"episode": ...})` to restart it."""
+        self._check_begun()
+        return cast(EpisodeStart, self._core.episode(0))
+
+    def _check_begun(self) -> None:
+        if not self._begun:
+            raise ResetNeeded("no episode has started: call `reset`")
+
+    def explain(self, fact: str | None = None) -> str:
+        """Return proofs of the oracle's action as text, from the facts in the current view of the car.
+
+        Args:
+            fact: Explain instead why this fact holds or does not hold there: the name of any predicate, about the car,
+                or a fact such as `IsClose(Car_1, Car_2)`.
+
+        Raises:
+            InputError: If the fact is invalid.
+            gymnasium.error.ResetNeeded: If no episode has started.
+        """
+        self._check_begun()
+        return self._core.explain(0, fact)
+
+    def write_trace(self, path: str | os.PathLike[str], *, overwrite: bool = False) -> None:
+        """Write the trace of the episode so far, in the format of `logicity run`.
+
+        `logicity view` converts a trace to an HTML page. For every step, the trace records the observed entities, the
+        required action, and the clauses that the action violated. The trace contains the rules and the configuration,
+        with `overrides` and with `map` and `agents` of a reset.
+
+        Args:
+            path: The file of the trace.
+            overwrite: Whether to replace a file that this function did not write, or that has changed since.
+
+        Raises:
+            FileExistsError: If the file must not be replaced.
+            OSError: If the file cannot be written, or another process writes it.
+            TypeError: If the path is not a string or an `os.PathLike[str]`.
+            ValueError: If the episode has no steps yet.
+            gymnasium.error.ResetNeeded: If no episode has started.
+        """
+        self._check_begun()
+        taken = self._core.taken(0)
+        if not taken:
+            raise ValueError("the episode has no steps yet: call `step` before `write_trace`")
+        task = self._config.task(**self._overrides) if self._overrides else self._core_task
+        name = checked_path("path", path)
+        task.write_trace(self._config.split, self._core.episode(0), taken, (name, "write_trace", overwrite))
+
+    def render(self) -> Any:
+        """Return a picture of the city, a uint8 array of shape (height, width, 3), or text in the mode `ansi`.
+
+        The picture has a frame around the controlled car, a line for its route, and a square for its goal. The mode
+        `human` shows it in a window, also after every reset and step, and returns `None`.
+        """
+        if self.render_mode is None:
+            raise gymnasium.error.Error("the environment has no `render_mode`: pass one to `gymnasium.make`")
+        self._check_begun()
+        return rendered(self._core.picture, self._core.text, range(1), self.render_mode, self._window)[0]
+
+    def close(self) -> None:
+        """Close the window of the render mode `human`."""
+        if self._window is not None:
+            self._window.close()
+
+    def __getstate__(self) -> dict[str, Any]:
+        """Return the tasks, the episode and the actions taken, which determine the state."""
+        state = {key: value for key, value in self.__dict__.items() if key not in ("_base", "_core")}
+        return {**state, "_states": states_of(self._core), "_source": self._base.source(0)}
+
+    def __setstate__(self, state: dict[str, Any]) -> None:
+        """Start the same episode and take the same actions."""
+        states, source = state.pop("_states"), state.pop("_source")
+        self.__dict__.update(state)
+        self._base = self._core = self._make_core(self._task)
+        if self._core_task is not self._task:
+            self._core = self._make_core(self._core_task)
+        restore_states(self._core, states, self._new_observation())
+        self._base.seed(0, *source)
+
+    def __copy__(self) -> SPFEnv:
+        """Return a deep copy, because two environments cannot share a city."""
+        return deepcopy(self)

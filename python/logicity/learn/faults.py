@@ -1,0 +1,161 @@
+"""Errors of YAML files that pydantic validates, with their places, and the schemas of such files."""
+
+from __future__ import annotations
+
+import json
+from collections.abc import Callable, Mapping, Sequence
+from typing import TYPE_CHECKING, Any, TypeAlias
+
+from ..errors import missing_extra
+
+try:
+    from pydantic import ValidationError
+except ImportError as error:
+    raise missing_extra("learn", error) from error
+
+if TYPE_CHECKING:
+    from pydantic_core import ErrorDetails
+__all__ = ["Fault", "contains", "faults", "inlined", "merged", "tidy"]
+
+#: An error in a YAML file: its code, the path of keys to the value, the message, and the help, which may be empty.
+Fault: TypeAlias = tuple[str, list[str], str, str]
+
+
+def contains(values: Mapping[str, Any], path: Sequence[str]) -> bool:
+    """Return whether values have a path of keys, or a value other than a mapping on the way to it."""
+    for key in path:
+        if not isinstance(values, Mapping):
+            return True
+        if key not in values:
+            return False
+        values = values[key]
+    return bool(path)
+
+
+def merged(values: Mapping[str, Any], changes: Mapping[str, Any]) -> dict[str, Any]:
+    """Return values with changes. Mappings merge key by key; any other value replaces the old one."""
+    result = dict(values)
+    for key, value in changes.items():
+        old = result.get(key)
+        result[key] = merged(old, value) if isinstance(old, Mapping) and isinstance(value, Mapping) else value
+    return result
+
+
+def inlined(schema: Any, definitions: Mapping[str, Any]) -> Any:
+    """Return a schema with the definitions in place of references to them."""
+    if isinstance(schema, dict):
+        if "$ref" in schema:
+            rest = {key: value for key, value in schema.items() if key != "$ref"}
+            return inlined({**definitions[schema["$ref"].rpartition("/")[2]], **rest}, definitions)
+        return {key: inlined(value, definitions) for key, value in schema.items()}
+    return [inlined(value, definitions) for value in schema] if isinstance(schema, list) else schema
+
+
+def tidy(schema: Any) -> Any:
+    """Return a part of a schema without the titles that pydantic makes from names and without line breaks."""
+    if isinstance(schema, dict):
+        return {key: tidy(value) for key, value in schema.items() if key != "title" or not isinstance(value, str)}
+    if isinstance(schema, str):
+        return " ".join(schema.split())
+    return [tidy(value) for value in schema] if isinstance(schema, list) else schema
+
+
+def faults(
+    error: ValidationError, unknown: Callable[[tuple[str, ...]], tuple[str, str]], depth: int = 2
+) -> list[Fault]:
+    """Return all errors.
+
+    Args:
+        error: The errors of pydantic.
+        unknown: Returns the message and the help for the path of an unknown key.
+        depth: The number of keys after which pydantic may append the name of an alternative to a path.
+    """
+    by_key: dict[tuple[str, ...], list[ErrorDetails]] = {}
+    found = error.errors(include_url=False)
+    # The paths of values with an error in an element. Pydantic counts only their valid elements.
+    faulty = {each["loc"][:end] for each in found for end in range(len(each["loc"]))}
+    for each in found:
+        if each["type"] == "too_short" and each["loc"] in faulty:
+            continue
+        # For a union, every alternative reports an error and appends its name to the path.
+        where = each["loc"]
+        more = len(where) > depth and (isinstance(where[depth], int) or each["type"] in _AT_KEYS)
+        by_key.setdefault(tuple(map(str, where[: depth + more])), []).append(each)
+    return [_fault(path, errors, unknown) for path, errors in by_key.items()]
+
+
+#: The types of errors about a key, not about its value. They have no alternatives.
+_AT_KEYS = ("extra_forbidden", "missing")
+
+
+def _fault(
+    path: tuple[str, ...], errors: Sequence[ErrorDetails], unknown: Callable[[tuple[str, ...]], tuple[str, str]]
+) -> Fault:
+    first, name = errors[0], ".".join(path)
+    if first["type"] == "extra_forbidden":
+        return "unknown-key", list(path), *unknown(path)
+    if first["type"] == "missing":
+        return "missing-key", list(path), f"the key `{name}` is missing", ""
+    if first["type"] == "custom":
+        return "invalid-value", list(path), first["msg"], ""
+    if first["type"] in ("value_error", "assertion_error"):
+        return "invalid-value", list(path), f"`{name}`: {first['ctx']['error']}", ""
+    expected = " or ".join(dict.fromkeys(map(_expected, errors)))
+    return "invalid-value", list(path), f"`{name}` must be {expected}, not `{_shown(first['input']):.40}`", ""
+
+
+def _shown(value: object) -> str:
+    """Return a value as a YAML file can contain it. Only strings that YAML reads as other values have quotes."""
+    if not isinstance(value, str):
+        return json.dumps(value, default=repr)
+    try:
+        float(value)
+    except ValueError:
+        return json.dumps(value) if value.lower() in _NOT_STRINGS else value
+    return json.dumps(value)
+
+
+#: Words that are no strings in YAML.
+_NOT_STRINGS = ("", "~", "null", "true", "false")
+
+
+#: What a value must be, by the type of pydantic's error.
+_EXPECTED = {
+    "bool_type": "true or false",
+    "dict_type": "a mapping",
+    "finite_number": "a finite number",
+    "float_type": "a number",
+    "int_from_float": "an integer",
+    "int_type": "an integer",
+    "list_type": "a list",
+    "model_type": "a mapping",
+    "none_required": "null (~)",
+    "string_type": "text",
+    "tuple_type": "a list",
+}
+
+
+#: As `_EXPECTED`, with the bound of the error.
+_BOUNDS = {
+    "greater_than": "greater than {gt}",
+    "greater_than_equal": "at least {ge}",
+    "less_than": "less than {lt}",
+    "less_than_equal": "at most {le}",
+    "multiple_of": "a multiple of {multiple_of}",
+    "too_short": "a list of {min_length} or more values",
+    "too_long": "a list of at most {max_length} values",
+}
+
+
+def _expected(error: ErrorDetails) -> str:
+    """Describe the values that a key accepts."""
+    kind, context = error["type"], error.get("ctx", {})
+    if kind in _EXPECTED:
+        return _EXPECTED[kind]
+    if kind == "too_short" and context["field_type"] == "Dictionary":
+        return f"a mapping with {context['min_length']} or more keys"
+    if kind in _BOUNDS:
+        return _BOUNDS[kind].format(**context)
+    if kind == "literal_error":
+        return str(context["expected"]).replace("'", "`")
+    return f"valid ({error['msg']})"
