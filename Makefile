@@ -66,6 +66,7 @@ python: installed
 	$(VENV)/bin/ruff format --check python
 	$(VENV)/bin/ruff check --config python/pyproject.toml tests/fuzz
 	$(VENV)/bin/ruff format --config python/pyproject.toml --check tests/fuzz
+	cd python && ../$(VENV)/bin/lint-imports --no-logo --no-cache
 	$(VENV)/bin/mypy --strict --config-file python/pyproject.toml python/logicity python/tests python/benches python/examples tests/fuzz
 	LOGICITY_WHEEL=$$(echo $(WHEELS)/*.whl) $(VENV)/bin/python -m pytest -q python/tests
 

@@ -370,26 +370,22 @@ def kinds(value: dict[str, Any]) -> str:
     return words[value["type"]]
 
 
-#: The definitions of the schema of experiment files: three tasks, and the settings of one of them.
-EXPERIMENT_PARTS = ("spf", "vap", "vap-settings", "language")
+#: The definitions of the schema of experiment files: three tasks, and the settings of two of them.
+EXPERIMENT_PARTS = ("spf", "vap", "vap-settings", "language", "language-settings")
 
 
 # --- results
 
 
 #: The files of `results`.
-RESULTS = ("spf", "transfer", "composition", "observations", "vap")
+RESULTS = ("spf", "transfer", "composition", "observations", "vap", "vap-continual", "vap-concepts")
 
 
 def results(name: str) -> str:
-    """Return the tables of a file of results. One page has those of all smaller experiments of Safe Path Following."""
-    file = ROOT / "results" / f"{name}.json"
-    if name == "vap":
-        module = imported("logicity.experiments.vap.report")
-        text: str = module.leaderboard(module.read_results(file))
-    else:
-        module = imported("logicity.experiments.spf.results")
-        text = module.leaderboard(module.read_results(file, name), 2 if name == "spf" else 3)
+    """Return the tables of a file of results."""
+    module = imported("logicity.experiments.results")
+    with mock(OPTIONAL):
+        text: str = module.leaderboard(module.read_results(ROOT / "results" / f"{name}.json", name), 3)
     return text
 
 
@@ -468,10 +464,11 @@ MODULES = {
     "logicity.describe": "Observations",
     "logicity.offline": "Demonstrations",
     "logicity.induction": "Learned rules",
-    "logicity.envs.single": "Environments",
+    "logicity.envs": "Environments",
+    "logicity.envs.registration": "Environments by name",
     "logicity.envs.layout": "Layouts of observations",
-    "logicity.envs.wrappers": "Views of observations",
-    "logicity.envs.parallel": "Several controlled cars",
+    "logicity.envs.views": "Views of observations",
+    "logicity.envs.wrappers": "Wrappers with views",
     "logicity.envs.sb3": "Stable-Baselines3",
     "logicity.envs.torchrl": "TorchRL",
     "logicity.learn": "Learners",
@@ -521,7 +518,8 @@ def python() -> str:
             parts.append(f"```{{eval-rst}}\n.. automodule:: {module}\n   :no-members:\n   :no-index:\n```\n")
         for name in names:
             home, _, last = name.rpartition(".")
-            value = getattr(imported(home), last)
+            with mock(OPTIONAL):
+                value = getattr(importlib.import_module(home), last)
             if inspect.isclass(value):
                 kind = "autoexception" if issubclass(value, BaseException) else "autoclass"
             else:

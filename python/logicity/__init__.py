@@ -23,11 +23,11 @@ limit was exceeded. The subclass `UnsupportedError` means that the dense executo
 raises `KeyboardInterrupt`.
 """
 
-import importlib
 from typing import TYPE_CHECKING
 
 from ._logicity import __version__
 from .envs.registration import register_with_gymnasium
+from .lazily import exports
 
 if TYPE_CHECKING:
     from . import envs as envs
@@ -40,7 +40,7 @@ if TYPE_CHECKING:
     from .envs.registration import parallel_env
     from .errors import InputError, LimitError, UnsupportedError, UntrustedError
     from .evaluation import Benchmark, EpisodeRecord, Evaluation, Interval, Policy, evaluate
-    from .induction import InducedClause, InducedRules, induce
+    from .induction import InducedClause, InducedRules, Oracle, induce
     from .modes import ENVIRONMENTS, MODES
     from .offline import Demonstrations, Trajectory, demonstrations
     from .rule_policy import RulePolicy
@@ -69,7 +69,7 @@ _NAMES = {
     "describe": ["observation_names"],
     "errors": ["InputError", "LimitError", "UnsupportedError", "UntrustedError"],
     "evaluation": ["Benchmark", "EpisodeRecord", "Evaluation", "Interval", "Policy", "evaluate"],
-    "induction": ["InducedClause", "InducedRules", "induce"],
+    "induction": ["InducedClause", "InducedRules", "Oracle", "induce"],
     "envs.registration": ["parallel_env"],
     "modes": ["ENVIRONMENTS", "MODES"],
     "offline": ["Demonstrations", "Trajectory", "demonstrations"],
@@ -113,6 +113,7 @@ __all__ = [
     "LimitError",
     "Limits",
     "MODES",
+    "Oracle",
     "Policy",
     "Program",
     "REASONS",
@@ -143,17 +144,4 @@ __all__ = [
 register_with_gymnasium()
 
 if not TYPE_CHECKING:
-
-    def __getattr__(name):
-        """Import a public name, or a module, on first use (PEP 562)."""
-        if name in _MODULES:
-            return importlib.import_module(f".{name}", __name__)
-        if name not in _HOMES:
-            raise AttributeError(f"module {__name__!r} has no attribute {name!r}")
-        value = getattr(importlib.import_module(f".{_HOMES[name]}", __name__), name)
-        globals()[name] = value
-        return value
-
-    def __dir__():
-        """List all names, including those that are imported lazily."""
-        return sorted({*globals(), *__all__, *_MODULES})
+    __getattr__, __dir__ = exports(globals(), _HOMES, _MODULES)

@@ -12,7 +12,7 @@ import time
 from collections.abc import Callable, Sequence
 from difflib import get_close_matches
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, Literal, NoReturn, cast
+from typing import TYPE_CHECKING, Any, NoReturn, cast
 
 import numpy as np
 
@@ -24,8 +24,8 @@ from .signals import ending_on_signals
 from .terminal import flush, neutral, print_message, print_text
 
 if TYPE_CHECKING:
-    from .envs.config import ObservationKind
     from .evaluation import Benchmark, Evaluation, Policy, Shape
+    from .types import ObservationKind
 
 __all__ = ["SUMMARIES", "parser_of", "run"]
 
@@ -669,48 +669,47 @@ def _train(given: argparse.Namespace) -> int:
 
 
 def _experiment(given: argparse.Namespace) -> int:
-    from .experiments.cells import Cell, finished
-    from .experiments.language.experiment import is_language
-    from .experiments.spf.experiment import Selection, load_experiment
+    from .experiments.cells import finished
+    from .experiments.experiment import Selection
+    from .experiments.jobs import run
+    from .experiments.kinds import load_experiment
+    from .experiments.report import Report
+    from .experiments.results import submit
 
-    if is_language(given.experiment):
-        return _language(given)
-    experiment, file = load_experiment(given.experiment)
-    selection = Selection(tuple(given.only), given.seeds, _changes(given), given.quick, given.trust)
+    changes = _changes(given)
+    rows = {"learners": changes.pop("learners")} if "learners" in changes else {}
     try:
-        cells = experiment.cells(file, selection)
+        loaded = load_experiment(given.experiment, rows)
+        cells = loaded.cells(Selection(tuple(given.only), given.seeds, changes, given.quick, given.trust))
     except InputError:
         raise
     except ValueError as error:
         raise _UsageError(str(error)) from None
-    if not all(isinstance(cell, Cell) for cell in cells):
-        if given.reuse is not None:
-            raise _UsageError("--reuse: only experiments of Safe Path Following can reuse trainings")
-        if given.wandb is not None:
-            raise _UsageError("--wandb: only experiments of Safe Path Following send curves")
-    root = _results_folder(given, file)
+    if given.reuse is not None and not loaded.task.reusable:
+        raise _UsageError("--reuse: only experiments of Safe Path Following can reuse trainings")
+    if given.wandb is not None and not loaded.task.sends_curves:
+        raise _UsageError("--wandb: only experiments of Safe Path Following send curves")
+    root = _results_folder(given, loaded.file)
     if given.list:
         for cell in cells:
             print_text(f"{'finished' if finished(cell, root) else 'not run ':8}  {cell.name}  {cell.identity[:12]}")
         return 0
-    rows = given.submit or given.rehash
-    if rows is not None:
+    results = given.submit or given.rehash
+    if results is not None:
         option = "--submit" if given.rehash is None else "--rehash"
         if given.quick or given.set:
             raise _UsageError(f"{option}: rows have the budgets of the experiment: remove `--quick` and `--set`")
         if not any(finished(cell, root) for cell in cells if not cell.hidden):
             help = "run the experiment first, or name its folder with `--run`"
             raise _UsageError(f"{option}: none of the cells is finished in `{root}`\nhelp: {help}")
-        for line in experiment.submit(file, cells, root, rows, only_hashes=given.rehash is not None):
+        for line in submit(loaded, cells, root, results, only_hashes=given.rehash is not None):
             print_text(line)
         return 0
     failed: dict[str, str] = {}
     if not given.report:
-        from .experiments.jobs import run
-
         jobs = given.jobs or os.cpu_count() or 1
         failed = run(cells, root, jobs, print_message, given.ray, given.wandb, given.reuse, given.trust)
-    report = experiment.report(cells, root, failed)
+    report = Report(loaded, cells, root, failed)
     print_text(report.text(), flush=True)
     written = report.write(root)
     print_text(f"written: {', '.join(str(path) for path in written)}")
@@ -736,7 +735,7 @@ def _results_folder(given: argparse.Namespace, file: Path) -> Path:
     """
     folder: Path = given.run or Path("runs") / (f"{file.stem}-quick" if given.quick else file.stem)
     _check_folder("--run", folder)
-    begun = any((folder / name).is_dir() for name in ("cells", "questions"))
+    begun = (folder / "cells").is_dir()
     foreign = sorted(path.name for path in folder.iterdir() if path.name[0] != ".") if folder.is_dir() else []
     if foreign and not begun and foreign != ["running"]:
         help = "name another folder; it need not exist"
@@ -745,24 +744,6 @@ def _results_folder(given: argparse.Namespace, file: Path) -> Path:
         help = "run the experiment first, or name its folder with `--run`"
         raise _UsageError(f"--report: `{folder}` has no experiment\nhelp: {help}")
     return folder
-
-
-def _language(given: argparse.Namespace) -> int:
-    from .experiments.language.experiment import LanguageExperiment, run
-
-    for option in ("ray", "rehash", "reuse", "wandb", "submit"):
-        if getattr(given, option) is not None:
-            raise _UsageError(f"--{option}: an experiment of language questions does not support this option")
-    try:
-        experiment, file = LanguageExperiment.load(given.experiment, _changes(given), quick=given.quick)
-        units = experiment.units(given.only, given.seeds)
-    except InputError:
-        raise
-    except ValueError as error:
-        raise _UsageError(str(error)) from None
-    root = _results_folder(given, file)
-    action: Literal["run", "list", "report"] = "list" if given.list else "report" if given.report else "run"
-    return run(experiment, file, units, root, given.jobs or os.cpu_count() or 1, action)
 
 
 def _ask(given: argparse.Namespace) -> int:

@@ -20,12 +20,13 @@ from numpy.typing import NDArray
 
 from . import _logicity
 from .city import ACTIONS
-from .envs.config import EnvConfig, ObservationKind, array_kind, checked_kind
+from .envs.config import EnvConfig, array_kind, checked_kind
+from .envs.views import Actions, Observations
 from .errors import InputError, checked_path
 from .files import check_writable
 from .modes import checked_mode
 from .terminal import neutral
-from .types import Diagnostic, Limits
+from .types import Diagnostic, Limits, ObservationKind
 
 if TYPE_CHECKING:
     from types import TracebackType
@@ -34,8 +35,6 @@ if TYPE_CHECKING:
 
 __all__ = ["Benchmark", "EpisodeRecord", "Evaluation", "Interval", "Policy", "evaluate"]
 
-Observations: TypeAlias = NDArray[np.float32]
-Actions: TypeAlias = NDArray[np.int64]
 
 #: The shape of an observation, or the shape of each array of an observation that is a dictionary.
 Shape: TypeAlias = tuple[int, ...] | dict[str, tuple[int, ...]]

@@ -20,7 +20,7 @@ from numpy.typing import ArrayLike, NDArray
 
 from . import _logicity
 from .city import ACTIONS
-from .envs.layout import Atom, atoms_of
+from .envs.layout import atoms_of
 from .errors import checked_integer, checked_path
 from .files import replacing
 from .minari_files import StoredEpisode, load_minari, stored_episodes
@@ -28,13 +28,13 @@ from .modes import ENVIRONMENTS, checked_mode
 from .offline import Demonstrations
 from .rules import Program
 from .tasks import load_task
-from .types import SymbolicScene
+from .types import Atom, SymbolicScene
 
 if TYPE_CHECKING:
     import gymnasium
     from minari import MinariDataset
 
-__all__ = ["Episode", "InducedClause", "InducedRules", "induce"]
+__all__ = ["Episode", "InducedClause", "InducedRules", "Oracle", "induce"]
 
 
 @runtime_checkable
@@ -195,6 +195,58 @@ class _Source:
     atoms: Sequence[str] = ()
 
 
+@dataclass(frozen=True)
+class Oracle:
+    """An oracle, which `induce` asks for the actions of scenes.
+
+    Args:
+        decide: A function that takes a scene, as `infer` does, and returns the name of the ego's action, or the path of
+            a rule file whose clauses the learner does not see.
+        questions: The largest number of questions, including those of an earlier run in the log.
+        agreements: The questions end when the rules agree with the oracle on this many random scenes in a row.
+        sweep: Then ask all scenes of at most this many facts and entities, for example `(3, 2)`: a certificate.
+            Facts that follow from others and facts of `.covering` predicates do not count.
+        log: A file to which each question is added at once with its answer. The same call with an existing log
+            continues where it stopped. A log of other questions is an error. It identifies a function by its name, and
+            an object by its class, so another function of the same name needs another log.
+
+    Raises:
+        TypeError: If an argument has a wrong type.
+        ValueError: If a number is out of range.
+    """
+
+    decide: Callable[[SymbolicScene], str] | str | os.PathLike[str]
+    questions: SupportsIndex = 10_000_000
+    agreements: SupportsIndex = 400
+    sweep: tuple[SupportsIndex, SupportsIndex] | None = None
+    log: str | os.PathLike[str] | None = None
+
+    def __post_init__(self) -> None:
+        """Check the arguments."""
+        self._checked()
+
+    def _checked(self) -> tuple[int, int, tuple[int, int] | None, str | None]:
+        sweep = self.sweep
+        if sweep is not None and (not isinstance(sweep, Sequence) or len(sweep) != 2):
+            raise TypeError(f"sweep: expected the numbers of facts and entities, such as `(3, 2)`, not {sweep!r}")
+        return (
+            checked_integer("questions", self.questions),
+            checked_integer("agreements", self.agreements),
+            sweep and (checked_integer("sweep", sweep[0], 0, 1000), checked_integer("sweep", sweep[1], 1, 5)),
+            None if self.log is None else checked_path("log", self.log),
+        )
+
+    def _arguments(self, mode: str | os.PathLike[str], overrides: Mapping[str, Any] | None) -> tuple[Any, ...]:
+        """Return the oracle, what identifies it in a log, its name in reports, and the other arguments."""
+        if callable(self.decide):
+            kind = self.decide if hasattr(self.decide, "__qualname__") else type(self.decide)
+            named: tuple[Any, str, str] = (self.decide, f"function {kind.__module__}.{kind.__qualname__}", "a function")
+        else:
+            path = checked_path("decide", self.decide)
+            named = (load_task(mode, path, overrides), "", f"the rules in {os.path.basename(path)}")
+        return (*named, *self._checked())
+
+
 def induce(
     demonstrations: Demonstrations | MinariDataset | str | os.PathLike[str] | Iterable[Episode] = (),
     mode: str | os.PathLike[str] | None = None,
@@ -207,11 +259,7 @@ def induce(
     threads: SupportsIndex = 0,
     rules: str | os.PathLike[str] | None = None,
     overrides: Mapping[str, Any] | None = None,
-    ask: Callable[[SymbolicScene], str] | str | os.PathLike[str] | None = None,
-    questions: SupportsIndex | None = None,
-    agreements: SupportsIndex | None = None,
-    sweep: tuple[SupportsIndex, SupportsIndex] | None = None,
-    log: str | os.PathLike[str] | None = None,
+    oracle: Oracle | None = None,
 ) -> InducedRules:
     """Learn rules from demonstrations, from questions to an oracle, or from both.
 
@@ -236,22 +284,13 @@ def induce(
         rules: A rule file to use instead of the configuration's, for its declarations. The default is that of the
             demonstrations, if they name one.
         overrides: Changes of the configuration, as in `gymnasium.make`. The default is that of the demonstrations.
-        ask: The oracle: a function that takes a scene, as `infer` does, and returns the name of the ego's action, or
-            the path of a rule file whose clauses the learner does not see. `noise` must be None.
-        questions: The largest number of questions, including those of an earlier run in the log. None is 10 million.
-        agreements: The questions end when the rules agree with the oracle on this many random scenes in a row. None is
-            400.
-        sweep: Then ask all scenes of at most this many facts and entities, for example `(3, 2)`: a certificate.
-            Facts that follow from others and facts of `.covering` predicates do not count.
-        log: A file to which each question is added at once with its answer. The same call with an existing log
-            continues where it stopped. A log of other questions is an error. It identifies a function by its name, and
-            an object by its class, so another function of the same name needs another log.
+        oracle: Whom to ask, and how often. `noise` must be None.
 
     Returns:
         The rules. `report["questions"]` describes the questions and the certificate.
 
     Raises:
-        BaseException: Any exception of `ask`. Its attribute `rules` has the rules learned so far, as have
+        BaseException: Any exception of the oracle. Its attribute `rules` has the rules learned so far, as have
             `KeyboardInterrupt` and the exceptions for a faulty oracle.
         ImportError: If Minari is not installed. The extra `offline` installs it: `pip install './python[offline]'`.
         InputError: If the configuration or an option is invalid, two examples have the same facts and different
@@ -270,11 +309,10 @@ def induce(
     given = {"variables": variables, "effort": effort, "threads": threads}
     checked = {name: checked_integer(name, value, *limits[name]) for name, value in given.items()}
     checked_seed = checked_integer("seed", seed)
-    if ask is None and (questions, agreements, sweep, log) != (None, None, None, None):
-        raise ValueError("questions, agreements, sweep and log need an oracle: `ask`")
-    bound = _checked_sweep(sweep)
+    if oracle is not None and not isinstance(oracle, Oracle):
+        raise TypeError(f"oracle: expected an Oracle, not {type(oracle).__name__}")
     checked_order = _checked_order(order)
-    if ask is not None and noise is not None:
+    if oracle is not None and noise is not None:
         raise ValueError("noise: expected None, because the answers of an oracle are exact")
     if noise is not None and noise != "auto":
         message = f"noise: expected a number from 0 to {_logicity.NOISE_MAX}, auto or None, not {noise!r}"
@@ -286,7 +324,7 @@ def induce(
     if isinstance(demonstrations, str) and demonstrations in ENVIRONMENTS and not os.path.exists(demonstrations):
         raise ValueError(
             f"demonstrations: `{demonstrations}` is a mode, not a dataset: pass "
-            f'`logicity.demonstrations("{demonstrations}")`, or `mode="{demonstrations}"` with an oracle `ask`'
+            f'`logicity.demonstrations("{demonstrations}")`, or `mode="{demonstrations}"` with an `oracle`'
         )
     source = _source(demonstrations)
     mode = source.mode if mode is None else mode
@@ -298,21 +336,13 @@ def induce(
         overrides = source.options.get("overrides") if overrides is None else overrides
     task = load_task(mode, rules, overrides)
     _check_atoms(source, task, name)
-    width = None if ask is None else task.shape("groundings")[0]
+    width = None if oracle is None else task.shape("groundings")[0]
     observations, actions, parts = _stacked(source.episodes, width)
     origin = f"{len(parts)} episodes {source.title or f'for {name}'}" if parts else f"questions about scenes of {name}"
     lines = [f"Rules learned by logicity {_logicity.__version__} from {origin}.", *source.lines]
     if rules is not None:
         lines.append(f"The configuration has the rules in {os.path.basename(checked_path('rules', rules))}.")
-    asking = None
-    if ask is not None:
-        asking = (
-            *_oracle(ask, mode, overrides),
-            checked_integer("questions", 10_000_000 if questions is None else questions),
-            checked_integer("agreements", 400 if agreements is None else agreements),
-            bound,
-            None if log is None else checked_path("log", log),
-        )
+    asking = None if oracle is None else oracle._arguments(mode, overrides)
     learned, fault = _logicity.induce(
         task,
         observations,
@@ -336,15 +366,6 @@ def induce(
             fault.add_note("The rules learned before are in the attribute `rules` of this exception.")
         raise fault
     return induced
-
-
-def _checked_sweep(sweep: object) -> tuple[int, int] | None:
-    """Return the numbers of facts and entities of a sweep."""
-    if sweep is None:
-        return None
-    if not isinstance(sweep, Sequence) or len(sweep) != 2:
-        raise TypeError(f"sweep: expected the numbers of facts and entities, such as `(3, 2)`, not {sweep!r}")
-    return checked_integer("sweep", sweep[0], 0, 1000), checked_integer("sweep", sweep[1], 1, 5)
 
 
 def _checked_order(order: object) -> list[str]:
@@ -430,19 +451,6 @@ def _check_atoms(source: _Source, task: _logicity.Task, name: str) -> None:
             raise ValueError(
                 f"the demonstrations of {source.mode} do not fit {name}: they have the atom {one} instead of {other}"
             )
-
-
-def _oracle(
-    ask: Callable[[SymbolicScene], str] | str | os.PathLike[str],
-    mode: str | os.PathLike[str],
-    overrides: Mapping[str, Any] | None,
-) -> tuple[Any, str, str]:
-    """Return the oracle, what identifies it in a log, and its name in reports."""
-    if callable(ask):
-        kind = ask if hasattr(ask, "__qualname__") else type(ask)
-        return ask, f"function {kind.__module__}.{kind.__qualname__}", "a function"
-    path = checked_path("ask", ask)
-    return load_task(mode, path, overrides), "", f"the rules in {os.path.basename(path)}"
 
 
 def _stacked(

@@ -20,13 +20,14 @@ from numpy.typing import NDArray
 
 from . import _logicity
 from .city import ACTIONS
-from .envs.config import ArrayKind, ViewKind, checked_kind
-from .envs.layout import Atom, atoms_of
+from .envs.config import checked_kind
+from .envs.layout import atoms_of
 from .errors import as_integer, checked_path, missing_extra
 from .evaluation import episodes_that_fit
 from .files import replacing, reserved
 from .modes import ENVIRONMENTS, checked_mode
 from .tasks import load_task
+from .types import ArrayKind, Atom, ViewKind
 
 if TYPE_CHECKING:
     import gymnasium

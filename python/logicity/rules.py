@@ -312,6 +312,11 @@ class Session:
         """The program."""
         return self._program
 
+    def __repr__(self) -> str:
+        """Return the numbers of relations and of rows at the last commit."""
+        relations = self._program.relations
+        return f"<Session of {len(relations)} relations: {sum(map(self.count, relations)):,} rows>"
+
     def insert(self, relation: str, rows: RowsLike) -> int:
         """Insert rows at the next commit. The last change of each row counts.
 

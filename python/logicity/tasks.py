@@ -2,15 +2,19 @@
 
 from __future__ import annotations
 
+import hashlib
+import json
 import os
 from collections.abc import Mapping
+from functools import cache
 from typing import Any
 
 from . import _logicity
+from .city import Inference
 from .envs.config import EnvConfig
 from .modes import checked_mode
 
-__all__ = ["load_task", "task_hashes"]
+__all__ = ["files_hash", "load_task", "task_hashes"]
 
 
 def load_task(
@@ -32,3 +36,13 @@ def task_hashes(mode: str | os.PathLike[str]) -> dict[str, Any]:
     task = _logicity.describe(load_task(mode))
     episodes = {split: each["hash"] for split, each in task["splits"].items() if each["episodes"]}
     return {"config": task["config_hash"], "rules": task["rules_hash"], "episodes": episodes}
+
+
+@cache
+def files_hash(config: str) -> str:
+    """Return the SHA-256 of a configuration and its rules, with all their files.
+
+    The names of the files depend on the working directory, and are left out.
+    """
+    files = Inference(config)._inference.files()
+    return hashlib.sha256(json.dumps(sorted(files.values())).encode()).hexdigest()

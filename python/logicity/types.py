@@ -1,8 +1,10 @@
-"""The types of inputs and outputs: diagnostics, scenes, answers, clauses, and commit statistics."""
+"""The types of inputs and outputs: diagnostics, scenes, answers, clauses, commits, environments and episodes."""
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING, Any, Literal, TypedDict
+import os
+from collections.abc import Mapping
+from typing import TYPE_CHECKING, Any, Literal, TypeAlias, TypedDict
 
 if TYPE_CHECKING:
     from typing import NotRequired  # Python 3.11; only annotations use it
@@ -11,18 +13,27 @@ __all__ = [
     "Action",
     "Agent",
     "Answer",
+    "ArrayKind",
+    "Atom",
     "Clause",
     "Diagnostic",
     "EgoAnswer",
+    "EnvOptions",
+    "EpisodeAgent",
+    "EpisodeStart",
+    "Episodes",
     "Executor",
     "Heading",
     "Label",
     "Limits",
+    "ObservationKind",
+    "OracleRun",
     "RuleStats",
     "Scene",
     "Split",
     "StratumStats",
     "SymbolicScene",
+    "ViewKind",
 ]
 
 Action = Literal["Slow", "Normal", "Fast", "Stop"]
@@ -196,3 +207,58 @@ class StratumStats(TypedDict):
     rounds: int
     rows_scanned: int
     clauses: list[RuleStats]
+
+
+ArrayKind: TypeAlias = Literal["groundings", "state"]
+"""A kind of observation that is one array: truth values of ground atoms, or the exact state."""
+
+ViewKind: TypeAlias = Literal["relational", "graph"]
+"""A kind of observation that is a dictionary of arrays, computed from `groundings`. See `logicity.envs.layout`."""
+
+ObservationKind: TypeAlias = Literal[ArrayKind, ViewKind]
+"""The kind of observation. See `logicity.envs.SPFEnv`."""
+
+Episodes: TypeAlias = Literal["drawn", "drawn-demanding", "recorded"]
+"""The episodes of an environment. See `logicity.envs.SPFEnv`."""
+
+
+class EnvOptions(TypedDict, total=False):
+    """The keyword arguments shared by all environment classes. `SPFEnv` documents them."""
+
+    split: Split
+    rules: str | os.PathLike[str] | None
+    overrides: Mapping[str, Any] | None
+    observation: ObservationKind
+    limits: Limits | None
+    oracle: bool
+    action_masks: bool
+
+
+class EpisodeAgent(TypedDict):
+    """An agent at the start of an episode. `start` and `goal` are (row, column) in cells."""
+
+    id: str
+    concepts: list[str]
+    priority: int
+    start: tuple[int, int]
+    goal: tuple[int, int]
+
+
+#: The oracle's run of an episode: steps, return, and the number of steps in which the rules require each action.
+OracleRun = TypedDict("OracleRun", {"steps": int, "return": float, "constrained": dict[str, int]})
+
+
+class EpisodeStart(TypedDict):
+    """The start of an episode: its seed, its agents in list order, and the oracle's run if it is known.
+
+    A seed is an integer from 0 to 2**64 - 1. The seeds of recorded episodes use all 64 bits, so formats that store
+    numbers as 64-bit floats, such as JavaScript's, lose precision.
+    """
+
+    seed: int
+    agents: list[EpisodeAgent]
+    oracle: OracleRun | None
+
+
+#: A predicate and its arguments, which are numbers of observed entities. Entity 0 is the ego.
+Atom: TypeAlias = tuple[str, tuple[int, ...]]

@@ -76,8 +76,9 @@ def wait_for(condition: Callable[[], object]) -> None:
 ON_RAY = """
 import os, signal, sys
 from pathlib import Path
-from logicity.learn import jobs
-from logicity.experiments.spf.experiment import Selection, load_experiment
+from logicity.experiments import jobs
+from logicity.experiments.experiment import Selection
+from logicity.experiments.kinds import load_experiment
 
 def watch(line):
     if not killed:
@@ -89,8 +90,7 @@ def watch(line):
                 break
 
 killed, jobs.SECONDS = [], 0.0
-experiment, file = load_experiment(sys.argv[1])
-failed = jobs.run(experiment.cells(file, Selection()), Path(sys.argv[2]), 2, watch, "local")
+failed = jobs.run(load_experiment(sys.argv[1]).cells(Selection()), Path(sys.argv[2]), 2, watch, "local")
 assert killed and not failed, (killed, failed)
 """
 

@@ -12,7 +12,7 @@ from conftest import ROOT, needs
 import logicity
 from logicity import questions
 from logicity.offline import demonstrations
-from logicity.vap import VapDataset, check_dataset, make_dataset, measure_baselines, to_coco, to_webdataset
+from logicity.vap import Drawing, VapDataset, check_dataset, make_dataset, measure_baselines, to_coco, to_webdataset
 
 
 def write_trace(path: Any) -> None:
@@ -40,7 +40,7 @@ PATHS: list[tuple[str, Callable[[Any], object]]] = [
     ("traces", lambda path: logicity.evaluate("oracle", "easy", "val", traces=path)),
     ("trace", lambda path: logicity.Simulation("easy", count_firings=True).run(1, trace=path)),
     ("folder", lambda path: make_dataset(path, "easy", "test", worlds=1, images=False)),
-    ("pack", lambda path: make_dataset("unused", "easy", "test", worlds=1, images=False, pack=path)),
+    ("pack", lambda path: make_dataset("unused", "easy", "test", worlds=1, images=False, drawing=Drawing(pack=path))),
     ("folder", check_dataset),
     ("folder", VapDataset),
     ("folder", lambda path: to_coco(path, "unused")),

@@ -22,10 +22,10 @@ import logicity
 from logicity import ENVIRONMENTS, Benchmark, Evaluation, _logicity, demonstrations, evaluate, observation_names
 from logicity.__main__ import main
 from logicity.describe import describe, environment_page
-from logicity.envs.config import EnvOptions
 from logicity.files import check_writable, read_tensors, read_text, reserved, write_json
 from logicity.questions import load_questions
 from logicity.tasks import load_task
+from logicity.types import EnvOptions
 
 
 def varied(observation: NDArray[np.float32]) -> int:

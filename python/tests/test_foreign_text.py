@@ -404,9 +404,10 @@ def test_experiments_keep_the_key(serve: Serve, run: Run, tmp_path: Path, monkey
         "fails": lambda handler, *_: send(handler, 500, echo.encode()),
     }
     spec = {"model": "stub", "key_from": "CITY_KEY", "settings": {"api_key": KEY}, "tries": 2, "timeout": 5}
-    models = {name: {**spec, "url": serve(act).url} for name, act in acts.items()}
-    changes = [f"models={json.dumps(models)}", "solvers=[]", 'prompts=["examples"]', "count=4", "shots=4"]
+    rows = {name: {"changes": {"endpoint": {**spec, "url": serve(act).url}}} for name, act in acts.items()}
+    changes = [f"learners={json.dumps(rows)}", "count=4", "shots=4"]
     options = [word for change in changes for word in ("--set", change)]
+    options += [word for name in rows for word in ("--only", f"{name},examples")]
     text = run("experiment", "language", "--quick", "--run", "run", "--jobs", "3", *options)
     assert "401" in text and "500" in text and "next attempt in 1 s" in text
     written = [path for path in (tmp_path / "run").rglob("*") if path.is_file() and path.suffix not in (".png", ".svg")]
@@ -417,7 +418,12 @@ def test_experiments_keep_the_key(serve: Serve, run: Run, tmp_path: Path, monkey
     assert not contains_key(text)
     # The key instead of the name of its variable.
     text = run(
-        "experiment", "language", "--run", "other", *options, "--set", f"models.fails.key_from={json.dumps(KEY)}"
+        "experiment",
+        "language",
+        "--run",
+        "other",
+        *options,
+        *["--set", f"learners.fails.changes.endpoint.key_from={json.dumps(KEY)}"],
     )
     assert "is not set" in text and not contains_key(text)
 

@@ -356,7 +356,7 @@ def test_functions_and_rule_files_are_oracles(tmp_path: Path) -> None:
         return answer["egos"][scene["ego"]]["action"]
 
     options: Any = {"agreements": 30, "questions": 500, "sweep": (1, 2)}
-    rules = logicity.induce([], "easy", ask=oracle, **options)
+    rules = logicity.induce([], "easy", oracle=logicity.Oracle(oracle, **options))
     questions = rules.report["questions"]
     assert (questions["end"], questions["asked"]) == ("certified", len(asked))
     assert questions["certificate"] == {"facts": 1, "entities": 2, "scenes": 57}
@@ -364,7 +364,7 @@ def test_functions_and_rule_files_are_oracles(tmp_path: Path) -> None:
     assert rules.text.startswith(
         f"// Rules learned by logicity {logicity.__version__} from questions about scenes of easy."
     )
-    same = logicity.induce(mode="easy", ask="rules/easy.dl", **options)
+    same = logicity.induce(mode="easy", oracle=logicity.Oracle("rules/easy.dl", **options))
     assert [str(clause) for clause in same.clauses] == [str(clause) for clause in rules.clauses]
     # Before the certificate, lines are wrapped at other places.
     assert same.text.partition("// Certificate")[2] == rules.text.partition("// Certificate")[2]
@@ -379,36 +379,36 @@ def test_functions_and_rule_files_are_oracles(tmp_path: Path) -> None:
 
 def test_questions_refine_demonstrations() -> None:
     demonstrations = logicity.demonstrations("easy", 3)
-    rules = logicity.induce(demonstrations, ask="rules/easy.dl", agreements=5)
+    rules = logicity.induce(demonstrations, oracle=logicity.Oracle("rules/easy.dl", agreements=5))
     assert rules.report["examples"] > rules.report["questions"]["asked"]
     assert "from 3 episodes of easy" in rules.text
 
 
 def test_logs_continue(tmp_path: Path) -> None:
     log = tmp_path / "log.jsonl"
-    whole = logicity.induce(mode="easy", ask=ambulance, agreements=10, log=log)
+    whole = logicity.induce(mode="easy", oracle=logicity.Oracle(ambulance, agreements=10, log=log))
     lines = log.read_text().splitlines(keepends=True)
     assert len(lines) == 1 + whole.report["questions"]["asked"]
     scenes = [json.loads(line) for line in lines[1:]]
     assert all(scene["actions"] == {"e0": ambulance(scene)} for scene in scenes)
     log.write_text("".join(lines[:9]) + lines[9][:20])
-    again = logicity.induce(mode="easy", ask=ambulance, agreements=10, log=log)
+    again = logicity.induce(mode="easy", oracle=logicity.Oracle(ambulance, agreements=10, log=log))
     assert (again.text, again.report) == (whole.text, whole.report)
     assert log.read_text() == "".join(lines)
     with pytest.raises(ValueError, match="other questions: its `oracle` is .*ambulance.* this run .*lambda"):
-        logicity.induce(mode="easy", ask=lambda scene: "Stop", log=log)
+        logicity.induce(mode="easy", oracle=logicity.Oracle(lambda scene: "Stop", log=log))
     with pytest.raises(ValueError, match="`seed` is 0"):
-        logicity.induce(mode="easy", ask=ambulance, seed=1, log=log)
+        logicity.induce(mode="easy", oracle=logicity.Oracle(ambulance, log=log), seed=1)
     foreign = tmp_path / "foreign"
     foreign.write_text("text")
     with pytest.raises(ValueError, match="not a log of questions"):
-        logicity.induce(mode="easy", ask=ambulance, log=foreign)
+        logicity.induce(mode="easy", oracle=logicity.Oracle(ambulance, log=foreign))
     assert foreign.read_text() == "text"
     with pytest.raises(OSError, match="not a regular file"):
-        logicity.induce(mode="easy", ask=ambulance, log=tmp_path)
+        logicity.induce(mode="easy", oracle=logicity.Oracle(ambulance, log=tmp_path))
     log.write_text(lines[0] + lines[1].replace("Normal", "Jump").replace("Stop", "Jump"))
     with pytest.raises(logicity.InputError, match="`Jump` is not an action"):
-        logicity.induce(mode="easy", ask=ambulance, log=log)
+        logicity.induce(mode="easy", oracle=logicity.Oracle(ambulance, log=log))
 
 
 class Weather(Exception):
@@ -438,7 +438,7 @@ def test_faults_of_functions_keep_the_rules(answer: Any, error: type[BaseExcepti
         return answer
 
     with pytest.raises(error, match=message) as raised:
-        logicity.induce(mode="easy", ask=oracle)
+        logicity.induce(mode="easy", oracle=logicity.Oracle(oracle))
     assert count == 15
     rules: logicity.InducedRules = raised.value.rules  # type: ignore[attr-defined]
     assert rules.report["questions"]["asked"] == 14
@@ -455,34 +455,32 @@ def test_contradictions_of_functions_keep_the_rules() -> None:
         return ambulance(scene) if count <= 100 else "Fast"
 
     with pytest.raises(logicity.InputError, match="questions [0-9]+ and 101 are about the same scene") as raised:
-        logicity.induce(mode="easy", ask=oracle)
+        logicity.induce(mode="easy", oracle=logicity.Oracle(oracle))
     assert raised.value.diagnostics[0]["code"] == "contradicting-examples"
     assert raised.value.rules.report["questions"]["end"] == "contradiction"  # type: ignore[attr-defined]
 
 
 @pytest.mark.parametrize(
-    ("options", "error", "message"),
+    ("asking", "options", "error", "message"),
     [
-        ({"questions": 3}, ValueError, "need an oracle"),
-        ({"log": "x"}, ValueError, "need an oracle"),
-        ({"agreements": 3}, ValueError, "need an oracle"),
-        ({"ask": ambulance, "sweep": 3}, TypeError, "sweep: expected the numbers of facts and entities"),
-        ({"ask": ambulance, "sweep": (3,)}, TypeError, "sweep: expected the numbers of facts and entities"),
-        ({"ask": ambulance, "sweep": (3, 2, 1)}, TypeError, "sweep: expected the numbers of facts and entities"),
-        ({"ask": ambulance, "order": "Stop"}, TypeError, "order: expected names of actions, not str"),
-        ({"ask": ambulance, "order": [1]}, TypeError, "order: expected names of actions, not int"),
-        ({"ask": ambulance, "order": ["Stop", "Stop"]}, ValueError, "order: `Stop` occurs twice"),
-        ({"ask": ambulance, "noise": 0.1}, ValueError, "noise"),
-        ({"ask": ambulance, "sweep": (1, 9)}, ValueError, "sweep"),
-        ({"ask": ambulance, "agreements": -1}, ValueError, "agreements"),
-        ({"ask": ambulance, "questions": "many"}, TypeError, "questions"),
-        ({"ask": 3}, TypeError, "ask"),
-        ({"ask": "missing.dl"}, OSError, "missing.dl"),
+        ({"sweep": 3}, {}, TypeError, "sweep: expected the numbers of facts and entities"),
+        ({"sweep": (3,)}, {}, TypeError, "sweep: expected the numbers of facts and entities"),
+        ({"sweep": (3, 2, 1)}, {}, TypeError, "sweep: expected the numbers of facts and entities"),
+        ({}, {"order": "Stop"}, TypeError, "order: expected names of actions, not str"),
+        ({}, {"order": [1]}, TypeError, "order: expected names of actions, not int"),
+        ({}, {"order": ["Stop", "Stop"]}, ValueError, "order: `Stop` occurs twice"),
+        ({}, {"noise": 0.1}, ValueError, "noise"),
+        ({"sweep": (1, 9)}, {}, ValueError, "sweep"),
+        ({"agreements": -1}, {}, ValueError, "agreements"),
+        ({"questions": "many"}, {}, TypeError, "questions"),
+        ({"decide": 3}, {}, TypeError, "decide"),
+        ({"decide": "missing.dl"}, {}, OSError, "missing.dl"),
+        ({}, {"oracle": ambulance}, TypeError, "oracle: expected an Oracle, not function"),
     ],
 )
-def test_bad_options_of_questions(options: Any, error: type[Exception], message: str) -> None:
+def test_bad_options_of_questions(asking: Any, options: Any, error: type[Exception], message: str) -> None:
     with pytest.raises(error, match=message):
-        logicity.induce(mode="easy", **options)
+        logicity.induce(mode="easy", **{"oracle": logicity.Oracle(**{"decide": ambulance, **asking}), **options})
 
 
 @pytest.mark.parametrize(

@@ -20,10 +20,11 @@ from numpy.typing import NDArray
 import logicity
 from logicity import ACTIONS, MODES, Benchmark, InputError
 from logicity._logicity import ConfigFile, describe
-from logicity.envs.layout import Atom, atoms_of
+from logicity.envs.layout import atoms_of
 from logicity.offline import popper_names
 from logicity.rule_policy import RulePolicy, rule_policies, saved_by
 from logicity.tasks import load_task
+from logicity.types import Atom
 
 PLAIN = ["easy", "medium", "hard", "expert"]
 

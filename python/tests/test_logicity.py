@@ -108,6 +108,28 @@ def test_gymnasium_is_imported_on_demand() -> None:
     assert (done.stdout, done.stderr) == ("[]\n", "")
 
 
+def test_the_core_imports_only_numpy() -> None:
+    """The modules of the core, and of `envs` those that need no extra. `benches/imports.py` measures their time."""
+    text = """
+import importlib, pkgutil, sys, logicity
+names = [module.name for module in pkgutil.iter_modules(logicity.__path__) if not module.ispkg]
+names += ["envs", "envs.config", "envs.layout", "envs.registration", "envs.views"]
+known = {"logicity", "numpy", *sys.stdlib_module_names}
+for name in names:
+    if name not in ("_logicity", "__main__"):
+        importlib.import_module(f"logicity.{name}")
+        found = {each.partition(".")[0] for each, module in sys.modules.items() if module is not None} - known
+        found = {each for each in found if not each.startswith("_")}
+        if found:
+            sys.exit(f"{name} imports {sorted(found)}")
+print(len(names))
+"""
+    done = subprocess.run(
+        [sys.executable, "-S", "-c", f"import sys; sys.path[:] = {sys.path!r}\n{text}"], capture_output=True, text=True
+    )
+    assert done.returncode == 0 and int(done.stdout) > 20, done.stderr
+
+
 def test_lazy_names_equal_all() -> None:
     assert sorted(["__version__", *logicity._HOMES]) == logicity.__all__ == sorted(logicity.__all__)
     with pytest.raises(AttributeError, match="has no attribute 'sb4'"):
@@ -168,7 +190,7 @@ def public_objects() -> list[Any]:
         *[program, relation, relation.columns[0], session, change, change.added, session.explain("q(1)")],
         *[city, city.tick(), city.agents[0], city.explain(0), logicity.Inference("easy")],
         *[logicity.Benchmark("easy", "val"), measured, measured.episodes[0], measured.tsr, shown, shown[0], *errors],
-        *[rules, rules.clauses[0], logicity.RulePolicy.from_text(rules.text, "easy")],
+        *[rules, rules.clauses[0], logicity.Oracle("rules/easy.dl"), logicity.RulePolicy.from_text(rules.text, "easy")],
     ]
 
 

@@ -13,10 +13,13 @@ import pytest
 from conftest import ROOT, SETS, Interrupt
 
 from logicity import ACTIONS, InputError
-from logicity.vap import VapDataset, check_dataset, make_dataset
+from logicity.vap import Drawing, VapDataset, check_dataset, make_dataset
 
 #: A simple icon, which is faster to render than the built-in icons.
 ICON = "<svg xmlns='http://www.w3.org/2000/svg' width='30' height='50'><ellipse cx='15' cy='25' rx='14' ry='20'/></svg>"
+
+#: Takes arguments of any type.
+DRAWING: Any = Drawing
 
 
 def command(*arguments: str) -> str:
@@ -61,9 +64,7 @@ def test_pictures_equal_those_of_the_command(tmp_path: Path) -> None:
         worlds=1,
         first_world=7,
         seed=5,
-        difficulty=20,
-        pack=tmp_path / "pack",
-        pack_mode="replace",
+        drawing=Drawing(difficulty=20, pack=tmp_path / "pack", pack_mode="replace"),
     )
     expected = contents(tmp_path / "command")
     assert len(expected) == 89 + 3 + 2 and contents(tmp_path / "python") == expected
@@ -73,7 +74,7 @@ def test_pictures_equal_those_of_the_command(tmp_path: Path) -> None:
 def test_the_drawing_version_is_that_of_the_command(tmp_path: Path) -> None:
     options = "--mode hard --split test --worlds 1 --no-pictures --drawing-version 1".split()
     command("make", *options, "--out", str(tmp_path / "command"))
-    made = make_dataset(tmp_path / "python", "hard", "test", worlds=1, images=False, drawing_version=1)
+    made = make_dataset(tmp_path / "python", "hard", "test", worlds=1, images=False, drawing=Drawing(version=1))
     assert contents(made.folder) == contents(tmp_path / "command")
     newest = make_dataset(tmp_path / "newest", "hard", "test", worlds=1, images=False)
     sides = [{tuple(box[2:]) for sample in samples for box in sample.boxes.tolist()} for samples in (made, newest)]
@@ -138,7 +139,7 @@ def test_all_errors_of_a_data_set_are_listed(sets: Path, tmp_path: Path) -> None
 def test_folders_with_other_content_are_refused(sets: Path, tmp_path: Path) -> None:
     folder = Path(shutil.copytree(sets / "random", tmp_path / "set"))
     expected = contents(folder)
-    for options in ({"seed": 1}, {"difficulty": 0}):
+    for options in ({"seed": 1}, {"drawing": Drawing(difficulty=0)}):
         with pytest.raises(FileExistsError, match=r"manifest\.json`: it belongs to a data set with other settings"):
             make_random(folder, **options)
     for name, always, message in [
@@ -168,18 +169,18 @@ def test_folders_with_other_content_are_refused(sets: Path, tmp_path: Path) -> N
         ({"mode": "medium"}, ValueError, 'mode must be one of "easy", "hard", not "medium"'),
         ({"split": "all"}, ValueError, "split must be one of"),
         ({"agents": "few"}, ValueError, "agents must be one of"),
-        ({"pack_mode": "both"}, ValueError, "pack_mode must be one of"),
+        ({"drawing": DRAWING(pack_mode="both")}, ValueError, "pack_mode must be one of"),
         ({"worlds": 0}, ValueError, "worlds: expected 1 to 100000, not 0"),
         ({"first_world": 100_000}, ValueError, "first_world: expected 0 to 99999"),
-        ({"difficulty": 101}, ValueError, "difficulty: expected 0 to 100, not 101"),
-        ({"drawing_version": 3}, ValueError, "drawing_version: expected 1 to 2, not 3"),
+        ({"drawing": Drawing(difficulty=101)}, ValueError, "difficulty: expected 0 to 100, not 101"),
+        ({"drawing": DRAWING(version=3)}, ValueError, "version: expected 1 to 2, not 3"),
         ({"threads": 1025}, ValueError, "threads: expected 0 to 1024"),
         ({"seed": -1}, ValueError, r"seed: expected 0 to 2\*\*64 - 1, not -1"),
         ({"worlds": -1}, ValueError, "worlds: expected 1 to 100000, not -1"),
         ({"worlds": 2**40}, ValueError, f"worlds: expected 1 to 100000, not {2**40}"),
         ({"first_world": -1}, ValueError, "first_world: expected 0 to 99999, not -1"),
-        ({"difficulty": 300}, ValueError, "difficulty: expected 0 to 100, not 300"),
-        ({"difficulty": -1}, ValueError, "difficulty: expected 0 to 100, not -1"),
+        ({"drawing": Drawing(difficulty=300)}, ValueError, "difficulty: expected 0 to 100, not 300"),
+        ({"drawing": Drawing(difficulty=-1)}, ValueError, "difficulty: expected 0 to 100, not -1"),
         ({"threads": -1}, ValueError, "threads: expected 0 to 1024, not -1"),
         ({"worlds": 1.5}, TypeError, "worlds: expected an integer, not float"),
         ({"pack": "no/such/folder"}, OSError, "no such folder"),
@@ -198,7 +199,7 @@ def test_invalid_packs_raise(tmp_path: Path) -> None:
     (tmp_path / "pack" / "tram").mkdir(parents=True)
     (tmp_path / "pack" / "tram" / "1.svg").write_text(ICON)
     with pytest.raises(ValueError, match="unknown class `tram`"):
-        make_dataset(tmp_path / "set", "easy", "val", pack=tmp_path / "pack")
+        make_dataset(tmp_path / "set", "easy", "val", drawing=Drawing(pack=tmp_path / "pack"))
 
 
 def test_a_missing_folder_is_named(tmp_path: Path) -> None:

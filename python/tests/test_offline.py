@@ -15,7 +15,7 @@ from conftest import needs
 
 import logicity
 from logicity import ENVIRONMENTS, Demonstrations, demonstrations
-from logicity.envs.config import ArrayKind
+from logicity.types import ArrayKind
 
 
 @pytest.fixture(scope="module")

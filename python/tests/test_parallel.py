@@ -17,7 +17,7 @@ from gymnasium.utils.env_checker import data_equivalence
 
 import logicity
 from logicity.describe import environment_page, parallel_page
-from logicity.envs.config import EnvOptions
+from logicity.types import EnvOptions
 
 needs("pettingzoo", "pettingzoo")
 with warnings.catch_warnings():

@@ -23,32 +23,27 @@ from conftest import ROOT, needs, run_with_a_lost_worker, timeless, wait_for
 from logicity import ACTIONS, Inference, InputError
 from logicity.rules import Program
 from logicity.types import Split
-from logicity.vap import UNARY, VapDataset, make_dataset
+from logicity.vap import UNARY, Drawing, VapDataset, make_dataset
 
 torch: Any = needs("torch", "vap")
 needs("stable_baselines3", "learn")
 from logicity.commands import run as command  # noqa: E402
 from logicity.experiments.cells import finished, prepare, run_cell  # noqa: E402
+from logicity.experiments.experiment import Selection  # noqa: E402
 from logicity.experiments.jobs import run_in_processes  # noqa: E402
-from logicity.experiments.report import paper_table  # noqa: E402
-from logicity.experiments.result_files import as_text  # noqa: E402
-from logicity.experiments.spf.experiment import Selection, load_experiment  # noqa: E402
-from logicity.experiments.vap.experiment import VapCell, VapExperiment, facts_of, scenes_of  # noqa: E402
-from logicity.experiments.vap.report import (  # noqa: E402
-    VapReport,
-    check_rows,
-    leaderboard,
-    paper_figures,
-    pooled,
-    read_results,
-    submit,
-)
+from logicity.experiments.kinds import Loaded, load_experiment, task_named  # noqa: E402
+from logicity.experiments.paper import paper_table  # noqa: E402
+from logicity.experiments.report import Report  # noqa: E402
+from logicity.experiments.results import as_text, check_rows, leaderboard, read_results, submit  # noqa: E402
+from logicity.experiments.task import Cell  # noqa: E402
+from logicity.experiments.vap import measures_of_worlds  # noqa: E402
 from logicity.files import read_tensors  # noqa: E402
 from logicity.vap.concepts import RELATIONS, ConceptModel, ConceptSettings  # noqa: E402
 from logicity.vap.crops import crop_boxes  # noqa: E402
 from logicity.vap.features import DataSpec, compute_features, load_features, prepared  # noqa: E402
 from logicity.vap.reasoners import make_reasoner  # noqa: E402
 from logicity.vap.soft_rules import SoftRules  # noqa: E402
+from logicity.vap.stages import VapSettings, facts_of, scenes_of  # noqa: E402
 from logicity.vap.training import (  # noqa: E402
     Samples,
     TrainingSettings,
@@ -66,11 +61,11 @@ title: Tiny
 paper: vap
 modes: [hard]
 variants: {random: {}}
-settings: {worlds: {train: 1, val: 1, test: 1}, fraction: 0.3, training: {epochs: 2}}
+changes: {worlds: {train: 1, val: 1, test: 1}, fraction: 0.3, training: {epochs: 2}}
 learners:
-  rules: {settings: {concepts: {perception: sides}}}
-  modular-gnn: {start: rules, settings: {stage: reasoning, concepts: {perception: sides}, training: {epochs: 3}}}
-  e2e-nlm: {settings: {stage: end-to-end, reasoner: nlm, concepts: {perception: sides}}}
+  rules: {changes: {concepts: {perception: sides}}}
+  modular-gnn: {start: rules, changes: {stage: reasoning, concepts: {perception: sides}, training: {epochs: 3}}}
+  e2e-nlm: {changes: {stage: end-to-end, reasoner: nlm, concepts: {perception: sides}}}
 """
 
 
@@ -78,7 +73,7 @@ learners:
 def pictures(tmp_path_factory: pytest.TempPathFactory) -> VapDataset:
     """A world with clean pictures."""
     folder = tmp_path_factory.mktemp("vap") / "set"
-    return make_dataset(folder, "hard", "test", worlds=1, difficulty=0, threads=1)
+    return make_dataset(folder, "hard", "test", worlds=1, drawing=Drawing(difficulty=0), threads=1)
 
 
 @pytest.fixture(scope="module")
@@ -93,9 +88,14 @@ def tiny(tmp_path: Path) -> Path:
     return file
 
 
-def cells_of(file: Path, **selection: Any) -> tuple[VapExperiment, list[VapCell]]:
-    experiment, path = VapExperiment.load(file)
-    return experiment, experiment.cells(path, Selection(**selection))
+def cells_of(file: Path, **selection: Any) -> tuple[Loaded, list[Cell]]:
+    loaded = load_experiment(file)
+    return loaded, loaded.cells(Selection(**selection))
+
+
+def settings_of(cell: Cell) -> VapSettings:
+    assert isinstance(cell.settings, VapSettings)
+    return cell.settings
 
 
 # --- pictures and features
@@ -162,7 +162,7 @@ def test_stored_crops_are_resumed_and_checked(pictures: VapDataset, tmp_path: Pa
 
 
 def test_damaged_and_exchanged_features_are_found(tmp_path: Path) -> None:
-    made = make_dataset(tmp_path / "set", "easy", "test", worlds=2, difficulty=0, threads=1)
+    made = make_dataset(tmp_path / "set", "easy", "test", worlds=2, drawing=Drawing(difficulty=0), threads=1)
     out = compute_features(made.folder)
     assert str(out) == f"{made.folder}-crops"
     # A folder may be a text.
@@ -189,7 +189,7 @@ def test_damaged_and_exchanged_features_are_found(tmp_path: Path) -> None:
             work()
     second.unlink()
     # More worlds are added to the data set.
-    make_dataset(made.folder, "easy", "test", worlds=3, difficulty=0, threads=1)
+    make_dataset(made.folder, "easy", "test", worlds=3, drawing=Drawing(difficulty=0), threads=1)
     more = VapDataset(made.folder)
     second.with_suffix(".json").unlink()
     with pytest.raises(ValueError, match="no features of world 1 yet, or the world was added to"):
@@ -200,7 +200,7 @@ def test_damaged_and_exchanged_features_are_found(tmp_path: Path) -> None:
 
 
 def test_features_need_the_files_of_the_manifest(tmp_path: Path) -> None:
-    made = make_dataset(tmp_path / "set", "easy", "test", worlds=1, difficulty=0, threads=1)
+    made = make_dataset(tmp_path / "set", "easy", "test", worlds=1, drawing=Drawing(difficulty=0), threads=1)
     world = made.folder / "world-00000"
     for name in ("frame-012.png", "entities.parquet"):
         content = (world / name).read_bytes()
@@ -224,7 +224,7 @@ def test_features_on_ray_are_those_of_one_thread(tmp_path: Path) -> None:
 def test_features_are_made_on_the_command_line(
     tmp_path: Path, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    made = make_dataset(tmp_path / "set", "easy", "test", worlds=2, difficulty=0, threads=1)
+    made = make_dataset(tmp_path / "set", "easy", "test", worlds=2, drawing=Drawing(difficulty=0), threads=1)
     assert command(("vap", "features"), [str(made.folder), "-o", str(tmp_path / "whole")]) == 0
     captured = capsys.readouterr()
     assert captured.err.splitlines() == ["[1/2] worlds", "[2/2] worlds"] and f"written: {tmp_path}" in captured.out
@@ -509,7 +509,7 @@ def test_concept_models_take_crops_features_or_sides(
 def test_spatial_concepts_reach_a_recall_of_0_9(tmp_path: Path) -> None:
     splits: list[tuple[Split, int]] = [("train", 8), ("test", 2)]
     # The boxes of version 1 fit the icons, so their centers are the places of the agents.
-    tables: Any = {"images": False, "drawing_version": 1, "threads": 1}
+    tables: Any = {"images": False, "drawing": Drawing(version=1), "threads": 1}
     made = [
         Samples.load(make_dataset(tmp_path / split, "hard", split, worlds=worlds, **tables)) for split, worlds in splits
     ]
@@ -605,14 +605,14 @@ def test_a_checkpoint_of_another_training_is_refused(part: str, tmp_path: Path) 
 def test_the_shipped_experiments_have_cells() -> None:
     for name, rows in [("vap", 9), ("vap-continual", 5), ("vap-concepts", 2)]:
         file = EXPERIMENTS / f"{name}.yaml"
-        loaded, _ = load_experiment(file)
-        experiment, cells = cells_of(file)
-        assert loaded == experiment and len(experiment.learners) == rows
+        loaded, cells = cells_of(file)
+        experiment = loaded.experiment
+        assert len(experiment.learners) == rows
         assert experiment.paper == name and paper_table(name)["source"].startswith("LogiCity (NeurIPS 2024")
         assert len({cell.identity for cell in cells}) == len(cells)
         places = {cell.identity: at for at, cell in enumerate(cells)}
         assert all(cell.start is None or places[cell.start.identity] < places[cell.identity] for cell in cells)
-        assert all(cell.settings.training.epochs == 1 for cell in cells_of(file, quick=True)[1])
+        assert all(settings_of(cell).training.epochs == 1 for cell in cells_of(file, quick=True)[1])
     _, cells = cells_of(EXPERIMENTS / "vap-continual.yaml", seeds=(0,), only=[("modular-nlm", None)])
     last = next(cell for cell in cells if cell.variant == "5 %")
     assert last.start is not None and (last.start.mode, last.start.row) == ("easy", "modular-nlm")
@@ -620,6 +620,7 @@ def test_the_shipped_experiments_have_cells() -> None:
 
 
 def test_the_papers_figures_are_those_of_its_table() -> None:
+    paper_figures = task_named("vap").paper_value
     assert paper_figures("vap", "modular-nlm", "fixed", "hard") == {
         **{"Slow": 0.39, "Normal": 0.54, "Fast": 0.11, "Stop": 0.48},
         **{"aAcc": 0.45, "wAcc": 0.24},
@@ -647,23 +648,23 @@ def test_the_papers_figures_are_those_of_its_table() -> None:
             "`modular-gnn` starts from `e2e-nlm`, but no earlier row has this name: move `modular-gnn` below it",
         ),
         (TINY.replace("start: rules", "start: modular-gnn"), "but no earlier row has this name; known: rules"),
-        (TINY.replace("fraction: 0.3", "fraction: 3"), r"`fraction` must be at most 1(.|\n)*tiny\.yaml:7:59"),
+        (TINY.replace("fraction: 0.3", "fraction: 3"), r"`fraction` must be at most 1(.|\n)*tiny\.yaml:7:58"),
         (
             TINY.replace("fraction: 0.3", "fractoin: 1"),
-            r"unknown key `fractoin`(.|\n)*tiny\.yaml:7:49(.|\n)*did you mean `fraction`",
+            r"unknown key `fractoin`(.|\n)*tiny\.yaml:7:48(.|\n)*did you mean `fraction`",
         ),
         (TINY.replace("{epochs: 2}", "{epoch: 2}"), r"unknown key `training\.epoch`(.|\n)*did you mean `epochs`"),
         (
             TINY.replace("stage: reasoning", "stage: reason"),
-            r"settings of `modular-gnn`: `stage` must be `concepts`, `reasoning`(.|\n)*tiny\.yaml:10:49",
+            r"settings of `modular-gnn`: `stage` must be `concepts`, `reasoning`(.|\n)*tiny\.yaml:10:48",
         ),
         (
             TINY.replace("fraction: 0.3", "groundings: exact"),
-            r"`groundings: exact` cannot be combined with the stage `concepts`(.|\n)*tiny\.yaml:7:61",
+            r"`groundings: exact` cannot be combined with the stage `concepts`(.|\n)*tiny\.yaml:7:60",
         ),
         (
-            TINY.replace("{random: {}}", "{random: {settings: {fraction: 2}}}"),
-            r"error\[invalid-value\]: `fraction` must be at most 1(.|\n)*tiny\.yaml:6:42",
+            TINY.replace("{random: {}}", "{random: {changes: {fraction: 2}}}"),
+            r"error\[invalid-value\]: `fraction` must be at most 1(.|\n)*tiny\.yaml:6:41",
         ),
         (TINY + "quick: {fraction: 2}", r"`fraction` must be at most 1(.|\n)*tiny\.yaml:12:19"),
         (TINY.replace("stage: reasoning", "stage: bound"), "the stage `bound` needs `groundings: exact`"),
@@ -683,10 +684,10 @@ def test_the_papers_figures_are_those_of_its_table() -> None:
             r"unknown mode `hrd`; did you mean `hard`(.|\n)*tiny\.yaml:10:39",
         ),
         (
-            TINY.replace("rules: {settings", "rules: {start: e2e-nml, settings"),
+            TINY.replace("rules: {changes", "rules: {start: e2e-nml, changes"),
             "`e2e-nml`, but no earlier row has this name; did you mean `e2e-nlm`",
         ),
-        (TINY.replace("rules: {settings", "rules: {start: rules, settings"), "no earlier row has this name\n"),
+        (TINY.replace("rules: {changes", "rules: {start: rules, changes"), "no earlier row has this name\n"),
         (
             TINY.replace("variants: {random: {}}\n", "").replace("start: rules,", "start: rules, variants: [nope],"),
             "unknown variant `nope`\n",
@@ -701,7 +702,7 @@ def test_the_papers_figures_are_those_of_its_table() -> None:
             r"needs the concepts of another row: set its `start`(.|\n)*tiny\.yaml:10:16",
         ),
         (
-            TINY.replace("settings: {stage: end-to-end,", "quick: {stage: induction}, settings: {stage: end-to-end,"),
+            TINY.replace("changes: {stage: end-to-end,", "quick: {stage: induction}, changes: {stage: end-to-end,"),
             r"`e2e-nlm`: `groundings: predicted` needs the concepts of another row(.|\n)*tiny\.yaml:11:12",
         ),
     ],
@@ -766,7 +767,7 @@ def test_a_variant_with_a_mode_has_one_cell(tiny: Path) -> None:
     message = r"`rules, a, easy, seed 0` and `rules, b, easy, seed 0` have the same settings(.|\n)*tiny\.yaml:\d+:"
     with pytest.raises(InputError, match=message):
         cells_of(tiny, only=[("rules", None)])
-    tiny.write_text(tiny.read_text().replace("b: {}", "b: {settings: {fraction: 0.5}}"))
+    tiny.write_text(tiny.read_text().replace("b: {}", "b: {changes: {fraction: 0.5}}"))
     cells = cells_of(tiny, only=[("rules", None)])[1]
     assert [(cell.mode, cell.variant) for cell in cells] == [("easy", "a"), ("easy", "b"), ("hard", "b")]
 
@@ -781,12 +782,12 @@ def test_rules_are_learned_from_true_concepts(tiny: Path, tmp_path: Path) -> Non
 
 def test_the_bound_lacks_classes_that_training_does_not_show(tiny: Path, tmp_path: Path) -> None:
     text = TINY.replace("{concepts: {perception: sides}}", "{stage: bound, groundings: exact}")
-    tiny.write_text(text.replace("{random: {}}", "{fixed: {settings: {agents: fixed}}, random: {}}"))
+    tiny.write_text(text.replace("{random: {}}", "{fixed: {changes: {agents: fixed}}, random: {}}"))
     _, cells = cells_of(tiny, only=[("rules", None)])
     found = {}
     for cell in cells:
         measured = run_cell(prepare(cell, tmp_path / "run"))
-        absent = torch.load(cell.model(tmp_path / "run"), weights_only=True)["absent"]
+        absent = torch.load(cell.task.model(cell.folder(tmp_path / "run")), weights_only=True)["absent"]
         found[cell.variant] = (absent, measured["evaluations"][""])
     assert found["fixed"][0] == ["IsBus"] and found["fixed"][1]["recall"]["Fast"] < 0.8
     # A few worlds with random agents show every class.
@@ -796,11 +797,11 @@ def test_the_bound_lacks_classes_that_training_does_not_show(tiny: Path, tmp_pat
 def test_intervals_draw_runs_and_worlds() -> None:
     world = {"world": 0, "frames": 4, "a_acc": 2.0, "counts": [4, 4, 0, 8], "correct": [2, 4, 0, 4]}
     better = {**world, "world": 1, "a_acc": 4.0, "correct": [4, 4, 0, 8]}
-    alone = pooled([[world]])
+    alone = measures_of_worlds([[world]])
     assert set(alone) == {"Slow", "Normal", "Stop", "aAcc", "wAcc"}
     # wAcc: (0.5 / 4 + 1 / 4 + 0.5 / 8) / (1 / 4 + 1 / 4 + 1 / 8)
     assert alone["wAcc"].value == pytest.approx(0.7) and alone["wAcc"].low == alone["wAcc"].high
-    both = pooled([[world, better], [better, better]])
+    both = measures_of_worlds([[world, better], [better, better]])
     assert both["Slow"].value == pytest.approx(0.875) and both["aAcc"].value == pytest.approx(0.875)
     assert both["Slow"].low < both["Slow"].value < both["Slow"].high == 1.0
 
@@ -818,44 +819,42 @@ def undisturbed(tmp_path_factory: pytest.TempPathFactory) -> tuple[Path, Path]:
 def test_the_table_includes_the_papers_figures(undisturbed: tuple[Path, Path], tmp_path: Path) -> None:
     file, root = undisturbed
     experiment, cells = cells_of(file)
-    report = VapReport(experiment, cells, root)
-    assert [(entry.row, entry.predictor) for entry in report.entries] == [
+    report = Report(experiment, cells, root)
+    assert [(entry.row, entry.evaluation) for entry in report.entries] == [
         ("rules", "threshold"),
         ("rules", "product"),
         ("modular-gnn", ""),
         ("e2e-nlm", ""),
     ]
-    assert report.complete and report.entries[2].paper == paper_figures("vap", "modular-gnn", "random", "hard")
+    assert report.complete and report.entries[2].paper == task_named("vap").paper_value(
+        "vap", "modular-gnn", "random", "hard"
+    )
     written = {path.name: path for path in report.write(tmp_path)}
     assert set(written) == {"table.md", "table.tex", "table.json", "bars.png", "bars.svg"}
     markdown = written["table.md"].read_text()
     assert "| the paper's | 0.26 | 0.51 | 0.19 | 0.63 | 0.48 | 0.28 |" in markdown and "| IsAtInter | " in markdown
     # One seed and one test world have no interval.
-    assert "Intervals (95 %)" not in markdown and re.search(
-        r"\| modular-gnn, random \|( \d\.\d\d \|| - \|){6} 0 \|", markdown
-    )
-    assert "one seed and one test world have no interval" in markdown
+    assert re.search(r"\| modular-gnn, random \|( \d\.\d\d \|| - \|){6} 0 \|", markdown)
+    assert "one seed and one test world have no interval" in " ".join(markdown.split())
     text = report.text()
-    assert "modular-gnn, random" in text and "recall of concepts" in text and "CPU time: " in text
-    own = VapReport(experiment.model_copy(update={"paper": None}), cells, root)
-    assert "recall of concepts" in own.text() and "paper" not in own.text() + own.markdown()
-    missing = VapReport(experiment, cells, tmp_path / "none", {cells[1].identity: "it failed\nhere"})
-    assert not missing.complete and "modular-gnn, random, hard: it failed." in missing.notes()
+    assert "modular-gnn, random" in text and "Recall of concepts" in text and "CPU time: " in text
+    alone = dataclasses.replace(experiment, experiment=experiment.experiment.model_copy(update={"paper": None}))
+    own = Report(alone, cells, root)
+    assert "Recall of concepts" in own.text() and "paper" not in own.text() + own.markdown()
+    missing = Report(experiment, cells, tmp_path / "none", {cells[1].identity: "it failed\nhere"})
+    assert (
+        not missing.complete and "modular-gnn, random, hard: it failed. The figures are the paper's." in missing.notes()
+    )
 
 
 def test_published_rows_are_measured_again(undisturbed: tuple[Path, Path], tmp_path: Path) -> None:
     file, root = undisturbed
     experiment, cells = cells_of(file)
-    results = tmp_path / "vap.json"
-    lines = list(submit(experiment, file, cells, root, results))
+    results = tmp_path / "tiny.json"
+    lines = list(submit(experiment, cells, root, results))
     assert lines[-1] == f"4 rows in {results}"
-    page = leaderboard(read_results(results))
-    assert (
-        "[" not in page.partition("recall of")[0]
-        and "## `tiny`, hard" in page
-        and "| `modular-gnn` |  | random | " in page
-        and "| `IsAtInter` | " in page
-    )
+    page = leaderboard(read_results(results), loaded=experiment)
+    assert "[" not in page and "## Hard" in page and "| `modular-gnn`, random | " in page and "| IsAtInter | " in page
     folder = cells[0].folder(root)
     measured = finished(cells[0], root)
     assert measured is not None
@@ -863,79 +862,53 @@ def test_published_rows_are_measured_again(undisturbed: tuple[Path, Path], tmp_p
     changed["evaluations"]["threshold"]["w_acc"] += 0.1
     (folder / "measured.json").write_text(json.dumps(changed))
     try:
-        with pytest.raises(ValueError, match=r"rules, random, hard, seed 0: the model .* has wAcc"):
-            list(submit(experiment, file, cells, root, results))
+        with pytest.raises(ValueError, match=r"rules, random, hard, seed 0, threshold: the model .* has wAcc"):
+            list(submit(experiment, cells, root, results))
     finally:
         (folder / "measured.json").write_text(json.dumps(measured))
-    # Rows of other experiments stay. Those of other seeds with other settings do not.
+    # Rows of other seeds stay, but those with other settings do not.
     rows = read_results(results)["rows"]
-    assert [(row["learner"], row["predictor"]) for row in rows] == [
+    assert [(row["learner"], row["evaluation"]) for row in rows] == [
         *(("rules", "threshold"), ("rules", "product")),
         *(("modular-gnn", ""), ("e2e-nlm", "")),
     ]
     assert rows[0]["command"] == f"logicity experiment {file} --only rules,hard --seeds 0"
-    older = {**rows[2], "seed": 1, "settings": {}}
-    others = [{**rows[3], "experiment": "zoo"}, {**rows[3], "experiment": "ant"}, {**rows[3], "seed": 1}]
+    older, other = {**rows[2], "seed": 1, "settings": {}}, {**rows[3], "seed": 1}
     rows[1]["note"] = "It counts shared facts several times."
-    results.write_text(json.dumps({"format": 2, "rows": [*others, older, *rows]}))
-    assert list(submit(experiment, file, cells, root, results))[-1] == f"7 rows in {results}"
+    results.write_text(as_text({"format": 4, "experiment": "tiny", "rows": [other, older, *rows]}))
+    assert list(submit(experiment, cells, root, results))[-1] == f"5 rows in {results}"
     kept = read_results(results)["rows"]
-    assert kept == [others[1], *rows, others[2], others[0]]
-    assert len(results.read_text().splitlines()) == 9, "one line per row"
+    assert kept == [*rows, other]
+    assert len(results.read_text().splitlines()) == 7, "one line per row"
     # The hash is that of the weights, which a model that was trained again has.
-    older = {**kept[1], "sha256_of": "file", "model_sha256": "0" * 64}
-    results.write_text(as_text({"format": 2, "rows": [older]}))
-    list(submit(experiment, file, cells, root, results, only_hashes=True))
+    older = {**kept[1], "sha256_of": "file", "sha256": "0" * 64}
+    results.write_text(as_text({"format": 4, "experiment": "tiny", "rows": [older]}))
+    list(submit(experiment, cells, root, results, only_hashes=True))
     [again] = read_results(results)["rows"]
     assert {**again, "versions": None} == {**kept[1], "versions": None}
-    wrong = json.dumps([{**rows[0], "seed": "a"}])
-    for content, message in [
-        ("[{}]", "row 0 has no `experiment`"),
-        ("[1]", "row 0 is not a mapping"),
-        (wrong, "row 0 has an invalid `seed`"),
-    ]:
-        results.write_text(f'{{"format": 2, "rows": {content}}}')
-        with pytest.raises(ValueError, match=message):
-            read_results(results)
-
-
-def test_the_page_of_results_follows_from_the_published_rows(undisturbed: tuple[Path, Path], tmp_path: Path) -> None:
-    """The rows have today's rules and settings, and their measures follow from their counts."""
-    file, root = undisturbed
-    experiment, cells = cells_of(file)
-    made, published = tmp_path / "vap.json", ROOT / "results" / "vap.json"
-    list(submit(experiment, file, cells, root, made))
-    for path in (made, *([published] if published.exists() else [])):
-        results = read_results(path)
-        assert results["rows"] and path.read_text(encoding="utf-8") == as_text(results)
-        assert check_rows(results, {"tiny": experiment}) == []
-        page = leaderboard(results)
-        for row in results["rows"]:
-            assert f"## `{row['experiment']}`, {row['mode']}" in page and f"| `{row['learner']}` | " in page
-            name = file if path == made else row["experiment"]
-            assert row["command"].startswith(f"logicity experiment {name} --only {row['learner']}")
-            assert 0 <= row["w_acc"] <= 1 and 0 <= row["a_acc"] <= 1
-    texts = [path.read_text(encoding="utf-8") for path in (ROOT / "docs").rglob("*.md")]
-    assert any("<!-- generated: results-vap -->" in text for text in texts)
 
 
 def test_faults_of_published_rows_are_found(undisturbed: tuple[Path, Path], tmp_path: Path) -> None:
     file, root = undisturbed
     experiment, cells = cells_of(file)
-    list(submit(experiment, file, cells, root, tmp_path / "vap.json"))
-    right = read_results(tmp_path / "vap.json")
+    list(submit(experiment, cells, root, tmp_path / "tiny.json"))
+    right = read_results(tmp_path / "tiny.json")
 
     def faults(**changes: Any) -> list[str]:
         row = {**deepcopy(right["rows"][0]), **changes}
-        return check_rows({**right, "rows": [row, *right["rows"][1:]]}, {"tiny": experiment})
+        return check_rows({**right, "rows": [row, *right["rows"][1:]]}, experiment)
 
     assert len(right["rows"]) == 4 and faults() == []
     first = right["rows"][0]
-    (world,) = first["worlds"]
-    action = ACTIONS.index(next(iter(first["recall"])))
+    (world,) = first["samples"]
+    action = next(at for at, name in enumerate(ACTIONS) if name in first["measures"])
     fewer = [each - (at == action) for at, each in enumerate(world["correct"])]
     longer = {**first["settings"], "training": {**first["settings"]["training"], "epochs": 3}}
-    recall = first["concepts"]["IsCar"]
+    measures = first["measures"]
+
+    def other(name: str, value: float) -> dict[str, Any]:
+        return {"measures": {**measures, name: {**measures[name], "value": value}}}
+
     cases: list[tuple[dict[str, Any], list[str]]] = [
         ({"hashes": {"rules": "0" * 64}}, ["other rules"]),
         ({"settings": longer}, ["other settings"]),
@@ -943,29 +916,32 @@ def test_faults_of_published_rows_are_found(undisturbed: tuple[Path, Path], tmp_
         ({"learner": "rule"}, ["no such learner or variant"]),
         ({"variant": "fixed"}, ["no such learner or variant"]),
         ({"paper": "e2e-nlm"}, ["another row of the paper"]),
-        ({"w_acc": first["w_acc"] + 0.01}, ["another wAcc"]),
-        ({"a_acc": first["a_acc"] + 0.01}, ["another aAcc"]),
-        ({"recall": {**first["recall"], "Stop": 2.0}}, ["another Stop"]),
-        ({"recall": {}}, [f"another {name}" for name in ACTIONS if name in first["recall"]]),
-        ({"worlds": [{**world, "correct": fewer}]}, ["another wAcc", f"another {ACTIONS[action]}"]),
-        ({"worlds": [{**world, "a_acc": world["a_acc"] + 1}]}, ["another aAcc"]),
-        ({"worlds": [{**world, "world": 1}]}, ["other worlds"]),
-        ({"worlds": []}, ["other worlds"]),
-        ({"worlds": [{}]}, ["other keys"]),
+        (other("wAcc", measures["wAcc"]["value"] + 0.01), ["another wAcc"]),
+        (other("aAcc", measures["aAcc"]["value"] + 0.01), ["another aAcc"]),
+        (other("Stop", 2.0), ["another Stop"]),
+        (
+            {"measures": {name: measures[name] for name in ("aAcc", "wAcc")}},
+            [f"another {name}" for name in ACTIONS if name in measures],
+        ),
+        ({"samples": [{**world, "correct": fewer}]}, ["another wAcc", f"another {ACTIONS[action]}"]),
+        ({"samples": [{**world, "a_acc": world["a_acc"] + 1}]}, ["another aAcc"]),
+        ({"samples": [{**world, "world": 1}]}, ["other worlds"]),
+        ({"samples": []}, ["other worlds"]),
+        ({"samples": [{}]}, ["other keys"]),
         ({"tsr": 1}, ["other keys"]),
-        ({"concepts": {"IsCar": {**recall, "recall": 1.5}}}, ["an impossible recall of IsCar"]),
-        ({"concepts": {"IsCar": {**recall, "recall": None}}}, ["an impossible recall of IsCar"]),
+        ({"details": {"IsCar": 1.5}}, ["an impossible recall of IsCar"]),
     ]
     for changes, messages in cases:
         names = {**first, **changes}
-        place = f"tiny: {names['learner']}, threshold, {names['variant']}, hard, seed 0"
+        place = f"{names['learner']}, threshold, {names['variant']}, hard, seed 0"
         assert faults(**changes) == [f"{place}: {message}" for message in messages]
-    assert [each.rpartition(": ")[2] for each in faults(mode="easy")] == ["other rules", "no such mode"]
-    assert [each.rpartition(": ")[2] for each in faults(predictor="product")] == ["it occurs twice"] * 2
-    # Other rows are those of built-in experiments.
-    assert "vap: rules, threshold, random, hard, seed 0: other settings" in faults(experiment="vap")
+    assert [each.rpartition(": ")[2] for each in faults(mode="easy")] == ["no such mode", "other rules"]
+    assert [each.rpartition(": ")[2] for each in faults(evaluation="product")] == ["it occurs twice"] * 2
+    # Without an experiment, it is the built-in one with the name.
+    wrong = check_rows({**right, "experiment": "vap"})
+    assert "rules, threshold, random, hard, seed 0: other settings" in wrong
     with pytest.raises(FileNotFoundError):
-        faults(experiment="none")
+        check_rows({**right, "experiment": "none"})
 
 
 @pytest.mark.skipif(sys.platform == "win32", reason="needs SIGKILL")
@@ -1016,7 +992,7 @@ def test_the_quick_table_of_the_paper(tmp_path: Path, capsys: pytest.CaptureFixt
     arguments = [str(EXPERIMENTS / "vap.yaml"), "--quick", "--jobs", "2", "--run", str(root)]
     assert command(("experiment",), arguments) == 0
     output = capsys.readouterr()
-    assert "[36/36] " in output.err and output.out.startswith("Visual Action Prediction\n\neasy\nlearner ")
+    assert "[36/36] " in output.err and output.out.startswith("Visual Action Prediction\n\nEasy\nlearner ")
     table = json.loads((root / "table.json").read_text())
     assert {(entry["row"], entry["mode"]) for entry in table["entries"]} == {
         (row, mode)
@@ -1042,7 +1018,7 @@ def test_facts_of_a_scene_are_those_of_the_sample(samples: Samples) -> None:
 
 def test_failures_of_cells_are_reported(tiny: Path, tmp_path: Path) -> None:
     tiny.write_text(
-        TINY.replace("start: rules, settings: {stage: reasoning", "start: rules, settings: {stage: end-to-end")
+        TINY.replace("start: rules, changes: {stage: reasoning", "start: rules, changes: {stage: end-to-end")
     )
     _, cells = cells_of(tiny, only=[("modular-gnn", None)])
     said: list[str] = []

@@ -13,7 +13,6 @@ from numpy.typing import NDArray
 
 import logicity
 from logicity import _logicity
-from logicity.envs.config import ViewKind
 from logicity.envs.layout import Layout, atoms_of
 from logicity.envs.single import SPFEnv
 from logicity.envs.vector import SPFVectorEnv
@@ -25,6 +24,7 @@ from logicity.envs.wrappers import (
     VectorRelationalObservation,
 )
 from logicity.tasks import load_task
+from logicity.types import ViewKind
 
 MODES = list(logicity.ENVIRONMENTS)
 KINDS: list[ViewKind] = ["relational", "graph"]

@@ -11,10 +11,12 @@
 The classes need the extra `gym`, and some modules another extra. Modules are imported on first use.
 """
 
-import importlib
 from typing import TYPE_CHECKING
 
+from ..lazily import exports
+
 if TYPE_CHECKING:
+    from ..types import EpisodeAgent, EpisodeStart, OracleRun
     from . import layout as layout
     from . import parallel as parallel
     from . import sb3 as sb3
@@ -23,15 +25,14 @@ if TYPE_CHECKING:
     from . import vector as vector
     from . import views as views
     from . import wrappers as wrappers
-    from .interface import EpisodeAgent, EpisodeStart, OracleRun
     from .parallel import SPFParallelEnv
     from .single import SPFEnv
     from .vector import SPFVectorEnv
 
 _HOMES = {
-    "EpisodeAgent": "interface",
-    "EpisodeStart": "interface",
-    "OracleRun": "interface",
+    "EpisodeAgent": ".types",
+    "EpisodeStart": ".types",
+    "OracleRun": ".types",
     "SPFEnv": "single",
     "SPFParallelEnv": "parallel",
     "SPFVectorEnv": "vector",
@@ -41,15 +42,4 @@ _MODULES = ("layout", "parallel", "sb3", "single", "torchrl", "vector", "views",
 __all__ = ["EpisodeAgent", "EpisodeStart", "OracleRun", "SPFEnv", "SPFParallelEnv", "SPFVectorEnv"]
 
 if not TYPE_CHECKING:
-
-    def __getattr__(name):
-        """Import a public name, or a module, on first use (PEP 562)."""
-        if name in _MODULES:
-            return importlib.import_module(f".{name}", __name__)
-        if name not in _HOMES:
-            raise AttributeError(f"module {__name__!r} has no attribute {name!r}")
-        return getattr(importlib.import_module(f".{_HOMES[name]}", __name__), name)
-
-    def __dir__():
-        """List all names, including those that are imported lazily."""
-        return sorted({*globals(), *__all__, *_MODULES})
+    __getattr__, __dir__ = exports(globals(), _HOMES, _MODULES)

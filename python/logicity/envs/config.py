@@ -7,40 +7,16 @@ import os
 from collections.abc import Mapping, Sequence
 from inspect import signature
 from pathlib import Path
-from typing import Any, Literal, TypeAlias, TypedDict, cast, get_args
+from typing import Any, cast, get_args
 
 import numpy as np
 
 from .. import _logicity
 from ..errors import checked_limits, checked_path, did_you_mean
 from ..rules import rule_file
-from ..types import Limits, Split
+from ..types import ArrayKind, EnvOptions, Limits, ObservationKind, Split
 
-__all__ = ["ArrayKind", "EnvConfig", "EnvOptions", "Episodes", "ObservationKind", "ViewKind"]
-
-ArrayKind: TypeAlias = Literal["groundings", "state"]
-"""A kind of observation that is one array: truth values of ground atoms, or the exact state."""
-
-ViewKind: TypeAlias = Literal["relational", "graph"]
-"""A kind of observation that is a dictionary of arrays, computed from `groundings`. See `logicity.envs.layout`."""
-
-ObservationKind: TypeAlias = Literal[ArrayKind, ViewKind]
-"""The kind of observation. See `logicity.envs.SPFEnv`."""
-
-Episodes: TypeAlias = Literal["drawn", "drawn-demanding", "recorded"]
-"""The episodes of an environment. See `logicity.envs.SPFEnv`."""
-
-
-class EnvOptions(TypedDict, total=False):
-    """The keyword arguments shared by all environment classes. `SPFEnv` documents them."""
-
-    split: Split
-    rules: str | os.PathLike[str] | None
-    overrides: Mapping[str, Any] | None
-    observation: ObservationKind
-    limits: Limits | None
-    oracle: bool
-    action_masks: bool
+__all__ = ["EnvConfig", "array_kind", "checked_kind", "to_json"]
 
 
 class EnvConfig:

@@ -7,7 +7,7 @@ import sys
 from collections.abc import Callable, Mapping, Sequence
 from copy import copy
 from types import FrameType
-from typing import Any, Protocol, TypedDict
+from typing import Any, Protocol
 
 import numpy as np
 from numpy.typing import NDArray
@@ -24,12 +24,13 @@ try:
 except ImportError as error:
     raise missing_extra("gym", error) from error
 
-from .config import ArrayKind, EnvConfig
-from .views import Views
+from ..types import ArrayKind
+from .config import EnvConfig
+from .views import Observations, Views
 from .window import Window
 
 __all__ = [
-    *("RENDER_FPS", "RENDER_MODES", "EpisodeAgent", "EpisodeStart", "HorizonSpec", "Observations", "OracleRun"),
+    *("RENDER_FPS", "RENDER_MODES", "HorizonSpec"),
     *("States", "check_masks", "check_options", "checked_action", "checked_render_mode", "checked_seed"),
     *("config_overrides", "env_info", "info_dict", "masks_of", "observation_space", "parse_episode", "parsed_state"),
     *("rendered", "restore_states", "states_of", "wrong_limit"),
@@ -37,35 +38,6 @@ __all__ = [
 
 RENDER_MODES = ["human", "rgb_array", "ansi"]
 RENDER_FPS = 10
-
-Observations = NDArray[np.float32]
-"""Observations: float32, one row per environment if there are several."""
-
-
-class EpisodeAgent(TypedDict):
-    """An agent at the start of an episode. `start` and `goal` are (row, column) in cells."""
-
-    id: str
-    concepts: list[str]
-    priority: int
-    start: tuple[int, int]
-    goal: tuple[int, int]
-
-
-#: The oracle's run of an episode: steps, return, and the number of steps in which the rules require each action.
-OracleRun = TypedDict("OracleRun", {"steps": int, "return": float, "constrained": dict[str, int]})
-
-
-class EpisodeStart(TypedDict):
-    """The start of an episode: its seed, its agents in list order, and the oracle's run if it is known.
-
-    A seed is an integer from 0 to 2**64 - 1. The seeds of recorded episodes use all 64 bits, so formats that store
-    numbers as 64-bit floats, such as JavaScript's, lose precision.
-    """
-
-    seed: int
-    agents: list[EpisodeAgent]
-    oracle: OracleRun | None
 
 
 def observation_space(task: _logicity.Task, kind: ArrayKind, views: Views | None) -> Space[Any]:

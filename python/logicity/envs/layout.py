@@ -5,15 +5,14 @@ from __future__ import annotations
 import itertools
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass
-from typing import Any, TypeAlias
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
-__all__ = ["Atom", "Layout", "atoms_of"]
+from ..types import Atom
 
-#: A predicate and its arguments, which are numbers of observed entities. Entity 0 is the ego.
-Atom: TypeAlias = tuple[str, tuple[int, ...]]
+__all__ = ["Layout", "atoms_of"]
 
 
 def atoms_of(description: Mapping[str, Any]) -> Iterator[Atom]:

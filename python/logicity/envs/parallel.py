@@ -22,12 +22,11 @@ except ImportError as error:
 
 from .. import _logicity
 from ..errors import did_you_mean
-from .config import EnvConfig, EnvOptions
+from ..types import EnvOptions, EpisodeStart
+from .config import EnvConfig
 from .interface import (
     RENDER_FPS,
     RENDER_MODES,
-    EpisodeStart,
-    Observations,
     checked_action,
     checked_render_mode,
     checked_seed,
@@ -35,7 +34,7 @@ from .interface import (
     observation_space,
     parse_episode,
 )
-from .views import View, views_of
+from .views import Observations, View, views_of
 
 if TYPE_CHECKING:
     from typing_extensions import Unpack  # Python 3.11; only annotations use it

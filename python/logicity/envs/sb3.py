@@ -19,7 +19,9 @@ try:
 except ImportError as error:
     raise missing_extra("learn", error) from error
 
-from .interface import check_options
+from .interface import (
+    check_options,
+)
 from .vector import SPFVectorEnv
 
 __all__ = ["SPFVecEnv", "make_vec_env"]

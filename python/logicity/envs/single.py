@@ -24,13 +24,12 @@ try:
 except ImportError as error:
     raise missing_extra("gym", error) from error
 
-from .config import EnvConfig, EnvOptions, Episodes
+from ..types import EnvOptions, Episodes, EpisodeStart
+from .config import EnvConfig
 from .interface import (
     RENDER_FPS,
     RENDER_MODES,
-    EpisodeStart,
     HorizonSpec,
-    Observations,
     check_masks,
     check_options,
     checked_action,
@@ -45,7 +44,7 @@ from .interface import (
     restore_states,
     states_of,
 )
-from .views import View, views_of
+from .views import Observations, View, views_of
 
 if TYPE_CHECKING:
     from typing_extensions import Unpack  # Python 3.11; only annotations use it

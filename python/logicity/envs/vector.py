@@ -23,13 +23,12 @@ try:
     from gymnasium.vector.utils import batch_space
 except ImportError as error:
     raise missing_extra("gym", error) from error
-from .config import EnvConfig, EnvOptions, Episodes
+from ..types import EnvOptions, Episodes, EpisodeStart
+from .config import EnvConfig
 from .interface import (
     RENDER_FPS,
     RENDER_MODES,
-    EpisodeStart,
     HorizonSpec,
-    Observations,
     check_masks,
     check_options,
     checked_render_mode,
@@ -44,7 +43,7 @@ from .interface import (
     states_of,
     wrong_limit,
 )
-from .views import View, views_of
+from .views import Observations, View, views_of
 
 if TYPE_CHECKING:
     from typing_extensions import Unpack  # Python 3.11; only annotations use it

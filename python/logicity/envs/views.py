@@ -13,22 +13,28 @@ An observation of the kind `groundings` is a vector of truth values of ground at
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Any, TypeAlias
 
 import numpy as np
 from numpy.typing import NDArray
 
 from .. import _logicity
 from ..errors import missing_extra
-from .config import ObservationKind, ViewKind
+from ..types import ObservationKind, ViewKind
 from .layout import Layout
 
 if TYPE_CHECKING:
     from gymnasium.spaces import Dict, Space
 
-__all__ = ["View", "Views", "views_of"]
+__all__ = ["Actions", "Observations", "View", "Views", "views_of"]
 
-View = dict[str, NDArray[Any]]
+Observations: TypeAlias = NDArray[np.float32]
+"""Observations: float32, one row per environment if there are several."""
+
+Actions: TypeAlias = NDArray[np.int64]
+"""Actions: int64, one per environment."""
+
+View: TypeAlias = dict[str, NDArray[Any]]
 """An observation with named arrays."""
 
 

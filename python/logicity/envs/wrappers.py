@@ -24,12 +24,11 @@ except ImportError as error:
     raise missing_extra("gym", error) from error
 
 from .. import _logicity
-from .config import ViewKind
-from .interface import Observations
+from ..types import ViewKind
 from .layout import Layout
 from .single import SPFEnv
 from .vector import SPFVectorEnv
-from .views import View, Views
+from .views import Observations, View, Views
 
 __all__ = [
     "GraphObservation",

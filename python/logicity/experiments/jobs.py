@@ -15,7 +15,7 @@ import tempfile
 import threading
 import time
 import zipfile
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import ExitStack, contextmanager, suppress
 from dataclasses import dataclass, field
 from importlib.util import find_spec
@@ -25,9 +25,10 @@ from typing import IO, Any
 from ..cluster import ONE_THREAD, RETRIES, connect
 from ..files import reserved
 from ..terminal import first_line
-from .cells import Job, finished, inputs, prepare, reuse
+from .cells import finished, inputs, prepare, reuse, run_cell
+from .task import Cell
 
-__all__ = ["connect", "exclusive", "run", "run_in_processes", "run_on_ray"]
+__all__ = ["exclusive", "run", "run_in_processes", "run_on_ray"]
 
 #: Receives a line of progress.
 Say = Callable[[str], None]
@@ -40,38 +41,38 @@ SECONDS = 30.0
 class Watch:
     """The state of a run: which cells are done, and how long the others will take."""
 
-    cells: Sequence[Job]
+    cells: Sequence[Cell]
     jobs: int
     say: Say
     failed: dict[str, str] = field(default_factory=dict)
     done: int = 0
     #: The cells that have not started.
-    pending: list[Job] = field(default_factory=list)
+    pending: list[Cell] = field(default_factory=list)
 
     def __post_init__(self) -> None:
         """Start the clock."""
         self._durations: dict[str, list[float]] = {}
-        self._running: dict[str, tuple[Job, float, int, int]] = {}
+        self._running: dict[str, tuple[Cell, float, int, int]] = {}
         self._shown = time.monotonic()
 
-    def started(self, cell: Job) -> None:
+    def started(self, cell: Cell) -> None:
         """Note that a cell has started."""
         self._running[cell.identity] = (cell, time.monotonic(), 0, 0)
 
-    def reported(self, cell: Job, steps: int) -> None:
+    def reported(self, cell: Cell, steps: int) -> None:
         """Note the number of training steps of a cell."""
         _, begun, first, _ = self._running[cell.identity]
         self._running[cell.identity] = (cell, begun, first or steps, steps)
 
-    def finished(self, cell: Job, measured: dict[str, Any]) -> None:
+    def finished(self, cell: Cell, measured: dict[str, Any]) -> None:
         """Note the end of a cell, and print its result."""
         begun = self._running.pop(cell.identity)[1]
         self._durations.setdefault(cell.row, []).append(time.monotonic() - begun)
         self.done += 1
         cpu = measured["result"]["cpu_seconds"] / 60
-        self.say(f"{self._count()} {cell.name}: {cell.headline(measured)}, {cpu:.1f} CPU min; {self.left()}")
+        self.say(f"{self._count()} {cell.name}: {cell.task.summary(measured)}, {cpu:.1f} CPU min; {self.left()}")
 
-    def failure(self, cell: Job, message: str) -> None:
+    def failure(self, cell: Cell, message: str) -> None:
         """Note that a cell has failed."""
         self._running.pop(cell.identity, None)
         self.done += 1
@@ -84,7 +85,9 @@ class Watch:
         if now - self._shown < SECONDS:
             return
         self._shown = now
-        parts = [f"{cell.name} {min(1.0, steps / cell.steps):.0%}" for cell, _, _, steps in self._running.values()]
+        parts = [
+            f"{cell.name} {min(1.0, steps / cell.task.steps(cell)):.0%}" for cell, _, _, steps in self._running.values()
+        ]
         self.say(f"{self._count()} running: {'; '.join(parts) or 'none'}; {self.left()}")
 
     def _count(self) -> str:
@@ -97,7 +100,7 @@ class Watch:
         left = 0.0
         for cell, begun, first, steps in self._running.values():
             if steps > first:
-                whole = (now - begun) * (cell.steps - first) / (steps - first)
+                whole = (now - begun) * (cell.task.steps(cell) - first) / (steps - first)
                 known.setdefault(cell.row, whole)
                 left += max(0.0, whole - (now - begun))
             elif cell.row in known:
@@ -111,7 +114,7 @@ class Watch:
         return f"about {f'{hours} h ' if hours else ''}{rest} min left"
 
 
-def _watch(cells: Sequence[Job], root: Path, jobs: int, say: Say) -> Watch:
+def _watch(cells: Sequence[Cell], root: Path, jobs: int, say: Say) -> Watch:
     """Return the state at the beginning of a run: the cells without a result are pending.
 
     Raises:
@@ -129,7 +132,7 @@ def _watch(cells: Sequence[Job], root: Path, jobs: int, say: Say) -> Watch:
     return watch
 
 
-def _startable(watch: Watch, root: Path) -> Iterator[Job]:
+def _startable(watch: Watch, root: Path) -> Iterator[Cell]:
     """Yield and remove pending cells whose start is finished. Report those whose start has failed."""
     for cell in list(watch.pending):
         if cell.start is not None and cell.start.identity in watch.failed:
@@ -159,7 +162,7 @@ def exclusive(root: Path) -> Iterator[None]:
 
 
 def run(
-    cells: Sequence[Job],
+    cells: Sequence[Cell],
     root: Path,
     jobs: int,
     say: Say,
@@ -183,7 +186,7 @@ def run(
 
 
 def run_in_processes(
-    cells: Sequence[Job], root: Path, jobs: int, say: Say, *, wandb: str | None = None, trust: bool = False
+    cells: Sequence[Cell], root: Path, jobs: int, say: Say, *, wandb: str | None = None, trust: bool = False
 ) -> dict[str, str]:
     """Run cells, each in a process with one thread.
 
@@ -206,8 +209,8 @@ def run_in_processes(
     if wandb is not None and find_spec("wandb") is None:
         raise ImportError("--wandb: the package wandb is not installed: pip install wandb")
     watch = _watch(cells, root, jobs, say)
-    messages: queue.Queue[tuple[Job, dict[str, Any] | None]] = queue.Queue()
-    processes: dict[str, tuple[Job, subprocess.Popen[str]]] = {}
+    messages: queue.Queue[tuple[Cell, dict[str, Any] | None]] = queue.Queue()
+    processes: dict[str, tuple[Cell, subprocess.Popen[str]]] = {}
     errors: dict[str, str] = {}
     try:
         while watch.pending or processes:
@@ -215,7 +218,7 @@ def run_in_processes(
             while len(processes) < jobs and (cell := next(startable, None)) is not None:
                 folder = prepare(cell, root)
                 with open(folder / "log.txt", "a", encoding="utf-8") as log:
-                    process = _start(folder, log, wandb, trust)
+                    process = _start(folder, log, wandb, trust, cell.task.environment(cell))
                 processes[cell.identity] = (cell, process)
                 watch.started(cell)
                 threading.Thread(target=_read, args=(cell, process, messages), daemon=True).start()
@@ -237,6 +240,8 @@ def run_in_processes(
                     watch.failure(cell, errors.get(cell.identity, ended))
             elif "steps" in message:
                 watch.reported(cell, message["steps"])
+            elif "note" in message:
+                say(f"{cell.name}: {message['note']}")
             elif "error" in message:
                 errors[cell.identity] = message["error"]
             watch.tick()
@@ -246,7 +251,9 @@ def run_in_processes(
     return watch.failed
 
 
-def _start(folder: Path, log: IO[str], wandb: str | None, trust: bool) -> subprocess.Popen[str]:
+def _start(
+    folder: Path, log: IO[str], wandb: str | None, trust: bool, environment: Mapping[str, str]
+) -> subprocess.Popen[str]:
     options = [*([f"--wandb={wandb}"] if wandb else []), *(["--trust"] if trust else [])]
     command = [sys.executable, "-m", "logicity.experiments.cells", *options, "--", str(folder)]
     return subprocess.Popen(
@@ -255,13 +262,15 @@ def _start(folder: Path, log: IO[str], wandb: str | None, trust: bool) -> subpro
         stdout=subprocess.PIPE,
         stderr=log,
         text=True,
-        env={**os.environ, **ONE_THREAD},
+        env={**os.environ, **ONE_THREAD, **environment},
         # Ctrl-C reaches only this process, which then ends the others.
         start_new_session=True,
     )
 
 
-def _read(cell: Job, process: subprocess.Popen[str], messages: queue.Queue[tuple[Job, dict[str, Any] | None]]) -> None:
+def _read(
+    cell: Cell, process: subprocess.Popen[str], messages: queue.Queue[tuple[Cell, dict[str, Any] | None]]
+) -> None:
     """Forward the lines of a process, and then `None`."""
     assert process.stdout is not None
     with process.stdout:
@@ -280,7 +289,7 @@ def _wait(process: subprocess.Popen[str]) -> int:
 
 
 def run_on_ray(
-    cells: Sequence[Job],
+    cells: Sequence[Cell],
     root: Path,
     address: str,
     jobs: int,
@@ -315,7 +324,7 @@ def run_on_ray(
     # A new process for each cell, as in `run_in_processes`. Only the loss of a worker repeats a cell.
     task = ray.remote(num_cpus=1, max_calls=1, max_retries=RETRIES)(_in_worker)
     watch = _watch(cells, root, jobs, say)
-    running: dict[Any, Job] = {}
+    running: dict[Any, Cell] = {}
     try:
         while watch.pending or running:
             for cell in _startable(watch, root):
@@ -323,7 +332,7 @@ def run_on_ray(
                 files = {path.name: path.read_bytes() for path in inputs(folder)}
                 # The same folder if the cell runs again, and another one for each experiment.
                 name = hashlib.sha256(f"{socket.gethostname()}:{folder.resolve()}".encode()).hexdigest()[:16]
-                running[task.remote(f"logicity-{name}", files, wandb, trust)] = cell
+                running[task.remote(f"logicity-{name}", files, wandb, trust, cell.task.environment(cell))] = cell
                 watch.started(cell)
             ready, _ = ray.wait(list(running), num_returns=1, timeout=1.0) if running else ([], [])
             for reference in ready:
@@ -345,7 +354,9 @@ def run_on_ray(
     return watch.failed
 
 
-def _in_worker(name: str, files: dict[str, bytes], wandb: str | None, trust: bool) -> bytes:
+def _in_worker(
+    name: str, files: dict[str, bytes], wandb: str | None, trust: bool, environment: Mapping[str, str]
+) -> bytes:
     """Run a cell in a worker, and return its files as a zip archive.
 
     The folder is temporary, but stays if the worker is lost. Then the cell resumes if it runs again on this machine.
@@ -353,8 +364,6 @@ def _in_worker(name: str, files: dict[str, bytes], wandb: str | None, trust: boo
     Raises:
         PermissionError: If the folder belongs to another user.
     """
-    from .cells import run_cell
-
     folder = Path(tempfile.gettempdir()) / name
     folder.mkdir(mode=0o700, exist_ok=True)
     if hasattr(os, "getuid") and (folder.is_symlink() or folder.stat().st_uid != os.getuid()):
@@ -363,6 +372,7 @@ def _in_worker(name: str, files: dict[str, bytes], wandb: str | None, trust: boo
         temporary = folder / f".{name}"
         temporary.write_bytes(content)
         temporary.replace(folder / name)
+    os.environ.update(environment)
     run_cell(folder, wandb=wandb, trust=trust)
     archive = io.BytesIO()
     with zipfile.ZipFile(archive, "w", zipfile.ZIP_DEFLATED) as out:

@@ -1,163 +1,118 @@
-"""Parts that the reports of all experiments share: tables, figures, the figures of the paper, bootstrap samples."""
+"""The report of an experiment: tables of measures beside the paper's, and figures."""
 
 from __future__ import annotations
 
-import json
-from abc import ABC, abstractmethod
-from collections.abc import Callable, Iterable, Mapping, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import asdict, dataclass
-from functools import cache
-from importlib.resources import files
-from operator import attrgetter
 from pathlib import Path
-from typing import Any, Generic, Protocol, TypeVar
-
-import numpy as np
-from numpy.typing import NDArray
+from typing import Any
 
 from ..evaluation import Interval
-from ..files import reserved, write_json, write_text
 from ..terminal import first_line
-from .cells import Job, finished
+from .cells import finished
+from .kinds import Loaded
+from .paper import paper_table
+from .tables import aligned, draw_bars, draw_lines, draw_panels, latex_table, markdown_table, write_tables
+from .task import Cell
 
-__all__ = [
-    "CellEntry",
-    "CellReport",
-    "Runs",
-    "aligned",
-    "bootstrap_weights",
-    "draw_bars",
-    "draw_lines",
-    "draw_panels",
-    "escaped",
-    "latex_table",
-    "markdown_table",
-    "paper_table",
-    "write_tables",
-]
+__all__ = ["Entry", "Report", "detail_table", "mean_details", "paper_rows", "shown"]
 
-#: The number of samples of a bootstrap interval.
-SAMPLES = 2000
-
-
-@cache
-def paper_table(name: str | None) -> dict[str, Any]:
-    """Return the figures of a table of the paper: `source`, `note` and `rows`. Empty without such a table."""
-    text = files(__package__).joinpath("paper.json").read_text(encoding="utf-8")
-    table: dict[str, Any] = json.loads(text).get(name, {})
-    return table
+#: The line below a row that has the paper's figures.
+PAPER = "  the paper's"
 
 
 @dataclass(frozen=True, kw_only=True)
-class CellEntry:
-    """The runs of a row and variant in a mode, with one kind of evaluation.
+class Entry:
+    """A line of a table: the runs of a row and variant in a mode, with one evaluation.
 
     Attributes:
         row: The name of the row.
         mode: The mode of the column.
         variant: The name of the variant, or an empty text.
+        evaluation: The name of the evaluation, or an empty text if there is only one.
         seeds: The seeds of the finished runs.
         measures: The measures with their intervals; empty without a finished run.
+        details: More figures, see `Task.details`: their means over the runs that have them.
+        paper: The paper's figures by measure, a remark, or `None`.
+        curve: The headline on the validation data by step: means over the runs.
         cpu_hours: The CPU time of all runs.
         missing: Why there is no result; empty if there is one.
         identities: The identities of the runs.
-        group: The line of the figure to which the variant belongs.
+        group: The line of the figure over `x` to which the variant belongs.
         x: The place on that line.
     """
 
     row: str
     mode: str
     variant: str
+    evaluation: str
     seeds: tuple[int, ...]
     measures: Mapping[str, Interval]
+    details: Mapping[str, float]
+    paper: Mapping[str, float] | str | None
+    curve: tuple[tuple[int, float], ...]
     cpu_hours: float
     missing: str
     identities: tuple[str, ...]
-    group: str | None = None
-    x: float | None = None
-
-
-C = TypeVar("C", bound=Job)
-
-
-class _Variant(Protocol):
-    """The part of a variant that figures need."""
+    group: str | None
+    x: float | None
 
     @property
-    def group(self) -> str | None: ...
-    @property
-    def x(self) -> float | None: ...
+    def label(self) -> str:
+        """The row with its evaluation and variant."""
+        return ", ".join(part for part in (self.row, self.evaluation, self.variant) if part)
 
 
-class Runs(Generic[C]):
-    """The cells of an experiment that belong together, and what was measured in those that are finished.
-
-    Args:
-        cells: The cells.
-        root: The folder of the experiment.
-
-    Attributes:
-        cells: The cells.
-        measured: For each finished cell, the content of `measured.json`.
-    """
-
-    def __init__(self, cells: Sequence[C], root: Path) -> None:
-        """Read the results. Those of other settings, rules, episodes or versions have another identity."""
-        self._root = root
-        self.cells = cells
-        found = [(cell, measured) for cell in cells if (measured := finished(cell, root)) is not None]
-        self._finished = [cell for cell, _ in found]
-        self.measured = [measured for _, measured in found]
-
-    @property
-    def cpu_hours(self) -> float:
-        """The CPU time of the finished cells."""
-        return float(sum(each["result"]["cpu_seconds"] for each in self.measured)) / 3600
-
-    def grouped(self, *names: str) -> list[Runs[C]]:
-        """Return the runs that tables show, by their values of attributes such as `row` and `mode`."""
-        groups: dict[Any, list[C]] = {}
-        for cell in self.cells:
-            if not cell.hidden:
-                groups.setdefault(attrgetter(*names)(cell), []).append(cell)
-        return [Runs(group, self._root) for group in groups.values()]
-
-    def fields(self, variant: _Variant, failed: Mapping[str, str]) -> dict[str, Any]:
-        """Return the fields of the entry of a row, variant and mode, except its measures.
-
-        Args:
-            variant: The variant.
-            failed: The messages of the cells that failed, by identity.
-        """
-        first = self.cells[0]
-        identities = tuple(cell.identity for cell in self._finished)
-        return {
-            "row": first.row,
-            "mode": first.mode,
-            "variant": first.variant,
-            "seeds": tuple(cell.seed for cell in self._finished),
-            "cpu_hours": self.cpu_hours,
-            "missing": _why_missing(self.cells, identities, failed),
-            "identities": identities,
-            "group": variant.group,
-            "x": variant.x,
-        }
-
-
-class CellReport(ABC):
+class Report:
     """The results of the cells of an experiment.
 
-    Attributes:
-        title: The title of the experiment.
-        paper: The name of the paper's table.
-        entries: The entries, in the order of the experiment.
-        cpu_hours: The CPU time of all runs.
+    Args:
+        loaded: The experiment.
+        cells: The cells. Results of other settings, rules, episodes or versions have another identity.
+        root: The folder of the experiment.
+        failed: The messages of the cells that failed, by identity.
     """
 
-    title: str
-    paper: str | None
-    entries: Sequence[CellEntry]
-    cpu_hours: float
+    def __init__(
+        self, loaded: Loaded, cells: Sequence[Cell], root: Path, failed: Mapping[str, str] | None = None
+    ) -> None:
+        """Read the results."""
+        self.task, self.experiment = loaded.task, loaded.experiment
+        results = {cell.identity: finished(cell, root) for cell in cells}
+        groups: dict[tuple[str, str, str], list[Cell]] = {}
+        for cell in cells:
+            if not cell.hidden:
+                groups.setdefault((cell.mode, cell.row, cell.variant), []).append(cell)
+        self.entries = [entry for group in groups.values() for entry in self._entries(group, results, failed or {})]
+        #: The CPU time of all finished cells.
+        self.cpu_hours = sum(each["result"]["cpu_seconds"] for each in results.values() if each is not None) / 3600
+
+    def _entries(self, cells: Sequence[Cell], results: Mapping[str, Any], failed: Mapping[str, str]) -> Iterator[Entry]:
+        """Yield an entry for each evaluation of the runs of a row and variant in a mode."""
+        first, task = cells[0], self.task
+        done = [cell for cell in cells if results[cell.identity] is not None]
+        runs = [results[cell.identity] for cell in done]
+        row, variant = self.experiment.learners[first.row], self.experiment.variants[first.variant]
+        names = list(runs[0]["evaluations"] if runs else first.evaluations or [""])
+        several = len(names) > 1 or len(first.evaluations) > 1
+        for name in names:
+            evaluations = [run["evaluations"][name] for run in runs]
+            yield Entry(
+                row=first.row,
+                mode=first.mode,
+                variant=first.variant,
+                evaluation=name if several else "",
+                seeds=tuple(cell.seed for cell in done),
+                measures=task.intervals(evaluations) if runs else {},
+                details=mean_details([task.details(run, name) for run in runs]),
+                paper=task.paper_value(self.experiment.paper, row.paper or first.row, first.variant, first.mode),
+                curve=_mean_curve([task.curve(run) for run in runs]) if name == names[0] else (),
+                cpu_hours=sum(run["result"]["cpu_seconds"] for run in runs) / 3600,
+                missing=_why_missing(cells, done, failed),
+                identities=tuple(cell.identity for cell in done),
+                group=variant.group,
+                x=variant.x,
+            )
 
     @property
     def complete(self) -> bool:
@@ -169,27 +124,100 @@ class CellReport(ABC):
         """The modes with an entry."""
         return list(dict.fromkeys(entry.mode for entry in self.entries))
 
-    @abstractmethod
+    def of_mode(self, mode: str) -> list[Entry]:
+        """Return the entries of a mode."""
+        return [entry for entry in self.entries if entry.mode == mode]
+
+    def measures(self, mode: str) -> dict[str, str]:
+        """Return the measures that some entry of a mode has, and the main ones, with their headings."""
+        known = {name for entry in self.of_mode(mode) for name in entry.measures}
+        known |= set(list(self.task.measures)[: self.task.main_measures])
+        return {name: head for name, head in self.task.measures.items() if name in known}
+
+    def table(self, mode: str) -> list[list[str]]:
+        """Return the table of a mode: a head, then for each entry its measures, and the paper's below if it has any.
+
+        Rows of the paper that the experiment does not have come last.
+        """
+        measures = self.measures(mode)
+        lines = [["learner", *measures.values(), "seeds", "CPU h"]]
+        for entry in self.of_mode(mode):
+            figures = [shown(entry.measures.get(name)) for name in measures]
+            seeds = ",".join(map(str, entry.seeds)) or entry.missing[:60]
+            lines.append([entry.label, *figures, seeds, f"{entry.cpu_hours:.2f}"])
+            if entry.paper is not None:
+                lines.append([PAPER, *paper_cells(entry.paper, measures), "", ""])
+        for label, paper in paper_rows(self.task, self.experiment.paper, mode, self._named()):
+            lines.append([label, *paper_cells(paper, measures), "", ""])
+        return lines
+
+    def _named(self) -> set[tuple[str, str]]:
+        """Return the rows of the paper's table that rows of the experiment name, with their variants."""
+        return {
+            (spec.paper or row, variant)
+            for row, spec in self.experiment.learners.items()
+            for variant in self.experiment.variants
+        }
+
+    def details(self) -> list[list[str]]:
+        """Return the table of the details; empty if no entry has any."""
+        paper, _ = self.task.paper_details(self.experiment.paper)
+        columns = {
+            ", ".join((entry.label, Path(entry.mode).stem)): entry.details for entry in self.entries if entry.details
+        }
+        return detail_table(columns, paper)
+
     def notes(self) -> list[str]:
         """Return sentences on intervals, missing cells, the paper and the CPU time."""
+        notes = [self.task.interval_note()]
+        if table := paper_table(self.experiment.paper):
+            notes.append(f"The paper's figures: {table['source']}. {table['note']}")
+        _, source = self.task.paper_details(self.experiment.paper)
+        if source and any(entry.details for entry in self.entries):
+            notes.append(f"The paper's figures: {source}")
+        for entry in self.entries:
+            if entry.missing:
+                only = " The figures are the paper's." if not entry.seeds and entry.paper is not None else ""
+                notes.append(f"{entry.label}, {Path(entry.mode).stem}: {entry.missing}.{only}")
+        notes.append(f"CPU time: {self.cpu_hours:.2f} hours.")
+        return list(dict.fromkeys(notes))
 
-    @abstractmethod
+    def text(self) -> str:
+        """Return everything for a terminal: a table per mode, the details, and notes."""
+        parts = [self.experiment.title]
+        for mode in self.modes:
+            parts += [f"\n{self._heading(mode)}", aligned(self.table(mode))]
+        if details := self.details():
+            parts += [f"\n{self.task.details_title}", aligned(details)]
+        return "\n".join([*parts, "", *self.notes()])
+
     def markdown(self) -> str:
         """Return the report as Markdown."""
+        parts = [f"# {self.experiment.title}\n"]
+        for mode in self.modes:
+            parts += [f"## {self._heading(mode)}\n", markdown_table(self.table(mode))]
+        if details := self.details():
+            parts += [f"## {self.task.details_title}\n", markdown_table(details)]
+        parts += ["## Notes\n", *(f"- {note}" for note in self.notes())]
+        return "\n".join(parts) + "\n"
 
-    @abstractmethod
+    def _heading(self, mode: str) -> str:
+        name = self.task.mode_titles.get(mode, Path(mode).stem)
+        return name[0].upper() + name[1:]
+
     def latex(self) -> str:
-        """Return the tables as LaTeX, with the rules of the package booktabs."""
-
-    @abstractmethod
-    def _figures(self, root: Path) -> list[Path]:
-        """Write the figures to a folder, and return their paths."""
+        """Return the tables of the modes as LaTeX, with the rules of the package booktabs."""
+        lines = [f"% {self.experiment.title}"]
+        for mode in self.modes:
+            lines += [f"% {self._heading(mode)}", *latex_table(self.table(mode))]
+        return "\n".join(lines) + "\n"
 
     def to_dict(self) -> dict[str, Any]:
         """Return the entries for JSON."""
         return {
-            "title": self.title,
-            "paper": paper_table(self.paper).get("source"),
+            "task": self.task.name,
+            "title": self.experiment.title,
+            "paper": paper_table(self.experiment.paper).get("source"),
             "entries": [asdict(entry) for entry in self.entries],
             "cpu_hours": round(self.cpu_hours, 4),
             "notes": self.notes(),
@@ -202,160 +230,137 @@ class CellReport(ABC):
             OSError: If a file cannot be written.
         """
         written = write_tables(root, self.markdown(), self.latex(), self.to_dict())
-        if any(entry.measures for entry in self.entries):
-            written += self._figures(root)
+        if not any(entry.measures for entry in self.entries):
+            return written
+        drawings = {"bars": self._bars}
+        if any(entry.curve for entry in self.entries):
+            drawings["curves"] = self._curves
+        if any(entry.x is not None for entry in self.entries):
+            drawings["lines"] = self._lines
+        titles = {mode: f"{self.experiment.title}: {Path(mode).stem}" for mode in self.modes}
+        tallest = max(len(self.table(mode)) for mode in self.modes)
+        for name, draw in drawings.items():
+            height = max(4.2, 0.22 * tallest) if name == "bars" else 4.2
+            written += draw_panels(root, name, titles, draw, columns=min(len(titles), 2), size=(7.2, height))
         return written
 
+    def _axis(self) -> str:
+        return f"{self.task.measures[self.task.headline]} on {self.task.measured_on}"
 
-def _why_missing(cells: Sequence[Job], done: Iterable[str], failed: Mapping[str, str]) -> str:
+    def _bars(self, axes: Any, mode: str) -> None:
+        """Draw the headline of each entry with its interval, and the paper's."""
+        name = self.task.headline
+        bars = [(entry.label, entry.measures.get(name), headline_of(entry.paper, name)) for entry in self.of_mode(mode)]
+        for label, paper in paper_rows(self.task, self.experiment.paper, mode, self._named()):
+            bars.append((label, None, headline_of(paper, name)))
+        draw_bars(axes, bars, self._axis())
+        if self.task.chance is not None:
+            axes.axvline(self.task.chance, color="#888888", linewidth=1, linestyle=":")
+
+    def _curves(self, axes: Any, mode: str) -> None:
+        """Draw the headline of the validations over the share of the training steps."""
+        shares = {
+            entry.label: [(step / (entry.curve[-1][0] or 1), value) for step, value in entry.curve]
+            for entry in self.of_mode(mode)
+            if entry.curve
+        }
+        for label, points in shares.items():
+            axes.plot(*zip(*points, strict=True), marker="o", markersize=2, linewidth=1, label=label)
+        axes.set_xlabel("share of the training steps")
+        axes.set_ylabel(f"{self.task.measures[self.task.headline]} on validation data")
+        axes.set_ylim(-0.02, 1.02)
+        if shares:
+            axes.legend(fontsize=7)
+
+    def _lines(self, axes: Any, mode: str) -> None:
+        """Draw the headline over `x`, one line for each row, evaluation and group."""
+        lines: dict[str, list[tuple[float, Interval]]] = {}
+        for entry in self.of_mode(mode):
+            if entry.x is not None and entry.measures:
+                name = ", ".join(part for part in (entry.row, entry.evaluation, entry.group) if part)
+                lines.setdefault(name, []).append((entry.x, entry.measures[self.task.headline]))
+        draw_lines(axes, lines, (self.experiment.x, self._axis()))
+
+
+def shown(measure: Interval | None) -> str:
+    """Format a measure, with its interval if it has one."""
+    if measure is None:
+        return "-"
+    return f"{measure.value:.2f}" if measure.low == measure.high else str(measure)
+
+
+def headline_of(paper: Mapping[str, float] | str | None, name: str) -> float | None:
+    """Return the paper's figure of a measure, or `None`."""
+    return paper.get(name) if isinstance(paper, Mapping) else None
+
+
+def paper_cells(paper: Mapping[str, float] | str | None, measures: Mapping[str, str]) -> list[str]:
+    """Return the paper's figures of measures as text. A remark stands in the first cell."""
+    if not isinstance(paper, Mapping):
+        return [paper or "", *[""] * (len(measures) - 1)]
+    return [f"{paper[name]:.2f}" if name in paper else "-" for name in measures]
+
+
+def paper_rows(
+    task: Any, table: str | None, mode: str, found: set[tuple[str, str]]
+) -> Iterator[tuple[str, Mapping[str, float] | str]]:
+    """Yield the name and the figures of each row of the paper in a mode that is not among names and variants."""
+    for row, variants in paper_table(table).get("rows", {}).items():
+        for variant in variants:
+            paper = task.paper_value(table, row, variant, mode)
+            if paper is not None and (row, variant) not in found:
+                yield ", ".join(part for part in (row, variant, "the paper's") if part), paper
+
+
+def mean_details(runs: Sequence[Mapping[str, float]]) -> dict[str, float]:
+    """Return the means of details over the runs that have them."""
+    names = dict.fromkeys(name for run in runs for name in run)
+    values = {name: [run[name] for run in runs if name in run] for name in names}
+    return {name: sum(each) / len(each) for name, each in values.items()}
+
+
+def detail_table(columns: Mapping[str, Mapping[str, float]], paper: Mapping[str, float]) -> list[list[str]]:
+    """Return a table of details, with the paper's if there are any. The longer side of the table is that of its rows.
+
+    Args:
+        columns: The details by the name of their entry.
+        paper: The paper's details.
+    """
+    if not columns:
+        return []
+    everything = {**columns, **({"the paper's": paper} if paper else {})}
+    keys = list(dict.fromkeys(key for values in columns.values() for key in values))
+
+    def cell(name: str, key: str) -> str:
+        return f"{everything[name][key]:.3f}" if key in everything[name] else "-"
+
+    if len(keys) >= len(everything):
+        return [["", *everything], *([key, *(cell(name, key) for name in everything)] for key in keys)]
+    return [["", *keys], *([name, *(cell(name, key) for key in keys)] for name in everything)]
+
+
+def _mean_curve(runs: Sequence[Sequence[tuple[int, float]]]) -> tuple[tuple[int, float], ...]:
+    """Return the means over the runs at the steps that all of them have."""
+    by_step: dict[int, list[float]] = {}
+    for run in runs:
+        for step, value in run:
+            by_step.setdefault(step, []).append(value)
+    return tuple((step, sum(each) / len(each)) for step, each in sorted(by_step.items()) if len(each) == len(runs))
+
+
+def _why_missing(cells: Sequence[Cell], done: Sequence[Cell], failed: Mapping[str, str]) -> str:
     """Return why runs are missing: the first message of those that failed, and the seeds if others are finished.
 
     Args:
         cells: The cells of an entry.
-        done: The identities of the finished ones.
+        done: The finished ones.
         failed: The messages of the cells that failed, by identity.
     """
-    finished = set(done)
-    left = [cell for cell in cells if cell.identity not in finished]
+    left = [cell for cell in cells if cell not in done]
     if not left:
         return ""
     messages = [failed[cell.identity] for cell in left if cell.identity in failed]
     missing = first_line(messages[0], "failed") if messages else "not run"
-    if len(left) < len(cells):
+    if done:
         missing += f" (seed{'s' * (len(left) > 1)} {', '.join(str(cell.seed) for cell in left)})"
     return missing
-
-
-def bootstrap_weights(generator: np.random.Generator, count: int) -> NDArray[np.float64]:
-    """Return bootstrap weights, float64 (`SAMPLES`, count). Each row sums to 1."""
-    drawn = generator.multinomial(count, np.full(count, 1 / count), SAMPLES)
-    weights: NDArray[np.float64] = drawn / count
-    return weights
-
-
-def write_tables(root: Path, markdown: str, latex: str, values: Mapping[str, Any]) -> list[Path]:
-    """Write `table.md`, `table.tex` and `table.json` to a folder, and return their paths.
-
-    Raises:
-        OSError: If a file cannot be written.
-    """
-    texts = {root / "table.md": markdown, root / "table.tex": latex}
-    for path, text in texts.items():
-        write_text(path, text)
-    write_json(root / "table.json", values)
-    return [*texts, root / "table.json"]
-
-
-def _save_figure(figure: Any, root: Path, name: str) -> list[Path]:
-    """Write a figure of matplotlib to a folder as PNG and SVG, without dates, and return the paths.
-
-    Raises:
-        OSError: If a file cannot be written.
-    """
-    written = []
-    for ending, metadata in (("png", {"Software": None}), ("svg", {"Date": None})):
-        path = root / f"{name}.{ending}"
-        with reserved(path, by=None) as output:
-            figure.savefig(output.temporary, format=ending, dpi=150, metadata=metadata)
-            output.finish()
-        written.append(path)
-    return written
-
-
-def draw_panels(
-    root: Path,
-    name: str,
-    titles: Mapping[str, str],
-    draw: Callable[[Any, str], None],
-    *,
-    columns: int,
-    size: tuple[float, float],
-) -> list[Path]:
-    """Draw a figure of several panels with matplotlib, and write it as PNG and SVG.
-
-    Args:
-        root: The folder.
-        name: The name of the files, without ending.
-        titles: The titles of the panels by key.
-        draw: Draws the panel of a key on its axes.
-        columns: The number of panels side by side.
-        size: The width and height of a panel, in inches.
-
-    Returns:
-        The paths of the files. The same results give the same bytes.
-
-    Raises:
-        OSError: If a file cannot be written.
-    """
-    import matplotlib
-    from matplotlib.figure import Figure
-
-    rows = -(-len(titles) // columns)
-    with matplotlib.rc_context({"svg.hashsalt": "logicity"}):
-        figure = Figure(figsize=(size[0] * columns, size[1] * rows), layout="constrained")
-        for at, (key, title) in enumerate(titles.items(), 1):
-            axes = figure.add_subplot(rows, columns, at)
-            axes.set_title(title, fontsize=10)
-            draw(axes, key)
-        return _save_figure(figure, root, name)
-
-
-def draw_bars(axes: Any, bars: Sequence[tuple[str, Interval | None, float | None]], label: str) -> None:
-    """Draw a bar with its interval for each name, and the paper's figure as a diamond. `label` is that of the axis."""
-    for at, (_, value, paper) in enumerate(bars):
-        if value is not None:
-            reach = [[max(0.0, value.value - value.low)], [max(0.0, value.high - value.value)]]
-            axes.barh(at, value.value, xerr=reach, color="#4878a8", error_kw={"linewidth": 1})
-        if paper is not None:
-            axes.plot(paper, at, "D", color="#c44e52", markersize=5)
-    axes.set_yticks(range(len(bars)), [name for name, *_ in bars], fontsize=8)
-    axes.invert_yaxis()
-    axes.set_xlim(0, 1.02)
-    axes.set_xlabel(label)
-    if any(paper is not None for _, _, paper in bars):
-        axes.plot([], [], "D", color="#c44e52", markersize=5, label="paper")
-        axes.legend(fontsize=8, loc="lower right")
-
-
-def draw_lines(axes: Any, lines: Mapping[str, Sequence[tuple[float, Interval]]], labels: tuple[str, str]) -> None:
-    """Draw a line through the points of each name, with a band for the intervals. `labels` are those of the axes."""
-    for name, points in lines.items():
-        xs, values = zip(*sorted(points, key=lambda point: point[0]), strict=True)
-        (line,) = axes.plot(xs, [each.value for each in values], marker="o", markersize=3, linewidth=1, label=name)
-        axes.fill_between(
-            xs, [each.low for each in values], [each.high for each in values], color=line.get_color(), alpha=0.12
-        )
-    axes.set_xlabel(labels[0])
-    axes.set_ylabel(labels[1])
-    axes.set_ylim(-0.02, 1.02)
-    if lines:
-        axes.legend(fontsize=7)
-
-
-def aligned(lines: Sequence[Sequence[str]]) -> str:
-    """Return a table as text with aligned columns."""
-    widths = [max(len(line[at]) for line in lines) for at in range(len(lines[0]))]
-    rows = ["  ".join(cell.ljust(width) for cell, width in zip(line, widths, strict=True)) for line in lines]
-    return "\n".join(row.rstrip() for row in rows)
-
-
-def markdown_table(lines: Sequence[Sequence[str]]) -> str:
-    """Return a table as Markdown. The first line is the head."""
-    rows = ["| " + " | ".join(cell.strip().replace("|", "\\|") for cell in line) + " |" for line in lines]
-    return "\n".join([rows[0], "|" + "---|" * len(lines[0]), *rows[1:]]) + "\n"
-
-
-def latex_table(lines: Sequence[Sequence[str]]) -> list[str]:
-    """Return the lines of a table as LaTeX. The first line is the head."""
-    head, *rows = [" & ".join(escaped(cell.strip()) for cell in line) + " \\\\" for line in lines]
-    begin = f"\\begin{{tabular}}{{l{'c' * (len(lines[0]) - 1)}}}"
-    return [begin, "\\toprule", head, "\\midrule", *rows, "\\bottomrule", "\\end{tabular}"]
-
-
-def escaped(text: str) -> str:
-    """Escape text for LaTeX."""
-    return "".join(f"\\{each}" if each in "&%$#_{}" else _LATEX.get(each, each) for each in text)
-
-
-#: The commands of LaTeX for characters that a backslash does not escape.
-_LATEX = {"\\": "\\textbackslash{}", "~": "\\textasciitilde{}", "^": "\\textasciicircum{}"}

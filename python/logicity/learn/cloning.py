@@ -25,9 +25,15 @@ try:
 except ImportError as error:
     raise missing_extra("learn", error) from error
 
+from ..envs.views import Actions, Observations
 from .curves import Curves
 from .demonstrations import DemonstrationData, Layout, RelationalView, Sampler
-from .learner import Actions, Learner, Observations, Policy, Progress, check_shape
+from .learner import (
+    LearnedPolicy,
+    Learner,
+    Progress,
+    check_shape,
+)
 from .nlm import NeuralLogicMachine
 from .settings import Count, LearnerSettings, LearningRate, NonNegative, Positive, Share
 from .storage import read_checkpoint, restore_optimizer, save_checkpoint
@@ -180,7 +186,7 @@ class LogicNetwork(nn.Module):
         return result
 
 
-class ClonedPolicy(Policy):
+class ClonedPolicy(LearnedPolicy):
     """A network that maps observations to scores of the four actions.
 
     Attributes:
@@ -307,7 +313,7 @@ class CloningLearner(Learner):
     def new_network(layout: Layout, settings: Any) -> nn.Module:
         """Create an untrained network from observations to scores of the actions."""
 
-    def start_from(self, policy: Policy) -> None:
+    def start_from(self, policy: LearnedPolicy) -> None:
         """Copy the weights of a policy."""
         assert isinstance(policy, ClonedPolicy)
         if policy.layout.atoms() != self._data.layout.atoms():

@@ -10,8 +10,9 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any, cast
 
 from .. import _logicity
-from ..envs.config import ArrayKind, EnvConfig
+from ..envs.config import EnvConfig
 from ..errors import InputError, did_you_mean, missing_extra
+from ..types import ArrayKind
 
 try:
     from pydantic import ValidationError, ValidationInfo, field_validator
@@ -21,7 +22,9 @@ except ImportError as error:
 
 from ..modes import ENVIRONMENTS, checked_mode
 from .faults import Fault, contains, faults, inlined, merged, tidy
-from .learner import Learner
+from .learner import (
+    Learner,
+)
 from .registry import LEARNERS, learner_class
 from .settings import LearnerSettings, Training
 

@@ -34,9 +34,15 @@ except ImportError as error:
     raise missing_extra("learn", error) from error
 
 from ..city import ACTIONS
+from ..envs.views import Actions, Observations
 from .curves import Curves
 from .interaction import Interaction, Transitions, as_bits, random_actions, step_generator
-from .learner import Actions, Learner, Observations, Policy, Progress, check_shape
+from .learner import (
+    LearnedPolicy,
+    Learner,
+    Progress,
+    check_shape,
+)
 from .settings import Count, LearnerSettings, LearningRate, NonNegative, Positive, Share
 from .storage import build_policy, read_checkpoint, restore_optimizer, save_checkpoint, save_policy
 
@@ -475,7 +481,7 @@ class Memory(NamedTuple):
     steps: int
 
 
-class DreamerPolicy(Policy):
+class DreamerPolicy(LearnedPolicy):
     """The world model, which infers states from observations, and the actor. Its state is a `Memory`.
 
     Args:

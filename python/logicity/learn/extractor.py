@@ -4,8 +4,8 @@ from __future__ import annotations
 
 from typing import Any
 
-from ..envs.layout import Atom
 from ..errors import missing_extra
+from ..types import Atom
 
 try:
     import gymnasium

@@ -39,10 +39,16 @@ from .. import _logicity
 from ..city import ACTIONS
 from ..envs.layout import atoms_of
 from ..envs.vector import SPFVectorEnv
+from ..envs.views import Actions, Observations
 from ..files import read_tensors
 from ..tasks import load_task
 from .curves import Curves
-from .learner import Actions, Learner, Observations, Policy, Progress, check_shape
+from .learner import (
+    LearnedPolicy,
+    Learner,
+    Progress,
+    check_shape,
+)
 from .settings import Count, LearnerSettings, LearningRate, NonNegative, Positive, Share
 from .storage import read_checkpoint, save_checkpoint
 
@@ -326,7 +332,7 @@ def losses(outputs: Tensor, batch: Batch, clip_range: float, vf_coef: float, ent
     return parts, derivative
 
 
-class FastPPOPolicy(Policy):
+class FastPPOPolicy(LearnedPolicy):
     """A policy of `ppo-fast`.
 
     Attributes:
@@ -415,7 +421,7 @@ class FastPPO(Learner):
     settings_class: ClassVar[type[LearnerSettings]] = FastPPOSettings
     unit: ClassVar[Literal["environment steps", "updates"]] = "environment steps"
     interacts: ClassVar[bool] = True
-    policy_class: ClassVar[type[Policy]] = FastPPOPolicy
+    policy_class: ClassVar[type[LearnedPolicy]] = FastPPOPolicy
     starts: ClassVar[bool] = True
 
     def __init__(self, config: Training, log: Path | None = None) -> None:
@@ -449,7 +455,7 @@ class FastPPO(Learner):
         self._ended = np.zeros(len(ENDINGS) + 1, np.int64)
         self.seconds = dict.fromkeys(("rollouts", "grouping", "updates"), 0.0)
 
-    def start_from(self, policy: Policy) -> None:
+    def start_from(self, policy: LearnedPolicy) -> None:
         """Copy the weights of a policy."""
         assert isinstance(policy, FastPPOPolicy)
         if policy.settings.network != self._settings.network or not np.array_equal(policy._slots, self._slots):

@@ -28,10 +28,10 @@ from numpy.typing import NDArray
 from pydantic import Field
 
 from ..city import ACTIONS
-from ..envs.layout import Atom
 from ..errors import missing_extra
 from ..offline import Demonstrations
 from ..rule_policy import RulePolicy
+from ..types import Atom
 from .settings import LearnerSettings, Positive
 from .symbolic import BodyLiteral, SymbolicLearner, arities, clause
 

@@ -28,11 +28,17 @@ from pydantic import Field, field_validator
 from .. import _logicity
 from ..city import ACTIONS
 from ..envs.layout import Layout
+from ..envs.views import Actions, Observations
 from ..files import read_tensors
 from ..tasks import load_task
 from .curves import Curves
 from .demonstrations import DemonstrationData
-from .learner import Actions, Learner, Observations, Policy, Progress, check_shape
+from .learner import (
+    LearnedPolicy,
+    Learner,
+    Progress,
+    check_shape,
+)
 from .settings import LearnerSettings, NonNegative, Positive
 from .storage import read_checkpoint, restore_optimizer, save_checkpoint
 
@@ -527,7 +533,7 @@ def _clause(head: str, arguments: tuple[int, ...], body: Body, more: Sequence[st
     return f"{atom(head, arguments)} :- {', '.join(literals)}."
 
 
-class HriPolicy(Policy):
+class HriPolicy(LearnedPolicy):
     """A policy that evaluates learned rules.
 
     Attributes:
@@ -853,7 +859,7 @@ class HRI(Learner):
     settings_class: ClassVar[type[LearnerSettings]] = HriSettings
     unit = "updates"
     interacts = False
-    policy_class: ClassVar[type[Policy]] = HriPolicy
+    policy_class: ClassVar[type[LearnedPolicy]] = HriPolicy
 
     def __init__(self, config: Training, log: Path | None = None) -> None:
         """Run the oracle on the recorded training episodes, and draw the first weights."""

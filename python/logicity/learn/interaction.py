@@ -19,7 +19,7 @@ except ImportError as error:
 
 from ..city import ACTIONS
 from ..envs.vector import SPFVectorEnv
-from .learner import Actions, Observations
+from ..envs.views import Actions, Observations
 
 if TYPE_CHECKING:
     from .settings import Training

@@ -7,9 +7,7 @@ from collections.abc import Callable, Mapping
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, ClassVar, Literal, TypeAlias
 
-import numpy as np
-from numpy.typing import NDArray
-
+from ..envs.views import Actions, Observations
 from ..errors import missing_extra
 from .settings import LearnerSettings
 
@@ -19,15 +17,12 @@ except ImportError as error:
     raise missing_extra("learn", error) from error
 
 if TYPE_CHECKING:
-    from ..envs.config import ArrayKind
+    from ..types import ArrayKind
     from .settings import Training
 
 __all__ = [
-    *("Actions", "Learner", "Observations", "Policy", "Progress", "check_shape"),
+    *("Learner", "LearnedPolicy", "Progress", "check_shape"),
 ]
-
-Observations: TypeAlias = NDArray[np.float32]
-Actions: TypeAlias = NDArray[np.int64]
 
 
 #: A learner calls it after each step. It validates the learner and writes checkpoints at intervals.
@@ -52,7 +47,7 @@ def check_shape(observation: Observations, width: int, mode: str) -> None:
         )
 
 
-class Policy(ABC):
+class LearnedPolicy(ABC):
     """A trained policy, which maps batches of observations to actions."""
 
     @abstractmethod
@@ -92,7 +87,7 @@ class Policy(ABC):
 
     @classmethod
     @abstractmethod
-    def load(cls, path: Path) -> Policy:
+    def load(cls, path: Path) -> LearnedPolicy:
         """Read a policy that `save` wrote. The file is data: nothing in it runs as code.
 
         Raises:
@@ -123,7 +118,7 @@ class Learner(ABC):
     #: The suffix of the files of its policies.
     suffix: ClassVar[str] = ".pt"
     #: The class of its policies.
-    policy_class: ClassVar[type[Policy]]
+    policy_class: ClassVar[type[LearnedPolicy]]
     #: Whether training can start from the weights of the policy that the key `start` names, see `start_from`.
     starts: ClassVar[bool] = False
 
@@ -136,7 +131,7 @@ class Learner(ABC):
         """
         self.config, self.log = config, log
 
-    def start_from(self, policy: Policy) -> None:
+    def start_from(self, policy: LearnedPolicy) -> None:
         """Copy the weights of a policy of the same learner before the training begins.
 
         Raises:
@@ -158,7 +153,7 @@ class Learner(ABC):
         """
 
     @abstractmethod
-    def policy(self) -> Policy:
+    def policy(self) -> LearnedPolicy:
         """Return the current policy. Its actions may change when training continues."""
 
     @abstractmethod

@@ -12,7 +12,7 @@ from .extractor import LogicFeatures
 from .stable_baselines import StableBaselinesLearner, settings_model
 
 if TYPE_CHECKING:
-    from ..envs.config import ArrayKind
+    from ..types import ArrayKind
     from .settings import Training
 
 __all__ = ["NlmDqnLearner", "NlmDqnSettings"]

@@ -12,11 +12,13 @@ from ..errors import UntrustedError
 from ..files import read_json, read_tensors
 from ..rule_policy import saved_by
 from ..terminal import neutral
-from .learner import Policy
+from .learner import (
+    LearnedPolicy,
+)
 from .registry import LEARNERS, learner_class
 
 if TYPE_CHECKING:
-    from ..envs.config import ArrayKind
+    from ..types import ArrayKind
 
 __all__ = ["SavedPolicy", "load_policy"]
 
@@ -33,7 +35,7 @@ class SavedPolicy:
         observation: The kind of observation of the training; `None` if nothing records it.
     """
 
-    policy: Policy
+    policy: LearnedPolicy
     path: Path
     algorithm: str
     mode: str | None
@@ -43,11 +45,11 @@ class SavedPolicy:
 def load_policy(path: str | os.PathLike[str], *, trust: bool = False) -> SavedPolicy:
     """Load a policy of any learner.
 
-    A file that `Policy.save` wrote is data. A DQN, PPO or A2C model that Stable-Baselines3 saved is a pickle: loading
-    it can run any code in it, so this needs `trust`.
+    A file that `LearnedPolicy.save` wrote is data. A DQN, PPO or A2C model that Stable-Baselines3 saved is a pickle:
+    loading it can run any code in it, so this needs `trust`.
 
     Args:
-        path: A file that `Policy.save` wrote, the folder of a finished run of `logicity train`, or a model of
+        path: A file that `LearnedPolicy.save` wrote, the folder of a finished run of `logicity train`, or a model of
             Stable-Baselines3, whose suffix is `.zip`.
         trust: Whether the file may run code.
 
@@ -77,7 +79,7 @@ def load_policy(path: str | os.PathLike[str], *, trust: bool = False) -> SavedPo
                 f"{file} is a model of Stable-Baselines3, which is a pickle: loading it can run any code in it; "
                 "if you trust its origin, pass `--trust` (Python: `trust=True`)"
             )
-        policy: Policy = from_stable_baselines(file)
+        policy: LearnedPolicy = from_stable_baselines(file)
     elif file.suffix == ".pt":
         saved = _header(file)
     elif file.suffix == ".dl":

@@ -4,7 +4,9 @@ from __future__ import annotations
 
 import importlib
 
-from .learner import Learner
+from .learner import (
+    Learner,
+)
 
 __all__ = ["LEARNERS", "learner_class"]
 

@@ -28,14 +28,17 @@ from tqdm import tqdm
 
 from .. import _logicity
 from .._logicity import __version__
-from ..errors import UntrustedError
+from ..errors import InputError, UntrustedError
 from ..evaluation import MEASURES, Benchmark, Evaluation
 from ..files import check_readable, file_hash, read_json, reserved, write_json
 from ..tasks import load_task, task_hashes
 from ..terminal import first_line, neutral, print_message
 from . import random_state
-from .config import TrainConfig
-from .learner import Learner
+from .config import TrainConfig, fault_of_override
+from .faults import Fault
+from .learner import (
+    Learner,
+)
 from .policies import SavedPolicy, load_policy
 
 __all__ = ["FolderError", "check_overrides", "check_start", "train"]
@@ -645,4 +648,34 @@ def _versions() -> dict[str, str]:
             found[name] = version(name)
         except PackageNotFoundError:
             continue
+    return found
+
+
+def config_faults(config: TrainConfig, trust: bool) -> list[Fault]:
+    """Return the faults in `mode`, `start` and `overrides`, which `train` reports only when it runs.
+
+    Args:
+        config: The configuration.
+        trust: As for `train`.
+
+    Raises:
+        InputError: If the configuration of the mode is invalid.
+    """
+    found: list[Fault] = []
+    try:
+        check_start(config, trust=trust)
+    except OSError as error:
+        reason = f"cannot read `{config.start}`: {error.strerror.lower()}" if error.strerror else str(error)
+        found.append(("missing-file", ["start"], reason, ""))
+    except ValueError as error:
+        found.append(("invalid-value", ["start"], str(error), ""))
+    try:
+        check_overrides(config)
+    except InputError as error:
+        known = [fault for each in error.diagnostics if (fault := fault_of_override(config, each)) is not None]
+        if len(known) < len(error.diagnostics):
+            raise
+        found += known
+    except ValueError as error:
+        found.append(("invalid-value", ["overrides"], str(error), ""))
     return found

@@ -10,7 +10,7 @@ try:
     from pydantic import BaseModel, ConfigDict, Field, SerializeAsAny
 except ImportError as error:
     raise missing_extra("learn", error) from error
-from ..envs.config import ArrayKind, EnvOptions, Episodes
+from ..types import ArrayKind, EnvOptions, Episodes
 
 __all__ = [
     *("Count", "LearnerSettings", "LearningRate", "NonNegative", "Positive", "Seed", "Share", "StrictModel"),

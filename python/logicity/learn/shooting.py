@@ -32,9 +32,15 @@ except ImportError as error:
     raise missing_extra("learn", error) from error
 
 from ..city import ACTIONS
+from ..envs.views import Actions, Observations
 from .curves import Curves
 from .interaction import Bits, Interaction, Transitions, as_bits, random_actions, step_generator
-from .learner import Actions, Learner, Observations, Policy, Progress, check_shape
+from .learner import (
+    LearnedPolicy,
+    Learner,
+    Progress,
+    check_shape,
+)
 from .settings import Count, LearnerSettings, LearningRate, Share
 from .storage import build_policy, read_checkpoint, restore_optimizer, save_checkpoint, save_policy
 
@@ -373,7 +379,7 @@ def planned_actions(
     return actions
 
 
-class ShootingPolicy(Policy):
+class ShootingPolicy(LearnedPolicy):
     """Plans with a model. Its state is the number of steps so far, which determines the random sequences.
 
     Args:

@@ -31,14 +31,19 @@ except ImportError as error:
 
 from ..city import ACTIONS
 from ..envs.sb3 import SPFVecEnv, make_vec_env
+from ..envs.views import Actions, Observations
 from . import random_state
-from .learner import Actions, Learner, Observations, Policy, Progress
+from .learner import (
+    LearnedPolicy,
+    Learner,
+    Progress,
+)
 from .registry import learner_class
 from .settings import Count, LearnerSettings, LearningRate, NonNegative, Positive, Share
 from .storage import build_policy, read_checkpoint, restore_optimizer, save_checkpoint, save_policy
 
 if TYPE_CHECKING:
-    from ..envs.config import ArrayKind
+    from ..types import ArrayKind
     from .settings import Training
 
 __all__ = [
@@ -203,7 +208,7 @@ def algorithm_of(path: str | os.PathLike[str]) -> str:
     return "ppo" if "ppo" in found else found[0]
 
 
-class StableBaselinesPolicy(Policy):
+class StableBaselinesPolicy(LearnedPolicy):
     """The policy of a model of Stable-Baselines3.
 
     Attributes:
@@ -323,7 +328,7 @@ class StableBaselinesLearner(Learner):
     unit: ClassVar[Literal["environment steps", "updates"]] = "environment steps"
     interacts: ClassVar[bool] = True
     observations: ClassVar[tuple[ArrayKind, ...]] = ("groundings", "state")
-    policy_class: ClassVar[type[Policy]] = StableBaselinesPolicy
+    policy_class: ClassVar[type[LearnedPolicy]] = StableBaselinesPolicy
     starts: ClassVar[bool] = True
 
     def __init__(self, config: Training, log: Path | None = None) -> None:
@@ -361,7 +366,7 @@ class StableBaselinesLearner(Learner):
             "net_arch": [],
         }
 
-    def start_from(self, policy: Policy) -> None:
+    def start_from(self, policy: LearnedPolicy) -> None:
         """Copy the weights of a policy."""
         assert isinstance(policy, StableBaselinesPolicy)
         weights, own = policy.weights(), self._model.policy.state_dict()

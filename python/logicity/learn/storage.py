@@ -19,8 +19,10 @@ from ..files import read_tensors
 from ..terminal import first_line, neutral
 
 if TYPE_CHECKING:
-    from ..envs.config import ArrayKind
-    from .learner import Policy
+    from ..types import ArrayKind
+    from .learner import (
+        LearnedPolicy,
+    )
 
 __all__ = [
     "build_policy",
@@ -134,7 +136,7 @@ def restore_optimizer(optimizer: torch.optim.Optimizer, state: dict[str, Any]) -
         raise ValueError("the state of the optimizer does not fit")
 
 
-def policy_hash(policy: Policy) -> tuple[str, str]:
+def policy_hash(policy: LearnedPolicy) -> tuple[str, str]:
     """Return what identifies a policy, `rules` or `weights`, and its SHA-256.
 
     It does not depend on the file of the policy.

@@ -13,13 +13,17 @@ from typing import TYPE_CHECKING, Annotated, ClassVar, Literal, TypeAlias, cast
 from pydantic import Field
 
 from .._logicity import NOISE_MAX, VARIABLES_MAX
-from ..envs.layout import Atom
 from ..files import read_text
 from ..induction import induce
 from ..offline import Demonstrations
 from ..rule_policy import RulePolicy, header, saved_by
+from ..types import Atom
 from .demonstrations import first_demonstrations
-from .learner import Learner, Policy, Progress
+from .learner import (
+    LearnedPolicy,
+    Learner,
+    Progress,
+)
 from .settings import LearnerSettings
 
 if TYPE_CHECKING:
@@ -34,7 +38,7 @@ BodyLiteral: TypeAlias = tuple[bool, str, tuple[int, ...]]
 VARIABLES = ("X", "Y", "Z")
 
 
-class SymbolicPolicy(RulePolicy, Policy):
+class SymbolicPolicy(RulePolicy, LearnedPolicy):
     """Rules that a learner found."""
 
     @classmethod
@@ -64,7 +68,7 @@ class SymbolicLearner(Learner):
     only_steps: ClassVar[int | None] = 1
     interacts: ClassVar[bool] = False
     suffix: ClassVar[str] = ".dl"
-    policy_class: ClassVar[type[Policy]] = SymbolicPolicy
+    policy_class: ClassVar[type[LearnedPolicy]] = SymbolicPolicy
 
     def __init__(self, config: Training, log: Path | None = None) -> None:
         """Start without rules."""

@@ -17,7 +17,7 @@ from typing import TYPE_CHECKING, Any
 from .baselines import BaselineResult, baseline_table, measure_baselines
 from .data import BINARY, PICTURE_SIDE, UNARY, VapDataset, VapSample
 from .export import to_coco, to_webdataset
-from .make import VapCounts, check_dataset, make_dataset
+from .make import Drawing, VapCounts, check_dataset, make_dataset
 from .metrics import VapMetrics, vap_metrics
 
 if TYPE_CHECKING:
@@ -28,6 +28,7 @@ __all__ = [
     "PICTURE_SIDE",
     "UNARY",
     "BaselineResult",
+    "Drawing",
     "VapCounts",
     "VapDataset",
     "VapMetrics",

@@ -26,7 +26,7 @@ from numpy.typing import NDArray
 from ..errors import checked_path, checked_threads, missing_extra
 from ..files import check_readable, file_hash, read_json, read_tensors, write_json
 from .data import PICTURE_SIDE, VapDataset, count_in, not_a_manifest
-from .make import make_dataset
+from .make import Drawing, make_dataset
 
 try:
     import torch
@@ -696,8 +696,7 @@ def _made(folder: Path, spec: DataSpec, first: int, worlds: int, *, images: bool
             worlds=worlds,
             seed=spec.seed,
             images=images,
-            difficulty=spec.difficulty,
-            drawing_version=spec.drawing_version,
+            drawing=Drawing(spec.difficulty, spec.drawing_version),
             threads=1,
         )
     except (FileExistsError, ValueError) as error:

@@ -12,7 +12,28 @@ from ..errors import checked_integer, checked_path, checked_threads
 from ..types import Action, Split
 from .data import VapDataset
 
-__all__ = ["VapCounts", "check_dataset", "make_dataset"]
+__all__ = ["Drawing", "VapCounts", "check_dataset", "make_dataset"]
+
+
+@dataclass(frozen=True)
+class Drawing:
+    """How pictures and their boxes are drawn.
+
+    Attributes:
+        difficulty: The difficulty of the pictures, from 0 (clean) to 100: how much colors, light, sharpness, weather,
+            markings and surroundings vary. From 50 on, the sides of boxes are independent of the agents. Above 50,
+            icons of the test split increasingly have a style that the other splits lack.
+        version: The version of the drawing code: 2, or 1 for boxes that fit the icons, one style for all splits and no
+            weather, as in data sets of format 3.
+        pack: A folder of icons, such as `logicity.icons.fill` creates. Built-in icons represent classes that it lacks.
+        pack_mode: `"extend"` adds the icons of the pack to the built-in icons. `"replace"` uses only the icons of the
+            pack for its classes.
+    """
+
+    difficulty: int = 50
+    version: Literal[1, 2] = 2
+    pack: str | os.PathLike[str] | None = None
+    pack_mode: Literal["extend", "replace"] = "extend"
 
 
 @dataclass(frozen=True)
@@ -50,10 +71,7 @@ def make_dataset(
     first_world: int = 0,
     seed: int = 0,
     images: bool = True,
-    pack: str | os.PathLike[str] | None = None,
-    pack_mode: Literal["extend", "replace"] = "extend",
-    difficulty: int = 50,
-    drawing_version: Literal[1, 2] = 2,
+    drawing: Drawing = Drawing(),
     threads: int = 0,
     progress: Callable[[int, int], object] | None = None,
     overwrite: bool = False,
@@ -73,14 +91,7 @@ def make_dataset(
         first_world: The number of the first world, from 0 to 99999.
         seed: The seed, from 0 to 2**64 - 1.
         images: Whether to write pictures. This does not affect the tables.
-        pack: A folder of icons, such as `logicity.icons.fill` creates. Built-in icons represent classes that it lacks.
-        pack_mode: `"extend"` adds the icons of the pack to the built-in icons. `"replace"` uses only the icons of the
-            pack for its classes.
-        difficulty: The difficulty of the pictures, from 0 (clean) to 100: how much colors, light, sharpness, weather,
-            markings and surroundings vary. From 50 on, the sides of boxes are independent of the agents. Above 50,
-            icons of the test split increasingly have a style that the other splits lack.
-        drawing_version: The version of the drawing code: 2, or 1 for boxes that fit the icons, one style for all
-            splits and no weather, as in data sets of format 3.
+        drawing: How pictures and their boxes are drawn.
         threads: The number of threads, up to 1024; 0 means one per core. It does not affect the files.
         progress: A function that receives the number of finished frames and the total, on the calling thread.
         overwrite: Whether to replace a `README.md` or `manifest.json` that is not of a data set with these arguments.
@@ -111,10 +122,10 @@ def make_dataset(
         checked_integer("first_world", first_world, 0, _logicity.WORLDS_MAX - 1),
         checked_integer("seed", seed),
         images,
-        None if pack is None else checked_path("pack", pack),
-        pack_mode,
-        checked_integer("difficulty", difficulty, 0, 100),
-        checked_integer("drawing_version", drawing_version, 1, 2),
+        None if drawing.pack is None else checked_path("pack", drawing.pack),
+        drawing.pack_mode,
+        checked_integer("difficulty", drawing.difficulty, 0, 100),
+        checked_integer("version", drawing.version, 1, 2),
         checked_threads(threads),
         progress,
         overwrite,

@@ -1,1 +1,1 @@
-"""Experiments of language questions."""
+"""Language questions as a task of experiments, and the solvers that need no language model."""

@@ -1,0 +1,324 @@
+"""The YAML files of experiments: rows x modes x variants x seeds, and changes to the settings of each."""
+
+from __future__ import annotations
+
+import os
+import shlex
+from collections.abc import Callable, Iterator, Mapping, Sequence
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import Annotated, Any, TypeAlias, cast
+
+from pydantic import BaseModel, Field, Strict, ValidationError
+
+from .. import _logicity
+from ..errors import did_you_mean
+from ..learn.faults import Fault, contains, faults, merged
+from ..learn.settings import Seed, StrictModel
+from .paper import paper_table
+
+__all__ = [
+    *("Experiment", "Names", "Place", "Row", "Seeds", "Selection", "Variant"),
+    *("changes_of", "experiment_faults", "fault_error", "load", "name_of", "option_error", "place_of"),
+    *("read_experiment", "repeated"),
+]
+
+Seeds = Annotated[tuple[Seed, ...], Strict(False), Field(min_length=1)]
+Names = Annotated[tuple[str, ...], Strict(False), Field(min_length=1)]
+
+#: A mapping of changes, and the path of keys to it in the file.
+Place: TypeAlias = tuple[list[str], Mapping[str, Any]]
+
+#: The keys that changes cannot have, and where to write them instead.
+OWN_KEYS = {"seed": "write the seeds under `seeds`", "mode": "write it under `modes`, or as the `mode` of a variant"}
+
+#: What `--set` cannot change, and which option does.
+OPTIONS = {
+    "seed": "use `--seeds`",
+    "mode": "use `--only LEARNER,MODE`",
+    "algorithm": "write another experiment",
+}
+
+
+class Row(StrictModel):
+    """A row of the table: a learner with its settings."""
+
+    paper: str | None = None
+    """The row of the paper's table whose figures are shown beside this row. By default the row of the same name."""
+    modes: Names | None = None
+    """The modes; by default those of the experiment."""
+    variants: Names | None = None
+    """The variants; by default all."""
+    seeds: Seeds | None = None
+    """The seeds; by default those of the experiment."""
+    start: str | None = None
+    """The row from whose model, of the same mode, variant and seed, the training starts."""
+    changes: dict[str, Any] = Field(default_factory=dict)
+    """Changes to the settings, after those of the experiment."""
+    quick: dict[str, Any] = Field(default_factory=dict)
+    """More changes to the settings for `--quick`, which runs only a few steps."""
+    optional: bool = False
+    """Whether the row needs a program that may be missing. Without it, the row has only the figures of the paper."""
+    hidden: bool = False
+    """Whether tables and figures omit the row, for example because it only provides a start for others."""
+
+
+class Variant(StrictModel):
+    """A variant of every row."""
+
+    changes: dict[str, Any] = Field(default_factory=dict)
+    """Changes to the settings, after those of the experiment and the row."""
+    mode: str | None = None
+    """The mode instead of that of the column."""
+    start: str | None = None
+    """The variant from whose models, of the same row and seed, the training starts."""
+    hidden: bool = False
+    """Whether tables and figures omit the variant, for example because it only provides a start for others."""
+    group: str | None = None
+    """The line of the figure over `x` to which the variant belongs: variants of a row with the same group form one."""
+    x: float | None = None
+    """The position on the horizontal axis of that figure, which omits variants without it."""
+
+
+class Experiment(StrictModel):
+    """An experiment of any task: what `logicity experiment` runs."""
+
+    task: str
+    """The task, which determines the settings."""
+    title: str
+    """The title of the table."""
+    paper: str | None = None
+    """The table of the paper whose figures are shown beside the results."""
+    learners: Annotated[Mapping[str, Row], Field(min_length=1)]
+    """The rows of the table, by name."""
+    modes: Names
+    """The modes, which are the columns of the table."""
+    seeds: Seeds = (0,)
+    """The seeds. Each row, mode and variant is run once with each seed."""
+    variants: Annotated[dict[str, Variant], Field(min_length=1)] = Field(default_factory=lambda: {"": Variant()})
+    """The variants of every row, by name: changes that multiply the rows. By default one without changes."""
+    changes: dict[str, Any] = Field(default_factory=dict)
+    """Changes to the settings of every row."""
+    quick: dict[str, Any] = Field(default_factory=dict)
+    """More changes to the settings of every row for `--quick`."""
+    x: str = "x"
+    """The label of the horizontal axis of the figure over the `x` of variants."""
+
+    def places(self, row: str, variant: str, quick: bool, usual: Mapping[str, Any] | None = None) -> list[Place]:
+        """Return the changes to the settings of a row and a variant. Later ones override earlier ones.
+
+        Args:
+            row: The row.
+            variant: The variant.
+            quick: Whether to include those for `--quick`.
+            usual: The changes for `--quick` of every experiment of the task.
+        """
+        spec = self.learners[row]
+        places: list[Place] = [
+            (["changes"], self.changes),
+            (["learners", row, "changes"], spec.changes),
+            (["variants", variant, "changes"], self.variants[variant].changes if variant in self.variants else {}),
+        ]
+        return places + [([], usual or {}), (["quick"], self.quick), (["learners", row, "quick"], spec.quick)] * quick
+
+
+@dataclass(frozen=True)
+class Selection:
+    """A selection of cells, and changes to them.
+
+    Attributes:
+        only: Pairs of a row and a mode, or of a row and `None` for all its modes. Empty for all cells.
+        seeds: Seeds that replace those of the experiment.
+        changes: Changes to the settings of every cell.
+        quick: Whether to use tiny budgets, and only the first seed.
+        trust: Whether policies that training configurations name under `start` may run code, as for `train`.
+    """
+
+    only: Sequence[tuple[str, str | None]] = ()
+    seeds: tuple[int, ...] | None = None
+    changes: Mapping[str, Any] = field(default_factory=dict)
+    quick: bool = False
+    trust: bool = False
+
+    def __post_init__(self) -> None:
+        """Check the changes."""
+        for key, help in OPTIONS.items():
+            if key in self.changes:
+                raise ValueError(f"--set: each cell has its own `{key}`: {help}")
+
+    def chosen(self, modes: Mapping[str, Sequence[str]]) -> list[tuple[str, str]]:
+        """Return the selected pairs of a row and a mode, in the order of the rows.
+
+        Args:
+            modes: The modes of each row.
+
+        Raises:
+            ValueError: If the selection names an unknown row or mode.
+        """
+        for row, mode in self.only:
+            if row not in modes:
+                raise ValueError(f"--only: unknown learner `{row}`{did_you_mean(row, modes)}")
+            if mode is not None and mode not in modes[row]:
+                raise ValueError(f"--only: `{row}` has no mode `{mode}`{did_you_mean(mode, modes[row])}")
+        return [
+            (row, mode)
+            for row, known in modes.items()
+            for mode in known
+            if not self.only or (row, None) in self.only or (row, mode) in self.only
+        ]
+
+
+def changes_of(places: Sequence[Place], *more: Mapping[str, Any]) -> dict[str, Any]:
+    """Return the changes of all places and then more changes, merged."""
+    changes: dict[str, Any] = {}
+    for each in (*(values for _, values in places), *more):
+        changes = merged(changes, each)
+    return changes
+
+
+def place_of(places: Sequence[Place], path: Sequence[str]) -> list[str] | None:
+    """Return where a path of settings is written in the file, or `None` if no place has it."""
+    written = [[*prefix, *path] for prefix, values in places if contains(values, path)]
+    # The last one overrides the others.
+    return written[-1] if written else None
+
+
+def read_experiment(name: str | os.PathLike[str]) -> tuple[Path, _logicity.ConfigFile, dict[str, Any]]:
+    """Return the path, the file and the content of an experiment.
+
+    Raises:
+        InputError: If the file is not YAML, or not a mapping.
+        OSError: If the file cannot be read.
+    """
+    path = Path(name)
+    if not path.suffix and len(path.parts) == 1:
+        path = Path("configs") / "experiments" / f"{path}.yaml"
+    file = _logicity.ConfigFile(path, "configs/experiments")
+    values = file.value()
+    if not isinstance(values, dict):
+        raise file.error([("invalid-value", [], "an experiment must be a mapping", "")])
+    return path, file, values
+
+
+def name_of(file: Path) -> str:
+    """Return what a command names to run the experiment of a file: its bare name if it is built in, or the file."""
+    return file.stem if file == Path("configs") / "experiments" / f"{file.stem}.yaml" else shlex.quote(file.as_posix())
+
+
+def repeated(values: Sequence[object]) -> str | None:
+    """Return a message about the first value that occurs twice, or `None`."""
+    twice = next((value for at, value in enumerate(values) if value in values[:at]), None)
+    return None if twice is None else f"`{twice}` occurs twice"
+
+
+def option_error(fault: Fault) -> ValueError:
+    """Return the error for a fault in the changes of `--set`."""
+    _, path, message, help = fault
+    return ValueError(f"--set {'.'.join(path)}: {message}" + f"\nhelp: {help}" * bool(help))
+
+
+def load(
+    model: type[Experiment], file: _logicity.ConfigFile, values: Mapping[str, Any], changes: Mapping[str, Any]
+) -> Experiment:
+    """Return the experiment with the content of a file and changes to it.
+
+    Raises:
+        InputError: If the content has an unknown key or invalid value, or lacks a key.
+        ValueError: If the changes do.
+    """
+    try:
+        return model.model_validate(merged(values, changes))
+    except ValidationError as error:
+        raise fault_error(file, faults(error, _unknown_in(model), depth=3), changes) from None
+
+
+def fault_error(file: _logicity.ConfigFile, wrong: list[Fault], changes: Mapping[str, Any]) -> BaseException:
+    """Return the error for faults in a file, or for the first one in changes to it.
+
+    A missing key is missing in a changed mapping. A misspelled key may also cause a missing one.
+    """
+    for fault in sorted(wrong, key=lambda fault: fault[0] == "missing-key"):
+        if contains(changes, fault[1][:-1] if fault[0] == "missing-key" else fault[1]):
+            return option_error(fault)
+    return file.error(wrong)
+
+
+def _unknown_in(model: type[BaseModel]) -> Callable[[tuple[str, ...]], tuple[str, str]]:
+    """Return a function that gives the message and the help for an unknown key, see `faults`."""
+
+    def unknown(path: tuple[str, ...]) -> tuple[str, str]:
+        known = model
+        if len(path) > 1:
+            # The values of the mapping with this key, such as `learners`.
+            annotation = model.model_fields[path[0]].annotation
+            known = cast(type[BaseModel], annotation.__args__[-1])  # type: ignore[union-attr]
+        return f"unknown key `{path[-1]}`", did_you_mean(path[-1], known.model_fields).removeprefix("; ")
+
+    return unknown
+
+
+def experiment_faults(
+    experiment: Experiment, usual: str, mode_fault: Callable[[list[str], str], Fault | None]
+) -> Iterator[Fault]:
+    """Yield the errors that types do not exclude: unknown and repeated names, and changes of seeds and modes.
+
+    Args:
+        experiment: The experiment.
+        usual: The table whose rows are known if that of the experiment has none, because the paper shows a figure.
+        mode_fault: Returns the error of a mode at a path, or `None`.
+    """
+    lists: list[tuple[list[str], Sequence[object]]] = [(["modes"], experiment.modes), (["seeds"], experiment.seeds)]
+    modes: list[tuple[list[str], str]] = [(["modes", str(at)], mode) for at, mode in enumerate(experiment.modes)]
+    known: list[str] = []
+    for row, spec in experiment.learners.items():
+        lists += [(["learners", row, key], getattr(spec, key) or ()) for key in ("modes", "seeds", "variants")]
+        modes += [(["learners", row, "modes", str(at)], mode) for at, mode in enumerate(spec.modes or ())]
+        if spec.start is not None and spec.start not in known:
+            # A row that exists may be in the wrong place; another name may be misspelled.
+            move = spec.start in experiment.learners and spec.start != row
+            others = known if spec.start == row else [name for name in experiment.learners if name != row]
+            help = f": move `{row}` below it" if move else did_you_mean(spec.start, others)
+            message = f"`{row}` starts from `{spec.start}`, but no earlier row has this name{help}"
+            yield "invalid-value", ["learners", row, "start"], message, ""
+        for name in spec.variants or ():
+            if name not in experiment.variants:
+                message = f"unknown variant `{name}`{did_you_mean(name, experiment.variants)}"
+                yield "invalid-value", ["learners", row, "variants"], message, ""
+        known.append(row)
+    for path, values in lists:
+        if message := repeated(values) or "":
+            yield "invalid-value", path, message, ""
+    for name, variant in experiment.variants.items():
+        if variant.mode is not None:
+            modes.append((["variants", name, "mode"], variant.mode))
+        yield from _start_faults(experiment, name, variant)
+    for path, mode in modes:
+        if fault := mode_fault(path, mode):
+            yield fault
+    rows = paper_table(experiment.paper).get("rows") or paper_table(usual)["rows"]
+    for name, row_spec in experiment.learners.items():
+        if row_spec.paper is not None and row_spec.paper not in rows:
+            message = f"the paper's table has no row `{row_spec.paper}`{did_you_mean(row_spec.paper, rows)}"
+            yield "invalid-value", ["learners", name, "paper"], message, ""
+    places = [
+        place
+        for row in experiment.learners
+        for name in experiment.variants
+        for place in experiment.places(row, name, True)
+    ]
+    for prefix, changes in {tuple(path): values for path, values in places}.items():
+        for key in OWN_KEYS.keys() & changes.keys():
+            yield "invalid-value", [*prefix, key], f"each cell has its own {key}: {OWN_KEYS[key]}", ""
+
+
+def _start_faults(experiment: Experiment, name: str, variant: Variant) -> Iterator[Fault]:
+    """Yield the errors in the key `start` of a variant: unknown names, and chains of more than two variants."""
+    if variant.start is None:
+        return
+    path = ["variants", name, "start"]
+    if variant.start not in experiment.variants:
+        message = f"unknown variant `{variant.start}`{did_you_mean(variant.start, experiment.variants)}"
+        yield "invalid-value", path, message, ""
+    elif experiment.variants[variant.start].start is not None:
+        message = f"`{variant.start}` itself starts from another variant: name a variant without `start`"
+        yield "invalid-value", path, message, ""

@@ -1,0 +1,191 @@
+"""The table of tasks, and what follows from it: experiments of any task, their cells and their schema."""
+
+from __future__ import annotations
+
+import importlib
+import json
+import os
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+from pydantic import BaseModel
+
+from ..errors import did_you_mean
+from ..learn.faults import inlined, tidy
+from .experiment import Experiment, Selection, experiment_faults, fault_error, load, read_experiment
+from .task import Cell, CellKey, Task
+
+__all__ = ["TASKS", "Loaded", "experiment_schema", "load_experiment", "task_named"]
+
+#: The module and the class of each task, the value of the key `task`. The first one is the default.
+TASKS = {
+    "spf": ("spf", "SafePathFollowing"),
+    "vap": ("vap", "VisualActionPrediction"),
+    "language": ("language.task", "LanguageQuestions"),
+}
+
+
+def task_named(name: str) -> Task:
+    """Return a task of `TASKS`.
+
+    Raises:
+        ImportError: If a package that the task needs is not installed.
+        KeyError: If there is no such task.
+    """
+    module, kind = TASKS[name]
+    task: Task = getattr(importlib.import_module(f".{module}", __package__), kind)()
+    return task
+
+
+def load_experiment(name: str | os.PathLike[str], changes: Mapping[str, Any] | None = None) -> Loaded:
+    """Read the YAML file of an experiment.
+
+    Args:
+        name: The file, or the bare name of a built-in experiment such as `spf`.
+        changes: Changes to the content of the file, such as more `learners`.
+
+    Raises:
+        ImportError: If a package that the task needs is not installed.
+        InputError: If the file is not YAML, has an unknown key or invalid value, or lacks a key.
+        OSError: If the file cannot be read.
+        ValueError: If the changes have an unknown key or invalid value.
+    """
+    path, file, values = read_experiment(name)
+    kind = values.setdefault("task", next(iter(TASKS)))
+    if not isinstance(kind, str) or kind not in TASKS:
+        shown = kind if isinstance(kind, str) else "~" if kind is None else json.dumps(kind)
+        raise file.error([("invalid-value", ["task"], f"unknown task `{shown}`{did_you_mean(shown, TASKS)}", "")])
+    task = task_named(kind)
+    experiment = load(task.experiment, file, values, changes or {})
+
+    def mode_fault(at: list[str], mode: str) -> Any:
+        return task.mode_fault(at, mode, path.parent)
+
+    wrong = [*experiment_faults(experiment, task.paper, mode_fault), *task.faults(experiment, path)]
+    if wrong:
+        raise fault_error(file, wrong, changes or {})
+    return Loaded(task, experiment, path)
+
+
+@dataclass(frozen=True)
+class Loaded:
+    """An experiment, its task and its file."""
+
+    task: Task
+    experiment: Experiment
+    file: Path
+
+    def cells(self, selection: Selection) -> list[Cell]:
+        """Return the selected cells, and those that they start from, each after the cell that it starts from.
+
+        Raises:
+            FileNotFoundError: If a file that a setting names is missing.
+            InputError: If a setting is invalid, or two cells have the same settings.
+            ValueError: If the selection names an unknown row or mode, or its changes are invalid.
+        """
+        found: dict[CellKey, Cell] = {}
+        learners = self.experiment.learners
+        for row, mode in selection.chosen({row: spec.modes or self.experiment.modes for row, spec in learners.items()}):
+            seeds = self._seeds(row, selection)
+            for seed in seeds:
+                for variant in learners[row].variants or self.experiment.variants:
+                    self._add(found, CellKey(row, mode, variant, seed), selection, check=seed == seeds[0])
+        # A variant that sets a mode has the same cell in each column.
+        unique: dict[str, Cell] = {}
+        for cell in found.values():
+            same = unique.setdefault(cell.identity, cell)
+            if (same.row, same.variant) == (cell.row, cell.variant):
+                continue
+            message = f"`{same.name}` and `{cell.name}` have the same settings: change or omit one of them"
+            if selection.changes:
+                raise ValueError(f"--set: {message}")
+            raise read_experiment(self.file)[1].error([("invalid-value", ["learners", cell.row], message, "")])
+        return list(unique.values())
+
+    def _seeds(self, row: str, selection: Selection) -> Sequence[int]:
+        own = self.experiment.learners[row].seeds or self.experiment.seeds
+        return selection.seeds or (own[:1] if selection.quick else own)
+
+    def _add(self, found: dict[CellKey, Cell], key: CellKey, selection: Selection, *, check: bool) -> Cell:
+        """Add a cell after the one that it starts from."""
+        if key in found:
+            return found[key]
+        spec, variant = self.experiment.learners[key.row], self.experiment.variants[key.variant]
+        start: Cell | None = None
+        if variant.start is not None:
+            first = CellKey(key.row, key.mode, variant.start, key.seed)
+            start = self._add(found, first, selection, check=check)
+        elif spec.start is not None:
+            first = CellKey(spec.start, key.mode, key.variant, key.seed)
+            start = self._add(found, first, selection, check=check)
+        own = CellKey(key.row, variant.mode or key.mode, key.variant, key.seed)
+        started = start is not None
+        settings = self.task.settings(self.experiment, self.file, own, selection, started=started, check=check)
+        found[key] = Cell(
+            task=self.task,
+            row=key.row,
+            mode=str(getattr(settings, "mode", own.mode)),
+            variant=key.variant,
+            seed=key.seed,
+            settings=settings,
+            evaluations=self.task.evaluations(self.experiment),
+            start=start,
+            optional=spec.optional,
+            hidden=spec.hidden or variant.hidden,
+        )
+        return found[key]
+
+
+def experiment_schema() -> dict[str, Any]:
+    """Return the JSON Schema of the YAML files of experiments of all tasks.
+
+    Raises:
+        ImportError: If a package that a task needs is not installed.
+    """
+    definitions: dict[str, Any] = {}
+    for name in TASKS:
+        task = task_named(name)
+        definitions[name] = {"title": task.title, **_schema(task.experiment)}
+        if task.settings_class is None:
+            continue
+        # Every mapping of settings changes some of the keys of one class.
+        settings = f"{name}-settings"
+        definitions[settings] = {"title": f"Settings of {task.title}", **_schema(task.settings_class)}
+        definitions[settings].pop("required", None)
+        properties = definitions[name]["properties"]
+        rows = (properties[key]["additionalProperties"]["properties"] for key in ("learners", "variants"))
+        for keys in (properties, *rows):
+            for key in keys.keys() & {"changes", "quick"}:
+                keys[key] = {"$ref": f"#/$defs/{settings}", "description": keys[key]["description"]}
+    return {
+        "$schema": "https://json-schema.org/draft/2020-12/schema",
+        "title": "An experiment",
+        "type": "object",
+        "properties": {
+            "task": {
+                "enum": list(TASKS),
+                "default": next(iter(TASKS)),
+                "description": "The task, which determines the other keys.",
+            }
+        },
+        "allOf": [
+            {
+                "if": {
+                    "properties": {"task": {"const": task}},
+                    # Without the key, the task is the first one.
+                    **({} if task == next(iter(TASKS)) else {"required": ["task"]}),
+                },
+                "then": {"$ref": f"#/$defs/{task}"},
+            }
+            for task in TASKS
+        ],
+        "$defs": definitions,
+    }
+
+
+def _schema(model: type[BaseModel]) -> dict[str, Any]:
+    """Return the schema of a model without definitions."""
+    schema = model.model_json_schema()
+    return dict(tidy(inlined({key: schema[key] for key in schema if key != "$defs"}, schema.get("$defs", {}))))

@@ -1,0 +1,445 @@
+"""Experiments of language questions: solvers of this package and language models, beside the paper's models.
+
+`logicity questions` generates the questions. They are the same for each mode, which is a prompt: with solved examples
+only, with the rules in words, and with a request for the rule that requires the action. Solvers answer them here,
+models over HTTP. All replies are files that `logicity grade` reads.
+"""
+
+from __future__ import annotations
+
+import hashlib
+import json
+import os
+import platform
+import time
+from collections.abc import Iterator, Mapping, Sequence
+from pathlib import Path
+from typing import Annotated, Any, ClassVar, Literal
+
+from pydantic import BaseModel, Field, Strict, ValidationError
+
+from ... import _logicity
+from ..._logicity import __version__
+from ...city import ACTIONS, Inference
+from ...errors import did_you_mean
+from ...evaluation import Interval
+from ...files import write_text
+from ...learn.faults import Fault, faults
+from ...learn.settings import Count, StrictModel
+from ...questions import (
+    LETTERS,
+    NO_RULE,
+    UNREAD,
+    Endpoint,
+    Question,
+    ask,
+    calibrate,
+    key_from,
+    load_answers,
+    load_logprobs,
+    load_questions,
+    read_letter,
+    read_rule,
+)
+from ...redaction import masked, shown_url
+from ...rules import Program
+from ...tasks import files_hash
+from ..experiment import Experiment, Selection, changes_of, place_of
+from ..task import Cell, CellKey, Running, Task
+from .solvers import SOLVERS, run_command
+
+__all__ = ["EndpointSettings", "LanguageExperiment", "LanguageQuestions", "LanguageSettings", "graded"]
+
+#: The version of what determines a cell.
+FORMAT = 1
+
+#: The settings of a short run.
+QUICK: dict[str, Any] = {"count": 8}
+
+#: The environment variable with the endpoint, whose address and settings may have secrets.
+ENDPOINT = "LOGICITY_ENDPOINT"
+
+#: What the instructions of a question state and request: the values of `logicity questions --prompt`.
+PROMPTS = {
+    "examples": "only solved examples show the rules",
+    "rules": "the instructions state the rules in words",
+    "why": "the instructions state the rules and request the rule that requires the action",
+}
+
+
+class EndpointSettings(StrictModel):
+    """A language model with an OpenAI-compatible endpoint."""
+
+    url: str
+    """The base URL, such as `http://localhost:8000/v1`."""
+    model: str
+    """The name of the model on the server."""
+    key_from: str | None = None
+    """The environment variable with the API key. By default no key is sent."""
+    settings: dict[str, Any] = Field(default_factory=lambda: {"temperature": 0})
+    """More fields of the request. By default `temperature: 0`."""
+    logprobs: bool = False
+    """Whether to request log-probabilities of the 20 most probable tokens, for the measures of calibration."""
+    timeout: Annotated[float, Field(strict=False, gt=0)] = 120.0
+    """The time for an attempt, in seconds: from the name of the server to the end of the reply."""
+    tries: Count = 6
+    """The largest number of attempts per request."""
+
+    def endpoint(self) -> Endpoint:
+        """Return the endpoint.
+
+        Raises:
+            ValueError: If a setting is invalid, or the environment variable of the key is not set.
+        """
+        try:
+            key = key_from(self.key_from)
+        except ValueError as error:
+            raise ValueError(f"`key_from`: {error}") from None
+        settings = {**self.settings, **({"logprobs": True, "top_logprobs": 20} if self.logprobs else {})}
+        return Endpoint(self.url, self.model, key, settings, self.timeout, self.tries)
+
+
+class LanguageSettings(StrictModel):
+    """The questions of a set, and who answers them."""
+
+    config: str = "vap-hard"
+    """The configuration: the name of a built-in one, or a path relative to the file of the experiment."""
+    count: Annotated[int, Field(strict=True, ge=1, le=20_000)] = 117
+    """The number of questions of a set."""
+    about: Annotated[tuple[str, ...], Strict(False)] = ()
+    """The concepts of the cars in the questions: each car has at least one of them. Empty for all cars."""
+    shots: Annotated[int, Field(strict=True, ge=0, le=100)] = 5
+    """The number of solved examples before each question."""
+    style: Literal["atoms", "words"] = "atoms"
+    """The form of the facts: ground atoms, or English sentences."""
+    entities: Literal["view", "city"] = "view"
+    """The entities of a question: those that the car sees, or all of the city."""
+    solver: Literal["majority", "nearest", "induced", "oracle"] | None = None
+    """The solver of this package that answers. By default the one with the name of the row."""
+    endpoint: EndpointSettings | None = None
+    """The language model that answers instead of a solver."""
+
+
+class LanguageExperiment(Experiment):
+    """An experiment of language questions."""
+
+    task: Literal["language"]
+    """The task, language questions."""
+    paper: Literal["language"] | None = None
+    """The table of the paper whose figures are shown beside the results."""
+    modes: Annotated[
+        tuple[Literal["examples", "rules", "why"], ...], Field(strict=False, min_length=1, validate_default=True)
+    ] = ("examples", "rules", "why")
+    """The prompts: what the instructions state and request. Only solved examples, also the rules in words, or also a
+    request for the rule of the action. The questions are the same."""
+
+
+class LanguageQuestions(Task):
+    """Solvers and language models that answer questions, see `Task`."""
+
+    name = "language"
+    title = "Language questions"
+    experiment = LanguageExperiment
+    settings_class = LanguageSettings
+    measures: ClassVar[Mapping[str, str]] = {
+        **{action: action for action in ACTIONS},
+        **{"overall": "overall", "rule": "rule", "both": "action and rule", "ece": "ECE", "brier": "Brier"},
+    }
+    main_measures = len(ACTIONS) + 1
+    mode_titles = PROMPTS
+    headline = "overall"
+    measured_on = "questions"
+    details_title = "Share of replies that choose no option or several"
+    paper = "language"
+    chance = 1 / len(LETTERS)
+
+    def mode_fault(self, path: list[str], mode: str, folder: Path) -> Fault | None:
+        """Return the error of an unknown prompt, or `None`."""
+        if mode in PROMPTS:
+            return None
+        return "invalid-value", path, f"unknown prompt `{mode}`{did_you_mean(mode, PROMPTS)}", ""
+
+    def faults(self, experiment: LanguageExperiment, file: Path) -> Iterator[Fault]:
+        """Yield the errors in settings, each once, where its value is written."""
+        seen: set[tuple[str, ...]] = set()
+        for row in experiment.learners:
+            for variant in experiment.variants:
+                places = experiment.places(row, variant, False)
+                for code, path, message, help in _faults(row, changes_of(places), file):
+                    missing = path[-1:] * (code == "missing-key")
+                    at = [*(place_of(places, path[: -len(missing) or None]) or ["learners", row]), *missing]
+                    if tuple(at) not in seen:
+                        seen.add(tuple(at))
+                        yield code, at, message, help
+
+    def settings(
+        self,
+        experiment: LanguageExperiment,
+        file: Path,
+        key: CellKey,
+        selection: Selection,
+        *,
+        started: bool,
+        check: bool,
+    ) -> LanguageSettings:
+        """Return the settings of a cell, with its solver if it has no endpoint."""
+        values = changes_of(experiment.places(key.row, key.variant, selection.quick, QUICK), selection.changes)
+        for _, path, message, help in _faults(key.row, values, file):
+            raise ValueError(f"--set {'.'.join(path)}: {message}" + f"\nhelp: {help}" * bool(help))
+        settings = LanguageSettings.model_validate(values)
+        if settings.endpoint is None and settings.solver is None:
+            settings = settings.model_copy(update={"solver": key.row})
+        return settings.model_copy(update={"config": _config_path(settings.config, file)})
+
+    def spec(self, cell: Cell) -> dict[str, Any]:
+        """Return the settings, rules and version. Those of a request have no secrets, and no address."""
+        settings = _settings(cell).model_dump(mode="json")
+        config = settings.pop("config")
+        if settings["endpoint"] is not None:
+            settings["endpoint"] = masked({key: settings["endpoint"][key] for key in ("model", "settings", "logprobs")})
+        return {
+            "format": FORMAT,
+            "version": __version__,
+            "prompt": cell.mode,
+            "seed": cell.seed,
+            "settings": {"config": Path(config).name, **settings},
+            "rules": files_hash(config),
+        }
+
+    def document(self, cell: Cell, root: Path) -> dict[str, Any]:
+        """Return the path of the configuration, and the endpoint without what may be a secret."""
+        settings = _settings(cell).model_dump(mode="json")
+        if (endpoint := settings["endpoint"]) is not None:
+            # The key can stand in place of its variable by mistake.
+            safe = {"url": shown_url(endpoint["url"]), "settings": masked(endpoint["settings"]), "key_from": None}
+            endpoint |= safe
+        return {"config": settings["config"], "endpoint": endpoint}
+
+    def environment(self, cell: Cell) -> dict[str, str]:
+        """Return the endpoint."""
+        endpoint = _settings(cell).endpoint
+        return {} if endpoint is None else {ENDPOINT: endpoint.model_dump_json()}
+
+    def steps(self, cell: Cell) -> int:
+        """Return the number of questions."""
+        return _settings(cell).count
+
+    def model(self, folder: Path) -> Path:
+        """Return the file of the replies."""
+        return folder / "replies.jsonl"
+
+    def run(self, running: Running) -> dict[str, Any]:
+        """Write the questions, have them answered, and grade the replies."""
+        spec, document, folder = running.document["spec"], running.document, running.folder
+        config, settings = document["config"], spec["settings"]
+        if files_hash(config) != spec["rules"]:
+            raise ValueError("the rules changed after the experiment had begun: run the same command again")
+        begun = time.process_time()
+        options = [text for key in ("count", "shots", "style", "entities") for text in (f"--{key}", str(settings[key]))]
+        about = ["--about", ",".join(settings["about"])] if settings["about"] else []
+        path, replies = folder / "questions.jsonl", self.model(folder)
+        asked = ["--prompt", spec["prompt"], "--seed", str(spec["seed"]), "--output", str(path), "--force"]
+        run_command("questions", config, *options, *about, *asked)
+        questions = load_questions(path)
+        report = running.report or (lambda answered: None)
+        if document["endpoint"] is not None:
+            known = os.environ.get(ENDPOINT)
+            values = document["endpoint"] if known is None else json.loads(known)
+            _ask(questions, EndpointSettings.model_validate(values), replies, running)
+        elif not replies.exists():
+            answers = SOLVERS[settings["solver"]](questions, config, folder / "solved")
+            lines = ({"id": each.id, "model": settings["solver"], "answer": answers[each.id]} for each in questions)
+            write_text(replies, "".join(json.dumps(line) + "\n" for line in lines))
+        report(len(questions))
+        return {
+            "result": {
+                "settings": settings,
+                "seed": spec["seed"],
+                "cpu_seconds": round(time.process_time() - begun, 1),
+                "versions": {"logicity": __version__, "python": platform.python_version()},
+                "hashes": {"rules": spec["rules"]},
+            },
+            "evaluations": {"": {"replies": graded(questions, replies)}},
+        }
+
+    def measure_again(self, cell: Cell, root: Path) -> dict[str, dict[str, Any]]:
+        """Grade the replies."""
+        folder = cell.folder(root)
+        return {"": {"replies": graded(load_questions(folder / "questions.jsonl"), self.model(folder))}}
+
+    def hashed(self, cell: Cell, root: Path) -> tuple[str, str]:
+        """Return the hash of the replies by question."""
+        answers = sorted(load_answers(self.model(cell.folder(root))).items())
+        return "replies", hashlib.sha256(json.dumps(answers).encode()).hexdigest()
+
+    def intervals(self, evaluations: Sequence[Mapping[str, Any]]) -> dict[str, Interval]:
+        """Return the measures over the questions of all sets, shares with Wilson intervals."""
+        replies = [reply for each in evaluations for reply in each["replies"]]
+        right = [reply["chosen"] == reply["answer"] for reply in replies]
+        result: dict[str, Interval] = {}
+        for letter, action in zip(LETTERS, ACTIONS, strict=True):
+            of_action = [correct for reply, correct in zip(replies, right, strict=True) if reply["answer"] == letter]
+            if of_action:
+                result[action] = Interval.of_share(sum(of_action), len(of_action))
+        result["overall"] = Interval.of_share(sum(right), len(replies))
+        if any(reply["rule"] is not None for reply in replies):
+            derived = [bool(reply["derived"]) for reply in replies]
+            both = sum(correct and rule for correct, rule in zip(right, derived, strict=True))
+            result["rule"] = Interval.of_share(sum(derived), len(replies))
+            result["both"] = Interval.of_share(both, len(replies))
+        questions = [Question(str(at), "", (), "", {}, reply["answer"]) for at, reply in enumerate(replies)]
+        logprobs = {str(at): reply["logprobs"] for at, reply in enumerate(replies) if reply["logprobs"] is not None}
+        if (calibration := calibrate(questions, logprobs)) is not None:
+            for name, value in (("ece", calibration.ece), ("brier", calibration.brier)):
+                result[name] = Interval(value, value, value)
+        return result
+
+    def interval_note(self) -> str:
+        """Return sentences on the measures and the intervals."""
+        return (
+            "Accuracy by correct action, with 95 % Wilson intervals over the questions of all seeds; the intervals do "
+            "not account for differences between the sets. Unread replies count as wrong. rule: the reply names a "
+            f"clause that derives the action, or `{NO_RULE}` if the action is the default. ECE: expected calibration "
+            "error in ten bins. Brier: mean squared distance of the probabilities of the options from the correct one, "
+            "0.75 for uniform ones."
+        )
+
+    def samples(self, evaluation: Mapping[str, Any]) -> list[dict[str, Any]]:
+        """Return the graded replies."""
+        return list(evaluation["replies"])
+
+    def evaluation_of(self, row: Mapping[str, Any]) -> dict[str, Any]:
+        """Return the graded replies."""
+        return {"replies": row["samples"]}
+
+    def details(self, measured: Mapping[str, Any], name: str) -> dict[str, float]:
+        """Return the share of unread replies, if there are any."""
+        replies = measured["evaluations"][name]["replies"]
+        unread = sum(reply["chosen"] == UNREAD for reply in replies)
+        return {"unread": unread / len(replies)} if unread else {}
+
+    def row_faults(self, row: Mapping[str, Any], experiment: LanguageExperiment) -> Iterator[str]:
+        """Yield other rules than today's."""
+        if row["hashes"].get("rules") != files_hash(row["settings"]["config"]):
+            yield "other rules"
+
+
+def graded(questions: Sequence[Question], path: Path) -> list[dict[str, Any]]:
+    """Return the replies in a file as they count.
+
+    Each has the letters of the correct and of the chosen option, or `unread`; if the question requests a rule, the name
+    of the rule, or `None` without one, and whether it derives the action; and the log-probabilities of options.
+    """
+    answers, logprobs = load_answers(path), load_logprobs(path)
+    replies = []
+    for question in questions:
+        text = answers[question.id]
+        rule = read_rule(text, question.labels) if question.labels else None
+        replies.append(
+            {
+                "answer": question.answer,
+                "chosen": read_letter(text) or UNREAD,
+                "rule": rule,
+                "derived": rule in (question.clauses or (NO_RULE,)) if question.labels else None,
+                "logprobs": logprobs.get(question.id),
+            }
+        )
+    return replies
+
+
+def _ask(questions: Sequence[Question], spec: EndpointSettings, path: Path, running: Running) -> None:
+    """Send the questions that have no reply yet. Replies are stored one by one."""
+
+    def wait(seconds: float, reason: str) -> None:
+        running.note(f"{reason}; next attempt in {seconds:.0f} s")
+        time.sleep(seconds)
+
+    try:
+        ask(questions, spec.endpoint(), path, running.report or (lambda answered: None), wait)
+    except ValueError as error:
+        raise ValueError(f"{error}\nhelp: remove `{path}`; the same command asks its questions again") from None
+
+
+def _settings(cell: Cell) -> LanguageSettings:
+    assert isinstance(cell.settings, LanguageSettings)
+    return cell.settings
+
+
+def _faults(row: str, values: Mapping[str, Any], file: Path) -> Iterator[Fault]:
+    """Yield the errors in the settings of a row, by their paths.
+
+    Raises:
+        InputError: If the configuration is invalid.
+    """
+    try:
+        settings = LanguageSettings.model_validate(values)
+    except ValidationError as error:
+        yield from faults(error, _unknown)
+        return
+    if settings.endpoint is None and settings.solver is None and row not in SOLVERS:
+        message = f"`{row}` is no solver{did_you_mean(row, SOLVERS)}: set `endpoint` for a model, or `solver`"
+        yield "missing-key", ["solver"], message, ""
+    config = _config_path(settings.config, file)
+    try:
+        # Checks the configuration, its predicates and its rules.
+        Inference(config)
+        found = _logicity.ConfigFile(config, "configs")
+    except FileNotFoundError as error:
+        message, _, help = str(error).partition("; ")
+        yield "missing-file", ["config"], message, help
+        return
+    concepts, actions = _car_concepts(found), _actions(found)
+    for at, name in enumerate(settings.about):
+        if concepts is not None and name not in concepts:
+            message = f"`{settings.config}` has no car concept `{name}`"
+            yield "invalid-value", ["about", str(at)], message, did_you_mean(name, concepts).removeprefix("; ")
+    if 0 < settings.shots < len(actions):
+        message = f"{settings.shots} solved examples cannot cover all actions of the rules: {', '.join(actions)}"
+        yield "invalid-value", ["shots"], message, "use 0, or at least one per action"
+
+
+def _unknown(path: tuple[str, ...]) -> tuple[str, str]:
+    """Return the message and the help for an unknown setting."""
+    model: type[BaseModel] = EndpointSettings if len(path) > 1 else LanguageSettings
+    return f"unknown key `{path[-1]}`", did_you_mean(path[-1], model.model_fields).removeprefix("; ")
+
+
+def _config_path(config: str, file: Path) -> str:
+    """Return the configuration as commands take it."""
+    return str((file.parent / config).resolve()) if Path(config).suffix else config
+
+
+def _part(file: _logicity.ConfigFile, key: str) -> Path | None:
+    """Return the path of the file that a key of a configuration names, or `None` if it has another value."""
+    name = file.value().get(key)
+    if not isinstance(name, str):
+        return None
+    folder = Path(file.file_of([key]) or "").parent
+    return Path(os.path.normpath(folder / name)) if Path(name).suffix else Path(name)
+
+
+def _car_concepts(file: _logicity.ConfigFile) -> list[str] | None:
+    """Return the concepts of cars in a configuration, or `None` if its predicates are not in a separate file."""
+    path = _part(file, "predicates")
+    if path is None:
+        # `logicity questions` reports unknown concepts.
+        return None
+    try:
+        predicates = _logicity.ConfigFile(path, "configs/predicates").value()
+    except FileNotFoundError:
+        return None
+    defined = predicates.get("define") or {}
+    used = predicates.get("use") or defined
+    definitions = [each for name, each in defined.items() if name in used and isinstance(each, dict)]
+    return [each["concept"] for each in definitions if each.get("concept") and each.get("of") == "Car"]
+
+
+def _actions(file: _logicity.ConfigFile) -> list[str]:
+    """Return the actions that the rules of a configuration derive, and the default action."""
+    path = _part(file, "rules")
+    try:
+        heads = set() if path is None else {clause["head"] for clause in Program.load(path).clauses}
+    except FileNotFoundError:
+        return []
+    default = file.value()["actions"]["default"]
+    return [action for action in ACTIONS if action in heads or action == default]

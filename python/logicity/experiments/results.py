@@ -1,0 +1,394 @@
+"""The published results: the files `results/EXPERIMENT.json`, with one row of JSON per line.
+
+A row has the measures of one evaluation of one run, with its settings and the hash of its model.
+"""
+
+from __future__ import annotations
+
+import json
+import os
+from collections.abc import Iterator, Mapping, Sequence
+from contextlib import contextmanager
+from pathlib import Path
+from typing import Any
+
+from ..evaluation import Interval
+from ..files import file_hash, read_json, reserved
+from .cells import finished
+from .experiment import Experiment, name_of
+from .kinds import Loaded, load_experiment
+from .paper import paper_table
+from .report import detail_table, headline_of, mean_details, paper_cells, paper_rows, shown
+from .tables import markdown_table
+from .task import Cell, Task
+
+__all__ = ["as_text", "check_rows", "leaderboard", "read_results", "submit"]
+
+#: The version of the format.
+FORMAT = 4
+
+#: The keys of a row. `command` runs and measures it again. `sha256` is the hash of what `sha256_of` says. `samples` is
+#: what the intervals need. `training` has the steps of a training, their unit, and after how many the best model came.
+KEYS = (
+    *("learner", "variant", "paper", "mode", "evaluation", "seed", "settings", "command", "note", "versions", "hashes"),
+    *("sha256_of", "sha256", "cpu_seconds", "training", "measures", "details", "samples"),
+)
+
+#: The keys that identify a row.
+KEY = ("mode", "learner", "variant", "evaluation", "seed")
+
+#: What the hash of a row covers: the `weights` of a network, the text of `rules`, the `replies` of a language model or
+#: solver, or the `file` of the model, which depends on its format and can have times. `logicity experiment --rehash`
+#: replaces hashes of files.
+HASHED = ("weights", "rules", "replies", "file")
+
+#: The keys of a row that may differ when its model is trained again, besides that of the hash.
+_CHANGING = ("command", "cpu_seconds", "note", "sha256_of", "sha256", "versions")
+
+Row = Mapping[str, Any]
+
+
+def read_results(path: str | os.PathLike[str], experiment: str | None = None) -> dict[str, Any]:
+    """Read a file of results.
+
+    Args:
+        path: The file.
+        experiment: The name of the experiment. If given, the file may be absent.
+
+    Returns:
+        `format`, `experiment` and `rows`.
+
+    Raises:
+        OSError: If the file cannot be read.
+        ValueError: If the file does not have this format, or is that of another experiment.
+    """
+    file = Path(path)
+    if experiment is not None and not file.exists():
+        return {"format": FORMAT, "experiment": experiment, "rows": []}
+    try:
+        results = read_json(file)
+    except (ValueError, RecursionError) as error:
+        raise ValueError(f"{file}: not JSON: {error}") from None
+    if not isinstance(results, dict) or results.get("format") != FORMAT or not isinstance(results.get("rows"), list):
+        raise ValueError(f"{file}: expected results of the format {FORMAT}")
+    if not isinstance(results.get("experiment"), str):
+        raise ValueError(f"{file}: expected the key `experiment`")
+    if experiment is not None and results["experiment"] != experiment:
+        raise ValueError(f"{file}: expected results of `{experiment}`, not of `{results['experiment']}`")
+    for at, row in enumerate(results["rows"]):
+        if not isinstance(row, dict):
+            raise ValueError(f"{file}: row {at} is not a mapping")
+        missing = [key for key in KEYS if key not in row]
+        if missing:
+            raise ValueError(f"{file}: row {at} has no `{missing[0]}`")
+        if row["sha256_of"] not in HASHED:
+            raise ValueError(f"{file}: row {at} has an invalid `sha256_of`")
+        for key in KEY:
+            if not isinstance(row[key], int if key == "seed" else str):
+                raise ValueError(f"{file}: row {at} has an invalid `{key}`")
+    return results
+
+
+def as_text(results: Mapping[str, Any]) -> str:
+    """Return the text of a file of results: JSON with one line per row."""
+    head = {key: value for key, value in results.items() if key != "rows"}
+    lines = ",\n".join(json.dumps(row, allow_nan=False) for row in results["rows"])
+    return f'{json.dumps(head)[:-1]}, "rows": [\n{lines}\n]}}\n'
+
+
+@contextmanager
+def _updating(path: Path, experiment: str) -> Iterator[dict[str, Any]]:
+    """Yield the results of a file, and write them back at the end. No other process can add rows meanwhile.
+
+    Raises:
+        OSError: If the file cannot be written, or another process writes it.
+    """
+    path.parent.mkdir(parents=True, exist_ok=True)
+    with reserved(path, by=None) as output:
+        results = read_results(path, experiment)
+        yield results
+        Path(output.temporary).write_text(as_text(results), encoding="utf-8")
+        output.finish()
+
+
+def check_rows(results: Mapping[str, Any], loaded: Loaded | None = None) -> list[str]:
+    """Check published rows against the experiment, today's rules and episodes, and their own samples.
+
+    Args:
+        results: The results, as `read_results` returns them.
+        loaded: The experiment; by default the built-in one with the name.
+
+    Returns:
+        A line for each fault: a row that occurs twice or that the experiment does not have; other keys, rules, episodes
+        or settings than today's; or measures that do not follow from the samples.
+
+    Raises:
+        InputError: If the file of the experiment is invalid.
+        OSError: If the file of the experiment cannot be read.
+    """
+    loaded = loaded or load_experiment(results["experiment"])
+    keys = [tuple(row[key] for key in KEY) for row in results["rows"]]
+    found = []
+    for row, key in zip(results["rows"], keys, strict=True):
+        faults = ["it occurs twice"] if keys.count(key) > 1 else []
+        faults += _row_faults(row, loaded)
+        place = ", ".join(part for part in (row["learner"], row["evaluation"], row["variant"]) if part)
+        found += [f"{place}, {row['mode']}, seed {row['seed']}: {fault}" for fault in faults]
+    return found
+
+
+def _row_faults(row: Row, loaded: Loaded) -> Iterator[str]:
+    """Yield the faults of a published row, see `check_rows`."""
+    experiment = loaded.experiment
+    if row.keys() != set(KEYS):
+        yield "other keys"
+        return
+    spec, variant = experiment.learners.get(row["learner"]), experiment.variants.get(row["variant"])
+    if spec is None or variant is None or row["variant"] not in (spec.variants or experiment.variants):
+        yield "no such learner or variant"
+        return
+    if row["mode"] not in ((variant.mode,) if variant.mode else spec.modes or experiment.modes):
+        yield "no such mode"
+    if row["paper"] != (spec.paper or row["learner"]):
+        yield "another row of the paper"
+    yield from loaded.task.row_faults(row, experiment)
+
+
+def submit(
+    loaded: Loaded, cells: Sequence[Cell], root: Path, results: Path, *, only_hashes: bool = False
+) -> Iterator[str]:
+    """Measure the models of finished cells again, and write a row for each evaluation.
+
+    A row replaces that of the same learner, variant, mode, evaluation and seed, and keeps its note. Rows of other seeds
+    with other settings or hashes of rules are removed. Cells that tables omit have no row.
+
+    Args:
+        loaded: The experiment.
+        cells: The cells. Those that are not finished are skipped.
+        root: The folder of the experiment.
+        results: The file of results.
+        only_hashes: Whether to write only the hashes of rows that are published and have the same figures.
+
+    Yields:
+        A line for each evaluation.
+
+    Raises:
+        OSError: If a file cannot be read or written, or another process writes the file of results.
+        ValueError: If a model does not give the recorded measures, the file has results of another experiment, or the
+            mode of a cell is not a built-in one.
+    """
+    shown_cells = [cell for cell in cells if not cell.hidden]
+    for cell in shown_cells:
+        if Path(cell.mode).suffix:
+            raise ValueError(f"{cell.name}: published results are of built-in modes, not of `{cell.mode}`")
+    with _updating(results, loaded.file.stem) as document:
+        rows = {tuple(row[key] for key in KEY): row for row in document["rows"]}
+        for cell in shown_cells:
+            yield from _update(rows, loaded, cell, root, only_hashes)
+        document["rows"] = sorted(rows.values(), key=lambda row: _place_of(row, loaded.experiment))
+    yield f"{len(rows)} rows in {results}"
+
+
+def _place_of(row: Row, experiment: Experiment) -> tuple[Any, ...]:
+    """Return the place of a row: those of its names in the experiment. Unknown names come last."""
+    order = {"mode": experiment.modes, "learner": list(experiment.learners), "variant": list(experiment.variants)}
+    places = [list(names).index(row[key]) if row[key] in names else len(names) for key, names in order.items()]
+    return (*places, row["seed"])
+
+
+def _update(
+    rows: dict[tuple[Any, ...], Row], loaded: Loaded, cell: Cell, root: Path, only_hashes: bool
+) -> Iterator[str]:
+    """Add the rows of a cell if it is finished, and yield a line for each evaluation."""
+    measured, task = finished(cell, root), loaded.task
+    if measured is None:
+        yield f"{cell.name}: not finished"
+        return
+    names = {"mode": cell.mode, "learner": cell.row, "variant": cell.variant}
+    keys = {name: (*names.values(), name, cell.seed) for name in measured["evaluations"]}
+    if only_hashes:
+        for name, key in list(keys.items()):
+            if key not in rows:
+                yield f"{cell.name}, {name}: not published"
+                del keys[name]
+        model = task.model(cell.folder(root))
+        for name, key in list(keys.items()):
+            if rows[key]["sha256_of"] == "file" and rows[key]["sha256"] == file_hash(model):
+                # Nothing needs to be measured again.
+                hashed, sha256 = task.hashed(cell, root)
+                rows[key] = {**rows[key], "sha256_of": hashed, "sha256": sha256}
+                yield f"{cell.name}, {name}: {hashed} {sha256[:12]}, from the published file"
+                del keys[name]
+    if not keys:
+        return
+    try:
+        again = task.measure_again(cell, root)
+    except ValueError as error:
+        raise ValueError(f"{cell.name}: {error}") from None
+    for name, key in keys.items():
+        row = _row(loaded, cell, root, measured, name, again[name])
+        if only_hashes:
+            try:
+                row = _rehashed(rows[key], row)
+            except ValueError as error:
+                raise ValueError(f"{cell.name}, {name}: {error}") from None
+        row["note"] = rows.get(key, row)["note"]
+        for other in [other for other in rows if other[:-1] == key[:-1]]:
+            if _trained_as(rows[other]) != _trained_as(row):
+                del rows[other]
+        rows[key] = row
+        figure = row["measures"][task.headline]["value"]
+        yield f"{cell.name}, {name}: {task.measures[task.headline]} {figure:.2f}, as recorded"
+
+
+def _trained_as(row: Row) -> Any:
+    """Return the settings of a row and its hashes, without those that depend on the seed."""
+    return [
+        {key: value for key, value in row[name].items() if key not in ("seed", "start")}
+        for name in ("settings", "hashes")
+    ]
+
+
+def _row(
+    loaded: Loaded, cell: Cell, root: Path, measured: Mapping[str, Any], name: str, again: Mapping[str, Any]
+) -> dict[str, Any]:
+    """Return the row of an evaluation of a cell.
+
+    Raises:
+        ValueError: If the evaluation that was made again has other measures.
+    """
+    task, recorded, result = loaded.task, measured["evaluations"][name], measured["result"]
+    measures = task.intervals([recorded])
+    for measure, interval in task.intervals([again]).items():
+        if interval != measures.get(measure):
+            old = measures[measure].value if measure in measures else None
+            raise ValueError(
+                f"{cell.name}, {name}: the model {task.model(cell.folder(root))} has {task.measures[measure]} "
+                f"{interval.value}, not the recorded {old}: delete the folder of the cell and run it again"
+            )
+    hashed, sha256 = task.hashed(cell, root)
+    # A variant that sets a mode is in every column.
+    column = cell.row if loaded.experiment.variants[cell.variant].mode else f"{cell.row},{cell.mode}"
+    best = result.get("best", {}).get("steps")
+    return {
+        "learner": cell.row,
+        "variant": cell.variant,
+        "paper": loaded.experiment.learners[cell.row].paper or cell.row,
+        "mode": cell.mode,
+        "evaluation": name,
+        "seed": cell.seed,
+        "settings": result["settings"] if "settings" in result else result["config"],
+        "command": f"logicity experiment {name_of(loaded.file)} --only {column} --seeds {cell.seed}",
+        "note": "",
+        "versions": result["versions"],
+        "hashes": result["hashes"],
+        "sha256_of": hashed,
+        "sha256": sha256,
+        "cpu_seconds": result["cpu_seconds"],
+        "training": {} if best is None else {"steps": result["steps"], "unit": result["unit"], "best_after": best},
+        "measures": {measure: vars(each) for measure, each in measures.items()} | task.more_measures(recorded),
+        "details": task.details(measured, name),
+        "samples": task.samples(recorded),
+    }
+
+
+def _rehashed(old: Row, new: Row) -> dict[str, Any]:
+    """Return a published row with the hash of the model that was trained again. Its figures stay as they are.
+
+    Raises:
+        ValueError: If the rows have other figures, settings, rules or episodes.
+    """
+    again = json.loads(json.dumps(new))
+    different = [key for key in old if key not in _CHANGING and old[key] != again.get(key)]
+    if different:
+        raise ValueError(f"the published row differs in {', '.join(f'`{key}`' for key in different)}")
+    if old["sha256_of"] == again["sha256_of"] and old["sha256"] != again["sha256"]:
+        raise ValueError(f"the published row has the {old['sha256_of']} {old['sha256']}, not {again['sha256']}")
+    return {**old, **{key: again[key] for key in ("versions", "sha256_of", "sha256")}}
+
+
+def leaderboard(results: Mapping[str, Any], level: int = 2, loaded: Loaded | None = None) -> str:
+    """Return the results as Markdown: a table per mode, beside the figures of the paper, and notes.
+
+    Args:
+        results: The results.
+        level: The level of the headings, 2 for `##`.
+        loaded: The experiment; by default the built-in one with the name.
+    """
+    rows = results["rows"]
+    if not rows:
+        return f"The file `results/{results['experiment']}.json` has no row yet.\n"
+    loaded = loaded or load_experiment(results["experiment"])
+    parts = []
+    for mode in dict.fromkeys(row["mode"] for row in rows):
+        own = [row for row in rows if row["mode"] == mode]
+        parts.append(f"{'#' * level} {mode.capitalize()}\n\n{markdown_table(_mode_table(loaded, mode, own))}")
+    columns: dict[str, list[Mapping[str, float]]] = {}
+    for row in rows:
+        if row["details"] and loaded.task.paper_details(loaded.experiment.paper)[0]:
+            columns.setdefault(", ".join(filter(None, (row["learner"], row["variant"], row["mode"]))), []).append(
+                row["details"]
+            )
+    if columns:
+        paper, _ = loaded.task.paper_details(loaded.experiment.paper)
+        details = detail_table({name: mean_details(each) for name, each in columns.items()}, paper)
+        parts.append(f"{'#' * level} {loaded.task.details_title}\n\n{markdown_table(details)}")
+    notes = sorted({f"- `{row['learner']}`, {row['mode']}: {row['note']}" for row in rows if row["note"]})
+    return "\n".join([*parts, _sources(loaded, rows), *(["\n".join(notes) + "\n"] if notes else [])])
+
+
+def _mode_table(loaded: Loaded, mode: str, rows: Sequence[Row]) -> list[list[str]]:
+    """Return the table of a mode. Rows without variants are sorted by the headline."""
+    task, table = loaded.task, loaded.experiment.paper
+    groups: dict[tuple[str, str, str], list[Row]] = {}
+    for row in rows:
+        groups.setdefault((row["learner"], row["variant"], row["evaluation"]), []).append(row)
+    pooled = {key: _pooled(task, group) for key, group in groups.items()}
+    several = len({evaluation for _, _, evaluation in groups}) > 1
+    ordered = list(groups)
+    if not several and not any(variant for _, variant, _ in groups):
+        ordered.sort(key=lambda key: -pooled[key][task.headline].value)
+    known = {name for measures in pooled.values() for name in measures}
+    measures = {name: head for name, head in task.measures.items() if name in known}
+    trained = any(row["training"] for row in rows)
+    heads = ["learner", *measures.values(), f"paper: {measures[task.headline]}", "seeds", *["steps"] * trained]
+    lines = [[*heads, "CPU min", "command"]]
+    for key in ordered:
+        group = groups[key]
+        name = ", ".join([f"`{key[0]}`", *filter(None, (key[1], key[2] if several else ""))])
+        paper = task.paper_value(table, group[0]["paper"], key[1], mode)
+        figure = headline_of(paper, task.headline)
+        seeds = ", ".join(str(row["seed"]) for row in group)
+        command = group[0]["command"].partition(" --seeds")[0] + f" --seeds {seeds.replace(' ', '')}"
+        minutes = sum(row["cpu_seconds"] for row in group) / len(group) / 60
+        cells = [name, *(shown(pooled[key].get(each)) for each in measures)]
+        cells += [f"{figure:.2f}" if figure is not None else paper if isinstance(paper, str) else "", seeds]
+        cells += [f"{group[0]['training']['steps']:,}"] if trained else []
+        lines.append([*cells, f"{minutes:.1f}", f"`{command}`"])
+    found = {(group[0]["paper"], variant) for (_, variant, _), group in groups.items()}
+    for label, only in paper_rows(task, table, mode, found):
+        figures = paper_cells(only, measures)
+        head = headline_of(only, task.headline)
+        lines.append(
+            [label, *figures, figures[0] if head is None else f"{head:.2f}", *[""] * (len(lines[0]) - len(figures) - 2)]
+        )
+    return lines
+
+
+def _pooled(task: Task, rows: Sequence[Row]) -> dict[str, Interval]:
+    """Return the measures over the seeds."""
+    return task.intervals([task.evaluation_of(row) for row in rows])
+
+
+def _sources(loaded: Loaded, rows: Sequence[Row]) -> str:
+    """Return sentences on the paper, the versions and the CPU time."""
+    paper = paper_table(loaded.experiment.paper)
+    sources = [f"The paper's figures: {paper['source']}. {paper['note']}"] if paper else []
+    _, more = loaded.task.paper_details(loaded.experiment.paper)
+    sources += [f"The paper's figures of details: {more}"] if more and any(row["details"] for row in rows) else []
+    versions = ", ".join(sorted({row["versions"]["logicity"] for row in rows}))
+    # The evaluations of a cell share its training.
+    seconds = {tuple(row[key] for key in KEY if key != "evaluation"): row["cpu_seconds"] for row in rows}
+    return " ".join(
+        [*sources, f"Version {versions} of logicity; {sum(seconds.values()) / 3600:.2f} CPU hours in all.\n"]
+    )

@@ -1,0 +1,404 @@
+"""Experiments of Safe Path Following: learners in modes, measured on recorded or new episodes."""
+
+from __future__ import annotations
+
+import json
+import re
+import shutil
+from collections.abc import Iterable, Iterator, Mapping, Sequence
+from functools import cache
+from pathlib import Path
+from typing import Annotated, Any, ClassVar, Literal
+
+import numpy as np
+from numpy.typing import NDArray
+from pydantic import Field
+
+from .. import _logicity
+from .._logicity import __version__
+from ..errors import InputError, did_you_mean
+from ..evaluation import Benchmark, Interval
+from ..files import read_json
+from ..learn.config import TrainConfig, unused
+from ..learn.faults import Fault, contains, merged
+from ..learn.policies import load_policy
+from ..learn.run import config_faults, train
+from ..learn.settings import Count, Seed, StrictModel
+from ..learn.storage import policy_hash
+from ..modes import ENVIRONMENTS, checked_mode
+from ..tasks import load_task, task_hashes
+from .experiment import Experiment, Row, Selection, changes_of, option_error, place_of, read_experiment
+from .statistics import pooled
+from .task import Cell, CellKey, Running, Task
+
+__all__ = ["EvaluationSpec", "SafePathFollowing", "SpfExperiment", "per_episode", "violation_rates"]
+
+#: The version of what determines a cell.
+FORMAT = 1
+
+#: The placeholders in the key `config`.
+PLACEHOLDERS = ("{row}", "{mode}")
+
+#: The settings of a short run of a learner in environments, and of another learner.
+QUICK: dict[bool, dict[str, Any]] = {
+    True: {"steps": 512, "validate_every": 256},
+    False: {"steps": 8, "validate_every": 4},
+}
+
+#: The evaluation that a training ends with.
+TEST: dict[str, Any] = {"split": "test", "fresh": None, "seed": 0}
+
+
+class SpfRow(Row):
+    """A row of the table: a learner with its training configuration."""
+
+    config: str | None = None
+    """The training configuration, in the form of `config` of the experiment, which it replaces."""
+
+
+class EvaluationSpec(StrictModel):
+    """The episodes of an evaluation."""
+
+    split: Literal["train", "val", "test"] = "test"
+    """The split whose agents and episodes are used."""
+    fresh: Count | None = None
+    """The number of new episodes to generate. By default the recorded episodes of the split are used."""
+    seed: Seed = 1000
+    """The seed of the new episodes."""
+
+
+class SpfExperiment(Experiment):
+    """An experiment of Safe Path Following."""
+
+    task: Literal["spf"] = "spf"
+    """The task, Safe Path Following. `changes` are changes to training configurations."""
+    paper: Literal["spf", "transfer", "composition", "observations"] | None = None
+    """The table of the paper whose figures are shown beside the results."""
+    learners: Annotated[Mapping[str, SpfRow], Field(min_length=1)]
+    """The rows of the table, by name: learners with their settings."""
+    config: str = "{row}-{mode}"
+    """The training configuration of each row: the name of a file in `configs/baselines`, or a path relative to this
+    file. `{row}` and `{mode}` stand for the row and the mode."""
+    evaluations: Annotated[dict[str, EvaluationSpec], Field(min_length=1)] = Field(
+        default_factory=lambda: {"test": EvaluationSpec()}
+    )
+    """The evaluations of every policy, by name. By default one on the recorded test episodes."""
+
+
+class SafePathFollowing(Task):
+    """Learners of Safe Path Following, see `Task`."""
+
+    name = "spf"
+    title = "Safe Path Following"
+    experiment = SpfExperiment
+    measures: ClassVar[Mapping[str, str]] = {"tsr": "TSR", "dsr": "DSR", "score": "Score"}
+    headline = "tsr"
+    measured_on = "test episodes"
+    details_title = "Share of episodes that end with a violation, by clause"
+    paper = "spf"
+    reusable = True
+    sends_curves = True
+
+    def mode_fault(self, path: list[str], mode: str, folder: Path) -> Fault | None:
+        """Return the error of an unknown mode or a missing file, which may be in the folder, or `None`."""
+        try:
+            checked_mode(mode)
+            if mode not in ENVIRONMENTS and not (folder / mode).exists():
+                _logicity.ConfigFile(mode, "configs")
+        except FileNotFoundError:
+            return "missing-file", path, f"cannot read `{folder / mode}`: no such file", ""
+        except InputError:
+            # The file exists, and the message has its own location.
+            return None
+        except ValueError as error:
+            return "invalid-value", path, str(error), ""
+        return None
+
+    def faults(self, experiment: SpfExperiment, file: Path) -> Iterator[Fault]:
+        """Yield the unknown placeholders in `config`."""
+        configs: list[tuple[list[str], str]] = [(["config"], experiment.config)]
+        configs += [(["learners", row, "config"], spec.config or "") for row, spec in experiment.learners.items()]
+        for path, name in configs:
+            for placeholder in re.findall(r"\{[^{}]*\}", name):
+                if placeholder not in PLACEHOLDERS:
+                    message = f"unknown placeholder `{placeholder}`{did_you_mean(placeholder, PLACEHOLDERS)}"
+                    yield "invalid-value", path, message, ""
+
+    def settings(
+        self, experiment: SpfExperiment, file: Path, key: CellKey, selection: Selection, *, started: bool, check: bool
+    ) -> TrainConfig:
+        """Return the training configuration of a cell, without `start`."""
+        spec = experiment.learners[key.row]
+        name = (spec.config or experiment.config).replace("{row}", key.row).replace("{mode}", Path(key.mode).stem)
+        path, city = _training_file(file, name), file.parent / key.mode
+        is_file = key.mode not in ENVIRONMENTS and city.is_file()
+        base: dict[str, Any] = {"mode": str(city.resolve()) if is_file else key.mode}
+        in_file = read_experiment(file)[1]
+        places = experiment.places(key.row, key.variant, selection.quick)
+
+        def rejected(wrong: list[Fault]) -> BaseException:
+            for fault in wrong:
+                if contains(selection.changes, fault[1]):
+                    return option_error(fault)
+            found = [(code, place_of(places, at) or at, message, help) for code, at, message, help in wrong]
+            return in_file.error(found)
+
+        def loaded(changes: Mapping[str, Any]) -> TrainConfig:
+            return TrainConfig.load(path, seed=key.seed, changes=merged(changes, selection.changes), rejected=rejected)
+
+        try:
+            config = loaded(merged(base, changes_of(experiment.places(key.row, key.variant, False))))
+        except FileNotFoundError as error:
+            at = ["learners", key.row, *(["config"] if spec.config else [])]
+            help = "the key `config` names the training configuration"
+            raise in_file.error([("missing-file", at, str(error), help)]) from None
+        if selection.quick:
+            places = experiment.places(key.row, key.variant, True, QUICK[config.learner.interacts])
+            config = loaded(merged(base, changes_of(places)))
+        if started and (reason := unused(config.algorithm).get("start")):
+            message = f"`{config.algorithm}` does not use the key `start`: {reason}"
+            variant = experiment.variants[key.variant]
+            of = ["variants", key.variant] if variant.start is not None else ["learners", key.row]
+            raise in_file.error([("invalid-value", [*of, "start"], message, "")])
+        if check and (wrong := config_faults(config, selection.trust)):
+            everywhere = [*(values for _, values in places), selection.changes]
+            written = [fault for fault in wrong if any(contains(values, fault[1]) for values in everywhere)]
+            # The other faults are in the training configuration.
+            raise rejected(written) if written else _logicity.ConfigFile(path, "configs/baselines").error(wrong)
+        return config
+
+    def evaluations(self, experiment: SpfExperiment) -> dict[str, dict[str, Any]]:
+        """Return the splits, the numbers of new episodes or `None` for the recorded ones, and their seeds."""
+        return {
+            # The seed has no effect on recorded episodes.
+            name: each.model_dump() | ({"seed": TEST["seed"]} if each.fresh is None else {})
+            for name, each in experiment.evaluations.items()
+        }
+
+    def spec(self, cell: Cell) -> dict[str, Any]:
+        """Return the settings, rules, episodes, evaluations and version."""
+        assert isinstance(cell.settings, TrainConfig)
+        config = cell.settings.to_dict()
+        mode = config.pop("mode")
+        return {
+            "format": FORMAT,
+            "version": __version__,
+            "mode": Path(mode).name,
+            "config": config,
+            "hashes": _hashes(mode),
+            "evaluations": {name: dict(each) for name, each in cell.evaluations.items()},
+            "start": None if cell.start is None else cell.start.identity,
+        }
+
+    def document(self, cell: Cell, root: Path) -> dict[str, Any]:
+        """Return the training configuration."""
+        assert isinstance(cell.settings, TrainConfig)
+        return {"config": cell.settings.to_dict()}
+
+    def steps(self, cell: Cell) -> int:
+        """Return the number of training steps."""
+        assert isinstance(cell.settings, TrainConfig)
+        return cell.settings.steps
+
+    def model(self, folder: Path) -> Path:
+        """Return the file of the best policy."""
+        return load_policy(folder).path
+
+    def run(self, running: Running) -> dict[str, Any]:
+        """Train, and evaluate the best policy."""
+        folder, spec, values = running.folder, running.document["spec"], dict(running.document["config"])
+        for start in folder.glob("start.*"):
+            values["start"] = str(start)
+        config = TrainConfig.model_validate(values)
+        changed = [name for name, value in task_hashes(config.mode).items() if spec["hashes"].get(name) != value]
+        if changed:
+            raise ValueError(
+                f"`{config.mode}` has another content of {', '.join(changed)} than when the experiment began: run the "
+                "same command again"
+            )
+        result = _trained(folder) or train(
+            config,
+            folder,
+            progress=running.progress,
+            report=running.report,
+            wandb=running.wandb,
+            trust=running.trust,
+        )
+        policy = load_policy(folder).policy
+        evaluations = {}
+        for name, each in spec["evaluations"].items():
+            benchmark = _benchmark(folder, config, each)
+            if each == TEST:
+                evaluations[name] = dict(result["test"])
+            else:
+                evaluations[name] = benchmark.evaluate(policy, name=config.algorithm).to_dict()
+                # Not the path of the file of new episodes, which depends on the machine.
+                evaluations[name]["mode"] = spec["mode"]
+            evaluations[name]["random_returns"] = benchmark.random_returns()
+        if config.start is not None:
+            # The path depends on the machine; the hash of the file is in the result.
+            result["config"]["start"] = Path(config.start).name
+        return {
+            "result": {key: value for key, value in result.items() if key != "test"},
+            "evaluations": evaluations,
+        }
+
+    def clean(self, folder: Path) -> None:
+        """Remove the checkpoints."""
+        for checkpoint in folder.glob("checkpoint-*"):
+            shutil.rmtree(checkpoint)
+
+    def measure_again(self, cell: Cell, root: Path) -> dict[str, dict[str, Any]]:
+        """Evaluate the best policy."""
+        assert isinstance(cell.settings, TrainConfig)
+        folder, config = cell.folder(root), cell.settings
+        try:
+            policy = load_policy(folder).policy
+        except ValueError as error:
+            raise ValueError(f"{error}: delete `{folder}` and train the cell again") from None
+        again = {}
+        for name, each in cell.evaluations.items():
+            benchmark = _benchmark(folder, config, each)
+            again[name] = benchmark.evaluate(policy, name=config.algorithm).to_dict()
+            again[name]["random_returns"] = benchmark.random_returns()
+        return again
+
+    def hashed(self, cell: Cell, root: Path) -> tuple[str, str]:
+        """Return the hash of the weights of the best policy, or of its rules."""
+        return policy_hash(load_policy(cell.folder(root)).policy)
+
+    def intervals(self, evaluations: Sequence[Mapping[str, Any]]) -> dict[str, Interval]:
+        """Return the measures of the runs with 95 % intervals.
+
+        For one run, the intervals are those of the evaluation, over its episodes. For several, see
+        `logicity.experiments.statistics.pooled`.
+        """
+        if len(evaluations) == 1:
+            return {name: Interval(**evaluations[0][name]) for name in self.measures}
+        return pooled([per_episode(each) for each in evaluations], rates=("tsr", "dsr"))
+
+    def interval_note(self) -> str:
+        """Return a sentence on the intervals."""
+        return (
+            "Intervals (95 %): over episodes for one seed (Wilson, or 1.96 standard errors for the score), over seeds "
+            "and episodes for several (bootstrap; Wilson for rates of 0 or 1)."
+        )
+
+    def samples(self, evaluation: Mapping[str, Any]) -> dict[str, list[float]]:
+        """Return success, decision success and score of each episode."""
+        values = per_episode(evaluation)
+        return {name: [round(float(value), 4) for value in values[name]] for name in self.measures}
+
+    def evaluation_of(self, row: Mapping[str, Any]) -> dict[str, Any]:
+        """Return the measures and the values of the episodes."""
+        return {**row["measures"], "samples": row["samples"]}
+
+    def more_measures(self, evaluation: Mapping[str, Any]) -> dict[str, Any]:
+        """Return the rule compliance rate."""
+        return {"compliance": evaluation["compliance"]}
+
+    def details(self, measured: Mapping[str, Any], name: str) -> dict[str, float]:
+        """Return the share of episodes that end because the policy violates a clause, by clause."""
+        mode = measured["result"]["config"]["mode"]
+        return violation_rates([measured["evaluations"][name]], clauses_of(mode))
+
+    def curve(self, measured: Mapping[str, Any]) -> list[tuple[int, float]]:
+        """Return the TSR of the validations by step."""
+        return [(point["steps"], point["tsr"]["value"]) for point in measured["result"]["validations"]]
+
+    def row_faults(self, row: Mapping[str, Any], experiment: SpfExperiment) -> Iterator[str]:
+        """Yield the names of hashes that are not those of this version."""
+        if row["mode"] not in ENVIRONMENTS:
+            yield "published results are of built-in modes"
+            return
+        different = [name for name, value in _hashes(row["mode"]).items() if row["hashes"].get(name) != value]
+        if different:
+            yield f"other {', '.join(different)}"
+
+
+def per_episode(evaluation: Mapping[str, Any]) -> dict[str, NDArray[np.float64]]:
+    """Return TSR, DSR and Score of each episode: 0 or 1, and the return minus the random policy's mean return."""
+    if "samples" in evaluation:
+        return {name: np.array(values, np.float64) for name, values in evaluation["samples"].items()}
+    records = sorted(evaluation["episodes"], key=lambda record: record["episode"])
+    kept = [any(record["constrained"].values()) and not record["violations"] for record in records]
+    returns = np.array([record["total"] for record in records]) - np.array(evaluation["random_returns"])
+    return {
+        "tsr": np.array([record["success"] for record in records], np.float64),
+        "dsr": np.array(kept, np.float64),
+        "score": returns,
+    }
+
+
+@cache
+def clauses_of(mode: str) -> tuple[str, ...]:
+    """Return the names of the clauses of a mode that actions can violate."""
+    return tuple(each["clause"] for each in _logicity.describe(load_task(mode))["constraints"])
+
+
+def violation_rates(evaluations: Sequence[Mapping[str, Any]], clauses: Iterable[str]) -> dict[str, float]:
+    """Return, for each of the clauses, the share of the episodes of all runs whose last action violates it."""
+    counts = dict.fromkeys(clauses, 0)
+    total = 0
+    for evaluation in evaluations:
+        for record in evaluation["episodes"]:
+            total += 1
+            for clause in record["violations"]:
+                counts[clause] += 1
+    return {clause: counts[clause] / total for clause in sorted(counts, key=_by_name)}
+
+
+def _by_name(clause: str) -> tuple[str, int, str]:
+    """Order clauses by their letter and number: `S2` before `S10`."""
+    letters = clause.rstrip("0123456789")
+    return letters, int(clause[len(letters) :] or 0), clause
+
+
+@cache
+def _hashes(mode: str) -> dict[str, Any]:
+    return task_hashes(mode)
+
+
+def _training_file(file: Path, name: str) -> Path:
+    """Return the path of a training configuration that an experiment names."""
+    if Path(name).suffix:
+        return file.parent / name
+    beside = file.parent.parent / "baselines" / f"{name}.yaml"
+    return beside if beside.exists() else Path("configs") / "baselines" / f"{name}.yaml"
+
+
+def _trained(folder: Path) -> dict[str, Any] | None:
+    """Return the result of a finished training in the folder of a cell, or `None`.
+
+    A cell with one was reused or has lost its `measured.json`.
+    """
+    try:
+        result = read_json(folder / "result.json")
+    except (FileNotFoundError, RecursionError, ValueError):
+        return None
+    complete = isinstance(result, dict) and "test" in result and any(folder.glob("best.*"))
+    return result if complete else None
+
+
+def _benchmark(folder: Path, config: TrainConfig, evaluation: Mapping[str, Any]) -> Benchmark:
+    """Return the benchmark of an evaluation. New episodes are made in the folder of the cell, once."""
+    mode = config.mode if evaluation["fresh"] is None else _fresh(folder, config.mode, evaluation)
+    return Benchmark(mode, evaluation["split"], observation=config.observation)
+
+
+def _fresh(folder: Path, mode: str, evaluation: Mapping[str, Any]) -> str:
+    """Make new episodes of a split in a folder, and return a configuration file that names them."""
+    split, count, seed = evaluation["split"], evaluation["fresh"], evaluation["seed"]
+    episodes = folder / f"fresh-{split}-{count}-{seed}.jsonl"
+    if not episodes.exists():
+        options = ["--split", split, "--count", str(count), "--seed", str(seed), "-o", str(episodes)]
+        code, _, _ = _logicity.run_command_line(["episodes", "make", mode, *options])
+        if code:
+            raise OSError(f"`logicity episodes make {mode} {' '.join(options)}` failed")
+    config = episodes.with_suffix(".yaml")
+    if mode in ENVIRONMENTS:
+        base = f"configs/{mode}.yaml"
+    else:
+        base = str(Path(mode).resolve()) if Path(mode).is_file() else mode
+    config.write_text(f"base: {json.dumps(base)}\ntask: {{episodes: {{{split}: {episodes.name}}}}}\n", encoding="utf-8")
+    return str(config)

@@ -1,0 +1,334 @@
+"""Experiments of Visual Action Prediction. Needs the extras `learn` and `vap`."""
+
+from __future__ import annotations
+
+import platform
+import tempfile
+import time
+from collections.abc import Iterator, Mapping, Sequence
+from pathlib import Path
+from typing import Annotated, Any, ClassVar, Literal, cast
+
+import numpy as np
+from numpy.typing import NDArray
+from pydantic import BaseModel, Field, ValidationError
+
+from .._logicity import __version__
+from ..city import ACTIONS
+from ..errors import did_you_mean, missing_extra
+from ..evaluation import Interval
+from ..files import read_tensors
+from ..learn.faults import Fault, faults
+from ..learn.storage import weights_hash
+from .experiment import Experiment, Selection, changes_of, place_of
+from .paper import paper_table
+from .statistics import bootstrap_weights
+from .task import Cell, CellKey, Running, Task
+
+try:
+    import torch
+except ImportError as error:
+    raise missing_extra("vap", error) from error
+
+from ..vap.stages import NO_CONCEPTS, VapSettings, VapWork, measure, rules_hash, train_stage
+from ..vap.training import save
+
+__all__ = ["VapExperiment", "VisualActionPrediction", "measures_of_worlds"]
+
+#: The version of what determines a cell.
+FORMAT = 1
+
+#: The keys of each world of an evaluation.
+WORLD_KEYS = ("world", "frames", "a_acc", "counts", "correct")
+
+_Mode = Literal["easy", "hard"]
+
+
+class VapExperiment(Experiment):
+    """An experiment of Visual Action Prediction."""
+
+    task: Literal["vap"]
+    """The task, Visual Action Prediction."""
+    paper: Literal["vap", "vap-continual", "vap-concepts"] | None = None
+    """The table of the paper whose figures are shown beside the results."""
+    modes: Annotated[tuple[_Mode, ...], Field(strict=False, min_length=1)]
+    """The modes: the rules and the agents."""
+
+
+class VisualActionPrediction(Task):
+    """Models of Visual Action Prediction, see `Task`."""
+
+    name = "vap"
+    title = "Visual Action Prediction"
+    experiment = VapExperiment
+    settings_class = VapSettings
+    measures: ClassVar[Mapping[str, str]] = {name: name for name in (*ACTIONS, "aAcc", "wAcc")}
+    headline = "wAcc"
+    measured_on = "test worlds"
+    details_title = "Recall of concepts at the threshold 0.5"
+    paper = "vap"
+
+    def mode_fault(self, path: list[str], mode: str, folder: Path) -> Fault | None:
+        """Return the error of an unknown mode, or `None`."""
+        known = ("easy", "hard")
+        if mode in known:
+            return None
+        return "invalid-value", path, f"unknown mode `{mode}`{did_you_mean(mode, known)}", ""
+
+    def faults(self, experiment: VapExperiment, file: Path) -> Iterator[Fault]:
+        """Yield the errors in settings, each once, where its value is written, and rows that lack a `start`."""
+        # A value of the experiment is part of many cells.
+        seen: set[tuple[str, ...]] = set()
+        for quick in (False, True):
+            for row, spec in experiment.learners.items():
+                for name in spec.variants or experiment.variants:
+                    for fault in self._cell_faults(experiment, row, name, quick):
+                        if tuple(fault[1]) not in seen:
+                            seen.add(tuple(fault[1]))
+                            yield fault
+
+    def _cell_faults(self, experiment: VapExperiment, row: str, name: str, quick: bool) -> Iterator[Fault]:
+        """Yield the errors in the settings of a row and the variant with a name."""
+        places = experiment.places(row, name, quick)
+        try:
+            settings = VapSettings.model_validate(changes_of(places))
+        except ValidationError as error:
+            for code, path, message, help in faults(error, _unknown_setting):
+                at = place_of(places, path or _key_of(error)) or ["learners", row]
+                cell = f"settings of `{row}`: " if not path or at[:2] == ["learners", row] else ""
+                yield code, at, f"{cell}{message}", help
+            return
+        variant = experiment.variants.get(name)
+        if (
+            settings.needs_concepts
+            and experiment.learners[row].start is None
+            and (variant is None or variant.start is None)
+        ):
+            yield "invalid-value", ["learners", row], f"`{row}`: {NO_CONCEPTS}", ""
+
+    def settings(
+        self, experiment: VapExperiment, file: Path, key: CellKey, selection: Selection, *, started: bool, check: bool
+    ) -> VapSettings:
+        """Return the settings of a cell."""
+        places = experiment.places(key.row, key.variant, selection.quick)
+        try:
+            settings = VapSettings.model_validate(changes_of(places, selection.changes))
+        except ValidationError as error:
+            _, _, message, help = faults(error, _unknown_setting)[0]
+            raise ValueError(f"--set: settings of `{key.row}`: {message}" + f"; {help}" * bool(help)) from None
+        if settings.needs_concepts and not started:
+            raise ValueError(f"--set: `{key.row}`: {NO_CONCEPTS}")
+        return settings
+
+    def spec(self, cell: Cell) -> dict[str, Any]:
+        """Return the settings, rules, weights of the backbone and version."""
+        assert isinstance(cell.settings, VapSettings)
+        backbone = cell.settings.weights_hash
+        return {
+            "format": FORMAT,
+            "version": __version__,
+            "mode": cell.mode,
+            "seed": cell.seed,
+            "settings": cell.settings.model_dump(mode="json"),
+            "rules": rules_hash(cell.mode),
+            "start": None if cell.start is None else cell.start.identity,
+            **({} if backbone is None else {"backbone": backbone}),
+        }
+
+    def document(self, cell: Cell, root: Path) -> dict[str, Any]:
+        """Return the folder of the data, which experiments beside each other share."""
+        return {"data": str(root.resolve().parent / "vap-data")}
+
+    def steps(self, cell: Cell) -> int:
+        """Return the number of epochs."""
+        assert isinstance(cell.settings, VapSettings)
+        return 1 if cell.settings.stage in ("induction", "bound") else cell.settings.training.epochs
+
+    def model(self, folder: Path) -> Path:
+        """Return the file of the model."""
+        return folder / "model.pt"
+
+    def run(self, running: Running) -> dict[str, Any]:
+        """Make the data, train the model, and measure it."""
+        document, spec = running.document, running.document["spec"]
+        data = Path(document["data"])
+        if not data.parent.is_dir():
+            # Another machine of a cluster makes its own data.
+            data = Path(tempfile.gettempdir()) / "logicity-vap-data"
+        settings = VapSettings.model_validate(spec["settings"])
+        for name, today in {"rules": rules_hash(spec["mode"]), "backbone": settings.weights_hash}.items():
+            if today != spec.get(name):
+                raise ValueError(f"the {name} changed after the experiment had begun: run the same command again")
+        work = VapWork(spec["mode"], spec["seed"], settings, running.folder, data, running.report)
+        torch.set_num_threads(1)
+        begun = time.process_time()
+        model, history = train_stage(work)
+        save(model, self.model(running.folder))
+        evaluations, concepts = measure(work, model)
+        trained = sum(each["cpu_seconds"] for each in history)
+        return {
+            "result": {
+                "settings": spec["settings"],
+                "seed": spec["seed"],
+                # Epochs before an interruption took their time in another process.
+                "cpu_seconds": round(max(time.process_time() - begun, trained), 1),
+                "versions": {"logicity": __version__, "torch": torch.__version__, "python": platform.python_version()},
+                "hashes": {name: spec[name] for name in ("rules", "backbone") if name in spec},
+                "model_sha256": weights_hash(model),
+                "history": [{name: each[name] for name in ("loss", "score")} for each in history],
+            },
+            "evaluations": evaluations,
+            "concepts": concepts,
+        }
+
+    def clean(self, folder: Path) -> None:
+        """Remove the checkpoint."""
+        (folder / "checkpoint.pt").unlink(missing_ok=True)
+
+    def measure_again(self, cell: Cell, root: Path) -> dict[str, dict[str, Any]]:
+        """Measure the model on the test worlds."""
+        assert isinstance(cell.settings, VapSettings)
+        # One thread, as in `run`: with several, measures could differ.
+        torch.set_num_threads(1)
+        folder, data = cell.folder(root), Path(self.document(cell, root)["data"])
+        work = VapWork(cast(_Mode, cell.mode), cell.seed, cell.settings, folder, data, None)
+        again, _ = measure(work, read_tensors(self.model(folder), "a model"))
+        return again
+
+    def hashed(self, cell: Cell, root: Path) -> tuple[str, str]:
+        """Return the hash of the weights. Those of a model without a network are its rules, or the absent classes."""
+        return "weights", weights_hash(read_tensors(self.model(cell.folder(root)), "a model"))
+
+    def intervals(self, evaluations: Sequence[Mapping[str, Any]]) -> dict[str, Interval]:
+        """Return the means over the runs with 95 % intervals, see `measures_of_worlds`."""
+        measures = measures_of_worlds([each["worlds"] for each in evaluations])
+        if len(evaluations) > 1:
+            return measures
+        # The sums of a world are rounded.
+        (one,) = evaluations
+        values = one.get("values") or {**one["recall"], "aAcc": one["a_acc"], "wAcc": one["w_acc"]}
+        return {name: Interval(values[name], each.low, each.high) for name, each in measures.items()}
+
+    def interval_note(self) -> str:
+        """Return a sentence on the intervals."""
+        return (
+            "Intervals (95 %): bootstrap over seeds and, independently, over test worlds. Values of one seed and one "
+            "test world have no interval."
+        )
+
+    def samples(self, evaluation: Mapping[str, Any]) -> list[dict[str, Any]]:
+        """Return the counts of each world."""
+        return list(evaluation["worlds"])
+
+    def evaluation_of(self, row: Mapping[str, Any]) -> dict[str, Any]:
+        """Return the measures and the counts of each world."""
+        return {"worlds": row["samples"], "values": {name: each["value"] for name, each in row["measures"].items()}}
+
+    def details(self, measured: Mapping[str, Any], name: str) -> dict[str, float]:
+        """Return the recall of each concept that occurs, for the first predictor."""
+        if name != next(iter(measured["evaluations"])):
+            return {}
+        return {concept: each["recall"] for concept, each in measured["concepts"].items() if each["count"]}
+
+    def row_faults(self, row: Mapping[str, Any], experiment: VapExperiment) -> Iterator[str]:
+        """Yield the differences from the rules, the settings and the counts of the worlds."""
+        if any(each.keys() != set(WORLD_KEYS) for each in row["samples"]):
+            yield "other keys"
+            return
+        if row["hashes"].get("rules") != rules_hash(row["mode"]):
+            yield "other rules"
+        settings = VapSettings.model_validate(changes_of(experiment.places(row["learner"], row["variant"], False)))
+        if row["settings"] != settings.model_dump(mode="json"):
+            yield "other settings"
+        if [each["world"] for each in row["samples"]] != list(range(settings.worlds.test)):
+            yield "other worlds"
+        if row["samples"]:
+            means = {name: float(each[0]) for name, each in _means(_tables([row["samples"]])).items()}
+            for name, value in means.items():
+                recorded = row["measures"].get(name, {}).get("value", np.nan)
+                # The sums over the frames of a world have six decimals. An action that does not occur has no recall.
+                if not np.isclose(recorded, value, rtol=0, atol=1e-6, equal_nan=True):
+                    yield f"another {name}"
+        for name, recall in row["details"].items():
+            if not 0 <= recall <= 1:
+                yield f"an impossible recall of {name}"
+
+    def paper_details(self, table: str | None) -> tuple[dict[str, float], str]:
+        """Return the paper's recalls of concepts if the experiment names a table of the paper."""
+        concepts = paper_table("vap-concepts")
+        return (concepts["concepts"], f"{concepts['source']}. {concepts['note']}") if table else ({}, "")
+
+
+def _key_of(error: ValidationError) -> list[str]:
+    """Return the path of the setting that an error of a whole model names."""
+    return str(error.errors()[0]["ctx"]["key"]).split(".")
+
+
+def _unknown_setting(path: tuple[str, ...]) -> tuple[str, str]:
+    """Return the message and the help for an unknown setting."""
+    model: type[BaseModel] = VapSettings
+    for name in path[:-1]:
+        model = cast(type[BaseModel], model.model_fields[name].annotation)
+    return f"unknown key `{'.'.join(path)}`", did_you_mean(path[-1], model.model_fields).removeprefix("; ")
+
+
+def measures_of_worlds(runs: Sequence[Sequence[Mapping[str, Any]]]) -> dict[str, Interval]:
+    """Return the measures of several runs on the same worlds, with 95 % intervals.
+
+    The values are means over the runs. The intervals are percentiles of a bootstrap that draws runs and, independently,
+    worlds, because the pictures of a world are alike. Actions that do not occur have no recall.
+
+    Args:
+        runs: For each run, the `worlds` of its evaluation.
+    """
+    generator = np.random.default_rng(0)
+    tables = _tables(runs)
+    of_runs, of_worlds = bootstrap_weights(generator, len(runs)), bootstrap_weights(generator, len(runs[0]))
+    plain = _means(tables)
+    samples = _measures(tables, of_runs, of_worlds)
+    result = {}
+    for name, values in samples.items():
+        known = values[~np.isnan(values)]
+        if not np.isnan(plain[name][0]) and len(known):
+            low, high = np.percentile(known, [2.5, 97.5])
+            result[name] = Interval(float(plain[name][0]), float(low), float(high))
+    return result
+
+
+def _tables(runs: Sequence[Sequence[Mapping[str, Any]]]) -> dict[str, NDArray[np.float64]]:
+    """Return what `_measures` needs of the `worlds` of runs."""
+    return {
+        name: np.array([[world[name] for world in run] for run in runs], np.float64)
+        for name in ("counts", "correct", "a_acc", "frames")
+    }
+
+
+def _means(tables: Mapping[str, NDArray[np.float64]]) -> dict[str, NDArray[np.float64]]:
+    """Return each measure with equal weights of all runs and worlds, (1,)."""
+    runs, worlds = tables["frames"].shape
+    return _measures(tables, np.full((1, runs), 1 / runs), np.full((1, worlds), 1 / worlds))
+
+
+def _measures(
+    tables: Mapping[str, NDArray[np.float64]], of_runs: NDArray[np.float64], of_worlds: NDArray[np.float64]
+) -> dict[str, NDArray[np.float64]]:
+    """Return each measure for each sample (S,), NaN where an action does not occur.
+
+    Args:
+        tables: `counts` and `correct` (R, W, 4), `a_acc` and `frames` (R, W).
+        of_runs: The weights of runs (S, R).
+        of_worlds: The weights of worlds (S, W).
+    """
+    counts, correct = (np.einsum("sw,rwa->sra", of_worlds, tables[name]) for name in ("counts", "correct"))
+    with np.errstate(invalid="ignore", divide="ignore"):
+        recall = correct / counts
+        inverse = np.where(counts > 0, 1 / counts, 0.0)
+        w_acc = (np.nan_to_num(recall) * inverse).sum(2) / inverse.sum(2)
+        a_acc = (of_worlds @ tables["a_acc"].T) / (of_worlds @ tables["frames"].T)
+    values: dict[str, NDArray[np.float64]] = {"aAcc": (of_runs * a_acc).sum(1), "wAcc": (of_runs * w_acc).sum(1)}
+    for at, name in enumerate(ACTIONS):
+        values[name] = (of_runs * recall[:, :, at]).sum(1)
+    return values
+
+
+# --- published results

@@ -1,0 +1,469 @@
+"""Training of models of Visual Action Prediction in stages, and their measures. Needs the extras `learn` and `vap`.
+
+`train_stage` makes the data and trains one model, and `measure` measures it on the fixed test worlds. The reference of
+experiment files describes the stages.
+"""
+
+from __future__ import annotations
+
+import json
+from collections.abc import Callable, Iterator, Mapping, Sequence
+from dataclasses import dataclass
+from functools import cache
+from pathlib import Path
+from typing import Annotated, Any, Literal, cast
+
+import numpy as np
+from pydantic import Field, model_validator
+from pydantic_core import PydanticCustomError
+
+from .. import _logicity
+from .._logicity import __version__
+from ..city import ACTIONS
+from ..errors import missing_extra
+from ..files import file_hash, read_tensors
+from ..learn.settings import Seed, StrictModel
+from ..rules import Program
+from ..tasks import files_hash
+from .data import BINARY, UNARY, symbolic_facts
+from .features import Backbone, DataSpec, Kind, prepared, weights_file
+from .metrics import vap_metrics
+
+try:
+    import torch
+    from torch import Tensor
+except ImportError as error:
+    raise missing_extra("vap", error) from error
+
+from .concepts import RELATIONS, ConceptModel, ConceptSettings
+from .reasoners import make_reasoner
+from .soft_rules import SoftRules
+from .training import (
+    Samples,
+    TrainingSettings,
+    concept_loss,
+    concept_measures,
+    end_to_end_loss,
+    fit,
+    groundings,
+    predict_actions,
+    reasoning_loss,
+)
+
+__all__ = [
+    *("NO_CONCEPTS", "VapSettings", "VapWork", "facts_of", "measure", "rules_hash", "scenes_of", "train_stage"),
+]
+
+#: The message about a row that needs the concepts of another one.
+NO_CONCEPTS = "`groundings: predicted` needs the concepts of another row: set its `start`"
+
+_Worlds = Annotated[int, Field(ge=1, le=100_000)]
+
+
+class Worlds(StrictModel):
+    """The numbers of worlds, of 89 pictures each."""
+
+    train: _Worlds = 30
+    """The number of worlds for training."""
+    val: _Worlds = 5
+    """The number of worlds for validation, which chooses the best epoch."""
+    test: _Worlds = 20
+    """The number of test worlds, which always have the fixed agents. The paper has 20."""
+
+
+class VapSettings(StrictModel):
+    """What is trained on which data."""
+
+    stage: Literal["concepts", "reasoning", "end-to-end", "induction", "bound"] = "concepts"
+    """Which parts are trained, and what predicts the actions."""
+    agents: Literal["fixed", "random"] = "random"
+    """The agents of the worlds for training and validation."""
+    worlds: Worlds = Worlds()
+    """The numbers of worlds."""
+    difficulty: Annotated[int, Field(ge=0, le=100)] = 50
+    """The difficulty of the pictures for training and validation, in percent."""
+    test_difficulty: Annotated[int, Field(ge=0, le=100)] | None = None
+    """The difficulty of the test pictures. By default that of training."""
+    drawing_version: Literal[1, 2] = 2
+    """The version of the drawing code, see `logicity.vap.make_dataset`."""
+    data_seed: Seed = 0
+    """The seed of the worlds."""
+    fraction: Annotated[float, Field(gt=0, le=1)] = 1.0
+    """The share of the training samples to use. The seed selects them."""
+    concepts: ConceptSettings = ConceptSettings()
+    """The architecture of the perception."""
+    weights: str | None = None
+    """For `perception: features`, the file of the backbone's weights. A path is relative to the working directory. By
+    default torchvision's cache has the file."""
+    reasoner: Literal["gnn", "nlm"] = "gnn"
+    """A graph network (`gnn`) or a Neural Logic Machine (`nlm`), for the stages `reasoning` and `end-to-end`."""
+    groundings: Literal["predicted", "exact"] = "predicted"
+    """The truth values on which a reasoner is trained and tested, or from which rules are learned."""
+    training: TrainingSettings = TrainingSettings()
+    """The hyperparameters of training."""
+
+    @model_validator(mode="after")
+    def _consistent(self) -> VapSettings:
+        key = fault = ""
+        if self.groundings == "exact" and self.stage in ("concepts", "end-to-end"):
+            key = "groundings"
+            fault = f"`groundings: exact` cannot be combined with the stage `{self.stage}`, which predicts the concepts"
+        elif self.groundings == "predicted" and self.stage == "bound":
+            key, fault = "stage", "the stage `bound` needs `groundings: exact`"
+        elif self.weights is not None and self.concepts.perception != "features":
+            key = "weights"
+            fault = "`weights` are those of a backbone: they need `concepts.perception: features`"
+        elif self.concepts.perception == "features" and self.concepts.features != Backbone.shape[0]:
+            key = "concepts.features"
+            fault = f"the backbone has {Backbone.shape[0]} features: `concepts.features` cannot change this"
+        if fault:
+            # Errors of a whole model have no path, so the context has the key.
+            raise PydanticCustomError("custom", "{message}", {"message": fault, "key": key})
+        return self
+
+    @property
+    def needs_concepts(self) -> bool:
+        """Whether the concepts are those of the model from which the training starts."""
+        return self.groundings == "predicted" and self.stage in ("reasoning", "induction")
+
+    @property
+    def kind(self) -> Kind | None:
+        """The kind of stored features that the model sees, or `None`."""
+        if self.groundings == "exact":
+            return None
+        kinds: dict[str, Kind | None] = {"crops": "crops", "features": "resnet50", "sides": None}
+        return kinds[self.concepts.perception]
+
+    @property
+    def weights_hash(self) -> str | None:
+        """The SHA-256 of the file of the backbone's weights, or `None` without a backbone."""
+        return _weights_hash(weights_file(self.weights)) if self.kind == "resnet50" else None
+
+
+@cache
+def _weights_hash(path: Path) -> str:
+    return file_hash(path)
+
+
+def rules_hash(mode: str) -> str:
+    """Return the SHA-256 of the configuration of a mode and its rules."""
+    return files_hash(f"configs/vap-{mode}.yaml")
+
+
+@dataclass
+class VapWork:
+    """The inputs and folders of a training.
+
+    Attributes:
+        mode: The mode.
+        seed: The seed.
+        settings: The settings.
+        folder: The folder of the training, which has the model to start from in `start.pt`.
+        data: The folder for data sets.
+        report: Receives the number of finished epochs.
+    """
+
+    mode: Literal["easy", "hard"]
+    seed: int
+    settings: VapSettings
+    folder: Path
+    data: Path
+    report: Callable[[int], None] | None
+
+    @property
+    def checkpoint(self) -> Path:
+        """The file of the checkpoint."""
+        return self.folder / "checkpoint.pt"
+
+    def samples(self, split: Literal["train", "val", "test"]) -> Samples:
+        """Return the samples of a split, made if they do not exist."""
+        settings = self.settings
+        test = split == "test" and settings.test_difficulty is not None
+        spec = DataSpec(
+            mode=self.mode,
+            split=split,
+            agents="fixed" if split == "test" else settings.agents,
+            worlds=getattr(settings.worlds, split),
+            difficulty=cast(int, settings.test_difficulty) if test else settings.difficulty,
+            drawing_version=settings.drawing_version,
+            seed=settings.data_seed,
+            kind=settings.kind,
+            weights=settings.weights,
+        )
+        tables, features = prepared(spec, self.data, f"{__version__} {rules_hash(self.mode)}")
+        name = settings.concepts.perception
+        samples = Samples.load(tables, {} if features is None else {name: features})
+        return samples.subset(settings.fraction, self.seed) if split == "train" and settings.fraction < 1 else samples
+
+    def rules(self) -> SoftRules:
+        """Return the rules of the mode."""
+        return SoftRules(Program.load(f"rules/vap-{self.mode}.dl"))
+
+    def concepts(self) -> ConceptModel:
+        """Return a concept model with random weights, which the seed determines."""
+        with torch.random.fork_rng(devices=[]):
+            torch.manual_seed(self.seed)
+            return ConceptModel(self.settings.concepts)
+
+    def reasoner(self) -> torch.nn.Module:
+        """Return a reasoner with random weights, which the seed determines."""
+        with torch.random.fork_rng(devices=[]):
+            torch.manual_seed(self.seed)
+            return make_reasoner(self.settings.reasoner)
+
+    def started(self) -> dict[str, Any]:
+        """Return the model that the training starts from, or an empty one."""
+        path = self.folder / "start.pt"
+        model: dict[str, Any] = read_tensors(path, "a model") if path.exists() else {}
+        return model
+
+
+#: The model and its training history.
+Trained = tuple[dict[str, Any], list[dict[str, float]]]
+
+
+def train_stage(work: VapWork) -> Trained:
+    """Train the model of the stage that the settings name, or resume from the checkpoint.
+
+    Raises:
+        OSError: If a file cannot be read or written.
+        ValueError: If the model to start from does not fit.
+    """
+    stages = {
+        "concepts": _train_concepts,
+        "reasoning": _train_reasoner,
+        "end-to-end": _train_end_to_end,
+        "induction": _induce,
+        "bound": _bound,
+    }
+    return stages[work.settings.stage](work)
+
+
+def measure(work: VapWork, model: dict[str, Any]) -> tuple[dict[str, Any], dict[str, Any]]:
+    """Return the measures of each predictor on the test worlds, and the recalls of concepts."""
+    test = work.samples("test")
+    actions, atoms = predict(work, model, test)
+    concepts = {} if atoms is None else concept_measures(*atoms, test)
+    return {name: evaluation(predicted, test) for name, predicted in actions.items()}, concepts
+
+
+def predict(
+    work: VapWork, model: dict[str, Any], samples: Samples
+) -> tuple[dict[str, Tensor], tuple[Tensor, Tensor] | None]:
+    """Return the predicted actions, int64 (B, N), by predictor, and the probabilities of concepts that were trained.
+
+    Args:
+        work: The inputs and folders of the training.
+        model: The content of `model.pt`.
+        samples: The samples.
+    """
+    stage, valid = work.settings.stage, samples.facts["valid"]
+    atoms = _groundings(work, model, samples)
+    if stage == "concepts":
+        return _by_rules(work.rules(), *atoms, samples), atoms
+    if stage == "bound":
+        shown = torch.tensor([name not in model["absent"] for name in UNARY])
+        return {"": work.rules().degrees(atoms[0] * shown, atoms[1], valid, "max-min").argmax(-1)}, None
+    if stage == "induction":
+        return _by_rules(SoftRules(Program(model["rules"])), *atoms, samples), None
+    reasoner = work.reasoner()
+    reasoner.load_state_dict(model["reasoner"])
+    return {"": predict_actions(reasoner, *atoms, valid)}, None
+
+
+def evaluation(predicted: Tensor, samples: Samples) -> dict[str, Any]:
+    """Return the measures of predicted actions, int64 (B, N): the paper's, and for each world what intervals need."""
+    cars = samples.facts["mask"].numpy()
+    actual, chosen = samples.facts["actions"].numpy(), predicted.numpy()
+    frames = np.broadcast_to(np.arange(len(cars))[:, None], cars.shape)
+    metrics = vap_metrics(actual[cars], chosen[cars], frames[cars])
+    worlds = []
+    of_frame = samples.facts["world"].numpy()
+    hits = (actual == chosen) & cars
+    with_cars = cars.any(1)
+    share = hits.sum(1) / np.maximum(cars.sum(1), 1)
+    for world in np.unique(of_frame):
+        own = of_frame == world
+        worlds.append(
+            {
+                "world": int(world),
+                "frames": int((own & with_cars).sum()),
+                "a_acc": round(float(share[own & with_cars].sum()), 6),
+                "counts": np.bincount(actual[own][cars[own]], minlength=len(ACTIONS)).tolist(),
+                "correct": np.bincount(actual[own][hits[own]], minlength=len(ACTIONS)).tolist(),
+            }
+        )
+    return {"recall": dict(metrics.recall), "a_acc": metrics.a_acc, "w_acc": metrics.w_acc, "worlds": worlds}
+
+
+def _score(predicted: Tensor, samples: Samples) -> float:
+    """Return the mean recall over the actions that occur, which chooses the best epoch."""
+    recall = evaluation(predicted, samples)["recall"]
+    return float(np.mean(list(recall.values())))
+
+
+def _by_rules(rules: SoftRules, unary: Tensor, binary: Tensor, samples: Samples) -> dict[str, Tensor]:
+    """Return the actions of the rules on thresholded facts, and on probabilities."""
+    valid = samples.facts["valid"]
+    facts = ((unary > 0.5).float(), (binary > 0.5).float())
+    return {
+        "threshold": rules.degrees(*facts, valid, "max-min").argmax(-1),
+        "product": rules.degrees(unary, binary, valid, "product").argmax(-1),
+    }
+
+
+def _train_concepts(work: VapWork) -> Trained:
+    """Train a concept model."""
+    train, val, settings = work.samples("train"), work.samples("val"), work.settings.training
+    model = work.concepts()
+    if start := work.started():
+        _restore(model, start, "concepts")
+    rules = work.rules()
+
+    def score() -> float:
+        return _score(_by_rules(rules, *groundings(model, val), val)["threshold"], val)
+
+    loss = concept_loss(model, train, settings.class_power)
+    history = fit(model, loss, len(train), settings, work.seed, score, work.checkpoint, work.report)
+    return {"concepts": model.state_dict()}, history
+
+
+def _groundings(work: VapWork, model: dict[str, Any], samples: Samples) -> tuple[Tensor, Tensor]:
+    """Return the true groundings, or those that the concept model predicts from which the training starts."""
+    if work.settings.groundings == "exact":
+        return samples.facts["unary"].float(), samples.relations.float()
+    if "concepts" not in model:
+        raise ValueError(NO_CONCEPTS)
+    concepts = work.concepts()
+    _restore(concepts, model, "concepts")
+    return groundings(concepts, samples)
+
+
+def _restore(part: torch.nn.Module, model: Mapping[str, Any], name: str) -> None:
+    """Load the weights of a part of a model.
+
+    Raises:
+        ValueError: If the model has no such part, or one of another architecture.
+    """
+    if name not in model:
+        raise ValueError(f"the model to start from has no part `{name}`: start from a row that trains it")
+    try:
+        part.load_state_dict(model[name])
+    except RuntimeError:
+        raise ValueError(
+            f"the part `{name}` of the model to start from has another architecture: give both rows the same "
+            "`concepts` and `reasoner`"
+        ) from None
+
+
+def _kept(start: Mapping[str, Any]) -> dict[str, Any]:
+    """Return the concepts of the model to start from, if it has any."""
+    return {name: start[name] for name in start if name == "concepts"}
+
+
+def _train_reasoner(work: VapWork) -> Trained:
+    """Train a reasoner on given concepts, which stay as they are."""
+    train, val, settings = work.samples("train"), work.samples("val"), work.settings.training
+    start = work.started()
+    reasoner = work.reasoner()
+    if "reasoner" in start:
+        _restore(reasoner, start, "reasoner")
+    unary, binary = _groundings(work, start, train)
+    of_val = _groundings(work, start, val)
+
+    def score() -> float:
+        return _score(predict_actions(reasoner, *of_val, val.facts["valid"]), val)
+
+    loss = reasoning_loss(reasoner, unary, binary, train, settings.class_power)
+    history = fit(reasoner, loss, len(train), settings, work.seed, score, work.checkpoint, work.report)
+    return {**_kept(start), "reasoner": reasoner.state_dict()}, history
+
+
+def _train_end_to_end(work: VapWork) -> Trained:
+    """Train a concept model and a reasoner together, on actions only."""
+    train, val, settings = work.samples("train"), work.samples("val"), work.settings.training
+    both = torch.nn.ModuleDict({"concepts": work.concepts(), "reasoner": work.reasoner()})
+    concepts, reasoner = cast(ConceptModel, both["concepts"]), both["reasoner"]
+    if start := work.started():
+        for name, part in both.items():
+            _restore(part, start, name)
+
+    def score() -> float:
+        return _score(predict_actions(reasoner, *groundings(concepts, val), val.facts["valid"]), val)
+
+    loss = end_to_end_loss(concepts, reasoner, train, settings.class_power)
+    history = fit(both, loss, len(train), settings, work.seed, score, work.checkpoint, work.report)
+    return {name: part.state_dict() for name, part in both.items()}, history
+
+
+def _induce(work: VapWork) -> Trained:
+    """Learn rules from thresholded concepts and actions, with wrong examples."""
+    start = work.started()
+    train = work.samples("train")
+    unary, binary = _groundings(work, start, train)
+    scenes, learned = work.folder / "scenes.jsonl", work.folder / "learned.dl"
+    with open(scenes, "w", encoding="utf-8") as out:
+        for scene in scenes_of(unary > 0.5, binary > 0.5, train):
+            out.write(json.dumps(scene) + "\n")
+    options = ["--config", f"configs/vap-{work.mode}.yaml", "--noise", "auto", "--threads", "1", "--force"]
+    command = ["induce", str(scenes), *options, "--seed", str(work.seed), "-o", str(learned)]
+    code, _, _ = _logicity.run_command_line(command)
+    if code:
+        raise ValueError(f"`logicity {' '.join(command)}` failed")
+    scenes.unlink()
+    if work.report is not None:
+        work.report(1)
+    return {**_kept(start), "rules": learned.read_text(encoding="utf-8")}, []
+
+
+def _bound(work: VapWork) -> Trained:
+    """Find the unary predicates that hold for no agent of the training samples."""
+    shown = work.samples("train").facts["unary"].flatten(0, 1).any(0)
+    if work.report is not None:
+        work.report(1)
+    return {"absent": [name for name, each in zip(UNARY, shown.tolist(), strict=True) if not each]}, []
+
+
+def scenes_of(unary: Tensor, binary: Tensor, samples: Samples) -> Iterator[dict[str, Any]]:
+    """Yield a labeled scene for each car: the entities in its view, their facts, and its action.
+
+    Args:
+        unary: bool (B, N, 11), the facts of `UNARY`.
+        binary: bool (B, N, N, 7), those of `RELATIONS`.
+        samples: The samples, which have the actions.
+    """
+    truths, pairs = unary.numpy(), binary.numpy()
+    at = RELATIONS.index("Sees")
+    for frame, (cars, valid, actions) in enumerate(
+        zip(
+            samples.facts["mask"].numpy(), samples.facts["valid"].numpy(), samples.facts["actions"].numpy(), strict=True
+        )
+    ):
+        for car in np.flatnonzero(cars):
+            others = np.flatnonzero(valid & pairs[frame, car, :, at])
+            seen = [int(car), *(int(other) for other in others if other != car)]
+            yield {
+                "entities": [f"e{entity}" for entity in seen],
+                "ego": f"e{car}",
+                "facts": facts_of(truths[frame], pairs[frame], seen),
+                "actions": {f"e{car}": ACTIONS[actions[car]]},
+            }
+
+
+def facts_of(unary: np.ndarray[Any, Any], binary: np.ndarray[Any, Any], seen: Sequence[int]) -> dict[str, list[Any]]:
+    """Return the facts of the entities in the view of one of them, as scenes have them.
+
+    `Sees` has only the pairs of the viewer with each of the entities, itself included, whatever `binary` has.
+
+    Args:
+        unary: bool (N, 11), the facts of `UNARY` of a sample.
+        binary: bool (N, N, 7), those of `RELATIONS`.
+        seen: The numbers of the entities, each once, beginning with the viewer. Entity i has the name `ei`.
+    """
+    chosen = np.array(seen, np.int64)
+    # An entity has no relation to itself, but a model can predict one.
+    apart = ~np.eye(len(chosen), dtype=bool)
+    pairs = binary[np.ix_(chosen, chosen)][..., : len(BINARY)] & apart[..., None]
+    sees = np.zeros_like(apart)
+    sees[0] = True
+    return symbolic_facts([f"e{entity}" for entity in seen], unary[chosen], pairs, sees)
