@@ -5,10 +5,11 @@
 //! neither worker hangs; the page restarts a worker that fails.
 // Decision: docs/decisions/tools.md#d052
 
+use logicity::config::codes;
 use logicity::builtin::{self, BuiltinFiles, ReadWith};
 use logicity::cancel::Cancel;
 use logicity::city::{Agent, Split};
-use logicity::diag::{Code, Diagnostic, Sources, render, to_json};
+use logicity::diag::{self, Diagnostic, Sources, render, to_json};
 use logicity::files::{BUILTIN_FOLDER, ReadError, ReadFile};
 use logicity::page::{LIVE_TICKS, Live};
 use logicity::render::{Difficulty, Icons};
@@ -119,7 +120,7 @@ fn load(mode: &str, rules: &str, sources: &mut Sources) -> Result<LoadedCity, Ve
         LoadError::Config(faults) | LoadError::Rules(faults) => faults,
         LoadError::RuleFile(path, error) => {
             vec![Diagnostic::new(
-                Code::MISSING_FILE,
+                codes::MISSING_FILE,
                 format!("{}: {error}", path.display()),
             )]
         }
@@ -203,9 +204,9 @@ fn run(mode: &str, rules: &str, seed: Seed, start: Option<(u64, Vec<Agent>)>) ->
 
 /// Says why work was cancelled: only the deadline cancels.
 fn timed(fault: Diagnostic) -> Diagnostic {
-    match fault.code == Code::CANCELLED {
+    match fault.code == diag::codes::CANCELLED {
         true => Diagnostic::new(
-            Code::LIMIT_EXCEEDED,
+            diag::codes::LIMIT_EXCEEDED,
             format!("the rules take more than {} s", TIME_MAX / 1000.0),
         )
         .help("use fewer variables or more selective atoms"),
@@ -234,7 +235,7 @@ impl City {
     pub fn change(&mut self, rules: &str, tick: u32) -> Outcome<()> {
         let seed = self.live.simulation().seed();
         let Some(agents) = self.live.agents_before(tick.into()) else {
-            let fault = Diagnostic::new(Code::INVALID_VALUE, format!("tick {tick} is not one of the last"));
+            let fault = Diagnostic::new(codes::INVALID_VALUE, format!("tick {tick} is not one of the last"));
             return Err(self.failed(fault));
         };
         self.live = run(&self.mode, rules, seed, Some((tick.into(), agents.to_vec())))?;

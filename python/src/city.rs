@@ -10,7 +10,8 @@ use logicity::city::{Action, Split};
 use logicity::city::{Agent, Cell, Heading, MoveReason};
 use logicity::config::missing_file;
 use logicity::datalog::explain::{Explainer, ExplanationPrinter};
-use logicity::diag::{Code, Diagnostic, SourceId, Sources};
+use logicity::diag::codes;
+use logicity::diag::{Diagnostic, SourceId, Sources};
 use logicity::files::{Output, ReadError, ReadFile};
 use logicity::rng::Seed;
 use logicity::sim::{
@@ -469,7 +470,7 @@ fn run(
 
 fn too_many(agents: usize, what: &str) -> Diagnostic {
     let message = format!("too many agents for {what}: {agents}; the limit is {MAX_ENTITIES}");
-    Diagnostic::new(Code::LIMIT_EXCEEDED, message)
+    Diagnostic::new(codes::LIMIT_EXCEEDED, message)
 }
 
 /// Converts cells to an array with the columns row and column.

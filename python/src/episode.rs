@@ -3,7 +3,8 @@
 
 use logicity::city::Cell;
 use logicity::city::{Action, AgentName};
-use logicity::diag::{Code, Diagnostic, did_you_mean};
+use logicity::diag::{Diagnostic, did_you_mean};
+use logicity::task::spf::codes;
 use logicity::task::spf::{Env, Episode, EpisodeAgent, OracleRun};
 use pyo3::exceptions::PyKeyError;
 use pyo3::prelude::*;
@@ -172,7 +173,7 @@ impl<'a, 'py> Part<'a, 'py> {
 }
 
 fn invalid(message: String) -> Diagnostic {
-    Diagnostic::new(Code::INVALID_EPISODE, message)
+    Diagnostic::new(codes::INVALID_EPISODE, message)
 }
 
 /// Returns a diagnostic whose help is the closest known name, or otherwise all known names.

@@ -5,7 +5,8 @@ use crate::task::PyTask;
 use crate::{Signals, input_error, read_error, threads_of, to_python};
 use logicity::city::Action;
 use logicity::datalog::Limits;
-use logicity::diag::{Code, Diagnostic, Sources};
+use logicity::diag::codes;
+use logicity::diag::{Diagnostic, Sources};
 use logicity::files::{self, Journal, ReadError, read_whole};
 use logicity::induce::ask::Bound as SweepBound;
 use logicity::induce::{
@@ -212,7 +213,7 @@ fn read_steps(py: Python<'_>, path: PathBuf) -> PyResult<(String, String, String
         let (needed, limit) = (steps.bytes().saturating_mul(2), Limits::default().bytes);
         let too_large = || {
             let message = format!("the steps take {} MiB; the limit is {} MiB", needed >> 20, limit >> 20);
-            let fault = Diagnostic::new(Code::LIMIT_EXCEEDED, message);
+            let fault = Diagnostic::new(codes::LIMIT_EXCEEDED, message);
             fault.help("split the table, or learn with `logicity induce`, which keeps the facts as bits")
         };
         if needed > limit {

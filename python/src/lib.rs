@@ -31,8 +31,9 @@ use logicity::builtin::BuiltinFiles;
 use logicity::cancel::Cancel;
 use logicity::cli::{Outcome, PYTHON_COMMANDS, run_with_python};
 use logicity::datalog::Limits;
-use logicity::diag::{Code, Diagnostic, Limit, Sources, render, to_json};
+use logicity::diag::{self, Diagnostic, Limit, Sources, render, to_json};
 use logicity::files::{self, MAX_BYTES, ReadError, ReadFile as _};
+use logicity::sim::codes;
 use numpy::ndarray::Dimension;
 use numpy::{Element, PyReadwriteArray};
 use pyo3::PyClass;
@@ -81,16 +82,16 @@ fn advised(fault: &Diagnostic) -> Diagnostic {
 fn input_error(py: Python<'_>, faults: &[Diagnostic], sources: &Sources) -> PyErr {
     let faults: &[Diagnostic] = &faults.iter().map(advised).collect::<Vec<_>>();
     let has = |code| faults.iter().any(|fault| fault.code == code);
-    if has(Code::CANCELLED) {
+    if has(diag::codes::CANCELLED) {
         return PyKeyboardInterrupt::new_err(());
     }
     let arguments = match to_python(py, &to_json(faults, sources)) {
         Ok(diagnostics) => (render(faults, sources, false), diagnostics.unbind()),
         Err(error) => return error,
     };
-    if has(Code::LIMIT_EXCEEDED) {
+    if has(diag::codes::LIMIT_EXCEEDED) {
         LimitError::new_err(arguments)
-    } else if has(Code::DENSE_UNSUPPORTED) {
+    } else if has(codes::DENSE_UNSUPPORTED) {
         UnsupportedError::new_err(arguments)
     } else {
         InputError::new_err(arguments)
@@ -140,7 +141,9 @@ fn read_error(py: Python<'_>, path: &Path, error: &ReadError) -> PyErr {
     let message = format!("cannot read `{}`: {error}", path.display());
     match error {
         ReadError::NotFound => PyFileNotFoundError::new_err(message),
-        ReadError::NotText { .. } => input_error(py, &[Diagnostic::new(Code::NOT_TEXT, message)], &Sources::new()),
+        ReadError::NotText { .. } => {
+            input_error(py, &[Diagnostic::new(diag::codes::NOT_TEXT, message)], &Sources::new())
+        }
         _ => PyOSError::new_err(message),
     }
 }

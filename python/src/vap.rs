@@ -7,13 +7,14 @@ use crate::{LimitArguments, Signals, input_error, read_error, slice_of, threads_
 use logicity::cancel::Cancel;
 use logicity::city::Heading;
 use logicity::city::{Action, Split};
-use logicity::diag::{Code, Diagnostic, Sources};
+use logicity::diag::{Diagnostic, Sources};
 use logicity::files::{FileError, Folder, ReadError, read_file, read_folders};
 use logicity::render::{
     Difficulty, DrawingVersion, Icons, Mode as PackMode, PACK_FILE_MAX, PACK_FILES_MAX, Pack, PackFault, PixelBox,
     read_png_into,
 };
 use logicity::sim::LoadedCity;
+use logicity::task::vap::codes;
 use logicity::task::vap::table::{Table, boxes, sample_rows, visible};
 use logicity::task::vap::{
     Agents, Dataset, DatasetError, DatasetRequest, DatasetWriter, Mode, SIDE, WORLDS_MAX, published_worlds,
@@ -80,7 +81,7 @@ fn raise_in(py: Python<'_>, error: DatasetError, path: &Path) -> PyErr {
 }
 
 fn faulty(message: impl Into<String>) -> DatasetError {
-    Diagnostic::new(Code::INVALID_DATA_SET, message).into()
+    Diagnostic::new(codes::INVALID_DATA_SET, message).into()
 }
 
 /// The columns of the two tables of a world.

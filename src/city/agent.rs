@@ -2,9 +2,10 @@
 // Decision: docs/decisions/city.md#d059
 
 use crate::cancel::Cancel;
+use crate::city::codes;
 use crate::city::{AgentConfig, AgentKind, AgentName, AgentSet};
 use crate::city::{Cell, CityMap, Heading, NoRoute, Places, Route, Router, TripEnds};
-use crate::diag::{Code, Diagnostic, Located};
+use crate::diag::{Diagnostic, Located};
 use crate::rng::{Purpose, RngExt, Seed};
 use std::collections::BTreeMap;
 use std::sync::Arc;
@@ -263,7 +264,7 @@ fn check_room(set: &AgentSet, map: &CityMap, places: &Places, kind: AgentKind) -
         0 | 1 => format!("fewer {plural}"),
         _ => "a smaller `repeat`".to_owned(),
     };
-    Err(Diagnostic::new(Code::NO_START_CELL, message)
+    Err(Diagnostic::new(codes::NO_START_CELL, message)
         .at(span, "too small for these agents")
         .note(rule)
         .help(format!("{larger}, or {fewer}")))
@@ -311,7 +312,7 @@ fn nowhere(
         (true, NoRoute::Goal) => format!("{goal}, and the map has none: add {other} to the map"),
         _ => format!("{goal}: {remedy}"),
     };
-    Diagnostic::new(Code::NO_ROUTE, message)
+    Diagnostic::new(codes::NO_ROUTE, message)
         .at(span, "no reachable goal")
         .help(help)
 }

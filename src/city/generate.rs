@@ -3,10 +3,11 @@
 //! A city of n x m blocks has n + 1 horizontal and m + 1 vertical streets, so that streets also run along all four
 //! edges of the world. Two streets meet at an intersection, except at the four corners of the world.
 
+use crate::city::codes;
 use crate::city::{Building, Buildings, MapConfig, Widths};
 use crate::city::{CityMap, Layout};
 use crate::diag::Located;
-use crate::diag::{Code, Diagnostic};
+use crate::diag::{self, Diagnostic};
 use crate::rng::{Purpose, RngExt, Seed};
 
 impl Purpose {
@@ -36,12 +37,12 @@ impl CityMap {
 /// Returns the layout if the sizes are valid.
 fn check_layout(blocks: &Located<[u32; 2]>, widths: &Located<Widths>) -> Result<Layout, Diagnostic> {
     let invalid = |message: String, label: &str, help: &str| {
-        Err(Diagnostic::new(Code::INVALID_MAP, message)
+        Err(Diagnostic::new(codes::INVALID_MAP, message)
             .at(widths.span, label)
             .help(help))
     };
     if blocks.value.contains(&0) {
-        return Err(Diagnostic::new(Code::INVALID_MAP, "a city needs at least one block")
+        return Err(Diagnostic::new(codes::INVALID_MAP, "a city needs at least one block")
             .at(blocks.span, "no block in one of the two directions")
             .help("give two numbers, each at least 1: rows and columns of blocks"));
     }
@@ -85,7 +86,7 @@ fn check_layout(blocks: &Located<[u32; 2]>, widths: &Located<Widths>) -> Result<
     let count = u64::from(blocks.value[0]) * u64::from(blocks.value[1]);
     if rows.max(cols) > u128::from(MAX_SIDE) || count > MAX_BLOCKS {
         return Err(Diagnostic::new(
-            Code::LIMIT_EXCEEDED,
+            diag::codes::LIMIT_EXCEEDED,
             format!("a map of {rows} x {cols} cells and {count} blocks is too large"),
         )
         .at(blocks.span, "this many blocks")
@@ -107,7 +108,7 @@ fn choose_buildings(
     match &buildings.value {
         Buildings::Fixed(table) => {
             let wrong = |what: String| {
-                Err(Diagnostic::new(Code::INVALID_MAP, what)
+                Err(Diagnostic::new(codes::INVALID_MAP, what)
                     .at(buildings.span, format!("expected {rows} rows of {cols} buildings"))
                     .also(blocks.span, format!("{block_rows} x {block_cols} blocks"))
                     .help("a block has four buildings: give two rows of two buildings for each block"))
@@ -135,7 +136,7 @@ fn choose_buildings(
             if weights.iter().any(|&(_, weight)| weight.is_nan() || weight < 0.0) || !(total > 0.0 && total.is_finite())
             {
                 return Err(
-                    Diagnostic::new(Code::INVALID_MAP, "the weights of the buildings are unusable")
+                    Diagnostic::new(codes::INVALID_MAP, "the weights of the buildings are unusable")
                         .at(buildings.span, "here")
                         .help("give non-negative numbers that are not all zero; they need not sum to one"),
                 );
@@ -182,7 +183,7 @@ pub(super) mod tests {
         Located { value, span }
     }
 
-    fn generate(blocks: [u32; 2], widths: Widths, buildings: Buildings) -> Result<CityMap, Code> {
+    fn generate(blocks: [u32; 2], widths: Widths, buildings: Buildings) -> Result<CityMap, diag::Code> {
         let config = MapConfig {
             name: "test".into(),
             blocks: located(blocks),
@@ -212,21 +213,24 @@ pub(super) mod tests {
             generate([2, 2], widths, houses()).map(|map| (map.rows(), map.cols()))
         };
         assert_eq!(widths(|_| ()), Ok((103, 103)));
-        assert_eq!(widths(|widths| widths.street = 1), Err(Code::INVALID_MAP));
-        assert_eq!(widths(|widths| widths.street = 10), Err(Code::INVALID_MAP));
-        assert_eq!(widths(|widths| widths.street = u32::MAX), Err(Code::LIMIT_EXCEEDED));
-        assert_eq!(widths(|widths| widths.sidewalk = 0), Err(Code::INVALID_MAP));
-        assert_eq!(widths(|widths| widths.building = 0), Err(Code::INVALID_MAP));
+        assert_eq!(widths(|widths| widths.street = 1), Err(codes::INVALID_MAP));
+        assert_eq!(widths(|widths| widths.street = 10), Err(codes::INVALID_MAP));
+        assert_eq!(
+            widths(|widths| widths.street = u32::MAX),
+            Err(diag::codes::LIMIT_EXCEEDED)
+        );
+        assert_eq!(widths(|widths| widths.sidewalk = 0), Err(codes::INVALID_MAP));
+        assert_eq!(widths(|widths| widths.building = 0), Err(codes::INVALID_MAP));
         assert_eq!(
             widths(|widths| widths.building = 1_000_000_000),
-            Err(Code::LIMIT_EXCEEDED)
+            Err(diag::codes::LIMIT_EXCEEDED)
         );
         assert_eq!(widths(|widths| widths.inner_sidewalk = 0), Ok((93, 93)));
 
         let blocks = |blocks| generate(blocks, WIDTHS, houses()).map(|map| (map.rows(), map.cols()));
-        assert_eq!(blocks([0, 1]), Err(Code::INVALID_MAP));
-        assert_eq!(blocks([1, 1_000_000_000]), Err(Code::LIMIT_EXCEEDED));
-        assert_eq!(blocks([u32::MAX, u32::MAX]), Err(Code::LIMIT_EXCEEDED));
+        assert_eq!(blocks([0, 1]), Err(codes::INVALID_MAP));
+        assert_eq!(blocks([1, 1_000_000_000]), Err(diag::codes::LIMIT_EXCEEDED));
+        assert_eq!(blocks([u32::MAX, u32::MAX]), Err(diag::codes::LIMIT_EXCEEDED));
         assert_eq!(blocks([1, 3]), Ok((57, 149)));
     }
 
@@ -235,8 +239,8 @@ pub(super) mod tests {
         let map = |buildings| generate([1, 2], WIDTHS, buildings).map(|map| map.buildings().to_vec());
         let row = |length| vec![Building::Office; length];
         assert!(map(Buildings::Fixed(vec![row(4), row(4)])).is_ok());
-        assert_eq!(map(Buildings::Fixed(vec![row(4)])), Err(Code::INVALID_MAP));
-        assert_eq!(map(Buildings::Fixed(vec![row(4), row(3)])), Err(Code::INVALID_MAP));
+        assert_eq!(map(Buildings::Fixed(vec![row(4)])), Err(codes::INVALID_MAP));
+        assert_eq!(map(Buildings::Fixed(vec![row(4), row(3)])), Err(codes::INVALID_MAP));
 
         let house = Building::House;
         for weights in [
@@ -246,7 +250,7 @@ pub(super) mod tests {
             &[(house, f64::NAN)],
             &[(house, f64::INFINITY)],
         ] {
-            assert_eq!(map(random(weights)), Err(Code::INVALID_MAP));
+            assert_eq!(map(random(weights)), Err(codes::INVALID_MAP));
         }
         assert_eq!(
             map(random(&[(Building::Store, 0.0), (house, 2.0)])),

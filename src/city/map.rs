@@ -3,7 +3,8 @@
 
 use crate::city::Cell;
 use crate::city::{AgentKind, Building, Widths};
-use crate::diag::{Code, Diagnostic};
+use crate::diag::Diagnostic;
+use crate::diag::codes;
 use ndarray::Array3;
 use std::ops::Range;
 
@@ -520,7 +521,7 @@ impl CityMap {
             let (rows, cols, layers) = shape;
             let message = format!("a semantic map of {rows} x {cols} cells and {layers} layers takes too much memory");
             let limit = format!("the limit is {SEMANTIC_MAX} values; use a smaller map or fewer agents");
-            return Err(Diagnostic::new(Code::LIMIT_EXCEEDED, message).help(limit));
+            return Err(Diagnostic::new(codes::LIMIT_EXCEEDED, message).help(limit));
         }
         let mut layers = Array3::zeros(shape);
         let cells = (0..self.rows()).flat_map(|row| (0..self.cols()).map(move |col| Cell::new(row, col)));

@@ -7,7 +7,7 @@
 //! This module does not depend on rules or predicates.
 
 mod agent;
-mod codes;
+pub mod codes;
 mod generate;
 mod grid;
 mod map;
@@ -21,7 +21,6 @@ mod walk;
 
 pub(crate) use agent::place_agents_into;
 pub use agent::{Agent, Rest, place_agents};
-pub use codes::{CATALOG, CODES};
 pub use grid::{Cell, Heading};
 pub use map::{CityMap, Ground, Junction, Layout, SEMANTIC_MAX, STATIC_LAYERS};
 pub use model::{

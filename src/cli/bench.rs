@@ -8,9 +8,10 @@ use crate::cli::scenes::{SceneLine, SceneLines};
 use crate::cli::{Failure, LimitOptions, integer, load_city, one_of, terminal, threads};
 use crate::config::Scenario;
 use crate::datalog::dense::{BitFacts, BitState, Dense, TrackFirings};
-use crate::diag::{Code, Diagnostic, Sources};
+use crate::diag::{self, Diagnostic, Sources};
 use crate::render::{Difficulty, Icons, Picture, Renderer, Scale, Sprite, Viewport, read_png, write_png};
 use crate::rng::{Purpose, RngExt, Seed};
+use crate::sim::codes;
 use crate::sim::{
     Executor, Facts, Inference, LoadedCity, MAX_ENTITIES, Phase, SceneFacts, Settings, Simulation, WHOLE_MAX,
     WINDOW_MAX, Width, World, in_words,
@@ -706,7 +707,7 @@ fn read_scenes(inference: &mut Inference, path: &Path, most: usize) -> Result<Ve
                     "line {number} of `{}` has {count} entities; the limit is {most}",
                     lines.name
                 );
-                Err(vec![Diagnostic::new(Code::LIMIT_EXCEEDED, message)])
+                Err(vec![Diagnostic::new(diag::codes::LIMIT_EXCEEDED, message)])
             });
         scenes.push(scene.map_err(|faults| {
             super::report(&faults, &sources);
@@ -715,7 +716,7 @@ fn read_scenes(inference: &mut Inference, path: &Path, most: usize) -> Result<Ve
     }
     let from = lines.name;
     match scenes.is_empty() {
-        true => Err(Diagnostic::new(Code::INVALID_SCENE, format!("`{from}` contains no scene")).into()),
+        true => Err(Diagnostic::new(codes::INVALID_SCENE, format!("`{from}` contains no scene")).into()),
         false => Ok(scenes),
     }
 }

@@ -8,14 +8,14 @@ use std::io::Write;
 
 /// The catalogs of all modules, with what their messages concern.
 const CATALOGS: [(&str, Catalog); 8] = [
-    ("rules and facts", datalog::CATALOG),
-    ("configurations", config::CATALOG),
-    ("maps and routes", city::CATALOG),
-    ("cities, scenes and traces", sim::CATALOG),
-    ("recorded episodes", task::spf::CATALOG),
-    ("data sets", task::vap::CATALOG),
-    ("examples of learning", task::induction::CATALOG),
-    ("any input", diag::CATALOG),
+    ("rules and facts", datalog::codes::CATALOG),
+    ("configurations", config::codes::CATALOG),
+    ("maps and routes", city::codes::CATALOG),
+    ("cities, scenes and traces", sim::codes::CATALOG),
+    ("recorded episodes", task::spf::codes::CATALOG),
+    ("data sets", task::vap::codes::CATALOG),
+    ("examples of learning", task::induction::codes::CATALOG),
+    ("any input", diag::codes::CATALOG),
 ];
 
 #[derive(clap::Args)]

@@ -7,9 +7,10 @@ use crate::builtin::BuiltinFiles;
 use crate::cli::configuration::{Checked, open_run};
 use crate::cli::{Failure, MemoryOption, compile, inputs_of, integer, load_workspace, report, terminal};
 use crate::config::rule_file;
+use crate::datalog::codes;
 use crate::datalog::diff::{Equivalence, Options, diff, unsat_core};
 use crate::datalog::{Edb, Rules};
-use crate::diag::{Code, Diagnostic, Sources, to_json};
+use crate::diag::{Diagnostic, Sources, to_json};
 use crate::sim::{CityTheory, examine, scene_json};
 use std::collections::HashSet;
 use std::io::Write;
@@ -76,7 +77,7 @@ pub fn run(arguments: &Arguments, sources: &mut Sources) -> Result<u8, Failure> 
         ..Options::default()
     };
     let equivalence = compare(&sides, &options, agents).map_err(|faults| {
-        let is_option = |fault: &Diagnostic| fault.code == Code::RULE_MISMATCH && !arguments.predicates.is_empty();
+        let is_option = |fault: &Diagnostic| fault.code == codes::RULE_MISMATCH && !arguments.predicates.is_empty();
         match faults.iter().all(is_option) {
             true => Failure::option(faults),
             false => Failure::Input(faults),

@@ -6,8 +6,9 @@ use crate::cli::{
     Failure, ForceOption, Inputs, LimitOptions, finish, integer, load_city, messages, one_of, progress, terminal,
     unwritable,
 };
-use crate::diag::{Code, Diagnostic, Sources};
+use crate::diag::{Diagnostic, Sources};
 use crate::files;
+use crate::task::spf::codes;
 use crate::task::spf::{
     Baseline, ControlMode, Env, Episode, EpisodeSet, Policy, RANDOM_RUNS, Rollout, SpfTask, constrained_by_name,
     make_episodes, rollout, summarize,
@@ -136,7 +137,7 @@ impl Which {
             }
             let done = rollout(&mut env, Policy::Oracle)?;
             if let Some(difference) = differs(episode, &done) {
-                faults.push(of(Diagnostic::new(Code::INVALID_EPISODE, difference)));
+                faults.push(of(Diagnostic::new(codes::INVALID_EPISODE, difference)));
             }
         }
         if !faults.is_empty() {

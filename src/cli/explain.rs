@@ -6,7 +6,8 @@ use crate::city::Cell;
 use crate::cli::trace::TraceReader;
 use crate::cli::{Failure, LimitOptions, integer, terminal};
 use crate::datalog::explain::{Explainer, ExplanationPrinter};
-use crate::diag::{Code, Diagnostic, SourceId, Sources, did_you_mean, listed};
+use crate::diag::{Diagnostic, SourceId, Sources, did_you_mean, listed};
+use crate::sim::codes;
 use crate::sim::{AskedFact, Decision, Driven, Replay, TraceTick, World};
 use serde_json::json;
 use std::io::Write;
@@ -88,7 +89,7 @@ pub fn run(arguments: &Arguments, sources: &mut Sources) -> Result<(), Failure> 
 
     let derived = replay.derived(position);
     let Some(state) = tick.agents.get(position) else {
-        return Err(trace.placed(Diagnostic::new(Code::INVALID_TRACE, "an agent is missing")));
+        return Err(trace.placed(Diagnostic::new(codes::INVALID_TRACE, "an agent is missing")));
     };
     if !derived.iter().map(|action| action.name()).eq(state.derived.iter()) {
         let found: Vec<&str> = derived.iter().map(|action| action.name()).collect();
@@ -99,7 +100,7 @@ pub fn run(arguments: &Arguments, sources: &mut Sources) -> Result<(), Failure> 
             found.join(", "),
             state.derived.join(", ")
         );
-        return Err(trace.placed(Diagnostic::new(Code::TRACE_MISMATCH, message)));
+        return Err(trace.placed(Diagnostic::new(codes::TRACE_MISMATCH, message)));
     }
     print(arguments, &replay, &tick, (position, why_not), sources)
 }
@@ -192,7 +193,7 @@ fn steering(driven: &Driven, world: &World, sources: &Sources) -> Result<String,
     let label = |&broken: &usize| {
         let message = || format!("clause {broken} does not exist");
         let clause = world.clauses().nth(broken);
-        (clause.map(|clause| printer.label(clause))).ok_or_else(|| Diagnostic::new(Code::INVALID_TRACE, message()))
+        (clause.map(|clause| printer.label(clause))).ok_or_else(|| Diagnostic::new(codes::INVALID_TRACE, message()))
     };
     let broken: Vec<String> = driven.broken.iter().map(label).collect::<Result<_, _>>()?;
     let judgement = match broken.is_empty() {

@@ -1,7 +1,10 @@
 //! The kinds of input files. A command that gets a file of another kind names both kinds in one message, instead of one
 //! fault per line.
 
-use crate::diag::{Code, Diagnostic};
+use crate::config;
+use crate::datalog;
+use crate::diag::Diagnostic;
+use crate::sim::codes;
 use std::ffi::OsStr;
 use std::path::Path;
 
@@ -55,10 +58,10 @@ impl Kind {
     /// header is of unknown kind.
     pub fn mismatch(self, path: &Path, begin: &str) -> Option<Diagnostic> {
         let code = match self {
-            Kind::Rules => Code::SYNTAX,
-            Kind::Configuration => Code::INVALID_VALUE,
-            Kind::Trace => Code::INVALID_TRACE,
-            Kind::Scenes => Code::INVALID_SCENE,
+            Kind::Rules => datalog::codes::SYNTAX,
+            Kind::Configuration => config::codes::INVALID_VALUE,
+            Kind::Trace => codes::INVALID_TRACE,
+            Kind::Scenes => codes::INVALID_SCENE,
         };
         let found = Kind::of(path, begin).filter(|found| *found != self)?;
         let found_name = match (self, found) {

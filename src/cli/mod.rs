@@ -39,9 +39,9 @@ mod why;
 
 use crate::builtin::BuiltinFiles;
 use crate::city::{Action, MapConfig};
-use crate::config::{load_map, missing_file, rule_file};
+use crate::config::{self, load_map, missing_file, rule_file};
 use crate::datalog::{Edb, Limits, Program, Workspace};
-use crate::diag::{Code, Diagnostic, Limit, Sources, neutral, render, similar_file};
+use crate::diag::{self, Diagnostic, Limit, Sources, neutral, render, similar_file};
 use crate::files::{self, FileError, FileId, Output, Overwrite, ReadError, ReadFile};
 use crate::sim::{LoadError, LoadedCity};
 use clap::builder::{PossibleValue, PossibleValuesParser, TypedValueParser};
@@ -480,7 +480,7 @@ fn run(mut command: clap::Command, arguments: &[OsString]) -> u8 {
     files::limit_reads(limit.saturating_add(memory::BUFFERS));
     memory::watch(limit, move |size| {
         let fault = Diagnostic::new(
-            Code::LIMIT_EXCEEDED,
+            diag::codes::LIMIT_EXCEEDED,
             format!("the command takes more than {} MiB", limit >> 20),
         )
         .note(format!(
@@ -540,7 +540,9 @@ fn exit(failure: Failure, sources: &Sources) -> u8 {
         Failure::Input(diagnostics) => {
             report(&diagnostics, sources);
             // Splits come from options only.
-            let is_option = diagnostics.iter().all(|fault| fault.code == Code::UNKNOWN_SPLIT);
+            let is_option = diagnostics
+                .iter()
+                .all(|fault| fault.code == config::codes::UNKNOWN_SPLIT);
             if is_option { 2 } else { 1 }
         }
         Failure::Option(diagnostics) => {
@@ -643,11 +645,11 @@ fn open(path: &Path) -> Result<File, Failure> {
 /// Reports a file named on the command line that cannot be read.
 fn unreadable(path: &Path, error: &ReadError) -> Failure {
     match error {
-        ReadError::NotText { .. } => Diagnostic::new(Code::NOT_TEXT, format!("`{}` is {error}", path.display()))
+        ReadError::NotText { .. } => Diagnostic::new(diag::codes::NOT_TEXT, format!("`{}` is {error}", path.display()))
             .help("save the file as UTF-8")
             .into(),
         ReadError::TooLarge(limit) if *limit < files::MAX_BYTES => {
-            let fault = Diagnostic::new(Code::LIMIT_EXCEEDED, format!("`{}` is {error}", path.display()));
+            let fault = Diagnostic::new(diag::codes::LIMIT_EXCEEDED, format!("`{}` is {error}", path.display()));
             fault
                 .exceeds(Limit::Memory(limit.saturating_sub(memory::BUFFERS)))
                 .into()

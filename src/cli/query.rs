@@ -6,9 +6,10 @@ mod rows;
 use crate::cli::why;
 use crate::cli::why::Question;
 use crate::cli::{Failure, ForceOption, Inputs, LimitOptions, load_workspace, report, terminal};
+use crate::datalog::codes;
 use crate::datalog::{ClauseId, Directive, Edb, EvalError, MarkKind, RelId, RowPlace, Rules, rewrite};
 use crate::datalog::{Delta, EvalEvent, Limits, Options, Program, RuleStats, Session, Threads, constraints};
-use crate::diag::{Code, Diagnostic, Sources, listed};
+use crate::diag::{Diagnostic, Sources, listed};
 use crate::files;
 use crate::files::ReadError;
 use rows::{decompressed, load_rows};
@@ -150,7 +151,7 @@ fn rewritten(program: Program, sources: &Sources) -> Result<Program, Failure> {
         let warning = |relation: &RelId| {
             let relation = &rules.relations[relation.index()];
             let message = format!("`{}` is inline, but some atoms need its rows", relation.name);
-            (Diagnostic::new(Code::IGNORED, message).at(relation.span, ""))
+            (Diagnostic::new(codes::IGNORED, message).at(relation.span, ""))
                 .note("an atom in an aggregate needs them, and one that is negated or has too many alternatives may")
                 .help("remove `inline`")
         };

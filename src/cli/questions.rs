@@ -5,7 +5,8 @@ use crate::cli::{
     Failure, ForceOption, Inputs, LimitOptions, finish, integer, is_stdout, load_city, messages, one_of, print_others,
     progress, refuse_mixing, terminal, unwritable,
 };
-use crate::diag::{Code, Sources};
+use crate::config::codes;
+use crate::diag::Sources;
 use crate::files::Output;
 use crate::task::questions::{
     Extent, Prompt, QUESTIONS_MAX, QuestionSet, Request, RulesFile, SHOTS_MAX, Style, askable,
@@ -121,7 +122,7 @@ pub fn run(arguments: &Arguments, sources: &mut Sources) -> Result<(), Failure> 
     bar.finish_and_clear();
     // The configuration is valid, so an invalid value is one of the request.
     let set = set.map_err(
-        |faults| match faults.iter().all(|fault| fault.code == Code::INVALID_VALUE) {
+        |faults| match faults.iter().all(|fault| fault.code == codes::INVALID_VALUE) {
             true => Failure::option(faults),
             false => Failure::Input(faults),
         },

@@ -1,9 +1,10 @@
 //! `logicity route`: plans a route.
 
+use crate::city::codes;
 use crate::city::{AgentKind, Routing};
 use crate::city::{Cell, CityMap, NoRoute, Router};
 use crate::cli::{Failure, MemoryOption, find_map, one_of, terminal};
-use crate::diag::{Code, Diagnostic, Sources};
+use crate::diag::{Diagnostic, Sources};
 use std::io::{BufWriter, Write};
 use std::sync::Arc;
 
@@ -71,7 +72,7 @@ pub fn run(arguments: &Arguments, sources: &mut Sources) -> Result<(), Failure> 
                 (message.to_owned(), None)
             }
         };
-        let fault = Diagnostic::new(Code::NO_ROUTE, format!("{message} on `{}`", map.name));
+        let fault = Diagnostic::new(codes::NO_ROUTE, format!("{message} on `{}`", map.name));
         match cell {
             Some(cell) => Failure::option([fault.help(outside(cell).unwrap_or_else(|| rule.to_owned()))]),
             None => fault.into(),

@@ -1,5 +1,6 @@
 //! `logicity run`: runs a city.
 
+use crate::city::codes;
 use crate::city::{Action, AgentKind, Split};
 use crate::cli::icons::IconOptions;
 use crate::cli::{
@@ -9,7 +10,7 @@ use crate::cli::{
 use crate::datalog::constraints;
 use crate::datalog::explain::ExplanationPrinter;
 use crate::datalog::{Clause, ClauseId};
-use crate::diag::{Code, Diagnostic, SourceId, Sources};
+use crate::diag::{self, Diagnostic, SourceId, Sources};
 use crate::files::{Output, make_folder};
 use crate::page::DECISIONS_MAX;
 use crate::render::{Animation, Overview, Sprite, write_png};
@@ -128,13 +129,13 @@ pub fn run(arguments: &Arguments, sources: &mut Sources) -> Result<(), Failure> 
     if !arguments.no_trace && simulation.agents().len() > MAX_ENTITIES {
         let agents = simulation.agents().len();
         let message = format!("a trace of {agents} agents would be too large; the limit is {MAX_ENTITIES}");
-        let fault = Diagnostic::new(Code::LIMIT_EXCEEDED, message);
+        let fault = Diagnostic::new(diag::codes::LIMIT_EXCEEDED, message);
         return Err(fault.help("use `--no-trace` to print only the summary").into());
     }
     let decisions = ticks.saturating_mul(simulation.agents().len() as u64);
     if arguments.html.is_some() && decisions > DECISIONS_MAX as u64 {
         let message = format!("a page of {decisions} decisions would be slow to open; the limit is {DECISIONS_MAX}");
-        let fault = Diagnostic::new(Code::LIMIT_EXCEEDED, message);
+        let fault = Diagnostic::new(diag::codes::LIMIT_EXCEEDED, message);
         return Err(fault
             .help("omit `--html` and write a page of some ticks: `logicity view TRACE --from N --ticks N`")
             .into());
@@ -246,7 +247,7 @@ impl Record {
                 simulation.world().map(),
                 Arc::new(arguments.icons.load(simulation.seed())?),
             )
-            .map_err(|error| Diagnostic::new(Code::INVALID_MAP, error.to_string()))?;
+            .map_err(|error| Diagnostic::new(codes::INVALID_MAP, error.to_string()))?;
             let first = overview.draw(0, &sprites(simulation, &names));
             let animation = Animation::new(create("city.gif")?, &first, FRAME_DELAY)
                 .map_err(|error| unwritable(&folder.join("city.gif"), &error))?;

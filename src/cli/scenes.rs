@@ -3,7 +3,8 @@
 use crate::cli::kind::Kind;
 use crate::cli::{Failure, open};
 use crate::datalog::size;
-use crate::diag::{Code, Diagnostic, SourceId, Sources};
+use crate::diag::codes;
+use crate::diag::{Diagnostic, SourceId, Sources};
 use crate::files::{self, ReadError};
 use crate::task::induction::LOG_START;
 use std::io::{self, BufRead, BufReader, Read};
@@ -98,7 +99,7 @@ impl SceneLines {
             let mut sources = Sources::new();
             let scene = if bytes.len() as u64 > self.longest && !bytes.ends_with(b"\n") {
                 let limit = format!("too long: the limit is {}", size(self.longest));
-                let fault = fault(Code::LIMIT_EXCEEDED, &limit);
+                let fault = fault(codes::LIMIT_EXCEEDED, &limit);
                 let mut rest = self.lines.by_ref().take(MAX_SCENE);
                 rest.skip_until(b'\n').map_err(unreadable)?;
                 // A line without an end would take as long as the file.
@@ -113,7 +114,7 @@ impl SceneLines {
                     Ok(line) => Ok(sources.add_from(name.as_str(), line.trim_end_matches(['\n', '\r']), number)),
                     Err(ReadError::NotText { column, .. }) => {
                         let what = format!("not UTF-8 text (first bad byte in column {column})");
-                        Err(fault(Code::NOT_TEXT, &what))
+                        Err(fault(codes::NOT_TEXT, &what))
                     }
                     Err(error) => return Err(Failure::file("read", &self.path, error)),
                 }

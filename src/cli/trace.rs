@@ -4,8 +4,9 @@ use crate::builtin::BuiltinFiles;
 use crate::cli::kind::Kind;
 use crate::cli::{Failure, LimitOptions, open};
 use crate::datalog::Limits;
-use crate::diag::{Code, Diagnostic, Sources};
+use crate::diag::{self, Diagnostic, Sources};
 use crate::files;
+use crate::sim::codes;
 use crate::sim::{Archive, LoadError, LoadedCity, Replay, TraceHeader, TraceTick, trace_limits};
 use std::io::{BufRead, BufReader, Read};
 use std::path::{Path, PathBuf};
@@ -42,7 +43,7 @@ impl TraceReader {
         let (mut number, mut read) = (0, 0);
         let Some(line) = next_line(&mut *lines, path, &mut number, &mut read)? else {
             let message = format!("`{}` is empty", path.display());
-            return Err(Diagnostic::new(Code::INVALID_TRACE, message).into());
+            return Err(Diagnostic::new(codes::INVALID_TRACE, message).into());
         };
         Ok(TraceReader {
             header: TraceHeader::read(&line).map_err(|fault| match Kind::Trace.mismatch(path, &line) {
@@ -65,7 +66,7 @@ impl TraceReader {
         let tick = TraceTick::read(&line).map_err(|fault| self.placed(fault))?;
         if let Some(expected) = self.next.filter(|&expected| expected != tick.tick) {
             let message = format!("found tick {} instead of tick {expected}", tick.tick);
-            return Err(self.placed(Diagnostic::new(Code::INVALID_TRACE, message)));
+            return Err(self.placed(Diagnostic::new(codes::INVALID_TRACE, message)));
         }
         self.next = Some(tick.tick.saturating_add(1));
         Ok(Some(tick))
@@ -80,7 +81,7 @@ impl TraceReader {
     pub fn rules(&self) -> Result<Archive, Failure> {
         let missing = || {
             let message = "a trace of version 1, which does not contain its rules";
-            let fault = Diagnostic::new(Code::INVALID_TRACE, message);
+            let fault = Diagnostic::new(codes::INVALID_TRACE, message);
             placed(
                 fault.help("specify rule files, and the configuration of the run with `--config`"),
                 &self.path,
@@ -175,10 +176,10 @@ fn next_line(
         *number += 1;
         if found as u64 == longest && !bytes.ends_with(b"\n") {
             let message = format!("a line of more than {} MiB", longest >> 20);
-            return Err(placed(Diagnostic::new(Code::INVALID_TRACE, message), path, *number));
+            return Err(placed(Diagnostic::new(codes::INVALID_TRACE, message), path, *number));
         }
         let line = String::from_utf8(bytes).map_err(|_| {
-            let fault = Diagnostic::new(Code::NOT_TEXT, "not UTF-8 text");
+            let fault = Diagnostic::new(diag::codes::NOT_TEXT, "not UTF-8 text");
             placed(fault, path, *number)
         })?;
         if !line.trim().is_empty() {
@@ -207,7 +208,7 @@ fn matching(what: &str, path: &Path, [found, wanted]: [&String; 2], trace: &Path
         short(found),
         short(wanted)
     );
-    Err(Diagnostic::new(Code::TRACE_MISMATCH, message)
+    Err(Diagnostic::new(codes::TRACE_MISMATCH, message)
         .note(note)
         .help(format!(
             "specify the original file with {option}, omit {option} to use that in the trace, or run again"

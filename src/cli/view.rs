@@ -4,10 +4,11 @@ use crate::cli::icons::IconOptions;
 use crate::cli::trace::TraceReader;
 use crate::cli::{Failure, ForceOption, Inputs, LimitOptions, finish, integer, messages, unwritable};
 use crate::datalog::Limits;
-use crate::diag::{Code, Diagnostic, SourceId, Sources};
+use crate::diag::{Diagnostic, SourceId, Sources};
 use crate::files::Output;
 use crate::page::{Comparison, Page};
 use crate::rng::Seed;
+use crate::sim::codes;
 use crate::sim::hash_sources;
 use indicatif::{ProgressBar, ProgressStyle};
 use serde_json::Value;
@@ -200,7 +201,7 @@ fn load(
     match last {
         None => {
             let message = format!("`{}` has no ticks", trace.display());
-            Err(Diagnostic::new(Code::INVALID_TRACE, message).into())
+            Err(Diagnostic::new(codes::INVALID_TRACE, message).into())
         }
         Some(last) if shown == 0 => Err(Failure::Usage(format!(
             "the trace ends with tick {last}, before tick {from}"

@@ -13,9 +13,11 @@
 //!
 //! This module does not know what the keys mean.
 
+use crate::config::codes;
 use crate::config::yaml;
 use crate::config::yaml::{Node, Value};
-use crate::diag::{Code, Diagnostic, SourceId, Sources, similar_file};
+use crate::datalog;
+use crate::diag::{self, Diagnostic, SourceId, Sources, similar_file};
 use crate::files::{BUILTIN_FOLDER, ReadError, ReadFile, normalize};
 use std::collections::HashMap;
 use std::path::{Path, PathBuf};
@@ -132,7 +134,7 @@ impl<'a> Composer<'a> {
                 let message = format!("`{path}` is a rule file, not a configuration");
                 let help = format!("name the rules in a configuration: `rules: {path}`");
                 self.faults
-                    .push(Diagnostic::new(Code::INVALID_VALUE, message).help(help));
+                    .push(Diagnostic::new(codes::INVALID_VALUE, message).help(help));
                 None
             }
             Ok((path, text)) => self.file(path, text, kind, parts, &mut Vec::new()),
@@ -265,7 +267,7 @@ impl<'a> Composer<'a> {
         if text.len() > yaml::MAX_BYTES {
             let (length, limit) = (text.len(), yaml::MAX_BYTES);
             let message = format!("`{}` has {length} bytes, the limit is {limit}", path.display());
-            self.faults.push(Diagnostic::new(Code::LIMIT_EXCEEDED, message));
+            self.faults.push(Diagnostic::new(diag::codes::LIMIT_EXCEEDED, message));
             return None;
         }
         let id = self.sources.add(path.display().to_string(), text);
@@ -305,11 +307,14 @@ impl<'a> Composer<'a> {
         if chain.contains(&path) || chain.len() == MAX_CHAIN {
             let fault = if chain.len() == MAX_CHAIN {
                 Diagnostic::new(
-                    Code::LIMIT_EXCEEDED,
+                    diag::codes::LIMIT_EXCEEDED,
                     format!("more than {MAX_CHAIN} files build on each other"),
                 )
             } else {
-                Diagnostic::new(Code::INCLUDE_CYCLE, format!("`{}` builds on itself", path.display()))
+                Diagnostic::new(
+                    datalog::codes::INCLUDE_CYCLE,
+                    format!("`{}` builds on itself", path.display()),
+                )
             };
             self.faults.push(fault.at(node.span, ""));
             return None;
@@ -368,9 +373,9 @@ fn merge(base: &mut Node, over: Node) {
 
 fn unreadable(path: &Path, error: &ReadError) -> Diagnostic {
     let code = match error {
-        ReadError::NotText { .. } => Code::NOT_TEXT,
-        ReadError::TooLarge(_) => Code::LIMIT_EXCEEDED,
-        ReadError::NotFound | ReadError::Io(_) => Code::MISSING_FILE,
+        ReadError::NotText { .. } => diag::codes::NOT_TEXT,
+        ReadError::TooLarge(_) => diag::codes::LIMIT_EXCEEDED,
+        ReadError::NotFound | ReadError::Io(_) => codes::MISSING_FILE,
     };
     Diagnostic::new(code, format!("cannot read `{}`: {error}", path.display()))
 }

@@ -5,13 +5,14 @@
 
 use crate::city::{Action, AgentGroup, AgentKind, AgentSet, Building, Buildings, MapConfig, Routing, Split};
 use crate::city::{TripEnds, Widths};
+use crate::config::codes;
 use crate::config::compose::{AGENTS, Composer, Kind, MAP, PREDICATES, RUN, Read, TASK};
 use crate::config::model::*;
 use crate::config::predicates::{Concepts, Predicates, carried, predicates};
 use crate::config::read::{Fields, choice, integer, invalid, list, number, text};
 use crate::config::task;
 use crate::config::yaml::{Node, Value};
-use crate::diag::{Code, Diagnostic, Faults, Located, MAX_FAULTS, Sources, Span};
+use crate::diag::{self, Diagnostic, Faults, Located, MAX_FAULTS, Sources, Span};
 use crate::files::BUILTIN_FOLDER;
 use sha2::{Digest, Sha256};
 use std::path::Path;
@@ -93,7 +94,7 @@ pub fn load_map(sources: &mut Sources, path: &Path, read: Read<'_>) -> Result<Ma
 /// Returns the fault of the loaded file itself, if it is the only one: the file is missing or cannot be read.
 pub fn missing_file(faults: &[Diagnostic]) -> Option<&Diagnostic> {
     match faults {
-        [fault] if fault.code == Code::MISSING_FILE && fault.primary.is_none() => Some(fault),
+        [fault] if fault.code == codes::MISSING_FILE && fault.primary.is_none() => Some(fault),
         _ => None,
     }
 }
@@ -154,7 +155,7 @@ fn is_part(composer: &mut Composer<'_>, tree: &Node) -> bool {
         .strip_prefix(BUILTIN_FOLDER)
         .map_or(path.as_str(), |inside| inside.trim_start_matches('/'));
     let message = format!("expected a run configuration, found {what}");
-    let fault = Diagnostic::new(Code::INVALID_VALUE, message).at(tree.span, "");
+    let fault = Diagnostic::new(codes::INVALID_VALUE, message).at(tree.span, "");
     let help = format!("write a run configuration with `base: expert` and `{key}: {path}`");
     composer.faults.push(fault.help(help));
     true
@@ -315,7 +316,7 @@ fn other_blocks(
         "the map has {wanted_rows} x {wanted_cols} blocks, but its rows of buildings are for {} x {} blocks",
         found[0], found[1]
     );
-    let fault = Diagnostic::new(Code::INVALID_VALUE, message);
+    let fault = Diagnostic::new(codes::INVALID_VALUE, message);
     // The file of the map overrides its base.
     let fault = match map.span.source == node.span.source {
         true => fault
@@ -367,14 +368,14 @@ fn buildings(
                     2 * wanted
                 );
                 let message = format!("expected {expected}, found {}", rows.len());
-                faults.push(Diagnostic::new(Code::INVALID_VALUE, message).at(node.span, ""));
+                faults.push(Diagnostic::new(codes::INVALID_VALUE, message).at(node.span, ""));
                 return None;
             }
             rows.into_iter().collect::<Option<_>>().map(Buildings::Fixed)
         }
         (None, Some(node)) => random_buildings(node, faults),
         (Some(rows), Some(random)) => {
-            let fault = Diagnostic::new(Code::INVALID_VALUE, "the buildings have both `rows` and `random`");
+            let fault = Diagnostic::new(codes::INVALID_VALUE, "the buildings have both `rows` and `random`");
             let inherited = "inherited from the base";
             let (source, whole) = (node.span.source, "buildings: {rows: ~, random: {...}}");
             faults.push(if rows.span.source != source {
@@ -406,7 +407,7 @@ fn building_row(node: &Node, wanted: Option<usize>, faults: &mut Vec<Diagnostic>
     for (byte, letter) in row.char_indices().filter(|(_, letter)| !letter.is_whitespace()) {
         let Some((_, _, building)) = BUILDINGS.iter().find(|(_, known, _)| *known == letter) else {
             let letters = BUILDINGS.map(|(name, letter, _)| format!("{letter} {name}")).join(", ");
-            let fault = Diagnostic::new(Code::INVALID_VALUE, format!("`{letter}` does not denote a building"));
+            let fault = Diagnostic::new(codes::INVALID_VALUE, format!("`{letter}` does not denote a building"));
             let span = inside(node, row, byte..byte + letter.len_utf8());
             faults.push(fault.at(span, "").note(format!("the letters are: {letters}")));
             return None;
@@ -419,7 +420,7 @@ fn building_row(node: &Node, wanted: Option<usize>, faults: &mut Vec<Diagnostic>
                 "expected {wanted} buildings, two for each block of the row, found {}",
                 buildings.len()
             );
-            faults.push(Diagnostic::new(Code::INVALID_VALUE, message).at(node.span, ""));
+            faults.push(Diagnostic::new(codes::INVALID_VALUE, message).at(node.span, ""));
             None
         }
         _ => Some(buildings),
@@ -498,7 +499,7 @@ fn splits(
     fields.close(faults);
     if splits.is_empty() && faults.len() == before && !node.partial {
         let fault = Diagnostic::new(
-            Code::INVALID_VALUE,
+            codes::INVALID_VALUE,
             "expected at least one of `train`, `val`, `test`, found none",
         );
         faults.push(fault.at(node.span, ""));
@@ -539,7 +540,7 @@ fn agents(
     fields.close(faults);
     if cars.is_empty() && pedestrians.is_empty() && faults.len() == before && !node.partial {
         let message = format!("the split `{}` has no agents", split.name());
-        let fault = Diagnostic::new(Code::INVALID_VALUE, message).at(node.span, "");
+        let fault = Diagnostic::new(codes::INVALID_VALUE, message).at(node.span, "");
         faults.push(fault.help("give it `cars` or `pedestrians`"));
     }
     let set = AgentSet {
@@ -554,7 +555,7 @@ fn agents(
         && set.len() > MAX_REPEATED as usize
     {
         let message = format!("{} agents in a split, the limit is {MAX_REPEATED}", set.len());
-        faults.push(Diagnostic::new(Code::LIMIT_EXCEEDED, message).at(node.span, "too many repetitions"));
+        faults.push(Diagnostic::new(diag::codes::LIMIT_EXCEEDED, message).at(node.span, "too many repetitions"));
         return None;
     }
     Some(set)
@@ -593,7 +594,7 @@ fn group(
         .and_then(|each| each.checked_mul(count));
     let Some(left) = needed.and_then(|needed| room.checked_sub(needed)) else {
         let message = format!("a split has more than {MAX_AGENTS} agents and carried concepts");
-        faults.push(Diagnostic::new(Code::LIMIT_EXCEEDED, message).at(node.span, "too many here"));
+        faults.push(Diagnostic::new(diag::codes::LIMIT_EXCEEDED, message).at(node.span, "too many here"));
         return None;
     };
     *room = left;
@@ -615,7 +616,7 @@ fn actions(node: &Node, faults: &mut Vec<Diagnostic>) -> Option<ActionsConfig> {
         sorted.sort_unstable();
         if sorted != Action::ALL {
             let message = "expected each of `Slow`, `Normal`, `Fast`, `Stop` exactly once";
-            faults.push(Diagnostic::new(Code::INVALID_VALUE, message).at(node.span, ""));
+            faults.push(Diagnostic::new(codes::INVALID_VALUE, message).at(node.span, ""));
             return None;
         }
         Some(order)

@@ -9,7 +9,7 @@
 //! built-in files serve where it finds none. This module does not know what rules say or whether a map has room for its
 //! agents.
 
-mod codes;
+pub mod codes;
 mod compose;
 mod load;
 mod model;
@@ -19,7 +19,6 @@ mod task;
 mod tree;
 pub(crate) mod yaml;
 
-pub use codes::{CATALOG, CODES};
 pub use compose::{Read, rule_file};
 pub use load::{Loaded, load_any, load_map, load_scenario, missing_file};
 pub use model::*;

@@ -1,10 +1,11 @@
 //! Reads the base predicates of a configuration, and the concepts that they define.
 
 use crate::city::{Action, AgentKind};
+use crate::config::codes;
 use crate::config::model::*;
 use crate::config::read::{Fields, entries, is_name, list, name};
 use crate::config::yaml::Node;
-use crate::diag::{Code, Diagnostic, Located, MAX_FAULTS, Span, did_you_mean, listed};
+use crate::diag::{self, Diagnostic, Located, MAX_FAULTS, Span, did_you_mean, listed};
 use crate::predicate::{Concept, Definition, Sees};
 use std::collections::HashMap;
 
@@ -33,7 +34,7 @@ pub(super) fn predicates(node: &Node, faults: &mut Vec<Diagnostic>) -> Option<Pr
             "{} predicates are defined, the limit is {MAX_PREDICATES}",
             entries.len()
         );
-        faults.push(Diagnostic::new(Code::LIMIT_EXCEEDED, message).at(define?.span, ""));
+        faults.push(Diagnostic::new(diag::codes::LIMIT_EXCEEDED, message).at(define?.span, ""));
         return None;
     }
     let mut defined = Vec::new();
@@ -49,7 +50,7 @@ pub(super) fn predicates(node: &Node, faults: &mut Vec<Diagnostic>) -> Option<Pr
             None
         };
         if let Some(message) = fault {
-            faults.push(Diagnostic::new(Code::INVALID_VALUE, message).at(key.span, ""));
+            faults.push(Diagnostic::new(codes::INVALID_VALUE, message).at(key.span, ""));
             continue;
         }
         let name = Located {
@@ -87,7 +88,7 @@ fn selected(node: &Node, defined: &[PredicateConfig], faults: &mut Vec<Diagnosti
             continue;
         };
         if let Some(first) = used.iter().find(|predicate| predicate.name.value == wanted) {
-            let fault = Diagnostic::new(Code::INVALID_VALUE, format!("`{wanted}` is used twice"));
+            let fault = Diagnostic::new(codes::INVALID_VALUE, format!("`{wanted}` is used twice"));
             faults.push(
                 fault
                     .at(item.span, "used again")
@@ -104,7 +105,7 @@ fn selected(node: &Node, defined: &[PredicateConfig], faults: &mut Vec<Diagnosti
                 definition: predicate.definition.clone(),
             }),
             None => {
-                let mut fault = Diagnostic::new(Code::INVALID_VALUE, format!("no predicate `{wanted}` is defined"));
+                let mut fault = Diagnostic::new(codes::INVALID_VALUE, format!("no predicate `{wanted}` is defined"));
                 let names = defined.iter().map(|predicate| predicate.name.value.as_str());
                 if wanted == SEES {
                     fault = fault.help(format!("remove it: `{SEES}` is predefined"));
@@ -149,17 +150,21 @@ impl<'p> Concepts<'p> {
         };
         let fault = if kinds.is_some() {
             let other = if kind == AgentKind::Car { "pedestrians" } else { "cars" };
-            Diagnostic::new(Code::INVALID_VALUE, format!("`{concept}` is a concept of {other} only")).at(span, "")
+            Diagnostic::new(
+                codes::INVALID_VALUE,
+                format!("`{concept}` is a concept of {other} only"),
+            )
+            .at(span, "")
         } else if let Some(unused) = self.predicates.defined.iter().find(carried) {
             let predicate = &unused.name.value;
             Diagnostic::new(
-                Code::INVALID_VALUE,
+                codes::INVALID_VALUE,
                 format!("no predicate in use defines the concept `{concept}`"),
             )
             .at(span, "")
             .help(format!("add `{predicate}` to the predicates' `use`"))
         } else {
-            let fault = Diagnostic::new(Code::INVALID_VALUE, format!("unknown concept `{concept}`")).at(span, "");
+            let fault = Diagnostic::new(codes::INVALID_VALUE, format!("unknown concept `{concept}`")).at(span, "");
             let mut known: Vec<_> = self
                 .used
                 .iter()
@@ -191,7 +196,7 @@ pub(super) fn carried(
     let items = list(node, "concepts", faults)?;
     if items.len() > MAX_PREDICATES {
         let message = format!("{} concepts, the limit is {MAX_PREDICATES}", items.len());
-        faults.push(Diagnostic::new(Code::LIMIT_EXCEEDED, message).at(node.span, ""));
+        faults.push(Diagnostic::new(diag::codes::LIMIT_EXCEEDED, message).at(node.span, ""));
         return None;
     }
     let mut concepts: Vec<Located<String>> = Vec::new();
@@ -200,7 +205,7 @@ pub(super) fn carried(
             continue;
         };
         if let Some(first) = concepts.iter().find(|given| given.value == concept) {
-            let fault = Diagnostic::new(Code::INVALID_VALUE, format!("the concept `{concept}` is given twice"));
+            let fault = Diagnostic::new(codes::INVALID_VALUE, format!("the concept `{concept}` is given twice"));
             faults.push(fault.at(item.span, "given again").also(first.span, "first given here"));
             continue;
         }

@@ -3,15 +3,16 @@
 //! A function returns `None` after it has pushed a fault. The caller continues with the other keys, so that one run
 //! reports all faults. This module does not know the contents of configurations.
 
+use crate::config::codes;
 use crate::config::yaml::{Key, Node, Value};
-use crate::diag::{Code, Diagnostic, Span, did_you_mean};
+use crate::diag::{Diagnostic, Span, did_you_mean};
 use std::fmt::Display;
 use std::ops::RangeInclusive;
 
 /// Reports that a value is not what was expected.
 pub(crate) fn invalid(node: &Node, expected: impl Display, faults: &mut Vec<Diagnostic>) {
     let message = format!("expected {expected}, found {}", node.describe());
-    let mut fault = Diagnostic::new(Code::INVALID_VALUE, message).at(node.span, "");
+    let mut fault = Diagnostic::new(codes::INVALID_VALUE, message).at(node.span, "");
     fault.help.extend(node.missing_space());
     faults.push(fault);
 }
@@ -57,7 +58,7 @@ impl<'n> Fields<'n> {
             Some((_, node)) if matches!(node.value, Value::Absent) => {}
             Some((given, _)) => {
                 let message = format!("the key `{key}` has no value in {}", self.what);
-                faults.push(Diagnostic::new(Code::MISSING_KEY, message).at(given.span, ""));
+                faults.push(Diagnostic::new(codes::MISSING_KEY, message).at(given.span, ""));
             }
         }
         None
@@ -80,7 +81,7 @@ impl<'n> Fields<'n> {
             let subject = if self.missing.len() == 1 { "the key" } else { "the keys" };
             let verb = if self.missing.len() == 1 { "is" } else { "are" };
             let message = format!("{subject} {quoted} {verb} missing in {}", self.what);
-            let mut fault = Diagnostic::new(Code::MISSING_KEY, message).at(self.span, "");
+            let mut fault = Diagnostic::new(codes::MISSING_KEY, message).at(self.span, "");
             fault.help.extend(help.map(str::to_owned));
             faults.push(fault);
         }
@@ -89,7 +90,7 @@ impl<'n> Fields<'n> {
                 continue;
             }
             let mut fault = Diagnostic::new(
-                Code::UNKNOWN_KEY,
+                codes::UNKNOWN_KEY,
                 format!("unknown key `{}` in {}", key.text, self.what),
             )
             .at(key.span, "")

@@ -1,5 +1,6 @@
 //! Configuration files whose keys the caller interprets, such as those of training in Python.
 
+use crate::config::codes;
 use crate::config::compose::{Composer, Kind, Read};
 use crate::config::load::finish;
 use crate::config::yaml::{Node, Value};
@@ -37,7 +38,7 @@ impl Tree {
         for step in path {
             let next = match &node.value {
                 Value::Map(entries) => entries.iter().find(|(key, _)| key.text == *step).map(|(key, value)| {
-                    span = if code == Code::UNKNOWN_KEY {
+                    span = if code == codes::UNKNOWN_KEY {
                         key.span
                     } else {
                         value.span
@@ -94,9 +95,12 @@ mod tests {
             let at = sources.position(span);
             format!("{}:{}:{}", sources.name(span.source), at.line, at.column)
         };
-        assert_eq!(place(&["b", "c"], Code::INVALID_VALUE), "main.yaml:2:8");
-        assert_eq!(place(&["b", "d", "1"], Code::INVALID_VALUE), "base.yaml:4:10");
-        assert_eq!(place(&["b", "d"], Code::UNKNOWN_KEY), "base.yaml:4:3");
-        assert_eq!(place(&["b", "x"], Code::MISSING_KEY), place(&["b"], Code::MISSING_KEY));
+        assert_eq!(place(&["b", "c"], codes::INVALID_VALUE), "main.yaml:2:8");
+        assert_eq!(place(&["b", "d", "1"], codes::INVALID_VALUE), "base.yaml:4:10");
+        assert_eq!(place(&["b", "d"], codes::UNKNOWN_KEY), "base.yaml:4:3");
+        assert_eq!(
+            place(&["b", "x"], codes::MISSING_KEY),
+            place(&["b"], codes::MISSING_KEY)
+        );
     }
 }

@@ -8,7 +8,8 @@
 //! errors have at most one place. This module does not know what the keys mean.
 // Decision: docs/decisions/city.md#d056
 
-use crate::diag::{Code, Diagnostic, SourceId, Sources, Span};
+use crate::config::codes;
+use crate::diag::{self, Diagnostic, SourceId, Sources, Span};
 use serde_json::{Map, Value as Json};
 use serde_yaml::granit_parser::{ErrorKind, Event, Parser, ScalarStyle, Span as Mark, StructureStyle};
 use std::collections::HashMap;
@@ -245,7 +246,7 @@ pub(crate) fn parse(
                 Err(Box::new(match error.kind() {
                     ErrorKind::RecursionLimitExceeded => too_deep(span),
                     kind => (builder.known_mistake(at, &kind.to_string()))
-                        .unwrap_or_else(|| Diagnostic::new(Code::YAML_SYNTAX, kind.to_string()).at(span, "")),
+                        .unwrap_or_else(|| Diagnostic::new(codes::YAML_SYNTAX, kind.to_string()).at(span, "")),
                 }))
             }
         };
@@ -255,7 +256,7 @@ pub(crate) fn parse(
         }
     }
     if builder.root.is_none() {
-        let fault = Diagnostic::new(Code::INVALID_VALUE, "the file is empty; expected a mapping");
+        let fault = Diagnostic::new(codes::INVALID_VALUE, "the file is empty; expected a mapping");
         builder.faults.push(fault.at(start, ""));
     }
     builder.root
@@ -263,7 +264,7 @@ pub(crate) fn parse(
 
 fn too_deep(span: Span) -> Diagnostic {
     let message = format!("lists and mappings are nested more than {MAX_DEPTH} deep");
-    Diagnostic::new(Code::LIMIT_EXCEEDED, message).at(span, "")
+    Diagnostic::new(diag::codes::LIMIT_EXCEEDED, message).at(span, "")
 }
 
 impl Builder<'_> {
@@ -301,7 +302,7 @@ impl Builder<'_> {
             Some(start + tab)
         });
         if let Some(tab) = tabs.next() {
-            let fault = Diagnostic::new(Code::YAML_SYNTAX, "a tab indents this line");
+            let fault = Diagnostic::new(codes::YAML_SYNTAX, "a tab indents this line");
             let span = Span::new(self.source, tab..tab + 1);
             return Some(
                 fault
@@ -317,7 +318,7 @@ impl Builder<'_> {
             }
             let written = line(from);
             let (key, _) = glued(written)?;
-            let fault = Diagnostic::new(Code::YAML_SYNTAX, format!("expected a space after `{key}:`"));
+            let fault = Diagnostic::new(codes::YAML_SYNTAX, format!("expected a space after `{key}:`"));
             let span = Span::new(self.source, from..from + written.trim_end().len());
             Some(fault.at(span, "").help(space_help(written)?))
         })
@@ -337,7 +338,7 @@ impl Builder<'_> {
     fn spend(&mut self, nodes: usize, span: Span) -> Progress {
         *self.nodes_left = self.nodes_left.checked_sub(nodes).ok_or_else(|| {
             let message = format!("more than {MAX_NODES} values in one configuration");
-            Box::new(Diagnostic::new(Code::LIMIT_EXCEEDED, message).at(span, "the limit is exceeded here"))
+            Box::new(Diagnostic::new(diag::codes::LIMIT_EXCEEDED, message).at(span, "the limit is exceeded here"))
         })?;
         Ok(())
     }
@@ -346,7 +347,7 @@ impl Builder<'_> {
         let span = self.span(mark);
         if let Some(tag) = event.tag() {
             let fault = Diagnostic::new(
-                Code::INVALID_VALUE,
+                codes::INVALID_VALUE,
                 format!("tags such as `{}` are not supported", tag.original()),
             );
             let tag_span = mark.tag_span().map_or(span, |mark| self.span(&mark));
@@ -375,7 +376,7 @@ impl Builder<'_> {
             }
             Event::Alias(anchor) => {
                 let Some(Anchored { node, extent }) = self.anchors.get(&anchor) else {
-                    let fault = Diagnostic::new(Code::YAML_SYNTAX, "an alias is inside the value that it refers to");
+                    let fault = Diagnostic::new(codes::YAML_SYNTAX, "an alias is inside the value that it refers to");
                     return Err(Box::new(fault.at(span, "")));
                 };
                 if self.open.len() + extent.depth > MAX_DEPTH {
@@ -386,7 +387,7 @@ impl Builder<'_> {
                 self.finished(node, 0)?;
             }
             Event::DocumentStart(..) if self.root.is_some() => {
-                let fault = Diagnostic::new(Code::YAML_SYNTAX, "the file has a second document");
+                let fault = Diagnostic::new(codes::YAML_SYNTAX, "the file has a second document");
                 return Err(Box::new(fault.at(span, "the file must end before this")));
             }
             _ => {}
@@ -440,7 +441,7 @@ impl Builder<'_> {
                     parent.key = Some(match node.value {
                         Value::Scalar { text, .. } => Some(Key { text, span }),
                         _ => {
-                            let fault = Diagnostic::new(Code::INVALID_VALUE, "a key must be a single word");
+                            let fault = Diagnostic::new(codes::INVALID_VALUE, "a key must be a single word");
                             self.faults.push(fault.at(span, format!("this is {}", node.describe())));
                             None
                         }
@@ -462,7 +463,7 @@ fn drop_glued(entries: &mut Vec<(Key, Node)>, faults: &mut Vec<Diagnostic>) {
         let (Some(help), Some((word, _))) = (help, glued(&key.text)) else {
             return true;
         };
-        let fault = Diagnostic::new(Code::YAML_SYNTAX, format!("expected a space after `{word}:`"));
+        let fault = Diagnostic::new(codes::YAML_SYNTAX, format!("expected a space after `{word}:`"));
         faults.push(fault.at(key.span, "").help(help));
         false
     });
@@ -477,7 +478,7 @@ fn drop_duplicates(entries: &mut Vec<(Key, Node)>, faults: &mut Vec<Diagnostic>)
             true
         }
         Some(&earlier) => {
-            let fault = Diagnostic::new(Code::DUPLICATE_KEY, format!("the key `{}` is given twice", key.text));
+            let fault = Diagnostic::new(codes::DUPLICATE_KEY, format!("the key `{}` is given twice", key.text));
             faults.push(fault.at(key.span, "given again").also(earlier, "first given here"));
             false
         }

@@ -6,10 +6,11 @@
 //! files.
 
 use crate::datalog::check::{Column, RelId, Relation, RowFormat};
+use crate::datalog::codes;
 use crate::datalog::session::Session;
 use crate::datalog::syntax::ast::BaseType;
 use crate::datalog::value::{Value, parse as parse_value, print_float};
-use crate::diag::{Code, Diagnostic, Faults, SourceId, Sources, Span};
+use crate::diag::{Diagnostic, Faults, SourceId, Sources, Span};
 use crate::symbol::Symbol;
 use std::borrow::Cow;
 use std::cmp::Ordering;
@@ -45,7 +46,7 @@ pub fn load_as(
     let program = session.program().clone();
     let Some(relation) = program.rules().relations.get(rel.index()) else {
         return Err(vec![Diagnostic::new(
-            Code::INVALID_FACT,
+            codes::INVALID_FACT,
             "the program has no such relation",
         )]);
     };
@@ -71,7 +72,7 @@ pub fn load_as(
         if let Some((range, message)) = record.fault {
             let help = "enclose a value in double quotes, and double a quote inside";
             faults.push(
-                Diagnostic::new(Code::INVALID_FACT, message)
+                Diagnostic::new(codes::INVALID_FACT, message)
                     .at(span(range), "")
                     .help(help),
             );
@@ -80,7 +81,7 @@ pub fn load_as(
         if relation.columns.is_empty() {
             if !matches!(&text[whole.clone()], "()" | "") {
                 let message = format!("`{}` has no columns; its only row is `()`", relation.name);
-                let fault = Diagnostic::new(Code::INVALID_FACT, message);
+                let fault = Diagnostic::new(codes::INVALID_FACT, message);
                 faults.push(fault.at(span(whole), "expected `()` or an empty line"));
             }
             continue;
@@ -95,7 +96,7 @@ pub fn load_as(
                 let (name, arity) = (&relation.name, relation.arity());
                 format!("a row of `{name}` has {arity} values, not {found}")
             };
-            let fault = Diagnostic::new(Code::INVALID_FACT, message).at(span(whole), "");
+            let fault = Diagnostic::new(codes::INVALID_FACT, message).at(span(whole), "");
             faults.push(
                 fault
                     .also(relation.span, "declared here")
@@ -119,7 +120,7 @@ pub fn load_as(
                 _ => ("numbers", "not a 32-bit decimal number"),
             };
             let message = format!("column `{}` of `{}` holds {what}", column.name, relation.name);
-            faults.push(Diagnostic::new(Code::INVALID_FACT, message).at(span(field), label));
+            faults.push(Diagnostic::new(codes::INVALID_FACT, message).at(span(field), label));
         }
     }
     let mut faults = faults.finish();
@@ -129,7 +130,7 @@ pub fn load_as(
             arity => session.insert_all(rel, rows.chunks_exact(arity)),
         };
         if let Err(error) = inserted {
-            faults.push(Diagnostic::new(Code::INVALID_FACT, error.to_string()));
+            faults.push(Diagnostic::new(codes::INVALID_FACT, error.to_string()));
         }
     }
     if faults.is_empty() { Ok(count) } else { Err(faults) }

@@ -98,7 +98,7 @@
 mod aggregate;
 mod analysis;
 mod check;
-mod codes;
+pub mod codes;
 pub mod dense;
 mod eval;
 pub mod explain;
@@ -119,7 +119,6 @@ pub use check::{
     Atom, Clause, ClauseId, Column, Comparing, Constraint, DeclaredConstraint, Directive, Edb, Literal, RelId,
     Relation, RowFormat, RowPlace, Rules, Stratum, Term, Type, TypeId, VarId,
 };
-pub use codes::{CATALOG, CODES};
 pub use eval::delta::{Delta, RelationChange, Rows};
 #[cfg(feature = "sim")]
 pub(crate) use eval::limits::size;

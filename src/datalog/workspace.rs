@@ -10,7 +10,8 @@
 use std::borrow::Cow;
 use std::collections::HashSet;
 
-use crate::diag::{Code, Diagnostic, Faults, SourceId, Sources, Span};
+use crate::datalog::codes;
+use crate::diag::{Diagnostic, Faults, SourceId, Sources, Span};
 use crate::files::ReadFile;
 use crate::symbol::{Symbol, Symbols};
 
@@ -212,7 +213,7 @@ impl Workspace {
             return Err(faults.finish());
         };
         let [Literal::Atom { negated: false, atom }] = body.as_slice() else {
-            let fault = Diagnostic::new(Code::INVALID_FACT, "this is not a single fact");
+            let fault = Diagnostic::new(codes::INVALID_FACT, "this is not a single fact");
             return Err(vec![fault.at(place.0, "expected a predicate and its values")]);
         };
         for term in &atom.terms {
@@ -221,7 +222,7 @@ impl Workspace {
                 variable.get_or_insert(name);
             });
             if let Some(name) = variable {
-                let fault = Diagnostic::new(Code::INVALID_FACT, format!("`{name}` is a variable, not a value"));
+                let fault = Diagnostic::new(codes::INVALID_FACT, format!("`{name}` is a variable, not a value"));
                 let help = format!("write strings in double quotes: `\"{name}\"`; `_` matches any value");
                 faults.push(fault.at(term.place.0, "").help(help));
             }
@@ -241,7 +242,7 @@ impl Workspace {
                 values: constants(atom, &rules, symbols).collect(),
             }),
             _ => {
-                let fault = Diagnostic::new(Code::INVALID_FACT, "a fact contains only constants");
+                let fault = Diagnostic::new(codes::INVALID_FACT, "a fact contains only constants");
                 Err(vec![fault.at(place.0, "").help("write the value of the expression")])
             }
         }

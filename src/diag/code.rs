@@ -30,39 +30,22 @@ impl Code {
     }
 }
 
-/// Declares the codes of a module as constants of [`Code`](crate::diag::Code), their list as `CODES`, and their
-/// explanations in the named Markdown file as `CATALOG`.
+/// Declares the codes of a module as constants, their list as `CODES`, and their explanations in the named Markdown file
+/// as `CATALOG`.
 #[macro_export]
 #[doc(hidden)]
 macro_rules! diagnostic_codes {
     ($file:literal: $($(#[doc = $doc:literal])* $constant:ident = $name:literal, $severity:ident;)*) => {
-        impl $crate::diag::Code {
-            $($(#[doc = $doc])* pub const $constant: $crate::diag::Code =
-                $crate::diag::Code::new($name, $crate::diag::Severity::$severity);)*
-        }
+        $($(#[doc = $doc])* pub const $constant: $crate::diag::Code =
+            $crate::diag::Code::new($name, $crate::diag::Severity::$severity);)*
 
         /// The codes of this module's messages.
-        pub const CODES: &[$crate::diag::Code] = &[$($crate::diag::Code::$constant,)*];
+        pub const CODES: &[$crate::diag::Code] = &[$($constant,)*];
 
         /// The explanations of these codes.
         pub const CATALOG: $crate::diag::Catalog = $crate::diag::Catalog {
-            summaries: &[$(($crate::diag::Code::$constant, concat!($($doc),*)),)*],
+            summaries: &[$(($constant, concat!($($doc),*)),)*],
             text: include_str!($file),
         };
     };
 }
-
-crate::diagnostic_codes! {
-    "code.md":
-    /// The bytes of a file are not UTF-8 text.
-    NOT_TEXT = "not-text", Error;
-    /// A size or count in the input exceeds a limit of the program.
-    LIMIT_EXCEEDED = "limit-exceeded", Error;
-    /// The caller cancelled the work before it was done.
-    CANCELLED = "cancelled", Error;
-}
-
-/// The examples in Rust, which are tested like those of the documentation.
-#[cfg(doctest)]
-#[doc = include_str!("code.md")]
-pub struct Examples;

@@ -1,6 +1,6 @@
 //! Collects diagnostics.
 
-use crate::diag::{Code, Diagnostic, Severity};
+use crate::diag::{Diagnostic, Severity, codes};
 
 /// The maximum number of different errors, and of different warnings, kept for one input. A file of noise must not fill
 /// the memory or the screen.
@@ -122,7 +122,7 @@ impl Faults {
             let errors = list.iter().filter(|fault| fault.is_error()).count();
             // The caller may have stopped here, so the number of further errors is unknown.
             list.push(Diagnostic::new(
-                Code::LIMIT_EXCEEDED,
+                codes::LIMIT_EXCEEDED,
                 format!("more than {errors} errors; the others are not shown"),
             ));
         }
@@ -153,7 +153,7 @@ mod tests {
     fn push(faults: &mut Faults, messages: impl IntoIterator<Item = String>) {
         let id: SourceId = Sources::new().add("a.dl", "");
         for (at, message) in messages.into_iter().enumerate() {
-            faults.push(Diagnostic::new(Code::UNSUPPORTED, message).at(Span::new(id, at..at + 1), ""));
+            faults.push(Diagnostic::new(crate::datalog::codes::UNSUPPORTED, message).at(Span::new(id, at..at + 1), ""));
         }
     }
 

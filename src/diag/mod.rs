@@ -8,13 +8,14 @@
 // Decision: docs/decisions/language.md#d068
 
 mod code;
+pub mod codes;
 mod explanation;
 mod faults;
 mod neutral;
 mod render;
 mod source;
 
-pub use code::{CATALOG, CODES, Code};
+pub use code::Code;
 pub use explanation::{Catalog, Example, Explanation, explanations};
 pub use faults::{Faults, MAX_FAULTS};
 pub use neutral::neutral;
@@ -99,7 +100,7 @@ impl Diagnostic {
 
     /// The diagnostic of work that the caller cancelled.
     pub fn cancelled() -> Self {
-        Diagnostic::new(Code::CANCELLED, "the work was cancelled")
+        Diagnostic::new(codes::CANCELLED, "the work was cancelled")
     }
 
     /// Sets the primary place and its message.

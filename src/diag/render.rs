@@ -251,11 +251,11 @@ pub fn to_json(diagnostics: &[Diagnostic], sources: &Sources) -> Value {
 #[cfg(test)]
 mod tests {
     use super::*;
-    use crate::diag::Code;
+    use crate::datalog::codes;
     use std::ops::Range;
 
     fn fault(source: SourceId, range: Range<usize>) -> Diagnostic {
-        Diagnostic::new(Code::SYNTAX, "wrong").at(Span::new(source, range), "here")
+        Diagnostic::new(codes::SYNTAX, "wrong").at(Span::new(source, range), "here")
     }
 
     #[test]

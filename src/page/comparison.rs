@@ -1,8 +1,9 @@
 //! Two runs in step, and where they differ.
 
-use crate::diag::{Code, Diagnostic};
+use crate::diag::Diagnostic;
 use crate::page::file::{packed, write_parts};
 use crate::page::run::Page;
+use crate::sim::codes;
 use serde::Serialize;
 use std::io::{self, Write};
 
@@ -39,7 +40,7 @@ impl<'a> Comparison<'a> {
     pub fn new(runs: [&'a Page; 2], names: [String; 2]) -> Result<Comparison<'a>, Diagnostic> {
         let [left, right] = runs;
         let [a, b] = &names;
-        let fault = |message: String| Diagnostic::new(Code::TRACE_MISMATCH, message);
+        let fault = |message: String| Diagnostic::new(codes::TRACE_MISMATCH, message);
         if !left.scenery.map.equals(&right.scenery.map) {
             let (one, other) = (&left.scenery.map.name, &right.scenery.map.name);
             let message = format!("the runs have different maps: `{one}` in `{a}`, `{other}` in `{b}`");
@@ -63,7 +64,7 @@ impl<'a> Comparison<'a> {
         let count = left.count.min(right.count);
         if count == 0 {
             let name = if left.count == 0 { a } else { b };
-            return Err(Diagnostic::new(Code::INVALID_TRACE, format!("`{name}` has no ticks")));
+            return Err(Diagnostic::new(codes::INVALID_TRACE, format!("`{name}` has no ticks")));
         }
         let differences = (0..count).filter_map(|tick| Difference::of(runs, tick)).collect();
         Ok(Comparison {

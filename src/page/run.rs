@@ -3,11 +3,12 @@
 use crate::city::Action;
 use crate::city::{Cell, CityMap, Heading, field_of_view};
 use crate::datalog::explain::{Explainer, ExplanationPrinter};
-use crate::diag::{Code, Diagnostic, Sources};
+use crate::diag::{self, Diagnostic, Sources};
 use crate::page::file::{packed, write_parts};
 use crate::page::header::Header;
 use crate::page::scenery::Scenery;
 use crate::render::Icons;
+use crate::sim::codes;
 use crate::sim::{
     LOOK_TICKS, Replay, STUCK_TICKS, TraceHeader, TraceState, TraceTick, WaitsFor, find_deadlocks, waits,
 };
@@ -164,7 +165,7 @@ impl Page {
         let cells = i64::from(world.map().rows()) * i64::from(world.map().cols());
         if cells > CELLS_MAX {
             let message = format!("a page of a map of {cells} cells would be slow to open; the limit is {CELLS_MAX}");
-            return Err(Diagnostic::new(Code::LIMIT_EXCEEDED, message).help("run the rules on a smaller map"));
+            return Err(Diagnostic::new(diag::codes::LIMIT_EXCEEDED, message).help("run the rules on a smaller map"));
         }
         let count = header.agents.len();
         Ok(Page {
@@ -212,7 +213,9 @@ impl Page {
     pub fn push(&mut self, replay: &Replay, tick: &TraceTick, sources: &Sources) -> Result<(), Diagnostic> {
         if (self.count + 1) * self.header.agents.len() > self.most {
             let message = format!("a page of more than {} decisions would be slow to open", self.most);
-            return Err(Diagnostic::new(Code::LIMIT_EXCEEDED, message).help("choose ticks with `--from` and `--ticks`"));
+            return Err(
+                Diagnostic::new(diag::codes::LIMIT_EXCEEDED, message).help("choose ticks with `--from` and `--ticks`")
+            );
         }
         let expected = match self.count {
             0 => tick.tick,
@@ -223,7 +226,7 @@ impl Page {
                 true => format!("tick number {} is too large", tick.tick),
                 false => format!("found tick {} instead of tick {expected}", tick.tick),
             };
-            return Err(Diagnostic::new(Code::INVALID_TRACE, message));
+            return Err(Diagnostic::new(codes::INVALID_TRACE, message));
         }
         if self.count == 0 {
             self.first = tick.tick;
@@ -326,7 +329,7 @@ impl Page {
             return Ok(());
         };
         let message = format!("no clause {clause}: the rules have {}", self.header.counted);
-        Err(Diagnostic::new(Code::INVALID_TRACE, message))
+        Err(Diagnostic::new(codes::INVALID_TRACE, message))
     }
 
     /// Explains for each agent why it did or did not take each action.
@@ -417,7 +420,7 @@ impl Page {
 /// Returns the positions of the agents with these names.
 fn positions(replay: &Replay, names: &[String]) -> Result<Vec<usize>, Diagnostic> {
     let position = |name: &String| {
-        let unknown = || Diagnostic::new(Code::INVALID_TRACE, format!("no agent `{name}`"));
+        let unknown = || Diagnostic::new(codes::INVALID_TRACE, format!("no agent `{name}`"));
         replay.position(name).ok_or_else(unknown)
     };
     names.iter().map(position).collect()

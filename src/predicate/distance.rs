@@ -4,9 +4,10 @@
 //! the definition.
 
 use crate::city::{AgentKind, Cell, Heading};
+use crate::config::codes;
 use crate::config::read::{Fields, invalid, number};
 use crate::config::yaml::{Node, Value};
-use crate::diag::{Code, Diagnostic};
+use crate::diag::Diagnostic;
 #[cfg(test)]
 use crate::predicate::Definition;
 use crate::predicate::{PairKind, Phrase, PredicateKind, Reach, Relation, Sight, Subject, Syntax, Views};
@@ -97,7 +98,7 @@ fn read(node: &Node, faults: &mut Vec<Diagnostic>) -> Option<Distance> {
         (None, None) if node.partial => return None,
         (None, None) => {
             let message = "expected at least one of `above`, `at_least`, `below`, `at_most`, found none";
-            faults.push(Diagnostic::new(Code::INVALID_VALUE, message).at(node.span, ""));
+            faults.push(Diagnostic::new(codes::INVALID_VALUE, message).at(node.span, ""));
             return None;
         }
         (low, high) => {
@@ -107,7 +108,7 @@ fn read(node: &Node, faults: &mut Vec<Diagnostic>) -> Option<Distance> {
         }
     };
     if empty {
-        let fault = Diagnostic::new(Code::INVALID_VALUE, "no distance lies within these bounds");
+        let fault = Diagnostic::new(codes::INVALID_VALUE, "no distance lies within these bounds");
         faults.push(fault.at(node.span, ""));
         return None;
     }

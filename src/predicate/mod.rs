@@ -30,9 +30,10 @@ mod side;
 mod situation;
 
 use crate::city::{AgentKind, Cell, CityMap, FieldOfView, Heading, Junction};
+use crate::config::codes;
 use crate::config::read::{Fields, choice};
 use crate::config::yaml::{Node, Value};
-use crate::diag::{Code, Diagnostic};
+use crate::diag::Diagnostic;
 use serde::{Serialize, Serializer};
 
 pub use colliding::Colliding;
@@ -548,7 +549,7 @@ impl Definition {
                 .copied()
                 .unwrap_or_default();
             let message = format!("`{}` needs the key `{missing}`, too", names.join("` with `"));
-            let fault = Diagnostic::new(Code::MISSING_KEY, message).at(node.span, "");
+            let fault = Diagnostic::new(codes::MISSING_KEY, message).at(node.span, "");
             faults.push(
                 fault.help("name the concept and who can have it: `{concept: taxi, of: Car}` or `of: Pedestrian`"),
             );
@@ -562,7 +563,7 @@ impl Definition {
             names => format!("`{}`", names.join("`, `")),
         };
         let message = format!("expected exactly one of {}, found {found}", forms.join(", "));
-        let fault = Diagnostic::new(Code::INVALID_VALUE, message).at(node.span, "");
+        let fault = Diagnostic::new(codes::INVALID_VALUE, message).at(node.span, "");
         faults.push(fault.note("keys inherited through `base` count; `key: ~` removes one"));
         None
     }

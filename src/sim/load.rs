@@ -3,8 +3,9 @@
 
 use crate::config::{Scenario, load_scenario, rule_file};
 use crate::datalog::{Limits, Program};
-use crate::diag::{Code, Diagnostic, Located, SourceId, Sources, Span};
+use crate::diag::{Diagnostic, Located, SourceId, Sources, Span};
 use crate::files::{ReadError, ReadFile};
+use crate::sim::codes;
 use crate::sim::tick::world::{TICK_LIMITS, World};
 use crate::sim::trace::{TraceHeader, hash_sources};
 use std::path::{Path, PathBuf};
@@ -117,7 +118,7 @@ impl LoadedCity {
             (Some(config), _) => load_scenario(sources, config, files).map_err(LoadError::Config)?,
             (None, None) => {
                 let message = "a trace of version 1, which does not contain its configuration and rules";
-                let fault = Diagnostic::new(Code::INVALID_TRACE, message);
+                let fault = Diagnostic::new(codes::INVALID_TRACE, message);
                 let help = "specify the configuration of the run with `--config`, or run again";
                 return Err(LoadError::Config(vec![fault.help(help)]));
             }
@@ -131,7 +132,7 @@ impl LoadedCity {
                     true => Ok(city),
                     false => {
                         let message = "the rule files of the trace are not those of the run: they have other names";
-                        let fault = Diagnostic::new(Code::TRACE_MISMATCH, message);
+                        let fault = Diagnostic::new(codes::TRACE_MISMATCH, message);
                         Err(LoadError::Rules(vec![fault.help("run again")]))
                     }
                 }

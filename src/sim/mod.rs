@@ -5,7 +5,7 @@
 //! commits the *difference* from the previous tick. [`Vocabulary::decide`] picks one of the derived actions.
 //! [`Inference`] does the same for single scenes from outside.
 
-mod codes;
+pub mod codes;
 mod load;
 mod observe;
 mod scene;
@@ -13,7 +13,6 @@ mod tick;
 mod trace;
 
 pub use crate::predicate::Entity;
-pub use codes::{CATALOG, CODES};
 pub use load::{LoadError, LoadedCity};
 pub use observe::{ActionConstraint, Decider, OBSERVED_MAX, Observer, Oracle};
 pub use scene::{

@@ -5,10 +5,11 @@ use logicity::builtin::BuiltinFiles;
 use logicity::cancel::Cancel;
 use logicity::config::{load_map, load_scenario};
 use logicity::datalog::Program;
-use logicity::diag::{Code, Diagnostic, SourceId, Sources, render, to_json};
+use logicity::diag::{self, Diagnostic, SourceId, Sources, render, to_json};
 use logicity::files::{BUILTIN_FOLDER, ReadError, ReadFile as _};
 use logicity::induce::{Settings, learn, support};
 use logicity::rng::Seed;
+use logicity::sim::codes;
 use logicity::sim::{Executor, Finding, Inference, LoadedCity, conflicts as find_conflicts, scene_json};
 use logicity::task::induction::{InductionTask, Origin, report_json, rule_file};
 use std::cell::RefCell;
@@ -60,7 +61,8 @@ pub fn scene(bytes: &[u8]) {
         }
         Err(faults) => {
             assert!(!faults.is_empty());
-            let of_a_scene = |fault: &Diagnostic| matches!(fault.code, Code::INVALID_SCENE | Code::LIMIT_EXCEEDED);
+            let of_a_scene =
+                |fault: &Diagnostic| matches!(fault.code, codes::INVALID_SCENE | diag::codes::LIMIT_EXCEEDED);
             assert!(faults.iter().all(of_a_scene), "{}", render(&faults, &sources, false));
             draw(&faults, &sources);
         }

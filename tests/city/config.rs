@@ -937,9 +937,14 @@ fn blocks_of_the_reference_load_or_give_the_faults_they_expect() {
 #[test]
 fn every_configuration_fixture_has_a_code() {
     let codes = || {
-        [diag::CODES, config::CODES, city::CODES, sim::CODES]
-            .into_iter()
-            .flatten()
+        [
+            diag::codes::CODES,
+            config::codes::CODES,
+            city::codes::CODES,
+            sim::codes::CODES,
+        ]
+        .into_iter()
+        .flatten()
     };
     for name in FIXTURES {
         assert!(codes().any(|code| code.name() == name));

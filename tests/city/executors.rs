@@ -4,7 +4,7 @@ use crate::shipped_world::{MODES, world};
 use logicity::cancel::Cancel;
 use logicity::city::{Action, AgentKind, Building, Buildings, Split, TripEnds};
 use logicity::config::Scenario;
-use logicity::diag::Code;
+use logicity::diag::codes;
 use logicity::rng::Seed;
 use logicity::sim::{Batch, Executor, Settings, Simulation, WINDOW_MAX, World};
 use std::sync::Arc;
@@ -119,7 +119,7 @@ fn a_cancelled_tick_leaves_the_simulation_unchanged() {
     let cancel = Cancel::when(move || polls.fetch_sub(1, Ordering::Relaxed) <= 0);
     let city = || Simulation::new_with(Arc::clone(&world), Split::Test, Seed(5), settings, &cancel);
     left.store(3, Ordering::Relaxed);
-    assert_eq!(city().err().unwrap().code, Code::CANCELLED);
+    assert_eq!(city().err().unwrap().code, codes::CANCELLED);
     left.store(i64::MAX, Ordering::Relaxed);
     let (mut city, mut twin) = (city().unwrap(), simulation(&world, Executor::Dense, 1));
     for tick in 0..20 {
@@ -128,7 +128,7 @@ fn a_cancelled_tick_leaves_the_simulation_unchanged() {
             left.store(given_up, Ordering::Relaxed);
             city.tick(&[])
         } {
-            assert_eq!((fault.code, city.now()), (Code::CANCELLED, tick));
+            assert_eq!((fault.code, city.now()), (codes::CANCELLED, tick));
             given_up += 1;
         }
         assert!(given_up > 100, "{given_up}");

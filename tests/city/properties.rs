@@ -3,6 +3,7 @@
 
 use crate::cases::cases;
 use logicity::builtin::BuiltinFiles;
+use logicity::city::codes;
 use logicity::city::{Action, AgentGroup, AgentKind, AgentSet, Building, Buildings, MapConfig, Routing, Split};
 use logicity::city::{
     Agent, Cell, CityMap, Ground, Heading, Junction, Lane, Layout, MoveReason, NoRoute, Places, Route, Router,
@@ -11,7 +12,7 @@ use logicity::city::{
 use logicity::city::{TripEnds, Widths};
 use logicity::config::{load_map, load_scenario};
 use logicity::diag::Located;
-use logicity::diag::{Code, Sources, Span};
+use logicity::diag::{self, Sources, Span};
 use logicity::rng::Seed;
 use ndarray::Array2;
 use proptest::prelude::*;
@@ -405,7 +406,7 @@ proptest! {
         match CityMap::generate(&config(blocks, widths, buildings)) {
             Ok(map) => prop_assert!(map.rows().max(map.cols()) <= 1 << 20),
             Err(diagnostic) => {
-                prop_assert!(matches!(diagnostic.code, Code::INVALID_MAP | Code::LIMIT_EXCEEDED));
+                prop_assert!(matches!(diagnostic.code, codes::INVALID_MAP | diag::codes::LIMIT_EXCEEDED));
                 prop_assert!(diagnostic.primary.is_some() && !diagnostic.help.is_empty());
             }
         }
@@ -616,7 +617,7 @@ proptest! {
             Ok(agents) => agents,
             // Pedestrians walk to another block, which may not exist or lie beyond the trip.
             Err(diagnostic) => {
-                prop_assert_eq!(diagnostic.code, Code::NO_ROUTE);
+                prop_assert_eq!(diagnostic.code, codes::NO_ROUTE);
                 return Ok(());
             }
         };
@@ -674,15 +675,15 @@ fn too_many_agents_for_a_region_are_reported() {
     assert_eq!(place(&agent_set(40, 0, None)).map(|agents| agents.len()), Ok(40));
     assert_eq!(
         place(&agent_set(41, 0, None)).map(|agents| agents.len()),
-        Err(Code::NO_START_CELL)
+        Err(codes::NO_START_CELL)
     );
     assert_eq!(
         place(&agent_set(1, 0, Some(5))).map(|agents| agents.len()),
-        Err(Code::NO_START_CELL)
+        Err(codes::NO_START_CELL)
     );
     assert_eq!(
         place(&agent_set(0, 1, None)).map(|agents| agents.len()),
-        Err(Code::NO_ROUTE)
+        Err(codes::NO_ROUTE)
     );
     assert_eq!(place(&agent_set(0, 0, Some(5))).map(|agents| agents.len()), Ok(0));
 }
@@ -711,7 +712,7 @@ fn slow_agents_of_a_metropolis_are_small_and_keep_to_their_trips() {
     let map = CityMap::generate(&scenario.map).expect("a valid map");
     assert_eq!((map.rows(), map.cols()), (28_301, 28_301));
     // As layers it would take 24 GiB.
-    assert_eq!(map.semantic(&[]).unwrap_err().code, Code::LIMIT_EXCEEDED);
+    assert_eq!(map.semantic(&[]).unwrap_err().code, diag::codes::LIMIT_EXCEEDED);
     let router = Router::new(Arc::new(map), scenario.routing);
     let trip = set.trip.map(|trip| trip.value);
     let places = Places::new(&router, TripEnds::Curb, None, trip);

@@ -6,8 +6,9 @@
 
 use crate::config::load_memory;
 use logicity::builtin::{self, BuiltinFiles};
+use logicity::config::codes;
 use logicity::config::load_tree;
-use logicity::diag::{Code, Diagnostic, Sources};
+use logicity::diag::{Diagnostic, Sources};
 use serde_json::{Map, Value, json};
 use std::collections::BTreeSet;
 use std::fs;
@@ -53,7 +54,7 @@ impl Place {
     }
 
     fn refuses(&self, text: &str) -> bool {
-        self.load(text).0.iter().any(|fault| fault.code == Code::INVALID_VALUE)
+        self.load(text).0.iter().any(|fault| fault.code == codes::INVALID_VALUE)
     }
 
     /// Returns a run configuration with the value at this place, and with what the reader needs beside it.
@@ -173,7 +174,7 @@ fn the_reader_and_the_schema_know_the_same_keys() {
             schema: Value::Null,
         };
         let (faults, _) = inside.load("1");
-        let fault = faults.iter().find(|fault| fault.code == Code::UNKNOWN_KEY);
+        let fault = faults.iter().find(|fault| fault.code == codes::UNKNOWN_KEY);
         let fault = fault.unwrap_or_else(|| panic!("no unknown key in `{}`: {faults:?}", place.name()));
         let keys: BTreeSet<&str> = properties.keys().map(String::as_str).collect();
         assert_eq!(allowed(fault), keys, "`{}`", place.name());
@@ -235,7 +236,7 @@ fn the_reader_and_the_schema_have_the_same_ranges_and_words() {
         if let Some(list) = place.schema["enum"].as_array() {
             let list: Vec<&str> = list.iter().filter_map(Value::as_str).collect();
             let (faults, _) = place.load("no-such-word");
-            let fault = faults.iter().find(|fault| fault.code == Code::INVALID_VALUE);
+            let fault = faults.iter().find(|fault| fault.code == codes::INVALID_VALUE);
             let message = &fault.unwrap_or_else(|| panic!("`{name}` accepts any word")).message;
             let quoted: Vec<&str> = message
                 .split(", found ")

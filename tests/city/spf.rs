@@ -6,12 +6,13 @@ use logicity::builtin::BuiltinFiles;
 use logicity::cancel::Cancel;
 use logicity::city::field_of_view;
 use logicity::city::{Action, AgentKind, Split};
+use logicity::config::codes;
 use logicity::datalog::{ClauseId, Literal, Rules, Term};
-use logicity::diag::{Code, Diagnostic, Sources};
+use logicity::diag::{Diagnostic, Sources};
 use logicity::rng::{Purpose, RngExt, Seed};
 use logicity::sim::{Chance, Decider, Entity, Facts, Observer, Settings, Simulation, ground};
 use logicity::task::spf::{
-    Autoreset, Baseline, BatchEvaluator, Begin, ControlMode, Env, EpisodeSet, EpisodeSource, MapIdentity,
+    self, Autoreset, Baseline, BatchEvaluator, Begin, ControlMode, Env, EpisodeSet, EpisodeSource, MapIdentity,
     ObservationKind, Policy, RANDOM_RUNS, Rate, Rollout, Score, SpfTask, VectorEnv, describe, rollout, summarize,
 };
 use proptest::prelude::*;
@@ -759,18 +760,18 @@ fn fault_of(text: &str) -> Diagnostic {
 #[test]
 fn faulty_tasks_are_reported() {
     let fault = |task: &str| fault_of(&format!("base: configs/expert.yaml\ntask: {task}\n"));
-    assert_eq!(fault("~").code, Code::MISSING_KEY);
-    assert_eq!(fault("{entities: 0}").code, Code::INVALID_VALUE);
-    assert_eq!(fault("{reward: {violation: .nan}}").code, Code::INVALID_VALUE);
-    assert_eq!(fault("{reward: {violations_per: rule}}").code, Code::INVALID_VALUE);
-    assert_eq!(fault("{horison: 3}").code, Code::UNKNOWN_KEY);
-    assert_eq!(fault("{ego: {concepts: [{weight: 0}]}}").code, Code::INVALID_VALUE);
+    assert_eq!(fault("~").code, codes::MISSING_KEY);
+    assert_eq!(fault("{entities: 0}").code, codes::INVALID_VALUE);
+    assert_eq!(fault("{reward: {violation: .nan}}").code, codes::INVALID_VALUE);
+    assert_eq!(fault("{reward: {violations_per: rule}}").code, codes::INVALID_VALUE);
+    assert_eq!(fault("{horison: 3}").code, codes::UNKNOWN_KEY);
+    assert_eq!(fault("{ego: {concepts: [{weight: 0}]}}").code, codes::INVALID_VALUE);
     assert_eq!(
         fault("{ego: {concepts: [{weight: 1, concepts: [old]}]}}").code,
-        Code::INVALID_VALUE
+        codes::INVALID_VALUE
     );
     let unknown = fault("{reward: {clauses: {S17: -1}}}");
-    assert_eq!(unknown.code, Code::INVALID_VALUE);
+    assert_eq!(unknown.code, codes::INVALID_VALUE);
     assert!(
         unknown.primary.is_some() && unknown.help[0].contains("S1"),
         "{unknown:?}"
@@ -810,7 +811,7 @@ fn agents_of_episodes_have_known_concepts() {
     let walker = (0..).find(|&agent| kind(agent) == AgentKind::Pedestrian).unwrap();
     assert_eq!(
         begun(car, &["ambulance", "old"]).unwrap_err().code,
-        Code::INVALID_EPISODE
+        spf::codes::INVALID_EPISODE
     );
     for (agent, good) in [
         (car, &["ambulance"][..]),
@@ -829,7 +830,7 @@ fn agents_of_episodes_have_known_concepts() {
     ];
     for (agent, concepts, message, help) in bad {
         let fault = begun(agent, concepts).unwrap_err();
-        assert_eq!(fault.code, Code::INVALID_EPISODE, "{concepts:?}");
+        assert_eq!(fault.code, spf::codes::INVALID_EPISODE, "{concepts:?}");
         assert!(fault.message.contains(message), "{fault:?}");
         assert!(
             fault.message.contains(&episode.agents[agent].name.to_string()),
@@ -872,7 +873,7 @@ fn faulty_episodes_are_reported() {
     ];
     for text in bad {
         let fault = set_of(&text).expect_err(&text);
-        assert_eq!(fault.code, Code::INVALID_EPISODE, "{text}");
+        assert_eq!(fault.code, spf::codes::INVALID_EPISODE, "{text}");
         assert!(fault.primary.is_some(), "{text}");
     }
 }
@@ -908,7 +909,7 @@ fn unknown_keys_of_episodes_are_reported() {
     ] {
         let quoted = format!("\"{key}\"");
         let (at, fault) = fault_of(line, &quoted, &format!("\"x{key}\"")).unwrap_err();
-        assert_eq!((fault.code, at), (Code::INVALID_EPISODE, line + 1), "{fault:?}");
+        assert_eq!((fault.code, at), (spf::codes::INVALID_EPISODE, line + 1), "{fault:?}");
         assert!(fault.message.contains(&format!("unknown field `x{key}`")), "{fault:?}");
         assert!(!fault.message.contains("line 1"), "{fault:?}");
     }
@@ -1105,7 +1106,7 @@ fn faulty_reward_terms_are_reported() {
         ("{potential: {gamma: 1.5}}", "a discount factor from 0 to 1"),
     ] {
         let fault = fault(reward);
-        assert_eq!(fault.code, Code::INVALID_VALUE, "{reward}");
+        assert_eq!(fault.code, codes::INVALID_VALUE, "{reward}");
         assert!(fault.message.contains(message), "{reward}: {}", fault.message);
     }
     let near = |reward: &str| {

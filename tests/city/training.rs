@@ -3,11 +3,13 @@
 
 use crate::shipped_world::{task, task_of};
 use logicity::city::{Action, AgentName, Split};
-use logicity::diag::{Code, Diagnostic};
+use logicity::config::codes;
+use logicity::diag::{self, Diagnostic};
 use logicity::rng::{Purpose, RngExt, Seed};
 use logicity::sim::Observer;
 use logicity::task::spf::{
-    Autoreset, Begin, ControlMode, DRAWS_MAX, Env, EpisodeSource, ObservationKind, SpfTask, VectorEnv, reset_demanding,
+    self, Autoreset, Begin, ControlMode, DRAWS_MAX, Env, EpisodeSource, ObservationKind, SpfTask, VectorEnv,
+    reset_demanding,
 };
 use std::sync::Arc;
 
@@ -238,7 +240,7 @@ fn a_search_for_demanding_episodes_ends() {
     // Alone in the city, the rules require nothing of the ego.
     let mut env = env_of("easy", "{horizon: 3, curriculum: [{until: 9, agents: 1}]}");
     let fault = EpisodeSource::demanding(1).begin(&mut env).unwrap_err();
-    assert_eq!(fault.code, Code::LIMIT_EXCEEDED);
+    assert_eq!(fault.code, diag::codes::LIMIT_EXCEEDED);
     assert!(
         fault.message.contains("in none of 1000 drawn episodes"),
         "{}",
@@ -334,7 +336,7 @@ fn a_curriculum_is_for_drawn_episodes_of_training() {
     let episode = small.episode().clone();
     let refused = |keys: &str, episode: &logicity::task::spf::Episode| {
         let fault = env_of("expert", keys).reset_to(episode).unwrap_err();
-        assert_eq!(fault.code, Code::INVALID_EPISODE);
+        assert_eq!(fault.code, spf::codes::INVALID_EPISODE);
         fault.message
     };
     assert_eq!(refused("{}", &episode), "the episode has 2 agents, the split has 11");
@@ -355,36 +357,36 @@ fn a_curriculum_is_for_drawn_episodes_of_training() {
 #[test]
 fn faulty_options_are_reported() {
     for (keys, code, message) in [
-        ("{order: nearst}", Code::INVALID_VALUE, "one of `list`, `nearest`"),
+        ("{order: nearst}", codes::INVALID_VALUE, "one of `list`, `nearest`"),
         (
             "{constrained_steps: 0}",
-            Code::INVALID_VALUE,
+            codes::INVALID_VALUE,
             "a whole number from 1 to",
         ),
         (
             "{constraind_steps: 2}",
-            Code::UNKNOWN_KEY,
+            codes::UNKNOWN_KEY,
             "unknown key `constraind_steps`",
         ),
-        ("{curriculum: 5}", Code::INVALID_VALUE, "a list of stages"),
+        ("{curriculum: 5}", codes::INVALID_VALUE, "a list of stages"),
         (
             "{curriculum: [{until: 5}]}",
-            Code::MISSING_KEY,
+            codes::MISSING_KEY,
             "`agents` is missing in a stage of the curriculum",
         ),
         (
             "{curriculum: [{until: 5, agents: 0}]}",
-            Code::INVALID_VALUE,
+            codes::INVALID_VALUE,
             "a whole number from 1 to",
         ),
         (
             "{curriculum: [{until: 5, agents: 2}, {until: 5, agents: 3}]}",
-            Code::INVALID_VALUE,
+            codes::INVALID_VALUE,
             "more episodes than the 5 at which the stage before ends",
         ),
         (
             "{curriculum: [{until: 5, agents: 9}]}",
-            Code::INVALID_VALUE,
+            codes::INVALID_VALUE,
             "the split `train` has 8 agents, not 9",
         ),
     ] {

@@ -3,7 +3,7 @@
 use crate::shipped_world::task;
 use logicity::cancel::Cancel;
 use logicity::city::{Action, Split};
-use logicity::diag::Code;
+use logicity::diag::codes;
 use logicity::rng::{Purpose, RngExt, Seed};
 use logicity::sim::Observer;
 use logicity::task::spf::{
@@ -266,7 +266,7 @@ fn after_cancellation_the_rest_of_a_batch_needs_a_reset() {
         batch.reset(&vec![Some(Begin::Next); COUNT], &mut shown).unwrap();
         left.store(3, Ordering::Relaxed);
         let fault = batch.step(&[Action::Stop; COUNT], &mut shown).unwrap_err();
-        assert_eq!(fault.code, Code::CANCELLED);
+        assert_eq!(fault.code, codes::CANCELLED);
         left.store(i64::MAX, Ordering::Relaxed);
         let gone: Vec<bool> = batch
             .sub_envs()

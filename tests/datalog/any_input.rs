@@ -6,10 +6,11 @@ use crate::random_program::{Batch, Genome};
 use crate::rule_files::RuleFiles;
 use logicity::cancel::Cancel;
 use logicity::datalog;
+use logicity::datalog::codes;
 use logicity::datalog::explain::{Explainer, ExplanationPrinter};
 use logicity::datalog::{Atom, BaseType, Clause, Column, Literal, RelId, RowFormat, Rules, Value};
 use logicity::datalog::{Limits, Options, Program, Session, diff, facts};
-use logicity::diag::{Code, Diagnostic, MAX_FAULTS, Sources, render, to_json};
+use logicity::diag::{self, Diagnostic, MAX_FAULTS, Sources, render, to_json};
 use logicity::files::{BUILTIN_FOLDER, ReadError, ReadFile, normalize};
 use logicity::induce::{Settings, popper};
 use std::path::Path;
@@ -230,8 +231,8 @@ pub fn rows(bytes: &[u8]) {
             assert!(!faults.is_empty());
             // If there are more faults than the limit, the last one says so.
             let (last, others) = faults.split_last().expect("there are some");
-            assert!(others.iter().all(|fault| fault.code == Code::INVALID_FACT));
-            assert!([Code::INVALID_FACT, Code::LIMIT_EXCEEDED].contains(&last.code));
+            assert!(others.iter().all(|fault| fault.code == codes::INVALID_FACT));
+            assert!([codes::INVALID_FACT, diag::codes::LIMIT_EXCEEDED].contains(&last.code));
             let differs = |(at, fault): &(usize, &Diagnostic)| !faults[..*at].iter().any(|known| known.repeats(fault));
             assert!(others.iter().enumerate().filter(differs).count() <= MAX_FAULTS);
             draw(&faults, &sources);

@@ -6,11 +6,12 @@ use crate::random_program::{Batch, Genome, computing_genomes, genomes, recursive
 use crate::written_program::program;
 use logicity::cancel::Cancel;
 use logicity::datalog;
+use logicity::datalog::codes;
 use logicity::datalog::{BaseType, ClauseId, Edb, RelId, Rules, Value};
 use logicity::datalog::{
     EvalError, Limits, Program, RowError, RuleStats, Session, Strategy, StratumStats, Threads, WorkCounts, facts, naive,
 };
-use logicity::diag::{Code, MAX_FAULTS, Sources};
+use logicity::diag::{self, MAX_FAULTS, Sources};
 use proptest::prelude::*;
 use proptest::strategy::Strategy as _;
 use std::collections::BTreeSet;
@@ -1358,7 +1359,7 @@ fn a_product_that_derives_nothing_reaches_a_limit() {
         }
     );
     let fault = error.diagnostic(program(&text).rules());
-    assert_eq!((fault.code, fault.secondary.len()), (Code::LIMIT_EXCEEDED, 1));
+    assert_eq!((fault.code, fault.secondary.len()), (diag::codes::LIMIT_EXCEEDED, 1));
     // An aggregate scans rows, too.
     let counted = facts_of("A", 2_000)
         + ".decl A(x: number)
@@ -1515,19 +1516,25 @@ fn programs_too_large_to_plan_are_errors() {
     let mut rules = program(COPY).rules().clone();
     let literal = rules.clauses[0].body[0].clone();
     rules.clauses[0].body = vec![literal; 1_000];
-    assert_eq!(Program::new(rules.clone()).unwrap_err().code, Code::LIMIT_EXCEEDED);
+    assert_eq!(
+        Program::new(rules.clone()).unwrap_err().code,
+        diag::codes::LIMIT_EXCEEDED
+    );
     rules.clauses[0].body.truncate(100);
     assert!(Program::new(rules.clone()).is_ok());
     let column = rules.relations[0].columns[0].clone();
     rules.relations[1].columns = vec![column; 33];
-    assert_eq!(Program::new(rules.clone()).unwrap_err().code, Code::LIMIT_EXCEEDED);
+    assert_eq!(
+        Program::new(rules.clone()).unwrap_err().code,
+        diag::codes::LIMIT_EXCEEDED
+    );
 }
 
 #[test]
 fn an_unsafe_clause_is_an_error() {
     let mut rules = program(COPY).rules().clone();
     rules.clauses[0].body.clear();
-    assert_eq!(Program::new(rules).unwrap_err().code, Code::UNBOUND_VARIABLE);
+    assert_eq!(Program::new(rules).unwrap_err().code, codes::UNBOUND_VARIABLE);
 }
 
 #[test]
@@ -1561,7 +1568,7 @@ fn load(session: &mut Session, relation: &str, text: &str) -> Result<usize, Vec<
                 return fault.message.clone();
             };
             let position = sources.position(label.span);
-            assert_eq!(fault.code, Code::INVALID_FACT);
+            assert_eq!(fault.code, codes::INVALID_FACT);
             format!("{}:{} {}", position.line, position.column, fault.message)
         };
         faults.iter().map(place).collect()
@@ -1696,7 +1703,7 @@ proptest! {
         );
         let read = |_: &std::path::Path| unreachable!("nothing is included");
         let loaded = datalog::load_with(&mut sources, entry, &read, Edb::Extensible);
-        prop_assert!(loaded.diagnostics.iter().all(|fault| fault.code == Code::EXTENDED_INPUT));
+        prop_assert!(loaded.diagnostics.iter().all(|fault| fault.code == codes::EXTENDED_INPUT));
         let rules = loaded.rules.unwrap();
         let program = Program::new(rules.clone()).unwrap();
         let edge = program.relation("Edge").unwrap();

@@ -12,7 +12,8 @@ use logicity::datalog::explain::{
 };
 use logicity::datalog::{ClauseId, Literal, RelId, Rules, Value};
 use logicity::datalog::{Limits, Program, Session, naive};
-use logicity::diag::{Code, Diagnostic, Limit, Sources};
+use logicity::diag::codes;
+use logicity::diag::{Diagnostic, Limit, Sources};
 use proptest::prelude::*;
 use std::collections::{BTreeMap, BTreeSet};
 use std::sync::Arc;
@@ -619,7 +620,7 @@ fn aggregates_in_explanations_stay_within_the_memory_limit() {
     );
     assert_eq!(
         (fault.code, fault.limit),
-        (Code::LIMIT_EXCEEDED, Some(Limit::Memory(1000)))
+        (codes::LIMIT_EXCEEDED, Some(Limit::Memory(1000)))
     );
     // A fact that no aggregate derives needs little.
     session.set_limits(limits(session.bytes() + (1 << 14)));

@@ -6,13 +6,14 @@ use crate::rule_files::RuleFiles;
 use std::collections::BTreeSet;
 use std::path::{Path, PathBuf};
 
+use logicity::datalog;
+use logicity::datalog::codes;
 use logicity::datalog::{
     AggregateOp, Atom, Clause, Comparison, Edb, Functor, Literal, Loaded, Rules, Term, ast, load, load_with, parse,
     print,
 };
-use logicity::diag::{Code, Diagnostic, Severity, Sources, Span, render};
+use logicity::diag::{self, Code, Diagnostic, Severity, Sources, Span, render};
 use logicity::files::{BUILTIN_FOLDER, ReadError, ReadFile, read_text};
-use logicity::{datalog, diag};
 use proptest::prelude::*;
 
 fn root() -> &'static Path {
@@ -392,7 +393,7 @@ fn an_include_may_have_an_absolute_path() {
     };
     assert_eq!(load("/shared/parts.dl"), []);
     let missing = &load("/shared/other.dl")[0];
-    assert_eq!(missing.code, Code::MISSING_INCLUDE);
+    assert_eq!(missing.code, codes::MISSING_INCLUDE);
     assert_eq!(missing.notes, ["looked for `/shared/other.dl`"]);
 }
 
@@ -405,7 +406,7 @@ fn unbound_variables_of_a_scope_are_bound_by_it() {
         let unbound = loaded
             .diagnostics
             .into_iter()
-            .filter(|fault| fault.code == Code::UNBOUND_VARIABLE);
+            .filter(|fault| fault.code == codes::UNBOUND_VARIABLE);
         unbound.flat_map(|fault| fault.help).collect::<Vec<String>>()
     };
     let add = |name: &str, atom: &str| format!("add a positive atom that binds `{name}`, such as `{atom}`");
@@ -659,16 +660,16 @@ fn check_expectations(what: &str, files: &[(String, String)]) -> Result<(), Stri
 /// The codes that the checker produces.
 fn rule_codes() -> impl Iterator<Item = Code> {
     let others = [
-        Code::INVALID_FACT,
-        Code::CONSTRAINT_VIOLATION,
-        Code::OLD_FORM,
-        Code::CONTRADICTORY_BODY,
-        Code::REDUNDANT_LITERAL,
-        Code::REPEATED_BODY,
-        Code::RULE_MISMATCH,
-        Code::CANCELLED,
+        codes::INVALID_FACT,
+        codes::CONSTRAINT_VIOLATION,
+        codes::OLD_FORM,
+        codes::CONTRADICTORY_BODY,
+        codes::REDUNDANT_LITERAL,
+        codes::REPEATED_BODY,
+        codes::RULE_MISMATCH,
+        diag::codes::CANCELLED,
     ];
-    (diag::CODES.iter().chain(datalog::CODES).copied()).filter(move |code| !others.contains(code))
+    (diag::codes::CODES.iter().chain(datalog::codes::CODES).copied()).filter(move |code| !others.contains(code))
 }
 
 #[test]
@@ -1386,7 +1387,7 @@ fn redundant_clauses_are_found_anywhere() {
             panic!("{:?}", loaded.diagnostics)
         };
         let place = fault.primary.as_ref().expect("a clause").span;
-        assert_eq!(fault.code, Code::SUBSUMED_CLAUSE);
+        assert_eq!(fault.code, codes::SUBSUMED_CLAUSE);
         assert_eq!(text[place.start as usize..place.end as usize], *special.trim_end());
     }
 }
@@ -1405,7 +1406,7 @@ fn nested_includes_are_bounded() {
     let entry = sources.add("x", ".include \"xx\"");
     let loaded = load(&mut sources, entry, &endless);
     assert_eq!(loaded.diagnostics.len(), 1);
-    assert_eq!(loaded.diagnostics[0].code, Code::LIMIT_EXCEEDED);
+    assert_eq!(loaded.diagnostics[0].code, diag::codes::LIMIT_EXCEEDED);
 }
 
 // --- the reference
@@ -1543,8 +1544,8 @@ proptest! {
         let Some(rules) = loaded.rules else { return Ok(()) };
         for diagnostic in &loaded.diagnostics {
             let equal = match diagnostic.code {
-                Code::DUPLICATE_CLAUSE => true,
-                Code::SUBSUMED_CLAUSE => false,
+                codes::DUPLICATE_CLAUSE => true,
+                codes::SUBSUMED_CLAUSE => false,
                 _ => continue,
             };
             let at = |span: Span| rules.clauses.iter().find(|clause| clause.span == span).expect("the clause exists");

@@ -4,9 +4,10 @@ use crate::cases::cases;
 use crate::random_program::{genomes, recursive_genomes};
 use crate::rule_files::RuleFiles;
 use logicity::datalog;
+use logicity::datalog::codes;
 use logicity::datalog::{ClauseId, Constraint, DeclaredConstraint, RelId, Rules, Value};
 use logicity::datalog::{Options, Program, Session, constraints, naive, optimize};
-use logicity::diag::{Code, Diagnostic, Sources, render};
+use logicity::diag::{Diagnostic, Sources, render};
 use proptest::prelude::*;
 use std::collections::BTreeSet;
 
@@ -375,7 +376,7 @@ fn repeated_bodies_are_reported() {
     let found = three("IsClose(X, Y), IsOld(Y), LeftOf(Y, X)");
     assert_eq!(
         found.iter().map(|lint| lint.code).collect::<Vec<_>>(),
-        [Code::REPEATED_BODY]
+        [codes::REPEATED_BODY]
     );
     assert!(
         found[0].help[0].contains("`Name(X) :- IsClose(X, Y), IsOld(Y), LeftOf(Y, X).`"),
@@ -391,7 +392,7 @@ fn contradictions_are_reported_and_never_evaluated() {
     let found = lints(&text);
     assert_eq!(
         found.iter().map(|lint| lint.code).collect::<Vec<_>>(),
-        [Code::CONTRADICTORY_BODY; 2]
+        [codes::CONTRADICTORY_BODY; 2]
     );
     let (_, rules) = rules(&text);
     let program = Program::with(
@@ -418,7 +419,7 @@ fn clauses_that_others_cover_under_the_constraints_are_reported_and_not_run() {
     let found = lints(&text);
     assert_eq!(
         found.iter().map(|lint| lint.code).collect::<Vec<_>>(),
-        [Code::SUBSUMED_CLAUSE]
+        [codes::SUBSUMED_CLAUSE]
     );
 
     let (_, rules) = rules(&text);
@@ -471,7 +472,7 @@ fn the_shipped_rules_have_no_contradiction() {
     ] {
         let found = lints(&std::fs::read_to_string(format!("{}/rules/{name}.dl", env!("CARGO_MANIFEST_DIR"))).unwrap());
         assert!(
-            found.iter().all(|lint| lint.code == Code::REDUNDANT_LITERAL),
+            found.iter().all(|lint| lint.code == codes::REDUNDANT_LITERAL),
             "{name}: {found:?}"
         );
     }
@@ -495,7 +496,7 @@ fn searching_twice_the_clauses_takes_little_more_than_twice_the_steps() {
         let covered = lints
             .diagnostics
             .iter()
-            .filter(|lint| lint.code == Code::SUBSUMED_CLAUSE);
+            .filter(|lint| lint.code == codes::SUBSUMED_CLAUSE);
         assert_eq!(covered.count(), count / 2, "a bus is a car, an old agent a pedestrian");
         assert_eq!(lints.unfinished, [""; 0]);
         lints.steps

@@ -4,11 +4,13 @@ use base64::Engine as _;
 use flate2::read::ZlibDecoder;
 use logicity::cancel::Cancel;
 use logicity::city::{Action, Cell, Split, field_of_view};
+use logicity::config;
 use logicity::datalog::explain::{Explainer, ExplanationPrinter};
-use logicity::diag::{Code, Sources};
+use logicity::diag::{self, Sources};
 use logicity::page::{Comparison, LIVE_TICKS, Live, Page};
 use logicity::render::{Class, Icons, Renderer, Scale, Viewport};
 use logicity::rng::Seed;
+use logicity::sim::codes;
 use logicity::sim::{Replay, Settings, Simulation, TraceHeader, TraceTick, TraceWriter, World};
 use logicity::task::spf::{ControlMode, Env, Origin, RecordError, SpfTask, record};
 use serde_json::{Value, json};
@@ -99,7 +101,7 @@ fn drive(config: &str, seed: u64, action: Action) -> (Run, Vec<Value>) {
     let Err(RecordError::Fault(fault)) = write(&actions) else {
         panic!("the episode has ended")
     };
-    assert_eq!(fault.code, Code::INVALID_VALUE);
+    assert_eq!(fault.code, config::codes::INVALID_VALUE);
     let run = Run {
         trace: String::from_utf8(trace).unwrap(),
         ways: Vec::new(),
@@ -798,7 +800,7 @@ fn runs_of_other_cities_are_not_compared() {
         let fault = Comparison::new([&one, &other], ["a", "b"].map(str::to_owned))
             .err()
             .expect("they differ");
-        assert_eq!(fault.code, Code::TRACE_MISMATCH);
+        assert_eq!(fault.code, codes::TRACE_MISMATCH);
         assert!(!fault.help.is_empty());
         fault.message
     };
@@ -826,7 +828,7 @@ fn a_run_without_ticks_is_not_compared() {
             .err()
             .expect("no ticks");
         assert!(
-            fault.message.ends_with("has no ticks") || fault.code == Code::TRACE_MISMATCH,
+            fault.message.ends_with("has no ticks") || fault.code == codes::TRACE_MISMATCH,
             "{}",
             fault.message
         );
@@ -836,7 +838,7 @@ fn a_run_without_ticks_is_not_compared() {
         .expect("no ticks");
     assert_eq!(
         (fault.code, fault.message.as_str()),
-        (Code::INVALID_TRACE, "`a` has no ticks")
+        (codes::INVALID_TRACE, "`a` has no ticks")
     );
 }
 
@@ -889,18 +891,18 @@ fn ticks_are_consecutive() {
     push(&mut gap, &mut replay, &ticks[0]).unwrap();
     assert_eq!(
         push(&mut gap, &mut replay, &ticks[2]).unwrap_err().code,
-        Code::INVALID_TRACE
+        codes::INVALID_TRACE
     );
     assert_eq!(
         push(&mut gap, &mut replay, &ticks[0]).unwrap_err().code,
-        Code::INVALID_TRACE
+        codes::INVALID_TRACE
     );
     push(&mut gap, &mut replay, &ticks[1]).unwrap();
     let mut last = ticks[0].clone();
     last.tick = u64::MAX;
     assert_eq!(
         push(&mut page(&replay), &mut replay, &last).unwrap_err().code,
-        Code::INVALID_TRACE
+        codes::INVALID_TRACE
     );
 }
 
@@ -919,7 +921,7 @@ fn a_run_that_is_too_long_is_an_error() {
     }
     tick.tick = 2;
     let fault = page.push(&replay, &tick, &run.sources).unwrap_err();
-    assert_eq!(fault.code, Code::LIMIT_EXCEEDED);
+    assert_eq!(fault.code, diag::codes::LIMIT_EXCEEDED);
 }
 
 /// A page of a map that no browser could show is refused at once.
@@ -1070,6 +1072,6 @@ fn an_impossible_record_of_a_driven_car_is_an_error() {
         replay.set(&tick).unwrap();
         let mut page = Page::new(&replay, &run.header(), &Icons::default(), &run.sources).unwrap();
         let fault = page.push(&replay, &tick, &run.sources).unwrap_err();
-        assert_eq!(fault.code, Code::INVALID_TRACE, "{key}");
+        assert_eq!(fault.code, codes::INVALID_TRACE, "{key}");
     }
 }

@@ -4,7 +4,8 @@
 use logicity::builtin::BuiltinFiles;
 use logicity::cancel::Cancel;
 use logicity::city::{AgentKind, Split};
-use logicity::diag::{Code, Sources};
+use logicity::diag::Sources;
+use logicity::diag::codes;
 use logicity::files::{Folder, Overwrite};
 use logicity::render::{Difficulty, DrawingVersion, Icons, Picture, PixelBox, read_png, write_png};
 use logicity::rng::{Purpose, RngExt, Seed};
@@ -396,7 +397,7 @@ fn a_cancelled_data_set_is_resumed() {
 
     let here = thread::current().id();
     let is_cancelled = |error: DatasetError| match error {
-        DatasetError::Faulty(faults) => assert_eq!(faults[0].code, Code::CANCELLED),
+        DatasetError::Faulty(faults) => assert_eq!(faults[0].code, codes::CANCELLED),
         error => panic!("{error}"),
     };
     let writers = [1, 2].map(|threads| writer(2, threads));

@@ -8,7 +8,8 @@ use crate::readme::shell;
 use logicity::builtin::BuiltinFiles;
 use logicity::cancel::Cancel;
 use logicity::datalog::{Limits, Program};
-use logicity::diag::{Code, Example, Sources};
+use logicity::diag::codes;
+use logicity::diag::{Example, Sources};
 use logicity::{city, config, datalog, diag, sim, task};
 use regex::Regex;
 use serde_json::Value;
@@ -37,20 +38,19 @@ fn logicity(arguments: &[&str]) -> Output {
 
 #[test]
 fn every_code_has_a_fixture() {
-    let names: BTreeSet<&str> = [
-        diag::CODES,
-        datalog::CODES,
-        config::CODES,
-        city::CODES,
-        sim::CODES,
-        task::spf::CODES,
-        task::vap::CODES,
-        task::induction::CODES,
+    let codes = [
+        diag::codes::CODES,
+        datalog::codes::CODES,
+        config::codes::CODES,
+        city::codes::CODES,
+        sim::codes::CODES,
+        task::spf::codes::CODES,
+        task::vap::codes::CODES,
+        task::induction::codes::CODES,
     ]
-    .into_iter()
-    .flatten()
-    .map(|code| code.name())
-    .collect();
+    .concat();
+    let names: BTreeSet<&str> = codes.iter().map(|code| code.name()).collect();
+    assert_eq!(names.len(), codes.len(), "a code is declared twice");
     let found: BTreeSet<String> = fs::read_dir(fixtures())
         .unwrap()
         .map(|entry| entry.unwrap().path().file_stem().unwrap().to_str().unwrap().to_owned())
@@ -62,14 +62,14 @@ fn every_code_has_a_fixture() {
 #[test]
 fn examples_of_codes_yield_exactly_their_code() {
     let catalogs = [
-        diag::CATALOG,
-        datalog::CATALOG,
-        config::CATALOG,
-        city::CATALOG,
-        sim::CATALOG,
-        task::spf::CATALOG,
-        task::vap::CATALOG,
-        task::induction::CATALOG,
+        diag::codes::CATALOG,
+        datalog::codes::CATALOG,
+        config::codes::CATALOG,
+        city::codes::CATALOG,
+        sim::codes::CATALOG,
+        task::spf::codes::CATALOG,
+        task::vap::codes::CATALOG,
+        task::induction::codes::CATALOG,
     ];
     let mut examples = Vec::new();
     for catalog in catalogs {
@@ -231,12 +231,12 @@ fn a_cancelled_commit_has_its_own_code() {
         let error = session.commit_with(&Cancel::when(move || cancelled)).unwrap_err();
         error.diagnostic(program.rules()).code
     };
-    assert_eq!(code(Limits::default(), true), Code::CANCELLED);
+    assert_eq!(code(Limits::default(), true), codes::CANCELLED);
     let few = Limits {
         rows: 1000,
         ..Limits::default()
     };
-    assert_eq!(code(few, false), Code::LIMIT_EXCEEDED);
+    assert_eq!(code(few, false), codes::LIMIT_EXCEEDED);
 }
 
 #[test]

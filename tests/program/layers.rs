@@ -183,21 +183,22 @@ fn rooms_import_only_lower_rooms() {
     assert!(faults.is_empty(), "{}", faults.join("\n"));
 }
 
-/// Checks that a component uses the constants `{kind}::{NAME}` only of itself and of lower components.
-fn constants_come_from_below(kind: &str, declares: impl Fn(&str) -> Vec<String>) {
+#[test]
+fn rooms_use_purposes_of_draws_of_their_own_and_of_lower_rooms() {
     let levels = levels();
     let sources = sources();
-    let mut home: BTreeMap<String, &str> = BTreeMap::new();
+    let mut home: BTreeMap<&str, &str> = BTreeMap::new();
     for source in &sources {
-        for name in declares(&source.code) {
-            let former = home.insert(name.clone(), &source.component);
-            assert_eq!(former, None, "{kind}::{name} is declared twice");
+        let lines = (source.code.lines()).filter_map(|line| line.trim().strip_prefix("pub const "));
+        for (name, _) in lines.filter_map(|line| line.split_once(": Purpose = ")) {
+            let former = home.insert(name, &source.component);
+            assert_eq!(former, None, "Purpose::{name} is declared twice");
         }
     }
     assert!(home.len() > 10, "{home:?}");
     let mut faults = Vec::new();
     for source in &sources {
-        for (at, found) in source.code.match_indices(&format!("{kind}::")) {
+        for (at, found) in source.code.match_indices("Purpose::") {
             let rest = &source.code[at + found.len()..];
             let end = rest
                 .find(|c: char| !(c.is_alphanumeric() || c == '_'))
@@ -207,7 +208,7 @@ fn constants_come_from_below(kind: &str, declares: impl Fn(&str) -> Vec<String>)
             };
             if *component != source.component && levels[*component] >= levels[&source.component] {
                 faults.push(format!(
-                    "{} uses {kind}::{} of {component}",
+                    "{} uses Purpose::{} of {component}",
                     source.path.display(),
                     &rest[..end]
                 ));
@@ -215,29 +216,8 @@ fn constants_come_from_below(kind: &str, declares: impl Fn(&str) -> Vec<String>)
         }
     }
     assert!(faults.is_empty(), "{}", faults.join("\n"));
-}
-
-#[test]
-fn rooms_use_codes_of_their_own_and_of_lower_rooms() {
-    constants_come_from_below("Code", |code| {
-        let Some(at) = code.find("diagnostic_codes! {\n") else {
-            return Vec::new();
-        };
-        let lines = code[at..].lines().skip(1).take_while(|line| *line != "}");
-        let names = lines.filter_map(|line| Some(line.split_once(" = \"")?.0.trim().to_owned()));
-        names.collect()
-    });
-}
-
-#[test]
-fn rooms_use_purposes_of_draws_of_their_own_and_of_lower_rooms() {
-    constants_come_from_below("Purpose", |code| {
-        let lines = code.lines().filter_map(|line| line.trim().strip_prefix("pub const "));
-        let names = lines.filter_map(|line| line.split_once(": Purpose = "));
-        names.map(|(name, _)| name.to_owned()).collect()
-    });
     let mut numbers = BTreeSet::new();
-    for source in sources() {
+    for source in &sources {
         for (at, found) in source.code.match_indices("Purpose = Purpose::new(") {
             let rest = &source.code[at + found.len()..];
             let number = &rest[..rest.find(')').unwrap()];

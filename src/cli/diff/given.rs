@@ -9,9 +9,10 @@
 use crate::builtin::BuiltinFiles;
 use crate::cli::diff::{CORE_EFFORT, in_city};
 use crate::cli::{Failure, inputs_of, load_workspace_from};
+use crate::datalog::codes;
 use crate::datalog::diff::{Difference, Equivalence, Options, diff, unsat_core};
 use crate::datalog::{BaseType, Clause, Comparison, Edb, Literal, Rules, Term, VarId, is_name, quoted};
-use crate::diag::{Code, Diagnostic, SourceId, Sources, Span};
+use crate::diag::{Diagnostic, SourceId, Sources, Span};
 use crate::files::{ReadError, ReadFile};
 use crate::sim::CityTheory;
 use std::collections::{BTreeSet, HashSet};
@@ -132,7 +133,7 @@ fn refuse_vacuous(
     }
     let whole = Span::new(condition, 0..sources.text(condition).len());
     let message = "the condition of `--given` never holds, so nothing would be compared";
-    let fault = Diagnostic::new(Code::RULE_MISMATCH, message).at(whole, "holds for no row");
+    let fault = Diagnostic::new(codes::RULE_MISMATCH, message).at(whole, "holds for no row");
     let mut known = HashSet::new();
     let given = given.into_iter().filter(|one| known.insert(one.clone()));
     let fault = given.fold(fault, |fault, one| fault.note(format!("given {one}")));
@@ -255,7 +256,7 @@ fn loose_variables(clause: &Clause, predicate: &str) -> Vec<Diagnostic> {
     loose
         .map(|(_, (name, span))| {
             let message = format!("`{name}` in the condition is not a column of `{predicate}`");
-            let fault = Diagnostic::new(Code::RULE_MISMATCH, message)
+            let fault = Diagnostic::new(codes::RULE_MISMATCH, message)
                 .at(*span, "stands for any value")
                 .note(listed.clone());
             match twin(name) {

@@ -5,12 +5,13 @@ use crate::cancel::Cancel;
 use crate::city::Action;
 use crate::cli::{Failure, Inputs, LimitOptions, integer, report};
 use crate::config::Scenario;
-use crate::diag::{Code, Diagnostic, Sources, json_error};
+use crate::diag::{Diagnostic, Sources, json_error};
 use crate::files::{self, Journal};
 use crate::induce::State;
 use crate::induce::ask::{AskSettings, Bound, Event};
 use crate::rng::Seed;
 use crate::sim::{Executor, Inference, LoadedCity, hash_sources};
+use crate::task::induction::codes;
 use crate::task::induction::{Asked, InductionTask, Inquiry, LogError, OracleError, RuleOracle};
 use clap::builder::NonEmptyStringValueParser;
 use indicatif::{ProgressBar, ProgressStyle};
@@ -466,7 +467,7 @@ fn invalid(what: &str, line: &[u8], cause: Option<String>) -> OracleError {
         "expected a line such as {{\"action\": \"Stop\"}}, with one of {}",
         names.join(", ")
     );
-    let fault = Diagnostic::new(Code::INVALID_ANSWER, format!("{what}: `{shown}`")).help(help);
+    let fault = Diagnostic::new(codes::INVALID_ANSWER, format!("{what}: `{shown}`")).help(help);
     OracleError::Invalid(
         match cause {
             Some(cause) => fault.note(cause),

@@ -6,14 +6,15 @@ use crate::cli::induce::Arguments;
 use crate::cli::scenes::{SceneLine, SceneLines, open_input};
 use crate::cli::trace::{TraceReader, line_max};
 use crate::cli::{Failure, LimitOptions, report, unreadable};
-use crate::diag::{Code, Diagnostic, Sources, listed};
+use crate::diag::{Diagnostic, Sources, listed};
 use crate::files::{self, Folder, ReadError, read_bytes};
 use crate::induce::{Examples, State};
 use crate::rng::Seed;
+use crate::sim::codes;
 use crate::sim::{Executor, Inference, LoadedCity};
 use crate::task::induction::{InductionTask, Origin, Steps};
 use crate::task::spf::{ControlMode, Env, EpisodeSet, SpfTask};
-use crate::task::vap::{Dataset, MANIFEST};
+use crate::task::vap::{self, Dataset, MANIFEST};
 use std::io::{BufRead, Cursor, Read};
 use std::path::{Component, Path, PathBuf};
 use std::sync::Arc;
@@ -170,7 +171,7 @@ impl FileCollector<'_> {
         if collected.examples.count() == 0 {
             let names: Vec<String> = paths.iter().map(|path| format!("`{}`", path.display())).collect();
             let message = format!("no examples in {}", listed(&names));
-            return Err(Diagnostic::new(Code::INVALID_SCENE, message).into());
+            return Err(Diagnostic::new(codes::INVALID_SCENE, message).into());
         }
         Ok(collected)
     }
@@ -330,7 +331,7 @@ impl FileCollector<'_> {
                     Failure::Reported
                 })?;
             if scene.actions.is_empty() {
-                let fault = Diagnostic::new(Code::INVALID_SCENE, format!("the scene {place} has no actions"));
+                let fault = Diagnostic::new(codes::INVALID_SCENE, format!("the scene {place} has no actions"));
                 let example = "{\"Car_1\": \"Stop\"}";
                 let help = format!("add the action that each ego took, for example \"actions\": {example}");
                 return Err(fault.help(help).into());
@@ -360,7 +361,7 @@ fn is_minari(path: &Path) -> Diagnostic {
         "`{}` is a Minari dataset, which the command does not read",
         path.display()
     );
-    Diagnostic::new(Code::INVALID_DATA_SET, message)
+    Diagnostic::new(vap::codes::INVALID_DATA_SET, message)
         .help("call `logicity.induce` in Python with the dataset, its name or its folder")
 }
 

@@ -9,9 +9,10 @@ use crate::cli::lsp::place::{Encoding, Text};
 use crate::datalog;
 use crate::datalog::ast;
 use crate::datalog::ast::{Item, Literal, Name, Term, TermKind, TypeDefinition};
+use crate::datalog::codes;
 use crate::datalog::print;
 use crate::datalog::{Edb, Program, Rules, Workspace};
-use crate::diag::{Code, Diagnostic, Fix, MAX_FAULTS, SourceId, Sources, Span};
+use crate::diag::{Diagnostic, Fix, MAX_FAULTS, SourceId, Sources, Span};
 use crate::files::{BUILTIN_FOLDER, ReadFile, normalize};
 use crate::sim::{Vocabulary, examine};
 use std::collections::{BTreeMap, HashMap};
@@ -271,7 +272,7 @@ impl Analysis {
         let label = fault
             .primary
             .as_ref()
-            .filter(|_| fault.code == Code::UNKNOWN_PREDICATE)?;
+            .filter(|_| fault.code == codes::UNKNOWN_PREDICATE)?;
         let name = self.sources.slice(label.span);
         let mut sources = Sources::new();
         let id = sources.add(VOCABULARY, builtin::text(&format!("rules/{VOCABULARY}"))?);

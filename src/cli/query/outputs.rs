@@ -5,8 +5,9 @@
 
 use crate::cli::query::{Arguments, print_relation, relations};
 use crate::cli::{Failure, Inputs, finish, terminal, unwritable};
+use crate::datalog::codes;
 use crate::datalog::{Directive, MarkKind, Program, RelId, Relation, RowPlace, Session, facts};
-use crate::diag::{Code, Diagnostic};
+use crate::diag::Diagnostic;
 use crate::files::{FileId, Output, make_folder, normalize, real_path};
 use flate2::Compression;
 use flate2::write::GzEncoder;
@@ -40,7 +41,7 @@ impl Target<'_> {
     fn clash(&self, first: &Target<'_>) -> Diagnostic {
         let (one, other) = (&first.relation.name, &self.relation.name);
         let message = format!("`{one}` and `{other}` have the same file");
-        (Diagnostic::new(Code::INVALID_OUTPUT, message).at(self.directive.span, ""))
+        (Diagnostic::new(codes::INVALID_OUTPUT, message).at(self.directive.span, ""))
             .also(first.directive.span, "also written here")
             .help("write another `filename` for one of them")
     }
@@ -101,7 +102,7 @@ fn files<'a>(targets: &'a [Target<'a>], arguments: &Arguments) -> Result<Vec<&'a
         if !arguments.output_anywhere && !leads_to.starts_with(&root) {
             let name = &target.relation.name;
             let message = format!("`{name}` would be written outside of the folder of results");
-            let fault = Diagnostic::new(Code::INVALID_OUTPUT, message).at(target.directive.span, "");
+            let fault = Diagnostic::new(codes::INVALID_OUTPUT, message).at(target.directive.span, "");
             faults.push(
                 (fault.note(format!("it would be written to `{}`", leads_to.display())))
                     .help("use a name inside the folder of `-D`, or permit any file with `--output-anywhere`"),

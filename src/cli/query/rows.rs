@@ -2,7 +2,8 @@
 
 use crate::cli::Failure;
 use crate::datalog::{EvalError, RelId, RowFormat, Session, facts};
-use crate::diag::{Code, Diagnostic, MAX_FAULTS, Sources, Span};
+use crate::diag::codes;
+use crate::diag::{Diagnostic, MAX_FAULTS, Sources, Span};
 use crate::files::ReadError;
 use flate2::read::MultiGzDecoder;
 use std::borrow::Cow;
@@ -156,7 +157,7 @@ impl Faulty {
         self.length += text.len();
         if let Some(first) = invalid {
             let place = Span::new(source, first..first + char::REPLACEMENT_CHARACTER.len_utf8());
-            let fault = Diagnostic::new(Code::NOT_TEXT, format!("`{}` is not UTF-8 text", path.display()));
+            let fault = Diagnostic::new(codes::NOT_TEXT, format!("`{}` is not UTF-8 text", path.display()));
             let fault = fault.at(place, "invalid UTF-8 starts here");
             self.faults.push(fault.help("save the file as UTF-8"));
         }

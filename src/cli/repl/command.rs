@@ -1,8 +1,9 @@
 //! The commands of the prompt.
 
 use crate::cli::Failure;
+use crate::datalog::codes;
 use crate::datalog::{DIRECTIVES, FULL_STOP};
-use crate::diag::{Code, Diagnostic, SourceId, Sources, Span, did_you_mean};
+use crate::diag::{Diagnostic, SourceId, Sources, Span, did_you_mean};
 use std::path::PathBuf;
 
 pub const HELP: &str = "\
@@ -168,7 +169,7 @@ impl<'t> Typed<'t> {
         if !self.argument().is_empty() {
             return Ok(());
         }
-        let fault = Diagnostic::new(Code::SYNTAX, format!("expected {what}"));
+        let fault = Diagnostic::new(codes::SYNTAX, format!("expected {what}"));
         Err(fault
             .at(Span::new(self.id, self.start..self.start), "expected here")
             .into())
@@ -179,7 +180,7 @@ impl<'t> Typed<'t> {
         if self.argument().trim_end_matches('.').is_empty() {
             return Ok(());
         }
-        let fault = Diagnostic::new(Code::SYNTAX, format!("`.{name}` takes no argument"));
+        let fault = Diagnostic::new(codes::SYNTAX, format!("`.{name}` takes no argument"));
         Err(fault.at(self.place(), "").into())
     }
 }
@@ -256,7 +257,7 @@ fn unknown(sources: &Sources, id: SourceId, text: &str) -> Option<Diagnostic> {
     let start = text.len() - text.trim_start().len();
     let fault = |length: usize| {
         let span = Span::new(id, start..start + length);
-        Diagnostic::new(Code::SYNTAX, format!("no command `{}`", sources.slice(span))).at(span, "")
+        Diagnostic::new(codes::SYNTAX, format!("no command `{}`", sources.slice(span))).at(span, "")
     };
     if let Some((written, meant)) = foreign(text) {
         return Some(fault(written.len()).help(format!("type `{meant}`")));

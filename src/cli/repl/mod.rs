@@ -12,9 +12,10 @@ use crate::cli::why;
 use crate::cli::why::Question;
 use crate::cli::{Failure, LimitOptions, exit, query, report, terminal};
 use crate::datalog;
+use crate::datalog::codes;
 use crate::datalog::{BaseType, ClauseId, MarkKind, RelId, Value, is_complete};
 use crate::datalog::{Limits, Session, facts};
-use crate::diag::{Code, Diagnostic, SourceId, Sources};
+use crate::diag::{self, Diagnostic, SourceId, Sources};
 use command::Command;
 use prompt::{Line, Lines};
 use std::io::{self, IsTerminal, Write};
@@ -80,7 +81,7 @@ pub fn run(arguments: &Arguments, sources: &mut Sources) -> Result<(), Failure> 
         let text = match lines.next(&bench)? {
             Line::Text(text) => text,
             Line::NotText => {
-                let fault = Diagnostic::new(Code::NOT_TEXT, "the input is not UTF-8 text");
+                let fault = Diagnostic::new(diag::codes::NOT_TEXT, "the input is not UTF-8 text");
                 report(&[fault], bench.sources);
                 faulty = true;
                 continue;
@@ -211,7 +212,7 @@ impl<W: Write> Repl<W> {
                     self.relation(bench, id)?
                 }
                 _ => {
-                    let fault = Diagnostic::new(Code::UNKNOWN_PREDICATE, format!("no predicate `{name}` is declared"));
+                    let fault = Diagnostic::new(codes::UNKNOWN_PREDICATE, format!("no predicate `{name}` is declared"));
                     return Err(fault.at(span, "").help("`.relations` lists them").into());
                 }
             },

@@ -15,9 +15,10 @@ use crate::cli::query::Times;
 use crate::cli::{Failure, read};
 use crate::config::rule_file;
 use crate::datalog;
+use crate::datalog::codes;
 use crate::datalog::{BaseType, Edb, Functor, Literal, RelId, Relation, Rules, Value, Workspace, ast};
 use crate::datalog::{Delta, Limits, Loaded, Program, RowError, Session, facts};
-use crate::diag::{Code, Diagnostic, SourceId, Sources, Span};
+use crate::diag::{Diagnostic, SourceId, Sources, Span};
 use crate::symbol::Symbol;
 use std::collections::{BTreeSet, HashSet};
 use std::path::{Path, PathBuf};
@@ -162,14 +163,14 @@ impl<'s> Workbench<'s> {
         let mut places = HashSet::new();
         for item in &parsed.file.items {
             let ast::Item::Clause(clause) = item else {
-                let fault = Diagnostic::new(Code::UNSUPPORTED, "only facts and clauses can be retracted");
+                let fault = Diagnostic::new(codes::UNSUPPORTED, "only facts and clauses can be retracted");
                 let whole = Span::new(id, 0..self.sources.text(id).len());
                 let help = "remove it from the file, and `.reload`";
                 return Err(fault.at(whole, "").help(help).into());
             };
             let found = self.workspace.find(clause);
             if found.is_empty() {
-                let fault = Diagnostic::new(Code::INVALID_FACT, "no such clause");
+                let fault = Diagnostic::new(codes::INVALID_FACT, "no such clause");
                 let help = "`.show` prints the clauses of a predicate; variable names do not matter";
                 return Err(fault.at(clause.place.0, "").help(help).into());
             }
@@ -194,13 +195,13 @@ impl<'s> Workbench<'s> {
             let Relation { name, derived, .. } = &rules.relations[relation.index()];
             if *derived {
                 let message = format!("rules derive `{name}`, and no source states this fact");
-                let fault = Diagnostic::new(Code::INVALID_FACT, message).at(whole, "");
+                let fault = Diagnostic::new(codes::INVALID_FACT, message).at(whole, "");
                 return Err(fault.help("if it holds, `explain` prints its proof").into());
             }
             if self.session.contains(*relation, row) {
                 given.push((*relation, row));
             } else {
-                let fault = Diagnostic::new(Code::INVALID_FACT, "this fact does not hold");
+                let fault = Diagnostic::new(codes::INVALID_FACT, "this fact does not hold");
                 return Err(fault.at(whole, "").into());
             }
         }
@@ -455,7 +456,8 @@ fn checked(workspace: &Workspace, new: &HashSet<SourceId>) -> Result<(Rules, Vec
     } = workspace.check();
     let is_new = |fault: &Diagnostic| {
         // A predicate without rows may get some later.
-        fault.code != Code::DEAD_CLAUSE && (fault.primary.as_ref()).is_none_or(|label| new.contains(&label.span.source))
+        fault.code != codes::DEAD_CLAUSE
+            && (fault.primary.as_ref()).is_none_or(|label| new.contains(&label.span.source))
     };
     diagnostics.retain(|fault| fault.is_error() || is_new(fault));
     match rules {
@@ -465,7 +467,7 @@ fn checked(workspace: &Workspace, new: &HashSet<SourceId>) -> Result<(Rules, Vec
 }
 
 fn not_taken(error: RowError) -> Failure {
-    Diagnostic::new(Code::INVALID_FACT, error.to_string()).into()
+    Diagnostic::new(codes::INVALID_FACT, error.to_string()).into()
 }
 
 /// Returns the row of a fact in the source.

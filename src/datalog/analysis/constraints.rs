@@ -1,10 +1,11 @@
 //! Integrity constraints on the facts of a session.
 
 use crate::datalog::check::{Constraint, DeclaredConstraint, RelId};
+use crate::datalog::codes;
 use crate::datalog::session::Session;
 use crate::datalog::syntax::ast::BaseType;
 use crate::datalog::value::{Value, print_float};
-use crate::diag::{Code, Diagnostic};
+use crate::diag::Diagnostic;
 use crate::symbol::Symbol;
 use std::collections::HashSet;
 
@@ -70,7 +71,7 @@ pub fn violations_among(session: &Session, known: impl Fn(RelId) -> bool) -> Vec
         if let Some(message) = found
             && faults.len() < BROKEN_MAX
         {
-            let fault = Diagnostic::new(Code::CONSTRAINT_VIOLATION, message).at(*span, "declared here");
+            let fault = Diagnostic::new(codes::CONSTRAINT_VIOLATION, message).at(*span, "declared here");
             faults.push(fault.help("correct the facts, or remove the constraint"));
         }
     }

@@ -5,7 +5,8 @@ use std::borrow::Cow;
 use std::collections::{HashMap, HashSet};
 use std::ops::Range;
 
-use crate::diag::{Code, Diagnostic, Faults, Span};
+use crate::datalog::codes;
+use crate::diag::{self, Diagnostic, Faults, Span};
 use crate::symbol::Symbols;
 
 use crate::datalog::check::body;
@@ -189,7 +190,7 @@ fn check_plan(plan: &ast::Plan, clause: Option<&ast::Clause>, faults: &mut Fault
             sorted.sort_unstable();
             if !sorted.into_iter().eq(1..=count as i64) {
                 let fault = Diagnostic::new(
-                    Code::SYNTAX,
+                    codes::SYNTAX,
                     format!("version {version} does not list the clause's atoms"),
                 )
                 .at(plan.place.0, "")
@@ -202,7 +203,7 @@ fn check_plan(plan: &ast::Plan, clause: Option<&ast::Clause>, faults: &mut Fault
             }
         }
     }
-    let fault = Diagnostic::new(Code::IGNORED, "`.plan` has no effect").at(plan.place.0, "");
+    let fault = Diagnostic::new(codes::IGNORED, "`.plan` has no effect").at(plan.place.0, "");
     faults.push(fault.help("remove it; the planner chooses the order of literals"));
 }
 
@@ -239,7 +240,7 @@ fn split_input(id: RelId, names: &mut Names, out: &mut Clauses) {
 fn one(clause: &ast::Clause, scopes: &mut scope::Scopes, names: &mut Names, out: &mut Clauses, faults: &mut Faults) {
     let alternatives = count(&clause.body);
     let too_many = |message: String, note: String| {
-        Diagnostic::new(Code::LIMIT_EXCEEDED, message)
+        Diagnostic::new(diag::codes::LIMIT_EXCEEDED, message)
             .at(clause.heads[0].place.0, "")
             .note(note)
     };
@@ -329,7 +330,7 @@ fn alternative(
     let written_out = match witness::write_out(head, body, MAX_LITERALS) {
         Ok(written_out) => written_out,
         Err(witness::TooLong) => {
-            let fault = Diagnostic::new(Code::LIMIT_EXCEEDED, "clause with too many nested aggregates");
+            let fault = Diagnostic::new(diag::codes::LIMIT_EXCEEDED, "clause with too many nested aggregates");
             let note = format!("the witnesses of its `min` and `max` copy more than {MAX_LITERALS} literals");
             faults.push(fault.at(head.place.0, "").note(note));
             out.incomplete = true;
@@ -455,7 +456,7 @@ fn lone_variables<'c>(
             continue;
         }
         if one == other {
-            let fault = Diagnostic::new(Code::VACUOUS_EQUATION, format!("`{one} = {other}` is always true"));
+            let fault = Diagnostic::new(codes::VACUOUS_EQUATION, format!("`{one} = {other}` is always true"));
             faults.push(fault.at(place.0, "").help("remove it"));
             continue;
         }
@@ -479,7 +480,7 @@ fn lone_variables<'c>(
         } else {
             ""
         };
-        let fault = Diagnostic::new(Code::VACUOUS_EQUATION, message).at(term.place.0, label);
+        let fault = Diagnostic::new(codes::VACUOUS_EQUATION, message).at(term.place.0, label);
         let [one, other] = [one, other].map(|side| {
             if side == text {
                 format!("\"{side}\"")
@@ -539,7 +540,7 @@ fn lone_variables<'c>(
 
 fn singleton(name: &str, place: Span) -> Diagnostic {
     Diagnostic::new(
-        Code::SINGLETON_VARIABLE,
+        codes::SINGLETON_VARIABLE,
         format!("the variable `{name}` occurs only once"),
     )
     .at(place, "")

@@ -1,7 +1,8 @@
 //! Integrity constraints, such as `.disjoint` and `.reflexive`, on the facts of base predicates.
 // Decision: docs/decisions/language.md#d034
 
-use crate::diag::{Code, Diagnostic, Faults, Span};
+use crate::datalog::codes;
+use crate::diag::{self, Diagnostic, Faults, Span};
 
 use crate::datalog::check::names::Names;
 use crate::datalog::check::rules::{Constraint, DeclaredConstraint, RelId, TypeId};
@@ -26,7 +27,7 @@ pub(crate) fn check(items: &[Item], names: &mut Names, faults: &mut Faults) -> V
             .collect();
         let pairs: usize = found.len() * found.len().saturating_sub(1) / 2;
         if constraints.len() + pairs.max(found.len()) > MAX_CONSTRAINTS {
-            let fault = Diagnostic::new(Code::LIMIT_EXCEEDED, "too many constraints")
+            let fault = Diagnostic::new(diag::codes::LIMIT_EXCEEDED, "too many constraints")
                 .at(constraint.place.0, "")
                 .note(format!(
                     "a program has at most {MAX_CONSTRAINTS}; `.disjoint` makes one of every pair"
@@ -100,7 +101,7 @@ fn domain(ty: TypeId, names: &Names) -> Vec<(RelId, usize)> {
 }
 
 fn refuse(message: String, at: Span, relation: RelId, names: &Names) -> Diagnostic {
-    let fault = Diagnostic::new(Code::INVALID_CONSTRAINT, message)
+    let fault = Diagnostic::new(codes::INVALID_CONSTRAINT, message)
         .at(at, "")
         .also(names.relation(relation).span, "declared here");
     fault.note(format!("the declaration is `{}`", names.signature_text(relation)))

@@ -12,7 +12,8 @@
 
 use std::collections::{HashMap, HashSet};
 
-use crate::diag::{Code, Diagnostic, Faults, Span};
+use crate::datalog::codes;
+use crate::diag::{Diagnostic, Faults, Span};
 
 use crate::datalog::check::strata::components;
 use crate::datalog::check::witness::{Names, bound_names, renamed, renamed_term, size};
@@ -142,7 +143,7 @@ fn declared(items: &[Item]) -> HashMap<&str, Span> {
 
 fn refused(name: &Name, why: &str) -> Diagnostic {
     Diagnostic::new(
-        Code::UNSUPPORTED,
+        codes::UNSUPPORTED,
         format!("`{}` {why}: this is not supported", name.text),
     )
     .at(name.place.0, "")

@@ -2,6 +2,7 @@
 
 use std::hash::{BuildHasher, RandomState};
 
+use crate::datalog::codes;
 use crate::diag::{Code, Diagnostic, Faults, Span};
 
 use crate::datalog::check::clauses::{Checked, Clauses};
@@ -65,7 +66,7 @@ pub(crate) fn dead(all: &Clauses, names: &Names, faults: &mut Faults) {
         let mut places: Vec<Span> = clauses.into_iter().map(place).collect();
         places.dedup();
         let mut fault = Diagnostic::new(
-            Code::DEAD_CLAUSE,
+            codes::DEAD_CLAUSE,
             format!("this clause never fires: `{name}` is always empty"),
         )
         .at(places[0], "");
@@ -136,7 +137,7 @@ pub(crate) fn redundant(clauses: &[Checked], faults: &mut Faults) -> Comparing {
     let facts = Facts::new(clauses);
     for (fact, first) in facts.repeated() {
         report(
-            Code::DUPLICATE_CLAUSE,
+            codes::DUPLICATE_CLAUSE,
             clauses[fact].clause.span,
             clauses[first].clause.span,
             faults,
@@ -147,7 +148,7 @@ pub(crate) fn redundant(clauses: &[Checked], faults: &mut Faults) -> Comparing {
         let aggregates = (clause.body.iter()).any(|literal| matches!(literal, Literal::Aggregate { .. }));
         if *sound && !aggregates && !clause.body.is_empty() {
             if let Some(fact) = facts.find(&clause.head) {
-                report(Code::SUBSUMED_CLAUSE, clause.span, clauses[fact].clause.span, faults);
+                report(codes::SUBSUMED_CLAUSE, clause.span, clauses[fact].clause.span, faults);
             } else {
                 by_head.entry(clause.head.relation).or_default().push(clause);
             }
@@ -162,8 +163,8 @@ pub(crate) fn redundant(clauses: &[Checked], faults: &mut Faults) -> Comparing {
         let counts = |one: usize, other: usize| group[one].span != group[other].span;
         for found in subsumption::redundant(&patterns, &NoConstraints, &mut budget, &counts) {
             let code = match found.copy {
-                true => Code::DUPLICATE_CLAUSE,
-                false => Code::SUBSUMED_CLAUSE,
+                true => codes::DUPLICATE_CLAUSE,
+                false => codes::SUBSUMED_CLAUSE,
             };
             report(code, group[found.clause].span, group[found.by].span, faults);
         }
@@ -232,7 +233,7 @@ fn row(head: &Atom) -> (RelId, &[Term]) {
 
 fn report(code: Code, span: Span, other: Span, faults: &mut Faults) {
     let (message, label) = match code {
-        Code::DUPLICATE_CLAUSE => (
+        codes::DUPLICATE_CLAUSE => (
             "this clause is a duplicate",
             "the same clause, up to variable names and order",
         ),

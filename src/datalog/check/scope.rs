@@ -10,7 +10,8 @@
 
 use indexmap::IndexMap;
 
-use crate::diag::{Code, Diagnostic, Faults, Span};
+use crate::datalog::codes;
+use crate::diag::{Diagnostic, Faults, Span};
 
 use crate::datalog::check::clauses::{Clauses, Edge, EdgeKind, Guard, VariableType};
 use crate::datalog::check::names::Names;
@@ -72,7 +73,7 @@ impl Scopes {
             }
             [_, _] => {}
             _ => {
-                let fault = Diagnostic::new(Code::INVALID_SCOPE, format!("`{}` cannot be a scope", name.text))
+                let fault = Diagnostic::new(codes::INVALID_SCOPE, format!("`{}` cannot be a scope", name.text))
                     .at(name.place.0, "a scope has two columns: who sees, and who is seen")
                     .also(names.relation(relation).span, "declared here")
                     .note(format!("the declaration is `{}`", names.signature_text(relation)));
@@ -140,7 +141,7 @@ impl Scopes {
         let scope = &names.relation(guard.relation).name;
         let ego = names.type_name(guard.ego);
         let fault = Diagnostic::new(
-            Code::INVALID_SCOPE,
+            codes::INVALID_SCOPE,
             format!("the scope `{scope}` cannot guard this clause"),
         )
         .at(

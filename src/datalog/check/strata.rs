@@ -4,7 +4,8 @@
 use std::cmp::Reverse;
 use std::collections::{BinaryHeap, VecDeque};
 
-use crate::diag::{Code, Diagnostic, Faults};
+use crate::datalog::codes;
+use crate::diag::{Diagnostic, Faults};
 
 use crate::datalog::check::clauses::{Edge, EdgeKind};
 use crate::datalog::check::names::Names;
@@ -67,7 +68,7 @@ pub(crate) fn check(edges: &[Edge], names: &Names, faults: &mut Faults) {
             EdgeKind::Negates => format!("`{}` needs that `{}` does not hold", name(edge.from), name(edge.to)),
             EdgeKind::Aggregates => format!("`{}` needs all of `{}`", name(edge.from), name(edge.to)),
         };
-        let mut fault = Diagnostic::new(Code::CYCLIC_NEGATION, message).at(edge.span, step(edge));
+        let mut fault = Diagnostic::new(codes::CYCLIC_NEGATION, message).at(edge.span, step(edge));
         for &at in back.iter().take(SHOWN_MAX) {
             fault = fault.also(edges[at].span, step(&edges[at]));
         }

@@ -4,7 +4,8 @@
 use crate::datalog::check::{Clause, ClauseId, Literal, Rules, Term, VarId};
 use crate::datalog::eval::growth;
 use crate::datalog::syntax::ast::Comparison;
-use crate::diag::{Code, Diagnostic, Limit, Span};
+use crate::diag::codes;
+use crate::diag::{Diagnostic, Limit, Span};
 use std::collections::BTreeSet;
 use std::fmt;
 
@@ -156,8 +157,8 @@ impl std::error::Error for EvalError {}
 impl From<EvalError> for Diagnostic {
     fn from(error: EvalError) -> Self {
         match error.limit() {
-            Some(limit) => Diagnostic::new(Code::LIMIT_EXCEEDED, error.to_string()).exceeds(limit),
-            None => Diagnostic::new(Code::CANCELLED, error.to_string()),
+            Some(limit) => Diagnostic::new(codes::LIMIT_EXCEEDED, error.to_string()).exceeds(limit),
+            None => Diagnostic::new(codes::CANCELLED, error.to_string()),
         }
     }
 }

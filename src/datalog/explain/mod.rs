@@ -33,7 +33,8 @@ use crate::datalog::check::{ClauseId, Literal, RelId};
 use crate::datalog::eval::limits::size;
 use crate::datalog::session::Session;
 use crate::datalog::value::Value;
-use crate::diag::{Code, Diagnostic, Limit};
+use crate::diag::codes;
+use crate::diag::{Diagnostic, Limit};
 use search::{Binding, Search};
 use std::collections::{HashMap, VecDeque};
 use std::fmt;
@@ -265,13 +266,13 @@ impl From<ExplainError> for Diagnostic {
     fn from(error: ExplainError) -> Self {
         let fault = |code| Diagnostic::new(code, error.to_string());
         match error {
-            ExplainError::Cancelled => fault(Code::CANCELLED),
+            ExplainError::Cancelled => fault(codes::CANCELLED),
             // Raising the limits of the session beyond this one does not raise it.
             ExplainError::TooMuchWork { limit } if limit < Explainer::LIMIT => {
-                fault(Code::LIMIT_EXCEEDED).exceeds(Limit::Steps)
+                fault(codes::LIMIT_EXCEEDED).exceeds(Limit::Steps)
             }
-            ExplainError::TooMuchWork { .. } => fault(Code::LIMIT_EXCEEDED),
-            ExplainError::TooMuchMemory { limit } => fault(Code::LIMIT_EXCEEDED).exceeds(Limit::Memory(limit)),
+            ExplainError::TooMuchWork { .. } => fault(codes::LIMIT_EXCEEDED),
+            ExplainError::TooMuchMemory { limit } => fault(codes::LIMIT_EXCEEDED).exceeds(Limit::Memory(limit)),
         }
     }
 }

@@ -15,7 +15,8 @@ use std::sync::Arc;
 
 use crate::datalog::check::{Clause, ClauseId, Literal, RelId, Relation, Rules, Stratum};
 use crate::datalog::row::WIDTHS;
-use crate::diag::{Code, Diagnostic};
+use crate::diag::Diagnostic;
+use crate::diag::codes;
 use estimate::Size;
 use grouping::groupings;
 use planner::{
@@ -73,7 +74,7 @@ impl Plans {
                 wide.name,
                 wide.arity()
             );
-            return Err(Diagnostic::new(Code::LIMIT_EXCEEDED, message).at(wide.span, "declared here"));
+            return Err(Diagnostic::new(codes::LIMIT_EXCEEDED, message).at(wide.span, "declared here"));
         }
         let groupings = groupings(rules);
         let mut indexes = Indexes::new(rules.relations.iter().map(Relation::arity), &groupings);

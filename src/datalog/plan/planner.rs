@@ -7,13 +7,14 @@
 // Decision: docs/decisions/evaluation.md#d016
 
 use crate::datalog::check::{Atom, Clause, Literal, RelId, Term, VarId};
+use crate::datalog::codes;
 use crate::datalog::plan::estimate::{Flow, Known, Reckoning, Size, cost_of_parts};
 use crate::datalog::plan::steps::{
     ChangePlan, ClausePlans, Grouping, IndexId, Indexes, List, Plan, Slot, Source, Step, Version,
 };
 use crate::datalog::syntax::ast::{BaseType, Comparison};
 use crate::datalog::value::Value;
-use crate::diag::{Code, Diagnostic};
+use crate::diag::{self, Diagnostic};
 use std::sync::Arc;
 
 /// The maximum number of literals in a body and of variables in a clause. Evaluation recurses once per atom, and
@@ -132,7 +133,7 @@ fn check_size(clause: &Clause) -> Result<(), Diagnostic> {
 /// The diagnostic for a clause that is too large.
 pub(crate) fn too_large(clause: &Clause, what: &str, count: usize) -> Diagnostic {
     let message = format!("the clause has {count} {what}; the maximum is {CLAUSE_MAX}");
-    let fault = Diagnostic::new(Code::LIMIT_EXCEEDED, message).at(clause.span, "");
+    let fault = Diagnostic::new(diag::codes::LIMIT_EXCEEDED, message).at(clause.span, "");
     match what {
         "literals" if count > clause.body.len() => fault.note("those of the aggregates evaluated in place count, too"),
         _ => fault,
@@ -362,7 +363,7 @@ impl<'a> Planner<'a> {
             .map(|(name, _)| format!("`{name}`"))
             .collect();
         let message = format!("no positive atom binds {}", names.join(", "));
-        Diagnostic::new(Code::UNBOUND_VARIABLE, message).at(self.clause.span, "")
+        Diagnostic::new(codes::UNBOUND_VARIABLE, message).at(self.clause.span, "")
     }
 
     /// The slot of a term; `None` for a wildcard.

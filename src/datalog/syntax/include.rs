@@ -3,7 +3,8 @@
 use std::collections::{HashMap, HashSet};
 use std::path::{Path, PathBuf};
 
-use crate::diag::{Code, Diagnostic, Faults, SourceId, Sources, Span, similar_file};
+use crate::datalog::codes;
+use crate::diag::{self, Diagnostic, Faults, SourceId, Sources, Span, similar_file};
 use crate::files::{BUILTIN_FOLDER, ReadError, ReadFile, normalize};
 
 use crate::datalog::syntax::ast::{File, Include, Item};
@@ -84,7 +85,7 @@ pub(crate) fn parse_one(sources: &Sources, id: SourceId, faults: &mut Faults) ->
 pub(super) fn small_text<'s>(sources: &'s Sources, id: SourceId, faults: &mut Faults) -> Option<&'s str> {
     let text = sources.text(id);
     if text.len() > MAX_TEXT_BYTES {
-        let fault = Diagnostic::new(Code::LIMIT_EXCEEDED, "rule file too large")
+        let fault = Diagnostic::new(diag::codes::LIMIT_EXCEEDED, "rule file too large")
             .at(Span::new(id, 0..0), "")
             .note(format!(
                 "a rule file has at most {} MiB; put facts into `.facts` files",
@@ -172,7 +173,7 @@ impl Walk<'_> {
         let path = beside.display();
         let fault = match error {
             ReadError::NotFound => {
-                let fault = Diagnostic::new(Code::MISSING_INCLUDE, format!("no file `{}` to include", include.path))
+                let fault = Diagnostic::new(codes::MISSING_INCLUDE, format!("no file `{}` to include", include.path))
                     .at(span, "")
                     .note(match builtin {
                         Some(_) => format!("looked for `{path}` and for a built-in rule file of that name"),
@@ -189,12 +190,12 @@ impl Walk<'_> {
                 }
             }
             ReadError::NotText { .. } => {
-                Diagnostic::new(Code::NOT_TEXT, format!("`{path}` is {error}")).at(span, "included here")
+                Diagnostic::new(diag::codes::NOT_TEXT, format!("`{path}` is {error}")).at(span, "included here")
             }
             ReadError::TooLarge(_) => {
-                Diagnostic::new(Code::LIMIT_EXCEEDED, format!("`{path}` is {error}")).at(span, "included here")
+                Diagnostic::new(diag::codes::LIMIT_EXCEEDED, format!("`{path}` is {error}")).at(span, "included here")
             }
-            ReadError::Io(_) => Diagnostic::new(Code::MISSING_INCLUDE, format!("cannot read `{path}`: {error}"))
+            ReadError::Io(_) => Diagnostic::new(codes::MISSING_INCLUDE, format!("cannot read `{path}`: {error}"))
                 .at(span, "included here"),
         };
         self.faults.push(fault);
@@ -202,7 +203,7 @@ impl Walk<'_> {
 
     fn too_many(&mut self, span: Span) {
         self.gathered.incomplete = true;
-        let fault = Diagnostic::new(Code::LIMIT_EXCEEDED, "too many included files").at(span, "");
+        let fault = Diagnostic::new(diag::codes::LIMIT_EXCEEDED, "too many included files").at(span, "");
         self.faults
             .push(fault.note(format!("a program has at most {MAX_FILES} files")));
     }
@@ -220,7 +221,7 @@ impl Walk<'_> {
     fn open(&mut self, id: SourceId, key: PathBuf, span: Span) {
         if self.open.len() >= MAX_DEPTH {
             self.gathered.incomplete = true;
-            let fault = Diagnostic::new(Code::LIMIT_EXCEEDED, "includes nested too deeply")
+            let fault = Diagnostic::new(diag::codes::LIMIT_EXCEEDED, "includes nested too deeply")
                 .at(span, "")
                 .note(format!("a chain of includes has at most {MAX_DEPTH} files"));
             self.faults.push(fault);
@@ -240,8 +241,8 @@ impl Walk<'_> {
             .filter_map(|(_, include)| *include)
             .collect();
         let mut fault = match on_cycle.as_slice() {
-            [] => Diagnostic::new(Code::INCLUDE_CYCLE, format!("`{name}` includes itself")).at(span, ""),
-            _ => Diagnostic::new(Code::INCLUDE_CYCLE, "files include each other in a cycle")
+            [] => Diagnostic::new(codes::INCLUDE_CYCLE, format!("`{name}` includes itself")).at(span, ""),
+            _ => Diagnostic::new(codes::INCLUDE_CYCLE, "files include each other in a cycle")
                 .at(span, "this include closes the cycle"),
         };
         for step in on_cycle {

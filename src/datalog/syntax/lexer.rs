@@ -1,6 +1,7 @@
 //! The lexer: from text to tokens in one pass. It reports faults and continues.
 
-use crate::diag::{Code, Diagnostic, Faults, SourceId, Span};
+use crate::datalog::codes;
+use crate::diag::{self, Diagnostic, Faults, SourceId, Span};
 
 /// Maximum length of a name in bytes, which keeps messages and comparisons of names cheap.
 pub(crate) const MAX_NAME_BYTES: usize = 255;
@@ -392,7 +393,7 @@ impl Lexer<'_> {
             }
             None => {
                 self.faults.push(
-                    Diagnostic::new(Code::SYNTAX, "unclosed comment")
+                    Diagnostic::new(codes::SYNTAX, "unclosed comment")
                         .at(self.span(self.at, self.at + 2), "this `/*` has no `*/`"),
                 );
                 self.at = self.bytes.len();
@@ -411,7 +412,7 @@ impl Lexer<'_> {
             }
         }
         self.faults.push(
-            Diagnostic::new(Code::SYNTAX, "string without a closing quote")
+            Diagnostic::new(codes::SYNTAX, "string without a closing quote")
                 .at(self.span(self.at, self.at + 1), "it begins here")
                 .note("a string ends on the line where it begins; write a line break as `\\n`"),
         );
@@ -440,7 +441,7 @@ impl Lexer<'_> {
             return self.push(suffix, length);
         }
         self.faults.push(
-            Diagnostic::new(Code::SYNTAX, "not a number")
+            Diagnostic::new(codes::SYNTAX, "not a number")
                 .at(self.span(self.at, self.at + length), "")
                 .help("write a number in decimal, or with the prefix `0x` or `0b`; a name cannot begin with a digit"),
         );
@@ -486,7 +487,7 @@ impl Lexer<'_> {
         let length = self.count_while(self.at, is_name_part);
         if length > MAX_NAME_BYTES {
             self.faults.push(
-                Diagnostic::new(Code::LIMIT_EXCEEDED, format!("name of {length} characters"))
+                Diagnostic::new(diag::codes::LIMIT_EXCEEDED, format!("name of {length} characters"))
                     .at(self.span(self.at, self.at + 1), "it begins here")
                     .note(format!("a name has at most {MAX_NAME_BYTES}")),
             );
@@ -511,7 +512,7 @@ impl Lexer<'_> {
         if *written == "<>" && matches!(after, Some(b')' | b',' | b'{')) {
             return None;
         }
-        let fault = Diagnostic::new(Code::SYNTAX, format!("`{written}` has no meaning here"))
+        let fault = Diagnostic::new(codes::SYNTAX, format!("`{written}` has no meaning here"))
             .at(self.span(self.at, self.at + written.len()), "")
             .help(*help);
         let fault = match spelling(*kind) {
@@ -556,7 +557,7 @@ impl Lexer<'_> {
             return;
         };
         let written = &self.text[first.start as usize..first.end as usize];
-        let mut fault = Diagnostic::new(Code::SYNTAX, format!("`{written}` does not begin a comment"))
+        let mut fault = Diagnostic::new(codes::SYNTAX, format!("`{written}` does not begin a comment"))
             .at(first, "")
             .help(COMMENT);
         if !others.is_empty() {
@@ -648,7 +649,7 @@ impl Lexer<'_> {
             }
             if depth == 0 {
                 let span = self.span(self.at, self.at + 1);
-                let fault = Diagnostic::new(Code::UNSUPPORTED, "annotations (`@[...]`) are not supported");
+                let fault = Diagnostic::new(codes::UNSUPPORTED, "annotations (`@[...]`) are not supported");
                 self.faults.push(fault.at(span, "").help("remove it"));
                 self.at += 1 + at + 1;
                 return true;
@@ -714,7 +715,7 @@ impl Lexer<'_> {
             rest.is_none_or(|rest| rest.trim().is_empty())
         };
         if first == '\\' && length == 1 && line_ends() {
-            let fault = Diagnostic::new(Code::UNSUPPORTED, "a backslash at the end of a line is not supported");
+            let fault = Diagnostic::new(codes::UNSUPPORTED, "a backslash at the end of a line is not supported");
             let fault = fault.at(self.span(start, start + length), "");
             self.faults.push(fault.remove(self.span(start, start + length)));
             self.at += length;
@@ -725,7 +726,7 @@ impl Lexer<'_> {
         } else {
             format!("unexpected character `{first}`")
         };
-        let mut fault = Diagnostic::new(Code::SYNTAX, message).at(self.span(start, start + length), "");
+        let mut fault = Diagnostic::new(codes::SYNTAX, message).at(self.span(start, start + length), "");
         fault = match first {
             '\'' | '\u{2018}' | '\u{2019}' | '\u{201c}' | '\u{201d}' => {
                 fault.help("write strings in double quotes: `\"...\"`")

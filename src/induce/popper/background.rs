@@ -1,7 +1,8 @@
 //! Background knowledge: facts, and what follows from function-free rules.
 
+use crate::datalog::codes;
 use crate::datalog::{Limits, Program, RelId, Value, quoted};
-use crate::diag::{Code, Diagnostic, Faults, SourceId, Sources, Span, did_you_mean};
+use crate::diag::{self, Diagnostic, Faults, SourceId, Sources, Span, did_you_mean};
 use crate::files::ReadError;
 use crate::induce::popper::text::{Clause, Directives, Kind, Literal, Term, parse, unsupported};
 use crate::symbol::Symbol;
@@ -87,7 +88,7 @@ impl Background {
             Kind::Constant(text) => Ok(self.constants.insert_full(text.clone()).0 as u32),
             Kind::Variable(name) => {
                 let message = format!("a fact with the variable `{name}`");
-                let fault = Diagnostic::new(Code::UNBOUND_VARIABLE, message).at(term.span, "a variable");
+                let fault = Diagnostic::new(codes::UNBOUND_VARIABLE, message).at(term.span, "a variable");
                 Err(fault.help("constants begin with a lowercase letter or stand in single quotes"))
             }
             _ => Err(unsupported(term.span, "a function term")),
@@ -141,7 +142,7 @@ impl Background {
             rows.try_for_each(|(constant, place)| session.insert(rank, &[names[constant], Value::number(place)]))
         });
         if let Err(error) = inserted {
-            return report(Diagnostic::new(Code::LIMIT_EXCEEDED, error.to_string()));
+            return report(Diagnostic::new(diag::codes::LIMIT_EXCEEDED, error.to_string()));
         }
         if let Err(error) = session.commit() {
             return report(error.diagnostic(program.rules()));
@@ -166,7 +167,7 @@ pub fn predicate(term: &Term) -> Result<(&str, &[Term]), Diagnostic> {
     match &term.kind {
         Kind::Compound(name, terms) => Ok((name, terms)),
         Kind::Constant(name) => Ok((name, &[])),
-        _ => Err(Diagnostic::new(Code::SYNTAX, "expected a predicate").at(term.span, "not a predicate")),
+        _ => Err(Diagnostic::new(codes::SYNTAX, "expected a predicate").at(term.span, "not a predicate")),
     }
 }
 
@@ -340,7 +341,7 @@ fn print_side(
 /// The fault of a predicate without facts and rules.
 pub fn unknown(background: &Background, (name, arity): &Key, span: Span) -> Diagnostic {
     let fault = Diagnostic::new(
-        Code::UNKNOWN_PREDICATE,
+        codes::UNKNOWN_PREDICATE,
         format!("the background knowledge has no facts and no rules of `{name}/{arity}`"),
     );
     let fault = fault.at(span, "unknown predicate");

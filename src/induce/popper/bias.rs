@@ -1,6 +1,7 @@
 //! The bias of a task: which predicates clauses consist of, and how they bind variables.
 
-use crate::diag::{Code, Diagnostic, Faults, SourceId, Sources, Span};
+use crate::datalog::codes;
+use crate::diag::{Diagnostic, Faults, SourceId, Sources, Span};
 use crate::induce::popper::background::{Key, predicate};
 use crate::induce::popper::text::{Clause, Directives, Kind, Term, parse, unsupported};
 use crate::induce::popper::tokens::is_word;
@@ -67,11 +68,11 @@ impl Bias {
             if !(1..=VARIABLES_MAX.min(bias.variables())).contains(&head.1) {
                 let message = format!("a target with {} arguments is not supported", head.1);
                 let most = VARIABLES_MAX.min(bias.variables());
-                let fault = Diagnostic::new(Code::UNSUPPORTED, message).at(*span, "");
+                let fault = Diagnostic::new(codes::UNSUPPORTED, message).at(*span, "");
                 faults.push(fault.help(format!("a target has 1 to {most} arguments")));
             }
         } else if !faults.failed() {
-            let fault = Diagnostic::new(Code::SYNTAX, "the bias names no predicate to learn");
+            let fault = Diagnostic::new(codes::SYNTAX, "the bias names no predicate to learn");
             let end = sources.text(source).len();
             let fault = fault.at(Span::new(source, end..end), "the end of the bias");
             faults.push(fault.help("add `head_pred(NAME,ARITY).`"));
@@ -128,7 +129,7 @@ impl Bias {
                 let key = key(name, arity)?;
                 if !(1..=ARITY_MAX).contains(&key.1) {
                     let message = format!("`{}/{}` is not supported", key.0, key.1);
-                    let fault = Diagnostic::new(Code::UNSUPPORTED, message).at(head.span, "");
+                    let fault = Diagnostic::new(codes::UNSUPPORTED, message).at(head.span, "");
                     return Err(fault.help(format!("a predicate of bodies has 1 to {ARITY_MAX} arguments")));
                 }
                 self.body.entry(key).or_insert(head.span);
@@ -153,7 +154,7 @@ impl Bias {
                         "in" => inputs |= 1 << at,
                         "out" => {}
                         _ => {
-                            let fault = Diagnostic::new(Code::SYNTAX, "a direction is `in` or `out`");
+                            let fault = Diagnostic::new(codes::SYNTAX, "a direction is `in` or `out`");
                             return Err(fault.at(directions.span, "not a list of directions"));
                         }
                     }
@@ -162,7 +163,10 @@ impl Bias {
             }
             ("enable_recursion", _) => return Err(recursion(head.span)),
             ("head_pred" | "body_pred" | "max_vars" | "type" | "direction", _) => {
-                let fault = Diagnostic::new(Code::ARITY_MISMATCH, format!("`{name}` with {} arguments", terms.len()));
+                let fault = Diagnostic::new(
+                    codes::ARITY_MISMATCH,
+                    format!("`{name}` with {} arguments", terms.len()),
+                );
                 return Err(fault.at(head.span, "wrong number of arguments"));
             }
             ("enable_pi", _) => {
@@ -194,7 +198,7 @@ fn single_type(text: &str) -> Option<String> {
 }
 
 fn recursion(span: Span) -> Diagnostic {
-    let fault = Diagnostic::new(Code::UNSUPPORTED, "recursive clauses are not supported");
+    let fault = Diagnostic::new(codes::UNSUPPORTED, "recursive clauses are not supported");
     fault
         .at(span, "")
         .help("remove this line to learn clauses without recursion")
@@ -202,19 +206,19 @@ fn recursion(span: Span) -> Diagnostic {
 
 /// The warning about a declaration without effect.
 fn ignored(span: Span, what: &str) -> Diagnostic {
-    Diagnostic::new(Code::IGNORED, format!("{what} has no effect")).at(span, "ignored")
+    Diagnostic::new(codes::IGNORED, format!("{what} has no effect")).at(span, "ignored")
 }
 
 fn constant(term: &Term) -> Result<String, Diagnostic> {
     match &term.kind {
         Kind::Constant(name) => Ok(name.clone()),
-        _ => Err(Diagnostic::new(Code::SYNTAX, "expected a name").at(term.span, "not a name")),
+        _ => Err(Diagnostic::new(codes::SYNTAX, "expected a name").at(term.span, "not a name")),
     }
 }
 
 fn number(term: &Term) -> Result<usize, Diagnostic> {
     let count = constant(term)?.parse().ok().filter(|count| *count <= 1_000);
-    count.ok_or_else(|| Diagnostic::new(Code::SYNTAX, "expected a number").at(term.span, "not a number up to 1000"))
+    count.ok_or_else(|| Diagnostic::new(codes::SYNTAX, "expected a number").at(term.span, "not a number up to 1000"))
 }
 
 fn key(name: &Term, arity: &Term) -> Result<Key, Diagnostic> {

@@ -38,7 +38,8 @@ mod tokens;
 
 use crate::cancel::Cancel;
 use crate::datalog::Limits;
-use crate::diag::{Code, Diagnostic, Faults, SourceId, Sources, Span};
+use crate::datalog::codes;
+use crate::diag::{self, Diagnostic, Faults, SourceId, Sources, Span};
 use crate::induce::examples::{Examples, State};
 use crate::induce::learner::learn;
 use crate::induce::rules::{ActionRules, Settings};
@@ -125,7 +126,7 @@ pub fn read(sources: &Sources, files: &Files, options: &Options) -> (Option<Task
                     Ok(row) => match labels.entry(row) {
                         Entry::Occupied(known) if known.get().0 != is_positive => {
                             let message = "an example is positive and negative".to_owned();
-                            let fault = Diagnostic::new(Code::INVALID_FACT, message).at(place, "the second label");
+                            let fault = Diagnostic::new(codes::INVALID_FACT, message).at(place, "the second label");
                             faults.push(
                                 fault
                                     .also(known.get().1, "the first label")
@@ -141,7 +142,8 @@ pub fn read(sources: &Sources, files: &Files, options: &Options) -> (Option<Task
                 },
                 _ => {
                     let (name, arity) = target;
-                    let fault = Diagnostic::new(Code::INVALID_FACT, format!("expected an example of `{name}/{arity}`"));
+                    let fault =
+                        Diagnostic::new(codes::INVALID_FACT, format!("expected an example of `{name}/{arity}`"));
                     let arguments = if *arity == 1 { "argument" } else { "arguments" };
                     let help = format!("write `pos({name}(...)).` or `neg({name}(...)).` with {arity} {arguments}");
                     faults.push(fault.at(place, "not an example").help(help));
@@ -202,7 +204,7 @@ fn assemble(
     }
     for (wanted, name) in [(true, "positive"), (false, "negative")] {
         if !labels.values().any(|(is_positive, _)| *is_positive == wanted) {
-            let fault = Diagnostic::new(Code::INVALID_FACT, format!("there is no {name} example"));
+            let fault = Diagnostic::new(codes::INVALID_FACT, format!("there is no {name} example"));
             let help = match wanted {
                 true => "add `pos(...)` facts",
                 false => "add `neg(...)` facts, or use `--closed-world` if all other arguments are negative examples",
@@ -251,7 +253,8 @@ fn assemble(
         bytes += 8 * vocabulary.facts(state.entities()).div_ceil(64) as u64;
         if bytes > options.limits.bytes {
             let message = format!("the examples need more than {} MiB", options.limits.bytes >> 20);
-            let fault = Diagnostic::new(Code::LIMIT_EXCEEDED, message).at(place, "the first example beyond the limit");
+            let fault =
+                Diagnostic::new(diag::codes::LIMIT_EXCEEDED, message).at(place, "the first example beyond the limit");
             let help = "declare `direction` for the body predicates, reduce `max_vars`, or raise `--max-memory`";
             return Err(vec![fault.help(help)]);
         }
@@ -310,7 +313,7 @@ fn close(bias: &Bias, background: &Background, labels: &mut Labels, end: Span) -
         .try_fold(1_usize, |count, domain| count.checked_mul(domain.len()));
     let Some(count) = count.filter(|count| *count <= CLOSED_WORLD_MAX) else {
         let message = format!("the closed-world assumption gives more than {CLOSED_WORLD_MAX} examples");
-        let fault = Diagnostic::new(Code::LIMIT_EXCEEDED, message).at(end, "the end of the examples");
+        let fault = Diagnostic::new(diag::codes::LIMIT_EXCEEDED, message).at(end, "the end of the examples");
         return Err(vec![fault.help(
             "declare `type` for the target and the body predicates, or add `neg(...)` facts",
         )]);

@@ -1,6 +1,7 @@
 //! What an example can refer to: the constants that the background knowledge links to its arguments.
 
-use crate::diag::{Code, Diagnostic, Span};
+use crate::diag::codes;
+use crate::diag::{Diagnostic, Span};
 use crate::induce::examples::{ENTITIES_MAX, State};
 use crate::induce::vocabulary::{Link, Vocabulary};
 use std::collections::{BTreeMap, BTreeSet};
@@ -92,7 +93,7 @@ impl<'a> Network<'a> {
                 "the background knowledge links {} constants to this example, more than {ENTITIES_MAX}",
                 entities.len()
             );
-            let fault = Diagnostic::new(Code::LIMIT_EXCEEDED, message).at(span, "");
+            let fault = Diagnostic::new(codes::LIMIT_EXCEEDED, message).at(span, "");
             return Err(fault.help("declare `direction` for the body predicates, or reduce `max_vars`"));
         }
         Ok((self.facts(&entities), entities))

@@ -1,6 +1,7 @@
 //! Prolog text as clauses: the notation that Popper's tasks use, without functions of Prolog that they do not need.
 
-use crate::diag::{Code, Diagnostic, Faults, SourceId, Sources, Span};
+use crate::datalog::codes;
+use crate::diag::{self, Diagnostic, Faults, SourceId, Sources, Span};
 use crate::induce::popper::tokens::{Token, is_word, tokens};
 
 /// How deep terms may be nested.
@@ -150,7 +151,7 @@ impl Parser {
     fn unexpected(&self, expected: &str) -> Diagnostic {
         let span = self.span();
         match self.peek() {
-            Some(Token::Fault(message)) => Diagnostic::new(Code::SYNTAX, *message).at(span, ""),
+            Some(Token::Fault(message)) => Diagnostic::new(codes::SYNTAX, *message).at(span, ""),
             Some(Token::Mark('[' | '{')) => unsupported(span, "a list"),
             Some(Token::Name(name, false)) if OPERATORS.iter().any(|(operator, _)| operator == name) => {
                 let meaning = OPERATORS.iter().find(|(operator, _)| operator == name);
@@ -162,7 +163,7 @@ impl Parser {
                 } else {
                     ", found the end of the text"
                 };
-                Diagnostic::new(Code::SYNTAX, format!("expected {expected}{found}"))
+                Diagnostic::new(codes::SYNTAX, format!("expected {expected}{found}"))
                     .at(span, format!("expected {expected}"))
             }
         }
@@ -178,7 +179,7 @@ impl Parser {
         if !self.takes_name(":-") {
             let head = self.term(0)?;
             if !matches!(head.kind, Kind::Compound(..) | Kind::Constant(_)) {
-                let fault = Diagnostic::new(Code::SYNTAX, "a clause begins with a predicate");
+                let fault = Diagnostic::new(codes::SYNTAX, "a clause begins with a predicate");
                 return Err(fault.at(head.span, "not a predicate"));
             }
             clause.head = Some(head);
@@ -278,7 +279,7 @@ impl Parser {
         let start = self.span();
         if depth > DEPTH_MAX {
             let message = format!("terms are nested more than {DEPTH_MAX} levels deep");
-            return Err(Diagnostic::new(Code::LIMIT_EXCEEDED, message).at(start, ""));
+            return Err(Diagnostic::new(diag::codes::LIMIT_EXCEEDED, message).at(start, ""));
         }
         let Some(token) = self.peek().cloned() else {
             return Err(self.unexpected("a term"));
@@ -341,7 +342,7 @@ impl Parser {
 
 /// The fault of Prolog beyond function-free rules.
 pub fn unsupported(span: Span, what: &str) -> Diagnostic {
-    Diagnostic::new(Code::UNSUPPORTED, format!("{what} is not supported"))
+    Diagnostic::new(codes::UNSUPPORTED, format!("{what} is not supported"))
         .at(span, "")
         .note("a task is one target, with facts and rules about constants: no lists, functions or arithmetic")
 }

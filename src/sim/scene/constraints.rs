@@ -2,8 +2,9 @@
 //! follow from the definitions of predicates and from the agents.
 
 use crate::datalog::{Constraint, DeclaredConstraint, Literal, RelId, Rules};
-use crate::diag::{Code, Diagnostic, Span};
+use crate::diag::{Diagnostic, Span};
 use crate::predicate::{Definition, Static};
+use crate::sim::codes;
 use crate::sim::scene::judge::Verdict;
 use crate::sim::scene::theory::{CityTheory, Known, KnownInputs};
 use std::collections::HashSet;
@@ -57,7 +58,7 @@ impl CityTheory {
             declared.constraint.show(rules),
             self.scenario.name
         );
-        let mut fault = Diagnostic::new(Code::CONSTRAINT_MISMATCH, message).at(declared.span, "declared here");
+        let mut fault = Diagnostic::new(codes::CONSTRAINT_MISMATCH, message).at(declared.span, "declared here");
         for relation in declared.constraint.relations() {
             if let Some(known) = inputs.find(relation) {
                 let name = &known.config.name;

@@ -3,8 +3,9 @@
 use crate::city::AgentKind;
 use crate::config::{PredicateConfig, Scenario};
 use crate::datalog::{Literal, RelId, Rules};
-use crate::diag::{Code, Diagnostic, Span};
+use crate::diag::{Diagnostic, Span};
 use crate::predicate::{Concept, Definition, Kind, Static};
+use crate::sim::codes;
 use std::collections::{BTreeSet, HashMap};
 
 /// The maximum number of literals that one warning shows.
@@ -148,7 +149,7 @@ fn warning(scenario: &Scenario, config: &PredicateConfig, labels: &[Label]) -> O
         scenario.name,
         reason(&config.definition)
     );
-    let mut fault = Diagnostic::new(Code::EMPTY_PREDICATE, message).at(*span, label.clone());
+    let mut fault = Diagnostic::new(codes::EMPTY_PREDICATE, message).at(*span, label.clone());
     for (span, label) in rest.iter().take(SHOWN_MAX - 1) {
         fault = fault.also(*span, label.clone());
     }

@@ -3,7 +3,8 @@
 
 use crate::city::{Action, AgentKind};
 use crate::city::{Cell, CityMap, Heading};
-use crate::diag::{Code, Diagnostic, Faults, SourceId, Sources, Span, did_you_mean, json_error, listed};
+use crate::diag::{self, Diagnostic, Faults, SourceId, Sources, Span, did_you_mean, json_error, listed};
+use crate::sim::codes;
 use crate::sim::tick::ground::MAX_ENTITIES;
 use indexmap::IndexMap;
 use indexmap::map::Entry;
@@ -357,7 +358,7 @@ impl<'a> Reader<'a> {
             None => Ok(()),
             Some(first) => {
                 let message = format!("a scene with {} {what}, the limit is {MAX_ENTITIES}", list.len());
-                let fault = Diagnostic::new(Code::LIMIT_EXCEEDED, message);
+                let fault = Diagnostic::new(diag::codes::LIMIT_EXCEEDED, message);
                 Err(vec![fault.at(self.span(first), "the first one beyond the limit")])
             }
         }
@@ -370,7 +371,7 @@ impl<'a> Reader<'a> {
         let mut faults = Vec::new();
         for (index, (name, span)) in list.enumerate() {
             if let Some(first) = names.insert(name.to_owned(), index) {
-                let fault = Diagnostic::new(Code::INVALID_SCENE, format!("the name `{name}` is given twice"));
+                let fault = Diagnostic::new(codes::INVALID_SCENE, format!("the name `{name}` is given twice"));
                 faults.push(fault.at(span, "again here").also(spans[first], "first here"));
             }
             spans.push(span);
@@ -394,7 +395,7 @@ impl<'a> Reader<'a> {
     ) -> Read<Vec<(usize, Action)>> {
         all(entries.into_iter().map(|(name, raw)| {
             let position = names.get(&name).copied().ok_or_else(|| {
-                let fault = Diagnostic::new(Code::INVALID_SCENE, format!("the scene has no {what} `{name}`"));
+                let fault = Diagnostic::new(codes::INVALID_SCENE, format!("the scene has no {what} `{name}`"));
                 vec![fault.at(self.key_span(raw), "unknown name")]
             })?;
             let named: String = self.value(raw)?;
@@ -422,7 +423,7 @@ impl<'a> Reader<'a> {
         all(entries.into_iter().map(|(name, raw)| {
             let Some(&(_, arity)) = self.terms.predicates.iter().find(|(known, _)| *known == name) else {
                 let message = format!("`{name}` is not a base predicate");
-                let fault = Diagnostic::new(Code::INVALID_SCENE, message).at(self.key_span(raw), "unknown predicate");
+                let fault = Diagnostic::new(codes::INVALID_SCENE, message).at(self.key_span(raw), "unknown predicate");
                 let known = self.terms.predicates.iter().map(|(known, _)| *known);
                 return Err(vec![match did_you_mean(&name, known.clone()) {
                     Some(known) => fault.help(format!("did you mean `{known}`?")),
@@ -467,7 +468,7 @@ impl<'a> Reader<'a> {
             } else {
                 start..start + 1
             };
-            let fault = Diagnostic::new(Code::INVALID_SCENE, format!("not a scene: {}", json_error(&error)));
+            let fault = Diagnostic::new(codes::INVALID_SCENE, format!("not a scene: {}", json_error(&error)));
             vec![fault.at(Span::new(self.source, span), "").help(HELP)]
         })
     }
@@ -491,7 +492,7 @@ impl<'a> Reader<'a> {
     }
 
     fn fault(&self, raw: &RawValue, message: String, label: &str) -> Diagnostic {
-        Diagnostic::new(Code::INVALID_SCENE, message).at(self.span(raw), label)
+        Diagnostic::new(codes::INVALID_SCENE, message).at(self.span(raw), label)
     }
 }
 
@@ -509,7 +510,7 @@ impl GeometricScene {
             .map(|agent| {
                 let message = format!("`{}` is not on the map `{}`", agent.id, map.name);
                 let (rows, cols) = (map.rows() - 1, map.cols() - 1);
-                Diagnostic::new(Code::INVALID_SCENE, message)
+                Diagnostic::new(codes::INVALID_SCENE, message)
                     .at(agent.span, format!("at [{}, {}]", agent.at.row, agent.at.col))
                     .help(format!("rows are 0 to {rows}, columns 0 to {cols}"))
             })

@@ -6,11 +6,12 @@ use crate::city::CityMap;
 use crate::config::{Scenario, load_map};
 use crate::datalog::dense::{BinaryFacts, BitFacts, BitState, Dense, Set, TooManySteps, TrackFirings, has};
 use crate::datalog::explain::Explainer;
-use crate::datalog::{EvalError, Limits, Program, Session, constraints, size};
-use crate::diag::{Code, Diagnostic, Limit, SourceId, Sources, Span};
+use crate::datalog::{self, EvalError, Limits, Program, Session, constraints, size};
+use crate::diag::{self, Diagnostic, Limit, SourceId, Sources, Span};
 use crate::files::ReadFile;
 use crate::predicate::Entity;
 use crate::rng::Seed;
+use crate::sim::codes;
 use crate::sim::scene::format::{GeometricScene, GivenPredicate, Scene, SymbolicScene, Terms, parse_scene};
 use crate::sim::tick::asked::AskedFact;
 use crate::sim::tick::chance::Draws;
@@ -175,7 +176,7 @@ impl Answer<'_> {
             rows += view.entities.len() + view.atoms().map(|(.., rows)| rows.len()).sum::<usize>();
             if rows as u64 > limit / ROW_BYTES {
                 let message = format!("the answer takes more than {}", size(limit));
-                let fault = Diagnostic::new(Code::LIMIT_EXCEEDED, message).exceeds(Limit::Memory(limit));
+                let fault = Diagnostic::new(diag::codes::LIMIT_EXCEEDED, message).exceeds(Limit::Memory(limit));
                 return Err(fault.help("name fewer `egos` in the scene"));
             }
         }
@@ -422,7 +423,7 @@ impl Inference {
             }
             // The map's sources are not the caller's, so notes quote its errors.
             Err(faults) => {
-                let fault = Diagnostic::new(Code::INVALID_SCENE, format!("the map `{}` cannot be used", scene.map));
+                let fault = Diagnostic::new(codes::INVALID_SCENE, format!("the map `{}` cannot be used", scene.map));
                 Err(faults
                     .iter()
                     .fold(fault.at(scene.map_span, "named here"), |mut fault, cause| {
@@ -473,7 +474,7 @@ impl Inference {
         let count = scene.names.len();
         if count > MAX_ENTITIES {
             let message = format!("{count} entities; the limit is {MAX_ENTITIES}");
-            return Err(Diagnostic::new(Code::LIMIT_EXCEEDED, message));
+            return Err(Diagnostic::new(diag::codes::LIMIT_EXCEEDED, message));
         }
         self.decide(Cow::Borrowed(scene), cancel)
     }
@@ -512,7 +513,7 @@ impl Inference {
             let known = |relation| self.vocabulary.defines(&self.program, relation);
             let mut broken = constraints::violations_among(state.session(), known).into_iter();
             if let Some(first) = broken.next() {
-                let fault = Diagnostic::new(Code::CONSTRAINT_VIOLATION, first.message);
+                let fault = Diagnostic::new(datalog::codes::CONSTRAINT_VIOLATION, first.message);
                 return Err(broken.fold(fault, |fault, other| fault.note(other.message)));
             }
         }

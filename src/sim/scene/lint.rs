@@ -3,9 +3,11 @@
 use crate::city::{Action, AgentKind, AgentName, AgentSet};
 use crate::datalog::optimize::{self, Lints};
 use crate::datalog::{
-    Atom, Clause, ClauseId, Constraint, DeclaredConstraint, Literal, RelId, Relation, Rules, Term, TypeId, Value, VarId,
+    self, Atom, Clause, ClauseId, Constraint, DeclaredConstraint, Literal, RelId, Relation, Rules, Term, TypeId, Value,
+    VarId,
 };
-use crate::diag::{Code, Diagnostic, Faults, MAX_FAULTS, Sources, Span, did_you_mean};
+use crate::diag::{Diagnostic, Faults, MAX_FAULTS, Sources, Span, did_you_mean};
+use crate::sim::codes;
 use crate::sim::scene::conflict::{Finding, Overlap};
 use crate::sim::scene::empty::empty_predicates;
 use crate::sim::scene::theory::CityTheory;
@@ -63,7 +65,7 @@ pub fn examine(rules: &Rules, city: Option<&CityTheory>, sources: &Sources) -> E
     } = optimize::lints(&by_definition, sources);
     let (contradictions, hints): (Vec<_>, Vec<_>) = lints
         .into_iter()
-        .partition(|lint| lint.code == Code::CONTRADICTORY_BODY);
+        .partition(|lint| lint.code == datalog::codes::CONTRADICTORY_BODY);
     diagnostics.extend(contradictions);
     if city.is_some() {
         // `empty_predicates` reports clauses that read an empty predicate.
@@ -74,7 +76,8 @@ pub fn examine(rules: &Rules, city: Option<&CityTheory>, sources: &Sources) -> E
         let lints = optimize::lints(&of_agents, sources).diagnostics;
         let place = |fault: &Diagnostic| fault.primary.as_ref().map(|label| label.span);
         let known: BTreeSet<Option<Span>> = diagnostics.iter().map(place).collect();
-        let is_new = |lint: &Diagnostic| lint.code == Code::CONTRADICTORY_BODY && !known.contains(&place(lint));
+        let is_new =
+            |lint: &Diagnostic| lint.code == datalog::codes::CONTRADICTORY_BODY && !known.contains(&place(lint));
         diagnostics.extend(lints.into_iter().filter(is_new));
     }
     let scenario = city.map(|city| &city.scenario);
@@ -120,7 +123,7 @@ fn unused_outputs(rules: &Rules) -> Vec<Diagnostic> {
     let warn = |(relation, _): (&Relation, _)| {
         let name = &relation.name;
         let message = format!("`.output {name}` has no effect in a city: it is not an action, and no clause reads it");
-        let fault = Diagnostic::new(Code::UNUSED_OUTPUT, message).at(relation.span, "declared here");
+        let fault = Diagnostic::new(codes::UNUSED_OUTPUT, message).at(relation.span, "declared here");
         match did_you_mean(name, actions()) {
             Some(near) => fault.help(format!("did you mean `{near}`?")),
             None => {
@@ -147,7 +150,7 @@ pub fn agent_lints<'s>(rules: &Rules, sets: impl Iterator<Item = &'s AgentSet>) 
         if agents.include(name) || !reported.insert((span, name)) {
             continue;
         }
-        let fault = Diagnostic::new(Code::UNKNOWN_AGENT, format!("no agent has the name `{name}`"))
+        let fault = Diagnostic::new(codes::UNKNOWN_AGENT, format!("no agent has the name `{name}`"))
             .at(span, "holds for no agent")
             .note(format!("the agents are {}", agents.ranges));
         // `faults` drops the warnings of further names.
@@ -252,7 +255,7 @@ pub fn conflict_lints(overlaps: &[Overlap], rules: &Rules, precedence: &[Action]
             true => "derive each action in a separate clause".to_owned(),
             false => format!("if {wins} should win, add `Not({wins}(X))` to the clause of {loses}"),
         };
-        Diagnostic::new(Code::ACTION_CONFLICT, message)
+        Diagnostic::new(codes::ACTION_CONFLICT, message)
             .at(span_of(loser), format!("this clause derives {loses}"))
             .also(span_of(winner), format!("this one derives {wins}"))
             .note("`actions.priority` of the configuration is the order of precedence")
@@ -309,7 +312,7 @@ fn no_collision_clause(rules: &Rules, collisions: &[&str], actions: &[RelId]) ->
     let mut clauses = rules.clauses.iter();
     let first = clauses.find(|clause| actions.contains(&clause.head.relation))?;
     let message = format!("no clause for an action reads `{collision}`, so cars drive through others");
-    let fault = Diagnostic::new(Code::NO_COLLISION_CLAUSE, message).at(first.head.span, "these rules decide actions");
+    let fault = Diagnostic::new(codes::NO_COLLISION_CLAUSE, message).at(first.head.span, "these rules decide actions");
     Some(fault.help(format!("add `Stop(X) :- {collision}(X, Y).`")))
 }
 
@@ -332,7 +335,7 @@ fn unquoted_agents(rules: &Rules) -> Vec<Diagnostic> {
                 continue;
             }
             let message = format!("`{name}` is a variable, not the agent of that name");
-            let fault = Diagnostic::new(Code::UNQUOTED_AGENT, message)
+            let fault = Diagnostic::new(codes::UNQUOTED_AGENT, message)
                 .at(span, "stands for any agent")
                 .help(format!(
                     "write `\"{name}\"` for the agent, or rename the variable, for example to `Y`"

@@ -2,9 +2,10 @@
 
 use crate::city::Action;
 use crate::config::Scenario;
+use crate::datalog::codes;
 use crate::datalog::explain::{ExplainError, Explainer, Explanation, ExplanationPrinter};
 use crate::datalog::{BaseType, RelId, Rules, Session, Term, Value, is_name, parse_value};
-use crate::diag::{Code, Diagnostic, SourceId, Sources, Span, did_you_mean, listed};
+use crate::diag::{Diagnostic, SourceId, Sources, Span, did_you_mean, listed};
 use crate::symbol::Symbol;
 use serde_json::json;
 
@@ -59,7 +60,7 @@ impl AskedFact {
                 Some(ego) if takes_agent => Some(Value(session.symbols().intern(ego).0)),
                 None if takes_agent => {
                     let message = format!("`{name}` needs an agent");
-                    let fault = Diagnostic::new(Code::INVALID_FACT, message).at(*span, "this names no agent");
+                    let fault = Diagnostic::new(codes::INVALID_FACT, message).at(*span, "this names no agent");
                     let row: Vec<&str> = std::iter::once("Car_1")
                         .chain(columns[1..].iter().map(|_| "_"))
                         .collect();
@@ -83,7 +84,7 @@ impl AskedFact {
                     count => format!("{count} values are"),
                 }
             );
-            let fault = Diagnostic::new(Code::ARITY_MISMATCH, message).at(written.whole, "");
+            let fault = Diagnostic::new(codes::ARITY_MISMATCH, message).at(written.whole, "");
             return Err(vec![fault.also(declared.span, "declared here")]);
         }
         let agent = Action::ALL.iter().find_map(|action| rules.relation(action.name()));
@@ -107,7 +108,7 @@ impl AskedFact {
                     let value = parse_value(base, text).filter(|_| !quoted);
                     if value.is_none() {
                         let message = format!("`{text}` is not a value of the type `{}`", base.name());
-                        let fault = Diagnostic::new(Code::INVALID_FACT, message).at(*span, "");
+                        let fault = Diagnostic::new(codes::INVALID_FACT, message).at(*span, "");
                         faults.push(fault.also(declared.span, "declared here"));
                     }
                     value
@@ -169,7 +170,7 @@ fn names(rules: &Rules, symbol: Symbol) -> bool {
 }
 
 fn unknown_predicate(rules: &Rules, scenario: &Scenario, name: &str, span: Span) -> Diagnostic {
-    let fault = Diagnostic::new(Code::UNKNOWN_PREDICATE, format!("no predicate `{name}` is declared")).at(span, "");
+    let fault = Diagnostic::new(codes::UNKNOWN_PREDICATE, format!("no predicate `{name}` is declared")).at(span, "");
     if scenario.predicates.iter().any(|known| known.name.value == name) {
         return fault.note(format!(
             "the configuration `{}` defines it, but the rules do not declare it as input",
@@ -184,7 +185,7 @@ fn unknown_predicate(rules: &Rules, scenario: &Scenario, name: &str, span: Span)
 }
 
 fn unknown_agent(agents: &[&str], name: &str, span: Span) -> Diagnostic {
-    let fault = Diagnostic::new(Code::INVALID_FACT, format!("there is no agent `{name}`")).at(span, "");
+    let fault = Diagnostic::new(codes::INVALID_FACT, format!("there is no agent `{name}`")).at(span, "");
     match did_you_mean(name, agents.iter().copied()) {
         Some(near) => fault.did_you_mean(near, &[span]),
         None => fault.note(format!("the agents are {}", listed(agents))),
@@ -207,7 +208,7 @@ impl Written {
         let begin = text.find(trimmed).unwrap_or(0);
         let whole = Span::new(question, begin..begin + trimmed.len());
         let wrong = |span: Span, label: &str| {
-            let fault = Diagnostic::new(Code::SYNTAX, "expected a predicate, or a predicate with its values");
+            let fault = Diagnostic::new(codes::SYNTAX, "expected a predicate, or a predicate with its values");
             fault
                 .at(span, label)
                 .help("for example `Stop`, `Stop(Car_1)` or `IsClose(Car_1, _)`")

@@ -4,7 +4,8 @@ use crate::city::Action;
 use crate::city::{Agent, Cell, CityMap};
 use crate::datalog::dense::{Set, TooManySteps, TrackFirings, has, members};
 use crate::datalog::{ClauseId, RelId};
-use crate::diag::{Code, Diagnostic};
+use crate::diag::Diagnostic;
+use crate::diag::codes;
 use crate::sim::tick::chance::Draws;
 use crate::sim::tick::executor::not_dense;
 use crate::sim::tick::vocabulary::{Actions, Vocabulary};
@@ -596,7 +597,7 @@ impl Tiles {
             None => {
                 let (many, Cell { row, col }) = (found.len(), tile.first);
                 let message = format!("{many} agents around the cell [{row}, {col}], the limit is {WINDOW_MAX}");
-                let fault = Diagnostic::new(Code::LIMIT_EXCEEDED, message);
+                let fault = Diagnostic::new(codes::LIMIT_EXCEEDED, message);
                 return Err(Undecided::Crowded(fault.help("use a larger map or fewer agents")));
             }
         }

@@ -2,7 +2,8 @@
 
 use crate::datalog::Rules;
 use crate::datalog::dense::{Dense, TooManySteps, TrackFirings, choose};
-use crate::diag::{Code, Diagnostic, Span};
+use crate::diag::{self, Diagnostic, Span};
+use crate::sim::codes;
 use crate::sim::tick::vocabulary::Vocabulary;
 
 /// The executor that evaluates the rules.
@@ -58,13 +59,16 @@ pub(crate) enum Choice<T> {
 /// Returns the diagnostic for rules that the dense executor cannot evaluate. `reason` follows "because".
 pub(super) fn not_dense(reason: &str) -> Diagnostic {
     let message = format!("the dense executor cannot evaluate these rules, because {reason}");
-    Diagnostic::new(Code::DENSE_UNSUPPORTED, message)
+    Diagnostic::new(codes::DENSE_UNSUPPORTED, message)
 }
 
 /// Returns the diagnostic for a run that the dense executor gives up.
 pub(crate) fn given_up(error: TooManySteps) -> Diagnostic {
-    Diagnostic::new(Code::LIMIT_EXCEEDED, format!("the dense executor gave up: {error}"))
-        .help("`--executor auto` falls back to the relational executor")
+    Diagnostic::new(
+        diag::codes::LIMIT_EXCEEDED,
+        format!("the dense executor gave up: {error}"),
+    )
+    .help("`--executor auto` falls back to the relational executor")
 }
 
 /// Returns the fault of rules, with the place where the configuration names them if it has none of its own.

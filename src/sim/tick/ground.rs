@@ -6,7 +6,8 @@ use crate::cancel::Cancel;
 use crate::city::CityMap;
 use crate::datalog::dense::{BitFacts, Dense};
 use crate::datalog::size;
-use crate::diag::{Code, Diagnostic, Limit};
+use crate::diag::codes;
+use crate::diag::{Diagnostic, Limit};
 use crate::predicate::{Definition, Entity, PairKind, Relation, Sight, Subject, with_pair};
 use crate::sim::tick::chance::Chance;
 use crate::sim::tick::vocabulary::Vocabulary;
@@ -78,7 +79,7 @@ impl From<Stopped> for Diagnostic {
             Stopped::Cancelled => Diagnostic::cancelled(),
             Stopped::TooManyFacts { limit } => {
                 let message = format!("the facts about the agents take more than {}", size(limit));
-                Diagnostic::new(Code::LIMIT_EXCEEDED, message).exceeds(Limit::Memory(limit))
+                Diagnostic::new(codes::LIMIT_EXCEEDED, message).exceeds(Limit::Memory(limit))
             }
         }
     }

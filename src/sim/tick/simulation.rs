@@ -4,9 +4,10 @@ use crate::cancel::Cancel;
 use crate::city::{Action, AgentSet, Split};
 use crate::city::{Agent, Cell, Heading, MoveReason, Moved, Places, Surroundings, advance, place_agents_into};
 use crate::config::Scenario;
+use crate::config::codes;
 use crate::datalog::Session;
 use crate::datalog::{ClauseId, Value};
-use crate::diag::{Code, Diagnostic};
+use crate::diag::{self, Diagnostic};
 use crate::predicate::Entity;
 use crate::rng::Seed;
 use crate::sim::tick::chance::Draws;
@@ -227,7 +228,7 @@ impl Simulation {
                 "{} agents, the limit of the relational executor is {MAX_ENTITIES}",
                 agents.len()
             );
-            let fault = Diagnostic::new(Code::LIMIT_EXCEEDED, message).at(set.span, "in this agent set");
+            let fault = Diagnostic::new(diag::codes::LIMIT_EXCEEDED, message).at(set.span, "in this agent set");
             return Err(match fallback {
                 None => fault.help("use fewer agents, or another executor (`auto`)"),
                 Some(reason) => {
@@ -490,7 +491,7 @@ impl Simulation {
         let count = self.agents.len();
         if let Some((position, _)) = controls.iter().find(|(position, _)| *position >= count) {
             let message = format!("there is no agent {position} to control: there are {count}, counted from 0");
-            return Err(Diagnostic::new(Code::INVALID_VALUE, message));
+            return Err(Diagnostic::new(codes::INVALID_VALUE, message));
         }
         let draws = Draws {
             seed: self.seed,
@@ -513,7 +514,7 @@ impl Simulation {
                         return Err(given_up(error));
                     }
                     let message = format!("the dense executor gave up in tick {}: {error}", self.tick);
-                    self.fallback = Some(Diagnostic::new(Code::LIMIT_EXCEEDED, message));
+                    self.fallback = Some(Diagnostic::new(diag::codes::LIMIT_EXCEEDED, message));
                     self.dense = None;
                 }
             }
@@ -641,7 +642,7 @@ impl Simulation {
                     "{} agents have too many binary facts; the limit is {MAX_ENTITIES} agents",
                     self.agents.len()
                 );
-                return Err(Diagnostic::new(Code::LIMIT_EXCEEDED, message));
+                return Err(Diagnostic::new(diag::codes::LIMIT_EXCEEDED, message));
             }
             let facts = self.facts_with(|index| self.world.vocabulary.is_read(index), &self.cancel)?;
             let state = (self.state).get_or_insert_with(|| ground_state(&self.world, &self.agents));
@@ -741,7 +742,7 @@ pub(crate) fn threads_of(pool: Option<&Pool>) -> Result<Option<Arc<ThreadPool>>,
 
 fn no_threads(count: usize, error: &io::Error) -> Diagnostic {
     let message = format!("{count} threads cannot be started: {error}");
-    Diagnostic::new(Code::LIMIT_EXCEEDED, message).help("use fewer threads")
+    Diagnostic::new(diag::codes::LIMIT_EXCEEDED, message).help("use fewer threads")
 }
 
 /// The interval between polls of the thread that waits for a pool.
@@ -857,7 +858,7 @@ fn agent_set(scenario: &Scenario, split: Split) -> Result<&AgentSet, Diagnostic>
     scenario.agent_set(split).ok_or_else(|| {
         let message = format!("the configuration `{}` has no split `{}`", scenario.name, split.name());
         let known: Vec<&str> = scenario.splits.iter().map(|(split, _)| split.name()).collect();
-        Diagnostic::new(Code::UNKNOWN_SPLIT, message).help(format!("it has: {}", known.join(", ")))
+        Diagnostic::new(codes::UNKNOWN_SPLIT, message).help(format!("it has: {}", known.join(", ")))
     })
 }
 

@@ -4,8 +4,9 @@
 use crate::city::Action;
 use crate::config::{ActionsConfig, PredicateConfig, Scenario};
 use crate::datalog::Program;
+use crate::datalog::codes;
 use crate::datalog::{BaseType, Literal, RelId, Relation};
-use crate::diag::{Code, Diagnostic, did_you_mean};
+use crate::diag::{Diagnostic, did_you_mean};
 use crate::predicate::{Definition, Sees};
 
 /// A set of actions.
@@ -101,7 +102,7 @@ impl Vocabulary {
                 relation.input
                     && fits(relation, arity, &mut faults, || {
                         Diagnostic::new(
-                            Code::RULE_MISMATCH,
+                            codes::RULE_MISMATCH,
                             format!(
                                 "the declaration of `{}` does not match its definition in the configuration",
                                 name.value
@@ -129,7 +130,7 @@ impl Vocabulary {
             program.relation(action.name()).filter(|&relation| {
                 fits(&rules.relations[relation.index()], 1, &mut faults, || {
                     Diagnostic::new(
-                        Code::RULE_MISMATCH,
+                        codes::RULE_MISMATCH,
                         format!("the action `{}` must be a predicate over one agent", action.name()),
                     )
                 })
@@ -138,7 +139,7 @@ impl Vocabulary {
         if faults.is_empty() && actions.iter().all(Option::is_none) {
             faults.push(
                 Diagnostic::new(
-                    Code::RULE_MISMATCH,
+                    codes::RULE_MISMATCH,
                     "the rules have none of the actions Slow, Normal, Fast, Stop",
                 )
                 .at(scenario.rules.span, "these rules")
@@ -235,7 +236,7 @@ fn undefined(scenario: &Scenario, unknown: &[&Relation], predicates: &[Predicate
         names.join(", "),
         scenario.name
     );
-    let mut fault = Diagnostic::new(Code::RULE_MISMATCH, message).at(first.span, "declared as input here");
+    let mut fault = Diagnostic::new(codes::RULE_MISMATCH, message).at(first.span, "declared as input here");
     for relation in rest {
         fault = fault.also(relation.span, "and here");
     }
@@ -262,7 +263,7 @@ fn unfilled(scenario: &Scenario, program: &Program) -> Vec<Diagnostic> {
         if !relation.input && !filled {
             let message = format!("`{}` is never filled: it is declared, but not as input", name.value);
             faults.push(
-                Diagnostic::new(Code::RULE_MISMATCH, message)
+                Diagnostic::new(codes::RULE_MISMATCH, message)
                     .at(relation.span, "declared here")
                     .also(name.span, "the configuration computes it")
                     .help(format!("write `.input {}` after the declaration", name.value)),

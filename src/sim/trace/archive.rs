@@ -7,8 +7,9 @@
 use crate::config::{Scenario, load_scenario};
 use crate::datalog;
 use crate::datalog::ast::Item;
-use crate::diag::{Code, Diagnostic, SourceId, Sources};
+use crate::diag::{Diagnostic, SourceId, Sources};
 use crate::files::{BUILTIN_FOLDER, ReadError, ReadFile, normalize, portable_name};
+use crate::sim::codes;
 use serde::{Deserialize, Serialize};
 use sha2::{Digest, Sha256};
 use std::path::{Path, PathBuf};
@@ -80,7 +81,7 @@ impl Archive {
                 let short = |hash: &str| hash.chars().take(12).collect::<String>();
                 let message = format!("the {what} of the run: the trace was edited, or it is damaged");
                 let (found, expected) = (short(found), short(expected));
-                return Err(Diagnostic::new(Code::TRACE_MISMATCH, message)
+                return Err(Diagnostic::new(codes::TRACE_MISMATCH, message)
                     .note(format!(
                         "the hash of its content is {found}..., but its header has {expected}..."
                     ))

@@ -3,8 +3,9 @@
 use crate::city::{Action, AgentKind};
 use crate::city::{Cell, Heading};
 use crate::datalog::{Limits, Session, Value};
-use crate::diag::{Code, Diagnostic, json_error};
+use crate::diag::{Diagnostic, json_error};
 use crate::predicate::Entity;
+use crate::sim::codes;
 use crate::sim::tick::chance::Chance;
 use crate::sim::tick::ground::{Facts, ground};
 use crate::sim::tick::ground_state::GroundState;
@@ -129,7 +130,7 @@ fn action_named(name: &str) -> Result<Action, Diagnostic> {
 }
 
 fn invalid(message: impl Into<String>) -> Diagnostic {
-    Diagnostic::new(Code::INVALID_TRACE, message)
+    Diagnostic::new(codes::INVALID_TRACE, message)
 }
 
 impl TraceHeader {

@@ -4,14 +4,15 @@
 //! of a city, and with a log from which an interrupted run continues.
 
 use crate::cancel::Cancel;
-use crate::diag::{Code, Diagnostic, SourceId, Sources, Span};
+use crate::diag::{self, Diagnostic, SourceId, Sources, Span};
 use crate::files::{Journal, ReadError};
 use crate::induce::ask::{
     Answer, AskSettings, End, Event, Failure, Observer, Oracle, Reason, Refined, Refinement, canonical,
 };
 use crate::induce::{Examples, LearnedRules, Settings, State};
 use crate::rng::Seed;
-use crate::sim::{Executor, Facts, Inference, SceneFacts};
+use crate::sim::{self, Executor, Facts, Inference, SceneFacts};
+use crate::task::induction::codes;
 use crate::task::induction::text::plural;
 use crate::task::induction::{InductionTask, Origin};
 use serde_json::{Map, Value, json};
@@ -61,7 +62,7 @@ impl Error for OracleError {}
 
 impl From<Diagnostic> for OracleError {
     fn from(fault: Diagnostic) -> Self {
-        match fault.code == Code::CANCELLED {
+        match fault.code == diag::codes::CANCELLED {
             true => OracleError::Cancelled,
             false => OracleError::Invalid(fault.into()),
         }
@@ -319,7 +320,7 @@ impl InductionTask {
     fn answer(&self, scenes: &mut Inference, sources: &Sources, line: SourceId) -> Result<Answer, Vec<Diagnostic>> {
         let scene = scenes.ground(sources, line)?;
         let [(ego, action)] = scene.actions[..] else {
-            let fault = Diagnostic::new(Code::INVALID_SCENE, "an answer has exactly one action");
+            let fault = Diagnostic::new(sim::codes::INVALID_SCENE, "an answer has exactly one action");
             return Err(vec![
                 fault.at(Span::new(line, 0..sources.text(line).len()), "in this line"),
             ]);
@@ -369,7 +370,7 @@ impl InductionTask {
                 "the oracle takes the action `{}`, which the rules do not declare",
                 action.name()
             );
-            let fault = Diagnostic::new(Code::INVALID_ANSWER, message);
+            let fault = Diagnostic::new(codes::INVALID_ANSWER, message);
             OracleError::Invalid(fault.note(format!("they declare {}", names.join(", "))).into())
         })
     }
@@ -622,7 +623,7 @@ impl Questions {
                 });
             }
             End::UnknownAction(action) => Diagnostic::new(
-                Code::INVALID_ANSWER,
+                codes::INVALID_ANSWER,
                 format!("the oracle takes action number {action}, which does not exist"),
             ),
             End::Contradiction { state, actions } => {
@@ -635,7 +636,7 @@ impl Questions {
                     "the oracle contradicts itself: questions {one} and {other} are about the same scene, but have the \
                      answers {first} and {second}"
                 );
-                Diagnostic::new(Code::CONTRADICTING_EXAMPLES, message)
+                Diagnostic::new(codes::CONTRADICTING_EXAMPLES, message)
                     .note(scene(state))
                     .help("correct the oracle and begin with a new log")
             }
@@ -651,7 +652,7 @@ impl Questions {
                     "the oracle contradicts an example: {example} has the action {first}, but question {number}, about \
                      the same scene, the answer {second}"
                 );
-                Diagnostic::new(Code::CONTRADICTING_EXAMPLES, message)
+                Diagnostic::new(codes::CONTRADICTING_EXAMPLES, message)
                     .note(scene(state))
                     .help("correct the example or the oracle, and begin with a new log")
             }
@@ -667,7 +668,7 @@ impl Questions {
                      question {number}",
                     self.variables
                 );
-                Diagnostic::new(Code::INSEPARABLE_ANSWERS, message)
+                Diagnostic::new(codes::INSEPARABLE_ANSWERS, message)
                     .note(scene(state))
                     .help(format!("permit more variables with `--variables`, or check {check}"))
             }

@@ -3,7 +3,7 @@
 //! The module [`induce`](crate::induce) learns. This one translates between it and the city.
 
 mod ask;
-mod codes;
+pub mod codes;
 mod popper;
 mod recalls;
 #[cfg(feature = "parquet")]
@@ -11,7 +11,6 @@ mod steps;
 mod text;
 
 pub use ask::{Asked, Inquiry, LOG_START, LogError, OracleError, Questions, RuleOracle};
-pub use codes::{CATALOG, CODES};
 pub use popper::TargetRules;
 pub use recalls::Recalls;
 #[cfg(feature = "parquet")]
@@ -19,8 +18,8 @@ pub use steps::{Step, Steps};
 pub use text::{Origin, broken_constraints, only_action, report_json, rule_file};
 
 use crate::city::Action;
-use crate::datalog::{Constraint, RelId};
-use crate::diag::{Code, Diagnostic, listed};
+use crate::datalog::{self, Constraint, RelId};
+use crate::diag::{self, Diagnostic, listed};
 use crate::induce::{Constraints, ENTITIES_MAX, Examples, Predicate, Settings, State, Vocabulary, tuples};
 use crate::sim::{self, Facts, OBSERVED_MAX, World};
 use crate::task::spf::{Env, Episode};
@@ -146,7 +145,7 @@ impl InductionTask {
                 "an example has the action `{}`, which the rules do not declare",
                 action.name()
             );
-            Diagnostic::new(Code::RULE_MISMATCH, message).note(format!("they declare {}", names.join(", ")))
+            Diagnostic::new(datalog::codes::RULE_MISMATCH, message).note(format!("they declare {}", names.join(", ")))
         })
     }
 
@@ -176,7 +175,7 @@ impl InductionTask {
         let [one, other] = contradiction.examples.map(|example| origin.describe(example));
         let [first, second] = contradiction.actions.map(|action| self.actions[action].name());
         let message = format!("two examples have the same facts but the actions {first} and {second}: {one}; {other}");
-        let fault = Diagnostic::new(Code::CONTRADICTING_EXAMPLES, message);
+        let fault = Diagnostic::new(codes::CONTRADICTING_EXAMPLES, message);
         let fault = match more {
             0 => fault,
             1 => fault.note("1 other state has several actions, too"),
@@ -216,7 +215,7 @@ impl InductionTask {
             let named = |of: &sim::Predicate| of.name == predicate.name && of.arity == predicate.arity;
             known.predicates.iter().position(named).ok_or_else(|| {
                 let message = format!("the examples have no facts of the predicate `{}`", predicate.name);
-                Diagnostic::new(Code::RULE_MISMATCH, message)
+                Diagnostic::new(datalog::codes::RULE_MISMATCH, message)
                     .help("learn with the configuration that the examples come from")
             })
         });
@@ -283,7 +282,7 @@ impl InductionTask {
             Some((expected, found)) => format!("the examples have the atom `{found}` instead of `{expected}`"),
             None => format!("the examples have {} atoms instead of {}", atoms.len(), expected.len()),
         };
-        Err(Diagnostic::new(Code::RULE_MISMATCH, message)
+        Err(Diagnostic::new(datalog::codes::RULE_MISMATCH, message)
             .help("learn with the configuration that the examples come from"))
     }
 
@@ -344,7 +343,7 @@ impl Translator<'_> {
         entities.extend(seen.iter().map(|row| row[1] as usize).filter(|entity| *entity != ego));
         if entities.len() > ENTITIES_MAX {
             let message = format!("an ego sees {} entities; the limit is {ENTITIES_MAX}", entities.len());
-            return Err(Diagnostic::new(Code::LIMIT_EXCEEDED, message));
+            return Err(Diagnostic::new(diag::codes::LIMIT_EXCEEDED, message));
         }
         let mut state = State::new(self.vocabulary, entities.len());
         for (index, (predicate, &column)) in self.vocabulary.predicates().iter().zip(&self.columns).enumerate() {

@@ -1,8 +1,9 @@
 //! Rules learned from a task in the format of Popper: as Prolog, as a rule file and as JSON.
 
-use crate::diag::{Code, Diagnostic};
+use crate::diag::Diagnostic;
 use crate::induce::popper::{Solution, Task};
 use crate::induce::{ClauseSupport, Constraints, Examples, LearnedRules, Literal, Settings, Support, support};
+use crate::task::induction::codes;
 use crate::task::induction::text::{comment, few, listed, plural};
 use serde_json::{Value, json};
 
@@ -78,7 +79,7 @@ impl TargetRules<'_> {
         let help = format!(
             "try {negation}a larger `max_vars` in `bias.pl`, more steps (`--effort`), or more background knowledge"
         );
-        let fault = Diagnostic::new(Code::UNCOVERED_EXAMPLES, message);
+        let fault = Diagnostic::new(codes::UNCOVERED_EXAMPLES, message);
         Some(fault.note(format!("the first is {first}")).help(help))
     }
 

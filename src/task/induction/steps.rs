@@ -1,7 +1,8 @@
 //! Reads the steps of episodes from a Parquet table, as `Demonstrations.to_parquet` of the Python package writes it.
 
 use crate::city::Action;
-use crate::diag::{Code, Diagnostic};
+use crate::diag::Diagnostic;
+use crate::task::vap::codes;
 use bytes::Bytes;
 use parquet::column::reader::{ColumnReader, ColumnReaderImpl};
 use parquet::data_type::{DataType, FloatType, Int32Type};
@@ -170,7 +171,7 @@ fn guarded<T>(read: impl FnOnce() -> Result<T, ParquetError>) -> Result<T, Diagn
 }
 
 fn faulty(message: impl std::fmt::Display) -> Diagnostic {
-    Diagnostic::new(Code::INVALID_DATA_SET, format!("not a table of steps: {message}"))
+    Diagnostic::new(codes::INVALID_DATA_SET, format!("not a table of steps: {message}"))
         .help("`Demonstrations.to_parquet` of the Python package writes such tables")
 }
 

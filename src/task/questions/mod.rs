@@ -12,9 +12,10 @@ mod words;
 pub use wording::{RulesFile, letter};
 
 use crate::city::{Action, AgentKind, AgentName, AgentSet, Split};
+use crate::config::codes;
 use crate::datalog::ClauseId;
 use crate::datalog::explain::Explainer;
-use crate::diag::{Code, Diagnostic, did_you_mean, listed};
+use crate::diag::{self, Diagnostic, did_you_mean, listed};
 use crate::predicate::Definition;
 use crate::rng::{Purpose, Rng, RngExt, Seed};
 use crate::sim::{Facts, GroundState, MAX_ENTITIES, Settings, Simulation, World};
@@ -218,7 +219,7 @@ impl QuestionSet {
             let (name, split) = (action.name(), request.demonstrations.name());
             let message = format!("no demonstration of {name} found among the cars of `{split}`");
             return Err(vec![
-                Diagnostic::new(Code::LIMIT_EXCEEDED, message)
+                Diagnostic::new(diag::codes::LIMIT_EXCEEDED, message)
                     .help("use another split for the demonstrations, or none"),
             ]);
         }
@@ -292,7 +293,7 @@ fn check(world: &World, request: &Request) -> Result<(), Vec<Diagnostic>> {
     let mut faults: Vec<Diagnostic> = unknown
         .map(|concept| {
             let message = format!("`{}` has no car concept `{concept}`", scenario.name);
-            let fault = Diagnostic::new(Code::INVALID_VALUE, message);
+            let fault = Diagnostic::new(codes::INVALID_VALUE, message);
             match did_you_mean(concept, concepts.iter().copied()) {
                 Some(name) => fault.help(format!("did you mean `{name}`?")),
                 None => fault.help(format!("its car concepts are: {}", listed(&concepts))),
@@ -307,7 +308,7 @@ fn check(world: &World, request: &Request) -> Result<(), Vec<Diagnostic>> {
             actions.join(", ")
         );
         faults.push(
-            Diagnostic::new(Code::INVALID_VALUE, message).help("use 0 (`--shots 0`), or at least one per action"),
+            Diagnostic::new(codes::INVALID_VALUE, message).help("use 0 (`--shots 0`), or at least one per action"),
         );
     }
     let agents = |split: Split| {
@@ -320,7 +321,7 @@ fn check(world: &World, request: &Request) -> Result<(), Vec<Diagnostic>> {
     if request.shots > 0 && asked.is_some() && asked == shown {
         let [asked, shown] = [request.split, request.demonstrations].map(Split::name);
         let message = format!("questions about `{asked}` and demonstrations about `{shown}` have the same agents");
-        faults.push(Diagnostic::new(Code::INVALID_VALUE, message).help("use another split for the demonstrations"));
+        faults.push(Diagnostic::new(codes::INVALID_VALUE, message).help("use another split for the demonstrations"));
     }
     match faults.is_empty() {
         true => Ok(()),
@@ -372,7 +373,7 @@ impl<'w> Search<'w> {
         let agents = self.world.scenario.agent_set(self.split).map_or(0, AgentSet::len);
         if agents > MAX_ENTITIES {
             let message = format!("{agents} agents are too many; the limit is {MAX_ENTITIES}");
-            return Err(Diagnostic::new(Code::LIMIT_EXCEEDED, message));
+            return Err(Diagnostic::new(diag::codes::LIMIT_EXCEEDED, message));
         }
         let mut city = Simulation::new(Arc::clone(self.world), self.split, self.seed, Settings::default())?;
         let asked = askable(self.world);
@@ -500,7 +501,7 @@ impl<'w> Search<'w> {
             let found: usize = self.found.iter().map(Vec::len).sum();
             let (count, worlds, split) = (self.count, self.worlds, self.split.name());
             let message = format!("found only {found} of {count} different questions in {worlds} worlds of `{split}`");
-            return Err(Diagnostic::new(Code::LIMIT_EXCEEDED, message)
+            return Err(Diagnostic::new(diag::codes::LIMIT_EXCEEDED, message)
                 .help("request fewer questions, use another agent set, or name all entities of the city"));
         }
         let taken = self

@@ -4,7 +4,8 @@ use crate::cancel::Cancel;
 use crate::city::Agent;
 use crate::city::{Action, AgentKind, Split};
 use crate::config::Shaping;
-use crate::diag::{Code, Diagnostic};
+use crate::config::codes;
+use crate::diag::Diagnostic;
 use crate::rng::{Purpose, RngExt, Seed};
 use crate::sim::{Actions, Observer, Settings, Simulation};
 use crate::task::spf::shaping::{ShapedStep, shaping};
@@ -179,7 +180,7 @@ impl Env {
         let controlled_cars: Vec<ControlledCar> = driven.map(controlled_car).collect();
         if controlled_cars.is_empty() {
             let message = format!("the split `{}` has no car to control", split.name());
-            return Err(Diagnostic::new(Code::INVALID_VALUE, message).at(task.config().span, "for this task"));
+            return Err(Diagnostic::new(codes::INVALID_VALUE, message).at(task.config().span, "for this task"));
         }
         let shaping = task.config().reward.shaping;
         Ok(Env {

@@ -9,10 +9,11 @@
 
 use crate::city::{Action, AgentConfig, AgentKind, AgentName, Split};
 use crate::city::{Agent, Cell, CityMap};
+use crate::config::codes;
 use crate::config::{PredicateConfig, SpfConfig};
-use crate::diag::{Code, Diagnostic, SourceId, Sources, Span, did_you_mean, json_error, listed};
+use crate::diag::{self, Diagnostic, SourceId, Sources, Span, did_you_mean, json_error, listed};
 use crate::files::{ReadError, ReadFile};
-use crate::task::spf::{ControlMode, SpfTask, constrained_by_name};
+use crate::task::spf::{self, ControlMode, SpfTask, constrained_by_name};
 use serde::{Deserialize, Serialize};
 use sha2::{Digest, Sha256};
 use std::collections::BTreeMap;
@@ -282,7 +283,7 @@ struct LineOracle {
 }
 
 fn invalid(message: impl Into<String>) -> Diagnostic {
-    Diagnostic::new(Code::INVALID_EPISODE, message)
+    Diagnostic::new(spf::codes::INVALID_EPISODE, message)
 }
 
 /// Parses the name of an agent.
@@ -314,7 +315,7 @@ impl EpisodeSet {
         let config = task.config();
         let Some(file) = &config.episodes[split as usize] else {
             let message = format!("the task has no episode file for the split `{}`", split.name());
-            let fault = Diagnostic::new(Code::MISSING_KEY, message).at(config.span, "in this task");
+            let fault = Diagnostic::new(codes::MISSING_KEY, message).at(config.span, "in this task");
             return Err(fault.help(format!(
                 "set `episodes: {{{}: FILE}}` and create the file with `logicity episodes make`",
                 split.name()
@@ -323,8 +324,8 @@ impl EpisodeSet {
         let (path, name) = (&file.value, file.value.display());
         let text = read.read(path).map_err(|error| {
             let code = match error {
-                ReadError::NotText { .. } => Code::NOT_TEXT,
-                _ => Code::MISSING_FILE,
+                ReadError::NotText { .. } => diag::codes::NOT_TEXT,
+                _ => codes::MISSING_FILE,
             };
             Diagnostic::new(code, format!("cannot read the episodes `{name}`: {error}"))
                 .at(file.span, "named here")

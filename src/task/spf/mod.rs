@@ -16,7 +16,7 @@
 //! episodes. A [`VectorEnv`] steps many environments together. [`explain`] explains what the rules want, and [`record`]
 //! writes the trace of an episode.
 
-mod codes;
+pub mod codes;
 mod env;
 mod episode;
 mod evaluate;
@@ -27,7 +27,6 @@ mod rollout;
 mod shaping;
 mod vector;
 
-pub use codes::{CATALOG, CODES};
 pub use env::{ControlMode, ControlledCar, Env, Transition};
 pub use episode::{Episode, EpisodeAgent, EpisodeSet, MapIdentity, OracleRun};
 pub use evaluate::{Baseline, BatchEvaluator, RANDOM_RUNS};
@@ -39,9 +38,9 @@ pub use vector::{Autoreset, Begin, EpisodeSource, Info, ObservationKind, Outcome
 pub use vector::{Ending, Layer, PolicyNetwork, Trajectories};
 
 use crate::city::{Action, AgentSet, Split};
-use crate::config::{CurriculumStage, EntityOrder, Scenario, SpfConfig, ViolationsPer};
+use crate::config::{self, CurriculumStage, EntityOrder, Scenario, SpfConfig, ViolationsPer};
 use crate::datalog::explain::ExplanationPrinter;
-use crate::diag::{Code, Diagnostic, Sources, did_you_mean, listed};
+use crate::diag::{Diagnostic, Sources, did_you_mean, listed};
 use crate::sim::{Observer, Oracle, World};
 use std::sync::Arc;
 
@@ -64,7 +63,7 @@ impl SpfTask {
         let scenario = &world.scenario;
         let Some(config) = scenario.task.clone() else {
             let message = format!("the configuration `{}` has no `task`", scenario.name);
-            let fault = Diagnostic::new(Code::MISSING_KEY, message);
+            let fault = Diagnostic::new(config::codes::MISSING_KEY, message);
             return Err(vec![
                 fault.help("add one, for example `task: configs/tasks/expert.yaml`"),
             ]);
@@ -85,7 +84,8 @@ impl SpfTask {
         let mut faults: Vec<Diagnostic> = unknown
             .map(|(label, _)| {
                 let message = format!("no clause that derives an action has the label `{}`", label.value);
-                let fault = Diagnostic::new(Code::INVALID_VALUE, message).at(label.span, "the reward for violating it");
+                let fault = Diagnostic::new(config::codes::INVALID_VALUE, message)
+                    .at(label.span, "the reward for violating it");
                 match did_you_mean(&label.value, labels.iter().map(String::as_str)) {
                     Some(near) => fault.help(format!("did you mean `{near}`?")),
                     None => fault.help(format!("the labels are: {}", listed(&labels))),
@@ -194,7 +194,7 @@ fn too_large_stages(scenario: &Scenario, config: &SpfConfig) -> Vec<Diagnostic> 
     let too_large = (config.curriculum.iter()).filter(|stage| stage.agents.value as usize > count);
     let fault = |stage: &CurriculumStage| {
         let message = format!("the split `train` has {count} agents, not {}", stage.agents.value);
-        let fault = Diagnostic::new(Code::INVALID_VALUE, message).at(stage.agents.span, "for this stage");
+        let fault = Diagnostic::new(config::codes::INVALID_VALUE, message).at(stage.agents.span, "for this stage");
         fault.help("after the last stage, episodes have all agents")
     };
     too_large.map(fault).collect()

@@ -3,7 +3,8 @@
 
 use crate::cancel::Cancel;
 use crate::city::{Action, Split};
-use crate::diag::{Code, Diagnostic, SourceId, Sources};
+use crate::config::codes;
+use crate::diag::{self, Diagnostic, SourceId, Sources};
 use crate::sim::{Driven, MAX_ENTITIES, Settings, TraceWriter};
 use crate::task::spf::{ControlMode, Env, Episode, SpfTask};
 use std::io::{self, Write};
@@ -64,7 +65,7 @@ pub fn record<W: Write>(
     let agents = env.city().agents().len();
     if agents > MAX_ENTITIES {
         let message = format!("a trace of {agents} agents would be too large; the limit is {MAX_ENTITIES}");
-        return Err(Diagnostic::new(Code::LIMIT_EXCEEDED, message).into());
+        return Err(Diagnostic::new(diag::codes::LIMIT_EXCEEDED, message).into());
     }
     let Origin { sources, rule_files } = origin;
     let mut trace = TraceWriter::new(out, env.city(), sources, rule_files)?;
@@ -78,7 +79,7 @@ pub fn record<W: Write>(
                 actions.len(),
                 env.steps()
             );
-            return Err(Diagnostic::new(Code::INVALID_VALUE, message).into());
+            return Err(Diagnostic::new(codes::INVALID_VALUE, message).into());
         }
         let mut driven = observed(&env);
         env.step(&[action])?;

@@ -1,7 +1,8 @@
 //! Whole episodes under simple policies, and episode sets generated with them.
 
 use crate::city::{Action, Split};
-use crate::diag::{Code, Diagnostic};
+use crate::diag::Diagnostic;
+use crate::diag::codes;
 use crate::rng::{Purpose, RngExt, Seed};
 use crate::task::spf::{ControlMode, Env, Episode, EpisodeSet, MapIdentity, OracleRun, SpfTask};
 use std::sync::Arc;
@@ -125,7 +126,7 @@ pub fn reset_demanding(env: &mut Env, seed: u64, agents: Option<usize>) -> Resul
         steps => format!("{steps} steps"),
     };
     let message = format!("in none of {DRAWS_MAX} drawn episodes do the rules constrain {steps} of the oracle's run");
-    let fault = Diagnostic::new(Code::LIMIT_EXCEEDED, message).at(config.span, "of this task");
+    let fault = Diagnostic::new(codes::LIMIT_EXCEEDED, message).at(config.span, "of this task");
     Err(fault.help("lower `constrained_steps`, use more agents or a smaller region, or draw all episodes"))
 }
 
@@ -245,7 +246,7 @@ pub fn make_episodes(
     }
     if episodes.len() < count {
         let message = format!("found only {} of {count} episodes in {draws} draws", episodes.len());
-        let fault = Diagnostic::new(Code::LIMIT_EXCEEDED, message).at(task.config().span, "of this task");
+        let fault = Diagnostic::new(codes::LIMIT_EXCEEDED, message).at(task.config().span, "of this task");
         return Err(fault.help(wanted.missing()));
     }
     // An order independent of the requirements.

@@ -6,9 +6,10 @@ pub use actor::{Ending, Layer, PolicyNetwork, Trajectories};
 
 use crate::cancel::Cancel;
 use crate::city::{Action, Split};
-use crate::diag::{Code, Diagnostic};
+use crate::diag::Diagnostic;
 use crate::rng::{Purpose, RngExt, Seed};
 use crate::sim::{Actions, run_polled, start_threads, threads_of};
+use crate::task::spf::codes;
 use crate::task::spf::{ControlMode, Env, Episode, SpfTask, reset_demanding};
 use crate::threads::Pool;
 use rayon::prelude::*;
@@ -501,7 +502,7 @@ impl VectorEnv {
             for &action in taken {
                 if !sub_env.is_ready(Autoreset::Disabled) {
                     let message = "actions follow the end of the episode";
-                    return Err(Diagnostic::new(Code::INVALID_EPISODE, message));
+                    return Err(Diagnostic::new(codes::INVALID_EPISODE, message));
                 }
                 sub_env.step(action, Autoreset::Disabled, view)?;
             }

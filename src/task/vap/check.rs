@@ -2,11 +2,12 @@
 
 use crate::cancel::Cancel;
 use crate::city::AgentKind;
-use crate::diag::{Code, Diagnostic};
+use crate::diag::Diagnostic;
 use crate::files::{Folder, ReadError};
 use crate::render::read_png;
 use crate::rng::Seed;
 use crate::sim::{Executor, Inference, LoadedCity, SceneFacts, Vocabulary};
+use crate::task::vap::codes;
 use crate::task::vap::dataset::{Monitor, Step};
 use crate::task::vap::folder::{ENTITIES, Entry, MANIFEST, PAIRS, WorldFile, add, file_record, wrong};
 use crate::task::vap::table::{Sample, Table, boxes, count_concepts, samples, visible};
@@ -254,13 +255,13 @@ fn read_tables(
     has_covers: bool,
 ) -> Result<(Table, Vec<Sample>), Diagnostic> {
     let mut table = |name: &str| {
-        let missing = || Diagnostic::new(Code::INVALID_DATA_SET, format!("there is no `{name}`"));
+        let missing = || Diagnostic::new(codes::INVALID_DATA_SET, format!("there is no `{name}`"));
         Table::read(files.remove(name).ok_or_else(missing)?)
     };
     let (entities, pairs) = (table(ENTITIES)?, table(PAIRS)?);
     if let Some((name, _)) = files.first_key_value() {
         return Err(Diagnostic::new(
-            Code::INVALID_DATA_SET,
+            codes::INVALID_DATA_SET,
             format!("`{name}` is neither a table nor a picture"),
         ));
     }
@@ -293,7 +294,7 @@ fn check_visible(entities: &Table, has_covers: bool) -> Result<(), Diagnostic> {
         let is_outside = fraction == 0.0 && at_edge;
         if fraction < 1.0 && !has_covers && !is_outside && !is_covered() {
             let message = format!("row {row} of the entities is {fraction} visible, but nothing covers it");
-            return Err(Diagnostic::new(Code::INVALID_DATA_SET, message));
+            return Err(Diagnostic::new(codes::INVALID_DATA_SET, message));
         }
     }
     Ok(())
@@ -321,7 +322,7 @@ fn check_sample(inference: &Inference, sample: &Sample) -> Result<[u64; 4], Diag
                 label.name(),
                 action.name()
             );
-            return Err(Diagnostic::new(Code::INVALID_DATA_SET, message));
+            return Err(Diagnostic::new(codes::INVALID_DATA_SET, message));
         }
         actions[label as usize] += 1;
     }

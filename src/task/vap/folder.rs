@@ -4,9 +4,10 @@
 //! Each world is written under a temporary name, `.NAME.partial`, and renamed when complete. The next command removes
 //! temporary files that an interrupted command has left. A [`Description`] keeps other commands from the folder.
 
-use crate::diag::{Code, Diagnostic, json_error};
+use crate::diag::{Diagnostic, json_error};
 use crate::files::{FileError, Folder, Output, Overwrite};
 use crate::render::DrawingVersion;
+use crate::task::vap::codes;
 use crate::task::vap::error::{DatasetError, Occupied};
 use serde::{Deserialize, Serialize};
 use sha2::{Digest, Sha256};
@@ -192,7 +193,7 @@ pub(super) fn add(left: [u64; 4], right: [u64; 4]) -> [u64; 4] {
 
 /// Returns an `invalid-data-set` diagnostic about a file or folder.
 pub(super) fn wrong(path: &Path, message: impl std::fmt::Display) -> Diagnostic {
-    Diagnostic::new(Code::INVALID_DATA_SET, format!("`{}`: {message}", path.display()))
+    Diagnostic::new(codes::INVALID_DATA_SET, format!("`{}`: {message}", path.display()))
 }
 
 pub(super) fn file_record(bytes: &[u8]) -> FileRecord {

@@ -8,7 +8,7 @@
 
 mod card;
 mod check;
-mod codes;
+pub mod codes;
 mod dataset;
 mod error;
 mod folder;
@@ -16,7 +16,6 @@ mod stats;
 pub mod table;
 
 pub use check::Dataset;
-pub use codes::{CATALOG, CODES};
 pub use dataset::{DatasetRequest, DatasetSummary, DatasetWriter, WORLDS_MAX};
 pub use error::{DatasetError, Occupied};
 pub use folder::{DatasetSettings, FileRecord, MANIFEST, Manifest, WorldRecord};
@@ -26,7 +25,7 @@ use crate::city::{Action, AgentGroup, AgentKind, AgentName, AgentSet, Split};
 use crate::city::{Cell, Heading};
 use crate::config::Scenario;
 use crate::datalog::Program;
-use crate::diag::{Code, Diagnostic};
+use crate::diag::Diagnostic;
 use crate::render::{Class, Facing, Framing, Icons, Picture, PixelBox, Placement, Renderer, Scale, Sprite, Viewport};
 use crate::rng::{Purpose, Rng, RngExt, Seed};
 use crate::sim::{Facts, Settings, Simulation, Vocabulary, World};
@@ -466,5 +465,5 @@ pub(crate) fn total(counts: [u64; 4]) -> u64 {
 
 /// Returns an `invalid-data-set` diagnostic without a source position.
 fn faulty(message: impl Into<String>) -> Diagnostic {
-    Diagnostic::new(Code::INVALID_DATA_SET, message)
+    Diagnostic::new(codes::INVALID_DATA_SET, message)
 }

@@ -2,9 +2,10 @@
 
 use crate::datalog::analysis::diff::Options;
 use crate::datalog::check::{Clause, Constraint, DeclaredConstraint, Literal, RelId, Relation, Rules};
+use crate::datalog::codes;
 use crate::datalog::syntax::ast::BaseType;
 use crate::datalog::value::Value;
-use crate::diag::{Code, Diagnostic, did_you_mean};
+use crate::diag::{Diagnostic, did_you_mean};
 use crate::symbol::Symbol;
 use std::collections::{BTreeSet, HashMap, HashSet};
 
@@ -149,7 +150,7 @@ fn shared_base(left: &Rules, right: &Rules) -> Result<Vec<Base>, Vec<Diagnostic>
                 };
                 if let Some(message) = message {
                     faults.push(
-                        Diagnostic::new(Code::RULE_MISMATCH, message)
+                        Diagnostic::new(codes::RULE_MISMATCH, message)
                             .at(relation.span, "")
                             .also(twin.span, "the other one"),
                     );
@@ -236,7 +237,7 @@ fn outputs(left: &Rules, right: &Rules, options: &Options) -> Result<Vec<Output>
                 _ => "the right side does not declare",
             };
             let message = format!("{side} a predicate `{name}`");
-            let fault = Diagnostic::new(Code::RULE_MISMATCH, message);
+            let fault = Diagnostic::new(codes::RULE_MISMATCH, message);
             let shared = in_left.keys().copied().filter(|name| in_right.contains_key(name));
             let shared: BTreeSet<&str> = shared.collect();
             faults.push(match did_you_mean(name, shared) {
@@ -250,7 +251,7 @@ fn outputs(left: &Rules, right: &Rules, options: &Options) -> Result<Vec<Output>
         if !y.columns.iter().map(|column| column.base).eq(columns.iter().copied()) {
             let message = format!("`{name}` has different columns on the two sides");
             faults.push(
-                Diagnostic::new(Code::RULE_MISMATCH, message)
+                Diagnostic::new(codes::RULE_MISMATCH, message)
                     .at(x.span, "")
                     .also(y.span, "the other one"),
             );

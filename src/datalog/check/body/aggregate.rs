@@ -22,7 +22,8 @@
 
 use std::collections::BTreeSet;
 
-use crate::diag::{Code, Diagnostic, Span};
+use crate::datalog::codes;
+use crate::diag::{Diagnostic, Span};
 
 use crate::datalog::check::body::{Check, Finish, Operand, OperandKind, Pending};
 use crate::datalog::check::clauses::{EdgeKind, Known, VariableType, renumber};
@@ -423,7 +424,7 @@ impl<'c> Check<'_, 'c> {
                 match *term {
                     Term::Wildcard if in_view && negated => {
                         let fault = Diagnostic::new(
-                            Code::UNSUPPORTED,
+                            codes::UNSUPPORTED,
                             "`_` in a negated atom of an aggregate under a scope is not supported",
                         )
                         .at(atom.span, "")
@@ -453,7 +454,7 @@ impl<'c> Check<'_, 'c> {
         let ego = match ego {
             Some(Term::Variable(id)) if scope::fits(finish.variables[id.index()].ty, guard.ego, self.names) => id,
             _ => {
-                let fault = Diagnostic::new(Code::INVALID_SCOPE, "cannot guard this aggregate")
+                let fault = Diagnostic::new(codes::INVALID_SCOPE, "cannot guard this aggregate")
                     .at(head.span, "")
                     .also(guard.span, "the scope")
                     .note("under a scope, an aggregate ranges over what the head's first argument sees")

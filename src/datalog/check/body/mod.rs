@@ -11,7 +11,8 @@
 
 use std::collections::{HashMap, HashSet};
 
-use crate::diag::{Code, Diagnostic, Faults, Span};
+use crate::datalog::codes;
+use crate::diag::{self, Diagnostic, Faults, Span};
 use crate::symbol::Symbols;
 
 use crate::datalog::check::Edb;
@@ -117,7 +118,7 @@ pub(crate) fn check(
         match check.finish(&pending, &[], &mut finish, Allowed::All) {
             Some(finished) => literals = finished,
             None => {
-                let fault = Diagnostic::new(Code::UNBOUND_VARIABLE, "aggregates or ranges need each other's values");
+                let fault = Diagnostic::new(codes::UNBOUND_VARIABLE, "aggregates or ranges need each other's values");
                 check.fault(
                     fault
                         .at(clause.place.0, "")
@@ -395,7 +396,7 @@ impl<'c> Check<'_, 'c> {
         let kind = match &term.kind {
             TermKind::Variable(name) => OperandKind::Variable(self.variable(name, span)),
             TermKind::Wildcard => {
-                let fault = Diagnostic::new(Code::UNBOUND_VARIABLE, "`_` where a value is needed")
+                let fault = Diagnostic::new(codes::UNBOUND_VARIABLE, "`_` where a value is needed")
                     .at(span, "nothing binds it")
                     .help("write a variable that an atom binds, or a constant");
                 self.fault(fault);
@@ -489,7 +490,7 @@ impl<'c> Check<'_, 'c> {
                     self.always(false, span);
                     continue;
                 }
-                let fault = Diagnostic::new(Code::UNSUPPORTED, "alternatives in an aggregate are not supported")
+                let fault = Diagnostic::new(codes::UNSUPPORTED, "alternatives in an aggregate are not supported")
                     .at(span, "")
                     .help("define a predicate with these alternatives, and aggregate over that");
                 self.fault(fault);
@@ -587,7 +588,7 @@ impl<'c> Check<'_, 'c> {
             _ => {}
         }
         let message = format!("expected a value of type `{}`, found {found}", self.names.type_name(ty));
-        let fault = Diagnostic::new(Code::TYPE_MISMATCH, message)
+        let fault = Diagnostic::new(codes::TYPE_MISMATCH, message)
             .at(term.place.0, found)
             .also(self.names.relation(relation).span, "declared here")
             .note(format!("the declaration is `{}`", self.names.signature_text(relation)));
@@ -613,7 +614,7 @@ impl<'c> Check<'_, 'c> {
                 BaseType::Unsigned => format!("unsigned numbers range from 0 to {}", u32::MAX),
                 _ => format!("numbers range from {} to {}", i32::MIN, i32::MAX),
             };
-            let fault = Diagnostic::new(Code::LIMIT_EXCEEDED, "number out of range")
+            let fault = Diagnostic::new(diag::codes::LIMIT_EXCEEDED, "number out of range")
                 .at(operand.span, "")
                 .note(range);
             self.fault(fault);
@@ -634,7 +635,7 @@ impl<'c> Check<'_, 'c> {
             let plural = |count: usize| if count == 1 { "argument" } else { "arguments" };
             let name = &atom.predicate.text;
             let message = format!("`{name}` takes {wanted} {}, not {found}", plural(wanted));
-            let fault = Diagnostic::new(Code::ARITY_MISMATCH, message)
+            let fault = Diagnostic::new(codes::ARITY_MISMATCH, message)
                 .at(atom.place.0, format!("{found} {} here", plural(found)))
                 .also(self.names.relation(relation).span, "declared here")
                 .note(format!("the declaration is `{}`", self.names.signature_text(relation)));
@@ -651,7 +652,7 @@ impl<'c> Check<'_, 'c> {
     fn head(&mut self, atom: &'c ast::Atom, fact: bool) -> Option<Atom> {
         for term in &atom.terms {
             if term.kind == TermKind::Wildcard {
-                let fault = Diagnostic::new(Code::UNBOUND_VARIABLE, "`_` in a head")
+                let fault = Diagnostic::new(codes::UNBOUND_VARIABLE, "`_` in a head")
                     .at(term.place.0, "nothing binds it")
                     .help(if fact {
                         "write a constant"
@@ -721,7 +722,7 @@ impl<'c> Check<'_, 'c> {
                 if let (Comparison::Match | Comparison::NotMatch, TermKind::Text(pattern)) = (op, &left.kind)
                     && let Err(reason) = Patterns::compile(pattern)
                 {
-                    let fault = Diagnostic::new(Code::INVALID_PATTERN, format!("not a regular expression: {reason}"));
+                    let fault = Diagnostic::new(codes::INVALID_PATTERN, format!("not a regular expression: {reason}"));
                     let help = "a regular expression of Rust's `regex` matches the whole symbol; a backslash before a \
                                 special character makes it literal, written `\\\\` in a string";
                     self.fault(fault.at(left.place.0, "").help(help));
@@ -748,11 +749,11 @@ impl<'c> Check<'_, 'c> {
             let name = &head.predicate.text;
             let (code, help) = match self.names.inputs {
                 Edb::Fixed => (
-                    Code::DERIVED_INPUT,
+                    codes::DERIVED_INPUT,
                     "derive another predicate, with one clause that copies the input",
                 ),
                 Edb::Extensible => (
-                    Code::EXTENDED_INPUT,
+                    codes::EXTENDED_INPUT,
                     "to distinguish them, derive another predicate, with one clause that copies the input",
                 ),
             };
@@ -776,7 +777,7 @@ impl<'c> Check<'_, 'c> {
     fn has_too_many_expressions(&mut self, head: &ast::Atom) -> bool {
         let count = (0..self.variables.len()).filter(|&index| self.is_hidden(index)).count();
         if count > MAX_EXPRESSIONS {
-            let fault = Diagnostic::new(Code::LIMIT_EXCEEDED, format!("clause with {count} expressions"))
+            let fault = Diagnostic::new(diag::codes::LIMIT_EXCEEDED, format!("clause with {count} expressions"))
                 .at(head.place.0, "")
                 .note(format!(
                     "a clause has at most {MAX_EXPRESSIONS} operators and functions"

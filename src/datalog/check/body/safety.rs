@@ -2,9 +2,10 @@
 
 use crate::datalog::check::rules::{Term, VarId};
 use crate::datalog::check::witness::written;
+use crate::datalog::codes;
 use crate::datalog::syntax::ast;
 use crate::datalog::syntax::ast::{BaseType, Comparison, TermKind};
-use crate::diag::{Code, Diagnostic};
+use crate::diag::Diagnostic;
 
 use crate::datalog::check::body::{Check, Name, Operand, OperandKind, Pending, Variable};
 use crate::datalog::check::clauses::{Guard, reads_as_constant};
@@ -166,7 +167,7 @@ impl<'c> Check<'_, 'c> {
             }
             let name = self.name(VarId(u32::try_from(index).expect("fewer than 2^32 variables")));
             let name = written(&name).to_owned();
-            let mut fault = Diagnostic::new(Code::UNBOUND_VARIABLE, format!("no positive atom binds `{name}`"))
+            let mut fault = Diagnostic::new(codes::UNBOUND_VARIABLE, format!("no positive atom binds `{name}`"))
                 .at(self.variables[index].first, "");
             if is_renamed {
                 fault = fault.note("in the body of an aggregate, its result is another variable");

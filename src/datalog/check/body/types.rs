@@ -2,10 +2,11 @@
 
 use crate::datalog::check::names::Names;
 use crate::datalog::check::rules::{Atom, Term, VarId};
+use crate::datalog::codes;
 use crate::datalog::syntax::ast;
 use crate::datalog::syntax::ast::{BaseType, Comparison};
 use crate::datalog::syntax::functor::{AggregateOp, Functor, Shape};
-use crate::diag::{Code, Diagnostic, Span};
+use crate::diag::{Diagnostic, Span};
 
 use crate::datalog::check::body::{Check, Operand, OperandKind, Pending, Use};
 use crate::datalog::check::clauses::VariableType;
@@ -45,7 +46,7 @@ impl<'c> Check<'_, 'c> {
             self.names.type_name(further.ty).to_owned(),
         );
         let fault = Diagnostic::new(
-            Code::TYPE_MISMATCH,
+            codes::TYPE_MISMATCH,
             format!("`{name}` cannot be both `{first}` and `{second}`"),
         )
         .at(further.span, format!("`{second}` here"))
@@ -323,7 +324,7 @@ impl<'c> Check<'_, 'c> {
                     )
                 }
             };
-            let fault = Diagnostic::new(Code::TYPE_MISMATCH, message).at(operand.span, format!("`{}`", found.name()));
+            let fault = Diagnostic::new(codes::TYPE_MISMATCH, message).at(operand.span, format!("`{}`", found.name()));
             let operand = *operand;
             self.report_with_origin(fault, operand);
         } else if let Some((operand, found)) = other {
@@ -332,7 +333,7 @@ impl<'c> Check<'_, 'c> {
                 TieKind::Functor(name) => name,
             };
             let message = format!("`{name}` cannot mix a `{}` and a `{}`", base.name(), found.name());
-            let fault = Diagnostic::new(Code::TYPE_MISMATCH, message)
+            let fault = Diagnostic::new(codes::TYPE_MISMATCH, message)
                 .at(operand.span, format!("`{}`", found.name()))
                 .also(first.span, format!("`{}`", base.name()))
                 .help("convert one of them: `to_number(x)`, `to_unsigned(x)`, `to_float(x)` or `to_string(x)`");
@@ -356,7 +357,7 @@ impl<'c> Check<'_, 'c> {
     /// Reports two operands of incomparable types, each with the name of its type.
     fn incomparable(&mut self, sides: [(Operand, &str); 2], span: Span) {
         let message = format!("a `{}` cannot be compared with a `{}`", sides[0].1, sides[1].1);
-        let mut fault = Diagnostic::new(Code::TYPE_MISMATCH, message).at(span, "");
+        let mut fault = Diagnostic::new(codes::TYPE_MISMATCH, message).at(span, "");
         for (operand, ty) in sides {
             if let OperandKind::Variable(id) = operand.kind
                 && let Some(origin) = self.origin(id)
@@ -426,7 +427,7 @@ impl<'c> Check<'_, 'c> {
         let wanted_type = wanted;
         let wanted = self.names.type_name(wanted).to_owned();
         let message = format!("expected a value of type `{wanted}`, found `{name}` of type `{found}`");
-        let mut fault = Diagnostic::new(Code::TYPE_MISMATCH, message).at(span, format!("must be of type `{wanted}`"));
+        let mut fault = Diagnostic::new(codes::TYPE_MISMATCH, message).at(span, format!("must be of type `{wanted}`"));
         if let Some(origin) = self.origin(id) {
             fault = fault.also(origin, format!("`{name}` is of type `{found}` here"));
         }

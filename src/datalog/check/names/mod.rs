@@ -4,7 +4,8 @@ mod types;
 
 use std::collections::{HashMap, HashSet};
 
-use crate::diag::{Code, Diagnostic, Faults, Span, did_you_mean};
+use crate::datalog::codes;
+use crate::diag::{self, Diagnostic, Faults, Span, did_you_mean};
 
 use crate::datalog::check::Edb;
 use crate::datalog::check::rules::{Column, Directive, RelId, Relation, RowFormat, RowPlace, Type, TypeId};
@@ -211,7 +212,7 @@ impl Names {
             let span = column.name.place.0;
             if let Some(&first) = seen.get(column.name.text.as_str()) {
                 let message = format!("two columns are named `{}`", column.name.text);
-                let fault = Diagnostic::new(Code::DUPLICATE_DECLARATION, message)
+                let fault = Diagnostic::new(codes::DUPLICATE_DECLARATION, message)
                     .at(span, "named again here")
                     .also(first, "first named here");
                 faults.push(fault);
@@ -227,7 +228,7 @@ impl Names {
             });
         }
         if columns.len() > MAX_COLUMNS {
-            let fault = Diagnostic::new(Code::LIMIT_EXCEEDED, format!("{} columns", columns.len()))
+            let fault = Diagnostic::new(diag::codes::LIMIT_EXCEEDED, format!("{} columns", columns.len()))
                 .at(decl.names[0].place.0, "")
                 .note(format!("a predicate has at most {MAX_COLUMNS}"));
             faults.push(fault);
@@ -237,7 +238,7 @@ impl Names {
             let span = name.place.0;
             if let Some(&earlier) = self.declared_types.get(&name.text) {
                 let message = format!("`{}` is a type and a predicate", name.text);
-                let fault = Diagnostic::new(Code::DUPLICATE_DECLARATION, message)
+                let fault = Diagnostic::new(codes::DUPLICATE_DECLARATION, message)
                     .at(span, "declared as a predicate here")
                     .also(earlier, "declared as a type here")
                     .help("give one of them another name");
@@ -245,7 +246,7 @@ impl Names {
             }
             if let Some(&earlier) = self.relation_by_name.get(&name.text) {
                 let message = format!("the predicate `{}` is declared twice", name.text);
-                let fault = Diagnostic::new(Code::DUPLICATE_DECLARATION, message)
+                let fault = Diagnostic::new(codes::DUPLICATE_DECLARATION, message)
                     .at(span, "declared again here")
                     .also(self.relation(earlier).span, "first declared here");
                 faults.push(fault);
@@ -301,7 +302,7 @@ impl Names {
                     self.relations[id.index()].magic = !excluded.contains(name);
                 } else if self.complete {
                     let message = format!("`.pragma` names `{name}`, which is not declared");
-                    let fault = Diagnostic::new(Code::IGNORED, message).at(pragma.place.0, "");
+                    let fault = Diagnostic::new(codes::IGNORED, message).at(pragma.place.0, "");
                     faults.push(fault.help("write the name of a predicate, or `*` for all"));
                 }
             }
@@ -326,7 +327,7 @@ impl Names {
                     relation.printsize = true;
                     if let Some(earlier) = self.printsizes.insert(id, name.place.0) {
                         let message = format!("`{}` has two `.printsize` directives", name.text);
-                        let fault = Diagnostic::new(Code::DUPLICATE_DECLARATION, message)
+                        let fault = Diagnostic::new(codes::DUPLICATE_DECLARATION, message)
                             .at(name.place.0, "again here")
                             .also(earlier, "first here");
                         faults.push(fault.help("remove one of them"));
@@ -339,7 +340,7 @@ impl Names {
                 && chosen > 0
             {
                 let message = format!("`columns` names {chosen} columns, `{}` has {columns}", relation.name);
-                let fault = Diagnostic::new(Code::ARITY_MISMATCH, message).at(option.place.0, "");
+                let fault = Diagnostic::new(codes::ARITY_MISMATCH, message).at(option.place.0, "");
                 faults.push(fault.also(relation.span, "declared here"));
             }
             let file = mark.options.iter().rfind(|option| option.key.text == "filename");
@@ -359,7 +360,7 @@ impl Names {
             return;
         }
         for (index, (name, uses)) in unknown.types.iter().enumerate() {
-            let fault = Diagnostic::new(Code::UNKNOWN_TYPE, format!("no type `{name}` is declared"));
+            let fault = Diagnostic::new(codes::UNKNOWN_TYPE, format!("no type `{name}` is declared"));
             let mut fault = with_uses(fault, uses);
             let candidates = self.types.iter().map(|ty| ty.name.as_str());
             let near = suggestion(index, name, candidates);
@@ -383,7 +384,7 @@ impl Names {
             faults.push(fault);
         }
         for (index, (name, uses)) in unknown.predicates.iter().enumerate() {
-            let fault = Diagnostic::new(Code::UNKNOWN_PREDICATE, format!("no predicate `{name}` is declared"));
+            let fault = Diagnostic::new(codes::UNKNOWN_PREDICATE, format!("no predicate `{name}` is declared"));
             let mut fault = with_uses(fault, uses);
             let candidates = self.relations.iter().map(|relation| relation.name.as_str());
             let near = suggestion(index, name, candidates);
@@ -410,7 +411,7 @@ impl Names {
 }
 
 fn no_effect(pragma: &Pragma) -> Diagnostic {
-    (Diagnostic::new(Code::IGNORED, "`.pragma` has no effect").at(pragma.place.0, ""))
+    (Diagnostic::new(codes::IGNORED, "`.pragma` has no effect").at(pragma.place.0, ""))
         .help("remove it; only `.pragma \"magic-transform\" \"A,B\"` has one")
 }
 
@@ -425,7 +426,7 @@ fn qualifiers(words: &[Name], faults: &mut Faults) {
     for (index, word) in words.iter().enumerate() {
         if let Some(earlier) = words[..index].iter().find(|earlier| rivals(earlier, word)) {
             let fault = Diagnostic::new(
-                Code::DUPLICATE_DECLARATION,
+                codes::DUPLICATE_DECLARATION,
                 format!("`{}` after `{}`", word.text, earlier.text),
             )
             .at(word.place.0, "")
@@ -434,7 +435,7 @@ fn qualifiers(words: &[Name], faults: &mut Faults) {
         } else if !EFFECTIVE.contains(&word.text.as_str())
             && !words[index + 1..].iter().any(|later| rivals(word, later))
         {
-            let fault = Diagnostic::new(Code::IGNORED, format!("`{}` has no effect", word.text));
+            let fault = Diagnostic::new(codes::IGNORED, format!("`{}` has no effect", word.text));
             faults.push(fault.at(word.place.0, "").remove(word.place.0));
         }
     }
@@ -470,7 +471,7 @@ fn read_options(mark: &Mark, faults: &mut Faults) -> Directive {
                 (MarkKind::Input | MarkKind::Output, "file") | (MarkKind::PrintSize, "stdoutprintsize") => {}
                 (MarkKind::Input, "stdin") | (MarkKind::Output, "stdout") => terminal = true,
                 (_, value) => {
-                    let fault = Diagnostic::new(Code::UNSUPPORTED, format!("`IO={value}` is not supported here"));
+                    let fault = Diagnostic::new(codes::UNSUPPORTED, format!("`IO={value}` is not supported here"));
                     let known = match mark.kind {
                         MarkKind::Input => "`file` or `stdin`",
                         MarkKind::Output => "`file` or `stdout`",
@@ -481,13 +482,13 @@ fn read_options(mark: &Mark, faults: &mut Faults) -> Directive {
             },
             "filename" if mark.kind != MarkKind::PrintSize => {
                 if let Some(reason) = faulty_name(&option.value, mark.kind) {
-                    let fault = Diagnostic::new(Code::INVALID_OUTPUT, reason).at(option.place.0, "");
+                    let fault = Diagnostic::new(codes::INVALID_OUTPUT, reason).at(option.place.0, "");
                     faults.push(fault.help("write a name such as `rows.csv` or `folder/rows.csv`"));
                 }
                 place = RowPlace::File(option.value.clone());
             }
             "delimiter" if option.value.is_empty() => {
-                faults.push(Diagnostic::new(Code::SYNTAX, "empty delimiter").at(option.place.0, ""));
+                faults.push(Diagnostic::new(codes::SYNTAX, "empty delimiter").at(option.place.0, ""));
             }
             "delimiter" => delimiter = Some(option.value.clone()),
             "headers" => format.headers = flag,
@@ -495,18 +496,18 @@ fn read_options(mark: &Mark, faults: &mut Faults) -> Directive {
             "columns" if mark.kind == MarkKind::Input => match column_numbers(&option.value) {
                 Some(numbers) => format.columns = numbers,
                 None => {
-                    let fault = Diagnostic::new(Code::SYNTAX, "not a list of columns").at(option.place.0, "");
+                    let fault = Diagnostic::new(codes::SYNTAX, "not a list of columns").at(option.place.0, "");
                     faults.push(fault.help("list each column number once, counted from 0: `columns=\"0:2:1\"`"));
                 }
             },
             "compress" if mark.kind != MarkKind::PrintSize => compress = flag,
             "dbname" => {
-                let fault = Diagnostic::new(Code::UNSUPPORTED, "the option `dbname` is not supported");
+                let fault = Diagnostic::new(codes::UNSUPPORTED, "the option `dbname` is not supported");
                 let help = "keep the rows of each table in a file: `sqlite3 -tabs FILE 'SELECT * FROM A' > A.facts`";
                 faults.push(fault.at(option.key.place.0, "").help(help));
             }
             key => {
-                let fault = Diagnostic::new(Code::IGNORED, format!("the option `{key}` has no effect"));
+                let fault = Diagnostic::new(codes::IGNORED, format!("the option `{key}` has no effect"));
                 faults.push(fault.at(option.key.place.0, "").help("remove it"));
             }
         }

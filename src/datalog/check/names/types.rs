@@ -2,9 +2,10 @@
 
 use crate::datalog::check::names::{Names, remember};
 use crate::datalog::check::rules::{Type, TypeId};
+use crate::datalog::codes;
 use crate::datalog::syntax::ast::BaseType;
 use crate::datalog::syntax::ast::{Item, Name, TypeDecl, TypeDefinition};
-use crate::diag::{Code, Diagnostic, Faults, Span};
+use crate::diag::{self, Diagnostic, Faults, Span};
 use std::collections::{HashMap, HashSet};
 
 /// Maximum length of a chain of subtypes.
@@ -24,12 +25,12 @@ impl Names {
             let Item::Type(decl) = item else { continue };
             let name = decl.name.text.as_str();
             if self.type_by_name.contains_key(name) {
-                let fault = Diagnostic::new(Code::DUPLICATE_DECLARATION, format!("the type `{name}` is built in"))
+                let fault = Diagnostic::new(codes::DUPLICATE_DECLARATION, format!("the type `{name}` is built in"))
                     .at(decl.name.place.0, "");
                 faults.push(fault);
             } else if let Some(earlier) = first.get(name) {
                 let fault = Diagnostic::new(
-                    Code::DUPLICATE_DECLARATION,
+                    codes::DUPLICATE_DECLARATION,
                     format!("the type `{name}` is declared twice"),
                 )
                 .at(decl.name.place.0, "declared again here")
@@ -130,11 +131,11 @@ impl Names {
             at = match first.get(other.text.as_str()) {
                 Some(next) if std::ptr::eq(*next, decl) => {
                     let message = format!("the type `{}` is an alias of itself", decl.name.text);
-                    faults.push(Diagnostic::new(Code::CYCLIC_TYPE, message).at(decl.name.place.0, ""));
+                    faults.push(Diagnostic::new(codes::CYCLIC_TYPE, message).at(decl.name.place.0, ""));
                     return None;
                 }
                 Some(_) if steps > MAX_TYPE_DEPTH => {
-                    let fault = Diagnostic::new(Code::LIMIT_EXCEEDED, "too long a chain of types")
+                    let fault = Diagnostic::new(diag::codes::LIMIT_EXCEEDED, "too long a chain of types")
                         .at(decl.name.place.0, "")
                         .note(format!("a chain of aliases has at most {MAX_TYPE_DEPTH} names"));
                     faults.push(fault);
@@ -159,7 +160,7 @@ impl Names {
             {
                 faulty[id.0 as usize] = true;
                 let message = format!("`{}` is a subtype of the union `{}`", decl.name.text, parent.text);
-                let fault = Diagnostic::new(Code::TYPE_MISMATCH, message)
+                let fault = Diagnostic::new(codes::TYPE_MISMATCH, message)
                     .at(parent.place.0, "")
                     .also(*union, "the union")
                     .help("make it a subtype of a member");
@@ -189,7 +190,8 @@ impl Names {
             if cyclic {
                 let cycle = &path[path.iter().position(|&id| id == at).unwrap_or(0)..];
                 let name = &self.types[at].name;
-                let mut fault = Diagnostic::new(Code::CYCLIC_TYPE, format!("the type `{name}` is a subtype of itself"));
+                let mut fault =
+                    Diagnostic::new(codes::CYCLIC_TYPE, format!("the type `{name}` is a subtype of itself"));
                 for (index, &id) in cycle.iter().enumerate() {
                     let Some(span) = self.type_spans[id] else { continue };
                     fault = if index == 0 {
@@ -210,7 +212,7 @@ impl Names {
                 self.types[id].base = self.types[parent].base;
                 if depth[id] > MAX_TYPE_DEPTH {
                     faulty[id] = true;
-                    let mut fault = Diagnostic::new(Code::LIMIT_EXCEEDED, "too long a chain of subtypes")
+                    let mut fault = Diagnostic::new(diag::codes::LIMIT_EXCEEDED, "too long a chain of subtypes")
                         .note(format!("a type has at most {MAX_TYPE_DEPTH} ancestors"));
                     if let Some(span) = self.type_spans[id] {
                         fault = fault.at(span, "");
@@ -258,7 +260,7 @@ impl Names {
             let base = self.base(id);
             let other = members.iter().position(|&member| self.base(member) != base);
             if seen.len() > MAX_MEMBERS {
-                let fault = Diagnostic::new(Code::LIMIT_EXCEEDED, "union of too many types")
+                let fault = Diagnostic::new(diag::codes::LIMIT_EXCEEDED, "union of too many types")
                     .at(decl.name.place.0, "")
                     .note(format!(
                         "a union has at most {MAX_MEMBERS} members, including those of its members"
@@ -266,14 +268,14 @@ impl Names {
                 faults.push(fault);
             } else if seen.contains(&id) {
                 let message = format!("the type `{name}` contains itself");
-                faults.push(Diagnostic::new(Code::CYCLIC_TYPE, message).at(decl.name.place.0, ""));
+                faults.push(Diagnostic::new(codes::CYCLIC_TYPE, message).at(decl.name.place.0, ""));
             } else if let Some(other) = other {
                 let message = format!(
                     "the union `{name}` has values of type `{}` and of type `{}`",
                     base.name(),
                     self.base(members[other]).name()
                 );
-                let fault = Diagnostic::new(Code::TYPE_MISMATCH, message).at(written[other].place.0, "");
+                let fault = Diagnostic::new(codes::TYPE_MISMATCH, message).at(written[other].place.0, "");
                 faults.push(fault.also(written[0].place.0, format!("`{}` here", base.name())));
             } else {
                 self.types[at].parent = Some(Self::base_type(base));

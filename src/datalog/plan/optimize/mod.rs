@@ -20,10 +20,11 @@ use crate::datalog::check::witness::written;
 use crate::datalog::check::{
     Atom, Budget, Clause, ClauseId, Comparing, Constraint, DeclaredConstraint, Literal, RelId, Rules, Term, VarId,
 };
+use crate::datalog::codes;
 use crate::datalog::syntax::ast::{BaseType, Comparison};
 use crate::datalog::syntax::quoted;
 use crate::datalog::value::Value;
-use crate::diag::{Code, Diagnostic, Sources, Span};
+use crate::diag::{Diagnostic, Sources, Span};
 use crate::symbol::Symbol;
 use saturate::Knowledge;
 use std::borrow::Cow;
@@ -137,7 +138,7 @@ pub fn lints(rules: &Rules, sources: &Sources) -> Lints {
                 minimized += 1;
                 let given = unsat_core(rules, &theory, named(clause), named(by), minimized <= MINIMIZED_MAX);
                 let fault = Diagnostic::new(
-                    Code::SUBSUMED_CLAUSE,
+                    codes::SUBSUMED_CLAUSE,
                     "another clause derives everything that this one does",
                 )
                 .at(named(clause).span, "")
@@ -156,7 +157,7 @@ pub fn lints(rules: &Rules, sources: &Sources) -> Lints {
                 let (one, other) = if is_guard(other) { (other, one) } else { (one, other) };
                 let (first, second) = (shown_literal(rules, clause, one), shown_literal(rules, clause, other));
                 let fault = Diagnostic::new(
-                    Code::CONTRADICTORY_BODY,
+                    codes::CONTRADICTORY_BODY,
                     "this clause never fires: its body contradicts itself",
                 );
                 let span = span(&clause.body[other]);
@@ -229,7 +230,7 @@ fn worth_a_name(rules: &Rules, uses: &[repeated::Use]) -> Option<Diagnostic> {
             _ => None,
         })
         .collect();
-    let lint = Diagnostic::new(Code::REPEATED_BODY, format!("{} clauses repeat `{body}`", spans.len()))
+    let lint = Diagnostic::new(codes::REPEATED_BODY, format!("{} clauses repeat `{body}`", spans.len()))
         .at(clause.span, "first used here");
     let others = spans[1..].iter().take(USES_SHOWN);
     let lint = others.fold(lint, |lint, &span| lint.also(span, "repeated here"));
@@ -260,7 +261,7 @@ fn redundant(
         return None;
     }
     let redundant = shown_literal(rules, clause, literal);
-    let mut fault = Diagnostic::new(Code::REDUNDANT_LITERAL, format!("`{redundant}` is redundant"))
+    let mut fault = Diagnostic::new(codes::REDUNDANT_LITERAL, format!("`{redundant}` is redundant"))
         .at(span(&clause.body[literal]), "");
     fault = match because {
         None => fault.note("it always holds"),

@@ -1,10 +1,11 @@
 //! Clauses and queries: heads, atoms, comparisons, conjunction, disjunction and negation.
 
+use crate::datalog::codes;
 use crate::datalog::syntax::ast::Comparison;
 use crate::datalog::syntax::ast::{Atom, Clause, Literal, Place, TermKind};
 use crate::datalog::syntax::functor::{AggregateOp, Functor};
 use crate::datalog::syntax::lexer::{CONJUNCTION, DISJUNCTION, IMPLICATION, Kind, NEGATION, Token};
-use crate::diag::{Code, Diagnostic};
+use crate::diag::Diagnostic;
 
 use crate::datalog::syntax::parser::{DIRECTIVES, FULL_STOP, MAX_NESTING, Parse, Parser, Reported};
 
@@ -277,7 +278,7 @@ impl Parser<'_> {
         };
         let (Some(right), Some(left), 0) = (atom.terms.pop(), atom.terms.pop(), atom.terms.len()) else {
             let message = format!("`{}` takes 2 arguments", atom.predicate.text);
-            let fault = Diagnostic::new(Code::ARITY_MISMATCH, message)
+            let fault = Diagnostic::new(codes::ARITY_MISMATCH, message)
                 .at(atom.place.0, "expected a pattern or part, then a string");
             self.faults.push(fault);
             return Err(Reported);
@@ -377,7 +378,7 @@ impl Parser<'_> {
         };
         let message = format!("the quantifier `{}` is not part of the language", self.slice(word));
         self.faults.push(
-            Diagnostic::new(Code::SYNTAX, message)
+            Diagnostic::new(codes::SYNTAX, message)
                 .at(self.span(word), "")
                 .help(help),
         );
@@ -435,7 +436,7 @@ impl Parser<'_> {
             }
             _ => format!("a predicate without arguments is written `{text}()`"),
         };
-        let fault = Diagnostic::new(Code::SYNTAX, format!("`{text}` is not a literal"))
+        let fault = Diagnostic::new(codes::SYNTAX, format!("`{text}` is not a literal"))
             .at(self.span(name), "expected an atom or a comparison")
             .help(help);
         self.faults.push(fault);

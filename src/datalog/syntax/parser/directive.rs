@@ -1,12 +1,13 @@
 //! Directives: declarations, types, marks of predicates, constraints, includes and scopes.
 
+use crate::datalog::codes;
 use crate::datalog::syntax::ast::BaseType;
 use crate::datalog::syntax::ast::{
     ColumnDecl, ConstraintDecl, ConstraintKind, Decl, DirectiveOption, Include, Item, Mark, MarkKind, Name, Place,
     Plan, Pragma, Scope, TypeDecl, TypeDefinition,
 };
 use crate::datalog::syntax::lexer::{Kind, Token};
-use crate::diag::{Code, Diagnostic, did_you_mean};
+use crate::diag::{Diagnostic, did_you_mean};
 
 use crate::datalog::syntax::parser::{
     BRANCHES, COMPONENTS, DIRECTIVES, FOREIGN_DIRECTIVES, FUNCTORS, LATTICES, OLD_TYPES, Parse, Parser, RECORDS,
@@ -60,7 +61,7 @@ impl Parser<'_> {
                 })))
             }
             "once" => {
-                let fault = Diagnostic::new(Code::IGNORED, "`.once` has no effect")
+                let fault = Diagnostic::new(codes::IGNORED, "`.once` has no effect")
                     .at(span, "")
                     .note("every file is read once");
                 self.faults.push(fault.remove(span));
@@ -125,7 +126,7 @@ impl Parser<'_> {
                         })
                     }));
                 }
-                let mut fault = Diagnostic::new(Code::SYNTAX, format!("unknown directive `.{name}`")).at(span, "");
+                let mut fault = Diagnostic::new(codes::SYNTAX, format!("unknown directive `.{name}`")).at(span, "");
                 fault = match did_you_mean(name, DIRECTIVES.iter().copied()) {
                     Some(near) => fault.did_you_mean(&format!(".{near}"), &[span]),
                     None => fault.note(format!("the directives are {}", listed(DIRECTIVES))),
@@ -286,7 +287,7 @@ impl Parser<'_> {
         if !good {
             let message = format!("`.{}` names {wanted}", kind.name());
             self.faults
-                .push(Diagnostic::new(Code::SYNTAX, message).at(place.0, format!("{} here", names.len())));
+                .push(Diagnostic::new(codes::SYNTAX, message).at(place.0, format!("{} here", names.len())));
             return Ok(None);
         }
         Ok(Some(Item::Constraint(ConstraintDecl { kind, names, place })))
@@ -319,7 +320,7 @@ impl Parser<'_> {
             .iter()
             .find(|name| matches!(name.text.as_str(), "match" | "contains"))
         {
-            let fault = Diagnostic::new(Code::SYNTAX, format!("`{}` is not a predicate's name", name.text))
+            let fault = Diagnostic::new(codes::SYNTAX, format!("`{}` is not a predicate's name", name.text))
                 .at(name.place.0, "")
                 .note("it is a comparison of strings");
             self.faults.push(fault);
@@ -498,7 +499,7 @@ impl Parser<'_> {
     }
 
     fn old_type(&mut self, name: &Name, base: BaseType) -> TypeDefinition {
-        let fault = Diagnostic::new(Code::OLD_FORM, "an old form of `.type`")
+        let fault = Diagnostic::new(codes::OLD_FORM, "an old form of `.type`")
             .at(name.place.0, "")
             .help(format!(
                 "write `.type {name} <: {base}`, or `.type {name} = {base}` if it takes any {base}",

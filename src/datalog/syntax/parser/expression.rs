@@ -1,9 +1,10 @@
 //! Expressions: operators with precedence, functions, casts, aggregates and constants.
 
+use crate::datalog::codes;
 use crate::datalog::syntax::ast::{Aggregate, Literal, Term, TermKind};
 use crate::datalog::syntax::functor::{AggregateOp, Functor};
 use crate::datalog::syntax::lexer::{Kind, Token};
-use crate::diag::{Code, Diagnostic};
+use crate::diag::{self, Diagnostic};
 use core::net::Ipv4Addr;
 
 use crate::datalog::syntax::parser::clause::comparison;
@@ -54,7 +55,7 @@ impl Parser<'_> {
         if height < MAX_HEIGHT {
             return Ok(height + 1);
         }
-        let fault = Diagnostic::new(Code::LIMIT_EXCEEDED, "expression with too many operators")
+        let fault = Diagnostic::new(diag::codes::LIMIT_EXCEEDED, "expression with too many operators")
             .at(self.span(start), "it begins here")
             .note(format!(
                 "an expression is at most {MAX_HEIGHT} levels of operators high"
@@ -272,7 +273,7 @@ impl Parser<'_> {
             _ if !body.is_empty() => format!("name the value: `n = {word} y : {{ {body} }}`"),
             _ => format!("write it before a body: `n = {word} y : {{ A(x, y) }}`"),
         };
-        let fault = Diagnostic::new(Code::SYNTAX, format!("`{word}` is not a function"));
+        let fault = Diagnostic::new(codes::SYNTAX, format!("`{word}` is not a function"));
         self.faults.push(fault.at(self.span(name), "").help(help));
         Reported
     }
@@ -297,7 +298,7 @@ impl Parser<'_> {
             }
             _ => format!("write `{name} y : {{ A(x, y) }}`"),
         };
-        let fault = Diagnostic::new(Code::SYNTAX, format!("`#{name}` is not an aggregate of this language"));
+        let fault = Diagnostic::new(codes::SYNTAX, format!("`#{name}` is not an aggregate of this language"));
         let span = self.span(hash).to(self.span(word));
         self.faults.push(fault.at(span, "").help(help));
         Reported
@@ -370,7 +371,7 @@ impl Parser<'_> {
             let message = format!("`{}` takes {wanted}, not {}", functor.name(), arguments.len());
             let place = self.place_from(start).0;
             self.faults
-                .push(Diagnostic::new(Code::ARITY_MISMATCH, message).at(place, ""));
+                .push(Diagnostic::new(codes::ARITY_MISMATCH, message).at(place, ""));
             return Err(Reported);
         }
         let height = self.higher(start, height)?;
@@ -452,7 +453,7 @@ impl Parser<'_> {
             }
         }
         if value > i64::from(u32::MAX) {
-            let fault = Diagnostic::new(Code::LIMIT_EXCEEDED, "number out of range")
+            let fault = Diagnostic::new(diag::codes::LIMIT_EXCEEDED, "number out of range")
                 .at(self.span(token), "")
                 .note(format!(
                     "numbers range from {} to {}, unsigned numbers from 0 to {}",
@@ -469,7 +470,7 @@ impl Parser<'_> {
     /// Returns an IPv4 address. A faulty one counts as 0.0.0.0, after a report.
     fn address(&mut self, token: Token) -> Ipv4Addr {
         self.slice(token).parse().unwrap_or_else(|_| {
-            let fault = Diagnostic::new(Code::SYNTAX, "not an IPv4 address").at(self.span(token), "");
+            let fault = Diagnostic::new(codes::SYNTAX, "not an IPv4 address").at(self.span(token), "");
             self.faults
                 .push(fault.help("write four numbers from 0 to 255 without leading zeros"));
             Ipv4Addr::UNSPECIFIED

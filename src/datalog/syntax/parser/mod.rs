@@ -5,7 +5,8 @@
 //! parentheses and braces and the height of expressions are bounded, so no input exhausts the stack. The parser visits
 //! each token a bounded number of times.
 
-use crate::diag::{Code, Diagnostic, Faults, SourceId, Span};
+use crate::datalog::codes;
+use crate::diag::{self, Diagnostic, Faults, SourceId, Span};
 
 use crate::datalog::syntax::ast::BaseType;
 use crate::datalog::syntax::ast::{File, Include, Item, Literal, Name, Place};
@@ -340,7 +341,7 @@ impl<'a> Parser<'a> {
         } else {
             self.span(token)
         };
-        let mut fault = Diagnostic::new(Code::SYNTAX, message).at(span, format!("expected {what}"));
+        let mut fault = Diagnostic::new(codes::SYNTAX, message).at(span, format!("expected {what}"));
         if let Some(help) = help {
             fault = fault.help(help);
         }
@@ -421,7 +422,7 @@ impl<'a> Parser<'a> {
             return Reported;
         }
         let message = format!("expected a clause or a directive{why}, found {}", self.describe(token));
-        let mut fault = Diagnostic::new(Code::SYNTAX, message).at(self.span(token), "");
+        let mut fault = Diagnostic::new(codes::SYNTAX, message).at(self.span(token), "");
         if matches!((self.slice(token), self.ahead(1).kind), ("%", _) | ("-", Kind::Minus)) {
             fault = fault.help(COMMENT);
         }
@@ -436,7 +437,7 @@ impl<'a> Parser<'a> {
     }
 
     fn unsupported(&mut self, span: Span, what: &str, help: &str) -> Reported {
-        let mut fault = Diagnostic::new(Code::UNSUPPORTED, format!("{what} not supported")).at(span, "");
+        let mut fault = Diagnostic::new(codes::UNSUPPORTED, format!("{what} not supported")).at(span, "");
         if !help.is_empty() {
             fault = fault.help(help);
         }
@@ -550,7 +551,7 @@ impl<'a> Parser<'a> {
                 Some(name) => self.directive(name, doc),
                 None => {
                     self.bump();
-                    let fault = Diagnostic::new(Code::SYNTAX, "full stop without a clause")
+                    let fault = Diagnostic::new(codes::SYNTAX, "full stop without a clause")
                         .at(self.span(token), "")
                         .note("only clauses end with a full stop; directives such as `.decl` do not");
                     self.faults.push(fault);
@@ -621,7 +622,7 @@ impl<'a> Parser<'a> {
             return Err(self.expected(what));
         }
         if self.is_negation(token) {
-            let fault = Diagnostic::new(Code::SYNTAX, format!("`{}` is not a name", self.slice(token)))
+            let fault = Diagnostic::new(codes::SYNTAX, format!("`{}` is not a name", self.slice(token)))
                 .at(self.span(token), "")
                 .note("`Not` and `not` write negation, unless the file declares such a predicate");
             self.faults.push(fault);
@@ -670,7 +671,7 @@ impl<'a> Parser<'a> {
         if self.nesting <= MAX_NESTING {
             return Ok(());
         }
-        let fault = Diagnostic::new(Code::LIMIT_EXCEEDED, "nested too deeply")
+        let fault = Diagnostic::new(diag::codes::LIMIT_EXCEEDED, "nested too deeply")
             .at(self.span(self.token()), "")
             .note(format!(
                 "at most {MAX_NESTING} enclosing negations, parentheses and braces are allowed"
@@ -710,7 +711,7 @@ impl<'a> Parser<'a> {
         }
         for (at, c) in bad {
             let start = token.start as usize + 1 + at;
-            let fault = Diagnostic::new(Code::SYNTAX, "unknown escape in a string")
+            let fault = Diagnostic::new(codes::SYNTAX, "unknown escape in a string")
                 .at(Span::new(self.source, start..start + 1 + c.len_utf8()), "")
                 .help(format!(
                     "write `\\\\{c}` for a backslash before `{c}`, as in a regular expression"
