@@ -28,13 +28,15 @@ lint: format
 	cargo clippy --manifest-path tests/fuzz/Cargo.toml --target-dir target --no-default-features --locked -- -D warnings
 	cargo clippy --manifest-path docs/playground/Cargo.toml --target-dir target --locked -- -D warnings
 
-# Lints and tests the engine alone, then lints each feature alone. `make rust` tries the other random cases.
+# Lints and tests the engine alone, without its optimizer, then lints the city without features and with each alone.
+# `make rust` tries the other random cases.
 FEATURES := $(filter-out default,$(shell sed -n '/^\[features\]/,/^\[dep/s/^\([a-z]*\) = .*/\1/p' Cargo.toml))
 features:
-	cargo clippy --locked --no-default-features --all-targets -- -D warnings
-	LOGICITY_RANDOM_CASES=32 cargo test --locked --no-default-features --test datalog -- --skip slow_
-	for feature in $(FEATURES); do \
-	    cargo clippy --locked --no-default-features --features $$feature --lib --bins --examples -- -D warnings || exit 1; \
+	cargo clippy --locked --package logicity-datalog --all-targets -- -D warnings
+	LOGICITY_RANDOM_CASES=32 cargo test --locked --package logicity-datalog -- --skip slow_
+	for feature in "" $(FEATURES); do \
+	    cargo clippy --locked --package logicity --no-default-features --features "$$feature" --lib --bins --examples \
+	        -- -D warnings || exit 1; \
 	done
 
 # `cargo test` tries twice as many random cases, and the nightly workflow eight times as many.
@@ -179,15 +181,17 @@ msrv:
 	rustup toolchain install $(MSRV) --profile minimal
 	cargo +$(MSRV) check --locked --all-features
 
-# Not part of `make test`. Lists the files of the crate, packages it, and compiles the package.
+# Not part of `make test`. Lists the files of both crates, packages them, and compiles the packages: first the engine,
+# then the city with that engine, which need not be in the registry yet.
+CRATES := --package logicity-datalog --package logicity
 package:
-	cargo package --locked --list
-	cargo publish --locked --dry-run
+	cargo package --locked --list $(CRATES)
+	cargo publish --locked --dry-run $(CRATES)
 
-# Uploads the crate. Needs a token of the registry, so it compiles nothing: build scripts of dependencies would see the
-# token. `make package` has compiled the same files.
+# Uploads both crates, the engine first. Needs a token of the registry, so it compiles nothing: build scripts of
+# dependencies would see the token. `make package` has compiled the same files.
 publish:
-	cargo publish --locked --no-verify
+	cargo publish --locked --no-verify $(CRATES)
 
 # Not part of `make test`. The program with its license, documentation and SBOM (CycloneDX) as
 # target/dist/logicity-SYSTEM.tar.gz. Needs `cargo install --locked cargo-cyclonedx`.
@@ -197,7 +201,7 @@ binary:
 	rm -rf target/dist
 	mkdir -p target/dist/logicity-$(SYSTEM)
 	cargo cyclonedx --format json --target $(SYSTEM) --override-filename logicity.cdx
-	rm python/logicity.cdx.json
+	rm python/logicity.cdx.json src/datalog/logicity.cdx.json
 	mv logicity.cdx.json target/dist/logicity-$(SYSTEM)
 	cp target/release/logicity$(if $(filter Windows_NT,$(OS)),.exe) README.md CHANGELOG.md LICENSE \
 	    target/dist/logicity-$(SYSTEM)

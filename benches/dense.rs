@@ -10,11 +10,13 @@
 //! `cargo bench --bench dense -- CLAUSES SEED` takes another number of clauses per line (50) and another seed (1). With
 //! a third argument it prints each clause with a ratio above that.
 
+#[path = "../tests/root.rs"]
+mod root;
 #[path = "../tests/datalog/written_program.rs"]
 mod written_program;
 
-use logicity::datalog::dense::{BitFacts, BitState, Dense, TrackFirings, choose, has};
-use logicity::datalog::{Limits, Program, RelId, Session, Value};
+use logicity_datalog::dense::{BitFacts, BitState, Dense, TrackFirings, choose, has};
+use logicity_datalog::{Limits, Program, RelId, Session, Value};
 use std::fmt::Write;
 use std::time::{Duration, Instant};
 use written_program::program;

@@ -3,13 +3,15 @@
 //! `cargo bench --bench engine` prints times. Each case checks its number of rows first. Times include loading the base
 //! facts into a new session.
 
+#[path = "../tests/root.rs"]
+mod root;
 #[path = "../tests/datalog/written_program.rs"]
 mod written_program;
 
 use criterion::{BatchSize, Criterion, criterion_group, criterion_main};
 use datafrog::{Iteration, Relation};
-use logicity::datalog::{Program, Session, naive};
-use logicity::datalog::{RelId, Value};
+use logicity_datalog::{Program, Session, naive};
+use logicity_datalog::{RelId, Value};
 use std::hint::black_box;
 use std::time::Duration;
 use written_program::program;

@@ -1,7 +1,7 @@
 //! Learns tasks in the format of the learner Popper, and compares with FOIL.
 //!
-//! `cargo bench --no-default-features --bench popper -- [FOLDER [TABLES]]` learns random tasks of
-//! `tests/datalog/popper_tasks.rs`, or those in the subfolders of a folder, each with `bk.pl`, `exs.pl` and `bias.pl`:
+//! `cargo bench --bench popper -- [FOLDER [TABLES]]` learns random tasks of
+//! `tests/city/popper_tasks.rs`, or those in the subfolders of a folder, each with `bk.pl`, `exs.pl` and `bias.pl`:
 //! for example `examples` of Popper's repository, or the folder that `Demonstrations.to_popper` writes. A task without
 //! negative examples is read under the closed-world assumption.
 //!
@@ -15,7 +15,7 @@
 
 #[path = "induce_baselines/foil.rs"]
 mod foil;
-#[path = "../tests/datalog/popper_tasks.rs"]
+#[path = "../tests/city/popper_tasks.rs"]
 mod popper_tasks;
 
 use foil::Foil;

@@ -1,32 +1,19 @@
-#![cfg_attr(
-    feature = "sim",
-    doc = "A city of cars and pedestrians governed by Datalog rules, and the Datalog engine that evaluates them."
-)]
-#![cfg_attr(
-    not(feature = "sim"),
-    doc = "An incremental Datalog engine for rules in a dialect of Soufflé: LogiCity without the city."
-)]
+//! A city of cars and pedestrians governed by Datalog rules, and the Datalog engine that evaluates them.
 //!
 //! # Where to start
 //!
-//! - **Datalog**: [`datalog`] loads rules, keeps facts and maintains what follows. The crate with
-//!   `default-features = false` contains this engine alone.
+//! - **Datalog**: [`datalog`] loads rules, keeps facts and maintains what follows. It is the crate `logicity-datalog`,
+//!   which programs without a city can use alone.
 //! - **Sources and diagnostics**: [`diag`] holds the texts of rules and prints what is wrong with them.
-#![cfg_attr(feature = "sim", doc = "- **One scene, one decision**: [`sim::Inference`].")]
-#![cfg_attr(
-    feature = "sim",
-    doc = "- **A running city**: [`sim::World`] and [`sim::Simulation`]."
-)]
-#![cfg_attr(feature = "sim", doc = "- **Safe Path Following**: [`task::spf`].")]
-#![cfg_attr(
-    feature = "sim",
-    doc = "
-```text
-rules/*.dl --datalog--> Program
-                           |
-configs/*.yaml --config--> Scenario --> World --> Simulation --ground--> facts --> Session --> actions --> moves
-```"
-)]
+//! - **One scene, one decision**: [`sim::Inference`].
+//! - **A running city**: [`sim::World`] and [`sim::Simulation`].
+//! - **Safe Path Following**: [`task::spf`].
+//!
+//! ```text
+//! rules/*.dl --datalog--> Program
+//!                            |
+//! configs/*.yaml --config--> Scenario --> World --> Simulation --ground--> facts --> Session --> actions --> moves
+//! ```
 //!
 //! # Example
 //!
@@ -65,33 +52,27 @@ configs/*.yaml --config--> Scenario --> World --> Simulation --ground--> facts -
 //! See also the [life of a program](datalog#the-life-of-a-program), [what is incremental](datalog#what-is-incremental)
 //! and the [limits](datalog#limits).
 
-pub mod cancel;
-#[cfg(test)]
-mod cases;
-pub mod datalog;
-pub mod diag;
-pub mod files;
-pub mod induce;
-pub mod rng;
-pub mod symbol;
-pub(crate) mod threads;
-
-#[cfg(feature = "sim")]
 pub mod builtin;
-#[cfg(feature = "sim")]
+#[cfg(test)]
+#[path = "../tests/cases.rs"]
+mod cases;
 pub mod city;
 #[cfg(feature = "cli")]
 #[doc(hidden)]
 pub mod cli;
-#[cfg(feature = "sim")]
 pub mod config;
+pub mod files;
+pub mod induce;
+pub mod located;
 #[cfg(feature = "render")]
 pub mod page;
-#[cfg(feature = "sim")]
 pub mod predicate;
 #[cfg(feature = "render")]
 pub mod render;
-#[cfg(feature = "sim")]
+pub mod rng;
 pub mod sim;
-#[cfg(feature = "sim")]
 pub mod task;
+
+pub use logicity_datalog as datalog;
+pub use logicity_datalog::{cancel, diag, symbol};
+pub(crate) use logicity_datalog::{diagnostic_codes, internal::threads};

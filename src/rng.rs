@@ -15,6 +15,9 @@ use rand_chacha::ChaCha8Rng;
 pub struct Purpose(u64);
 
 impl Purpose {
+    /// Random input of tests.
+    pub const TEST: Purpose = Purpose::new(6);
+
     /// Creates the purpose with this number, which must be unique.
     pub const fn new(number: u64) -> Purpose {
         Purpose(number)

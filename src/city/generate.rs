@@ -6,8 +6,8 @@
 use crate::city::codes;
 use crate::city::{Building, Buildings, MapConfig, Widths};
 use crate::city::{CityMap, Layout};
-use crate::diag::Located;
 use crate::diag::{self, Diagnostic};
+use crate::located::Located;
 use crate::rng::{Purpose, RngExt, Seed};
 
 impl Purpose {

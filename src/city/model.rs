@@ -2,18 +2,12 @@
 //!
 //! The serialized form omits file names and places, so that equal content has equal hashes.
 
-use crate::diag::{Located, Span};
+use crate::diag::Span;
+use crate::located::Located;
 use serde::ser::SerializeStruct;
 use serde::{Serialize, Serializer};
 use std::fmt;
 use std::sync::Arc;
-
-/// Serializes the value without its place, so that equal content has equal form.
-impl<T: Serialize> Serialize for Located<T> {
-    fn serialize<S: Serializer>(&self, serializer: S) -> Result<S::Ok, S::Error> {
-        self.value.serialize(serializer)
-    }
-}
 
 /// The kind of an agent.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, PartialOrd, Ord, Hash, Serialize)]

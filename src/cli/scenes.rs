@@ -2,7 +2,7 @@
 
 use crate::cli::kind::Kind;
 use crate::cli::{Failure, open};
-use crate::datalog::size;
+use crate::datalog::internal::size;
 use crate::diag::codes;
 use crate::diag::{Diagnostic, SourceId, Sources};
 use crate::files::{self, ReadError};

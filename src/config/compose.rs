@@ -16,7 +16,7 @@
 use crate::config::codes;
 use crate::config::yaml;
 use crate::config::yaml::{Node, Value};
-use crate::datalog;
+use crate::datalog::codes::INCLUDE_CYCLE;
 use crate::diag::{self, Diagnostic, SourceId, Sources, similar_file};
 use crate::files::{BUILTIN_FOLDER, ReadError, ReadFile, normalize};
 use std::collections::HashMap;
@@ -311,10 +311,7 @@ impl<'a> Composer<'a> {
                     format!("more than {MAX_CHAIN} files build on each other"),
                 )
             } else {
-                Diagnostic::new(
-                    datalog::codes::INCLUDE_CYCLE,
-                    format!("`{}` builds on itself", path.display()),
-                )
+                Diagnostic::new(INCLUDE_CYCLE, format!("`{}` builds on itself", path.display()))
             };
             self.faults.push(fault.at(node.span, ""));
             return None;

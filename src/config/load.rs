@@ -12,8 +12,9 @@ use crate::config::predicates::{Concepts, Predicates, carried, predicates};
 use crate::config::read::{Fields, choice, integer, invalid, list, number, text};
 use crate::config::task;
 use crate::config::yaml::{Node, Value};
-use crate::diag::{self, Diagnostic, Faults, Located, MAX_FAULTS, Sources, Span};
+use crate::diag::{self, Diagnostic, Faults, MAX_FAULTS, Sources, Span};
 use crate::files::BUILTIN_FOLDER;
+use crate::located::Located;
 use sha2::{Digest, Sha256};
 use std::path::Path;
 

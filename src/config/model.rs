@@ -3,7 +3,8 @@
 //! The serialized form omits file names and places. [`Scenario::hash`] is its hash.
 
 use crate::city::{Action, AgentSet, MapConfig, Routing, Split, TripEnds};
-use crate::diag::{Located, Span};
+use crate::diag::Span;
+use crate::located::Located;
 use crate::predicate::Definition;
 use serde::Serialize;
 use std::path::PathBuf;

@@ -5,7 +5,8 @@ use crate::config::codes;
 use crate::config::model::*;
 use crate::config::read::{Fields, entries, is_name, list, name};
 use crate::config::yaml::Node;
-use crate::diag::{self, Diagnostic, Located, MAX_FAULTS, Span, did_you_mean, listed};
+use crate::diag::{self, Diagnostic, MAX_FAULTS, Span, did_you_mean, listed};
+use crate::located::Located;
 use crate::predicate::{Concept, Definition, Sees};
 use std::collections::HashMap;
 

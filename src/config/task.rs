@@ -6,7 +6,8 @@ use crate::config::model::*;
 use crate::config::predicates::{Concepts, Predicates, carried};
 use crate::config::read::{Fields, choice, entries, integer, invalid, list, number};
 use crate::config::yaml::{Node, Value};
-use crate::diag::{Diagnostic, Located};
+use crate::diag::Diagnostic;
+use crate::located::Located;
 use std::sync::Arc;
 
 /// The maximum number of observed entities.

@@ -4,10 +4,10 @@
 //! Parts of the values can be aggregated apart, for example on several threads, and merged. Neither the order of the
 //! values nor the division into parts has an effect, not even for floats: [`ExactSum`] adds without rounding.
 
-use crate::datalog::syntax::ast::BaseType;
-use crate::datalog::syntax::functor::AggregateOp;
-use crate::datalog::value::Value;
 use crate::symbol::{Symbol, Symbols};
+use crate::syntax::ast::BaseType;
+use crate::syntax::functor::AggregateOp;
+use crate::value::Value;
 
 /// The aggregate of the values added so far.
 #[derive(Clone, Debug, Default)]

@@ -5,13 +5,13 @@
 //! `()`, which an empty line also stands for. This module converts rows from and to text; the caller reads and writes
 //! files.
 
-use crate::datalog::check::{Column, RelId, Relation, RowFormat};
-use crate::datalog::codes;
-use crate::datalog::session::Session;
-use crate::datalog::syntax::ast::BaseType;
-use crate::datalog::value::{Value, parse as parse_value, print_float};
+use crate::check::{Column, RelId, Relation, RowFormat};
+use crate::codes;
 use crate::diag::{Diagnostic, Faults, SourceId, Sources, Span};
+use crate::session::Session;
 use crate::symbol::Symbol;
+use crate::syntax::ast::BaseType;
+use crate::value::{Value, parse as parse_value, print_float};
 use std::borrow::Cow;
 use std::cmp::Ordering;
 use std::io::{self, Write};

@@ -3,10 +3,10 @@
 //! The evaluator goes through the strata in order. In each stratum it tries every clause on every combination of rows
 //! until it derives nothing new. It shares no code with the real executor and stays unoptimized; tests compare the two.
 
-use crate::datalog::check::{Atom, Clause, Literal, RelId, Rules, Term};
-use crate::datalog::syntax::ast::{BaseType, Comparison};
-use crate::datalog::value::{Patterns, Value};
+use crate::check::{Atom, Clause, Literal, RelId, Rules, Term};
 use crate::symbol::{Symbol, Symbols};
+use crate::syntax::ast::{BaseType, Comparison};
+use crate::value::{Patterns, Value};
 use std::collections::BTreeSet;
 
 /// All rows that hold, indexed by [`RelId`].

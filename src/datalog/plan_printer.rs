@@ -1,17 +1,17 @@
 //! Plans as text: the order of scans and tests, with their key columns and indexes.
 
-use crate::datalog::check::{Clause, ClauseId, RelId};
-use crate::datalog::plan::Compiled;
-use crate::datalog::plan::Plans;
-use crate::datalog::plan::steps::{IndexId, List, Plan, Slot, Source, Step, Version};
-use crate::datalog::program::Program;
-use crate::datalog::session::Session;
-use crate::datalog::syntax::ast::BaseType;
-use crate::datalog::syntax::functor::Functor;
-use crate::datalog::syntax::{is_name, quoted};
-use crate::datalog::value::{Value, print_float};
+use crate::check::{Clause, ClauseId, RelId};
 use crate::diag::Sources;
+use crate::plan::Compiled;
+use crate::plan::Plans;
+use crate::plan::steps::{IndexId, List, Plan, Slot, Source, Step, Version};
+use crate::program::Program;
+use crate::session::Session;
 use crate::symbol::Symbol;
+use crate::syntax::ast::BaseType;
+use crate::syntax::functor::Functor;
+use crate::syntax::{is_name, quoted};
+use crate::value::{Value, print_float};
 
 impl Program {
     /// Returns the evaluation plan of every clause as text for readers. `sources` must be those of the rules.

@@ -2,17 +2,17 @@
 
 use std::sync::Arc;
 
-use crate::datalog::check::{Edb, RelId, Rules};
-#[cfg(feature = "optimizer")]
-use crate::datalog::plan::optimize;
-use crate::datalog::plan::{Compiled, Plans};
-use crate::datalog::workspace;
+use crate::check::{Edb, RelId, Rules};
 use crate::diag::{Diagnostic, SourceId, Sources};
 use crate::files::ReadFile;
+#[cfg(feature = "optimizer")]
+use crate::plan::optimize;
+use crate::plan::{Compiled, Plans};
+use crate::workspace;
 
 /// Checked rules with a plan for every clause; immutable and cheap to clone.
 ///
-/// Many sessions can share one program. See the [module](crate::datalog) for the life of a program.
+/// Many sessions can share one program. See the [module](crate) for the life of a program.
 #[derive(Clone, Debug)]
 pub struct Program(pub(super) Arc<Compiled>);
 
@@ -22,7 +22,7 @@ pub struct Options {
     /// Simplify clauses before planning. Has no effect without the feature `optimizer`.
     pub optimize: bool,
     /// Rely on [`Rules::constraints`] when simplifying. If facts violate a constraint, answers may then be wrong;
-    /// [`constraints::violations`](crate::datalog::constraints::violations) finds such facts.
+    /// [`constraints::violations`](crate::constraints::violations) finds such facts.
     pub constraints: bool,
 }
 
@@ -37,7 +37,7 @@ impl Default for Options {
 }
 
 impl Program {
-    /// Loads the rules of the source `entry` as [`load`](crate::datalog::load) does, and plans them.
+    /// Loads the rules of the source `entry` as [`load`](crate::load) does, and plans them.
     ///
     /// Returns the program with all errors and warnings; the program is `None` if any of them is an error.
     pub fn load(sources: &mut Sources, entry: SourceId, read: &dyn ReadFile) -> (Option<Program>, Vec<Diagnostic>) {

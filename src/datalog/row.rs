@@ -6,7 +6,7 @@
 //! is a sorted slice without duplicates.
 // Decision: docs/decisions/facts.md#d007
 
-use crate::datalog::value::Value;
+use crate::value::Value;
 use std::cmp::Ordering;
 
 /// The supported widths, in words. The planner rejects a program with a larger arity.
@@ -218,10 +218,10 @@ pub(crate) const NARROW: [usize; 3] = [2, 4, 8];
 macro_rules! each_width {
     ($value:expr, $name:ident => $result:expr) => {
         match $value {
-            $crate::datalog::row::ByWidth::Own($name) => $result,
-            $crate::datalog::row::ByWidth::Two($name) => $result,
-            $crate::datalog::row::ByWidth::Four($name) => $result,
-            $crate::datalog::row::ByWidth::Eight($name) => $result,
+            $crate::row::ByWidth::Own($name) => $result,
+            $crate::row::ByWidth::Two($name) => $result,
+            $crate::row::ByWidth::Four($name) => $result,
+            $crate::row::ByWidth::Eight($name) => $result,
         }
     };
 }
@@ -230,10 +230,10 @@ macro_rules! each_width {
 macro_rules! map_width {
     ($value:expr, $name:ident => $result:expr) => {
         match $value {
-            $crate::datalog::row::ByWidth::Own($name) => $crate::datalog::row::ByWidth::Own($result),
-            $crate::datalog::row::ByWidth::Two($name) => $crate::datalog::row::ByWidth::Two($result),
-            $crate::datalog::row::ByWidth::Four($name) => $crate::datalog::row::ByWidth::Four($result),
-            $crate::datalog::row::ByWidth::Eight($name) => $crate::datalog::row::ByWidth::Eight($result),
+            $crate::row::ByWidth::Own($name) => $crate::row::ByWidth::Own($result),
+            $crate::row::ByWidth::Two($name) => $crate::row::ByWidth::Two($result),
+            $crate::row::ByWidth::Four($name) => $crate::row::ByWidth::Four($result),
+            $crate::row::ByWidth::Eight($name) => $crate::row::ByWidth::Eight($result),
         }
     };
 }

@@ -3,18 +3,18 @@
 use std::fmt;
 
 use crate::cancel::Cancel;
-use crate::datalog::check::{ClauseId, Literal, RelId, Relation};
-use crate::datalog::eval::delta::Delta;
-use crate::datalog::eval::exec::{self, CommitOptions, Store};
-use crate::datalog::eval::limits::{EvalError, Limits};
-use crate::datalog::eval::output::Abort;
-use crate::datalog::eval::stats::{EvalEvent, EvalStats, Strategy};
-use crate::datalog::eval::workers::{Threads, Workers};
-use crate::datalog::program::Program;
-use crate::datalog::syntax::ast::BaseType;
-use crate::datalog::syntax::functor::AggregateOp;
-use crate::datalog::value::Value;
+use crate::check::{ClauseId, Literal, RelId, Relation};
+use crate::eval::delta::Delta;
+use crate::eval::exec::{self, CommitOptions, Store};
+use crate::eval::limits::{EvalError, Limits};
+use crate::eval::output::Abort;
+use crate::eval::stats::{EvalEvent, EvalStats, Strategy};
+use crate::eval::workers::{Threads, Workers};
+use crate::program::Program;
 use crate::symbol::Symbols;
+use crate::syntax::ast::BaseType;
+use crate::syntax::functor::AggregateOp;
+use crate::value::Value;
 
 /// Facts and everything that the rules derive from them.
 ///

@@ -7,9 +7,9 @@
 
 use std::collections::HashMap;
 
-use crate::datalog::syntax::ast::BaseType;
-use crate::datalog::syntax::functor::{Functor, Functor::*};
 use crate::symbol::{Symbol, Symbols};
+use crate::syntax::ast::BaseType;
+use crate::syntax::functor::{Functor, Functor::*};
 
 /// One 32-bit word of a row.
 ///

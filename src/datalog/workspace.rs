@@ -10,27 +10,25 @@
 use std::borrow::Cow;
 use std::collections::HashSet;
 
-use crate::datalog::codes;
+use crate::codes;
 use crate::diag::{Diagnostic, Faults, SourceId, Sources, Span};
 use crate::files::ReadFile;
 use crate::symbol::{Symbol, Symbols};
 
-use crate::datalog::check::clause;
-use crate::datalog::check::witness::{renamed, renamed_term};
-use crate::datalog::check::{self as rules, Comparing, RelId, Rules};
-use crate::datalog::check::{Edb, check, inline, names};
-use crate::datalog::syntax::ast::BaseType;
-use crate::datalog::syntax::ast::{
-    Atom, Clause, ColumnDecl, Decl, Item, Literal, Mark, MarkKind, Name, Place, Term, TermKind,
-};
-use crate::datalog::syntax::ast::{names_in, names_of};
-use crate::datalog::syntax::include;
-use crate::datalog::syntax::include::Gathered;
-use crate::datalog::syntax::lexer;
-use crate::datalog::syntax::lexer::Kind;
-use crate::datalog::syntax::packed::FactRuns;
-use crate::datalog::syntax::parser;
-use crate::datalog::value::Value;
+use crate::check::clause;
+use crate::check::witness::{renamed, renamed_term};
+use crate::check::{self as rules, Comparing, RelId, Rules};
+use crate::check::{Edb, check, inline, names};
+use crate::syntax::ast::BaseType;
+use crate::syntax::ast::{Atom, Clause, ColumnDecl, Decl, Item, Literal, Mark, MarkKind, Name, Place, Term, TermKind};
+use crate::syntax::ast::{names_in, names_of};
+use crate::syntax::include;
+use crate::syntax::include::Gathered;
+use crate::syntax::lexer;
+use crate::syntax::lexer::Kind;
+use crate::syntax::packed::FactRuns;
+use crate::syntax::parser;
+use crate::value::Value;
 
 /// The predicate that holds the answers of a query.
 const ANSWER: &str = "?-";
@@ -105,7 +103,7 @@ impl Workspace {
         }
     }
 
-    /// Parses the source `entry` and all files it includes, as [`load`](crate::datalog::workspace::load) does.
+    /// Parses the source `entry` and all files it includes, as [`load`](crate::workspace::load) does.
     ///
     /// Skips files that the workspace already contains.
     pub fn add(&mut self, sources: &mut Sources, entry: SourceId, read: &dyn ReadFile) {
@@ -562,11 +560,11 @@ fn has_open_comment(text: &str, lexed: &lexer::Lexed) -> bool {
 
 #[cfg(test)]
 mod tests {
-    use crate::datalog::check::Edb;
-    use crate::datalog::syntax::ast::Item;
-    use crate::datalog::workspace::{Workspace, is_complete};
+    use crate::check::Edb;
     use crate::diag::Sources;
     use crate::files::ReadError;
+    use crate::syntax::ast::Item;
+    use crate::workspace::{Workspace, is_complete};
     use std::path::Path;
 
     /// A random program, mostly of facts, some of them faulty.

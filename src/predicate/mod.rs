@@ -662,7 +662,7 @@ mod tests {
     fn compare<K: PairKind>(kind: &K, map: &CityMap) {
         let (half_width, relation) = (6, kind.relation());
         let (sight, views) = (Sight { map, half_width }, Views::new(half_width));
-        let mut random = Seed(1).stream(Purpose::SCENE, 0, 0);
+        let mut random = Seed(1).stream(Purpose::TEST, 0, 0);
         let mut counts = [0; 2];
         for _ in 0..400 {
             let agent = |_| Subject {

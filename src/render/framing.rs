@@ -239,7 +239,7 @@ mod tests {
     fn boxes_contain_the_visible_part_of_the_body() {
         let (mut inside, mut outside) = (0, 0);
         for case in 0..2000 {
-            let mut stream = Seed(case).stream(Purpose::SCENE, 0, 0);
+            let mut stream = Seed(case).stream(Purpose::TEST, 0, 0);
             let percent = stream.random_range(1..=100);
             let difficulty = Difficulty::percent(percent).expect("a percentage");
             let framing = Framing::drawn(difficulty, &mut Dice(&mut stream)).expect("it is not clean");

@@ -676,7 +676,7 @@ mod tests {
 
     #[test]
     fn a_blurred_picture_has_the_means_of_windows() {
-        let mut stream = Seed(3).stream(Purpose::SCENE, 0, 1);
+        let mut stream = Seed(3).stream(Purpose::TEST, 0, 1);
         for _ in 0..40 {
             let (cols, rows) = (stream.random_range(1..9_usize), stream.random_range(1..9_usize));
             let radius = stream.random_range(0..6);
@@ -705,7 +705,7 @@ mod tests {
     fn outlines_are_those_of_what_is_drawn() {
         let concepts = ["bus", "tiro", "ambulance", "taxi", "old", "young", "police", "reckless"].map(str::to_owned);
         for case in 0..60 {
-            let mut stream = Seed(3).stream(Purpose::SCENE, case, 0);
+            let mut stream = Seed(3).stream(Purpose::TEST, case, 0);
             let difficulty = Difficulty::percent(stream.random_range(0..=100)).expect("a percentage");
             let files = ["car/a.svg", "old/a.svg"].map(|name| (name.to_owned(), ART.as_bytes().to_vec()));
             let pack = Pack::new(Mode::Extend, files.to_vec()).unwrap_or_else(|faults| panic!("{faults:?}"));

@@ -347,8 +347,8 @@ mod tests {
     use super::*;
     use crate::city::Cell;
     use crate::city::{Building, Buildings, MapConfig, Split, Widths};
-    use crate::diag::Located;
     use crate::diag::{Sources, Span};
+    use crate::located::Located;
     use crate::render::{Difficulty, DrawingVersion, Facing, Scale};
     use crate::rng::{Purpose, RngExt, Seed};
 
@@ -510,7 +510,7 @@ mod tests {
         let concepts = ["bus", "tiro", "ambulance", "taxi", "old", "young"].map(str::to_owned);
         let mut covered = 0;
         for case in 0..8 {
-            let mut stream = Seed(9).stream(Purpose::SCENE, case, 0);
+            let mut stream = Seed(9).stream(Purpose::TEST, case, 0);
             let percent = stream.random_range(0..=100);
             let version = DrawingVersion::ALL[case as usize % 4 / 2];
             let icons = || {
@@ -574,7 +574,7 @@ mod tests {
 
     #[test]
     fn disjoint_rectangles_have_each_pixel_once() {
-        let mut stream = Seed(4).stream(Purpose::SCENE, 0, 0);
+        let mut stream = Seed(4).stream(Purpose::TEST, 0, 0);
         for _ in 0..200 {
             let areas: Vec<PixelBox> = (0..stream.random_range(0..6))
                 .map(|_| PixelBox {

@@ -3,8 +3,9 @@
 
 use crate::config::{Scenario, load_scenario, rule_file};
 use crate::datalog::{Limits, Program};
-use crate::diag::{Diagnostic, Located, SourceId, Sources, Span};
+use crate::diag::{Diagnostic, SourceId, Sources, Span};
 use crate::files::{ReadError, ReadFile};
+use crate::located::Located;
 use crate::sim::codes;
 use crate::sim::tick::world::{TICK_LIMITS, World};
 use crate::sim::trace::{TraceHeader, hash_sources};

@@ -7,7 +7,7 @@ use logicity::config::{load_map, load_scenario};
 use logicity::datalog::Program;
 use logicity::diag::{self, Diagnostic, SourceId, Sources, render, to_json};
 use logicity::files::{BUILTIN_FOLDER, ReadError, ReadFile as _};
-use logicity::induce::{Settings, learn, support};
+use logicity::induce::{Settings, learn, popper, support};
 use logicity::rng::Seed;
 use logicity::sim::codes;
 use logicity::sim::{Executor, Finding, Inference, LoadedCity, conflicts as find_conflicts, scene_json};
@@ -129,6 +129,50 @@ thread_local! {
     /// Shared, since preparing it takes far longer than answering a scene.
     static INFERENCE: RefCell<Inference> = RefCell::new(inference());
 }
+
+/// The texts of a task of Popper give a task or errors. The learner accepts every small task. The
+/// bytes 1 and 2 separate background knowledge, examples and bias.
+pub fn popper(bytes: &[u8]) {
+    let text = String::from_utf8_lossy(bytes);
+    let mut parts = text.splitn(3, ['\u{1}', '\u{2}']);
+    let mut sources = Sources::new();
+    let mut add = |name| sources.add(name, parts.next().unwrap_or_default());
+    let files = popper::Files {
+        background: add("bk.pl"),
+        examples: add("exs.pl"),
+        bias: add("bias.pl"),
+    };
+    for closed_world in [false, true] {
+        let options = popper::Options {
+            closed_world,
+            ..popper::Options::default()
+        };
+        let (task, diagnostics) = popper::read(&sources, &files, &options);
+        assert_eq!(task.is_none(), diagnostics.iter().any(Diagnostic::is_error));
+        draw(&diagnostics, &sources);
+        let Some(task) = task.filter(|task| task.cases.len() <= SMALL && task.vocabulary.predicates().len() <= SMALL)
+        else {
+            continue;
+        };
+        let settings = Settings {
+            variables: task.variables.min(task.vocabulary.egos() + 1),
+            nodes: 100,
+            ..task.settings()
+        };
+        let (examples, _) = task.examples(|_| true);
+        let solution = popper::solve(&task.vocabulary, &examples, &settings, &Cancel::never());
+        let positive = task.cases.iter().filter(|case| case.is_positive).count();
+        assert!(solution.rules.uncovered <= positive);
+        assert_eq!(task.clauses(&solution.rules).len(), solution.rules.clauses.len());
+        let learned = task.program(&solution.rules);
+        let program = sources.add("learned.dl", learned.declarations + &learned.clauses.join("\n"));
+        let (program, diagnostics) = Program::load(&mut sources, program, &|_: &Path| Err(ReadError::NotFound));
+        assert!(program.is_some(), "{}", render(&diagnostics, &sources, false));
+    }
+}
+
+/// The most examples, and predicates, of a task to learn from.
+const SMALL: usize = 30;
 
 fn inference() -> Inference {
     let mut sources = Sources::new();

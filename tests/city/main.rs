@@ -1,7 +1,8 @@
 //! Tests of the city: configurations, maps, moves, decisions and Safe Path Following.
 
 mod any_input;
-#[path = "../../src/cases.rs"]
+mod ask;
+#[path = "../cases.rs"]
 mod cases;
 mod config;
 mod conflicts;
@@ -12,10 +13,14 @@ mod hostile;
 mod near_files;
 #[path = "../datalog/pages.rs"]
 mod pages;
+mod popper;
+mod popper_tasks;
 #[path = "../datalog/proofs.rs"]
 mod proofs;
 mod properties;
 mod recorded;
+#[path = "../root.rs"]
+mod root;
 mod schema;
 mod shipped_world;
 mod spf;

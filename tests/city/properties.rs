@@ -11,8 +11,8 @@ use logicity::city::{
 };
 use logicity::city::{TripEnds, Widths};
 use logicity::config::{load_map, load_scenario};
-use logicity::diag::Located;
 use logicity::diag::{self, Sources, Span};
+use logicity::located::Located;
 use logicity::rng::Seed;
 use ndarray::Array2;
 use proptest::prelude::*;

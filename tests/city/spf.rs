@@ -334,7 +334,7 @@ fn slow_violations_of_random_clauses_agree_with_the_definitions() {
     let n = shipped.oracle().entities();
     let (mut several, mut chains, mut broke) = (0, 0, [0; 4]);
     for case in 0..CASES {
-        let text = random_clauses(&mut Seed(case).stream(Purpose::SCENE, 0, 0));
+        let text = random_clauses(&mut Seed(case).stream(Purpose::TEST, 0, 0));
         let once = task("expert", Some(&text));
         let others = [apart(&text), relational(&text)].map(|text| task("expert", Some(&text)));
         let rules = once.world().program.rules();

@@ -4,15 +4,13 @@
 use crate::random_program::agree::agrees;
 use crate::random_program::{Batch, Genome};
 use crate::rule_files::RuleFiles;
-use logicity::cancel::Cancel;
-use logicity::datalog;
-use logicity::datalog::codes;
-use logicity::datalog::explain::{Explainer, ExplanationPrinter};
-use logicity::datalog::{Atom, BaseType, Clause, Column, Literal, RelId, RowFormat, Rules, Value};
-use logicity::datalog::{Limits, Options, Program, Session, diff, facts};
-use logicity::diag::{self, Diagnostic, MAX_FAULTS, Sources, render, to_json};
-use logicity::files::{BUILTIN_FOLDER, ReadError, ReadFile, normalize};
-use logicity::induce::{Settings, popper};
+use logicity_datalog as datalog;
+use logicity_datalog::codes;
+use logicity_datalog::diag::{self, Diagnostic, MAX_FAULTS, Sources, render, to_json};
+use logicity_datalog::explain::{Explainer, ExplanationPrinter};
+use logicity_datalog::files::{BUILTIN_FOLDER, ReadError, ReadFile, normalize};
+use logicity_datalog::{Atom, BaseType, Clause, Column, Literal, RelId, RowFormat, Rules, Value};
+use logicity_datalog::{Limits, Options, Program, Session, diff, facts};
 use std::path::Path;
 use std::sync::LazyLock;
 
@@ -70,7 +68,7 @@ pub fn check(bytes: &[u8]) {
     let rules = program.rules();
     #[cfg(feature = "optimizer")]
     draw(
-        &logicity::datalog::optimize::lints(rules, &sources).diagnostics,
+        &logicity_datalog::optimize::lints(rules, &sources).diagnostics,
         &sources,
     );
     for constraints in [false, true] {
@@ -98,50 +96,6 @@ pub fn evaluate(bytes: &[u8]) {
         agrees(&rules, &script).unwrap_or_else(|failure| panic!("{failure}\n{genome:#?}"));
     }
 }
-
-/// The texts of a task of Popper give a task or errors. The learner accepts every small task. The
-/// bytes 1 and 2 separate background knowledge, examples and bias.
-pub fn popper(bytes: &[u8]) {
-    let text = String::from_utf8_lossy(bytes);
-    let mut parts = text.splitn(3, ['\u{1}', '\u{2}']);
-    let mut sources = Sources::new();
-    let mut add = |name| sources.add(name, parts.next().unwrap_or_default());
-    let files = popper::Files {
-        background: add("bk.pl"),
-        examples: add("exs.pl"),
-        bias: add("bias.pl"),
-    };
-    for closed_world in [false, true] {
-        let options = popper::Options {
-            closed_world,
-            ..popper::Options::default()
-        };
-        let (task, diagnostics) = popper::read(&sources, &files, &options);
-        assert_eq!(task.is_none(), diagnostics.iter().any(Diagnostic::is_error));
-        draw(&diagnostics, &sources);
-        let Some(task) = task.filter(|task| task.cases.len() <= SMALL && task.vocabulary.predicates().len() <= SMALL)
-        else {
-            continue;
-        };
-        let settings = Settings {
-            variables: task.variables.min(task.vocabulary.egos() + 1),
-            nodes: 100,
-            ..task.settings()
-        };
-        let (examples, _) = task.examples(|_| true);
-        let solution = popper::solve(&task.vocabulary, &examples, &settings, &Cancel::never());
-        let positive = task.cases.iter().filter(|case| case.is_positive).count();
-        assert!(solution.rules.uncovered <= positive);
-        assert_eq!(task.clauses(&solution.rules).len(), solution.rules.clauses.len());
-        let learned = task.program(&solution.rules);
-        let program = sources.add("learned.dl", learned.declarations + &learned.clauses.join("\n"));
-        let (program, diagnostics) = Program::load(&mut sources, program, &|_: &Path| Err(ReadError::NotFound));
-        assert!(program.is_some(), "{}", render(&diagnostics, &sources, false));
-    }
-}
-
-/// The most examples, and predicates, of a task to learn from.
-const SMALL: usize = 30;
 
 /// Sessions agree with `naive` on a program with changes, written as in `tests/corpus`, and explain its rows.
 pub fn query(bytes: &[u8]) {

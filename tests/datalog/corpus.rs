@@ -1,11 +1,12 @@
 //! Runs programs with expected answers in every mode. `tests/corpus/README.md` describes the format of the files.
 
+use crate::root::root;
 use crate::rule_files::RuleFiles;
-use logicity::datalog;
-use logicity::datalog::{BaseType, Edb, RelId, Rules, Value};
-use logicity::datalog::{Options, Program, Strategy, constraints, facts, naive};
-use logicity::diag::{Diagnostic, Severity, Sources, render};
-use logicity::symbol::{Symbol, Symbols};
+use logicity_datalog as datalog;
+use logicity_datalog::diag::{Diagnostic, Severity, Sources, render};
+use logicity_datalog::symbol::{Symbol, Symbols};
+use logicity_datalog::{BaseType, Edb, RelId, Rules, Value};
+use logicity_datalog::{Options, Program, Strategy, constraints, facts, naive};
 use std::collections::{BTreeMap, BTreeSet};
 use std::fs;
 use std::path::{Path, PathBuf};
@@ -174,7 +175,7 @@ fn by_naive(rules: &Rules, steps: &[Step]) -> Vec<Answer> {
                     BaseType::Symbol => symbols.text(Symbol(value.0)).expect("a symbol").to_owned(),
                     BaseType::Number => value.as_number().to_string(),
                     BaseType::Unsigned => value.0.to_string(),
-                    BaseType::Float => logicity::datalog::print_float(value.as_float()),
+                    BaseType::Float => logicity_datalog::print_float(value.as_float()),
                 });
                 shown.collect::<Vec<_>>().join(", ")
             })
@@ -185,7 +186,7 @@ fn by_naive(rules: &Rules, steps: &[Step]) -> Vec<Answer> {
     answers
 }
 
-fn ask(session: &logicity::datalog::Session, relation: &str) -> Answer {
+fn ask(session: &logicity_datalog::Session, relation: &str) -> Answer {
     let text = facts::print(session, find(session.program().rules(), relation));
     let rows = text.lines().map(|row| {
         if row == "()" {
@@ -309,7 +310,7 @@ fn place(fault: &Diagnostic, sources: &Sources) -> (usize, String) {
 }
 
 fn corpus() -> Vec<PathBuf> {
-    let root = Path::new(env!("CARGO_MANIFEST_DIR")).join("tests/corpus");
+    let root = root().join("tests/corpus");
     let mut files = Vec::new();
     let mut folders = vec![root];
     while let Some(folder) = folders.pop() {

@@ -2,9 +2,9 @@
 
 use crate::cases::cases;
 use crate::written_program::program;
-use logicity::datalog::dense::{BitFacts, BitState, Dense, Set, TrackFirings, choose, has};
-use logicity::datalog::{ClauseId, Limits, RelId, Rules, Value};
-use logicity::datalog::{Program, naive};
+use logicity_datalog::dense::{BitFacts, BitState, Dense, Set, TrackFirings, choose, has};
+use logicity_datalog::{ClauseId, Limits, RelId, Rules, Value};
+use logicity_datalog::{Program, naive};
 use proptest::prelude::*;
 use std::collections::BTreeSet;
 use std::fmt::Write;

@@ -1,24 +1,20 @@
 //! `diff`: whether two rule sets are equivalent, and a minimal counterexample if not.
 
 use crate::cases::cases;
+use crate::root::root;
 use crate::rule_files::RuleFiles;
-use logicity::datalog;
-use logicity::datalog::diff::{Cut, Difference, Equivalence, Options, diff};
-use logicity::datalog::naive;
-use logicity::datalog::{Constraint, Edb, RelId, Rules, Value};
-use logicity::diag::Sources;
+use logicity_datalog as datalog;
+use logicity_datalog::diag::Sources;
+use logicity_datalog::diff::{Cut, Difference, Equivalence, Options, diff};
+use logicity_datalog::naive;
+use logicity_datalog::{Constraint, Edb, RelId, Rules, Value};
 use proptest::prelude::*;
-use std::path::PathBuf;
-
-fn root() -> PathBuf {
-    PathBuf::from(env!("CARGO_MANIFEST_DIR"))
-}
 
 fn rules(text: &str) -> Rules {
     let mut sources = Sources::new();
     let entry = sources.add("test.dl", text);
     let loaded = datalog::load(&mut sources, entry, &RuleFiles);
-    let rendered = logicity::diag::render(&loaded.diagnostics, &sources, false);
+    let rendered = logicity_datalog::diag::render(&loaded.diagnostics, &sources, false);
     loaded.rules.unwrap_or_else(|| panic!("{rendered}\n{text}"))
 }
 

@@ -4,14 +4,14 @@ use crate::cases::cases;
 use crate::random_program::agree::{agrees, database};
 use crate::random_program::{Batch, Genome, computing_genomes, genomes, recursive_genomes};
 use crate::written_program::program;
-use logicity::cancel::Cancel;
-use logicity::datalog;
-use logicity::datalog::codes;
-use logicity::datalog::{BaseType, ClauseId, Edb, RelId, Rules, Value};
-use logicity::datalog::{
+use logicity_datalog as datalog;
+use logicity_datalog::cancel::Cancel;
+use logicity_datalog::codes;
+use logicity_datalog::diag::{self, MAX_FAULTS, Sources};
+use logicity_datalog::{BaseType, ClauseId, Edb, RelId, Rules, Value};
+use logicity_datalog::{
     EvalError, Limits, Program, RowError, RuleStats, Session, Strategy, StratumStats, Threads, WorkCounts, facts, naive,
 };
-use logicity::diag::{self, MAX_FAULTS, Sources};
 use proptest::prelude::*;
 use proptest::strategy::Strategy as _;
 use std::collections::BTreeSet;
@@ -369,7 +369,7 @@ fn aggregating_script(program: &Program, changes: &[ChangeGenes]) -> Vec<Batch> 
         let name = ["K", "R", "R", "S", "S", "F", "T"][relation as usize % 7];
         let rel = program.relation(name).unwrap();
         let columns = program.rules().relations[rel.index()].columns.iter();
-        let value = |(column, gene): (&logicity::datalog::Column, u8)| match column.base {
+        let value = |(column, gene): (&logicity_datalog::Column, u8)| match column.base {
             BaseType::Symbol => Value(u32::from(gene) % program.rules().symbols.len() as u32),
             BaseType::Float => Value::float([0.1, -2.5, 1e30, -1e30, 3.0][gene as usize % 5]),
             _ => Value::number(i32::from(gene % 5)),
@@ -1563,7 +1563,7 @@ fn load(session: &mut Session, relation: &str, text: &str) -> Result<usize, Vec<
     let source = sources.add("R.facts", text);
     let rel = session.program().relation(relation).unwrap();
     facts::load(session, rel, &sources, source).map_err(|faults| {
-        let place = |fault: &logicity::diag::Diagnostic| {
+        let place = |fault: &logicity_datalog::diag::Diagnostic| {
             let Some(label) = &fault.primary else {
                 return fault.message.clone();
             };

@@ -6,14 +6,14 @@ use crate::proofs::{check, database};
 use crate::random_program::{Genome, NUMBERS, TEXTS, computing_genomes, genomes, recursive_genomes};
 use crate::rule_files::RuleFiles;
 use crate::written_program::program;
-use logicity::cancel::Cancel;
-use logicity::datalog::explain::{
+use logicity_datalog::cancel::Cancel;
+use logicity_datalog::diag::codes;
+use logicity_datalog::diag::{Diagnostic, Limit, Sources};
+use logicity_datalog::explain::{
     AbsenceReason, ExplainError, Explainer, ExplanationPrinter, FailureKind, Node, Obstacle, Origin, Premise,
 };
-use logicity::datalog::{ClauseId, Literal, RelId, Rules, Value};
-use logicity::datalog::{Limits, Program, Session, naive};
-use logicity::diag::codes;
-use logicity::diag::{Diagnostic, Limit, Sources};
+use logicity_datalog::{ClauseId, Literal, RelId, Rules, Value};
+use logicity_datalog::{Limits, Program, Session, naive};
 use proptest::prelude::*;
 use std::collections::{BTreeMap, BTreeSet};
 use std::sync::Arc;
@@ -76,10 +76,10 @@ fn domain(rules: &Rules, rel: usize) -> Vec<Vec<Value>> {
     let mut rows: Vec<Vec<Value>> = vec![Vec::new()];
     for column in &rules.relations[rel].columns {
         let values: Vec<Value> = match column.base {
-            logicity::datalog::BaseType::Symbol => (0..TEXTS.len() as u32).map(Value).collect(),
-            logicity::datalog::BaseType::Unsigned => NUMBERS[..3].iter().map(|n| Value(n.unsigned_abs())).collect(),
-            logicity::datalog::BaseType::Float => NUMBERS[..3].iter().map(|n| Value::float(*n as f32)).collect(),
-            logicity::datalog::BaseType::Number => NUMBERS[..3].iter().copied().map(Value::number).collect(),
+            logicity_datalog::BaseType::Symbol => (0..TEXTS.len() as u32).map(Value).collect(),
+            logicity_datalog::BaseType::Unsigned => NUMBERS[..3].iter().map(|n| Value(n.unsigned_abs())).collect(),
+            logicity_datalog::BaseType::Float => NUMBERS[..3].iter().map(|n| Value::float(*n as f32)).collect(),
+            logicity_datalog::BaseType::Number => NUMBERS[..3].iter().copied().map(Value::number).collect(),
         };
         rows = rows
             .iter()
@@ -367,7 +367,7 @@ fn invalid_questions_have_no_answer() {
 fn explained(text: &str, facts: &[(&str, &[&[i32]])], name: &str, row: &[i32]) -> String {
     let mut sources = Sources::new();
     let entry = sources.add("rules.dl", text);
-    let rules = logicity::datalog::load(&mut sources, entry, &RuleFiles).rules.unwrap();
+    let rules = logicity_datalog::load(&mut sources, entry, &RuleFiles).rules.unwrap();
     let program = Program::new(rules).unwrap();
     let mut session = program.session();
     for (name, rows) in facts {

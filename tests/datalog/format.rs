@@ -1,14 +1,10 @@
 //! `fmt` gives one layout and preserves tokens, comments and meaning.
 
 use crate::cases::cases;
-use logicity::datalog::{ast, format, parse};
-use logicity::diag::{Sources, render};
+use crate::root::root;
+use logicity_datalog::diag::{Sources, render};
+use logicity_datalog::{ast, format, parse};
 use proptest::prelude::*;
-use std::path::PathBuf;
-
-fn root() -> PathBuf {
-    PathBuf::from(env!("CARGO_MANIFEST_DIR"))
-}
 
 fn formatted(text: &str) -> String {
     let mut sources = Sources::new();

@@ -18,19 +18,6 @@ static ROWS: LazyLock<Vec<Vec<u8>>> = LazyLock::new(|| {
     ]
 });
 
-/// The tasks of the fixtures, as `any_input::popper` reads them.
-static TASKS: LazyLock<Vec<Vec<u8>>> = LazyLock::new(|| {
-    let files = files(&["tests/fixtures/popper"]);
-    let task = |files: &[Vec<u8>]| {
-        // In order of their names, the bias comes first.
-        let [bias, background, examples] = files else {
-            panic!("a task has three files");
-        };
-        [background.as_slice(), examples, bias].join(&1)
-    };
-    files.chunks(3).map(task).collect()
-});
-
 #[test]
 fn every_rule_file_evaluates_or_gives_diagnostics() {
     for bytes in RULES.iter() {
@@ -64,11 +51,6 @@ proptest! {
     }
 
     #[test]
-    fn any_task_of_popper_is_learned_or_gives_diagnostics(bytes in prop_oneof![4 => near(&TASKS), 1 => any_bytes()]) {
-        any_input::popper(&bytes);
-    }
-
-    #[test]
     fn any_rows_load_or_give_diagnostics(bytes in prop_oneof![4 => near(&ROWS), 1 => any_bytes()]) {
         any_input::rows(&bytes);
     }
@@ -78,7 +60,7 @@ proptest! {
 #[test]
 fn rows_with_more_faults_than_the_limit_give_diagnostics() {
     let bytes: Vec<u8> = std::iter::once(0)
-        .chain(b"x\n".repeat(2 * logicity::diag::MAX_FAULTS))
+        .chain(b"x\n".repeat(2 * logicity_datalog::diag::MAX_FAULTS))
         .collect();
     any_input::rows(&bytes);
 }

@@ -2,23 +2,20 @@
 
 use crate::cases::cases;
 use crate::pages::{blocks, pages};
+use crate::root::root;
 use crate::rule_files::RuleFiles;
 use std::collections::BTreeSet;
 use std::path::{Path, PathBuf};
 
-use logicity::datalog;
-use logicity::datalog::codes;
-use logicity::datalog::{
+use logicity_datalog as datalog;
+use logicity_datalog::codes;
+use logicity_datalog::diag::{self, Code, Diagnostic, Severity, Sources, Span, render};
+use logicity_datalog::files::{BUILTIN_FOLDER, ReadError, ReadFile};
+use logicity_datalog::{
     AggregateOp, Atom, Clause, Comparison, Edb, Functor, Literal, Loaded, Rules, Term, ast, load, load_with, parse,
     print,
 };
-use logicity::diag::{self, Code, Diagnostic, Severity, Sources, Span, render};
-use logicity::files::{BUILTIN_FOLDER, ReadError, ReadFile, read_text};
 use proptest::prelude::*;
-
-fn root() -> &'static Path {
-    Path::new(env!("CARGO_MANIFEST_DIR"))
-}
 
 fn load_text(name: &str, text: &str) -> (Sources, Loaded) {
     let mut sources = Sources::new();
@@ -42,7 +39,10 @@ fn load_clean(name: &str, text: &str) -> Rules {
 
 fn load_rule_file(name: &str) -> Rules {
     let path = root().join("rules").join(name);
-    load_clean(&path.display().to_string(), &read_text(&path).expect("the file exists"))
+    load_clean(
+        &path.display().to_string(),
+        &std::fs::read_to_string(&path).expect("the file exists"),
+    )
 }
 
 fn strata(rules: &Rules) -> Vec<Vec<&str>> {
@@ -683,11 +683,11 @@ fn each_code_has_a_fixture_that_produces_it() {
         if single.exists() {
             files = split_files(
                 &format!("{name}.dl"),
-                &read_text(&single).expect("a fixture can be read"),
+                &std::fs::read_to_string(&single).expect("a fixture can be read"),
             );
         } else {
             let path = folder.join(name).join("main.dl");
-            let text = read_text(&path).unwrap_or_else(|error| panic!("no fixture for {name}: {error}"));
+            let text = std::fs::read_to_string(&path).unwrap_or_else(|error| panic!("no fixture for {name}: {error}"));
             files.push((path.display().to_string(), text));
         }
         failures.extend(check_expectations(name, &files).err());
@@ -1138,7 +1138,7 @@ fn the_rule_files_survive_printing() {
             let mut sources = Sources::new();
             let id = sources.add(
                 path.display().to_string(),
-                read_text(&path).expect("a rule file can be read"),
+                std::fs::read_to_string(&path).expect("a rule file can be read"),
             );
             let parsed = parse(&sources, id);
             let again = sources.add("printed.dl", print(&parsed.file));
@@ -1787,14 +1787,14 @@ fn consecutive_signs_keep_their_depth_when_printed() {
     );
     let mut sources = Sources::new();
     let id = sources.add("signs.dl", text);
-    let parsed = logicity::datalog::parse(&sources, id);
+    let parsed = logicity_datalog::parse(&sources, id);
     assert!(parsed.diagnostics.is_empty());
-    let id = sources.add("again.dl", logicity::datalog::print(&parsed.file));
-    let again = logicity::datalog::parse(&sources, id);
+    let id = sources.add("again.dl", logicity_datalog::print(&parsed.file));
+    let again = logicity_datalog::parse(&sources, id);
     assert!(again.diagnostics.is_empty());
     assert_eq!(
-        logicity::datalog::print(&again.file),
-        logicity::datalog::print(&parsed.file)
+        logicity_datalog::print(&again.file),
+        logicity_datalog::print(&parsed.file)
     );
 }
 

@@ -1,8 +1,7 @@
 //! Tests of the rule language and the engine alone, without a city, a configuration or the binary.
 
 mod any_input;
-mod ask;
-#[path = "../../src/cases.rs"]
+#[path = "../cases.rs"]
 mod cases;
 mod corpus;
 mod dense;
@@ -17,11 +16,11 @@ mod near_files;
 mod optimize;
 mod order;
 mod pages;
-mod popper;
-mod popper_tasks;
 mod proofs;
 mod random_program;
 mod rewrite;
+#[path = "../root.rs"]
+mod root;
 mod rule_files;
 mod souffle;
 mod written_program;

@@ -1,17 +1,14 @@
 //! Random variants of the files of the repository.
 
+use crate::root::root;
 use proptest::prelude::*;
 use proptest::sample::Index;
 use std::fs;
-use std::path::Path;
 use std::sync::LazyLock;
 
 /// The files of these folders and their subfolders.
 pub fn files(folders: &[&str]) -> Vec<Vec<u8>> {
-    let mut folders: Vec<_> = folders
-        .iter()
-        .map(|folder| Path::new(env!("CARGO_MANIFEST_DIR")).join(folder))
-        .collect();
+    let mut folders: Vec<_> = folders.iter().map(|folder| root().join(folder)).collect();
     let mut paths = Vec::new();
     while let Some(folder) = folders.pop() {
         for entry in fs::read_dir(folder).expect("a readable folder") {

@@ -2,12 +2,13 @@
 
 use crate::cases::cases;
 use crate::random_program::{genomes, recursive_genomes};
+use crate::root::root;
 use crate::rule_files::RuleFiles;
-use logicity::datalog;
-use logicity::datalog::codes;
-use logicity::datalog::{ClauseId, Constraint, DeclaredConstraint, RelId, Rules, Value};
-use logicity::datalog::{Options, Program, Session, constraints, naive, optimize};
-use logicity::diag::{Diagnostic, Sources, render};
+use logicity_datalog as datalog;
+use logicity_datalog::codes;
+use logicity_datalog::diag::{Diagnostic, Sources, render};
+use logicity_datalog::{ClauseId, Constraint, DeclaredConstraint, RelId, Rules, Value};
+use logicity_datalog::{Options, Program, Session, constraints, naive, optimize};
 use proptest::prelude::*;
 use std::collections::BTreeSet;
 
@@ -199,7 +200,7 @@ proptest! {
         let (_, rules) = rules(&(written(&clauses, constraints) + "P(\"a\") :- A(\"b\"), R(\"c\", \"c\").\n"));
         let names = ["a", "b", "c"].map(|name| (0..rules.symbols.len() as u32)
             .map(Value)
-            .find(|value| rules.symbols.text(logicity::symbol::Symbol(value.0)) == Some(name))
+            .find(|value| rules.symbols.text(logicity_datalog::symbol::Symbol(value.0)) == Some(name))
             .unwrap());
         // Symmetric facts come in pairs and reflexive ones with loops, so that some remain.
         let loops = rules.constraints.iter().any(|one| matches!(one.constraint, Constraint::Reflexive(_)));
@@ -290,7 +291,7 @@ fn simplified_rules_scan_no_more_rows() {
         "tests/fixtures/rules/traffic-code.dl",
     ];
     for file in files {
-        let text = std::fs::read_to_string(format!("{}/{file}", env!("CARGO_MANIFEST_DIR"))).unwrap();
+        let text = std::fs::read_to_string(root().join(file)).unwrap();
         let (_, rules) = rules(&text);
         let rows_scanned = |optimize| {
             let mut session = with(&rules, optimize).session();
@@ -470,7 +471,7 @@ fn the_shipped_rules_have_no_contradiction() {
         "vap-easy",
         "vap-hard",
     ] {
-        let found = lints(&std::fs::read_to_string(format!("{}/rules/{name}.dl", env!("CARGO_MANIFEST_DIR"))).unwrap());
+        let found = lints(&std::fs::read_to_string(root().join(format!("rules/{name}.dl"))).unwrap());
         assert!(
             found.iter().all(|lint| lint.code == codes::REDUNDANT_LITERAL),
             "{name}: {found:?}"

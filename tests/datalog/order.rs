@@ -2,8 +2,8 @@
 
 use crate::cases::cases;
 use crate::rule_files::RuleFiles;
-use logicity::datalog::{Program, RelId, Value, load, naive};
-use logicity::diag::{Severity, Sources};
+use logicity_datalog::diag::{Severity, Sources};
+use logicity_datalog::{Program, RelId, Value, load, naive};
 use proptest::prelude::*;
 use std::collections::BTreeSet;
 use std::fmt::Write;

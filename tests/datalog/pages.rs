@@ -1,7 +1,8 @@
 //! The pages of the documentation and their blocks of code. `docs/how-to/add-a-page.md` describes the kinds of blocks.
 
+use crate::root::root;
 use std::fs;
-use std::path::{Path, PathBuf};
+use std::path::PathBuf;
 
 /// A block of code in a Markdown text.
 pub struct Block {
@@ -32,7 +33,7 @@ pub fn blocks(text: &str) -> Vec<Block> {
 
 /// Returns the path from the root of the repository and the text of each page of the site.
 pub fn pages() -> Vec<(PathBuf, String)> {
-    let root = Path::new(env!("CARGO_MANIFEST_DIR"));
+    let root = root();
     let mut paths = Vec::new();
     let mut folders = vec![root.join("docs")];
     while let Some(folder) = folders.pop() {

@@ -1,9 +1,9 @@
 //! Checks explanations against the specification: proofs replay, and literals that an explanation calls false are
 //! false.
 
-use logicity::datalog::explain::{AbsenceReason, Explainer, Explanation, FailureKind, Node, Obstacle, Origin, Premise};
-use logicity::datalog::{Atom, ClauseId, Literal, RelId, Rules, Term, Value};
-use logicity::datalog::{Session, naive};
+use logicity_datalog::explain::{AbsenceReason, Explainer, Explanation, FailureKind, Node, Obstacle, Origin, Premise};
+use logicity_datalog::{Atom, ClauseId, Literal, RelId, Rules, Term, Value};
+use logicity_datalog::{Session, naive};
 use std::collections::{BTreeMap, BTreeSet};
 
 /// All rows that hold in a session, also those that it aggregates.

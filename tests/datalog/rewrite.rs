@@ -3,8 +3,8 @@
 use crate::cases::cases;
 use crate::random_program::{Genome, computing_genomes, genomes, recursive_genomes};
 use crate::written_program::program;
-use logicity::datalog::rewrite::{demand, unfold};
-use logicity::datalog::{Program, RelId, Rules, Session, Value, facts, naive};
+use logicity_datalog::rewrite::{demand, unfold};
+use logicity_datalog::{Program, RelId, Rules, Session, Value, facts, naive};
 use proptest::prelude::*;
 
 /// Bit i of `outputs`, `inline` and `magic` says whether predicate i has that mark.

@@ -1,9 +1,9 @@
 //! Texts written for Soufflé: white space between any two tokens, and constructs that the language does not have.
 
 use crate::rule_files::RuleFiles;
-use logicity::datalog::{ast, load, parse, print};
-use logicity::diag::{Diagnostic, Sources};
-use logicity::files::ReadError;
+use logicity_datalog::diag::{Diagnostic, Sources};
+use logicity_datalog::files::ReadError;
+use logicity_datalog::{ast, load, parse, print};
 
 fn diagnostics(text: &str) -> Vec<(&'static str, usize, String)> {
     let mut sources = Sources::new();

@@ -6,5 +6,7 @@ pub mod city;
 pub mod datalog;
 #[path = "../datalog/random_program/mod.rs"]
 mod random_program;
+#[path = "../root.rs"]
+mod root;
 #[path = "../datalog/rule_files.rs"]
 mod rule_files;

@@ -1,6 +1,6 @@
 //! Tests of pictures, of the page of a run, and of data sets of Visual Action Prediction.
 
-#[path = "../../src/cases.rs"]
+#[path = "../cases.rs"]
 mod cases;
 mod page;
 mod render;

@@ -4,8 +4,8 @@
 use crate::cases::cases;
 use logicity::city::{Action, AgentKind, Building, Buildings, MapConfig, Split, Widths};
 use logicity::city::{Cell, CityMap};
-use logicity::diag::Located;
 use logicity::diag::{Sources, Span};
+use logicity::located::Located;
 use logicity::render::{
     Animation, Class, Difficulty, Facing, Icons, Mode, Overview, Pack, Picture, PixelBox, Renderer, Scale, Sprite,
     Viewport, ViewportError, sheet, write_png,
@@ -478,7 +478,7 @@ fn cleaner_classes_are_recognized_better() {
 #[test]
 fn pictures_are_the_same_on_any_number_of_threads() {
     let view = Viewport::new(Cell::new(0, 0), 35, 63, Scale::pixels(6).unwrap()).unwrap();
-    let mut stream = Seed(5).stream(Purpose::SCENE, 0, 0);
+    let mut stream = Seed(5).stream(Purpose::TEST, 0, 0);
     let states: Vec<Vec<Agent>> = (0..8)
         .map(|_| {
             let agent = |_| Agent {

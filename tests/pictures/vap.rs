@@ -695,7 +695,7 @@ fn pictures_are_the_same_after_a_kill_and_on_any_number_of_threads() {
     let expected = contents(&whole);
     assert_eq!(expected.len(), 2 * (89 + 3) + 2);
 
-    let mut stream = Seed(5).stream(Purpose::SCENE, 0, 0);
+    let mut stream = Seed(5).stream(Purpose::TEST, 0, 0);
     for round in 0..5 {
         let mut process = make(&killed, if round % 2 == 0 { "2" } else { "1" }).spawn().unwrap();
         // Kill it after some files, without those of earlier rounds.

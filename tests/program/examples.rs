@@ -1,16 +1,17 @@
-//! The programs in `examples` print what their comments show.
+//! The programs in the folders `examples` print what their comments show.
 
+use crate::root::root;
 use std::fs;
-use std::path::{Path, PathBuf};
+use std::path::PathBuf;
 use std::process::Command;
 
 /// The longest example, in lines.
 const LINES_MAX: usize = 60;
 
 fn examples() -> Vec<PathBuf> {
-    let folder = Path::new(env!("CARGO_MANIFEST_DIR")).join("examples");
-    let mut found: Vec<PathBuf> = fs::read_dir(folder)
-        .unwrap()
+    let folders = ["examples", "src/datalog/examples"].map(|folder| root().join(folder));
+    let mut found: Vec<PathBuf> = (folders.iter())
+        .flat_map(|folder| fs::read_dir(folder).unwrap())
         .map(|entry| entry.unwrap().path())
         .collect();
     found.sort();
@@ -42,9 +43,7 @@ fn slow_examples_print_what_their_comments_show() {
     let profile = program.ancestors().nth(2).unwrap();
     let mut build = Command::new(env!("CARGO"));
     build.args(["build", "--quiet", "--locked", "--examples", "--target-dir"]);
-    build
-        .arg(profile.parent().unwrap())
-        .current_dir(env!("CARGO_MANIFEST_DIR"));
+    build.arg(profile.parent().unwrap()).current_dir(root());
     if profile.ends_with("release") {
         build.arg("--release");
     }

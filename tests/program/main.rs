@@ -1,7 +1,7 @@
 //! Tests of the binary, and checks of the repository as a whole.
 
 mod ask;
-#[path = "../../src/cases.rs"]
+#[path = "../cases.rs"]
 mod cases;
 mod check;
 mod cli;
@@ -29,6 +29,8 @@ mod readme;
 mod references;
 mod repl;
 mod repository;
+#[path = "../root.rs"]
+mod root;
 #[path = "../city/shipped_world.rs"]
 mod shipped_world;
 #[cfg(unix)]

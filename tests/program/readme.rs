@@ -105,7 +105,7 @@ fn slow_cargo_prints_the_output_in_the_site() {
         for block in pages::blocks(&text) {
             match block.kind.as_str() {
                 "sh cargo" => {
-                    let command = block.text.replace("--no-default-features", "--quiet --locked");
+                    let command = block.text.replace("cargo run", "cargo run --quiet --locked");
                     let command = command.replace("cargo ", concat!(env!("CARGO"), " "));
                     output = shell(&format!("cd '{}' && {command}", root().display()), &root());
                 }

@@ -191,12 +191,15 @@ fn named_tests_exist() {
     assert!(seen >= 4, "{seen}");
 }
 
-/// All texts name the variable of `src/cases.rs` where they speak of the number of random cases.
+/// All texts name the variable of `tests/cases.rs` where they speak of the number of random cases.
 #[test]
 fn one_variable_scales_random_cases() {
     for (file, text) in texts() {
         let other = concat!("PROPTEST", "_CASES");
-        assert!(!text.contains(other) || file == "src/cases.rs", "{file} names {other}");
+        assert!(
+            !text.contains(other) || file == "tests/cases.rs",
+            "{file} names {other}"
+        );
     }
 }
 

@@ -1,12 +1,12 @@
 //! Integrity constraints on the facts of a session.
 
-use crate::datalog::check::{Constraint, DeclaredConstraint, RelId};
-use crate::datalog::codes;
-use crate::datalog::session::Session;
-use crate::datalog::syntax::ast::BaseType;
-use crate::datalog::value::{Value, print_float};
+use crate::check::{Constraint, DeclaredConstraint, RelId};
+use crate::codes;
 use crate::diag::Diagnostic;
+use crate::session::Session;
 use crate::symbol::Symbol;
+use crate::syntax::ast::BaseType;
+use crate::value::{Value, print_float};
 use std::collections::HashSet;
 
 /// Maximum number of violations reported, one for each constraint.

@@ -5,24 +5,24 @@ use std::borrow::Cow;
 use std::collections::{HashMap, HashSet};
 use std::ops::Range;
 
-use crate::datalog::codes;
+use crate::codes;
 use crate::diag::{self, Diagnostic, Faults, Span};
 use crate::symbol::Symbols;
 
-use crate::datalog::check::body;
-use crate::datalog::check::body::Body;
-use crate::datalog::check::clauses::{Checked, Clauses, Known, VariableType, reads_as_constant};
-use crate::datalog::check::inline;
-use crate::datalog::check::names::Names;
-use crate::datalog::check::rules::{Atom, Clause, Literal, RelId, Relation, Term, VarId};
-use crate::datalog::check::scope;
-use crate::datalog::check::scope::Scope;
-use crate::datalog::check::strata;
-use crate::datalog::check::witness;
-use crate::datalog::syntax::ast;
-use crate::datalog::syntax::ast::{BaseType, Comparison, Item, names_in, names_of};
-use crate::datalog::syntax::packed::{Constant, FactRuns, PackedFacts};
-use crate::datalog::value::Value;
+use crate::check::body;
+use crate::check::body::Body;
+use crate::check::clauses::{Checked, Clauses, Known, VariableType, reads_as_constant};
+use crate::check::inline;
+use crate::check::names::Names;
+use crate::check::rules::{Atom, Clause, Literal, RelId, Relation, Term, VarId};
+use crate::check::scope;
+use crate::check::scope::Scope;
+use crate::check::strata;
+use crate::check::witness;
+use crate::syntax::ast;
+use crate::syntax::ast::{BaseType, Comparison, Item, names_in, names_of};
+use crate::syntax::packed::{Constant, FactRuns, PackedFacts};
+use crate::value::Value;
 
 /// Maximum number of literals in a body.
 const MAX_LITERALS: usize = 1024;

@@ -1,9 +1,9 @@
 //! Checked clauses: the data that the stages of the checker exchange.
 
-use crate::datalog::check::rules::{Clause, Literal, RelId, Term, TypeId, VarId};
-use crate::datalog::syntax::ast::BaseType;
+use crate::check::rules::{Clause, Literal, RelId, Term, TypeId, VarId};
 use crate::diag::Span;
 use crate::symbol::Symbols;
+use crate::syntax::ast::BaseType;
 
 /// A dependency of a head on a predicate of its body.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Hash)]

@@ -1,13 +1,13 @@
 //! Integrity constraints, such as `.disjoint` and `.reflexive`, on the facts of base predicates.
 // Decision: docs/decisions/language.md#d034
 
-use crate::datalog::codes;
+use crate::codes;
 use crate::diag::{self, Diagnostic, Faults, Span};
 
-use crate::datalog::check::names::Names;
-use crate::datalog::check::rules::{Constraint, DeclaredConstraint, RelId, TypeId};
-use crate::datalog::syntax::ast;
-use crate::datalog::syntax::ast::{ConstraintKind, Item, Name};
+use crate::check::names::Names;
+use crate::check::rules::{Constraint, DeclaredConstraint, RelId, TypeId};
+use crate::syntax::ast;
+use crate::syntax::ast::{ConstraintKind, Item, Name};
 
 /// Maximum number of constraints. `.disjoint` makes one of every pair of predicates.
 const MAX_CONSTRAINTS: usize = 10_000;

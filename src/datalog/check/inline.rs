@@ -12,15 +12,15 @@
 
 use std::collections::{HashMap, HashSet};
 
-use crate::datalog::codes;
+use crate::codes;
 use crate::diag::{Diagnostic, Faults, Span};
 
-use crate::datalog::check::strata::components;
-use crate::datalog::check::witness::{Names, bound_names, renamed, renamed_term, size};
-use crate::datalog::syntax::ast::Comparison;
-use crate::datalog::syntax::ast::{Atom, Clause, Decl, Item, Literal, Name, Term, TermKind};
-use crate::datalog::syntax::ast::{names_in, names_of};
-use crate::datalog::syntax::parser::negate;
+use crate::check::strata::components;
+use crate::check::witness::{Names, bound_names, renamed, renamed_term, size};
+use crate::syntax::ast::Comparison;
+use crate::syntax::ast::{Atom, Clause, Decl, Item, Literal, Name, Term, TermKind};
+use crate::syntax::ast::{names_in, names_of};
+use crate::syntax::parser::negate;
 
 /// Maximum nesting of inline predicates.
 const MAX_DEPTH: usize = 16;

@@ -2,16 +2,16 @@
 
 use std::hash::{BuildHasher, RandomState};
 
-use crate::datalog::codes;
+use crate::codes;
 use crate::diag::{Code, Diagnostic, Faults, Span};
 
-use crate::datalog::check::clauses::{Checked, Clauses};
-use crate::datalog::check::names::Names;
-use crate::datalog::check::rules::{Atom, Clause, Literal, RelId, Relation, Term};
-use crate::datalog::check::strata;
-use crate::datalog::check::subsets::{Budget, Comparing};
-use crate::datalog::check::subsumption;
-use crate::datalog::check::subsumption::{NoConstraints, Pattern};
+use crate::check::clauses::{Checked, Clauses};
+use crate::check::names::Names;
+use crate::check::rules::{Atom, Clause, Literal, RelId, Relation, Term};
+use crate::check::strata;
+use crate::check::subsets::{Budget, Comparing};
+use crate::check::subsumption;
+use crate::check::subsumption::{NoConstraints, Pattern};
 
 // --- clauses that never fire
 

@@ -30,10 +30,10 @@ mod subsets;
 pub(crate) mod subsumption;
 pub(crate) mod witness;
 
-use crate::datalog::syntax::ast;
-use crate::datalog::syntax::packed::FactRuns;
 use crate::diag::Faults;
 use crate::symbol::Symbols;
+use crate::syntax::ast;
+use crate::syntax::packed::FactRuns;
 use std::borrow::Cow;
 
 pub use rules::{

@@ -1,18 +1,18 @@
 //! Checked rules: the input of planning and evaluation.
 //!
-//! [`load`](crate::datalog::load) makes a [`Rules`] from source text once every check has passed. It never changes
+//! [`load`](crate::load) makes a [`Rules`] from source text once every check has passed. It never changes
 //! afterwards. Checking resolves all names, flattens expressions, aggregates and disjunctions, and writes `.scope`
 //! guards as ordinary atoms. Every clause is safe: a positive atom binds each variable, or an expression computes it
 //! from bound ones. In the clause of a hidden predicate a guard may bind variables too, and a correlated aggregate
 //! binds parameters. The predicates are stratified.
 
-use crate::datalog::syntax::ast::{BaseType, Comparison, MarkKind};
-use crate::datalog::value::Value;
 use crate::diag::{Sources, Span};
 use crate::symbol::Symbols;
+use crate::syntax::ast::{BaseType, Comparison, MarkKind};
+use crate::value::Value;
 use std::collections::HashMap;
 
-use crate::datalog::syntax::functor::{AggregateOp, Functor};
+use crate::syntax::functor::{AggregateOp, Functor};
 
 /// The id of a type: its position in [`Rules::types`].
 #[derive(Clone, Copy, Debug, PartialEq, Eq, PartialOrd, Ord, Hash)]
@@ -520,7 +520,7 @@ impl Rules {
     }
 
     /// Returns all predicates by name, for many lookups.
-    pub(crate) fn relations_by_name(&self) -> HashMap<&str, RelId> {
+    pub fn relations_by_name(&self) -> HashMap<&str, RelId> {
         let names = self.relations.iter().map(|relation| relation.name.as_str());
         names.zip((0..).map(RelId)).collect()
     }

@@ -10,13 +10,13 @@
 
 use indexmap::IndexMap;
 
-use crate::datalog::codes;
+use crate::codes;
 use crate::diag::{Diagnostic, Faults, Span};
 
-use crate::datalog::check::clauses::{Clauses, Edge, EdgeKind, Guard, VariableType};
-use crate::datalog::check::names::Names;
-use crate::datalog::check::rules::{Atom, Clause, Literal, RelId, Term, TypeId, VarId};
-use crate::datalog::syntax::ast;
+use crate::check::clauses::{Clauses, Edge, EdgeKind, Guard, VariableType};
+use crate::check::names::Names;
+use crate::check::rules::{Atom, Clause, Literal, RelId, Term, TypeId, VarId};
+use crate::syntax::ast;
 
 /// A clause to which the scope may add literals.
 pub(crate) struct Scope<'a> {

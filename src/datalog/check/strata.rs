@@ -4,12 +4,12 @@
 use std::cmp::Reverse;
 use std::collections::{BinaryHeap, VecDeque};
 
-use crate::datalog::codes;
+use crate::codes;
 use crate::diag::{Diagnostic, Faults};
 
-use crate::datalog::check::clauses::{Edge, EdgeKind};
-use crate::datalog::check::names::Names;
-use crate::datalog::check::rules::{Clause, ClauseId, RelId, Relation, Stratum};
+use crate::check::clauses::{Edge, EdgeKind};
+use crate::check::names::Names;
+use crate::check::rules::{Clause, ClauseId, RelId, Relation, Stratum};
 
 /// Maximum number of cycles reported in one component.
 const MAX_CYCLES: usize = 8;

@@ -156,10 +156,10 @@ fn set_of_ranks<E: Eq + Hash>(set: &BTreeSet<E>, ranks: &HashMap<E, usize>) -> B
 /// Random rules whose clauses often subsume each other.
 #[cfg(test)]
 pub(crate) mod random_clauses {
-    use crate::datalog::check::Rules;
-    use crate::datalog::workspace::load;
+    use crate::check::Rules;
     use crate::diag::Sources;
     use crate::files::ReadError;
+    use crate::workspace::load;
     use proptest::collection::vec;
     use proptest::prelude::*;
     use proptest::sample::select;

@@ -11,11 +11,11 @@ use std::cmp::Ordering;
 use std::collections::btree_map::Entry;
 use std::collections::{BTreeMap, BTreeSet};
 
-use crate::datalog::check::rules::{Clause, Literal, RelId, Term};
-use crate::datalog::check::subsets::{Budget, Subsets};
-use crate::datalog::syntax::ast::{BaseType, Comparison};
-use crate::datalog::syntax::functor::Functor;
-use crate::datalog::value::Value;
+use crate::check::rules::{Clause, Literal, RelId, Term};
+use crate::check::subsets::{Budget, Subsets};
+use crate::syntax::ast::{BaseType, Comparison};
+use crate::syntax::functor::Functor;
+use crate::value::Value;
 
 /// Maximum number of steps of the search for one substitution. Beyond it, the clause counts as not subsumed.
 const STEPS_OF_PAIR: usize = 2_000;
@@ -591,7 +591,7 @@ pub(crate) fn traits_suffice<'a>(clauses: impl Iterator<Item = &'a Clause>, theo
 mod tests {
     use super::*;
     use crate::cases::cases;
-    use crate::datalog::check::random_clauses;
+    use crate::check::random_clauses;
     use proptest::prelude::*;
 
     proptest! {

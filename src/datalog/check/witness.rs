@@ -21,10 +21,10 @@
 
 use std::collections::{HashMap, HashSet};
 
-use crate::datalog::syntax::ast::Comparison;
-use crate::datalog::syntax::ast::{Aggregate, Atom, Literal, Term, TermKind};
-use crate::datalog::syntax::ast::{names_in, names_of};
-use crate::datalog::syntax::functor::AggregateOp;
+use crate::syntax::ast::Comparison;
+use crate::syntax::ast::{Aggregate, Atom, Literal, Term, TermKind};
+use crate::syntax::ast::{names_in, names_of};
+use crate::syntax::functor::AggregateOp;
 
 /// The end of the names from [`Rewriting::shadow`]. Names of the source have no dot.
 const LOCAL: &str = ".local";

@@ -1,11 +1,11 @@
 //! Decides which strata the dense executor can evaluate.
 
-use crate::datalog::check::{Atom, ClauseId, Literal, RelId, Rules, Stratum, Term};
-use crate::datalog::dense::body::{Body, PAIR, decompose};
-use crate::datalog::dense::program::Dense;
-use crate::datalog::syntax::ast::{BaseType, Comparison};
-use crate::datalog::syntax::functor::AggregateOp;
+use crate::check::{Atom, ClauseId, Literal, RelId, Rules, Stratum, Term};
+use crate::dense::body::{Body, PAIR, decompose};
+use crate::dense::program::Dense;
 use crate::diag::Span;
+use crate::syntax::ast::{BaseType, Comparison};
+use crate::syntax::functor::AggregateOp;
 use std::collections::HashMap;
 use std::fmt;
 

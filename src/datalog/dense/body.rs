@@ -1,8 +1,8 @@
 //! The conditions of a clause on its variables, and searches for existential variables.
 
-use crate::datalog::check::{Atom, Clause, Literal, RelId, Term};
-use crate::datalog::dense::program::Argument;
-use crate::datalog::syntax::ast::Comparison;
+use crate::check::{Atom, Clause, Literal, RelId, Term};
+use crate::dense::program::Argument;
+use crate::syntax::ast::Comparison;
 use std::collections::{BTreeMap, BTreeSet};
 
 /// A variable of a body; 0 is the head's first.

@@ -1,9 +1,9 @@
 //! Compiles rules to a list of operations on sets.
 
-use crate::datalog::check::{ClauseId, Literal, RelId, Rules};
-use crate::datalog::dense::analyze::Choice;
-use crate::datalog::dense::body::{Body, Lit, PAIR, Property, Relates, Search, Seek, decompose};
-use crate::datalog::dense::program::{
+use crate::check::{ClauseId, Literal, RelId, Rules};
+use crate::dense::analyze::Choice;
+use crate::dense::body::{Body, Lit, PAIR, Property, Relates, Search, Seek, decompose};
+use crate::dense::program::{
     Any, Argument, Branch, DemandOp, Dense, Fired, Home, Input, List, Op, Place, Range, Rare, Reg, SearchStep, Test,
     TrackFirings,
 };

@@ -1,10 +1,10 @@
 //! Facts stored as bits.
 
-use crate::datalog::check::RelId;
-use crate::datalog::dense::program::{Argument, Dense, Input, List, Reg};
-use crate::datalog::dense::run::BitState;
-use crate::datalog::dense::search::BinaryFacts;
-use crate::datalog::dense::sets::{Set, and, is_empty};
+use crate::check::RelId;
+use crate::dense::program::{Argument, Dense, Input, List, Reg};
+use crate::dense::run::BitState;
+use crate::dense::search::BinaryFacts;
+use crate::dense::sets::{Set, and, is_empty};
 
 /// The facts of all predicates that a program reads, stored as bits.
 #[derive(Clone, Debug)]

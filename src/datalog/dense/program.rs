@@ -1,6 +1,6 @@
 //! The program of the dense executor: a list of operations on numbered sets.
 
-use crate::datalog::check::{ClauseId, RelId};
+use crate::check::{ClauseId, RelId};
 
 /// The number of a set in a [`BitState`](super::BitState).
 #[derive(Clone, Copy, Debug, PartialEq, Eq, PartialOrd, Ord)]

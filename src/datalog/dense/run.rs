@@ -1,10 +1,10 @@
 //! Executes a [`Dense`] program.
 
-use crate::datalog::check::{ClauseId, RelId};
-use crate::datalog::dense::program::{Any, DemandOp, Dense, Op, Rare, Reg};
-use crate::datalog::dense::search::{BinaryFacts, search};
-use crate::datalog::dense::sets::{Set, and, first, has, is_empty, members, or, without};
-use crate::datalog::dense::tree::{Tables, TooManySteps, TreeSearch};
+use crate::check::{ClauseId, RelId};
+use crate::dense::program::{Any, DemandOp, Dense, Op, Rare, Reg};
+use crate::dense::search::{BinaryFacts, search};
+use crate::dense::sets::{Set, and, first, has, is_empty, members, or, without};
+use crate::dense::tree::{Tables, TooManySteps, TreeSearch};
 
 /// Programs with at most this number of sets run faster.
 const FEW: usize = 256;

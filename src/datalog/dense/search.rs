@@ -1,7 +1,7 @@
 //! Binary facts, and searches for values of one or two variables.
 
-use crate::datalog::dense::program::{Argument, Dense, Place, Range, SearchStep, Test};
-use crate::datalog::dense::sets::{Set, and, has, is_empty, members, only, without};
+use crate::dense::program::{Argument, Dense, Place, Range, SearchStep, Test};
+use crate::dense::sets::{Set, and, has, is_empty, members, only, without};
 
 /// A source of binary facts, which it may compute lazily.
 pub trait BinaryFacts<const W: usize> {

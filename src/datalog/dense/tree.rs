@@ -22,9 +22,9 @@
 //! separator are in their domains, so are those of the branches that they allow.
 // Decision: docs/decisions/executors.md#d040
 
-use crate::datalog::dense::program::{Branch, Dense, Range};
-use crate::datalog::dense::search::{BinaryFacts, Search};
-use crate::datalog::dense::sets::{Set, and, has, is_empty, members, only, or, without};
+use crate::dense::program::{Branch, Dense, Range};
+use crate::dense::search::{BinaryFacts, Search};
+use crate::dense::sets::{Set, and, has, is_empty, members, only, or, without};
 use std::fmt;
 
 /// A run took more steps than [`Dense::steps_max`] allows.

@@ -1,8 +1,8 @@
 //! The values of correlated aggregates that an evaluation keeps.
 // Decision: docs/decisions/evaluation.md#d012
 
-use crate::datalog::check::RelId;
-use crate::datalog::value::Value;
+use crate::check::RelId;
+use crate::value::Value;
 use std::collections::HashMap;
 
 /// The values of correlated aggregates, by relation and parameters. What an aggregate reads is complete, so its values

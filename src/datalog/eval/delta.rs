@@ -3,9 +3,9 @@
 use std::fmt;
 use std::sync::Arc;
 
-use crate::datalog::check::RelId;
-use crate::datalog::row::{Row, RowList};
-use crate::datalog::value::Value;
+use crate::check::RelId;
+use crate::row::{Row, RowList};
+use crate::value::Value;
 
 /// Rows of one relation, sorted by their words. Cheap to clone: clones share the rows, also with the session.
 #[derive(Clone)]

@@ -1,11 +1,11 @@
 //! Groups: aggregates by key, computed from matches in any order.
 
-use crate::datalog::aggregate::Partial;
-use crate::datalog::plan::steps::Fold;
-use crate::datalog::row::Row;
-use crate::datalog::syntax::functor::AggregateOp;
-use crate::datalog::value::Value;
+use crate::aggregate::Partial;
+use crate::plan::steps::Fold;
+use crate::row::Row;
 use crate::symbol::Symbols;
+use crate::syntax::functor::AggregateOp;
+use crate::value::Value;
 use std::collections::HashMap;
 use std::hash::{BuildHasherDefault, Hasher};
 

@@ -8,11 +8,11 @@
 //! on. Some edges grow: they compute a new value. A cycle with a growing edge has no end unless a literal bounds a value
 //! on it.
 
-use crate::datalog::check::strata::components;
-use crate::datalog::check::{Clause, ClauseId, Literal, RelId, Rules, Term, VarId};
-use crate::datalog::syntax::ast::{BaseType, Comparison};
-use crate::datalog::syntax::functor::Functor;
+use crate::check::strata::components;
+use crate::check::{Clause, ClauseId, Literal, RelId, Rules, Term, VarId};
 use crate::diag::Span;
+use crate::syntax::ast::{BaseType, Comparison};
+use crate::syntax::functor::Functor;
 use std::collections::{BTreeMap, BTreeSet};
 
 /// A computation that feeds itself.

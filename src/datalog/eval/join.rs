@@ -2,16 +2,16 @@
 // Decision: docs/decisions/evaluation.md#d017
 
 use crate::cancel::Cancel;
-use crate::datalog::eval::correlated::CorrelatedValues;
-use crate::datalog::eval::groups;
-use crate::datalog::eval::output::{Abort, Output};
-use crate::datalog::eval::word_sets::WordSets;
-use crate::datalog::plan::steps::{List, Plan, Slot, Source, Step};
-use crate::datalog::row::{AnyBatch, AnyRows, Batch, ByWidth, Row, each_width, gallop};
-use crate::datalog::syntax::ast::{BaseType, Comparison};
-use crate::datalog::syntax::functor::{AggregateOp, Functor};
-use crate::datalog::value::{Patterns, Value};
+use crate::eval::correlated::CorrelatedValues;
+use crate::eval::groups;
+use crate::eval::output::{Abort, Output};
+use crate::eval::word_sets::WordSets;
+use crate::plan::steps::{List, Plan, Slot, Source, Step};
+use crate::row::{AnyBatch, AnyRows, Batch, ByWidth, Row, each_width, gallop};
 use crate::symbol::{Symbol, Symbols};
+use crate::syntax::ast::{BaseType, Comparison};
+use crate::syntax::functor::{AggregateOp, Functor};
+use crate::value::{Patterns, Value};
 use std::cmp::Ordering;
 
 /// The rows that a step reads, as sorted batches. A leapfrog join has one batch for each list, and a correlated

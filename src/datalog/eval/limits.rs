@@ -1,11 +1,11 @@
 //! The resource limits of an evaluation and the errors when it exceeds one.
 // Decision: docs/decisions/safety.md#d020
 
-use crate::datalog::check::{Clause, ClauseId, Literal, Rules, Term, VarId};
-use crate::datalog::eval::growth;
-use crate::datalog::syntax::ast::Comparison;
+use crate::check::{Clause, ClauseId, Literal, Rules, Term, VarId};
 use crate::diag::codes;
 use crate::diag::{Diagnostic, Limit, Span};
+use crate::eval::growth;
+use crate::syntax::ast::Comparison;
 use std::collections::BTreeSet;
 use std::fmt;
 
@@ -63,7 +63,7 @@ pub enum EvalError {
         /// A clause of the stratum that exceeded it.
         clause: ClauseId,
     },
-    /// The caller cancelled it; see [`Session::commit_with`](crate::datalog::session::Session::commit_with).
+    /// The caller cancelled it; see [`Session::commit_with`](crate::session::Session::commit_with).
     Cancelled {
         /// The clause that was evaluated.
         clause: ClauseId,
@@ -144,7 +144,7 @@ impl fmt::Display for EvalError {
 }
 
 /// Formats a number of bytes in the largest unit that divides it.
-pub(crate) fn size(bytes: u64) -> String {
+pub fn size(bytes: u64) -> String {
     let units = [(20, "MiB"), (10, "KiB"), (0, "bytes")].into_iter();
     let mut fitting = units.filter(|(scale, _)| bytes >> scale << scale == bytes);
     let (scale, unit) = fitting.next().unwrap_or((0, "bytes"));

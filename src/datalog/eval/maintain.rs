@@ -13,14 +13,14 @@
 //! at the first derivation of a head, and one commit can recompute a stratum that the next maintains.
 // Decision: docs/decisions/facts.md#d025
 
-use crate::datalog::check::RelId;
-use crate::datalog::eval::exec::{Commit, Failure, Meter, Quota, State, specs};
-use crate::datalog::eval::join::RowView;
-use crate::datalog::eval::output::Output;
-use crate::datalog::eval::recursion::{Iteration, Relation, Variable};
-use crate::datalog::eval::table::{Table, TableDelta};
-use crate::datalog::plan::steps::{ChangePlan, IndexSpec, Plan, Source, Step, StratumPlan, Version};
-use crate::datalog::row::{AnyBatch, Batch, ByWidth, Row, difference, merge};
+use crate::check::RelId;
+use crate::eval::exec::{Commit, Failure, Meter, Quota, State, specs};
+use crate::eval::join::RowView;
+use crate::eval::output::Output;
+use crate::eval::recursion::{Iteration, Relation, Variable};
+use crate::eval::table::{Table, TableDelta};
+use crate::plan::steps::{ChangePlan, IndexSpec, Plan, Source, Step, StratumPlan, Version};
+use crate::row::{AnyBatch, Batch, ByWidth, Row, difference, merge};
 use std::sync::Arc;
 
 /// Rows, by member of a stratum.

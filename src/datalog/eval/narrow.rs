@@ -5,13 +5,13 @@
 //! the first change after a commit moves the relation to a table of the program's width.
 // Decision: docs/decisions/facts.md#d008
 
-use crate::datalog::eval::delta::Rows;
-use crate::datalog::eval::pending::PendingChanges;
-use crate::datalog::eval::table::Table;
-use crate::datalog::plan::estimate::{Shape, Size};
-use crate::datalog::plan::steps::IndexSpec;
-use crate::datalog::row::{AnyBatch, ByWidth, NARROW, Row, normalize};
-use crate::datalog::value::Value;
+use crate::eval::delta::Rows;
+use crate::eval::pending::PendingChanges;
+use crate::eval::table::Table;
+use crate::plan::estimate::{Shape, Size};
+use crate::plan::steps::IndexSpec;
+use crate::row::{AnyBatch, ByWidth, NARROW, Row, normalize};
+use crate::value::Value;
 use std::sync::Arc;
 
 /// The rows of a loaded relation.

@@ -1,11 +1,11 @@
 //! The buffer that receives the rows of a plan.
 
-use crate::datalog::eval::groups::Groups;
-use crate::datalog::eval::seen_bitmap::{Added, SeenBitmap, raise};
-use crate::datalog::plan::steps::Plan;
-use crate::datalog::row::{Row, difference, normalize};
-use crate::datalog::value::Value;
+use crate::eval::groups::Groups;
+use crate::eval::seen_bitmap::{Added, SeenBitmap, raise};
+use crate::plan::steps::Plan;
+use crate::row::{Row, difference, normalize};
 use crate::symbol::Symbols;
+use crate::value::Value;
 
 /// A buffer for derived rows. It may hold repetitions.
 ///

@@ -1,8 +1,8 @@
 //! The pending changes of a relation, which the next commit makes.
 
-use crate::datalog::eval::table::{Table, TableDelta};
-use crate::datalog::row::{Row, normalize};
-use crate::datalog::value::Value;
+use crate::eval::table::{Table, TableDelta};
+use crate::row::{Row, normalize};
+use crate::value::Value;
 use std::sync::Arc;
 
 /// Pending insertions and removals, in the order of the calls. The last change of a row counts.

@@ -5,17 +5,17 @@
 //! number of joins and the row types at compile time.
 // Decision: docs/decisions/evaluation.md#d014
 
-use crate::datalog::check::{ClauseId, RelId};
-use crate::datalog::eval::exec::{Commit, Failure, Meter, Quota, State};
-use crate::datalog::eval::join::RowView;
-use crate::datalog::eval::output::Output;
-use crate::datalog::eval::table::{Table, project};
-use crate::datalog::plan::Compiled;
-use crate::datalog::plan::Plans;
-use crate::datalog::plan::estimate;
-use crate::datalog::plan::estimate::Shape;
-use crate::datalog::plan::steps::{ClausePlans, IndexId, Plan, Source, Step, StratumPlan, Version};
-use crate::datalog::row::{Batch, ByWidth, Row, difference, merge};
+use crate::check::{ClauseId, RelId};
+use crate::eval::exec::{Commit, Failure, Meter, Quota, State};
+use crate::eval::join::RowView;
+use crate::eval::output::Output;
+use crate::eval::table::{Table, project};
+use crate::plan::Compiled;
+use crate::plan::Plans;
+use crate::plan::estimate;
+use crate::plan::estimate::Shape;
+use crate::plan::steps::{ClausePlans, IndexId, Plan, Source, Step, StratumPlan, Version};
+use crate::row::{Batch, ByWidth, Row, difference, merge};
 pub(crate) use datafrog::{Iteration, Relation, Variable};
 use std::cell::Ref;
 use std::collections::BTreeSet;

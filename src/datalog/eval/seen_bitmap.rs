@@ -4,8 +4,8 @@
 //! testing a bit costs much less than sorting repetitions away. The bits of new rows also form a sorted list.
 // Decision: docs/decisions/evaluation.md#d018
 
-use crate::datalog::row::Row;
-use crate::datalog::value::Value;
+use crate::row::Row;
+use crate::value::Value;
 
 /// A set of rows whose words are below fixed bounds.
 #[derive(Debug)]

@@ -1,11 +1,10 @@
 //! Statistics of a commit: the strategy for each stratum and the work of each clause.
 // Decision: docs/decisions/evaluation.md#d023
 
-use crate::datalog::check::ClauseId;
+use crate::check::ClauseId;
 
-/// An event of [`Session::commit_watched`](crate::datalog::Session::commit_watched).
+/// An event of [`Session::commit_watched`](crate::Session::commit_watched).
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
-#[non_exhaustive]
 pub enum EvalEvent {
     /// The evaluation of a clause begins.
     Begin(ClauseId),
@@ -93,12 +92,12 @@ pub struct RuleStats {
 #[derive(Clone, Debug, Default, PartialEq, Eq)]
 #[non_exhaustive]
 pub struct EvalStats {
-    /// Indexed by position in [`Rules::strata`](crate::datalog::Rules::strata); empty before the first commit.
+    /// Indexed by position in [`Rules::strata`](crate::Rules::strata); empty before the first commit.
     pub strata: Vec<StratumStats>,
 }
 
 impl EvalStats {
-    /// Returns the positions in [`Rules::strata`](crate::datalog::Rules::strata) of the strata that were maintained or
+    /// Returns the positions in [`Rules::strata`](crate::Rules::strata) of the strata that were maintained or
     /// recomputed.
     pub fn evaluated(&self) -> impl Iterator<Item = usize> {
         let strata = self.strata.iter().enumerate();

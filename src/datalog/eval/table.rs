@@ -1,8 +1,8 @@
 //! The storage of a relation: its rows, its indexes, and incremental updates of both.
 // Decision: docs/decisions/facts.md#d026
 
-use crate::datalog::plan::steps::IndexSpec;
-use crate::datalog::row::{Batch, Row, difference, gallop};
+use crate::plan::steps::IndexSpec;
+use crate::row::{Batch, Row, difference, gallop};
 use std::sync::atomic::{AtomicBool, Ordering::Relaxed};
 use std::sync::{Arc, OnceLock};
 
@@ -395,9 +395,9 @@ fn patch_directory<const W: usize>(old: &[u32], delta: &TableDelta<W>, rows: &[R
 #[cfg(test)]
 mod tests {
     use super::*;
-    use crate::datalog::check::RelId;
-    use crate::datalog::row::{merge, normalize};
-    use crate::datalog::value::Value;
+    use crate::check::RelId;
+    use crate::row::{merge, normalize};
+    use crate::value::Value;
 
     fn spec(columns: &[u16], position: usize) -> IndexSpec {
         IndexSpec {

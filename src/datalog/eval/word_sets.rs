@@ -1,8 +1,8 @@
 //! Lists of rows as sets of bits.
 
-use crate::datalog::eval::groups::KeyHasher;
-use crate::datalog::row::Row;
-use crate::datalog::value::Value;
+use crate::eval::groups::KeyHasher;
+use crate::row::Row;
+use crate::value::Value;
 use std::collections::HashMap;
 use std::collections::hash_map::Entry;
 use std::hash::BuildHasherDefault;

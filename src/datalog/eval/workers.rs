@@ -6,12 +6,12 @@
 // Decision: docs/decisions/evaluation.md#d019
 
 use crate::cancel::Cancel;
-use crate::datalog::eval::join;
-use crate::datalog::eval::join::{JoinState, RowView};
-use crate::datalog::eval::output::{Abort, Output};
-use crate::datalog::plan::estimate::Shape;
-use crate::datalog::plan::steps::{Plan, Slot, Step};
-use crate::datalog::row::{AnyBatch, AnyRows, Batch, Row, each_width, gallop, map_width, normalize};
+use crate::eval::join;
+use crate::eval::join::{JoinState, RowView};
+use crate::eval::output::{Abort, Output};
+use crate::plan::estimate::Shape;
+use crate::plan::steps::{Plan, Slot, Step};
+use crate::row::{AnyBatch, AnyRows, Batch, Row, each_width, gallop, map_width, normalize};
 use crate::symbol::Symbols;
 use crate::threads::Pool;
 use rayon::slice::ParallelSliceMut;
@@ -290,14 +290,14 @@ fn expected<const W: usize>(plan: &Plan, views: &[RowView<'_, W>]) -> f64 {
 #[cfg(test)]
 mod tests {
     use super::*;
-    use crate::datalog::check::RelId;
-    use crate::datalog::eval::table::Table;
-    use crate::datalog::plan::steps::Source;
-    use crate::datalog::program::Program;
-    use crate::datalog::row::ByWidth;
-    use crate::datalog::value::Value;
+    use crate::check::RelId;
     use crate::diag::Sources;
+    use crate::eval::table::Table;
     use crate::files::ReadError;
+    use crate::plan::steps::Source;
+    use crate::program::Program;
+    use crate::row::ByWidth;
+    use crate::value::Value;
 
     /// Rows, number of rows derived, number of rows scanned.
     type Done = (Vec<Row<2>>, u64, u64);

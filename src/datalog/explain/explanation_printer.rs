@@ -1,16 +1,16 @@
 //! Explanations as text for readers and as JSON for programs.
 
-use crate::datalog::check::witness::written;
-use crate::datalog::check::{Atom, Clause, ClauseId, Literal, RelId, Rules, Term};
-use crate::datalog::explain::{
+use crate::check::witness::written;
+use crate::check::{Atom, Clause, ClauseId, Literal, RelId, Rules, Term};
+use crate::diag::Sources;
+use crate::explain::{
     Absence, AbsenceReason, Explanation, Fact, FailureKind, Miss, Node, NodeId, Obstacle, Origin, Premise,
 };
-use crate::datalog::syntax::ast::{BaseType, Comparison};
-use crate::datalog::syntax::functor::{AggregateOp, Functor};
-use crate::datalog::syntax::quoted;
-use crate::datalog::value::Value;
-use crate::diag::Sources;
 use crate::symbol::{Symbol, Symbols};
+use crate::syntax::ast::{BaseType, Comparison};
+use crate::syntax::functor::{AggregateOp, Functor};
+use crate::syntax::quoted;
+use crate::value::Value;
 use serde_json::{Map, json};
 use std::collections::{BTreeMap, HashSet};
 
@@ -350,7 +350,7 @@ impl<'a> ExplanationPrinter<'a> {
         match base {
             BaseType::Number => value.as_number().to_string(),
             BaseType::Unsigned => value.0.to_string(),
-            BaseType::Float => crate::datalog::value::print_float(value.as_float()),
+            BaseType::Float => crate::value::print_float(value.as_float()),
             BaseType::Symbol => {
                 let text = self.symbols.text(Symbol(value.0)).unwrap_or_default();
                 let bare = |c: char| c.is_alphanumeric() || "_-.".contains(c);

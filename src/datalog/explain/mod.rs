@@ -29,12 +29,12 @@ mod search;
 pub use explanation_printer::ExplanationPrinter;
 
 use crate::cancel::Cancel;
-use crate::datalog::check::{ClauseId, Literal, RelId};
-use crate::datalog::eval::limits::size;
-use crate::datalog::session::Session;
-use crate::datalog::value::Value;
+use crate::check::{ClauseId, Literal, RelId};
 use crate::diag::codes;
 use crate::diag::{Diagnostic, Limit};
+use crate::eval::limits::size;
+use crate::session::Session;
+use crate::value::Value;
 use search::{Binding, Search};
 use std::collections::{HashMap, VecDeque};
 use std::fmt;
@@ -283,12 +283,13 @@ impl Session {
     /// `None` if the fact does not hold.
     ///
     /// ```
-    /// # use logicity::{datalog::{self, Program, explain::Node}, diag::Sources, files};
+    /// # use logicity_datalog::{self as datalog, Program, explain::Node, diag::Sources, files::ReadError};
+    /// # use std::path::Path;
     /// # let mut sources = Sources::new();
     /// # let text = ".decl e(x: number, y: number) .input e .decl p(x: number, y: number)
     /// #     p(x, y) :- e(x, y). p(x, z) :- p(x, y), e(y, z).";
     /// # let entry = sources.add("path.dl", text);
-    /// # let rules = datalog::load(&mut sources, entry, &files::read_text).rules.unwrap();
+    /// # let rules = datalog::load(&mut sources, entry, &|_: &Path| Err(ReadError::NotFound)).rules.unwrap();
     /// # let program = Program::new(rules).expect("within limits");
     /// # let (e, p) = (program.relation("e").unwrap(), program.relation("p").unwrap());
     /// # let [a, b, c] = [1, 2, 3].map(datalog::Value::number);

@@ -6,10 +6,10 @@
 //! assumes evenly distributed words: if the words of a column lie between `a` and `b`, a word matches `n / (b - a + 1)`
 //! of `n` rows.
 
-use crate::datalog::check::VarId;
-use crate::datalog::plan::steps::{Indexes, Plan, Source, Step};
-use crate::datalog::row::{Row, gallop};
-use crate::datalog::syntax::ast::Comparison;
+use crate::check::VarId;
+use crate::plan::steps::{Indexes, Plan, Source, Step};
+use crate::row::{Row, gallop};
+use crate::syntax::ast::Comparison;
 
 /// The number of rows and the range of words in each column.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
@@ -364,7 +364,7 @@ impl Flow {
 #[cfg(test)]
 mod tests {
     use super::*;
-    use crate::datalog::value::Value;
+    use crate::value::Value;
 
     #[test]
     fn sizes_measure_unique_repeated_and_skewed_columns() {

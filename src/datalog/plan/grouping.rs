@@ -12,11 +12,11 @@
 //! any number of times.
 // Decision: docs/decisions/evaluation.md#d011
 
-use crate::datalog::check::{Clause, Literal, Rules, Term};
-use crate::datalog::plan::steps::Grouping;
-use crate::datalog::syntax::functor::AggregateOp;
+use crate::check::{Clause, Literal, Rules, Term};
+use crate::plan::steps::Grouping;
+use crate::syntax::functor::AggregateOp;
 
-/// By [`RelId`](crate::datalog::check::RelId): how the relation is aggregated; `None` if its rows are stored.
+/// By [`RelId`](crate::check::RelId): how the relation is aggregated; `None` if its rows are stored.
 pub(crate) fn groupings(rules: &Rules) -> Vec<Option<Grouping>> {
     // The outer `None` means that no literal reads the relation, the inner one that its rows are needed.
     let mut read: Vec<Option<Option<Grouping>>> = vec![None; rules.relations.len()];

@@ -13,10 +13,10 @@ pub(crate) mod steps;
 use std::collections::BTreeMap;
 use std::sync::Arc;
 
-use crate::datalog::check::{Clause, ClauseId, Literal, RelId, Relation, Rules, Stratum};
-use crate::datalog::row::WIDTHS;
+use crate::check::{Clause, ClauseId, Literal, RelId, Relation, Rules, Stratum};
 use crate::diag::Diagnostic;
 use crate::diag::codes;
+use crate::row::WIDTHS;
 use estimate::Size;
 use grouping::groupings;
 use planner::{

@@ -1,20 +1,20 @@
 //! The planner: translates a clause to the steps that evaluate it.
 //!
 //! The planner orders literals greedily: tests first, then the atom that shares bound variables and adds the fewest new
-//! ones. It plans a program once before there are rows. [`crate::datalog::eval::adapt`] replans clauses when the sizes
+//! ones. It plans a program once before there are rows. [`crate::eval::adapt`] replans clauses when the sizes
 //! of relations are known. Then the atom with the fewest matching rows comes next. Where several atoms lack only the
 //! same variable, one leapfrog join can bind it.
 // Decision: docs/decisions/evaluation.md#d016
 
-use crate::datalog::check::{Atom, Clause, Literal, RelId, Term, VarId};
-use crate::datalog::codes;
-use crate::datalog::plan::estimate::{Flow, Known, Reckoning, Size, cost_of_parts};
-use crate::datalog::plan::steps::{
+use crate::check::{Atom, Clause, Literal, RelId, Term, VarId};
+use crate::codes;
+use crate::diag::{self, Diagnostic};
+use crate::plan::estimate::{Flow, Known, Reckoning, Size, cost_of_parts};
+use crate::plan::steps::{
     ChangePlan, ClausePlans, Grouping, IndexId, Indexes, List, Plan, Slot, Source, Step, Version,
 };
-use crate::datalog::syntax::ast::{BaseType, Comparison};
-use crate::datalog::value::Value;
-use crate::diag::{self, Diagnostic};
+use crate::syntax::ast::{BaseType, Comparison};
+use crate::value::Value;
 use std::sync::Arc;
 
 /// The maximum number of literals in a body and of variables in a clause. Evaluation recurses once per atom, and

@@ -11,10 +11,10 @@
 //! For maintenance, each clause has one plan for each body atom, negated ones included, that begins with the changed
 //! rows. One more plan begins with head rows and checks whether the clause derives them.
 
-use crate::datalog::check::{ClauseId, RelId};
-use crate::datalog::syntax::ast::{BaseType, Comparison};
-use crate::datalog::syntax::functor::{AggregateOp, Functor};
-use crate::datalog::value::Value;
+use crate::check::{ClauseId, RelId};
+use crate::syntax::ast::{BaseType, Comparison};
+use crate::syntax::functor::{AggregateOp, Functor};
+use crate::value::Value;
 use std::collections::BTreeMap;
 use std::sync::Arc;
 

@@ -15,9 +15,9 @@
 //! What a clause negates or aggregates must be complete. So these predicates and all that they depend on stay as they
 //! are, and nothing that is complete depends on a demand: the program stays stratified.
 
-use crate::datalog::check::{Atom, Clause, Literal, RelId, Relation, Rules, Term, restratified};
-use crate::datalog::rewrite::is_visible;
-use crate::datalog::syntax::ast::Comparison;
+use crate::check::{Atom, Clause, Literal, RelId, Relation, Rules, Term, restratified};
+use crate::rewrite::is_visible;
+use crate::syntax::ast::Comparison;
 use std::collections::{BTreeMap, BTreeSet};
 
 /// The maximum number of copies of one predicate. A predicate with more is computed in full.

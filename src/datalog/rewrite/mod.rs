@@ -11,7 +11,7 @@ mod unfold;
 pub use demand::{demand, would_restrict};
 pub use unfold::unfold;
 
-use crate::datalog::check::{RelId, Rules};
+use crate::check::{RelId, Rules};
 
 /// Returns whether the rows of a predicate are visible outside of the rules: to `.input`, `.output`, `.printsize` or a
 /// constraint.

@@ -11,10 +11,10 @@
 //! has variables that are not in its head. A predicate with many clauses, or one that a clause uses many times, may
 //! make too many clauses or too long ones; then it is computed, too.
 
-use crate::datalog::check::strata::components;
-use crate::datalog::check::{Atom, Clause, Literal, RelId, Rules, Term, VarId, restratified};
-use crate::datalog::rewrite::is_visible;
-use crate::datalog::syntax::ast::{BaseType, Comparison};
+use crate::check::strata::components;
+use crate::check::{Atom, Clause, Literal, RelId, Rules, Term, VarId, restratified};
+use crate::rewrite::is_visible;
+use crate::syntax::ast::{BaseType, Comparison};
 use std::collections::HashMap;
 
 /// The maximum number of clauses that one clause becomes.

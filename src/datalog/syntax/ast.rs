@@ -1,10 +1,10 @@
 //! The syntax tree: a parsed source, before name resolution.
 
-use crate::datalog::syntax::functor::{AggregateOp, Functor};
 use crate::diag::Span;
+use crate::syntax::functor::{AggregateOp, Functor};
 use core::net::Ipv4Addr;
 
-pub use crate::datalog::syntax::functor::BaseType;
+pub use crate::syntax::functor::BaseType;
 
 /// The place of a node in its source. All places compare equal, so the comparison of trees ignores them.
 #[derive(Clone, Copy, Debug)]
@@ -312,7 +312,7 @@ pub struct Aggregate {
     pub body: Vec<Literal>,
 }
 
-/// The kind of a [`Directive`](crate::datalog::Directive).
+/// The kind of a [`Directive`](crate::Directive).
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum MarkKind {
     /// `.input`

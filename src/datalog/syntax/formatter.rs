@@ -13,10 +13,10 @@
 
 use crate::diag::{Diagnostic, Faults, SourceId, Sources};
 
-use crate::datalog::syntax::include::small_text;
-use crate::datalog::syntax::lexer;
-use crate::datalog::syntax::lexer::{Kind, Lexed, Token};
-use crate::datalog::syntax::parser;
+use crate::syntax::include::small_text;
+use crate::syntax::lexer;
+use crate::syntax::lexer::{Kind, Lexed, Token};
+use crate::syntax::parser;
 
 /// Maximum line width in characters, where a break is possible.
 const WIDTH: usize = 120;

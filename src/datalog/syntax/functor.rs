@@ -16,7 +16,7 @@ pub enum BaseType {
 }
 
 impl BaseType {
-    /// All base types, in the order in which they open [`Rules::types`](crate::datalog::Rules::types).
+    /// All base types, in the order in which they open [`Rules::types`](crate::Rules::types).
     pub const ALL: [BaseType; 4] = [BaseType::Symbol, BaseType::Number, BaseType::Unsigned, BaseType::Float];
 
     /// Returns the base type that other languages call `name`.
@@ -232,7 +232,8 @@ pub enum AggregateOp {
 }
 
 impl AggregateOp {
-    pub(crate) const ALL: [AggregateOp; 5] = [
+    /// All operators.
+    pub const ALL: [AggregateOp; 5] = [
         AggregateOp::Count,
         AggregateOp::Sum,
         AggregateOp::Min,

@@ -3,14 +3,14 @@
 use std::collections::{HashMap, HashSet};
 use std::path::{Path, PathBuf};
 
-use crate::datalog::codes;
+use crate::codes;
 use crate::diag::{self, Diagnostic, Faults, SourceId, Sources, Span, similar_file};
 use crate::files::{BUILTIN_FOLDER, ReadError, ReadFile, normalize};
 
-use crate::datalog::syntax::ast::{File, Include, Item};
-use crate::datalog::syntax::packed::FactRuns;
-use crate::datalog::syntax::parser;
-use crate::datalog::syntax::parser::Macros;
+use crate::syntax::ast::{File, Include, Item};
+use crate::syntax::packed::FactRuns;
+use crate::syntax::parser;
+use crate::syntax::parser::Macros;
 
 /// Maximum size of a rule file in bytes.
 const MAX_TEXT_BYTES: usize = 64 << 20;

@@ -1,6 +1,6 @@
 //! The lexer: from text to tokens in one pass. It reports faults and continues.
 
-use crate::datalog::codes;
+use crate::codes;
 use crate::diag::{self, Diagnostic, Faults, SourceId, Span};
 
 /// Maximum length of a name in bytes, which keeps messages and comparisons of names cheap.

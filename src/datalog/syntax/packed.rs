@@ -5,8 +5,8 @@
 //! with all places, where one is needed.
 // Decision: docs/decisions/facts.md#d009
 
-use crate::datalog::syntax::ast::{Atom, Clause, Item, Name, Place, Term, TermKind};
 use crate::diag::{SourceId, Span};
+use crate::syntax::ast::{Atom, Clause, Item, Name, Place, Term, TermKind};
 use std::collections::HashMap;
 use std::ops::Range;
 

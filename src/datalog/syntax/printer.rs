@@ -2,9 +2,9 @@
 
 use std::fmt::{self, Display, Write};
 
-use crate::datalog::syntax::ast::Comparison;
-use crate::datalog::syntax::ast::{Atom, Clause, File, Item, Literal, Term, TermKind, TypeDefinition};
-use crate::datalog::syntax::functor::Functor;
+use crate::syntax::ast::Comparison;
+use crate::syntax::ast::{Atom, Clause, File, Item, Literal, Term, TermKind, TypeDefinition};
+use crate::syntax::functor::Functor;
 
 /// Returns the text of a syntax tree.
 ///

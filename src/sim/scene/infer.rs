@@ -6,7 +6,7 @@ use crate::city::CityMap;
 use crate::config::{Scenario, load_map};
 use crate::datalog::dense::{BinaryFacts, BitFacts, BitState, Dense, Set, TooManySteps, TrackFirings, has};
 use crate::datalog::explain::Explainer;
-use crate::datalog::{self, EvalError, Limits, Program, Session, constraints, size};
+use crate::datalog::{self, EvalError, Limits, Program, Session, constraints, internal::size};
 use crate::diag::{self, Diagnostic, Limit, SourceId, Sources, Span};
 use crate::files::ReadFile;
 use crate::predicate::Entity;

@@ -5,7 +5,7 @@
 use crate::cancel::Cancel;
 use crate::city::CityMap;
 use crate::datalog::dense::{BitFacts, Dense};
-use crate::datalog::size;
+use crate::datalog::internal::size;
 use crate::diag::codes;
 use crate::diag::{Diagnostic, Limit};
 use crate::predicate::{Definition, Entity, PairKind, Relation, Sight, Subject, with_pair};

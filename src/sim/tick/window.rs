@@ -746,7 +746,7 @@ mod tests {
     #[test]
     fn pairwise_distances_select_the_entities_of_the_index() {
         const SIDE: i32 = 60;
-        let mut random = Seed(1).stream(Purpose::SCENE, 0, 0);
+        let mut random = Seed(1).stream(Purpose::TEST, 0, 0);
         let mut counts = [0; 2];
         for round in 0..400 {
             let count = round % (Near::MAX + 1);

@@ -1,8 +1,8 @@
 //! Compares a session with the specification on any program and any script of changes.
 
 use super::Batch;
-use logicity::datalog::{ClauseId, Literal, RelId, Rules, Value};
-use logicity::datalog::{Options, Program, Session, Strategy, StratumStats, naive};
+use logicity_datalog::{ClauseId, Literal, RelId, Rules, Value};
+use logicity_datalog::{Options, Program, Session, Strategy, StratumStats, naive};
 use proptest::prelude::*;
 use std::collections::BTreeSet;
 

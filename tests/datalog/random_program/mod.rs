@@ -7,12 +7,12 @@
 
 pub mod agree;
 
-use logicity::datalog::{
+use logicity_datalog::diag::{Sources, Span};
+use logicity_datalog::symbol::Symbols;
+use logicity_datalog::{
     AggregateOp, Atom, BaseType, Clause, ClauseId, Column, Comparison, Functor, Literal, RelId, Relation, Rules,
     Stratum, Term, Type, TypeId, Value, VarId,
 };
-use logicity::diag::{Sources, Span};
-use logicity::symbol::Symbols;
 use proptest::collection::vec;
 use proptest::prelude::*;
 

@@ -1,3 +1,3 @@
 #![no_main]
 
-libfuzzer_sys::fuzz_target!(|bytes: &[u8]| logicity_fuzz::datalog::popper(bytes));
+libfuzzer_sys::fuzz_target!(|bytes: &[u8]| logicity_fuzz::city::popper(bytes));

@@ -10,11 +10,11 @@
 //! over other entities than the roots); a derivation may be arbitrarily long (recursion); values have an order or a
 //! size (numbers, `<`).
 
-use crate::datalog::analysis::diff::Cut;
-use crate::datalog::analysis::diff::pair::{Individual, Output, Pair, Side};
-use crate::datalog::check::{Atom, Clause, Literal, RelId, Term, VarId};
-use crate::datalog::syntax::ast::{BaseType, Comparison};
-use crate::datalog::value::Value;
+use crate::analysis::diff::Cut;
+use crate::analysis::diff::pair::{Individual, Output, Pair, Side};
+use crate::check::{Atom, Clause, Literal, RelId, Term, VarId};
+use crate::syntax::ast::{BaseType, Comparison};
+use crate::value::Value;
 use indexmap::IndexSet;
 use std::collections::{BTreeSet, HashMap};
 
@@ -111,7 +111,7 @@ fn entities(
 impl Side<'_> {
     fn shared(&self, relation: RelId, row: &[Root]) -> Vec<SharedRoot> {
         let columns = &self.rules.relations[relation.index()].columns;
-        let one = |(root, column): (&Root, &crate::datalog::check::Column)| match *root {
+        let one = |(root, column): (&Root, &crate::check::Column)| match *root {
             Root::Column(column) => SharedRoot::Column(column),
             Root::Constant(value) => SharedRoot::Constant(self.individual(value, column.base)),
         };

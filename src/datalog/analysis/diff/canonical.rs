@@ -6,11 +6,11 @@
 //! clause gets a canonical text. Where color refinement does not distinguish variables, equal clauses may get different
 //! texts; then there is no proof, but no wrong one either.
 
-use crate::datalog::analysis::diff::pair::{Pair, Side};
-use crate::datalog::check::{Atom, Clause, Literal, RelId, Term, VarId};
-use crate::datalog::syntax::ast::BaseType;
-use crate::datalog::value::Value;
+use crate::analysis::diff::pair::{Pair, Side};
+use crate::check::{Atom, Clause, Literal, RelId, Term, VarId};
 use crate::symbol::Symbol;
+use crate::syntax::ast::BaseType;
+use crate::value::Value;
 use std::collections::hash_map::DefaultHasher;
 use std::collections::{BTreeMap, BTreeSet, HashMap};
 use std::hash::{Hash, Hasher};

@@ -4,11 +4,11 @@
 //! gates are shared, so clauses that differ only in names and order cost nothing, and equal rules are equivalent by
 //! construction.
 
-use crate::datalog::analysis::diff::pair::{Individual, ScopeRows, Side};
-use crate::datalog::analysis::diff::sat::{Lit, Outcome, Solver};
-use crate::datalog::check::{Atom, Clause, Constraint, DeclaredConstraint, Literal, RelId, Term, VarId};
-use crate::datalog::syntax::ast::{BaseType, Comparison};
-use crate::datalog::value::Value;
+use crate::analysis::diff::pair::{Individual, ScopeRows, Side};
+use crate::analysis::diff::sat::{Lit, Outcome, Solver};
+use crate::check::{Atom, Clause, Constraint, DeclaredConstraint, Literal, RelId, Term, VarId};
+use crate::syntax::ast::{BaseType, Comparison};
+use crate::value::Value;
 use std::collections::{BTreeMap, BTreeSet, HashMap};
 
 /// The circuit would exceed its limits.

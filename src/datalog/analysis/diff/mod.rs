@@ -4,7 +4,7 @@
 //! scenes of a fixed size this is a question of propositional logic: `ground` translates both programs into one circuit
 //! over the possible base facts, and `sat` searches it exhaustively. `bound` computes how large a scene a difference
 //! may need. If there is no difference up to that size, this *proves* the two rule sets equivalent. Before `diff`
-//! reports a scene, [`crate::datalog::naive`] evaluates it on both sides.
+//! reports a scene, [`crate::naive`] evaluates it on both sides.
 //!
 //! Rules with expressions, aggregates, floats or unsigned numbers have no such circuit. For them `canonical` compares
 //! the clauses. Unless these are the same on both sides, `trial` evaluates one scene after another within a bound, first
@@ -23,13 +23,13 @@ mod sat;
 mod trial;
 mod unsat_core;
 
-use crate::datalog::check::subsumption::within_theory;
-use crate::datalog::check::{Literal, RelId, Rules, Term};
-use crate::datalog::naive;
-use crate::datalog::syntax::ast::BaseType;
-use crate::datalog::value::Value;
+use crate::check::subsumption::within_theory;
+use crate::check::{Literal, RelId, Rules, Term};
 use crate::diag::Diagnostic;
+use crate::naive;
 use crate::symbol::{Symbol, Symbols};
+use crate::syntax::ast::BaseType;
+use crate::value::Value;
 use ground::{BaseFact, Circuit, TooLarge};
 use pair::{Individual, Output, Pair, ScopeRows, Side};
 use sat::{Lit, Outcome};
@@ -101,7 +101,6 @@ pub enum Equivalence {
 
 /// The reason why a search ended early.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, PartialOrd, Ord)]
-#[non_exhaustive]
 pub enum Cut {
     /// The search reached [`Options::conflicts_max`].
     Conflicts,
@@ -356,7 +355,7 @@ fn individuals(sides: [&Side<'_>; 2], entities: usize) -> Vec<Individual> {
                     constants.insert(side.individual(*value, base));
                 }
             };
-            let mut atom = |atom: &crate::datalog::check::Atom| {
+            let mut atom = |atom: &crate::check::Atom| {
                 let columns = &side.rules.relations[atom.relation.index()].columns;
                 atom.terms
                     .iter()

@@ -1,12 +1,12 @@
 //! Two rule sets, prepared for the search.
 
-use crate::datalog::analysis::diff::Options;
-use crate::datalog::check::{Clause, Constraint, DeclaredConstraint, Literal, RelId, Relation, Rules};
-use crate::datalog::codes;
-use crate::datalog::syntax::ast::BaseType;
-use crate::datalog::value::Value;
+use crate::analysis::diff::Options;
+use crate::check::{Clause, Constraint, DeclaredConstraint, Literal, RelId, Relation, Rules};
+use crate::codes;
 use crate::diag::{Diagnostic, did_you_mean};
 use crate::symbol::Symbol;
+use crate::syntax::ast::BaseType;
+use crate::value::Value;
 use std::collections::{BTreeSet, HashMap, HashSet};
 
 /// Two rule sets, prepared for the search.

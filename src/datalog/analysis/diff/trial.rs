@@ -5,26 +5,22 @@
 //! and a few small ones. It first tries every scene with no fact, one fact, two facts and so on. Then it draws larger
 //! scenes at random and shrinks one that shows a difference. All limits are counts, so the result is reproducible.
 
-use crate::datalog::analysis::constraints;
-use crate::datalog::analysis::diff::pair::{Base, Output, relevant};
-use crate::datalog::analysis::diff::{Difference, Equivalence, Model, Options};
-use crate::datalog::check::{Constraint, DeclaredConstraint, Literal, RelId, Rules, Term};
-use crate::datalog::eval::limits::Limits;
-use crate::datalog::program::Program;
-use crate::datalog::session::Session;
-use crate::datalog::syntax::ast::{BaseType, Comparison};
-use crate::datalog::syntax::functor::Functor;
-use crate::datalog::value::{Value, parse as parse_value, print_float};
-use crate::datalog::{facts, naive};
+use crate::analysis::constraints;
+use crate::analysis::diff::pair::{Base, Output, relevant};
+use crate::analysis::diff::{Difference, Equivalence, Model, Options};
+use crate::check::{Constraint, DeclaredConstraint, Literal, RelId, Rules, Term};
 use crate::diag::Diagnostic;
-use crate::rng::{Purpose, Rng, RngExt, Seed};
+use crate::eval::limits::Limits;
+use crate::program::Program;
+use crate::session::Session;
 use crate::symbol::Symbol;
+use crate::syntax::ast::{BaseType, Comparison};
+use crate::syntax::functor::Functor;
+use crate::value::{Value, parse as parse_value, print_float};
+use crate::{facts, naive};
+use rand::{Rng, RngExt, SeedableRng};
+use rand_chacha::ChaCha8Rng;
 use std::collections::BTreeSet;
-
-impl Purpose {
-    /// A scene that compares two rule sets; index: the number of the scene.
-    pub const SCENE: Purpose = Purpose::new(6);
-}
 
 /// The cost of one scene, in conflicts of the SAT search.
 const SCENE_COST: u64 = 10;
@@ -162,7 +158,7 @@ pub(super) fn search(
     }
     let mut number = 0;
     while trial.spent < scenes && trial.open().next().is_some() {
-        let mut random = Seed(0).stream(Purpose::SCENE, number, 0);
+        let mut random = random_scene(number);
         let entities = random.random_range(0..=RANDOM_MAX.0.min(options.entities_max));
         let facts = trial.draw(entities, &mut random);
         number += 1;
@@ -675,4 +671,14 @@ fn is_nameless(rules: &Rules) -> bool {
         _ => false,
     };
     !rules.clauses.iter().flat_map(|clause| &clause.body).any(looks)
+}
+
+/// Returns the generator of the random scene with this number. It is ChaCha with 8 rounds, since `rand_chacha` keeps its
+/// output stable across versions.
+fn random_scene(number: u64) -> ChaCha8Rng {
+    let mut key = [0; 32];
+    // Keeps these draws apart from others that also have numbers.
+    key[8] = 6;
+    key[16..24].copy_from_slice(&number.to_le_bytes());
+    ChaCha8Rng::from_seed(key)
 }

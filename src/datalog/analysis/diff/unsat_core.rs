@@ -1,11 +1,11 @@
 //! The integrity constraints that a proof of equality needs: an unsatisfiable core.
 
-use crate::datalog::analysis::diff::bound;
-use crate::datalog::analysis::diff::ground::Circuit;
-use crate::datalog::analysis::diff::pair::{Pair, ScopeRows};
-use crate::datalog::analysis::diff::sat::Outcome;
-use crate::datalog::analysis::diff::{Options, Remaining, Scenes, last_size};
-use crate::datalog::check::{DeclaredConstraint, Rules};
+use crate::analysis::diff::bound;
+use crate::analysis::diff::ground::Circuit;
+use crate::analysis::diff::pair::{Pair, ScopeRows};
+use crate::analysis::diff::sat::Outcome;
+use crate::analysis::diff::{Options, Remaining, Scenes, last_size};
+use crate::check::{DeclaredConstraint, Rules};
 use crate::diag::Diagnostic;
 use std::collections::{BTreeSet, HashMap};
 

@@ -22,16 +22,16 @@
 
 use std::collections::BTreeSet;
 
-use crate::datalog::codes;
+use crate::codes;
 use crate::diag::{Diagnostic, Span};
 
-use crate::datalog::check::body::{Check, Finish, Operand, OperandKind, Pending};
-use crate::datalog::check::clauses::{EdgeKind, Known, VariableType, renumber};
-use crate::datalog::check::names::Names;
-use crate::datalog::check::rules::{Atom, Clause, Literal, RelId, Term, TypeId, VarId};
-use crate::datalog::check::scope;
-use crate::datalog::syntax::ast::{BaseType, Comparison};
-use crate::datalog::syntax::functor::{AggregateOp, Functor};
+use crate::check::body::{Check, Finish, Operand, OperandKind, Pending};
+use crate::check::clauses::{EdgeKind, Known, VariableType, renumber};
+use crate::check::names::Names;
+use crate::check::rules::{Atom, Clause, Literal, RelId, Term, TypeId, VarId};
+use crate::check::scope;
+use crate::syntax::ast::{BaseType, Comparison};
+use crate::syntax::functor::{AggregateOp, Functor};
 
 /// The literals that may bind what an aggregate needs from outside.
 #[derive(Clone, Copy, PartialEq, Eq)]

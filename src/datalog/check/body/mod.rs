@@ -11,19 +11,19 @@
 
 use std::collections::{HashMap, HashSet};
 
-use crate::datalog::codes;
+use crate::codes;
 use crate::diag::{self, Diagnostic, Faults, Span};
 use crate::symbol::Symbols;
 
-use crate::datalog::check::Edb;
-use crate::datalog::check::clauses::{Clauses, Edge, EdgeKind, Guard, Known, renumber};
-use crate::datalog::check::names::Names;
-use crate::datalog::check::rules::{Atom, Clause, Literal, RelId, Term, TypeId, VarId};
-use crate::datalog::syntax::ast;
-use crate::datalog::syntax::ast::TermKind;
-use crate::datalog::syntax::ast::{BaseType, Comparison, names_in, names_of};
-use crate::datalog::syntax::functor::{AggregateOp, Functor, Shape};
-use crate::datalog::value::{Patterns, Value};
+use crate::check::Edb;
+use crate::check::clauses::{Clauses, Edge, EdgeKind, Guard, Known, renumber};
+use crate::check::names::Names;
+use crate::check::rules::{Atom, Clause, Literal, RelId, Term, TypeId, VarId};
+use crate::syntax::ast;
+use crate::syntax::ast::TermKind;
+use crate::syntax::ast::{BaseType, Comparison, names_in, names_of};
+use crate::syntax::functor::{AggregateOp, Functor, Shape};
+use crate::value::{Patterns, Value};
 use aggregate::Allowed;
 
 mod aggregate;

@@ -15,15 +15,15 @@ use std::collections::BTreeSet;
 
 use crate::diag::Span;
 
-use crate::datalog::check::body::aggregate::{Allowed, bound_by};
-use crate::datalog::check::body::{Check, Finish, Pending};
-use crate::datalog::check::clauses::EdgeKind;
-use crate::datalog::check::clauses::{Known, VariableType, renumber};
-use crate::datalog::check::names::Names;
-use crate::datalog::check::rules::{Atom, Clause, Literal, RelId, Term, VarId};
-use crate::datalog::syntax::ast::{BaseType, Comparison};
-use crate::datalog::syntax::functor::Functor;
-use crate::datalog::value::Value;
+use crate::check::body::aggregate::{Allowed, bound_by};
+use crate::check::body::{Check, Finish, Pending};
+use crate::check::clauses::EdgeKind;
+use crate::check::clauses::{Known, VariableType, renumber};
+use crate::check::names::Names;
+use crate::check::rules::{Atom, Clause, Literal, RelId, Term, VarId};
+use crate::syntax::ast::{BaseType, Comparison};
+use crate::syntax::functor::Functor;
+use crate::value::Value;
 
 const FROM: Term = Term::Variable(VarId(0));
 const TO: Term = Term::Variable(VarId(1));

@@ -1,14 +1,14 @@
 //! Safety: which variables the body binds, and what could bind the others.
 
-use crate::datalog::check::rules::{Term, VarId};
-use crate::datalog::check::witness::written;
-use crate::datalog::codes;
-use crate::datalog::syntax::ast;
-use crate::datalog::syntax::ast::{BaseType, Comparison, TermKind};
+use crate::check::rules::{Term, VarId};
+use crate::check::witness::written;
+use crate::codes;
 use crate::diag::Diagnostic;
+use crate::syntax::ast;
+use crate::syntax::ast::{BaseType, Comparison, TermKind};
 
-use crate::datalog::check::body::{Check, Name, Operand, OperandKind, Pending, Variable};
-use crate::datalog::check::clauses::{Guard, reads_as_constant};
+use crate::check::body::{Check, Name, Operand, OperandKind, Pending, Variable};
+use crate::check::clauses::{Guard, reads_as_constant};
 
 impl<'c> Check<'_, 'c> {
     fn is_bound(&self, operand: Operand) -> bool {

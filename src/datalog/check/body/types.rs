@@ -1,15 +1,15 @@
 //! Type inference: from the columns of each variable, its comparisons and the expressions around it.
 
-use crate::datalog::check::names::Names;
-use crate::datalog::check::rules::{Atom, Term, VarId};
-use crate::datalog::codes;
-use crate::datalog::syntax::ast;
-use crate::datalog::syntax::ast::{BaseType, Comparison};
-use crate::datalog::syntax::functor::{AggregateOp, Functor, Shape};
+use crate::check::names::Names;
+use crate::check::rules::{Atom, Term, VarId};
+use crate::codes;
 use crate::diag::{Diagnostic, Span};
+use crate::syntax::ast;
+use crate::syntax::ast::{BaseType, Comparison};
+use crate::syntax::functor::{AggregateOp, Functor, Shape};
 
-use crate::datalog::check::body::{Check, Operand, OperandKind, Pending, Use};
-use crate::datalog::check::clauses::VariableType;
+use crate::check::body::{Check, Operand, OperandKind, Pending, Use};
+use crate::check::clauses::VariableType;
 
 impl<'c> Check<'_, 'c> {
     pub(super) fn group(&self, mut at: usize) -> usize {

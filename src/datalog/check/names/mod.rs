@@ -4,13 +4,13 @@ mod types;
 
 use std::collections::{HashMap, HashSet};
 
-use crate::datalog::codes;
+use crate::codes;
 use crate::diag::{self, Diagnostic, Faults, Span, did_you_mean};
 
-use crate::datalog::check::Edb;
-use crate::datalog::check::rules::{Column, Directive, RelId, Relation, RowFormat, RowPlace, Type, TypeId};
-use crate::datalog::syntax::ast::BaseType;
-use crate::datalog::syntax::ast::{Decl, Item, Mark, MarkKind, Name, Pragma};
+use crate::check::Edb;
+use crate::check::rules::{Column, Directive, RelId, Relation, RowFormat, RowPlace, Type, TypeId};
+use crate::syntax::ast::BaseType;
+use crate::syntax::ast::{Decl, Item, Mark, MarkKind, Name, Pragma};
 
 /// Maximum number of columns of a predicate.
 const MAX_COLUMNS: usize = 64;

@@ -1,11 +1,11 @@
 //! Declarations of types: subtypes, unions and aliases.
 
-use crate::datalog::check::names::{Names, remember};
-use crate::datalog::check::rules::{Type, TypeId};
-use crate::datalog::codes;
-use crate::datalog::syntax::ast::BaseType;
-use crate::datalog::syntax::ast::{Item, Name, TypeDecl, TypeDefinition};
+use crate::check::names::{Names, remember};
+use crate::check::rules::{Type, TypeId};
+use crate::codes;
 use crate::diag::{self, Diagnostic, Faults, Span};
+use crate::syntax::ast::BaseType;
+use crate::syntax::ast::{Item, Name, TypeDecl, TypeDefinition};
 use std::collections::{HashMap, HashSet};
 
 /// Maximum length of a chain of subtypes.

@@ -4,10 +4,10 @@
 //! reads have grown or shrunk by [`FACTOR`], its clauses are replanned with measured sizes.
 // Decision: docs/decisions/evaluation.md#d015
 
-use crate::datalog::check::RelId;
-use crate::datalog::eval::exec::{Commit, State};
-use crate::datalog::plan::estimate::Size;
-use crate::datalog::plan::steps::{Aim, StratumPlan};
+use crate::check::RelId;
+use crate::eval::exec::{Commit, State};
+use crate::plan::estimate::Size;
+use crate::plan::steps::{Aim, StratumPlan};
 use std::sync::Arc;
 
 /// The row counts that a stratum's plans were made for: first of its inputs, then of its members. Empty for plans made

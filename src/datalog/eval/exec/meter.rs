@@ -1,15 +1,15 @@
 //! The resources of a stratum in evaluation, and the count of its work.
 
 use crate::cancel::Cancel;
-use crate::datalog::check::ClauseId;
-use crate::datalog::eval::exec::CommitOptions;
-use crate::datalog::eval::join;
-use crate::datalog::eval::join::{JoinState, RowView};
-use crate::datalog::eval::output::{Abort, Output};
-use crate::datalog::eval::stats::{EvalEvent, RuleStats, WorkCounts};
-use crate::datalog::eval::workers::Workers;
-use crate::datalog::plan::steps::{Plan, StratumPlan};
-use crate::datalog::row::Row;
+use crate::check::ClauseId;
+use crate::eval::exec::CommitOptions;
+use crate::eval::join;
+use crate::eval::join::{JoinState, RowView};
+use crate::eval::output::{Abort, Output};
+use crate::eval::stats::{EvalEvent, RuleStats, WorkCounts};
+use crate::eval::workers::Workers;
+use crate::plan::steps::{Plan, StratumPlan};
+use crate::row::Row;
 use crate::symbol::Symbols;
 
 /// The clause whose evaluation was abandoned, and the reason.

@@ -1,9 +1,9 @@
 //! Heights of derived facts, and the derivation of minimal height of each.
 
-use crate::datalog::check::{Atom, Clause, ClauseId, Literal, RelId, Rules};
-use crate::datalog::explain::ExplainError;
-use crate::datalog::explain::search::{Attempt, Binding, Search, bind_head, unify, value};
-use crate::datalog::value::Value;
+use crate::check::{Atom, Clause, ClauseId, Literal, RelId, Rules};
+use crate::explain::ExplainError;
+use crate::explain::search::{Attempt, Binding, Search, bind_head, unify, value};
+use crate::value::Value;
 use std::collections::{BTreeMap, HashMap};
 
 /// The known heights.
@@ -44,7 +44,7 @@ struct Height {
 
 /// The origin of a fact.
 #[derive(Clone)]
-pub(in crate::datalog::explain) enum Best {
+pub(in crate::explain) enum Best {
     Input,
     Text(ClauseId),
     Derived {
@@ -107,11 +107,7 @@ fn positive(clause: &Clause) -> impl Iterator<Item = (usize, &Atom)> {
 
 impl Search<'_> {
     /// Returns the height of a fact that holds, and the derivation that gives it.
-    pub(in crate::datalog::explain) fn origin(
-        &mut self,
-        rel: RelId,
-        row: &[Value],
-    ) -> Result<(u32, Best), ExplainError> {
+    pub(in crate::explain) fn origin(&mut self, rel: RelId, row: &[Value]) -> Result<(u32, Best), ExplainError> {
         let fact = (rel, row.to_vec());
         if let Some(&clause) = self.heights.text.get(&fact) {
             return Ok((0, Best::Text(clause)));
@@ -459,9 +455,9 @@ fn highest(clause: &Clause, rows: &[Option<u32>], of: impl Fn(RelId, u32) -> Opt
 mod tests {
     use super::*;
     use crate::cancel::Cancel;
-    use crate::datalog::program::Program;
-    use crate::datalog::workspace;
     use crate::diag::Sources;
+    use crate::program::Program;
+    use crate::workspace;
 
     #[test]
     fn both_ways_to_find_heights_agree() {
@@ -477,9 +473,11 @@ mod tests {
             round(x) :- path(x, x).";
         let mut sources = Sources::new();
         let entry = sources.add("heights.dl", text);
-        let rules = workspace::load(&mut sources, entry, &crate::files::read_text)
-            .rules
-            .expect("no errors");
+        let rules = workspace::load(&mut sources, entry, &|_: &std::path::Path| {
+            Err(crate::files::ReadError::NotFound)
+        })
+        .rules
+        .expect("no errors");
         let program = Program::new(rules).expect("within limits");
         let mut session = program.session();
         let edge = program.relation("edge").expect("declared");

@@ -4,15 +4,15 @@
 pub(super) mod heights;
 
 use crate::cancel::Cancel;
-use crate::datalog::check::{Atom, Clause, ClauseId, Literal, RelId, Rules, Term, VarId};
-use crate::datalog::eval::correlated::CorrelatedValues;
-use crate::datalog::eval::output::Abort;
-use crate::datalog::explain::search::heights::Heights;
-use crate::datalog::explain::{ExplainError, Pattern};
-use crate::datalog::session::Session;
-use crate::datalog::syntax::ast::{BaseType, Comparison};
-use crate::datalog::value::{Patterns, Value};
+use crate::check::{Atom, Clause, ClauseId, Literal, RelId, Rules, Term, VarId};
+use crate::eval::correlated::CorrelatedValues;
+use crate::eval::output::Abort;
+use crate::explain::search::heights::Heights;
+use crate::explain::{ExplainError, Pattern};
+use crate::session::Session;
 use crate::symbol::Symbol;
+use crate::syntax::ast::{BaseType, Comparison};
+use crate::value::{Patterns, Value};
 use std::cell::{Cell, OnceCell, RefCell};
 use std::cmp::{Ordering, Reverse};
 use std::collections::HashMap;

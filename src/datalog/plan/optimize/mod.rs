@@ -2,7 +2,7 @@
 //!
 //! `optimize` removes literals that others imply. It puts a false comparison in front of a body that contradicts
 //! itself, and it drops clauses that another clause subsumes. Clauses keep their ids, and
-//! [`crate::datalog::session::Session::fired`] still reports what each derives. [`lints`] reports the findings to the
+//! [`crate::session::Session::fired`] still reports what each derives. [`lints`] reports the findings to the
 //! author.
 //!
 //! `theory` derives consequences of a literal, and `saturate` searches the forms of a body. The optimizer does not
@@ -14,18 +14,18 @@ mod repeated;
 mod saturate;
 mod theory;
 
-use crate::datalog::check::subsumption;
-use crate::datalog::check::subsumption::{Fact, NoConstraints, Pattern, Theory, covers, facts, within_theory};
-use crate::datalog::check::witness::written;
-use crate::datalog::check::{
+use crate::check::subsumption;
+use crate::check::subsumption::{Fact, NoConstraints, Pattern, Theory, covers, facts, within_theory};
+use crate::check::witness::written;
+use crate::check::{
     Atom, Budget, Clause, ClauseId, Comparing, Constraint, DeclaredConstraint, Literal, RelId, Rules, Term, VarId,
 };
-use crate::datalog::codes;
-use crate::datalog::syntax::ast::{BaseType, Comparison};
-use crate::datalog::syntax::quoted;
-use crate::datalog::value::Value;
+use crate::codes;
 use crate::diag::{Diagnostic, Sources, Span};
 use crate::symbol::Symbol;
+use crate::syntax::ast::{BaseType, Comparison};
+use crate::syntax::quoted;
+use crate::value::Value;
 use saturate::Knowledge;
 use std::borrow::Cow;
 use std::collections::{BTreeMap, BTreeSet};
@@ -517,7 +517,7 @@ fn shown_term(rules: &Rules, clause: &Clause, term: &Term, base: BaseType) -> St
         Term::Constant(value) => match base {
             BaseType::Number => value.as_number().to_string(),
             BaseType::Unsigned => value.0.to_string(),
-            BaseType::Float => crate::datalog::value::print_float(value.as_float()),
+            BaseType::Float => crate::value::print_float(value.as_float()),
             BaseType::Symbol => quoted(rules.symbols.text(Symbol(value.0)).unwrap_or_default()),
         },
     }
@@ -527,7 +527,7 @@ fn shown_term(rules: &Rules, clause: &Clause, term: &Term, base: BaseType) -> St
 mod tests {
     use super::*;
     use crate::cases::cases;
-    use crate::datalog::check::random_clauses;
+    use crate::check::random_clauses;
     use proptest::prelude::*;
 
     proptest! {

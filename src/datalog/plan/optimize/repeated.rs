@@ -6,8 +6,8 @@
 //! R(x) :- Walker(z), Car(x), Near(x, z), Old(z).         Q(v) :- Name(v, w), Wet(v).  R(x) :- Name(x, z), Old(z).
 //! ```
 
-use crate::datalog::check::{Clause, Literal, Rules, Term, VarId};
-use crate::datalog::syntax::ast::{BaseType, Comparison};
+use crate::check::{Clause, Literal, Rules, Term, VarId};
+use crate::syntax::ast::{BaseType, Comparison};
 use std::collections::BTreeMap;
 
 /// The maximum number of literals of a part.

@@ -1,7 +1,7 @@
 //! Consequences of one literal, with and without the integrity constraints.
 
-use crate::datalog::check::subsumption::{Arg, EQUAL, Fact, GREATER, LESS, Theory};
-use crate::datalog::check::{Constraint, DeclaredConstraint, RelId};
+use crate::check::subsumption::{Arg, EQUAL, Fact, GREATER, LESS, Theory};
+use crate::check::{Constraint, DeclaredConstraint, RelId};
 use std::collections::BTreeMap;
 
 /// The integrity constraints, indexed by predicate. A number is the position of a constraint in the list that

@@ -1,13 +1,13 @@
 //! Clauses and queries: heads, atoms, comparisons, conjunction, disjunction and negation.
 
-use crate::datalog::codes;
-use crate::datalog::syntax::ast::Comparison;
-use crate::datalog::syntax::ast::{Atom, Clause, Literal, Place, TermKind};
-use crate::datalog::syntax::functor::{AggregateOp, Functor};
-use crate::datalog::syntax::lexer::{CONJUNCTION, DISJUNCTION, IMPLICATION, Kind, NEGATION, Token};
+use crate::codes;
 use crate::diag::Diagnostic;
+use crate::syntax::ast::Comparison;
+use crate::syntax::ast::{Atom, Clause, Literal, Place, TermKind};
+use crate::syntax::functor::{AggregateOp, Functor};
+use crate::syntax::lexer::{CONJUNCTION, DISJUNCTION, IMPLICATION, Kind, NEGATION, Token};
 
-use crate::datalog::syntax::parser::{DIRECTIVES, FULL_STOP, MAX_NESTING, Parse, Parser, Reported};
+use crate::syntax::parser::{DIRECTIVES, FULL_STOP, MAX_NESTING, Parse, Parser, Reported};
 
 impl Parser<'_> {
     /// Returns whether the current tokens are `?-`.

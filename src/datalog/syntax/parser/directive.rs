@@ -1,15 +1,15 @@
 //! Directives: declarations, types, marks of predicates, constraints, includes and scopes.
 
-use crate::datalog::codes;
-use crate::datalog::syntax::ast::BaseType;
-use crate::datalog::syntax::ast::{
+use crate::codes;
+use crate::diag::{Diagnostic, did_you_mean};
+use crate::syntax::ast::BaseType;
+use crate::syntax::ast::{
     ColumnDecl, ConstraintDecl, ConstraintKind, Decl, DirectiveOption, Include, Item, Mark, MarkKind, Name, Place,
     Plan, Pragma, Scope, TypeDecl, TypeDefinition,
 };
-use crate::datalog::syntax::lexer::{Kind, Token};
-use crate::diag::{Diagnostic, did_you_mean};
+use crate::syntax::lexer::{Kind, Token};
 
-use crate::datalog::syntax::parser::{
+use crate::syntax::parser::{
     BRANCHES, COMPONENTS, DIRECTIVES, FOREIGN_DIRECTIVES, FUNCTORS, LATTICES, OLD_TYPES, Parse, Parser, RECORDS,
     Reported,
 };

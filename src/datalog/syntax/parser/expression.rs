@@ -1,14 +1,14 @@
 //! Expressions: operators with precedence, functions, casts, aggregates and constants.
 
-use crate::datalog::codes;
-use crate::datalog::syntax::ast::{Aggregate, Literal, Term, TermKind};
-use crate::datalog::syntax::functor::{AggregateOp, Functor};
-use crate::datalog::syntax::lexer::{Kind, Token};
+use crate::codes;
 use crate::diag::{self, Diagnostic};
+use crate::syntax::ast::{Aggregate, Literal, Term, TermKind};
+use crate::syntax::functor::{AggregateOp, Functor};
+use crate::syntax::lexer::{Kind, Token};
 use core::net::Ipv4Addr;
 
-use crate::datalog::syntax::parser::clause::comparison;
-use crate::datalog::syntax::parser::{BRANCHES, EXPAND, FUNCTORS, NESTED, NUMBERED, Parse, Parser, RECORDS, Reported};
+use crate::syntax::parser::clause::comparison;
+use crate::syntax::parser::{BRANCHES, EXPAND, FUNCTORS, NESTED, NUMBERED, Parse, Parser, RECORDS, Reported};
 
 /// Maximum height of an expression: an operator or function is one level above its highest operand.
 const MAX_HEIGHT: usize = 256;

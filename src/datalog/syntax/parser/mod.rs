@@ -5,16 +5,14 @@
 //! parentheses and braces and the height of expressions are bounded, so no input exhausts the stack. The parser visits
 //! each token a bounded number of times.
 
-use crate::datalog::codes;
+use crate::codes;
 use crate::diag::{self, Diagnostic, Faults, SourceId, Span};
 
-use crate::datalog::syntax::ast::BaseType;
-use crate::datalog::syntax::ast::{File, Include, Item, Literal, Name, Place};
-use crate::datalog::syntax::lexer;
-use crate::datalog::syntax::lexer::{
-    COMMENT, CONJUNCTION, DISJUNCTION, DocLine, IMPLICATION, Kind, Lexed, NEGATION, Token,
-};
-use crate::datalog::syntax::packed::PackedFacts;
+use crate::syntax::ast::BaseType;
+use crate::syntax::ast::{File, Include, Item, Literal, Name, Place};
+use crate::syntax::lexer;
+use crate::syntax::lexer::{COMMENT, CONJUNCTION, DISJUNCTION, DocLine, IMPLICATION, Kind, Lexed, NEGATION, Token};
+use crate::syntax::packed::PackedFacts;
 use std::collections::HashSet;
 
 mod clause;

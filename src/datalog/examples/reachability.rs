@@ -1,5 +1,5 @@
 //! Maintains reachability while edges are inserted and retracted, and prints what each commit changed:
-//! `cargo run --example reachability`. Needs the engine alone (`--no-default-features`).
+//! `cargo run --example reachability`.
 //!
 //! ```text
 //! insert edge(1, 2)
@@ -12,9 +12,10 @@
 //!   - [(1, 3), (1, 4), (2, 3), (2, 4)]
 //! ```
 
-use logicity::datalog::{Program, RelId, Session, Value};
-use logicity::diag::{Sources, render};
-use logicity::files::read_text;
+use logicity_datalog::diag::{Sources, render};
+use logicity_datalog::files::ReadError;
+use logicity_datalog::{Program, RelId, Session, Value};
+use std::path::Path;
 
 const RULES: &str = "\
 .decl edge(x: number, y: number)
@@ -27,7 +28,7 @@ path(x, z) :- path(x, y), edge(y, z).
 fn main() -> Result<(), Box<dyn std::error::Error>> {
     let mut sources = Sources::new();
     let entry = sources.add("path.dl", RULES);
-    let (program, diagnostics) = Program::load(&mut sources, entry, &read_text);
+    let (program, diagnostics) = Program::load(&mut sources, entry, &|_: &Path| Err(ReadError::NotFound));
     let program = program.ok_or_else(|| render(&diagnostics, &sources, false))?;
     let relation = |name| program.relation(name).ok_or("unknown relation");
     let (edge, path) = (relation("edge")?, relation("path")?);

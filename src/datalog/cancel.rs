@@ -4,7 +4,7 @@
 //! argument, its name ends in `_with`: `commit` cannot be cancelled, `commit_with` can.
 //!
 //! ```
-//! use logicity::cancel::Cancel;
+//! use logicity_datalog::cancel::Cancel;
 //! use std::sync::Arc;
 //! use std::sync::atomic::{AtomicBool, Ordering::Relaxed};
 //!

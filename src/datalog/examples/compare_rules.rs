@@ -1,5 +1,4 @@
 //! Proves two rule sets equivalent, or prints a smallest scene in which they differ: `cargo run --example compare_rules`.
-//! Needs the engine alone (`--no-default-features`).
 //!
 //! ```text
 //! shorter.dl: equivalent in scenes of any size
@@ -8,10 +7,11 @@
 //!   wrong.dl derives []
 //! ```
 
-use logicity::datalog::diff::{Equivalence, Options, diff};
-use logicity::datalog::{self, Rules};
-use logicity::diag::{Sources, render};
-use logicity::files::read_text;
+use logicity_datalog::diag::{Sources, render};
+use logicity_datalog::diff::{Equivalence, Options, diff};
+use logicity_datalog::files::ReadError;
+use logicity_datalog::{Rules, load as load_rules};
+use std::path::Path;
 
 const INPUTS: &str = "\
 .decl Car(x: symbol)
@@ -45,6 +45,6 @@ fn main() -> Result<(), Box<dyn std::error::Error>> {
 fn load(name: &str, clauses: &str) -> Result<Rules, String> {
     let mut sources = Sources::new();
     let entry = sources.add(name, format!("{INPUTS}{clauses}"));
-    let loaded = datalog::load(&mut sources, entry, &read_text);
+    let loaded = load_rules(&mut sources, entry, &|_: &Path| Err(ReadError::NotFound));
     (loaded.rules).ok_or_else(|| render(&loaded.diagnostics, &sources, false))
 }

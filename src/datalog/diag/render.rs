@@ -251,7 +251,7 @@ pub fn to_json(diagnostics: &[Diagnostic], sources: &Sources) -> Value {
 #[cfg(test)]
 mod tests {
     use super::*;
-    use crate::datalog::codes;
+    use crate::codes;
     use std::ops::Range;
 
     fn fault(source: SourceId, range: Range<usize>) -> Diagnostic {

@@ -20,7 +20,7 @@ pub use explanation::{Catalog, Example, Explanation, explanations};
 pub use faults::{Faults, MAX_FAULTS};
 pub use neutral::neutral;
 pub use render::{json_error, render, to_json};
-pub use source::{Located, Position, SourceId, Sources, Span};
+pub use source::{Position, SourceId, Sources, Span};
 use std::borrow::Borrow;
 use std::path::Path;
 

@@ -1,7 +1,7 @@
 //! Checks a rule file and prints its diagnostics: `cargo run --example check_rules [FILE]`.
 //!
-//! Without a file, checks two faulty rules. Needs the engine alone (`--no-default-features`); with the rules of cities,
-//! pass `logicity::builtin::BuiltinFiles` instead of `read_text`, so that files can include `vocabulary.dl`.
+//! Without a file, checks two faulty rules. With the rules of cities, pass `logicity::builtin::BuiltinFiles` as the
+//! reader, so that files can include `vocabulary.dl`.
 //!
 //! ```text
 //! error[unknown-predicate]: no predicate `egde` is declared
@@ -25,9 +25,9 @@
 //! the rules have errors
 //! ```
 
-use logicity::datalog::Program;
-use logicity::diag::{Sources, render};
-use logicity::files::read_text;
+use logicity_datalog::Program;
+use logicity_datalog::diag::{Sources, render};
+use logicity_datalog::files::to_text;
 use std::path::Path;
 
 const FAULTY: &str = "\
@@ -44,12 +44,12 @@ fn main() -> Result<(), Box<dyn std::error::Error>> {
     let mut sources = Sources::new();
     let entry = match std::env::args().nth(1) {
         Some(path) => {
-            let text = read_text(Path::new(&path))?;
+            let text = to_text(std::fs::read(&path)?)?;
             sources.add(path, text)
         }
         None => sources.add("faulty.dl", FAULTY),
     };
-    let (program, diagnostics) = Program::load(&mut sources, entry, &read_text);
+    let (program, diagnostics) = Program::load(&mut sources, entry, &|path: &Path| to_text(std::fs::read(path)?));
     print!("{}", render(&diagnostics, &sources, false));
     match program {
         Some(program) => println!("{} clauses", program.rules().clauses.len()),

@@ -173,15 +173,6 @@ fn floor_char(text: &str, byte: usize) -> usize {
     byte
 }
 
-/// A value and its place in a file.
-#[derive(Clone, Copy, Debug, PartialEq, Eq)]
-pub struct Located<T> {
-    /// The value.
-    pub value: T,
-    /// The place.
-    pub span: Span,
-}
-
 #[cfg(test)]
 mod tests {
     use super::*;

@@ -153,7 +153,7 @@ mod tests {
     fn push(faults: &mut Faults, messages: impl IntoIterator<Item = String>) {
         let id: SourceId = Sources::new().add("a.dl", "");
         for (at, message) in messages.into_iter().enumerate() {
-            faults.push(Diagnostic::new(crate::datalog::codes::UNSUPPORTED, message).at(Span::new(id, at..at + 1), ""));
+            faults.push(Diagnostic::new(crate::codes::UNSUPPORTED, message).at(Span::new(id, at..at + 1), ""));
         }
     }
 

@@ -31,9 +31,10 @@
 //!    The [`Delta`] it returns lists the added and removed rows of every relation, base and derived.
 //!
 //! ```
-//! use logicity::datalog::{Program, StratumStats, Value};
-//! use logicity::diag::{Sources, render};
-//! use logicity::files;
+//! use logicity_datalog::{Program, StratumStats, Value};
+//! use logicity_datalog::diag::{Sources, render};
+//! use logicity_datalog::files::ReadError;
+//! use std::path::Path;
 //!
 //! let mut sources = Sources::new();
 //! let entry = sources.add(
@@ -43,7 +44,7 @@
 //!      .decl open(x: number, y: number)
 //!      open(x, y) :- road(x, y), !closed(x, y).",
 //! );
-//! let (program, diagnostics) = Program::load(&mut sources, entry, &files::read_text);
+//! let (program, diagnostics) = Program::load(&mut sources, entry, &|_: &Path| Err(ReadError::NotFound));
 //! let program = program.ok_or_else(|| render(&diagnostics, &sources, false))?;
 //! let [road, closed, open] = ["road", "closed", "open"].map(|name| program.relation(name).unwrap());
 //! let [a, b, c] = [1, 2, 3].map(Value::number);
@@ -97,12 +98,18 @@
 
 mod aggregate;
 mod analysis;
+pub mod cancel;
+#[cfg(test)]
+#[path = "../../tests/cases.rs"]
+mod cases;
 mod check;
 pub mod codes;
 pub mod dense;
+pub mod diag;
 mod eval;
 pub mod explain;
 pub mod facts;
+pub mod files;
 pub mod naive;
 mod plan;
 mod plan_printer;
@@ -110,7 +117,9 @@ mod program;
 pub mod rewrite;
 mod row;
 mod session;
+pub mod symbol;
 mod syntax;
+mod threads;
 mod value;
 mod workspace;
 
@@ -120,8 +129,6 @@ pub use check::{
     Relation, RowFormat, RowPlace, Rules, Stratum, Term, Type, TypeId, VarId,
 };
 pub use eval::delta::{Delta, RelationChange, Rows};
-#[cfg(feature = "sim")]
-pub(crate) use eval::limits::size;
 pub use eval::limits::{EvalError, Limits};
 pub use eval::stats::{EvalEvent, EvalStats, RuleStats, Strategy, StratumStats, WorkCounts};
 pub use eval::workers::Threads;
@@ -134,3 +141,13 @@ pub use syntax::functor::{AggregateOp, Functor};
 pub use syntax::{DIRECTIVES, FULL_STOP, Parsed, TokenKind, format, is_name, parse, print, quoted, tokens};
 pub use value::{Patterns, Value, parse as parse_value, print_float};
 pub use workspace::{FactPattern, FactRow, Loaded, Workspace, is_complete, load, load_with};
+
+/// What the crate `logicity` shares with the engine. No part of the interface: it may change in any version.
+#[doc(hidden)]
+pub mod internal {
+    pub use crate::eval::limits::size;
+
+    pub mod threads {
+        pub use crate::threads::{Pool, start};
+    }
+}
