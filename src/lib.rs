@@ -22,30 +22,23 @@
 //!
 //! ```
 //! use logicity::datalog::Program;
-//! use logicity::diag::{Sources, render};
-//! use logicity::files;
 //!
-//! let mut sources = Sources::new();
-//! let entry = sources.add(
-//!     "path.dl",
+//! let program = Program::parse(
 //!     ".decl edge(x: symbol, y: symbol)
 //!      .input edge
 //!      .decl path(x: symbol, y: symbol)
 //!      path(x, y) :- edge(x, y).
 //!      path(x, z) :- path(x, y), edge(y, z).",
-//! );
-//! let (program, diagnostics) = Program::load(&mut sources, entry, &files::read_text);
-//! let program = program.ok_or_else(|| render(&diagnostics, &sources, false))?;
-//! let (edge, path) = (program.relation("edge").unwrap(), program.relation("path").unwrap());
+//! )?;
+//! let path = program.relation("path").unwrap();
 //!
 //! let mut session = program.session();
-//! let [a, b, c] = ["a", "b", "c"].map(|name| session.intern(name));
-//! session.insert(edge, &[a, b])?;
+//! session.insert("edge", ("a", "b"))?;
 //! session.commit()?;
-//! session.insert(edge, &[b, c])?;
+//! session.insert("edge", ("b", "c"))?;
 //! let delta = session.commit()?;
-//! let added: Vec<_> = delta.of(path).unwrap().added.iter().collect();
-//! assert_eq!(added, [[a, c], [b, c]]);
+//! let added = session.decode(path, &delta.of(path).unwrap().added)?;
+//! assert_eq!(added.collect::<Vec<(&str, &str)>>(), [("a", "c"), ("b", "c")]);
 //! # Ok::<(), Box<dyn std::error::Error>>(())
 //! ```
 //!

@@ -238,7 +238,7 @@ impl PySession {
     fn tuples<'py>(&self, py: Python<'py>, relation: &str) -> PyResult<Bound<'py, PyList>> {
         let (id, relation) = self.loaded.relation(relation)?;
         let tuples = |session: &mut datalog::Session| {
-            columns::tuples(py, &relation.columns, session.rows(id), session.symbols())
+            columns::tuples(py, &relation.columns, session.encoded_rows(id), session.symbols())
         };
         self.session.with(tuples)
     }
@@ -246,7 +246,7 @@ impl PySession {
     fn columns<'py>(&self, py: Python<'py>, relation: &str) -> PyResult<Bound<'py, PyDict>> {
         let (id, relation) = self.loaded.relation(relation)?;
         let arrays = |session: &mut datalog::Session| {
-            columns::arrays(py, &relation.columns, || session.rows(id), session.symbols())
+            columns::arrays(py, &relation.columns, || session.encoded_rows(id), session.symbols())
         };
         self.session.with(arrays)
     }
@@ -392,8 +392,8 @@ impl PySession {
             let width = relation.arity().max(1);
             let noted = match (present, relation.arity()) {
                 (true, 1..) => session.insert_all(id, found.words.chunks_exact(width)),
-                (true, 0) => (0..found.rows.min(1)).try_for_each(|_| session.insert(id, &[])),
-                (false, 0) => (0..found.rows.min(1)).try_for_each(|_| session.retract(id, &[])),
+                (true, 0) => (0..found.rows.min(1)).try_for_each(|_| session.insert(id, ())),
+                (false, 0) => (0..found.rows.min(1)).try_for_each(|_| session.retract(id, ())),
                 (false, 1..) => (found.words.chunks_exact(width)).try_for_each(|row| session.retract(id, row)),
             };
             noted.map_err(|error| row_error(&error))?;

@@ -126,7 +126,7 @@ pub fn load_as(
     let mut faults = faults.finish();
     if faults.is_empty() {
         let inserted = match relation.arity() {
-            0 => (0..count.min(1)).try_for_each(|_| session.insert(rel, &[])),
+            0 => (0..count.min(1)).try_for_each(|_| session.insert(rel, ())),
             arity => session.insert_all(rel, rows.chunks_exact(arity)),
         };
         if let Err(error) = inserted {
@@ -270,7 +270,7 @@ pub fn header(relation: &Relation, format: &RowFormat) -> String {
 
 /// Returns the rows of a relation, ordered column by column: numbers by value, symbols by text.
 pub fn sorted(session: &Session, rel: RelId) -> Vec<&[Value]> {
-    let mut rows: Vec<&[Value]> = session.rows(rel).collect();
+    let mut rows: Vec<&[Value]> = session.encoded_rows(rel).collect();
     if let Some(relation) = session.program().rules().relations.get(rel.index()) {
         rows.sort_by(|a, b| compare(session, relation, a, b));
     }
@@ -315,7 +315,7 @@ pub fn write_rows(session: &Session, rel: RelId, format: &RowFormat, out: &mut d
         return Ok(());
     };
     let text = |value: Value| session.symbols().text(Symbol(value.0)).unwrap_or_default();
-    let in_order = (session.rows(rel)).is_sorted_by(|a, b| compare(session, relation, a, b).is_le());
+    let in_order = (session.encoded_rows(rel)).is_sorted_by(|a, b| compare(session, relation, a, b).is_le());
     let mut order: Vec<usize> = Vec::new();
     if !in_order {
         order.extend(0..session.len(rel));

@@ -1,11 +1,32 @@
-//! An incremental Datalog engine: from source to facts that follow changes.
+//! An incremental Datalog engine: facts come and go, and what follows from them is maintained.
 //!
 //! Rules are written in a dialect of Soufflé, with stratified negation, aggregates, expressions and typed columns.
+//!
+//! ```
+//! use logicity_datalog::Program;
+//!
+//! let program = Program::parse(
+//!     ".decl edge(x: number, y: number)
+//!      .input edge
+//!      .decl path(x: number, y: number)
+//!      path(x, y) :- edge(x, y).
+//!      path(x, z) :- path(x, y), edge(y, z).",
+//! )?;
+//! let mut session = program.session();
+//! session.insert("edge", (1, 2))?;
+//! session.insert("edge", (2, 3))?;
+//! session.commit()?;
+//! let paths: Vec<(i64, i64)> = session.rows("path")?.collect();
+//! assert_eq!(paths, [(1, 2), (1, 3), (2, 3)]);
+//! # Ok::<(), Box<dyn std::error::Error>>(())
+//! ```
 //!
 //! # What to use
 //!
 //! - [`Program`]: loads, checks and plans rules once; many sessions share it.
-//! - [`Session`]: holds facts, commits changes and answers queries.
+//! - [`Session`]: holds facts, commits changes and answers queries. Rows are tuples of Rust values, or slices of
+//!   [`Value`]s, which take no conversion.
+//! - [`diag`]: the errors and warnings of rules, with their places.
 //! - [`facts`]: reads and writes relations as text.
 //! - [`explain`]: proves why a fact holds, and shows why another one does not.
 //! - [`diff`]: compares two rule sets, and proves them equivalent or finds a difference.
@@ -22,8 +43,8 @@
 //!                                Session: insert, retract --commit--> Delta (rows added, rows removed)
 //! ```
 //!
-//! 1. [`Program::load`] parses and checks a source and everything it includes, and plans every clause. It returns all
-//!    diagnostics, and a program unless one of them is an error. [`Program::new`] plans rules that [`load`] checked.
+//! 1. [`Program::parse`] parses and checks rules, and plans every clause. [`Program::load`] also reads what they include
+//!    and returns warnings. [`Program::new`] plans rules that [`load`] checked.
 //! 2. [`Program::session`] creates an empty [`Session`]. Its first commit also derives what follows from facts in the
 //!    text.
 //! 3. [`Session::insert`] and [`Session::retract`] record changes of base relations. No query sees them yet.
@@ -31,36 +52,27 @@
 //!    The [`Delta`] it returns lists the added and removed rows of every relation, base and derived.
 //!
 //! ```
-//! use logicity_datalog::{Program, StratumStats, Value};
-//! use logicity_datalog::diag::{Sources, render};
-//! use logicity_datalog::files::ReadError;
-//! use std::path::Path;
+//! use logicity_datalog::{Program, StratumStats};
 //!
-//! let mut sources = Sources::new();
-//! let entry = sources.add(
-//!     "block.dl",
+//! let program = Program::parse(
 //!     ".decl road, closed(x: number, y: number)
 //!      .input road, closed
 //!      .decl open(x: number, y: number)
 //!      open(x, y) :- road(x, y), !closed(x, y).",
-//! );
-//! let (program, diagnostics) = Program::load(&mut sources, entry, &|_: &Path| Err(ReadError::NotFound));
-//! let program = program.ok_or_else(|| render(&diagnostics, &sources, false))?;
-//! let [road, closed, open] = ["road", "closed", "open"].map(|name| program.relation(name).unwrap());
-//! let [a, b, c] = [1, 2, 3].map(Value::number);
-//!
+//! )?;
 //! let mut session = program.session();
-//! session.insert_all(road, [[a, b], [a, c]])?;
+//! session.insert_all("road", [(1, 2), (1, 3)])?;
 //! session.commit()?;
-//! assert!(session.contains(open, &[a, b]));
+//! assert!(session.contains("open", (1, 2)));
 //!
-//! session.insert(closed, &[a, b])?;
+//! session.insert("closed", (1, 2))?;
 //! let delta = session.commit()?;
-//! assert_eq!(delta.of(open).unwrap().removed.iter().collect::<Vec<_>>(), [[a, b]]);
+//! let open = delta.of(program.relation("open").unwrap()).unwrap();
+//! assert_eq!(session.decode::<(i64, i64)>("open", &open.removed)?.collect::<Vec<_>>(), [(1, 2)]);
 //!
 //! // A commit without a net change evaluates nothing.
-//! session.retract(closed, &[a, b])?;
-//! session.insert(closed, &[a, b])?;
+//! session.retract("closed", (1, 2))?;
+//! session.insert("closed", (1, 2))?;
 //! assert!(session.commit()?.is_empty());
 //! assert!(session.work().strata.iter().all(|stratum| *stratum == StratumStats::Skipped));
 //! # Ok::<(), Box<dyn std::error::Error>>(())
@@ -95,6 +107,9 @@
 //!
 //! The engine performs no I/O, reads no clock and is deterministic: threads ([`Session::set_threads`]) change neither
 //! rows nor their order. It knows nothing of cities, egos or actions.
+//!
+//! The feature `optimizer` simplifies clauses by equality saturation before planning; without it, [`Options::optimize`]
+//! has no effect.
 
 mod aggregate;
 mod analysis;
@@ -104,6 +119,7 @@ pub mod cancel;
 mod cases;
 mod check;
 pub mod codes;
+mod convert;
 pub mod dense;
 pub mod diag;
 mod eval;
@@ -128,14 +144,15 @@ pub use check::{
     Atom, Clause, ClauseId, Column, Comparing, Constraint, DeclaredConstraint, Directive, Edb, Literal, RelId,
     Relation, RowFormat, RowPlace, Rules, Stratum, Term, Type, TypeId, VarId,
 };
+pub use convert::{AsRelation, FromRow, FromValue, IntoRow, RowError, ToValue};
 pub use eval::delta::{Delta, RelationChange, Rows};
 pub use eval::limits::{EvalError, Limits};
 pub use eval::stats::{EvalEvent, EvalStats, RuleStats, Strategy, StratumStats, WorkCounts};
 pub use eval::workers::Threads;
 #[cfg(feature = "optimizer")]
 pub use plan::optimize;
-pub use program::{Options, Program};
-pub use session::{RowError, Session};
+pub use program::{Options, Program, ProgramError};
+pub use session::Session;
 pub use syntax::ast::{self, BaseType, Comparison, MarkKind};
 pub use syntax::functor::{AggregateOp, Functor};
 pub use syntax::{DIRECTIVES, FULL_STOP, Parsed, TokenKind, format, is_name, parse, print, quoted, tokens};
@@ -151,3 +168,8 @@ pub mod internal {
         pub use crate::threads::{Pool, start};
     }
 }
+
+/// The examples of the README, which are tested like those of the documentation.
+#[cfg(doctest)]
+#[doc = include_str!("README.md")]
+pub struct Readme;

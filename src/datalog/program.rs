@@ -1,10 +1,12 @@
 //! Checked rules with evaluation plans.
 
+use std::fmt;
+use std::path::Path;
 use std::sync::Arc;
 
 use crate::check::{Edb, RelId, Rules};
-use crate::diag::{Diagnostic, SourceId, Sources};
-use crate::files::ReadFile;
+use crate::diag::{Diagnostic, SourceId, Sources, render};
+use crate::files::{ReadError, ReadFile};
 #[cfg(feature = "optimizer")]
 use crate::plan::optimize;
 use crate::plan::{Compiled, Plans};
@@ -37,6 +39,27 @@ impl Default for Options {
 }
 
 impl Program {
+    /// Checks and plans rules that include no file.
+    ///
+    /// ```
+    /// use logicity_datalog::Program;
+    ///
+    /// let error = Program::parse(".decl road(x: symbol)\nroad(y).").unwrap_err();
+    /// assert_eq!(error.diagnostics()[0].code.name(), "unbound-variable");
+    /// assert!(error.to_string().contains(" --> program.dl:2:6"), "{error}");
+    /// ```
+    ///
+    /// # Errors
+    /// All errors and warnings, which print with the lines that they are about. Without an error, warnings are dropped;
+    /// [`Program::load`] returns them, and reads included files.
+    pub fn parse(source: &str) -> Result<Program, ProgramError> {
+        let mut sources = Sources::new();
+        let entry = sources.add("program.dl", source);
+        let read = |_: &Path| Err(ReadError::Io("`Program::parse` includes no files".to_owned()));
+        let (program, diagnostics) = Program::load(&mut sources, entry, &read);
+        program.ok_or(ProgramError { diagnostics, sources })
+    }
+
     /// Loads the rules of the source `entry` as [`load`](crate::load) does, and plans them.
     ///
     /// Returns the program with all errors and warnings; the program is `None` if any of them is an error.
@@ -109,3 +132,37 @@ impl Program {
         self.0.rules.relation(name)
     }
 }
+
+/// The reasons why rules are no program. Displays them with the lines that they are about.
+#[derive(Clone)]
+pub struct ProgramError {
+    diagnostics: Vec<Diagnostic>,
+    sources: Sources,
+}
+
+impl ProgramError {
+    /// Returns the errors and warnings.
+    pub fn diagnostics(&self) -> &[Diagnostic] {
+        &self.diagnostics
+    }
+
+    /// Returns the sources that the diagnostics refer to.
+    pub fn sources(&self) -> &Sources {
+        &self.sources
+    }
+}
+
+impl fmt::Display for ProgramError {
+    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        f.write_str(render(&self.diagnostics, &self.sources, false).trim_end())
+    }
+}
+
+/// As [`Display`](fmt::Display), for errors that leave `main`.
+impl fmt::Debug for ProgramError {
+    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        write!(f, "\n{self}")
+    }
+}
+
+impl std::error::Error for ProgramError {}

@@ -4,7 +4,8 @@ use std::fmt;
 
 use crate::cancel::Cancel;
 use crate::check::{ClauseId, Literal, RelId, Relation};
-use crate::eval::delta::Delta;
+use crate::convert::{AsRelation, FromRow, IntoRow, RowError, check_words, encode};
+use crate::eval::delta::{Delta, Rows};
 use crate::eval::exec::{self, CommitOptions, Store};
 use crate::eval::limits::{EvalError, Limits};
 use crate::eval::output::Abort;
@@ -32,16 +33,15 @@ pub struct Session {
 }
 
 impl Program {
-    /// Returns the relation if the caller may set its rows.
-    fn base(&self, rel: RelId) -> Result<&Relation, RowError> {
-        let relation = self.rules().relations.get(rel.index());
-        let relation = relation.ok_or(RowError::UnknownRelation)?;
+    /// Returns the relation if the caller may set its rows, and the one that stores them.
+    fn base(&self, relation: impl AsRelation) -> Result<(&Relation, RelId), RowError> {
+        let (id, relation) = relation.resolve(self.rules())?;
         if relation.derived && relation.edb.is_none() {
             return Err(RowError::Derived {
                 relation: relation.name.clone(),
             });
         }
-        Ok(relation)
+        Ok((relation, relation.edb.unwrap_or(id)))
     }
 
     /// Creates a session without inserted facts.
@@ -116,40 +116,93 @@ impl Session {
 
     /// Marks a row to hold from the next commit on. The last change of a row before the commit wins.
     ///
+    /// The relation is a name or an id, the row a tuple, an array or a slice of Rust values; see [`IntoRow`]. Ids and
+    /// rows of [`Value`]s are fastest.
+    ///
+    /// ```
+    /// # use logicity_datalog::Program;
+    /// let program = Program::parse(".decl age(person: symbol, years: number) .input age")?;
+    /// let mut session = program.session();
+    /// session.insert("age", ("Ada", 36))?;
+    ///
+    /// let error = session.insert("age", (36, "Ada")).unwrap_err();
+    /// assert_eq!(error.to_string(), "the column `person` of `age` expects a symbol, not 36");
+    /// let error = session.insert("aeg", ("Ada", 36)).unwrap_err();
+    /// assert_eq!(error.to_string(), "the program declares no relation `aeg`; did you mean `age`?");
+    /// # Ok::<(), Box<dyn std::error::Error>>(())
+    /// ```
+    ///
     /// # Errors
-    /// If the row does not fit the relation, or rules alone define the relation.
-    pub fn insert(&mut self, rel: RelId, row: &[Value]) -> Result<(), RowError> {
-        let rel = self.check(rel, row)?;
-        self.store.change(rel, row, true);
+    /// If the program has no such relation, the row does not fit it, or rules alone define it.
+    pub fn insert(&mut self, relation: impl AsRelation, row: impl IntoRow) -> Result<(), RowError> {
+        self.change(relation, &row, true)
+    }
+
+    /// Records a change of a row.
+    fn change(&mut self, relation: impl AsRelation, row: &impl IntoRow, holds: bool) -> Result<(), RowError> {
+        let (relation, to) = self.program.base(relation)?;
+        let mut encoded = Vec::new();
+        let words = match row.words() {
+            Some(words) => words,
+            None => {
+                let symbol = |text: &str| Some(self.symbols.intern(text));
+                encode(relation, row, &symbol, &mut encoded)?;
+                &encoded
+            }
+        };
+        check_words(relation, words, self.symbols.len())?;
+        self.store.change(to, words, holds);
         Ok(())
     }
 
     /// Marks many rows to hold from the next commit on; faster than repeated [`insert`](Session::insert).
     ///
+    /// ```
+    /// # use logicity_datalog::Program;
+    /// let program = Program::parse(".decl edge(x: number, y: number) .input edge")?;
+    /// let mut session = program.session();
+    /// session.insert_all("edge", (1..100).map(|x| (x, x + 1)))?;
+    /// session.commit()?;
+    /// assert_eq!(session.len("edge"), 99);
+    /// # Ok::<(), Box<dyn std::error::Error>>(())
+    /// ```
+    ///
     /// # Errors
     /// If one of the rows is invalid. In that case the call changes nothing.
     pub fn insert_all(
         &mut self,
-        rel: RelId,
-        rows: impl IntoIterator<Item = impl AsRef<[Value]>>,
+        relation: impl AsRelation,
+        rows: impl IntoIterator<Item = impl IntoRow>,
     ) -> Result<(), RowError> {
         /// Words per call of the store.
         const PART: usize = 1 << 12;
-        let (relation, known) = (self.program.base(rel)?, self.symbols.len());
-        let (to, arity) = (relation.edb.unwrap_or(rel), relation.arity());
+        let (relation, to) = self.program.base(relation)?;
+        let arity = relation.arity();
+        let symbol = |text: &str| Some(self.symbols.intern(text));
+        let mut encoded = Vec::new();
         let symbolic = relation.columns.iter().any(|column| column.base == BaseType::Symbol);
         let before = self.store.pending(to);
         let mut words: Vec<Value> = Vec::with_capacity(PART);
         let rows = rows.into_iter();
         self.store.reserve(to, rows.size_hint().0);
         for row in rows {
-            let row = row.as_ref();
-            if (symbolic || row.len() != arity)
-                && let Err(error) = check_row(relation, row, known)
-            {
-                self.store.forget(to, before);
-                return Err(error);
-            }
+            let row = match row.words() {
+                Some(words) if !symbolic && words.len() == arity => Ok(words),
+                Some(words) => check_words(relation, words, self.symbols.len()).map(|()| words),
+                None => {
+                    encoded.clear();
+                    encode(relation, &row, &symbol, &mut encoded)
+                        .and_then(|()| check_words(relation, &encoded, self.symbols.len()))
+                        .map(|()| encoded.as_slice())
+                }
+            };
+            let row = match row {
+                Ok(row) => row,
+                Err(error) => {
+                    self.store.forget(to, before);
+                    return Err(error);
+                }
+            };
             if arity == 0 {
                 self.store.change(to, row, true);
             }
@@ -170,23 +223,14 @@ impl Session {
     /// This undoes an [`insert`](Session::insert), not a rule: a fact of the source holds nevertheless.
     ///
     /// # Errors
-    /// If the row does not fit the relation, or rules alone define the relation.
-    pub fn retract(&mut self, rel: RelId, row: &[Value]) -> Result<(), RowError> {
-        let rel = self.check(rel, row)?;
-        self.store.change(rel, row, false);
-        Ok(())
+    /// As [`insert`](Session::insert).
+    pub fn retract(&mut self, relation: impl AsRelation, row: impl IntoRow) -> Result<(), RowError> {
+        self.change(relation, &row, false)
     }
 
     /// Discards the changes since the last commit.
     pub fn rollback(&mut self) {
         self.store.rollback();
-    }
-
-    /// Returns the relation that stores the row, once the row is valid.
-    fn check(&self, rel: RelId, row: &[Value]) -> Result<RelId, RowError> {
-        let relation = self.program.base(rel)?;
-        check_row(relation, row, self.symbols.len())?;
-        Ok(relation.edb.unwrap_or(rel))
     }
 
     /// Applies the pending changes, derives what follows and returns the difference.
@@ -243,9 +287,27 @@ impl Session {
         }
     }
 
-    /// Returns whether the row holds.
-    pub fn contains(&self, rel: RelId, row: &[Value]) -> bool {
-        self.arity(rel) == Some(row.len()) && self.store.contains(rel, row)
+    /// Returns whether the row holds. A row that does not fit the relation does not.
+    ///
+    /// ```
+    /// # use logicity_datalog::Program;
+    /// let program = Program::parse(".decl capital(city: symbol, of: symbol) capital(\"Paris\", \"France\").")?;
+    /// let mut session = program.session();
+    /// session.commit()?;
+    /// assert!(session.contains("capital", ("Paris", "France")));
+    /// assert!(!session.contains("capital", ("Lyon", "France")));
+    /// # Ok::<(), Box<dyn std::error::Error>>(())
+    /// ```
+    pub fn contains(&self, relation: impl AsRelation, row: impl IntoRow) -> bool {
+        let Some((rel, relation)) = self.stored(relation) else {
+            return false;
+        };
+        if let Some(words) = row.words() {
+            return words.len() == relation.arity() && self.store.contains(rel, words);
+        }
+        let mut words = Vec::new();
+        let encoded = encode(relation, &row, &|text| self.symbols.get(text), &mut words);
+        encoded.is_ok() && self.store.contains(rel, &words)
     }
 
     /// Returns the aggregate over the rows of a relation that begin with `key`, if that relation [is
@@ -266,32 +328,86 @@ impl Session {
         (self.store).correlated(aggregate, parameters, &self.symbols, (budget, bytes, cancel))
     }
 
-    /// Returns the rows that hold, in the order of their words. For symbols this is the order of interning. A relation
-    /// that [is aggregated](Program::is_aggregated) has none.
-    pub fn rows(&self, rel: RelId) -> impl Iterator<Item = &[Value]> {
-        let arity = self.arity(rel).unwrap_or(0);
+    /// Returns the rows that hold, as tuples, arrays or vectors of Rust values; see [`FromRow`]. Their order is that of
+    /// [`encoded_rows`](Session::encoded_rows).
+    ///
+    /// ```
+    /// # use logicity_datalog::Program;
+    /// let program = Program::parse(".decl age(person: symbol, years: number) age(\"Ada\", 36). age(\"Alan\", 41).")?;
+    /// let mut session = program.session();
+    /// session.commit()?;
+    /// let ages: Vec<(&str, i64)> = session.rows("age")?.collect();
+    /// assert_eq!(ages, [("Ada", 36), ("Alan", 41)]);
+    ///
+    /// let error = session.rows::<(&str, &str)>("age").err().unwrap();
+    /// assert_eq!(error.to_string(), "the column `years` of `age` has type number; expected type symbol");
+    /// # Ok::<(), Box<dyn std::error::Error>>(())
+    /// ```
+    ///
+    /// # Errors
+    /// If the program has no such relation, or its columns have other types.
+    pub fn rows<'s, T: FromRow<'s>>(
+        &'s self,
+        relation: impl AsRelation,
+    ) -> Result<impl ExactSizeIterator<Item = T>, RowError> {
+        let (rel, relation) = relation.resolve(self.program.rules())?;
+        T::check(relation)?;
+        let row = move |position| T::from_row(self.row(rel, position), &relation.columns, &self.symbols);
+        Ok((0..self.len(rel)).map(row))
+    }
+
+    /// Returns the rows that hold as words, in the order of their words. For symbols this is the order of interning. A
+    /// relation that [is aggregated](Program::is_aggregated) has none.
+    pub fn encoded_rows(&self, rel: RelId) -> impl Iterator<Item = &[Value]> {
+        let arity = self.stored(rel).map_or(0, |(_, relation)| relation.arity());
         (0..self.len(rel)).map(move |position| &self.store.row(rel, position)[..arity])
+    }
+
+    /// Returns rows of a [`Delta`] as Rust values, as [`rows`](Session::rows) does.
+    ///
+    /// ```
+    /// # use logicity_datalog::Program;
+    /// let program = Program::parse(".decl edge(x: number, y: number) .input edge")?;
+    /// let mut session = program.session();
+    /// session.insert("edge", (1, 2))?;
+    /// let delta = session.commit()?;
+    /// let added = session.decode::<(i64, i64)>("edge", &delta.changes()[0].added)?;
+    /// assert_eq!(added.collect::<Vec<_>>(), [(1, 2)]);
+    /// # Ok::<(), Box<dyn std::error::Error>>(())
+    /// ```
+    ///
+    /// # Errors
+    /// As [`rows`](Session::rows).
+    pub fn decode<'s, T: FromRow<'s>>(
+        &'s self,
+        relation: impl AsRelation,
+        rows: &'s Rows,
+    ) -> Result<impl Iterator<Item = T>, RowError> {
+        let (_, relation) = relation.resolve(self.program.rules())?;
+        T::check(relation)?;
+        let columns = &relation.columns;
+        Ok(rows.iter().map(move |row| T::from_row(row, columns, &self.symbols)))
     }
 
     /// Returns the row at a position below [`Session::len`].
     pub(crate) fn row(&self, rel: RelId, position: usize) -> &[Value] {
-        &self.store.row(rel, position)[..self.arity(rel).unwrap_or(0)]
+        &self.store.row(rel, position)[..self.stored(rel).map_or(0, |(_, relation)| relation.arity())]
     }
 
-    /// Returns the number of rows that hold.
-    pub fn len(&self, rel: RelId) -> usize {
-        self.arity(rel).map_or(0, |_| self.store.len(rel))
+    /// Returns the number of rows that hold; 0 for a relation that the program does not have.
+    pub fn len(&self, relation: impl AsRelation) -> usize {
+        self.stored(relation).map_or(0, |(rel, _)| self.store.len(rel))
     }
 
     /// Returns whether no row of the relation holds.
-    pub fn is_empty(&self, rel: RelId) -> bool {
-        self.len(rel) == 0
+    pub fn is_empty(&self, relation: impl AsRelation) -> bool {
+        self.len(relation) == 0
     }
 
-    /// The number of columns of a relation whose rows are stored.
-    fn arity(&self, rel: RelId) -> Option<usize> {
-        let relation = self.program.rules().relations.get(rel.index())?;
-        (!self.program.is_aggregated(rel)).then(|| relation.arity())
+    /// Returns a relation whose rows are stored.
+    fn stored(&self, relation: impl AsRelation) -> Option<(RelId, &Relation)> {
+        let (rel, relation) = relation.resolve(self.program.rules()).ok()?;
+        (!self.program.is_aggregated(rel)).then_some((rel, relation))
     }
 
     /// Returns the distinct rows that one clause derives from the current facts, sorted.
@@ -313,24 +429,6 @@ impl Session {
     }
 }
 
-/// Checks that the row fits the relation. `known` is the number of interned symbols.
-fn check_row(relation: &Relation, row: &[Value], known: usize) -> Result<(), RowError> {
-    if relation.arity() != row.len() {
-        return Err(RowError::Arity {
-            relation: relation.name.clone(),
-            expected: relation.arity(),
-            found: row.len(),
-        });
-    }
-    let mut columns = row.iter().zip(&relation.columns);
-    if columns.any(|(value, column)| value.0 as usize >= known && column.base == BaseType::Symbol) {
-        return Err(RowError::UnknownSymbol {
-            relation: relation.name.clone(),
-        });
-    }
-    Ok(())
-}
-
 impl fmt::Debug for Session {
     fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
         let relations = self.program.rules().relations.iter().zip(0..);
@@ -339,52 +437,3 @@ impl fmt::Debug for Session {
             .finish()
     }
 }
-
-/// The reason why a session refuses a row.
-#[derive(Clone, Debug, PartialEq, Eq)]
-#[non_exhaustive]
-pub enum RowError {
-    /// The program has no relation with that id.
-    UnknownRelation,
-    /// The relation is derived: clauses with bodies define its rows, and it is no input.
-    Derived {
-        /// The relation's name.
-        relation: String,
-    },
-    /// The row has the wrong number of values.
-    Arity {
-        /// The relation's name.
-        relation: String,
-        /// Its number of columns.
-        expected: usize,
-        /// The number of values in the row.
-        found: usize,
-    },
-    /// A value in a symbol column is no symbol of the session; see [`Session::intern`].
-    UnknownSymbol {
-        /// The relation's name.
-        relation: String,
-    },
-}
-
-impl fmt::Display for RowError {
-    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
-        match self {
-            RowError::UnknownRelation => write!(f, "the program has no such relation"),
-            RowError::Derived { relation } => write!(f, "`{relation}` is derived by rules; its rows cannot be set"),
-            RowError::Arity {
-                relation,
-                expected,
-                found,
-            } => write!(f, "a row of `{relation}` has {expected} values, not {found}"),
-            RowError::UnknownSymbol { relation } => {
-                write!(
-                    f,
-                    "a row of `{relation}` has a symbol that the session has not interned"
-                )
-            }
-        }
-    }
-}
-
-impl std::error::Error for RowError {}

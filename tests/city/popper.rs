@@ -71,7 +71,10 @@ fn derived(task: &Task, rules: &ActionRules) -> BTreeSet<Vec<String>> {
         .unwrap();
     let names = session.symbols();
     let text = |value: &logicity::datalog::Value| names.text(logicity::symbol::Symbol(value.0)).unwrap().to_owned();
-    session.rows(target).map(|row| row.iter().map(text).collect()).collect()
+    session
+        .encoded_rows(target)
+        .map(|row| row.iter().map(text).collect())
+        .collect()
 }
 
 /// Asserts that clauses derive the target for exactly the positive examples among all examples.

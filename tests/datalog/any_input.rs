@@ -134,7 +134,7 @@ fn explain(program: &Program, script: &[Batch], sources: &Sources) {
     explainer.set_limit(EXPLAIN_STEPS);
     for (relation, rel) in rules.relations.iter().zip((0..).map(RelId)) {
         let nothing = explainer.explain_absence(rel, &vec![None; relation.arity()]);
-        let rows = session.rows(rel).take(EXPLAINED_MAX);
+        let rows = session.encoded_rows(rel).take(EXPLAINED_MAX);
         let proofs = rows.map(|row| explainer.explain(rel, row)).chain([nothing]);
         for explanation in proofs.filter_map(Result::ok).flatten() {
             assert!(!printer.tree(&explanation).is_empty());

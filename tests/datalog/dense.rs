@@ -217,7 +217,7 @@ fn expected(
     session.commit().ok()?;
     let relations = u32::try_from(rules.relations.len()).unwrap();
     let database = (0..relations)
-        .map(|relation| session.rows(RelId(relation)).map(<[Value]>::to_vec).collect())
+        .map(|relation| session.encoded_rows(RelId(relation)).map(<[Value]>::to_vec).collect())
         .collect();
     let clauses = u32::try_from(rules.clauses.len()).unwrap();
     let fired = (0..clauses).map(|clause| session.fired(ClauseId(clause)).len());

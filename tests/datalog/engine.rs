@@ -493,7 +493,7 @@ fn a_closure_beyond_the_dense_words_keeps_its_rows() {
             .insert_all(edge, edges.iter().map(|&(x, y)| numbers(&[x, y])))
             .unwrap();
         session.commit().unwrap();
-        assert!(session.rows(path).eq(&expected));
+        assert!(session.encoded_rows(path).eq(&expected));
         let work = session.work().strata.last().and_then(StratumStats::work).unwrap();
         let derived: Vec<u64> = work.rules.iter().map(|rule| rule.delta_rows).collect();
         assert_eq!(derived, [0, expected.len() as u64], "every row is new once");
@@ -588,7 +588,7 @@ fn long_lists_of_derived_rows_are_those_of_a_search() {
             session.insert_all(program.relation(name).unwrap(), rows).unwrap();
         }
         session.commit().unwrap();
-        let found = session.rows(program.relation("Path").unwrap());
+        let found = session.encoded_rows(program.relation("Path").unwrap());
         assert!(found.eq(expected.iter().map(Vec::as_slice)));
         work.push(session.work().clone());
     }
@@ -633,7 +633,7 @@ fn predicates_without_columns() {
         (shown(&session, "Calm"), shown(&session, "Alarm")),
         (String::new(), "()".into())
     );
-    assert!(session.contains(program.relation("Alarm").unwrap(), &[]));
+    assert!(session.contains("Alarm", ()));
 }
 
 #[test]
@@ -1192,8 +1192,8 @@ fn inserting_rows_together_equals_inserting_them_one_by_one() {
             }
         }
         if from != 500 {
-            together.insert_all(flag, [[]]).unwrap();
-            alone.insert(flag, &[]).unwrap();
+            together.insert_all(flag, [()]).unwrap();
+            alone.insert(flag, ()).unwrap();
             assert_eq!(together.commit(), alone.commit());
             assert_eq!(database(&together), database(&alone));
         }
@@ -1208,10 +1208,7 @@ fn inserting_rows_together_equals_inserting_them_one_by_one() {
         together.insert_all(program.relation("Copy").unwrap(), rows(0, 1)),
         Err(RowError::Derived { .. })
     ));
-    assert_eq!(
-        together.insert_all(RelId(99), rows(0, 1)),
-        Err(RowError::UnknownRelation)
-    );
+    assert_eq!(together.insert_all(RelId(99), rows(0, 1)), Err(unknown_relation("#99")));
     assert!(together.commit().unwrap().is_empty());
 }
 
@@ -1463,7 +1460,7 @@ fn rows_that_do_not_fit_are_errors() {
         expected: 1,
         found,
     };
-    assert_eq!(session.insert(base, &[]), Err(arity(0)));
+    assert_eq!(session.insert(base, ()), Err(arity(0)));
     assert_eq!(session.retract(base, &numbers(&[1, 2])), Err(arity(2)));
     assert_eq!(
         session.insert(copy, &numbers(&[1])),
@@ -1471,9 +1468,163 @@ fn rows_that_do_not_fit_are_errors() {
             relation: "Copy".into()
         })
     );
-    assert_eq!(session.insert(RelId(7), &[]), Err(RowError::UnknownRelation));
-    assert!(!session.contains(RelId(7), &[]) && !session.contains(base, &[]));
-    assert_eq!(session.rows(RelId(7)).count(), 0);
+    assert_eq!(session.insert(RelId(7), ()), Err(unknown_relation("#7")));
+    assert!(!session.contains(RelId(7), ()) && !session.contains(base, ()));
+    assert_eq!(session.encoded_rows(RelId(7)).count(), 0);
+    assert_eq!((session.len(RelId(7)), session.len("Nothing")), (0, 0));
+}
+
+fn unknown_relation(relation: &str) -> RowError {
+    RowError::UnknownRelation {
+        relation: relation.to_owned(),
+        near: None,
+    }
+}
+
+const PEOPLE: &str = "\
+    .decl person(name: symbol, born: number, id: unsigned, height: float) .input person
+    .decl here() .input here
+    .decl tall(name: symbol) tall(name) :- person(name, _, _, height), height > 1.8.";
+
+#[test]
+fn rows_are_rust_values() {
+    let program = Program::parse(PEOPLE).unwrap();
+    let mut session = program.session();
+    session.insert("person", ("Ada", 1815_i64, 7_u64, 1.9)).unwrap();
+    session
+        .insert(&"person".to_owned(), (String::from("Alan"), 1912, 8, 1.75_f32))
+        .unwrap();
+    let mixed = (session.intern("Kurt"), Value::number(-1906), 9_u8, &1.5);
+    session.insert(program.relation("person").unwrap(), mixed).unwrap();
+    session.insert("here", ()).unwrap();
+    session.commit().unwrap();
+
+    let people: Vec<(&str, i64, u32, f64)> = session.rows("person").unwrap().collect();
+    let expected = [
+        ("Ada", 1815, 7, f64::from(1.9_f32)),
+        ("Alan", 1912, 8, 1.75),
+        ("Kurt", -1906, 9, 1.5),
+    ];
+    assert_eq!(people, expected);
+    let ids: Vec<i64> = session
+        .rows::<(Value, i32, i64, f32)>("person")
+        .unwrap()
+        .map(|row| row.2)
+        .collect();
+    assert_eq!(ids, [7, 8, 9]);
+    assert_eq!(
+        session.rows::<[&str; 1]>("tall").unwrap().collect::<Vec<_>>(),
+        [["Ada"]]
+    );
+    let texts: Vec<Vec<String>> = session.rows("tall").unwrap().collect();
+    assert_eq!(texts, [["Ada"]]);
+    assert_eq!(session.rows::<Vec<i64>>("here").unwrap().len(), 1);
+    assert!(session.contains("here", ()) && session.contains("tall", &["Ada"]) && session.contains("tall", ["Ada"]));
+    assert!(
+        !session.contains("tall", ["Grace"]) && !session.contains("tall", [1]) && !session.contains("tal", ["Ada"])
+    );
+
+    session.retract("person", ("Ada", 1815, 7, 1.9)).unwrap();
+    session.insert_all("person", [("Emmy", 1882, 10, 1.85)]).unwrap();
+    let delta = session.commit().unwrap();
+    let change = delta.of(program.relation("tall").unwrap()).unwrap();
+    assert_eq!(
+        session
+            .decode::<(&str,)>("tall", &change.added)
+            .unwrap()
+            .collect::<Vec<_>>(),
+        [("Emmy",)]
+    );
+    assert_eq!(
+        session
+            .decode::<(&str,)>("tall", &change.removed)
+            .unwrap()
+            .collect::<Vec<_>>(),
+        [("Ada",)]
+    );
+}
+
+#[test]
+fn errors_of_rows_name_relation_column_and_what_was_expected() {
+    let program = Program::parse(PEOPLE).unwrap();
+    let mut session = program.session();
+    let mut message = |row: (&str, i64, i64, f64)| session.insert("person", row).unwrap_err().to_string();
+    assert_eq!(
+        message(("Ada", 3_000_000_000, 7, 1.9)),
+        "the column `born` of `person` expects a number of 32 bits, not 3000000000"
+    );
+    assert_eq!(
+        message(("Ada", 1815, -7, 1.9)),
+        "the column `id` of `person` expects an unsigned number of 32 bits, not -7"
+    );
+    let swapped = session.insert("person", (1815, "Ada", 7, 1.9)).unwrap_err();
+    assert_eq!(
+        swapped.to_string(),
+        "the column `name` of `person` expects a symbol, not 1815"
+    );
+    let number = session.insert("person", ("Ada", 1.5, 7, 1.9)).unwrap_err();
+    assert_eq!(
+        number.to_string(),
+        "the column `born` of `person` expects a number of 32 bits, not the float 1.5"
+    );
+    let float = session.insert("person", ("Ada", 1815, 7, "high")).unwrap_err();
+    assert_eq!(
+        float.to_string(),
+        "the column `height` of `person` expects a float, not the symbol \"high\""
+    );
+    let arity = session.insert("person", ("Ada", 1815)).unwrap_err();
+    assert_eq!(arity.to_string(), "a row of `person` has 4 values, not 2");
+    let unknown = session.retract("persons", ("Ada", 1815, 7, 1.9)).unwrap_err();
+    assert_eq!(
+        unknown.to_string(),
+        "the program declares no relation `persons`; did you mean `person`?"
+    );
+    let derived = session.insert("tall", ["Ada"]).unwrap_err();
+    assert_eq!(
+        derived.to_string(),
+        "`tall` is derived by rules; its rows cannot be set"
+    );
+    let symbol = session.insert("person", (Value(99), 1815, 7, 1.9)).unwrap_err();
+    assert!(matches!(symbol, RowError::UnknownSymbol { .. }));
+    // If one row is invalid, none is inserted.
+    let rows = [["Ada", "x"], ["Alan", "y"]];
+    assert!(matches!(
+        session.insert_all("person", rows),
+        Err(RowError::Arity { found: 2, .. })
+    ));
+
+    let read = session.rows::<(&str, u32, u32, f32)>("person").err().unwrap();
+    assert_eq!(
+        read.to_string(),
+        "the column `born` of `person` has type number; expected type unsigned"
+    );
+    let read = session.rows::<[&str; 2]>("person").err().unwrap();
+    assert_eq!(read.to_string(), "a row of `person` has 4 values, not 2");
+    assert!(session.commit().unwrap().is_empty());
+}
+
+#[test]
+fn faulty_programs_are_errors_that_show_the_place() {
+    let error = Program::parse(".decl a(x: number)\na(x) :- b(x).").unwrap_err();
+    assert_eq!(error.diagnostics().len(), 1);
+    assert_eq!(
+        error
+            .sources()
+            .locate(error.diagnostics()[0].primary.as_ref().unwrap().span),
+        "program.dl:2:9"
+    );
+    let shown = error.to_string();
+    assert!(
+        shown.starts_with("error[unknown-predicate]") && shown.contains("2 | a(x) :- b(x)."),
+        "{shown}"
+    );
+    let boxed: Box<dyn std::error::Error> = error.into();
+    assert_eq!(format!("{boxed:?}"), format!("\n{shown}"));
+    let include = Program::parse(".include \"other.dl\"").unwrap_err();
+    assert!(
+        include.to_string().contains("`Program::parse` includes no files"),
+        "{include}"
+    );
 }
 
 #[test]
@@ -1668,10 +1819,10 @@ proptest! {
         session.insert(find("U"), &row(unsigned)).unwrap();
         session.commit().unwrap();
         let numbers = |name| {
-            let rows = session.rows(find(name));
+            let rows = session.encoded_rows(find(name));
             rows.map(|row| i64::from(row[0].as_number())).collect::<BTreeSet<i64>>()
         };
-        let words = |name| session.rows(find(name)).map(|row| i64::from(row[0].0)).collect::<BTreeSet<i64>>();
+        let words = |name| session.encoded_rows(find(name)).map(|row| i64::from(row[0].0)).collect::<BTreeSet<i64>>();
         let (from, to, step) = signed;
         prop_assert_eq!(numbers("A"), counted(from, to, step));
         if step != 0 && (from - to).abs() <= 300 {
@@ -1724,7 +1875,7 @@ proptest! {
                 let expected = naive::evaluate(&rules, session.symbols(), facts.iter().cloned());
                 for name in ["Edge", "Loose"] {
                     let rel = program.relation(name).unwrap();
-                    let rows: BTreeSet<Vec<Value>> = session.rows(rel).map(<[Value]>::to_vec).collect();
+                    let rows: BTreeSet<Vec<Value>> = session.encoded_rows(rel).map(<[Value]>::to_vec).collect();
                     prop_assert_eq!(&rows, &expected[rel.index()], "{} by {:?}", name, strategy);
                 }
             }
@@ -1769,7 +1920,7 @@ fn a_commit_can_be_cancelled() {
             let mut session = program(text).session();
             session.set_threads(eager(count)).unwrap();
             session.commit().unwrap();
-            let before = session.rows(session.program().relation(from).unwrap()).count();
+            let before = session.encoded_rows(session.program().relation(from).unwrap()).count();
             insert(&mut session, "Seed", &[&[7]]);
             let (cancel, polls) = counted_cancel(2);
             let error = session.commit_with(&cancel).unwrap_err();
@@ -1782,7 +1933,7 @@ fn a_commit_can_be_cancelled() {
             assert_eq!(polls.load(Relaxed), 3, "not polled again after cancellation");
             // The session is unchanged, and the pending change can be undone.
             let relation = session.program().relation(from).unwrap();
-            assert_eq!(session.rows(relation).count(), before);
+            assert_eq!(session.encoded_rows(relation).count(), before);
             session.rollback();
             assert!(session.commit_with(&Cancel::when(|| true)).unwrap().is_empty());
         }

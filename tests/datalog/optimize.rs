@@ -61,7 +61,7 @@ type Answer = (naive::Database, Vec<Vec<Vec<Value>>>);
 
 fn answer(session: &Session) -> Answer {
     let rules = session.program().rules();
-    let rows = |rel: u32| session.rows(RelId(rel)).map(<[Value]>::to_vec).collect();
+    let rows = |rel: u32| session.encoded_rows(RelId(rel)).map(<[Value]>::to_vec).collect();
     let fired = |clause: u32| session.fired(ClauseId(clause));
     (
         (0..rules.relations.len() as u32).map(rows).collect(),

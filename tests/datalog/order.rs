@@ -97,7 +97,7 @@ fn verdict(text: &str) -> Verdict {
             .collect();
         let naive = naive::evaluate(program.rules(), &program.rules().symbols, []);
         let rows = |relation: RelId| {
-            let rows: BTreeSet<Vec<Value>> = session.rows(relation).map(<[Value]>::to_vec).collect();
+            let rows: BTreeSet<Vec<Value>> = session.encoded_rows(relation).map(<[Value]>::to_vec).collect();
             assert_eq!(rows, naive[relation.index()], "{text}");
             rows.iter().map(|row| format!("{row:?}")).collect()
         };
@@ -168,7 +168,7 @@ fn what_binds_may_stand_last() {
         let mut session = program.session();
         session.commit().expect("the recursion is bounded");
         let relation = program.rules().relation("a").unwrap();
-        let mut rows: Vec<String> = (session.rows(relation))
+        let mut rows: Vec<String> = (session.encoded_rows(relation))
             .map(|row| {
                 row.iter()
                     .map(|value| value.as_number().to_string())

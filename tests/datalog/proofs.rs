@@ -10,7 +10,7 @@ use std::collections::{BTreeMap, BTreeSet};
 pub fn database(session: &Session) -> naive::Database {
     let rules = session.program().rules();
     let mut model: naive::Database = (0..rules.relations.len() as u32)
-        .map(|rel| session.rows(RelId(rel)).map(<[Value]>::to_vec).collect())
+        .map(|rel| session.encoded_rows(RelId(rel)).map(<[Value]>::to_vec).collect())
         .collect();
     for clause in rules.strata.iter().flat_map(|stratum| &stratum.clauses) {
         let clause = &rules.clauses[clause.index()];

@@ -43,7 +43,10 @@ fn check(genome: &Genome, outputs: u32, inline: u32, magic: u32) -> Result<(), T
             .filter(|(_, relation)| relation.output)
         {
             prop_assert_eq!(&specified[index], &expected[index], "{} {}", what, relation.name);
-            let found = session.rows(RelId(index as u32)).map(<[Value]>::to_vec).collect();
+            let found = session
+                .encoded_rows(RelId(index as u32))
+                .map(<[Value]>::to_vec)
+                .collect();
             prop_assert_eq!(&expected[index], &found, "{} {}", what, relation.name);
         }
     }

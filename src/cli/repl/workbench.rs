@@ -365,7 +365,7 @@ impl<'s> Workbench<'s> {
             .filter(|clause| clause.head.relation == id)
             .filter_map(constants)
             .collect();
-        let given = self.session.rows(id).filter(|row| !stated.contains(*row));
+        let given = self.session.encoded_rows(id).filter(|row| !stated.contains(*row));
         given.map(<[Value]>::to_vec).collect()
     }
 
@@ -420,7 +420,7 @@ impl<'s> Workbench<'s> {
             .filter(|relation| program.rules().relations[relation.index()].input)
             .collect();
         for relation in named {
-            for row in self.session.rows(relation) {
+            for row in self.session.encoded_rows(relation) {
                 session.insert(relation, row).map_err(not_taken)?;
             }
         }
@@ -497,8 +497,10 @@ fn compare(old: &Session, new: &Session) -> Vec<Changed> {
                     .map(|(value, column)| facts::print_value(session, *value, column.base))
                     .collect()
             };
-            let known: HashSet<Vec<String>> = old.rows(twin).map(|row| texts(old, row)).collect();
-            new.rows(id).filter(|row| known.contains(&texts(new, row))).count()
+            let known: HashSet<Vec<String>> = old.encoded_rows(twin).map(|row| texts(old, row)).collect();
+            new.encoded_rows(id)
+                .filter(|row| known.contains(&texts(new, row)))
+                .count()
         });
         let (added, removed) = (new.len(id) - kept, before.map_or(0, |before| old.len(before)) - kept);
         if added + removed > 0 {

@@ -32,11 +32,11 @@ pub fn violations_among(session: &Session, known: impl Fn(RelId) -> bool) -> Vec
         let found = match *constraint {
             _ if !constraint.relations().all(&known) => continue,
             Constraint::Disjoint(a, b) => session
-                .rows(a)
+                .encoded_rows(a)
                 .find(|row| session.contains(b, row))
                 .map(|row| format!("both {} and {} hold", shown(a, row), shown(b, row))),
             Constraint::Implies(a, b) => session
-                .rows(a)
+                .encoded_rows(a)
                 .find(|row| !session.contains(b, row))
                 .map(|row| format!("{} holds, {} does not", shown(a, row), shown(b, row))),
             Constraint::Covering(ref relations) => {
@@ -53,15 +53,15 @@ pub fn violations_among(session: &Session, known: impl Fn(RelId) -> bool) -> Vec
                 })
             }
             Constraint::Irreflexive(a) => session
-                .rows(a)
+                .encoded_rows(a)
                 .find(|row| row[0] == row[1])
                 .map(|row| format!("{} holds", shown(a, row))),
             Constraint::Symmetric(a) => session
-                .rows(a)
+                .encoded_rows(a)
                 .find(|row| !session.contains(a, &reversed(row)))
                 .map(|row| format!("{} holds, {} does not", shown(a, row), shown(a, &reversed(row)))),
             Constraint::Asymmetric(a) => session
-                .rows(a)
+                .encoded_rows(a)
                 .find(|row| session.contains(a, &reversed(row)))
                 .map(|row| match row[0] == row[1] {
                     true => format!("{} holds", shown(a, row)),
@@ -86,7 +86,7 @@ fn outside<'s>(
 ) -> Option<(RelId, &'s [Value], Value)> {
     let mut passed: HashSet<Value> = HashSet::new();
     for &(relation, column) in domain {
-        for row in session.rows(relation) {
+        for row in session.encoded_rows(relation) {
             let value = row[column];
             if passed.insert(value) && !holds(value) {
                 return Some((relation, row, value));

@@ -7,11 +7,8 @@
 //!   wrong.dl derives []
 //! ```
 
-use logicity_datalog::diag::{Sources, render};
 use logicity_datalog::diff::{Equivalence, Options, diff};
-use logicity_datalog::files::ReadError;
-use logicity_datalog::{Rules, load as load_rules};
-use std::path::Path;
+use logicity_datalog::{Program, ProgramError};
 
 const INPUTS: &str = "\
 .decl Car(x: symbol)
@@ -26,9 +23,9 @@ const SHORTER: &str = "Stop(x) :- Near(x, y), (Bus(y); Car(y)).";
 const WRONG: &str = "Stop(x) :- Near(x, y), Bus(y), Car(y).";
 
 fn main() -> Result<(), Box<dyn std::error::Error>> {
-    let original = load("original.dl", ORIGINAL)?;
+    let original = load(ORIGINAL)?;
     for (name, text) in [("shorter.dl", SHORTER), ("wrong.dl", WRONG)] {
-        let found = diff(&original, &load(name, text)?, &Options::default());
+        let found = diff(original.rules(), load(text)?.rules(), &Options::default());
         match found.map_err(|faults| faults[0].message.clone())? {
             Equivalence::Equivalent { .. } => println!("{name}: equivalent in scenes of any size"),
             Equivalence::Different(difference) => {
@@ -42,9 +39,6 @@ fn main() -> Result<(), Box<dyn std::error::Error>> {
     Ok(())
 }
 
-fn load(name: &str, clauses: &str) -> Result<Rules, String> {
-    let mut sources = Sources::new();
-    let entry = sources.add(name, format!("{INPUTS}{clauses}"));
-    let loaded = load_rules(&mut sources, entry, &|_: &Path| Err(ReadError::NotFound));
-    (loaded.rules).ok_or_else(|| render(&loaded.diagnostics, &sources, false))
+fn load(clauses: &str) -> Result<Program, ProgramError> {
+    Program::parse(&format!("{INPUTS}{clauses}"))
 }

@@ -12,10 +12,7 @@
 //!   - [(1, 3), (1, 4), (2, 3), (2, 4)]
 //! ```
 
-use logicity_datalog::diag::{Sources, render};
-use logicity_datalog::files::ReadError;
-use logicity_datalog::{Program, RelId, Session, Value};
-use std::path::Path;
+use logicity_datalog::{Program, Session};
 
 const RULES: &str = "\
 .decl edge(x: number, y: number)
@@ -26,31 +23,25 @@ path(x, z) :- path(x, y), edge(y, z).
 ";
 
 fn main() -> Result<(), Box<dyn std::error::Error>> {
-    let mut sources = Sources::new();
-    let entry = sources.add("path.dl", RULES);
-    let (program, diagnostics) = Program::load(&mut sources, entry, &|_: &Path| Err(ReadError::NotFound));
-    let program = program.ok_or_else(|| render(&diagnostics, &sources, false))?;
-    let relation = |name| program.relation(name).ok_or("unknown relation");
-    let (edge, path) = (relation("edge")?, relation("path")?);
-
+    let program = Program::parse(RULES)?;
     let mut session = program.session();
     for (from, to) in [(1, 2), (2, 3), (3, 4)] {
-        session.insert(edge, &[Value::number(from), Value::number(to)])?;
+        session.insert("edge", (from, to))?;
         println!("insert edge({from}, {to})");
-        commit(&mut session, path)?;
+        commit(&mut session)?;
     }
-    session.retract(edge, &[Value::number(2), Value::number(3)])?;
+    session.retract("edge", (2, 3))?;
     println!("retract edge(2, 3)");
-    commit(&mut session, path)
+    commit(&mut session)
 }
 
 /// Updates everything that the rules derive, and prints the pairs that `path` gained and lost.
-fn commit(session: &mut Session, path: RelId) -> Result<(), Box<dyn std::error::Error>> {
+fn commit(session: &mut Session) -> Result<(), Box<dyn std::error::Error>> {
     let delta = session.commit()?;
+    let path = session.program().relation("path").ok_or("no relation `path`")?;
     let change = delta.of(path).ok_or("`path` did not change")?;
     for (sign, rows) in [("+", &change.added), ("-", &change.removed)] {
-        let pair = |row: &[Value]| (row[0].as_number(), row[1].as_number());
-        let pairs: Vec<_> = rows.iter().map(pair).collect();
+        let pairs: Vec<(i64, i64)> = session.decode(path, rows)?.collect();
         if !pairs.is_empty() {
             println!("  {sign} {pairs:?}");
         }

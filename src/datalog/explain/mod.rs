@@ -283,20 +283,14 @@ impl Session {
     /// `None` if the fact does not hold.
     ///
     /// ```
-    /// # use logicity_datalog::{self as datalog, Program, explain::Node, diag::Sources, files::ReadError};
-    /// # use std::path::Path;
-    /// # let mut sources = Sources::new();
-    /// # let text = ".decl e(x: number, y: number) .input e .decl p(x: number, y: number)
-    /// #     p(x, y) :- e(x, y). p(x, z) :- p(x, y), e(y, z).";
-    /// # let entry = sources.add("path.dl", text);
-    /// # let rules = datalog::load(&mut sources, entry, &|_: &Path| Err(ReadError::NotFound)).rules.unwrap();
-    /// # let program = Program::new(rules).expect("within limits");
-    /// # let (e, p) = (program.relation("e").unwrap(), program.relation("p").unwrap());
-    /// # let [a, b, c] = [1, 2, 3].map(datalog::Value::number);
+    /// # use logicity_datalog::{Program, Value, explain::Node};
+    /// # let program = Program::parse(".decl e(x: number, y: number) .input e .decl p(x: number, y: number)
+    /// #     p(x, y) :- e(x, y). p(x, z) :- p(x, y), e(y, z).")?;
     /// let mut session = program.session();      // p(x, y) :- e(x, y).   p(x, z) :- p(x, y), e(y, z).
-    /// session.insert(e, &[a, b])?;
-    /// session.insert(e, &[b, c])?;
+    /// session.insert_all("e", [(1, 2), (2, 3)])?;
     /// session.commit()?;
+    /// let p = program.relation("p").unwrap();
+    /// let [a, c] = [1, 3].map(Value::number);
     /// let proof = session.explain(p, &[a, c])?.unwrap();
     /// let Node::Fact(fact) = &proof.nodes()[0] else { unreachable!() };
     /// assert_eq!(fact.height, 2);
@@ -370,7 +364,7 @@ impl<'s> Explainer<'s> {
         let fits = |row: &&[Value]| {
             (pattern.iter().zip(*row)).all(|(wanted, value)| wanted.is_none_or(|wanted| wanted == *value))
         };
-        match self.search.session.rows(rel).find(fits) {
+        match self.search.session.encoded_rows(rel).find(fits) {
             Some(row) => Ok((true, self.explain(rel, row)?)),
             None => Ok((false, self.explain_absence(rel, pattern)?)),
         }

@@ -151,7 +151,7 @@ impl Background {
             .map(|index| relation(format!("p{index}")))
             .collect();
         for (rows, rel) in self.rows.values_mut().zip(derived) {
-            for row in session.rows(rel) {
+            for row in session.encoded_rows(rel) {
                 let text = |value: &Value| session.symbols().text(Symbol(value.0)).unwrap_or_default();
                 let numbers = row
                     .iter()

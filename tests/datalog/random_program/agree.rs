@@ -10,7 +10,7 @@ use std::collections::BTreeSet;
 pub fn database(session: &Session) -> naive::Database {
     let relations = session.program().rules().relations.len();
     (0..relations as u32)
-        .map(|rel| session.rows(RelId(rel)).map(<[Value]>::to_vec).collect())
+        .map(|rel| session.encoded_rows(RelId(rel)).map(<[Value]>::to_vec).collect())
         .collect()
 }
 
@@ -133,7 +133,7 @@ fn check_commit(session: &mut Session, before: &naive::Database, after: &naive::
             prop_assert!(delta.of(RelId(rel as u32)).is_none());
             continue;
         }
-        let rows = session.rows(RelId(rel as u32));
+        let rows = session.encoded_rows(RelId(rel as u32));
         prop_assert!(rows.is_sorted());
         let change = delta.of(RelId(rel as u32));
         prop_assert_eq!(change.is_some(), before != after);

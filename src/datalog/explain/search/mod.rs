@@ -226,7 +226,7 @@ impl<'s> Search<'s> {
 
     fn table(&self, rel: RelId) -> &Table<'s> {
         self.tables[rel.index()].get_or_init(|| Table {
-            rows: self.session.rows(rel).collect(),
+            rows: self.session.encoded_rows(rel).collect(),
             indexes: RefCell::default(),
         })
     }

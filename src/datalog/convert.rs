@@ -1,0 +1,505 @@
+//! Conversion between rows of Rust values and the words of a relation.
+
+use std::fmt;
+
+use crate::check::{Column, RelId, Relation, Rules};
+use crate::diag::did_you_mean;
+use crate::symbol::{Symbol, Symbols};
+use crate::syntax::functor::BaseType;
+use crate::value::Value;
+
+/// A relation as callers name it: by its name, or by its id, which takes no search.
+pub trait AsRelation: Copy {
+    #[doc(hidden)]
+    fn resolve(self, rules: &Rules) -> Result<(RelId, &Relation), RowError>;
+}
+
+impl AsRelation for RelId {
+    #[inline]
+    fn resolve(self, rules: &Rules) -> Result<(RelId, &Relation), RowError> {
+        let relation = rules.relations.get(self.index());
+        let unknown = || RowError::UnknownRelation {
+            relation: format!("#{}", self.0),
+            near: None,
+        };
+        Ok((self, relation.ok_or_else(unknown)?))
+    }
+}
+
+impl AsRelation for &str {
+    fn resolve(self, rules: &Rules) -> Result<(RelId, &Relation), RowError> {
+        let Some(id) = rules.relation(self) else {
+            let declared = rules.relations.iter().filter(|relation| !relation.hidden);
+            let near = did_you_mean(self, declared.map(|relation| relation.name.as_str()));
+            return Err(RowError::UnknownRelation {
+                relation: self.to_owned(),
+                near: near.map(str::to_owned),
+            });
+        };
+        Ok((id, &rules.relations[id.index()]))
+    }
+}
+
+impl AsRelation for &String {
+    fn resolve(self, rules: &Rules) -> Result<(RelId, &Relation), RowError> {
+        self.as_str().resolve(rules)
+    }
+}
+
+/// A Rust value for a column.
+///
+/// Whole numbers fit columns of type `number` and `unsigned`, floats those of type `float`, and strings those of type
+/// `symbol`. A [`Value`] fits every column, since it is a word already.
+pub trait ToValue {
+    /// Returns the word of the value in a column, or `None` if it does not fit. `symbol` maps a string to its symbol.
+    #[doc(hidden)]
+    fn to_value(&self, base: BaseType, symbol: &dyn Fn(&str) -> Option<Symbol>) -> Option<Value>;
+
+    /// Describes the value for a message.
+    #[doc(hidden)]
+    fn describe(&self) -> String;
+
+    /// Returns a row as it is, if it consists of words.
+    #[doc(hidden)]
+    #[inline]
+    fn words(_row: &[Self]) -> Option<&[Value]>
+    where
+        Self: Sized,
+    {
+        None
+    }
+}
+
+impl ToValue for Value {
+    fn to_value(&self, _: BaseType, _: &dyn Fn(&str) -> Option<Symbol>) -> Option<Value> {
+        Some(*self)
+    }
+
+    fn describe(&self) -> String {
+        format!("the word {}", self.0)
+    }
+
+    #[inline]
+    fn words(row: &[Value]) -> Option<&[Value]> {
+        Some(row)
+    }
+}
+
+macro_rules! whole_numbers {
+    ($($number:ty),*) => {
+        $(impl ToValue for $number {
+            fn to_value(&self, base: BaseType, _: &dyn Fn(&str) -> Option<Symbol>) -> Option<Value> {
+                match base {
+                    BaseType::Number => i32::try_from(*self).ok().map(Value::number),
+                    BaseType::Unsigned => u32::try_from(*self).ok().map(Value),
+                    BaseType::Float | BaseType::Symbol => None,
+                }
+            }
+
+            fn describe(&self) -> String {
+                self.to_string()
+            }
+        })*
+    };
+}
+
+whole_numbers!(i8, i16, i32, i64, isize, u8, u16, u32, u64, usize);
+
+impl ToValue for f32 {
+    fn to_value(&self, base: BaseType, _: &dyn Fn(&str) -> Option<Symbol>) -> Option<Value> {
+        (base == BaseType::Float).then(|| Value::float(*self))
+    }
+
+    fn describe(&self) -> String {
+        format!("the float {self:?}")
+    }
+}
+
+impl ToValue for f64 {
+    /// Rounds to single precision.
+    #[allow(clippy::cast_possible_truncation)]
+    fn to_value(&self, base: BaseType, symbol: &dyn Fn(&str) -> Option<Symbol>) -> Option<Value> {
+        (*self as f32).to_value(base, symbol)
+    }
+
+    fn describe(&self) -> String {
+        format!("the float {self:?}")
+    }
+}
+
+impl ToValue for str {
+    fn to_value(&self, base: BaseType, symbol: &dyn Fn(&str) -> Option<Symbol>) -> Option<Value> {
+        match base {
+            BaseType::Symbol => symbol(self).map(|symbol| Value(symbol.0)),
+            BaseType::Number | BaseType::Unsigned | BaseType::Float => None,
+        }
+    }
+
+    fn describe(&self) -> String {
+        format!("the symbol {self:?}")
+    }
+}
+
+impl ToValue for String {
+    fn to_value(&self, base: BaseType, symbol: &dyn Fn(&str) -> Option<Symbol>) -> Option<Value> {
+        self.as_str().to_value(base, symbol)
+    }
+
+    fn describe(&self) -> String {
+        self.as_str().describe()
+    }
+}
+
+impl<T: ToValue + ?Sized> ToValue for &T {
+    fn to_value(&self, base: BaseType, symbol: &dyn Fn(&str) -> Option<Symbol>) -> Option<Value> {
+        (**self).to_value(base, symbol)
+    }
+
+    fn describe(&self) -> String {
+        (**self).describe()
+    }
+}
+
+/// A row to insert, to retract or to look up: a tuple of up to 12 values, or an array or slice of values of one type.
+///
+/// A row of [`Value`]s is used as it is, without a copy.
+pub trait IntoRow {
+    /// Returns the values of the row.
+    #[doc(hidden)]
+    fn values(&self) -> Vec<&dyn ToValue>;
+
+    /// Returns the row if it consists of words.
+    #[doc(hidden)]
+    #[inline]
+    fn words(&self) -> Option<&[Value]> {
+        None
+    }
+}
+
+macro_rules! rows_of_one_type {
+    ($(($($generics:tt)*) $row:ty),*) => {
+        $(impl<$($generics)*> IntoRow for $row {
+            fn values(&self) -> Vec<&dyn ToValue> {
+                self.iter().map(|value| value as &dyn ToValue).collect()
+            }
+
+            #[inline]
+            fn words(&self) -> Option<&[Value]> {
+                T::words(&self[..])
+            }
+        })*
+    };
+}
+
+rows_of_one_type!((T: ToValue) [T], (T: ToValue) Vec<T>, (T: ToValue, const N: usize) [T; N]);
+
+impl<R: IntoRow + ?Sized> IntoRow for &R {
+    fn values(&self) -> Vec<&dyn ToValue> {
+        (**self).values()
+    }
+
+    #[inline]
+    fn words(&self) -> Option<&[Value]> {
+        (**self).words()
+    }
+}
+
+/// A value of a column as Rust has it.
+///
+/// `i64` reads columns of type `number` and `unsigned`, `i32` those of type `number`, `u32` those of type `unsigned`,
+/// `f32` and `f64` those of type `float`, `&str` and `String` those of type `symbol`, and [`Value`] every column.
+pub trait FromValue<'s>: Sized {
+    /// The types of columns that it reads, for a message.
+    #[doc(hidden)]
+    const NAME: &'static str;
+
+    #[doc(hidden)]
+    fn reads(base: BaseType) -> bool;
+
+    #[doc(hidden)]
+    fn from_value(value: Value, base: BaseType, symbols: &'s Symbols) -> Self;
+}
+
+macro_rules! columns {
+    ($($ty:ty: $name:literal, $pattern:pat, |$value:ident, $base:ident, $symbols:ident| $read:expr;)*) => {
+        $(impl<'s> FromValue<'s> for $ty {
+            const NAME: &'static str = $name;
+
+            fn reads(base: BaseType) -> bool {
+                matches!(base, $pattern)
+            }
+
+            #[inline]
+            fn from_value($value: Value, $base: BaseType, $symbols: &'s Symbols) -> Self {
+                $read
+            }
+        })*
+    };
+}
+
+columns! {
+    Value: "any type", _, |value, _base, _symbols| value;
+    i32: "type number", BaseType::Number, |value, _base, _symbols| value.as_number();
+    u32: "type unsigned", BaseType::Unsigned, |value, _base, _symbols| value.0;
+    i64: "type number or unsigned", BaseType::Number | BaseType::Unsigned, |value, base, _symbols| match base {
+        BaseType::Unsigned => value.0.into(),
+        _ => value.as_number().into(),
+    };
+    f32: "type float", BaseType::Float, |value, _base, _symbols| value.as_float();
+    f64: "type float", BaseType::Float, |value, _base, _symbols| value.as_float().into();
+    &'s str: "type symbol", BaseType::Symbol, |value, _base, symbols| symbols.text(Symbol(value.0)).unwrap_or_default();
+    String: "type symbol", BaseType::Symbol, |value, base, symbols| <&str>::from_value(value, base, symbols).to_owned();
+}
+
+/// A row as Rust has it: a tuple of up to 12 values, or an array or a `Vec` of values of one type.
+pub trait FromRow<'s>: Sized {
+    /// Checks that rows of the relation can be read.
+    #[doc(hidden)]
+    fn check(relation: &Relation) -> Result<(), RowError>;
+
+    #[doc(hidden)]
+    fn from_row(row: &'s [Value], columns: &[Column], symbols: &'s Symbols) -> Self;
+}
+
+impl<'s, T: FromValue<'s>> FromRow<'s> for Vec<T> {
+    fn check(relation: &Relation) -> Result<(), RowError> {
+        (0..relation.arity()).try_for_each(|column| check_column::<T>(relation, column))
+    }
+
+    fn from_row(row: &'s [Value], columns: &[Column], symbols: &'s Symbols) -> Self {
+        let values = row.iter().zip(columns);
+        values
+            .map(|(value, column)| T::from_value(*value, column.base, symbols))
+            .collect()
+    }
+}
+
+impl<'s, T: FromValue<'s>, const N: usize> FromRow<'s> for [T; N] {
+    fn check(relation: &Relation) -> Result<(), RowError> {
+        check_arity(relation, N)?;
+        Vec::<T>::check(relation)
+    }
+
+    fn from_row(row: &'s [Value], columns: &[Column], symbols: &'s Symbols) -> Self {
+        std::array::from_fn(|at| T::from_value(row[at], columns[at].base, symbols))
+    }
+}
+
+macro_rules! tuples {
+    ($(($($name:ident $at:tt),*))*) => {
+        $(
+            impl<$($name: ToValue),*> IntoRow for ($($name,)*) {
+                fn values(&self) -> Vec<&dyn ToValue> {
+                    vec![$(&self.$at),*]
+                }
+            }
+
+            impl<'s, $($name: FromValue<'s>),*> FromRow<'s> for ($($name,)*) {
+                fn check(relation: &Relation) -> Result<(), RowError> {
+                    check_arity(relation, [$(stringify!($name)),*].len())?;
+                    $(check_column::<$name>(relation, $at)?;)*
+                    Ok(())
+                }
+
+                #[inline]
+                fn from_row(row: &'s [Value], columns: &[Column], symbols: &'s Symbols) -> Self {
+                    ($($name::from_value(row[$at], columns[$at].base, symbols),)*)
+                }
+            }
+        )*
+    };
+}
+
+tuples! {
+    (A 0)
+    (A 0, B 1)
+    (A 0, B 1, C 2)
+    (A 0, B 1, C 2, D 3)
+    (A 0, B 1, C 2, D 3, E 4)
+    (A 0, B 1, C 2, D 3, E 4, F 5)
+    (A 0, B 1, C 2, D 3, E 4, F 5, G 6)
+    (A 0, B 1, C 2, D 3, E 4, F 5, G 6, H 7)
+    (A 0, B 1, C 2, D 3, E 4, F 5, G 6, H 7, I 8)
+    (A 0, B 1, C 2, D 3, E 4, F 5, G 6, H 7, I 8, J 9)
+    (A 0, B 1, C 2, D 3, E 4, F 5, G 6, H 7, I 8, J 9, K 10)
+    (A 0, B 1, C 2, D 3, E 4, F 5, G 6, H 7, I 8, J 9, K 10, L 11)
+}
+
+/// The row of a relation without columns.
+impl IntoRow for () {
+    fn values(&self) -> Vec<&dyn ToValue> {
+        Vec::new()
+    }
+
+    #[inline]
+    fn words(&self) -> Option<&[Value]> {
+        Some(&[])
+    }
+}
+
+fn check_column<'s, T: FromValue<'s>>(relation: &Relation, column: usize) -> Result<(), RowError> {
+    let Column { name, base, .. } = &relation.columns[column];
+    match T::reads(*base) {
+        true => Ok(()),
+        false => Err(RowError::ColumnType {
+            relation: relation.name.clone(),
+            column: name.clone(),
+            base: *base,
+            expected: T::NAME,
+        }),
+    }
+}
+
+fn check_arity(relation: &Relation, found: usize) -> Result<(), RowError> {
+    match relation.arity() == found {
+        true => Ok(()),
+        false => Err(RowError::Arity {
+            relation: relation.name.clone(),
+            expected: relation.arity(),
+            found,
+        }),
+    }
+}
+
+/// Checks that the words fit the relation. `known` is the number of interned symbols.
+#[inline]
+pub(crate) fn check_words(relation: &Relation, row: &[Value], known: usize) -> Result<(), RowError> {
+    check_arity(relation, row.len())?;
+    let mut columns = row.iter().zip(&relation.columns);
+    if columns.any(|(value, column)| value.0 as usize >= known && column.base == BaseType::Symbol) {
+        return Err(RowError::UnknownSymbol {
+            relation: relation.name.clone(),
+        });
+    }
+    Ok(())
+}
+
+/// Adds the words of a row to `words`.
+pub(crate) fn encode(
+    relation: &Relation,
+    row: &impl IntoRow,
+    symbol: &dyn Fn(&str) -> Option<Symbol>,
+    words: &mut Vec<Value>,
+) -> Result<(), RowError> {
+    let values = row.values();
+    check_arity(relation, values.len())?;
+    for (value, column) in values.into_iter().zip(&relation.columns) {
+        let word = value.to_value(column.base, symbol).ok_or_else(|| RowError::ValueType {
+            relation: relation.name.clone(),
+            column: column.name.clone(),
+            base: column.base,
+            found: value.describe(),
+        })?;
+        words.push(word);
+    }
+    Ok(())
+}
+
+/// The reason why a session refuses a row, or a relation as a whole.
+#[derive(Clone, Debug, PartialEq, Eq)]
+#[non_exhaustive]
+pub enum RowError {
+    /// The program has no such relation.
+    UnknownRelation {
+        /// Its name, or `#` and its id.
+        relation: String,
+        /// A relation with a similar name.
+        near: Option<String>,
+    },
+    /// The relation is derived: clauses with bodies define its rows, and it is no input.
+    Derived {
+        /// The relation's name.
+        relation: String,
+    },
+    /// The row has the wrong number of values.
+    Arity {
+        /// The relation's name.
+        relation: String,
+        /// Its number of columns.
+        expected: usize,
+        /// The number of values in the row.
+        found: usize,
+    },
+    /// A value in a symbol column is no symbol of the session; see [`Session::intern`](crate::Session::intern).
+    UnknownSymbol {
+        /// The relation's name.
+        relation: String,
+    },
+    /// A value does not fit its column.
+    ValueType {
+        /// The relation's name.
+        relation: String,
+        /// The name of the column.
+        column: String,
+        /// The base type of the column.
+        base: BaseType,
+        /// The value, in words.
+        found: String,
+    },
+    /// A column cannot be read as the requested type of Rust.
+    ColumnType {
+        /// The relation's name.
+        relation: String,
+        /// The name of the column.
+        column: String,
+        /// The base type of the column.
+        base: BaseType,
+        /// The types of columns that can be read as the requested type.
+        expected: &'static str,
+    },
+}
+
+impl fmt::Display for RowError {
+    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        match self {
+            RowError::UnknownRelation { relation, near } => {
+                write!(f, "the program declares no relation `{relation}`")?;
+                match near {
+                    Some(near) => write!(f, "; did you mean `{near}`?"),
+                    None => Ok(()),
+                }
+            }
+            RowError::Derived { relation } => write!(f, "`{relation}` is derived by rules; its rows cannot be set"),
+            RowError::Arity {
+                relation,
+                expected,
+                found,
+            } => write!(f, "a row of `{relation}` has {expected} values, not {found}"),
+            RowError::UnknownSymbol { relation } => {
+                write!(
+                    f,
+                    "a row of `{relation}` has a symbol that the session has not interned"
+                )
+            }
+            RowError::ValueType {
+                relation,
+                column,
+                base,
+                found,
+            } => {
+                let expected = match base {
+                    BaseType::Symbol => "a symbol",
+                    BaseType::Number => "a number of 32 bits",
+                    BaseType::Unsigned => "an unsigned number of 32 bits",
+                    BaseType::Float => "a float",
+                };
+                write!(
+                    f,
+                    "the column `{column}` of `{relation}` expects {expected}, not {found}"
+                )
+            }
+            RowError::ColumnType {
+                relation,
+                column,
+                base,
+                expected,
+            } => write!(
+                f,
+                "the column `{column}` of `{relation}` has type {}; expected {expected}",
+                base.name()
+            ),
+        }
+    }
+}
+
+impl std::error::Error for RowError {}
