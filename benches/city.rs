@@ -93,7 +93,7 @@ fn rules(criterion: &mut Criterion) {
                 let set = bit_state.set(&dense, relation).expect("derived");
                 let state = simulation.snapshot().expect("within limits");
                 for agent in 0..count {
-                    let holds = state.session().contains(relation, &[state.value(agent)]);
+                    let holds = state.session().contains(relation, [state.value(agent)]);
                     assert_eq!(has(set, agent), holds, "{} of {agent}", action.name());
                 }
             }

@@ -193,7 +193,7 @@ fn measure(program: &Program, entities: usize, facts: &[(RelId, Vec<usize>)]) ->
         || session(program, facts, &value),
         |session| {
             answer = match session.commit() {
-                Ok(_) => Some(value.iter().map(|value| session.contains(stop, &[*value])).collect()),
+                Ok(_) => Some(value.iter().map(|value| session.contains(stop, [*value])).collect()),
                 Err(_) => None,
             };
         },

@@ -196,10 +196,10 @@ fn ticks(c: &mut Criterion) {
     let row = [Value(0)];
     group.bench_function("tick_one_fact_changed", |b| {
         b.iter(|| {
-            if session.contains(rel("IsInInter"), &row) {
-                session.retract(rel("IsInInter"), &row)
+            if session.contains(rel("IsInInter"), row) {
+                session.retract(rel("IsInInter"), row)
             } else {
-                session.insert(rel("IsInInter"), &row)
+                session.insert(rel("IsInInter"), row)
             }
             .expect("a base relation");
             session.commit()

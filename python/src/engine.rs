@@ -5,7 +5,7 @@ use crate::{LimitArguments, Shared, Signals, input_error, limits_of, threads_of,
 use logicity::builtin::BuiltinFiles;
 use logicity::datalog;
 use logicity::datalog::explain::{Explainer, ExplanationPrinter};
-use logicity::datalog::{ClauseId, Edb, RelId, Relation, Value, Workspace};
+use logicity::datalog::{ClauseId, InputPolicy, RelId, Relation, Value, Workspace};
 use logicity::datalog::{EvalError, Limits, Program, RowError, StratumStats, Threads};
 use logicity::diag::{Diagnostic, Sources, did_you_mean, to_json};
 use logicity::files::{ReadError, ReadFile as _};
@@ -91,7 +91,7 @@ impl PyProgram {
             (None, _) => Err(ReadError::NotFound),
         };
         let (loaded, sources) = Signals::new().on_thread(py, move || {
-            let mut workspace = Workspace::new(Edb::Extensible);
+            let mut workspace = Workspace::new(InputPolicy::Extensible);
             workspace.add(&mut sources, entry, &read);
             let checked = workspace.check();
             let program = checked.rules.map(Program::new).transpose();

@@ -8,7 +8,7 @@ use crate::cli::{Failure, LimitOptions, inputs_of, load_workspace_from, plural, 
 use crate::datalog::dense::{self, Unsupported};
 use crate::datalog::diff::{Cut, Equivalence};
 use crate::datalog::explain::ExplanationPrinter;
-use crate::datalog::{Clause, ClauseId, Edb, Program, RelId, Rules};
+use crate::datalog::{Clause, ClauseId, InputPolicy, Program, RelId, Rules};
 use crate::diag::{Diagnostic, Sources, to_json};
 use crate::files::ReadFile;
 use crate::sim::{
@@ -186,7 +186,7 @@ impl Report {
         files: &dyn ReadFile,
         sources: &mut Sources,
     ) -> Result<Option<Rules>, Failure> {
-        let mut texts = match load_workspace_from(sources, path, Edb::Fixed, files) {
+        let mut texts = match load_workspace_from(sources, path, InputPolicy::Fixed, files) {
             Ok(texts) => texts,
             Err(Failure::Input(faults)) => {
                 self.found = faults;
@@ -195,7 +195,7 @@ impl Report {
             Err(other) => return Err(other),
         };
         let inputs = inputs_of(&texts, has_city || self.configuration.is_some());
-        self.in_city = inputs == Edb::Fixed;
+        self.in_city = inputs == InputPolicy::Fixed;
         texts.set_inputs(inputs);
         let loaded = texts.check();
         self.found = loaded.diagnostics;

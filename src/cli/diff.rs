@@ -9,7 +9,7 @@ use crate::cli::{Failure, MemoryOption, compile, inputs_of, integer, load_worksp
 use crate::config::rule_file;
 use crate::datalog::codes;
 use crate::datalog::diff::{Equivalence, Options, diff, unsat_core};
-use crate::datalog::{Edb, Rules};
+use crate::datalog::{InputPolicy, Rules};
 use crate::diag::{Diagnostic, Sources, to_json};
 use crate::sim::{CityTheory, examine, scene_json};
 use std::collections::HashSet;
@@ -112,7 +112,7 @@ pub fn run(arguments: &Arguments, sources: &mut Sources) -> Result<u8, Failure> 
 /// Loads both rule sets, compares them with the configuration if there is one, and prints the warnings.
 fn load(paths: &[PathBuf; 2], city: Option<&Checked>, sources: &mut Sources) -> Result<[Rules; 2], Failure> {
     let mut load = |path| {
-        let mut texts = load_workspace(sources, path, Edb::Fixed)?;
+        let mut texts = load_workspace(sources, path, InputPolicy::Fixed)?;
         texts.set_inputs(inputs_of(&texts, city.is_some()));
         compile(&texts)
     };

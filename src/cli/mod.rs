@@ -40,7 +40,7 @@ mod why;
 use crate::builtin::BuiltinFiles;
 use crate::city::{Action, MapConfig};
 use crate::config::{self, load_map, missing_file, rule_file};
-use crate::datalog::{Edb, Limits, Program, Workspace};
+use crate::datalog::{InputPolicy, Limits, Program, Workspace};
 use crate::diag::{self, Diagnostic, Limit, Sources, neutral, render, similar_file};
 use crate::files::{self, FileError, FileId, Output, Overwrite, ReadError, ReadFile};
 use crate::sim::{LoadError, LoadedCity};
@@ -809,10 +809,10 @@ fn advised(diagnostics: &[Diagnostic]) -> Vec<Diagnostic> {
 
 /// Returns whether rules may derive `.input` predicates. A city computes its input, so no rule may derive that: the rules
 /// are for a city if they are checked for one or declare an action.
-fn inputs_of(texts: &Workspace, in_city: bool) -> Edb {
+fn inputs_of(texts: &Workspace, in_city: bool) -> InputPolicy {
     match in_city || Action::ALL.iter().any(|action| texts.declares(action.name())) {
-        true => Edb::Fixed,
-        false => Edb::Extensible,
+        true => InputPolicy::Fixed,
+        false => InputPolicy::Extensible,
     }
 }
 
@@ -826,15 +826,15 @@ fn compile(workspace: &Workspace) -> Result<(Program, Vec<Diagnostic>), Failure>
 }
 
 /// Reads a rule file, given as a path or a bare name such as `hard`, and its includes.
-fn load_workspace(sources: &mut Sources, path: &Path, edb: Edb) -> Result<Workspace, Failure> {
-    load_workspace_from(sources, path, edb, &BuiltinFiles)
+fn load_workspace(sources: &mut Sources, path: &Path, inputs: InputPolicy) -> Result<Workspace, Failure> {
+    load_workspace_from(sources, path, inputs, &BuiltinFiles)
 }
 
 /// Reads a rule file and its includes from `files`.
 fn load_workspace_from(
     sources: &mut Sources,
     path: &Path,
-    edb: Edb,
+    inputs: InputPolicy,
     files: &dyn ReadFile,
 ) -> Result<Workspace, Failure> {
     let path = rule_file(path, files);
@@ -843,7 +843,7 @@ fn load_workspace_from(
         return Err(fault.into());
     }
     let entry = sources.add(path.display().to_string(), text);
-    let mut workspace = Workspace::new(edb);
+    let mut workspace = Workspace::new(inputs);
     workspace.add(sources, entry, files);
     Ok(workspace)
 }

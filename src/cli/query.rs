@@ -7,7 +7,7 @@ use crate::cli::why;
 use crate::cli::why::Question;
 use crate::cli::{Failure, ForceOption, Inputs, LimitOptions, load_workspace, report, terminal};
 use crate::datalog::codes;
-use crate::datalog::{ClauseId, Directive, Edb, EvalError, MarkKind, RelId, RowPlace, Rules, rewrite};
+use crate::datalog::{ClauseId, Directive, EvalError, InputPolicy, MarkKind, RelId, RowPlace, Rules, rewrite};
 use crate::datalog::{Delta, EvalEvent, Limits, Options, Program, RuleStats, Session, Threads, constraints};
 use crate::diag::{Diagnostic, Sources, listed};
 use crate::files;
@@ -75,7 +75,7 @@ pub fn run(arguments: &Arguments, sources: &mut Sources) -> Result<(), Failure> 
     if arguments.json && question.is_none() {
         return Err(Failure::Usage("--json requires --explain or --why-not".to_owned()));
     }
-    let workspace = load_workspace(sources, &arguments.rules, Edb::Extensible)?;
+    let workspace = load_workspace(sources, &arguments.rules, InputPolicy::Extensible)?;
     // Only a question needs the syntax trees, which may be large.
     let (loaded, workspace) = match question {
         Some(_) => (workspace.check(), Some(workspace)),

@@ -141,7 +141,7 @@ mod workspace;
 
 pub use analysis::{constraints, diff};
 pub use check::{
-    Atom, Clause, ClauseId, Column, Comparing, Constraint, DeclaredConstraint, Directive, Edb, Literal, RelId,
+    Atom, Clause, ClauseId, Column, Comparing, Constraint, DeclaredConstraint, Directive, InputPolicy, Literal, RelId,
     Relation, RowFormat, RowPlace, Rules, Stratum, Term, Type, TypeId, VarId,
 };
 pub use convert::{AsRelation, FromRow, FromValue, IntoRow, RowError, ToValue};

@@ -4,7 +4,7 @@ use std::fmt;
 use std::path::Path;
 use std::sync::Arc;
 
-use crate::check::{Edb, RelId, Rules};
+use crate::check::{InputPolicy, RelId, Rules};
 use crate::diag::{Diagnostic, SourceId, Sources, render};
 use crate::files::{ReadError, ReadFile};
 #[cfg(feature = "optimizer")]
@@ -64,7 +64,7 @@ impl Program {
     ///
     /// Returns the program with all errors and warnings; the program is `None` if any of them is an error.
     pub fn load(sources: &mut Sources, entry: SourceId, read: &dyn ReadFile) -> (Option<Program>, Vec<Diagnostic>) {
-        Program::load_with(sources, entry, read, Edb::Fixed)
+        Program::load_with(sources, entry, read, InputPolicy::Fixed)
     }
 
     /// Loads as [`Program::load`] does; `inputs` determines whether rules may derive `.input` predicates.
@@ -72,7 +72,7 @@ impl Program {
         sources: &mut Sources,
         entry: SourceId,
         read: &dyn ReadFile,
-        inputs: Edb,
+        inputs: InputPolicy,
     ) -> (Option<Program>, Vec<Diagnostic>) {
         let mut loaded = workspace::load_with(sources, entry, read, inputs);
         let program = loaded

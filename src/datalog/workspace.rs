@@ -18,7 +18,7 @@ use crate::symbol::{Symbol, Symbols};
 use crate::check::clause;
 use crate::check::witness::{renamed, renamed_term};
 use crate::check::{self as rules, Comparing, RelId, Rules};
-use crate::check::{Edb, check, inline, names};
+use crate::check::{InputPolicy, check, inline, names};
 use crate::syntax::ast::BaseType;
 use crate::syntax::ast::{Atom, Clause, ColumnDecl, Decl, Item, Literal, Mark, MarkKind, Name, Place, Term, TermKind};
 use crate::syntax::ast::{names_in, names_of};
@@ -61,11 +61,11 @@ impl Loaded {
 /// `sources`. If that file does not exist, `read` looks for [`BUILTIN_FOLDER`](crate::files::BUILTIN_FOLDER)`/x`, where
 /// the caller may serve rule files. `load` adds the included files to `sources`.
 pub fn load(sources: &mut Sources, entry: SourceId, read: &dyn ReadFile) -> Loaded {
-    load_with(sources, entry, read, Edb::Fixed)
+    load_with(sources, entry, read, InputPolicy::Fixed)
 }
 
 /// Loads as [`load`] does; `inputs` determines whether rules may derive `.input` predicates.
-pub fn load_with(sources: &mut Sources, entry: SourceId, read: &dyn ReadFile, inputs: Edb) -> Loaded {
+pub fn load_with(sources: &mut Sources, entry: SourceId, read: &dyn ReadFile, inputs: InputPolicy) -> Loaded {
     let mut workspace = Workspace::new(inputs);
     workspace.add(sources, entry, read);
     workspace.into_checked()
@@ -75,7 +75,7 @@ pub fn load_with(sources: &mut Sources, entry: SourceId, read: &dyn ReadFile, in
 #[derive(Clone, Debug, Default)]
 pub struct Workspace {
     gathered: Gathered,
-    inputs: Edb,
+    inputs: InputPolicy,
     faults: Faults,
 }
 
@@ -96,7 +96,7 @@ impl Workspace {
     pub const ANSWER: &str = ANSWER;
 
     /// Creates an empty workspace.
-    pub fn new(inputs: Edb) -> Self {
+    pub fn new(inputs: InputPolicy) -> Self {
         Workspace {
             inputs,
             ..Workspace::default()
@@ -115,7 +115,7 @@ impl Workspace {
     }
 
     /// Sets whether rules may derive `.input` predicates.
-    pub fn set_inputs(&mut self, inputs: Edb) {
+    pub fn set_inputs(&mut self, inputs: InputPolicy) {
         self.inputs = inputs;
     }
 
@@ -560,7 +560,7 @@ fn has_open_comment(text: &str, lexed: &lexer::Lexed) -> bool {
 
 #[cfg(test)]
 mod tests {
-    use crate::check::Edb;
+    use crate::check::InputPolicy;
     use crate::diag::Sources;
     use crate::files::ReadError;
     use crate::syntax::ast::Item;
@@ -656,7 +656,7 @@ mod tests {
                 true => Ok(other.clone()),
                 false => Err(ReadError::NotFound),
             };
-            let mut workspace = Workspace::new(Edb::Fixed);
+            let mut workspace = Workspace::new(InputPolicy::Fixed);
             workspace.add(&mut sources, entry, &read);
             let mut trees = workspace.clone();
             trees.gathered.facts.unpack(&mut trees.gathered.items);

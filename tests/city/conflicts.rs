@@ -53,7 +53,7 @@ fn holds(program: &Program, scene: &Difference, actions: [Action; 2]) -> bool {
     let ego = session.intern(&scene.entities[0]);
     let action = |action: Action| program.relation(action.name()).unwrap();
     constraints::violations(&session).is_empty()
-        && actions.iter().all(|&wanted| session.contains(action(wanted), &[ego]))
+        && actions.iter().all(|&wanted| session.contains(action(wanted), [ego]))
 }
 
 fn rules(body: &str) -> String {

@@ -5,7 +5,7 @@ use crate::rule_files::RuleFiles;
 use logicity_datalog as datalog;
 use logicity_datalog::diag::{Diagnostic, Severity, Sources, render};
 use logicity_datalog::symbol::{Symbol, Symbols};
-use logicity_datalog::{BaseType, Edb, RelId, Rules, Value};
+use logicity_datalog::{BaseType, InputPolicy, RelId, Rules, Value};
 use logicity_datalog::{Options, Program, Strategy, constraints, facts, naive};
 use std::collections::{BTreeMap, BTreeSet};
 use std::fs;
@@ -264,7 +264,7 @@ fn check(path: &Path) -> Result<(), String> {
     let script = read_script(&text);
     let mut sources = Sources::new();
     let entry = sources.add(path.display().to_string(), text);
-    let loaded = datalog::load_with(&mut sources, entry, &RuleFiles, Edb::Extensible);
+    let loaded = datalog::load_with(&mut sources, entry, &RuleFiles, InputPolicy::Extensible);
     let found: BTreeSet<(usize, String)> = loaded.diagnostics.iter().map(|fault| place(fault, &sources)).collect();
     if found != script.diagnostics {
         let drawn = render(&loaded.diagnostics, &sources, false);

@@ -7,7 +7,7 @@ use logicity_datalog as datalog;
 use logicity_datalog::diag::Sources;
 use logicity_datalog::diff::{Cut, Difference, Equivalence, Options, diff};
 use logicity_datalog::naive;
-use logicity_datalog::{Constraint, Edb, RelId, Rules, Value};
+use logicity_datalog::{Constraint, InputPolicy, RelId, Rules, Value};
 use proptest::prelude::*;
 
 fn rules(text: &str) -> Rules {
@@ -519,7 +519,7 @@ fn formatted_copies_are_proved_equal() {
             let name = path.display().to_string();
             let id = sources.add(&*name, text);
             let copy = sources.add(&*name, datalog::format(&sources, id).unwrap());
-            let mut load = |id| datalog::load_with(&mut sources, id, &RuleFiles, Edb::Extensible).rules;
+            let mut load = |id| datalog::load_with(&mut sources, id, &RuleFiles, InputPolicy::Extensible).rules;
             // Some files show errors.
             let Some(left) = load(id) else { continue };
             let right = load(copy).expect("a copy of a file without errors");

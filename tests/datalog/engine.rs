@@ -8,7 +8,7 @@ use logicity_datalog as datalog;
 use logicity_datalog::cancel::Cancel;
 use logicity_datalog::codes;
 use logicity_datalog::diag::{self, MAX_FAULTS, Sources};
-use logicity_datalog::{BaseType, ClauseId, Edb, RelId, Rules, Value};
+use logicity_datalog::{BaseType, ClauseId, InputPolicy, RelId, Rules, Value};
 use logicity_datalog::{
     EvalError, Limits, Program, RowError, RuleStats, Session, Strategy, StratumStats, Threads, WorkCounts, facts, naive,
 };
@@ -211,7 +211,7 @@ fn a_correlated_aggregate_is_evaluated_once_for_each_binding() {
     session.commit().unwrap();
     assert_eq!(reached(&session), 50);
     let v = session.program().relation("V").unwrap();
-    session.retract(v, &numbers(&[501])).unwrap();
+    session.retract(v, numbers(&[501])).unwrap();
     session.commit().unwrap();
     assert_eq!(reached(&session), 1);
 }
@@ -406,12 +406,12 @@ proptest! {
 
 fn insert(session: &mut Session, name: &str, rows: &[&[i32]]) {
     let rel = session.program().relation(name).unwrap();
-    rows.iter().for_each(|row| session.insert(rel, &numbers(row)).unwrap());
+    rows.iter().for_each(|row| session.insert(rel, numbers(row)).unwrap());
 }
 
 fn retract(session: &mut Session, name: &str, rows: &[&[i32]]) {
     let rel = session.program().relation(name).unwrap();
-    rows.iter().for_each(|row| session.retract(rel, &numbers(row)).unwrap());
+    rows.iter().for_each(|row| session.retract(rel, numbers(row)).unwrap());
 }
 
 fn numbers(row: &[i32]) -> Vec<Value> {
@@ -524,7 +524,7 @@ fn points_to_in_rounds_of_many_new_rows() {
         let rel = program.relation(name).unwrap();
         for _ in 0..count {
             let row = [Value(random(50)), Value(random(50))];
-            session.insert(rel, &row).unwrap();
+            session.insert(rel, row).unwrap();
             facts.insert((rel, row.to_vec()));
         }
     }
@@ -1414,7 +1414,7 @@ fn loaded_relations_take_the_memory_of_their_own_columns() {
     let (mut session, edge) = loaded(&format!(".decl Wide({})\n.input Wide", columns.join(", ")));
     assert_eq!(session.bytes(), alone.bytes());
     // A change pads the rows.
-    session.retract(edge, &numbers(&[0, 6])).unwrap();
+    session.retract(edge, numbers(&[0, 6])).unwrap();
     assert_eq!(session.commit().unwrap().of(edge).unwrap().removed.len(), 1);
     assert_eq!(session.len(edge), 9_999);
     assert!(session.bytes() >= 9_999 * 20 * 4);
@@ -1461,9 +1461,9 @@ fn rows_that_do_not_fit_are_errors() {
         found,
     };
     assert_eq!(session.insert(base, ()), Err(arity(0)));
-    assert_eq!(session.retract(base, &numbers(&[1, 2])), Err(arity(2)));
+    assert_eq!(session.retract(base, numbers(&[1, 2])), Err(arity(2)));
     assert_eq!(
-        session.insert(copy, &numbers(&[1])),
+        session.insert(copy, numbers(&[1])),
         Err(RowError::Derived {
             relation: "Copy".into()
         })
@@ -1519,7 +1519,7 @@ fn rows_are_rust_values() {
     let texts: Vec<Vec<String>> = session.rows("tall").unwrap().collect();
     assert_eq!(texts, [["Ada"]]);
     assert_eq!(session.rows::<Vec<i64>>("here").unwrap().len(), 1);
-    assert!(session.contains("here", ()) && session.contains("tall", &["Ada"]) && session.contains("tall", ["Ada"]));
+    assert!(session.contains("here", ()) && session.contains("tall", ["Ada"]) && session.contains("tall", ["Ada"]));
     assert!(
         !session.contains("tall", ["Grace"]) && !session.contains("tall", [1]) && !session.contains("tal", ["Ada"])
     );
@@ -1658,7 +1658,7 @@ fn rows_may_have_any_number_of_columns_up_to_the_limit() {
         let turned = program.relation("Turned").unwrap();
         assert_eq!(session.len(turned), arity as usize);
         let last: Vec<i32> = (0..arity).map(|column| (column + arity - 1) % arity).collect();
-        assert!(session.contains(turned, &numbers(&last)));
+        assert!(session.contains(turned, numbers(&last)));
     }
 }
 
@@ -1815,8 +1815,8 @@ proptest! {
         let row = |(from, to, step): (i64, i64, i64)| [narrow(from), narrow(to), narrow(step)];
         // As an unsigned number, a negative step is large.
         let unsigned = (unsigned.0, unsigned.1, unsigned.2.rem_euclid(1 << 32));
-        session.insert(find("S"), &row(signed)).unwrap();
-        session.insert(find("U"), &row(unsigned)).unwrap();
+        session.insert(find("S"), row(signed)).unwrap();
+        session.insert(find("U"), row(unsigned)).unwrap();
         session.commit().unwrap();
         let numbers = |name| {
             let rows = session.encoded_rows(find(name));
@@ -1853,7 +1853,7 @@ proptest! {
                 .to_owned(),
         );
         let read = |_: &std::path::Path| unreachable!("nothing is included");
-        let loaded = datalog::load_with(&mut sources, entry, &read, Edb::Extensible);
+        let loaded = datalog::load_with(&mut sources, entry, &read, InputPolicy::Extensible);
         prop_assert!(loaded.diagnostics.iter().all(|fault| fault.code == codes::EXTENDED_INPUT));
         let rules = loaded.rules.unwrap();
         let program = Program::new(rules.clone()).unwrap();

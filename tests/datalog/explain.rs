@@ -204,7 +204,7 @@ fn session(text: &str, facts: &[(&str, &[&[i32]])]) -> Session {
     let mut session = program.session();
     for (name, rows) in facts {
         let rel = program.relation(name).unwrap();
-        rows.iter().for_each(|row| session.insert(rel, &numbers(row)).unwrap());
+        rows.iter().for_each(|row| session.insert(rel, numbers(row)).unwrap());
     }
     session.commit().unwrap();
     session
@@ -372,7 +372,7 @@ fn explained(text: &str, facts: &[(&str, &[&[i32]])], name: &str, row: &[i32]) -
     let mut session = program.session();
     for (name, rows) in facts {
         let rel = program.relation(name).unwrap();
-        rows.iter().for_each(|row| session.insert(rel, &numbers(row)).unwrap());
+        rows.iter().for_each(|row| session.insert(rel, numbers(row)).unwrap());
     }
     session.commit().unwrap();
     let rel = program.relation(name).unwrap();

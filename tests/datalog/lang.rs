@@ -12,8 +12,8 @@ use logicity_datalog::codes;
 use logicity_datalog::diag::{self, Code, Diagnostic, Severity, Sources, Span, render};
 use logicity_datalog::files::{BUILTIN_FOLDER, ReadError, ReadFile};
 use logicity_datalog::{
-    AggregateOp, Atom, Clause, Comparison, Edb, Functor, Literal, Loaded, Rules, Term, ast, load, load_with, parse,
-    print,
+    AggregateOp, Atom, Clause, Comparison, Functor, InputPolicy, Literal, Loaded, Rules, Term, ast, load, load_with,
+    parse, print,
 };
 use proptest::prelude::*;
 
@@ -535,8 +535,8 @@ fn load_files(files: &[(String, String)]) -> (Sources, Loaded) {
     let mut sources = Sources::new();
     let entry = sources.add(files[0].0.as_str(), files[0].1.as_str());
     let inputs = match files.iter().any(|(_, text)| text.contains("warning[extended-input]")) {
-        true => Edb::Extensible,
-        false => Edb::Fixed,
+        true => InputPolicy::Extensible,
+        false => InputPolicy::Fixed,
     };
     let loaded = load_with(&mut sources, entry, &read_one, inputs);
     (sources, loaded)

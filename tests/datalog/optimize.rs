@@ -259,14 +259,14 @@ fn insert_city(session: &mut Session) -> Vec<(RelId, Vec<Value>)> {
     for (position, &x) in agents.iter().enumerate() {
         for &(_, rel) in &unary {
             if random(4) == 0 {
-                session.insert(rel, &[x]).unwrap();
+                session.insert(rel, [x]).unwrap();
             }
         }
         for _ in 0..14 {
             let y = agents[(position + random(60) as usize) % agents.len()];
             for (relation, rel) in &binary {
                 if relation.name == "Sees" || random(6) == 0 {
-                    session.insert(*rel, &[x, y]).unwrap();
+                    session.insert(*rel, [x, y]).unwrap();
                     if random(100) == 0 {
                         moving.push((*rel, vec![x, y]));
                     }
@@ -407,7 +407,7 @@ fn contradictions_are_reported_and_never_evaluated() {
     let mut session = program.session();
     let me = session.intern("me");
     for name in ["IsBus", "IsCar"] {
-        session.insert(program.relation(name).unwrap(), &[me]).unwrap();
+        session.insert(program.relation(name).unwrap(), [me]).unwrap();
     }
     session.commit().unwrap();
     assert!(session.is_empty(program.relation("Slow").unwrap()));

@@ -120,7 +120,7 @@ fn an_inline_product_is_not_computed() {
     let insert = |session: &mut Session| {
         let a = session.program().relation("A").unwrap();
         for x in 0..100 {
-            session.insert(a, &[Value::number(x), Value::number(x + 1)]).unwrap();
+            session.insert(a, [Value::number(x), Value::number(x + 1)]).unwrap();
         }
     };
     let rewritten = evaluated(rewritten(text), insert);
@@ -189,7 +189,7 @@ fn demanded_paths_begin_at_the_constant() {
     let insert = |session: &mut Session| {
         let edge = session.program().relation("Edge").unwrap();
         for x in 0..100 {
-            session.insert(edge, &[Value::number(x), Value::number(x + 1)]).unwrap();
+            session.insert(edge, [Value::number(x), Value::number(x + 1)]).unwrap();
         }
     };
     let rewritten = evaluated(rewritten(text), insert);

@@ -11,7 +11,7 @@ use crate::cli::diff::{CORE_EFFORT, in_city};
 use crate::cli::{Failure, inputs_of, load_workspace_from};
 use crate::datalog::codes;
 use crate::datalog::diff::{Difference, Equivalence, Options, diff, unsat_core};
-use crate::datalog::{BaseType, Clause, Comparison, Edb, Literal, Rules, Term, VarId, is_name, quoted};
+use crate::datalog::{BaseType, Clause, Comparison, InputPolicy, Literal, Rules, Term, VarId, is_name, quoted};
 use crate::diag::{Diagnostic, SourceId, Sources, Span};
 use crate::files::{ReadError, ReadFile};
 use crate::sim::CityTheory;
@@ -187,7 +187,7 @@ fn restricted(
             overlay.text += ".\n";
         }
     }
-    let mut workspace = load_workspace_from(sources, &overlay.path, Edb::Fixed, &overlay)?;
+    let mut workspace = load_workspace_from(sources, &overlay.path, InputPolicy::Fixed, &overlay)?;
     workspace.set_inputs(inputs_of(&workspace, false));
     let entry = overlay.path.display().to_string();
     let entry = sources.ids().filter(|&id| sources.name(id) == entry).last();

@@ -11,7 +11,7 @@ use crate::datalog::ast;
 use crate::datalog::ast::{Item, Literal, Name, Term, TermKind, TypeDefinition};
 use crate::datalog::codes;
 use crate::datalog::print;
-use crate::datalog::{Edb, Program, Rules, Workspace};
+use crate::datalog::{InputPolicy, Program, Rules, Workspace};
 use crate::diag::{Diagnostic, Fix, MAX_FAULTS, SourceId, Sources, Span};
 use crate::files::{BUILTIN_FOLDER, ReadFile, normalize};
 use crate::sim::{Vocabulary, examine};
@@ -106,7 +106,7 @@ impl Analysis {
     pub fn new(path: &Path, text: &str, read: &dyn ReadFile, encoding: Encoding, city: Option<&City>) -> Analysis {
         let mut sources = city.map_or_else(Sources::new, |city| city.sources.clone());
         let entry = sources.add(path.display().to_string(), text);
-        let mut workspace = Workspace::new(Edb::Fixed);
+        let mut workspace = Workspace::new(InputPolicy::Fixed);
         workspace.add(&mut sources, entry, read);
         workspace.set_inputs(inputs_of(&workspace, city.is_some()));
         let loaded = workspace.into_checked();

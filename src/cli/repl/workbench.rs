@@ -16,7 +16,7 @@ use crate::cli::{Failure, read};
 use crate::config::rule_file;
 use crate::datalog;
 use crate::datalog::codes;
-use crate::datalog::{BaseType, Edb, Functor, Literal, RelId, Relation, Rules, Value, Workspace, ast};
+use crate::datalog::{BaseType, Functor, InputPolicy, Literal, RelId, Relation, Rules, Value, Workspace, ast};
 use crate::datalog::{Delta, Limits, Loaded, Program, RowError, Session, facts};
 use crate::diag::{Diagnostic, SourceId, Sources, Span};
 use crate::symbol::Symbol;
@@ -70,7 +70,7 @@ pub struct Answer {
 impl<'s> Workbench<'s> {
     /// Returns a workbench without sources.
     pub fn new(sources: &'s mut Sources, limits: Limits) -> Result<Self, Failure> {
-        let workspace = Workspace::new(Edb::Extensible);
+        let workspace = Workspace::new(InputPolicy::Extensible);
         let loaded = workspace.check();
         let rules = loaded.rules.ok_or(loaded.diagnostics)?;
         Ok(Workbench {
@@ -108,7 +108,7 @@ impl<'s> Workbench<'s> {
     /// Reloads all files. Typed sources stay; clauses and facts retracted from files return.
     pub fn reload(&mut self) -> Result<Outcome, Failure> {
         let first_new = self.sources.ids().count();
-        let mut workspace = Workspace::new(Edb::Extensible);
+        let mut workspace = Workspace::new(InputPolicy::Extensible);
         for path in &self.files {
             let text = read(path)?;
             let entry = self.sources.add(path.display().to_string(), text);

@@ -40,14 +40,14 @@ pub fn violations_among(session: &Session, known: impl Fn(RelId) -> bool) -> Vec
                 .find(|row| !session.contains(b, row))
                 .map(|row| format!("{} holds, {} does not", shown(a, row), shown(b, row))),
             Constraint::Covering(ref relations) => {
-                let covered = |value| relations.iter().any(|&relation| session.contains(relation, &[value]));
+                let covered = |value| relations.iter().any(|&relation| session.contains(relation, [value]));
                 outside(session, domain, covered).map(|(relation, row, value)| {
                     let options: Vec<String> = relations.iter().map(|&one| shown(one, &[value])).collect();
                     format!("{} holds, none of {} does", shown(relation, row), options.join(", "))
                 })
             }
             Constraint::Reflexive(a) => {
-                outside(session, domain, |value| session.contains(a, &[value, value])).map(|(relation, row, value)| {
+                outside(session, domain, |value| session.contains(a, [value, value])).map(|(relation, row, value)| {
                     let own = shown(a, &[value, value]);
                     format!("{} holds, {own} does not", shown(relation, row))
                 })
@@ -58,11 +58,11 @@ pub fn violations_among(session: &Session, known: impl Fn(RelId) -> bool) -> Vec
                 .map(|row| format!("{} holds", shown(a, row))),
             Constraint::Symmetric(a) => session
                 .encoded_rows(a)
-                .find(|row| !session.contains(a, &reversed(row)))
+                .find(|row| !session.contains(a, reversed(row)))
                 .map(|row| format!("{} holds, {} does not", shown(a, row), shown(a, &reversed(row)))),
             Constraint::Asymmetric(a) => session
                 .encoded_rows(a)
-                .find(|row| session.contains(a, &reversed(row)))
+                .find(|row| session.contains(a, reversed(row)))
                 .map(|row| match row[0] == row[1] {
                     true => format!("{} holds", shown(a, row)),
                     false => format!("both {} and {} hold", shown(a, row), shown(a, &reversed(row))),

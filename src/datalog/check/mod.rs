@@ -52,9 +52,9 @@ pub(crate) fn restratified(mut rules: Rules) -> Rules {
     rules
 }
 
-/// Whether rules may derive `.input` predicates (the EDB).
+/// Whether rules may derive `.input` predicates.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
-pub enum Edb {
+pub enum InputPolicy {
     /// Only inserted rows and the facts of the source hold. A rule for an `.input` predicate is an error.
     #[default]
     Fixed,
@@ -67,7 +67,7 @@ pub enum Edb {
 pub(crate) fn check(
     (written, facts): (Cow<'_, [ast::Item]>, Cow<'_, FactRuns>),
     complete: bool,
-    inputs: Edb,
+    inputs: InputPolicy,
     symbols: Symbols,
     faults: &mut Faults,
 ) -> (Option<Rules>, Comparing) {

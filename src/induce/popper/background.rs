@@ -133,13 +133,13 @@ impl Background {
         let inserted = self.rows.values().enumerate().try_for_each(|(index, rows)| {
             let given = relation(format!("f{index}"));
             let values = |row: &[u32]| -> Vec<Value> { row.iter().map(|&constant| names[constant as usize]).collect() };
-            rows.iter().try_for_each(|row| session.insert(given, &values(row)))
+            rows.iter().try_for_each(|row| session.insert(given, values(row)))
         });
         let ranks = ranks(&self.constants);
         let inserted = inserted.and_then(|()| {
             let rank = relation("rank".to_owned());
             let mut rows = ranks.into_iter();
-            rows.try_for_each(|(constant, place)| session.insert(rank, &[names[constant], Value::number(place)]))
+            rows.try_for_each(|(constant, place)| session.insert(rank, [names[constant], Value::number(place)]))
         });
         if let Err(error) = inserted {
             return report(Diagnostic::new(diag::codes::LIMIT_EXCEEDED, error.to_string()));

@@ -117,7 +117,7 @@ impl GroundState {
     pub fn derived(&self, vocabulary: &Vocabulary, entity: usize) -> Actions {
         let holds = |action: &Action| {
             let relation = vocabulary.action(*action);
-            relation.is_some_and(|relation| self.session.contains(relation, &[self.entities[entity]]))
+            relation.is_some_and(|relation| self.session.contains(relation, [self.entities[entity]]))
         };
         Action::ALL.into_iter().filter(holds).collect()
     }

@@ -90,7 +90,7 @@ impl<'a> Decision<'a> {
         let mut actions = match why_not {
             Some(action) => vec![action],
             None if self.derived.is_empty() => match vocabulary.action(by_rules) {
-                Some(relation) if self.session.contains(relation, &[self.value]) => vec![by_rules],
+                Some(relation) if self.session.contains(relation, [self.value]) => vec![by_rules],
                 _ => Action::ALL.to_vec(),
             },
             None => self.derived.iter().collect(),

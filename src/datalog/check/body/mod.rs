@@ -15,7 +15,7 @@ use crate::codes;
 use crate::diag::{self, Diagnostic, Faults, Span};
 use crate::symbol::Symbols;
 
-use crate::check::Edb;
+use crate::check::InputPolicy;
 use crate::check::clauses::{Clauses, Edge, EdgeKind, Guard, Known, renumber};
 use crate::check::names::Names;
 use crate::check::rules::{Atom, Clause, Literal, RelId, Term, TypeId, VarId};
@@ -748,11 +748,11 @@ impl<'c> Check<'_, 'c> {
         if let Some(input) = self.names.signatures[relation.index()].input {
             let name = &head.predicate.text;
             let (code, help) = match self.names.inputs {
-                Edb::Fixed => (
+                InputPolicy::Fixed => (
                     codes::DERIVED_INPUT,
                     "derive another predicate, with one clause that copies the input",
                 ),
-                Edb::Extensible => (
+                InputPolicy::Extensible => (
                     codes::EXTENDED_INPUT,
                     "to distinguish them, derive another predicate, with one clause that copies the input",
                 ),

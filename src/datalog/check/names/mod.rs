@@ -7,7 +7,7 @@ use std::collections::{HashMap, HashSet};
 use crate::codes;
 use crate::diag::{self, Diagnostic, Faults, Span, did_you_mean};
 
-use crate::check::Edb;
+use crate::check::InputPolicy;
 use crate::check::rules::{Column, Directive, RelId, Relation, RowFormat, RowPlace, Type, TypeId};
 use crate::syntax::ast::BaseType;
 use crate::syntax::ast::{Decl, Item, Mark, MarkKind, Name, Pragma};
@@ -49,7 +49,7 @@ pub(crate) struct Names {
     /// Whether all declarations are known. If not, the checker reports no unknown names.
     complete: bool,
     /// Whether rules may derive `.input` predicates.
-    pub inputs: Edb,
+    pub inputs: InputPolicy,
     /// By [`RelId`]: the component of each declared predicate. Predicates of one component depend on each other.
     pub components: Vec<usize>,
 }
@@ -61,7 +61,7 @@ struct Unknown {
     types: indexmap::IndexMap<String, Vec<Span>>,
 }
 
-pub(crate) fn declare(items: &[Item], complete: bool, inputs: Edb, faults: &mut Faults) -> Names {
+pub(crate) fn declare(items: &[Item], complete: bool, inputs: InputPolicy, faults: &mut Faults) -> Names {
     let mut names = Names {
         types: Vec::new(),
         relations: Vec::new(),

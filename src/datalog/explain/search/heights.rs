@@ -494,7 +494,7 @@ mod tests {
             [8, 7],
         ] {
             session
-                .insert(edge, &[Value::number(x), Value::number(y)])
+                .insert(edge, [Value::number(x), Value::number(y)])
                 .expect("a row that fits");
         }
         session.commit().expect("few rows");
