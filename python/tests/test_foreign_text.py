@@ -468,6 +468,6 @@ def test_only_one_module_prints() -> None:
     allowed = (
         "evaluation.py: print(",
         "terminal.py: print(neutral(",
-        "learn/cells.py: print(json",
+        "experiments/cells.py: print(json",
     )
     assert not [each for each in found if not each.startswith(allowed)]
