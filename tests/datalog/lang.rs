@@ -441,12 +441,15 @@ fn a_name_like_a_constant_is_quoted_in_the_help() {
         ("A(x), Car_2 = x", "`\"Car_2\" = x`"),
         ("A(x), C(x, Car_2), Car_2 = y", "`\"Car_2\" = y`"),
         ("A(x), C(x, Car_2), y = Car_2", "`y = \"Car_2\"`"),
-        ("A(x), Car_2 = y", "the text `Car_2`, write it in quotes: `\"Car_2\"`"),
-        ("A(x), y = Car_2", "the text `Car_2`, write it in quotes: `\"Car_2\"`"),
-        ("A(x), x != Car_2", "the text `Car_2`, write it in quotes: `\"Car_2\"`"),
+        ("A(x), Car_2 = y", "the symbol `Car_2`, write it in quotes: `\"Car_2\"`"),
+        ("A(x), y = Car_2", "the symbol `Car_2`, write it in quotes: `\"Car_2\"`"),
+        (
+            "A(x), x != Car_2",
+            "the symbol `Car_2`, write it in quotes: `\"Car_2\"`",
+        ),
         (
             "A(x), !C(x, Car_2)",
-            "the text `Car_2`, write it in quotes: `\"Car_2\"`",
+            "the symbol `Car_2`, write it in quotes: `\"Car_2\"`",
         ),
     ] {
         let (_, loaded) = load_text("main.dl", &format!("{HEAD}B(x) :- {body}.\n"));
