@@ -196,7 +196,9 @@ class LanguageQuestions(Task):
         settings = _settings(cell).model_dump(mode="json")
         config = settings.pop("config")
         if settings["endpoint"] is not None:
-            settings["endpoint"] = masked({key: settings["endpoint"][key] for key in ("model", "settings", "logprobs")})
+            shown = masked({key: settings["endpoint"][key] for key in ("model", "settings", "logprobs")})
+            # Another row can ask the same model on another server.
+            settings["endpoint"] = {"row": cell.row, **shown}
         return {
             "format": FORMAT,
             "version": __version__,
