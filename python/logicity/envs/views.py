@@ -26,7 +26,7 @@ from .layout import Layout
 if TYPE_CHECKING:
     from gymnasium.spaces import Dict, Space
 
-__all__ = ["Actions", "Observations", "View", "Views", "views_of"]
+__all__ = ["Actions", "Observations", "View", "Views"]
 
 Observations: TypeAlias = NDArray[np.float32]
 """Observations: float32, one row per environment if there are several."""

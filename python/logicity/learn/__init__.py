@@ -16,7 +16,7 @@ if TYPE_CHECKING:
     from .registry import LEARNERS as LEARNERS
     from .registry import learner_class
     from .run import train
-    from .settings import LearnerSettings
+    from .settings import LearnerSettings, Training
 
 _HOMES = {
     "LEARNERS": "registry",
@@ -25,6 +25,7 @@ _HOMES = {
     "LearnerSettings": "settings",
     "SavedPolicy": "policies",
     "TrainConfig": "config",
+    "Training": "settings",
     "learner_class": "registry",
     "load_policy": "policies",
     "train": "run",
@@ -36,6 +37,7 @@ __all__ = [
     "LearnerSettings",
     "SavedPolicy",
     "TrainConfig",
+    "Training",
     "learner_class",
     "load_policy",
     "train",
