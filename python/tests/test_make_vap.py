@@ -183,7 +183,7 @@ def test_folders_with_other_content_are_refused(sets: Path, tmp_path: Path) -> N
         ({"drawing": Drawing(difficulty=-1)}, ValueError, "difficulty: expected 0 to 100, not -1"),
         ({"threads": -1}, ValueError, "threads: expected 0 to 1024, not -1"),
         ({"worlds": 1.5}, TypeError, "worlds: expected an integer, not float"),
-        ({"pack": "no/such/folder"}, OSError, "no such folder"),
+        ({"drawing": Drawing(pack="no/such/folder")}, OSError, "no such folder"),
         ({"folder": __file__}, FileExistsError, "a file has this name"),
     ],
 )

@@ -140,9 +140,9 @@ def leaves(errors: Any) -> Any:
         ("experiment", "title: A\nmodes: []\nlearners: {dqn: {}}"),
         ("experiment", "task: spf\ntitle: A\nmodes: [easy]\nlearners: {dqn: {}}\nevaluations: {test: {fresh: 0}}"),
         ("experiment", "task: vap\ntitle: A\nmodes: [medium]\nlearners: {rules: {}}"),
-        ("experiment", "task: vap\ntitle: A\nmodes: [hard]\nlearners: {rules: {settings: {stages: bound}}}"),
+        ("experiment", "task: vap\ntitle: A\nmodes: [hard]\nlearners: {rules: {changes: {stages: bound}}}"),
         ("experiment", "task: vap\ntitle: A\nmodes: [hard]\nlearners: {rules: {quick: {worlds: {train: 0}}}}"),
-        ("experiment", "task: language\ntitle: A\nlearners: {rules: {}}"),
+        ("experiment", "task: language\ntitle: A\nlearners: {oracle: {changes: {style: words, sort: ~}}}"),
         ("experiment", "task: vpa\ntitle: A\nmodes: [hard]\nlearners: {rules: {}}"),
     ],
 )
