@@ -5,10 +5,10 @@
 //! neither worker hangs; the page restarts a worker that fails.
 // Decision: docs/decisions/tools.md#d052
 
-use logicity::config::codes;
 use logicity::builtin::{self, BuiltinFiles, ReadWith};
 use logicity::cancel::Cancel;
 use logicity::city::{Agent, Split};
+use logicity::config::codes;
 use logicity::diag::{self, Diagnostic, Sources, render, to_json};
 use logicity::files::{BUILTIN_FOLDER, ReadError, ReadFile};
 use logicity::page::{LIVE_TICKS, Live};

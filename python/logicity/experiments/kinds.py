@@ -6,7 +6,7 @@ import importlib
 import json
 import os
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
 
@@ -113,20 +113,19 @@ class Loaded:
         if key in found:
             return found[key]
         spec, variant = self.experiment.learners[key.row], self.experiment.variants[key.variant]
-        start: Cell | None = None
+        first = None
         if variant.start is not None:
-            first = CellKey(key.row, key.mode, variant.start, key.seed)
-            start = self._add(found, first, selection, check=check)
+            first = replace(key, variant=variant.start)
         elif spec.start is not None:
-            first = CellKey(spec.start, key.mode, key.variant, key.seed)
-            start = self._add(found, first, selection, check=check)
-        own = CellKey(key.row, variant.mode or key.mode, key.variant, key.seed)
+            first = replace(key, row=spec.start)
+        start = None if first is None else self._add(found, first, selection, check=check)
+        own = replace(key, mode=self.task.located_mode(variant.mode or key.mode, self.file.parent))
         started = start is not None
         settings = self.task.settings(self.experiment, self.file, own, selection, started=started, check=check)
         found[key] = Cell(
             task=self.task,
             row=key.row,
-            mode=str(getattr(settings, "mode", own.mode)),
+            mode=own.mode,
             variant=key.variant,
             seed=key.seed,
             settings=settings,

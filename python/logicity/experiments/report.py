@@ -13,7 +13,7 @@ from .cells import finished
 from .kinds import Loaded
 from .paper import paper_table
 from .tables import aligned, draw_bars, draw_lines, draw_panels, latex_table, markdown_table, write_tables
-from .task import Cell
+from .task import Cell, Task
 
 __all__ = ["Entry", "Report", "detail_table", "mean_details", "paper_rows", "shown"]
 
@@ -169,7 +169,7 @@ class Report:
 
     def notes(self) -> list[str]:
         """Return sentences on intervals, missing cells, the paper and the CPU time."""
-        notes = [self.task.interval_note()]
+        notes = [self.task.interval_note]
         if table := paper_table(self.experiment.paper):
             notes.append(f"The paper's figures: {table['source']}. {table['note']}")
         _, source = self.task.paper_details(self.experiment.paper)
@@ -302,7 +302,7 @@ def paper_cells(paper: Mapping[str, float] | str | None, measures: Mapping[str, 
 
 
 def paper_rows(
-    task: Any, table: str | None, mode: str, found: set[tuple[str, str]]
+    task: Task, table: str | None, mode: str, found: set[tuple[str, str]]
 ) -> Iterator[tuple[str, Mapping[str, float] | str]]:
     """Yield the name and the figures of each row of the paper in a mode that is not among names and variants."""
     for row, variants in paper_table(table).get("rows", {}).items():

@@ -15,7 +15,7 @@ from typing import Any
 from ..evaluation import Interval
 from ..files import file_hash, read_json, reserved
 from .cells import finished
-from .experiment import Experiment, name_of
+from .experiment import name_of
 from .kinds import Loaded, load_experiment
 from .paper import paper_table
 from .report import detail_table, headline_of, mean_details, paper_cells, paper_rows, shown
@@ -185,13 +185,19 @@ def submit(
         rows = {tuple(row[key] for key in KEY): row for row in document["rows"]}
         for cell in shown_cells:
             yield from _update(rows, loaded, cell, root, only_hashes)
-        document["rows"] = sorted(rows.values(), key=lambda row: _place_of(row, loaded.experiment))
+        document["rows"] = sorted(rows.values(), key=lambda row: _place_of(row, loaded))
     yield f"{len(rows)} rows in {results}"
 
 
-def _place_of(row: Row, experiment: Experiment) -> tuple[Any, ...]:
+def _place_of(row: Row, loaded: Loaded) -> tuple[Any, ...]:
     """Return the place of a row: those of its names in the experiment. Unknown names come last."""
-    order = {"mode": experiment.modes, "learner": list(experiment.learners), "variant": list(experiment.variants)}
+    experiment = loaded.experiment
+    order = {
+        "mode": experiment.modes,
+        "learner": list(experiment.learners),
+        "variant": list(experiment.variants),
+        "evaluation": list(loaded.task.evaluations(experiment)),
+    }
     places = [list(names).index(row[key]) if row[key] in names else len(names) for key, names in order.items()]
     return (*places, row["seed"])
 

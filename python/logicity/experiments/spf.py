@@ -94,6 +94,10 @@ class SafePathFollowing(Task):
     measures: ClassVar[Mapping[str, str]] = {"tsr": "TSR", "dsr": "DSR", "score": "Score"}
     headline = "tsr"
     measured_on = "test episodes"
+    interval_note = (
+        "Intervals (95 %): over episodes for one seed (Wilson, or 1.96 standard errors for the score), over seeds "
+        "and episodes for several (bootstrap; Wilson for rates of 0 or 1)."
+    )
     details_title = "Share of episodes that end with a violation, by clause"
     paper = "spf"
     reusable = True
@@ -114,6 +118,11 @@ class SafePathFollowing(Task):
             return "invalid-value", path, str(error), ""
         return None
 
+    def located_mode(self, mode: str, folder: Path) -> str:
+        """Return the absolute path of a file, or the name of a mode."""
+        is_file = mode not in ENVIRONMENTS and (folder / mode).is_file()
+        return str((folder / mode).resolve()) if is_file else mode
+
     def faults(self, experiment: SpfExperiment, file: Path) -> Iterator[Fault]:
         """Yield the unknown placeholders in `config`."""
         configs: list[tuple[list[str], str]] = [(["config"], experiment.config)]
@@ -130,9 +139,7 @@ class SafePathFollowing(Task):
         """Return the training configuration of a cell, without `start`."""
         spec = experiment.learners[key.row]
         name = (spec.config or experiment.config).replace("{row}", key.row).replace("{mode}", Path(key.mode).stem)
-        path, city = _training_file(file, name), file.parent / key.mode
-        is_file = key.mode not in ENVIRONMENTS and city.is_file()
-        base: dict[str, Any] = {"mode": str(city.resolve()) if is_file else key.mode}
+        path, base = _training_file(file, name), {"mode": key.mode}
         in_file = read_experiment(file)[1]
         places = experiment.places(key.row, key.variant, selection.quick)
 
@@ -276,13 +283,6 @@ class SafePathFollowing(Task):
         if len(evaluations) == 1:
             return {name: Interval(**evaluations[0][name]) for name in self.measures}
         return pooled([per_episode(each) for each in evaluations], rates=("tsr", "dsr"))
-
-    def interval_note(self) -> str:
-        """Return a sentence on the intervals."""
-        return (
-            "Intervals (95 %): over episodes for one seed (Wilson, or 1.96 standard errors for the score), over seeds "
-            "and episodes for several (bootstrap; Wilson for rates of 0 or 1)."
-        )
 
     def samples(self, evaluation: Mapping[str, Any]) -> dict[str, list[float]]:
         """Return success, decision success and score of each episode."""

@@ -18,10 +18,7 @@ from ..learn.faults import Fault
 from .experiment import Experiment, Selection
 from .paper import paper_table
 
-__all__ = ["Cell", "CellKey", "Details", "Running", "Task"]
-
-#: The name, the version of the format and the details of measures.
-Details = Mapping[str, Mapping[str, float]]
+__all__ = ["Cell", "CellKey", "Running", "Task"]
 
 
 @dataclass(frozen=True)
@@ -128,6 +125,8 @@ class Task(ABC):
     headline: ClassVar[str]
     #: What the headline is measured on, for the axes of figures.
     measured_on: ClassVar[str]
+    #: A sentence on the intervals.
+    interval_note: ClassVar[str]
     #: The title of the details of an evaluation.
     details_title: ClassVar[str] = ""
     #: The table of the paper that has the rows.
@@ -144,6 +143,10 @@ class Task(ABC):
     @abstractmethod
     def mode_fault(self, path: list[str], mode: str, folder: Path) -> Fault | None:
         """Return the error of a mode that a file in a folder names, or `None`."""
+
+    def located_mode(self, mode: str, folder: Path) -> str:
+        """Return a mode that a file in a folder names, as it can be used from any folder."""
+        return mode
 
     def faults(self, experiment: Any, file: Path) -> Iterator[Fault]:
         """Yield the errors in the keys of the task."""
@@ -224,10 +227,6 @@ class Task(ABC):
     @abstractmethod
     def intervals(self, evaluations: Sequence[Mapping[str, Any]]) -> dict[str, Interval]:
         """Return the measures of runs with 95 % intervals, from their evaluations."""
-
-    @abstractmethod
-    def interval_note(self) -> str:
-        """Return a sentence on the intervals."""
 
     @abstractmethod
     def samples(self, evaluation: Mapping[str, Any]) -> Any:

@@ -65,6 +65,10 @@ class VisualActionPrediction(Task):
     measures: ClassVar[Mapping[str, str]] = {name: name for name in (*ACTIONS, "aAcc", "wAcc")}
     headline = "wAcc"
     measured_on = "test worlds"
+    interval_note = (
+        "Intervals (95 %): bootstrap over seeds and, independently, over test worlds. Values of one seed and one "
+        "test world have no interval."
+    )
     details_title = "Recall of concepts at the threshold 0.5"
     paper = "vap"
 
@@ -208,13 +212,6 @@ class VisualActionPrediction(Task):
         (one,) = evaluations
         values = one.get("values") or {**one["recall"], "aAcc": one["a_acc"], "wAcc": one["w_acc"]}
         return {name: Interval(values[name], each.low, each.high) for name, each in measures.items()}
-
-    def interval_note(self) -> str:
-        """Return a sentence on the intervals."""
-        return (
-            "Intervals (95 %): bootstrap over seeds and, independently, over test worlds. Values of one seed and one "
-            "test world have no interval."
-        )
 
     def samples(self, evaluation: Mapping[str, Any]) -> list[dict[str, Any]]:
         """Return the counts of each world."""

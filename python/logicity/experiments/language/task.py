@@ -149,6 +149,13 @@ class LanguageQuestions(Task):
     mode_titles = PROMPTS
     headline = "overall"
     measured_on = "questions"
+    interval_note = (
+        "Accuracy by correct action, with 95 % Wilson intervals over the questions of all seeds; the intervals do "
+        "not account for differences between the sets. Unread replies count as wrong. rule: the reply names a "
+        f"clause that derives the action, or `{NO_RULE}` if the action is the default. ECE: expected calibration "
+        "error in ten bins. Brier: mean squared distance of the probabilities of the options from the correct one, "
+        "0.75 for uniform ones."
+    )
     details_title = "Share of replies that choose no option or several"
     paper = "language"
     chance = 1 / len(LETTERS)
@@ -295,16 +302,6 @@ class LanguageQuestions(Task):
             for name, value in (("ece", calibration.ece), ("brier", calibration.brier)):
                 result[name] = Interval(value, value, value)
         return result
-
-    def interval_note(self) -> str:
-        """Return sentences on the measures and the intervals."""
-        return (
-            "Accuracy by correct action, with 95 % Wilson intervals over the questions of all seeds; the intervals do "
-            "not account for differences between the sets. Unread replies count as wrong. rule: the reply names a "
-            f"clause that derives the action, or `{NO_RULE}` if the action is the default. ECE: expected calibration "
-            "error in ten bins. Brier: mean squared distance of the probabilities of the options from the correct one, "
-            "0.75 for uniform ones."
-        )
 
     def samples(self, evaluation: Mapping[str, Any]) -> list[dict[str, Any]]:
         """Return the graded replies."""
