@@ -451,7 +451,7 @@ def test_no_solution_means_no_rules(output: str, tmp_path: Path) -> None:
         ),
         ('print("hello")', "has no solution: hello; Popper 5 needs Python >= 3.14 and SWI-Prolog >= 9.2"),
         ("pass", "has no solution: it printed nothing"),
-        ("os.kill(os.getpid(), 9)", "exit code -9: it printed nothing"),
+        ("os.kill(os.getpid(), 9)", "exit code 137: it printed nothing"),
         ('print("****** SOLUTION ******\\nnothing\\n" + "*" * 30)', "has no clause"),
         ('print("****** SOLUTION ******\\nstop(V0):- is_bus(V0).\\n" + "*" * 30)', "not of this task"),
         ('print("****** SOLUTION ******\\nslow(V0):- is_car(V0).\\n" + "*" * 30)', "not of this task"),
