@@ -378,7 +378,7 @@ EXPERIMENT_PARTS = ("spf", "vap", "vap-settings", "language", "language-settings
 
 
 #: The files of `results`.
-RESULTS = ("spf", "transfer", "composition", "observations", "vap", "vap-continual", "vap-concepts")
+RESULTS = ("spf", "transfer", "composition", "observations", "vap", "vap-continual", "vap-concepts", "language")
 
 
 def results(name: str) -> str:
