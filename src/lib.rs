@@ -65,6 +65,7 @@ pub mod render;
 pub mod rng;
 pub mod sim;
 pub mod task;
+pub mod yaml;
 
 pub use logicity_datalog as datalog;
 pub use logicity_datalog::{cancel, diag, symbol};

@@ -17,6 +17,7 @@ use logicity::rng::Seed;
 use logicity::sim::{
     CityTheory, LoadError, LoadedCity, Settings, Simulation, World, conflict_lints, conflicts, examine,
 };
+use logicity::yaml;
 use serde_json::{Value, json};
 use std::path::Path;
 use std::sync::Arc;
@@ -235,7 +236,10 @@ impl City {
     pub fn change(&mut self, rules: &str, tick: u32) -> Outcome<()> {
         let seed = self.live.simulation().seed();
         let Some(agents) = self.live.agents_before(tick.into()) else {
-            let fault = Diagnostic::new(codes::INVALID_VALUE, format!("tick {tick} is not one of the last"));
+            let fault = Diagnostic::new(
+                yaml::codes::INVALID_VALUE,
+                format!("tick {tick} is not one of the last"),
+            );
             return Err(self.failed(fault));
         };
         self.live = run(&self.mode, rules, seed, Some((tick.into(), agents.to_vec())))?;

@@ -2,9 +2,9 @@
 
 use crate::{input_error, missing_file_error, to_python};
 use logicity::builtin::BuiltinFiles;
-use logicity::config::codes;
 use logicity::config::{Tree, load_tree, missing_file};
 use logicity::diag::{self, Diagnostic, Sources};
+use logicity::yaml::codes;
 use pyo3::exceptions::{PyBaseException, PyValueError};
 use pyo3::prelude::*;
 use std::path::PathBuf;

@@ -2,13 +2,14 @@
 
 use crate::cli::{Failure, terminal};
 use crate::diag::{self, Catalog, Explanation, Severity, did_you_mean, explanations};
-use crate::{city, config, datalog, sim, task};
+use crate::{city, config, datalog, sim, task, yaml};
 use serde_json::{Value, json};
 use std::io::Write;
 
 /// The catalogs of all modules, with what their messages concern.
-const CATALOGS: [(&str, Catalog); 8] = [
+const CATALOGS: [(&str, Catalog); 9] = [
     ("rules and facts", datalog::codes::CATALOG),
+    ("configurations", yaml::codes::CATALOG),
     ("configurations", config::codes::CATALOG),
     ("maps and routes", city::codes::CATALOG),
     ("cities, scenes and traces", sim::codes::CATALOG),

@@ -1,10 +1,10 @@
 //! The kinds of input files. A command that gets a file of another kind names both kinds in one message, instead of one
 //! fault per line.
 
-use crate::config;
 use crate::datalog;
 use crate::diag::Diagnostic;
 use crate::sim::codes;
+use crate::yaml;
 use std::ffi::OsStr;
 use std::path::Path;
 
@@ -59,7 +59,7 @@ impl Kind {
     pub fn mismatch(self, path: &Path, begin: &str) -> Option<Diagnostic> {
         let code = match self {
             Kind::Rules => datalog::codes::SYNTAX,
-            Kind::Configuration => config::codes::INVALID_VALUE,
+            Kind::Configuration => yaml::codes::INVALID_VALUE,
             Kind::Trace => codes::INVALID_TRACE,
             Kind::Scenes => codes::INVALID_SCENE,
         };

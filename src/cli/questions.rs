@@ -5,12 +5,12 @@ use crate::cli::{
     Failure, ForceOption, Inputs, LimitOptions, finish, integer, is_stdout, load_city, messages, one_of, print_others,
     progress, refuse_mixing, terminal, unwritable,
 };
-use crate::config::codes;
 use crate::diag::Sources;
 use crate::files::Output;
 use crate::task::questions::{
     Extent, Prompt, QUESTIONS_MAX, QuestionSet, Request, RulesFile, SHOTS_MAX, Style, askable,
 };
+use crate::yaml::codes;
 use std::io::{self, Write};
 use std::path::{Path, PathBuf};
 use std::sync::Arc;

@@ -14,11 +14,11 @@
 //! This module does not know what the keys mean.
 
 use crate::config::codes;
-use crate::config::yaml;
-use crate::config::yaml::{Node, Value};
 use crate::datalog::codes::INCLUDE_CYCLE;
 use crate::diag::{self, Diagnostic, SourceId, Sources, similar_file};
 use crate::files::{BUILTIN_FOLDER, ReadError, ReadFile, normalize};
+use crate::yaml;
+use crate::yaml::{Node, Value};
 use std::collections::HashMap;
 use std::path::{Path, PathBuf};
 
@@ -134,7 +134,7 @@ impl<'a> Composer<'a> {
                 let message = format!("`{path}` is a rule file, not a configuration");
                 let help = format!("name the rules in a configuration: `rules: {path}`");
                 self.faults
-                    .push(Diagnostic::new(codes::INVALID_VALUE, message).help(help));
+                    .push(Diagnostic::new(yaml::codes::INVALID_VALUE, message).help(help));
                 None
             }
             Ok((path, text)) => self.file(path, text, kind, parts, &mut Vec::new()),
@@ -189,7 +189,7 @@ impl<'a> Composer<'a> {
 
     /// Returns the path of the file that a value names; the file need not exist.
     pub fn name_file(&mut self, node: &Node) -> Option<PathBuf> {
-        let reference = super::read::text(node, "the path of a file", &mut self.faults)?;
+        let reference = crate::yaml::read::text(node, "the path of a file", &mut self.faults)?;
         let folder = self.path_of(node).parent().unwrap_or(Path::new(""));
         Some(normalize(&folder.join(reference)))
     }
@@ -208,7 +208,7 @@ impl<'a> Composer<'a> {
 
     fn refer(&mut self, node: &Node, kind: Kind) -> Option<(PathBuf, String)> {
         let path = self.name_file(node)?;
-        let reference = super::read::text(node, "the path of a file", &mut self.faults)?;
+        let reference = crate::yaml::read::text(node, "the path of a file", &mut self.faults)?;
         let folder = self.path_of(node).parent().unwrap_or(Path::new("")).to_owned();
         let mut found = self.find(&path, Path::new(reference));
         if let (Err(ReadError::NotFound), Some(named)) = (&found, kind.named(Path::new(reference))) {

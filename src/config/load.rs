@@ -9,12 +9,13 @@ use crate::config::codes;
 use crate::config::compose::{AGENTS, Composer, Kind, MAP, PREDICATES, RUN, Read, TASK};
 use crate::config::model::*;
 use crate::config::predicates::{Concepts, Predicates, carried, predicates};
-use crate::config::read::{Fields, choice, integer, invalid, list, number, text};
 use crate::config::task;
-use crate::config::yaml::{Node, Value};
 use crate::diag::{self, Diagnostic, Faults, MAX_FAULTS, Sources, Span};
 use crate::files::BUILTIN_FOLDER;
 use crate::located::Located;
+use crate::yaml;
+use crate::yaml::read::{Fields, choice, integer, invalid, list, number, text};
+use crate::yaml::{Node, Value};
 use sha2::{Digest, Sha256};
 use std::path::Path;
 
@@ -156,7 +157,7 @@ fn is_part(composer: &mut Composer<'_>, tree: &Node) -> bool {
         .strip_prefix(BUILTIN_FOLDER)
         .map_or(path.as_str(), |inside| inside.trim_start_matches('/'));
     let message = format!("expected a run configuration, found {what}");
-    let fault = Diagnostic::new(codes::INVALID_VALUE, message).at(tree.span, "");
+    let fault = Diagnostic::new(yaml::codes::INVALID_VALUE, message).at(tree.span, "");
     let help = format!("write a run configuration with `base: expert` and `{key}: {path}`");
     composer.faults.push(fault.help(help));
     true
@@ -317,7 +318,7 @@ fn other_blocks(
         "the map has {wanted_rows} x {wanted_cols} blocks, but its rows of buildings are for {} x {} blocks",
         found[0], found[1]
     );
-    let fault = Diagnostic::new(codes::INVALID_VALUE, message);
+    let fault = Diagnostic::new(yaml::codes::INVALID_VALUE, message);
     // The file of the map overrides its base.
     let fault = match map.span.source == node.span.source {
         true => fault
@@ -369,14 +370,17 @@ fn buildings(
                     2 * wanted
                 );
                 let message = format!("expected {expected}, found {}", rows.len());
-                faults.push(Diagnostic::new(codes::INVALID_VALUE, message).at(node.span, ""));
+                faults.push(Diagnostic::new(yaml::codes::INVALID_VALUE, message).at(node.span, ""));
                 return None;
             }
             rows.into_iter().collect::<Option<_>>().map(Buildings::Fixed)
         }
         (None, Some(node)) => random_buildings(node, faults),
         (Some(rows), Some(random)) => {
-            let fault = Diagnostic::new(codes::INVALID_VALUE, "the buildings have both `rows` and `random`");
+            let fault = Diagnostic::new(
+                yaml::codes::INVALID_VALUE,
+                "the buildings have both `rows` and `random`",
+            );
             let inherited = "inherited from the base";
             let (source, whole) = (node.span.source, "buildings: {rows: ~, random: {...}}");
             faults.push(if rows.span.source != source {
@@ -408,7 +412,10 @@ fn building_row(node: &Node, wanted: Option<usize>, faults: &mut Vec<Diagnostic>
     for (byte, letter) in row.char_indices().filter(|(_, letter)| !letter.is_whitespace()) {
         let Some((_, _, building)) = BUILDINGS.iter().find(|(_, known, _)| *known == letter) else {
             let letters = BUILDINGS.map(|(name, letter, _)| format!("{letter} {name}")).join(", ");
-            let fault = Diagnostic::new(codes::INVALID_VALUE, format!("`{letter}` does not denote a building"));
+            let fault = Diagnostic::new(
+                yaml::codes::INVALID_VALUE,
+                format!("`{letter}` does not denote a building"),
+            );
             let span = inside(node, row, byte..byte + letter.len_utf8());
             faults.push(fault.at(span, "").note(format!("the letters are: {letters}")));
             return None;
@@ -421,7 +428,7 @@ fn building_row(node: &Node, wanted: Option<usize>, faults: &mut Vec<Diagnostic>
                 "expected {wanted} buildings, two for each block of the row, found {}",
                 buildings.len()
             );
-            faults.push(Diagnostic::new(codes::INVALID_VALUE, message).at(node.span, ""));
+            faults.push(Diagnostic::new(yaml::codes::INVALID_VALUE, message).at(node.span, ""));
             None
         }
         _ => Some(buildings),
@@ -500,7 +507,7 @@ fn splits(
     fields.close(faults);
     if splits.is_empty() && faults.len() == before && !node.partial {
         let fault = Diagnostic::new(
-            codes::INVALID_VALUE,
+            yaml::codes::INVALID_VALUE,
             "expected at least one of `train`, `val`, `test`, found none",
         );
         faults.push(fault.at(node.span, ""));
@@ -541,7 +548,7 @@ fn agents(
     fields.close(faults);
     if cars.is_empty() && pedestrians.is_empty() && faults.len() == before && !node.partial {
         let message = format!("the split `{}` has no agents", split.name());
-        let fault = Diagnostic::new(codes::INVALID_VALUE, message).at(node.span, "");
+        let fault = Diagnostic::new(yaml::codes::INVALID_VALUE, message).at(node.span, "");
         faults.push(fault.help("give it `cars` or `pedestrians`"));
     }
     let set = AgentSet {
@@ -617,7 +624,7 @@ fn actions(node: &Node, faults: &mut Vec<Diagnostic>) -> Option<ActionsConfig> {
         sorted.sort_unstable();
         if sorted != Action::ALL {
             let message = "expected each of `Slow`, `Normal`, `Fast`, `Stop` exactly once";
-            faults.push(Diagnostic::new(codes::INVALID_VALUE, message).at(node.span, ""));
+            faults.push(Diagnostic::new(yaml::codes::INVALID_VALUE, message).at(node.span, ""));
             return None;
         }
         Some(order)

@@ -14,10 +14,8 @@ mod compose;
 mod load;
 mod model;
 mod predicates;
-pub(crate) mod read;
 mod task;
 mod tree;
-pub(crate) mod yaml;
 
 pub use compose::{Read, rule_file};
 pub use load::{Loaded, load_any, load_map, load_scenario, missing_file};

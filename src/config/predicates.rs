@@ -1,13 +1,13 @@
 //! Reads the base predicates of a configuration, and the concepts that they define.
 
 use crate::city::{Action, AgentKind};
-use crate::config::codes;
 use crate::config::model::*;
-use crate::config::read::{Fields, entries, is_name, list, name};
-use crate::config::yaml::Node;
 use crate::diag::{self, Diagnostic, MAX_FAULTS, Span, did_you_mean, listed};
 use crate::located::Located;
 use crate::predicate::{Concept, Definition, Sees};
+use crate::yaml::Node;
+use crate::yaml::codes;
+use crate::yaml::read::{Fields, entries, is_name, list, name};
 use std::collections::HashMap;
 
 /// The maximum number of base predicates of a scenario.

@@ -4,10 +4,10 @@ use crate::city::{Action, AgentKind, Split};
 use crate::config::compose::Composer;
 use crate::config::model::*;
 use crate::config::predicates::{Concepts, Predicates, carried};
-use crate::config::read::{Fields, choice, entries, integer, invalid, list, number};
-use crate::config::yaml::{Node, Value};
 use crate::diag::Diagnostic;
 use crate::located::Located;
+use crate::yaml::read::{Fields, choice, entries, integer, invalid, list, number};
+use crate::yaml::{Node, Value};
 use std::sync::Arc;
 
 /// The maximum number of observed entities.
@@ -94,7 +94,7 @@ fn reward(node: &Node, faults: &mut Vec<Diagnostic>) -> Option<RewardConfig> {
     let clauses = fields.optional("clauses").map(|node| {
         let entries = entries(node, "rewards by labels of clauses", faults)?.iter();
         let present = entries.filter(|(_, node)| !node.is_null());
-        let clause = |(key, node): &(super::yaml::Key, Node)| {
+        let clause = |(key, node): &(crate::yaml::Key, Node)| {
             let value = reward_value(node, faults)?;
             let label = Located {
                 value: key.text.clone(),

@@ -1,10 +1,10 @@
 //! Configuration files whose keys the caller interprets, such as those of training in Python.
 
-use crate::config::codes;
 use crate::config::compose::{Composer, Kind, Read};
 use crate::config::load::finish;
-use crate::config::yaml::{Node, Value};
 use crate::diag::{Code, Diagnostic, Sources};
+use crate::yaml::codes;
+use crate::yaml::{Node, Value};
 use serde_json::Value as Json;
 use std::path::Path;
 

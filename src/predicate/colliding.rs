@@ -4,12 +4,12 @@
 //! The fast form tests only the smallest rectangle of cells in which the definition can hold.
 
 use crate::city::{AgentKind, Cell, Heading};
-use crate::config::read::{Fields, number};
-use crate::config::yaml::Node;
 use crate::diag::Diagnostic;
 #[cfg(test)]
 use crate::predicate::Definition;
 use crate::predicate::{PairKind, Phrase, PredicateKind, Reach, Relation, Sight, Subject, Syntax, Views};
+use crate::yaml::Node;
+use crate::yaml::read::{Fields, number};
 use serde::Serialize;
 
 /// The first is about to run into the second.

@@ -1,8 +1,8 @@
 //! `{concept: taxi, of: Car}`: the agent is of this kind and carries this concept.
 
 use crate::city::AgentKind;
-use crate::config::read::name;
 use crate::predicate::{Definition, Phrase, PredicateKind, Static, StaticKind, Syntax, kind};
+use crate::yaml::read::name;
 use serde::Serialize;
 
 /// The agent is of this kind and carries this concept.

@@ -4,13 +4,13 @@
 //! the definition.
 
 use crate::city::{AgentKind, Cell, Heading};
-use crate::config::codes;
-use crate::config::read::{Fields, invalid, number};
-use crate::config::yaml::{Node, Value};
 use crate::diag::Diagnostic;
 #[cfg(test)]
 use crate::predicate::Definition;
 use crate::predicate::{PairKind, Phrase, PredicateKind, Reach, Relation, Sight, Subject, Syntax, Views};
+use crate::yaml::codes;
+use crate::yaml::read::{Fields, invalid, number};
+use crate::yaml::{Node, Value};
 use serde::Serialize;
 
 /// The Euclidean distance d in cells is within the present bounds.

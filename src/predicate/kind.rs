@@ -1,12 +1,12 @@
 //! `{kind: Car}`: the agent is of this kind.
 
 use crate::city::AgentKind;
-use crate::config::read::choice;
-use crate::config::yaml::Node;
 use crate::diag::Diagnostic;
 #[cfg(test)]
 use crate::predicate::Definition;
 use crate::predicate::{Phrase, PredicateKind, StaticKind, Syntax};
+use crate::yaml::Node;
+use crate::yaml::read::choice;
 use serde::Serialize;
 
 /// The agent is of this kind.

@@ -30,10 +30,10 @@ mod side;
 mod situation;
 
 use crate::city::{AgentKind, Cell, CityMap, FieldOfView, Heading, Junction};
-use crate::config::codes;
-use crate::config::read::{Fields, choice};
-use crate::config::yaml::{Node, Value};
 use crate::diag::Diagnostic;
+use crate::yaml::codes;
+use crate::yaml::read::{Fields, choice};
+use crate::yaml::{Node, Value};
 use serde::{Serialize, Serializer};
 
 pub use colliding::Colliding;

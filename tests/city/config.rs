@@ -8,7 +8,7 @@ use logicity::config::{Scenario, load_map, load_scenario};
 use logicity::diag::{Diagnostic, MAX_FAULTS, Sources, render, to_json};
 use logicity::files::{BUILTIN_FOLDER, ReadError, ReadFile, read_text};
 use logicity::predicate::{Colliding, Distance};
-use logicity::{city, config, diag, sim};
+use logicity::{city, config, diag, sim, yaml};
 use proptest::prelude::*;
 use std::path::Path;
 use std::sync::Arc;
@@ -939,6 +939,7 @@ fn every_configuration_fixture_has_a_code() {
     let codes = || {
         [
             diag::codes::CODES,
+            yaml::codes::CODES,
             config::codes::CODES,
             city::codes::CODES,
             sim::codes::CODES,

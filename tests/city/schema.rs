@@ -6,9 +6,9 @@
 
 use crate::config::load_memory;
 use logicity::builtin::{self, BuiltinFiles};
-use logicity::config::codes;
 use logicity::config::load_tree;
 use logicity::diag::{Diagnostic, Sources};
+use logicity::yaml::codes;
 use serde_json::{Map, Value, json};
 use std::collections::BTreeSet;
 use std::fs;

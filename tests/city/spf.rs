@@ -6,7 +6,6 @@ use logicity::builtin::BuiltinFiles;
 use logicity::cancel::Cancel;
 use logicity::city::field_of_view;
 use logicity::city::{Action, AgentKind, Split};
-use logicity::config::codes;
 use logicity::datalog::{ClauseId, Literal, Rules, Term};
 use logicity::diag::{Diagnostic, Sources};
 use logicity::rng::{Purpose, RngExt, Seed};
@@ -15,6 +14,7 @@ use logicity::task::spf::{
     self, Autoreset, Baseline, BatchEvaluator, Begin, ControlMode, Env, EpisodeSet, EpisodeSource, MapIdentity,
     ObservationKind, Policy, RANDOM_RUNS, Rate, Rollout, Score, SpfTask, VectorEnv, describe, rollout, summarize,
 };
+use logicity::yaml::codes;
 use proptest::prelude::*;
 use std::collections::BTreeSet;
 use std::sync::Arc;

@@ -3,7 +3,6 @@
 
 use crate::shipped_world::{task, task_of};
 use logicity::city::{Action, AgentName, Split};
-use logicity::config::codes;
 use logicity::diag::{self, Diagnostic};
 use logicity::rng::{Purpose, RngExt, Seed};
 use logicity::sim::Observer;
@@ -11,6 +10,7 @@ use logicity::task::spf::{
     self, Autoreset, Begin, ControlMode, DRAWS_MAX, Env, EpisodeSource, ObservationKind, SpfTask, VectorEnv,
     reset_demanding,
 };
+use logicity::yaml::codes;
 use std::sync::Arc;
 
 /// An environment of the training split whose task has these keys.

@@ -4,7 +4,6 @@ use base64::Engine as _;
 use flate2::read::ZlibDecoder;
 use logicity::cancel::Cancel;
 use logicity::city::{Action, Cell, Split, field_of_view};
-use logicity::config;
 use logicity::datalog::explain::{Explainer, ExplanationPrinter};
 use logicity::diag::{self, Sources};
 use logicity::page::{Comparison, LIVE_TICKS, Live, Page};
@@ -13,6 +12,7 @@ use logicity::rng::Seed;
 use logicity::sim::codes;
 use logicity::sim::{Replay, Settings, Simulation, TraceHeader, TraceTick, TraceWriter, World};
 use logicity::task::spf::{ControlMode, Env, Origin, RecordError, SpfTask, record};
+use logicity::yaml;
 use serde_json::{Value, json};
 use std::collections::{BTreeMap, BTreeSet};
 use std::io::Read;
@@ -101,7 +101,7 @@ fn drive(config: &str, seed: u64, action: Action) -> (Run, Vec<Value>) {
     let Err(RecordError::Fault(fault)) = write(&actions) else {
         panic!("the episode has ended")
     };
-    assert_eq!(fault.code, config::codes::INVALID_VALUE);
+    assert_eq!(fault.code, yaml::codes::INVALID_VALUE);
     let run = Run {
         trace: String::from_utf8(trace).unwrap(),
         ways: Vec::new(),

@@ -10,7 +10,7 @@ use logicity::cancel::Cancel;
 use logicity::datalog::{Limits, Program};
 use logicity::diag::codes;
 use logicity::diag::{Example, Sources};
-use logicity::{city, config, datalog, diag, sim, task};
+use logicity::{city, config, datalog, diag, sim, task, yaml};
 use regex::Regex;
 use serde_json::Value;
 use std::collections::BTreeSet;
@@ -41,6 +41,7 @@ fn every_code_has_a_fixture() {
     let codes = [
         diag::codes::CODES,
         datalog::codes::CODES,
+        yaml::codes::CODES,
         config::codes::CODES,
         city::codes::CODES,
         sim::codes::CODES,
@@ -64,6 +65,7 @@ fn examples_of_codes_yield_exactly_their_code() {
     let catalogs = [
         diag::codes::CATALOG,
         datalog::codes::CATALOG,
+        yaml::codes::CATALOG,
         config::codes::CATALOG,
         city::codes::CATALOG,
         sim::codes::CATALOG,

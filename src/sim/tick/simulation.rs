@@ -19,6 +19,7 @@ use crate::sim::tick::vocabulary::{Actions, Vocabulary};
 use crate::sim::tick::window::Position;
 use crate::sim::tick::world::World;
 use crate::threads::Pool;
+use crate::yaml;
 use ndarray::Array3;
 use rayon::ThreadPool;
 use rayon::prelude::*;
@@ -491,7 +492,7 @@ impl Simulation {
         let count = self.agents.len();
         if let Some((position, _)) = controls.iter().find(|(position, _)| *position >= count) {
             let message = format!("there is no agent {position} to control: there are {count}, counted from 0");
-            return Err(Diagnostic::new(codes::INVALID_VALUE, message));
+            return Err(Diagnostic::new(yaml::codes::INVALID_VALUE, message));
         }
         let draws = Draws {
             seed: self.seed,

@@ -12,13 +12,13 @@ mod words;
 pub use wording::{RulesFile, letter};
 
 use crate::city::{Action, AgentKind, AgentName, AgentSet, Split};
-use crate::config::codes;
 use crate::datalog::ClauseId;
 use crate::datalog::explain::Explainer;
 use crate::diag::{self, Diagnostic, did_you_mean, listed};
 use crate::predicate::Definition;
 use crate::rng::{Purpose, Rng, RngExt, Seed};
 use crate::sim::{Facts, GroundState, MAX_ENTITIES, Settings, Simulation, World};
+use crate::yaml::codes;
 use std::collections::BTreeSet;
 use std::sync::Arc;
 

@@ -4,12 +4,12 @@ use crate::cancel::Cancel;
 use crate::city::Agent;
 use crate::city::{Action, AgentKind, Split};
 use crate::config::Shaping;
-use crate::config::codes;
 use crate::diag::Diagnostic;
 use crate::rng::{Purpose, RngExt, Seed};
 use crate::sim::{Actions, Observer, Settings, Simulation};
 use crate::task::spf::shaping::{ShapedStep, shaping};
 use crate::task::spf::{Episode, SpfTask};
+use crate::yaml::codes;
 use std::sync::Arc;
 
 impl Purpose {

@@ -14,6 +14,7 @@ use crate::config::{PredicateConfig, SpfConfig};
 use crate::diag::{self, Diagnostic, SourceId, Sources, Span, did_you_mean, json_error, listed};
 use crate::files::{ReadError, ReadFile};
 use crate::task::spf::{self, ControlMode, SpfTask, constrained_by_name};
+use crate::yaml;
 use serde::{Deserialize, Serialize};
 use sha2::{Digest, Sha256};
 use std::collections::BTreeMap;
@@ -315,7 +316,7 @@ impl EpisodeSet {
         let config = task.config();
         let Some(file) = &config.episodes[split as usize] else {
             let message = format!("the task has no episode file for the split `{}`", split.name());
-            let fault = Diagnostic::new(codes::MISSING_KEY, message).at(config.span, "in this task");
+            let fault = Diagnostic::new(yaml::codes::MISSING_KEY, message).at(config.span, "in this task");
             return Err(fault.help(format!(
                 "set `episodes: {{{}: FILE}}` and create the file with `logicity episodes make`",
                 split.name()

@@ -38,10 +38,11 @@ pub use vector::{Autoreset, Begin, EpisodeSource, Info, ObservationKind, Outcome
 pub use vector::{Ending, Layer, PolicyNetwork, Trajectories};
 
 use crate::city::{Action, AgentSet, Split};
-use crate::config::{self, CurriculumStage, EntityOrder, Scenario, SpfConfig, ViolationsPer};
+use crate::config::{CurriculumStage, EntityOrder, Scenario, SpfConfig, ViolationsPer};
 use crate::datalog::explain::ExplanationPrinter;
 use crate::diag::{Diagnostic, Sources, did_you_mean, listed};
 use crate::sim::{Observer, Oracle, World};
+use crate::yaml;
 use std::sync::Arc;
 
 /// Safe Path Following in one world. Immutable and shared by all its environments.
@@ -63,7 +64,7 @@ impl SpfTask {
         let scenario = &world.scenario;
         let Some(config) = scenario.task.clone() else {
             let message = format!("the configuration `{}` has no `task`", scenario.name);
-            let fault = Diagnostic::new(config::codes::MISSING_KEY, message);
+            let fault = Diagnostic::new(yaml::codes::MISSING_KEY, message);
             return Err(vec![
                 fault.help("add one, for example `task: configs/tasks/expert.yaml`"),
             ]);
@@ -84,8 +85,8 @@ impl SpfTask {
         let mut faults: Vec<Diagnostic> = unknown
             .map(|(label, _)| {
                 let message = format!("no clause that derives an action has the label `{}`", label.value);
-                let fault = Diagnostic::new(config::codes::INVALID_VALUE, message)
-                    .at(label.span, "the reward for violating it");
+                let fault =
+                    Diagnostic::new(yaml::codes::INVALID_VALUE, message).at(label.span, "the reward for violating it");
                 match did_you_mean(&label.value, labels.iter().map(String::as_str)) {
                     Some(near) => fault.help(format!("did you mean `{near}`?")),
                     None => fault.help(format!("the labels are: {}", listed(&labels))),
@@ -194,7 +195,7 @@ fn too_large_stages(scenario: &Scenario, config: &SpfConfig) -> Vec<Diagnostic> 
     let too_large = (config.curriculum.iter()).filter(|stage| stage.agents.value as usize > count);
     let fault = |stage: &CurriculumStage| {
         let message = format!("the split `train` has {count} agents, not {}", stage.agents.value);
-        let fault = Diagnostic::new(config::codes::INVALID_VALUE, message).at(stage.agents.span, "for this stage");
+        let fault = Diagnostic::new(yaml::codes::INVALID_VALUE, message).at(stage.agents.span, "for this stage");
         fault.help("after the last stage, episodes have all agents")
     };
     too_large.map(fault).collect()

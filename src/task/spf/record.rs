@@ -3,10 +3,10 @@
 
 use crate::cancel::Cancel;
 use crate::city::{Action, Split};
-use crate::config::codes;
 use crate::diag::{self, Diagnostic, SourceId, Sources};
 use crate::sim::{Driven, MAX_ENTITIES, Settings, TraceWriter};
 use crate::task::spf::{ControlMode, Env, Episode, SpfTask};
+use crate::yaml::codes;
 use std::io::{self, Write};
 use std::sync::Arc;
 

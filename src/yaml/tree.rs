@@ -8,8 +8,8 @@
 //! errors have at most one place. This module does not know what the keys mean.
 // Decision: docs/decisions/city.md#d056
 
-use crate::config::codes;
 use crate::diag::{self, Diagnostic, SourceId, Sources, Span};
+use crate::yaml::codes;
 use serde_json::{Map, Value as Json};
 use serde_yaml::granit_parser::{ErrorKind, Event, Parser, ScalarStyle, Span as Mark, StructureStyle};
 use std::collections::HashMap;
@@ -90,7 +90,8 @@ impl Node {
         matches!(text.as_str(), "" | "~" | "null" | "Null" | "NULL")
     }
 
-    /// Returns the value as JSON; see [`Tree::to_json`](crate::config::Tree::to_json).
+    /// Returns the value as JSON. Plain scalars follow the core schema of YAML 1.2; numbers that JSON cannot represent
+    /// become text.
     pub fn to_json(&self) -> Json {
         match &self.value {
             Value::Absent => Json::Null,

@@ -3,9 +3,9 @@
 //! A function returns `None` after it has pushed a fault. The caller continues with the other keys, so that one run
 //! reports all faults. This module does not know the contents of configurations.
 
-use crate::config::codes;
-use crate::config::yaml::{Key, Node, Value};
 use crate::diag::{Diagnostic, Span, did_you_mean};
+use crate::yaml::codes;
+use crate::yaml::{Key, Node, Value};
 use std::fmt::Display;
 use std::ops::RangeInclusive;
 
