@@ -59,6 +59,7 @@ pub mod induce;
 pub mod located;
 #[cfg(feature = "render")]
 pub mod page;
+pub mod popper;
 pub mod predicate;
 #[cfg(feature = "render")]
 pub mod render;

@@ -13,7 +13,6 @@ mod cover;
 mod examples;
 mod learner;
 mod noise;
-pub mod popper;
 mod problem;
 mod rules;
 mod search;

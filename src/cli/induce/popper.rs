@@ -8,7 +8,7 @@ use crate::cli::{
 use crate::diag::{SourceId, Sources};
 use crate::files;
 use crate::induce::Settings;
-use crate::induce::popper::{Files, Options, read, solve};
+use crate::popper::{Files, Options, read, solve};
 use crate::sim::TICK_LIMITS;
 use crate::task::induction::TargetRules;
 use serde_json::json;

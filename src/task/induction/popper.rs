@@ -1,8 +1,8 @@
 //! Rules learned from a task in the format of Popper: as Prolog, as a rule file and as JSON.
 
 use crate::diag::Diagnostic;
-use crate::induce::popper::{Solution, Task};
 use crate::induce::{ClauseSupport, Constraints, Examples, LearnedRules, Literal, Settings, Support, support};
+use crate::popper::{Solution, Task};
 use crate::task::induction::codes;
 use crate::task::induction::text::{comment, few, listed, plural};
 use serde_json::{Value, json};

@@ -2,10 +2,10 @@
 
 use crate::datalog::codes;
 use crate::diag::{Diagnostic, Faults, SourceId, Sources, Span};
-use crate::induce::popper::background::{Key, predicate};
-use crate::induce::popper::text::{Clause, Directives, Kind, Term, parse, unsupported};
-use crate::induce::popper::tokens::is_word;
-use crate::induce::vocabulary::{ARITY_MAX, Link, VARIABLES_MAX};
+use crate::induce::{ARITY_MAX, Link, VARIABLES_MAX};
+use crate::popper::background::{Key, predicate};
+use crate::popper::prolog::{Clause, Directives, Kind, Term, parse, unsupported};
+use crate::popper::tokens::is_word;
 use indexmap::{IndexMap, IndexSet};
 
 /// The maximum number of variables of a clause if the bias does not set them, as in Popper.

@@ -2,9 +2,8 @@
 
 use crate::datalog::{parse, quoted};
 use crate::diag::Sources;
-use crate::induce::popper::Task;
-use crate::induce::rules::ActionRules;
-use crate::induce::vocabulary::{Body, Literal, VARIABLE_NAMES};
+use crate::induce::{ActionRules, Body, Literal, VARIABLE_NAMES};
+use crate::popper::Task;
 use std::collections::BTreeSet;
 use std::fmt::Write;
 

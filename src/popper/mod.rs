@@ -13,7 +13,7 @@
 //! ```
 //! use logicity::cancel::Cancel;
 //! use logicity::diag::Sources;
-//! use logicity::induce::popper::{Files, Options, read, solve};
+//! use logicity::popper::{Files, Options, read, solve};
 //!
 //! let mut sources = Sources::new();
 //! let files = Files {
@@ -32,26 +32,25 @@
 mod background;
 mod bias;
 mod print;
+mod prolog;
 mod states;
-mod text;
 mod tokens;
 
 use crate::cancel::Cancel;
 use crate::datalog::Limits;
 use crate::datalog::codes;
 use crate::diag::{self, Diagnostic, Faults, SourceId, Sources, Span};
-use crate::induce::examples::{Examples, State};
-use crate::induce::learner::learn;
-use crate::induce::rules::{ActionRules, Settings};
-use crate::induce::vocabulary::{LITERAL_COST, Predicate, VARIABLES_MAX, Vocabulary};
+use crate::induce::{
+    ActionRules, Examples, LITERAL_COST, Predicate, Settings, State, VARIABLES_MAX, Vocabulary, learn,
+};
 use background::{Background, Key, unknown};
 use bias::Bias;
 use indexmap::map::Entry;
 use indexmap::{IndexMap, IndexSet};
 pub use print::TargetProgram;
+use prolog::{Directives, Kind, Term, parse};
 use states::Network;
 use std::collections::BTreeSet;
-use text::{Directives, Kind, Term, parse};
 
 /// The maximum number of examples that [`Options::closed_world`] makes.
 const CLOSED_WORLD_MAX: usize = 10_000;

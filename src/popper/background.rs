@@ -4,7 +4,7 @@ use crate::datalog::codes;
 use crate::datalog::{Limits, Program, RelId, Value, quoted};
 use crate::diag::{self, Diagnostic, Faults, SourceId, Sources, Span, did_you_mean};
 use crate::files::ReadError;
-use crate::induce::popper::text::{Clause, Directives, Kind, Literal, Term, parse, unsupported};
+use crate::popper::prolog::{Clause, Directives, Kind, Literal, Term, parse, unsupported};
 use crate::symbol::Symbol;
 use indexmap::{IndexMap, IndexSet};
 use std::fmt::Write;

@@ -2,7 +2,7 @@
 
 use crate::datalog::codes;
 use crate::diag::{self, Diagnostic, Faults, SourceId, Sources, Span};
-use crate::induce::popper::tokens::{Token, is_word, tokens};
+use crate::popper::tokens::{Token, is_word, tokens};
 
 /// How deep terms may be nested.
 const DEPTH_MAX: usize = 100;

@@ -2,8 +2,7 @@
 
 use crate::diag::codes;
 use crate::diag::{Diagnostic, Span};
-use crate::induce::examples::{ENTITIES_MAX, State};
-use crate::induce::vocabulary::{Link, Vocabulary};
+use crate::induce::{ENTITIES_MAX, Link, State, Vocabulary};
 use std::collections::{BTreeMap, BTreeSet};
 
 /// The facts of the body predicates, indexed by their constants.
