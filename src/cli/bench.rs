@@ -4,8 +4,13 @@ use crate::builtin::BuiltinFiles;
 use crate::cancel::Cancel;
 use crate::city::{Action, AgentSet, Building, Buildings, MapConfig, Split};
 use crate::city::{Agent, Cell};
+use crate::cli::report::report;
+use crate::cli::failure::Failure;
+use crate::cli::limits::LimitOptions;
+use crate::cli::load::load_city;
 use crate::cli::scenes::{SceneLine, SceneLines};
-use crate::cli::{Failure, LimitOptions, integer, load_city, one_of, terminal, threads};
+use crate::cli::terminal;
+use crate::cli::values::{integer, one_of, threads};
 use crate::config::Scenario;
 use crate::datalog::dense::{BitFacts, BitState, Dense, TrackFirings};
 use crate::diag::{self, Diagnostic, Sources};
@@ -710,7 +715,7 @@ fn read_scenes(inference: &mut Inference, path: &Path, most: usize) -> Result<Ve
                 Err(vec![Diagnostic::new(diag::codes::LIMIT_EXCEEDED, message)])
             });
         scenes.push(scene.map_err(|faults| {
-            super::report(&faults, &sources);
+            report(&faults, &sources);
             Failure::Reported
         })?);
     }

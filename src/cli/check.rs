@@ -3,8 +3,12 @@
 use crate::builtin::BuiltinFiles;
 use crate::city::Action;
 use crate::cli::configuration::{self, Checked, Opened};
+use crate::cli::failure::Failure;
+use crate::cli::limits::LimitOptions;
+use crate::cli::load::{inputs_of, load_workspace_from};
+use crate::cli::report::{plural, report};
+use crate::cli::terminal;
 use crate::cli::trace::TraceReader;
-use crate::cli::{Failure, LimitOptions, inputs_of, load_workspace_from, plural, report, terminal};
 use crate::datalog::dense::{self, Unsupported};
 use crate::datalog::diff::{Cut, Equivalence};
 use crate::datalog::explain::ExplanationPrinter;

@@ -1,6 +1,7 @@
 //! `logicity codes`: explains the codes of messages.
 
-use crate::cli::{Failure, terminal};
+use crate::cli::failure::Failure;
+use crate::cli::terminal;
 use crate::diag::{self, Catalog, Explanation, Severity, did_you_mean, explanations};
 use crate::{city, config, datalog, sim, task, yaml};
 use serde_json::{Value, json};

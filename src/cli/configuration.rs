@@ -2,7 +2,9 @@
 
 use crate::builtin::BuiltinFiles;
 use crate::city::{Action, AgentKind, CityMap, MapConfig, Split};
-use crate::cli::{Failure, missing_is_usage, plural};
+use crate::cli::failure::Failure;
+use crate::cli::load::missing_is_usage;
+use crate::cli::report::plural;
 use crate::config::{Loaded, Scenario, load_any, missing_file};
 use crate::datalog::Program;
 use crate::diag::{Diagnostic, Sources, Span};

@@ -5,7 +5,12 @@ mod verdict;
 
 use crate::builtin::BuiltinFiles;
 use crate::cli::configuration::{Checked, open_run};
-use crate::cli::{Failure, MemoryOption, compile, inputs_of, integer, load_workspace, report, terminal};
+use crate::cli::failure::Failure;
+use crate::cli::limits::MemoryOption;
+use crate::cli::load::{compile, inputs_of, load_workspace};
+use crate::cli::report::report;
+use crate::cli::terminal;
+use crate::cli::values::integer;
 use crate::config::rule_file;
 use crate::datalog::codes;
 use crate::datalog::diff::{Equivalence, Options, diff, unsat_core};

@@ -2,10 +2,13 @@
 
 use crate::builtin::BuiltinFiles;
 use crate::city::Split;
-use crate::cli::{
-    Failure, ForceOption, Inputs, LimitOptions, finish, integer, load_city, messages, one_of, progress, terminal,
-    unwritable,
-};
+use crate::cli::failure::Failure;
+use crate::cli::inputs::Inputs;
+use crate::cli::limits::LimitOptions;
+use crate::cli::load::load_city;
+use crate::cli::outputs::{ForceOption, finish, messages, unwritable};
+use crate::cli::terminal;
+use crate::cli::values::{integer, one_of};
 use crate::diag::{Diagnostic, Sources};
 use crate::files;
 use crate::task::spf::codes;
@@ -196,7 +199,7 @@ impl Make {
             }
         };
         let mut out = self.force.create("episodes", &path, &Inputs::of(sources))?;
-        let bar = progress("episode", count as u64);
+        let bar = terminal::progress("episode", count as u64);
         let set = make_episodes(&task, split, count, self.seed, |found| bar.set_position(found as u64))?;
         bar.finish_and_clear();
         set.write(&mut out).map_err(|error| unwritable(&path, &error))?;
@@ -307,7 +310,7 @@ impl Spread {
         let (task, split) = (self.which.task(sources)?, self.which.split);
         let count = self.which.count(self.count);
         let mut env = Env::new(Arc::clone(&task), split, ControlMode::First)?;
-        let bar = progress("set", self.sets.into());
+        let bar = terminal::progress("set", self.sets.into());
         let mut measured: [Vec<f64>; Self::MEASURES.len()] = Default::default();
         for seed in 1..=u64::from(self.sets) {
             let set = make_episodes(&task, split, count, seed, |_| ())?;

@@ -3,8 +3,11 @@
 use crate::cancel::Cancel;
 use crate::city::Action;
 use crate::city::Cell;
+use crate::cli::failure::Failure;
+use crate::cli::limits::LimitOptions;
+use crate::cli::terminal;
 use crate::cli::trace::TraceReader;
-use crate::cli::{Failure, LimitOptions, integer, terminal};
+use crate::cli::values::integer;
 use crate::datalog::explain::{Explainer, ExplanationPrinter};
 use crate::diag::{Diagnostic, SourceId, Sources, did_you_mean, listed};
 use crate::sim::codes;

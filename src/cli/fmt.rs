@@ -1,8 +1,12 @@
 //! `logicity fmt`: formats rule files.
 
 use crate::builtin::BuiltinFiles;
+use crate::cli::failure::Failure;
+use crate::cli::inputs::{read, unreadable};
 use crate::cli::kind::Kind;
-use crate::cli::{Failure, MemoryOption, finish, read, terminal, unreadable, unwritable};
+use crate::cli::limits::MemoryOption;
+use crate::cli::outputs::{finish, unwritable};
+use crate::cli::terminal;
 use crate::config::rule_file;
 use crate::datalog;
 use crate::diag::{Diagnostic, Sources};

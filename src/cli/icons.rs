@@ -1,7 +1,12 @@
 //! `logicity icons`, and the icon options of other commands.
 
 use crate::city::Split;
-use crate::cli::{Failure, ForceOption, Inputs, MemoryOption, finish, integer, messages, one_of, terminal, unwritable};
+use crate::cli::failure::Failure;
+use crate::cli::inputs::Inputs;
+use crate::cli::limits::MemoryOption;
+use crate::cli::outputs::{ForceOption, finish, messages, unwritable};
+use crate::cli::terminal;
+use crate::cli::values::{integer, one_of};
 use crate::files;
 use crate::render::{
     Class, Difficulty, DrawingVersion, Icons, Mode, PACK_FILE_MAX, PACK_FILES_MAX, Pack, PackFault, sheet, write_png,

@@ -1,11 +1,15 @@
 //! `logicity infer`: evaluates the rules on scenes.
 
 use crate::builtin::BuiltinFiles;
+use crate::cli::failure::Failure;
+use crate::cli::inputs::Inputs;
+use crate::cli::limits::{LimitOptions, advised};
+use crate::cli::load::load_city;
+use crate::cli::outputs::{ForceOption, finish, is_stdout, messages, unwritable};
+use crate::cli::report::report;
 use crate::cli::scenes::{SceneLine, SceneLines};
-use crate::cli::{
-    Failure, ForceOption, Inputs, LimitOptions, advised, finish, integer, is_stdout, load_city, messages, one_of,
-    report, terminal, unwritable,
-};
+use crate::cli::terminal;
+use crate::cli::values::{integer, one_of};
 use crate::diag::{SourceId, Sources, to_json};
 use crate::rng::Seed;
 use crate::sim::{Executor, Inference};

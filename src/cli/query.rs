@@ -3,9 +3,16 @@
 mod outputs;
 mod rows;
 
+use crate::cli::values::threads;
+use crate::cli::failure::Failure;
+use crate::cli::inputs::Inputs;
+use crate::cli::limits::LimitOptions;
+use crate::cli::load::load_workspace;
+use crate::cli::outputs::ForceOption;
+use crate::cli::report::report;
+use crate::cli::terminal;
 use crate::cli::why;
 use crate::cli::why::Question;
-use crate::cli::{Failure, ForceOption, Inputs, LimitOptions, load_workspace, report, terminal};
 use crate::datalog::codes;
 use crate::datalog::{ClauseId, Directive, EvalError, InputPolicy, MarkKind, RelId, RowPlace, Rules, rewrite};
 use crate::datalog::{Delta, EvalEvent, Limits, Options, Program, RuleStats, Session, Threads, constraints};
@@ -54,7 +61,7 @@ pub struct Arguments {
     #[arg(long)]
     json: bool,
     /// Number of threads; 0 means one per core. The results and their order do not depend on it
-    #[arg(long, value_name = "N", value_parser = super::threads, default_value = "1")]
+    #[arg(long, value_name = "N", value_parser = threads, default_value = "1")]
     threads: NonZeroUsize,
     #[command(flatten)]
     limits: LimitOptions,

@@ -1,10 +1,13 @@
 //! `logicity questions`: generates language questions.
 
 use crate::city::Split;
-use crate::cli::{
-    Failure, ForceOption, Inputs, LimitOptions, finish, integer, is_stdout, load_city, messages, one_of, print_others,
-    progress, refuse_mixing, terminal, unwritable,
-};
+use crate::cli::failure::Failure;
+use crate::cli::inputs::Inputs;
+use crate::cli::limits::LimitOptions;
+use crate::cli::load::load_city;
+use crate::cli::outputs::{ForceOption, finish, is_stdout, messages, print_others, refuse_mixing, unwritable};
+use crate::cli::terminal;
+use crate::cli::values::{integer, one_of};
 use crate::diag::Sources;
 use crate::files::Output;
 use crate::task::questions::{
@@ -117,7 +120,7 @@ pub fn run(arguments: &Arguments, sources: &mut Sources) -> Result<(), Failure> 
     let demonstrations = begin(arguments.demonstrations_csv.as_deref())?;
     let output = arguments.output.as_deref().filter(|path| !is_stdout(path));
     let questions = begin(output)?;
-    let bar = progress("question", count as u64);
+    let bar = terminal::progress("question", count as u64);
     let set = QuestionSet::draw(&world, request, |found| bar.set_position(found as u64));
     bar.finish_and_clear();
     // The configuration is valid, so an invalid value is one of the request.

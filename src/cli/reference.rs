@@ -1,6 +1,7 @@
 //! `logicity reference`: prints the commands and their options as JSON.
 
-use crate::cli::{Failure, terminal};
+use crate::cli::failure::Failure;
+use crate::cli::terminal;
 use clap::{Arg, ArgAction, Command};
 use serde_json::{Value, json};
 use std::io::Write;

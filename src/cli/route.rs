@@ -3,7 +3,11 @@
 use crate::city::codes;
 use crate::city::{AgentKind, Routing};
 use crate::city::{Cell, CityMap, NoRoute, Router};
-use crate::cli::{Failure, MemoryOption, find_map, one_of, terminal};
+use crate::cli::failure::Failure;
+use crate::cli::limits::MemoryOption;
+use crate::cli::load::find_map;
+use crate::cli::terminal;
+use crate::cli::values::one_of;
 use crate::diag::{Diagnostic, Sources};
 use std::io::{BufWriter, Write};
 use std::sync::Arc;

@@ -2,11 +2,15 @@
 
 use crate::city::codes;
 use crate::city::{Action, AgentKind, Split};
+use crate::cli::failure::Failure;
 use crate::cli::icons::IconOptions;
-use crate::cli::{
-    Failure, ForceOption, Inputs, LimitOptions, finish, integer, is_stdout, load_city, one_of, plural,
-    refuse_stdout_as_folder, report, signals, terminal, unwritable,
-};
+use crate::cli::inputs::Inputs;
+use crate::cli::limits::LimitOptions;
+use crate::cli::load::load_city;
+use crate::cli::outputs::{ForceOption, finish, is_stdout, refuse_stdout_as_folder, unwritable};
+use crate::cli::report::{plural, report};
+use crate::cli::values::{integer, one_of, threads};
+use crate::cli::{signals, terminal};
 use crate::datalog::constraints;
 use crate::datalog::explain::ExplanationPrinter;
 use crate::datalog::{Clause, ClauseId};
@@ -60,7 +64,7 @@ pub struct Arguments {
     #[arg(long, value_parser = one_of(&Executor::ALL, Executor::name), default_value = "auto")]
     executor: Executor,
     /// Number of threads, used for cities of many agents; 0 means one per core. Results do not depend on it
-    #[arg(long, value_parser = super::threads, default_value = "1")]
+    #[arg(long, value_parser = threads, default_value = "1")]
     threads: NonZeroUsize,
     /// Also write an interactive HTML page of the run to FILE
     #[arg(long, value_name = "FILE", conflicts_with = "no_trace")]

@@ -1,7 +1,8 @@
 //! Reads files of scenes, one JSON object per line.
 
+use crate::cli::failure::Failure;
+use crate::cli::inputs::open;
 use crate::cli::kind::Kind;
-use crate::cli::{Failure, open};
 use crate::datalog::internal::size;
 use crate::diag::codes;
 use crate::diag::{Diagnostic, SourceId, Sources};

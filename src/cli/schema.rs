@@ -1,7 +1,9 @@
 //! `logicity schema`: prints the JSON Schema of configuration files, training configurations and experiments.
 
 use crate::builtin;
-use crate::cli::{Failure, one_of, terminal};
+use crate::cli::failure::Failure;
+use crate::cli::terminal;
+use crate::cli::values::one_of;
 use serde_json::Value;
 use std::io::Write;
 

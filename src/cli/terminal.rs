@@ -3,6 +3,7 @@
 
 use crate::diag::neutral;
 use crate::files::Output;
+use indicatif::{ProgressBar, ProgressStyle};
 use std::io::{self, IsTerminal, Write};
 
 /// Returns standard output for text that people read. It is always [`neutral`].
@@ -64,6 +65,12 @@ pub fn screened(output: Output) -> Output {
         true => Box::new(Screen::new(stream, true)),
         false => stream,
     })
+}
+
+/// Returns a progress bar.
+pub fn progress(what: &str, count: u64) -> ProgressBar {
+    let template = format!("{{bar:30}} {what} {{pos}} of {{len}}, {{eta}} left");
+    ProgressBar::new(count).with_style(ProgressStyle::with_template(&template).expect("a valid template"))
 }
 
 /// A writer of text. Unless it is for data, the text is [`neutral`], and `U+FFFD` stands in place of bytes that are not

@@ -1,8 +1,10 @@
 //! Reads traces with the configuration and the rules of their runs.
 
 use crate::builtin::BuiltinFiles;
+use crate::cli::failure::Failure;
+use crate::cli::inputs::open;
 use crate::cli::kind::Kind;
-use crate::cli::{Failure, LimitOptions, open};
+use crate::cli::limits::LimitOptions;
 use crate::datalog::Limits;
 use crate::diag::{self, Diagnostic, Sources};
 use crate::files;

@@ -2,11 +2,13 @@
 
 use crate::cancel::Cancel;
 use crate::city::{Action, Split};
+use crate::cli::failure::Failure;
 use crate::cli::icons::IconOptions;
-use crate::cli::{
-    Failure, ForceOption, LimitOptions, MemoryOption, integer, load_city, one_of, progress, refuse_stdout_as_folder,
-    terminal, threads,
-};
+use crate::cli::limits::{LimitOptions, MemoryOption};
+use crate::cli::load::load_city;
+use crate::cli::outputs::{ForceOption, refuse_stdout_as_folder};
+use crate::cli::terminal;
+use crate::cli::values::{integer, one_of, threads};
 use crate::diag::Sources;
 use crate::files::Folder;
 use crate::render::{Difficulty, Icons};
@@ -139,7 +141,7 @@ impl From<DatasetError> for Failure {
 
 /// Runs `work` with a progress bar. `work` reports the numbers of units done and in total.
 fn with_bar<R>(unit: &str, work: impl FnOnce(&(dyn Fn(u64, u64) + Sync)) -> R) -> R {
-    let bar = progress(unit, 0);
+    let bar = terminal::progress(unit, 0);
     let result = work(&|done, total| {
         bar.set_length(total);
         bar.set_position(done);

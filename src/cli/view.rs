@@ -1,8 +1,12 @@
 //! `logicity view`: writes an HTML page of a trace, or of two traces side by side.
 
+use crate::cli::failure::Failure;
 use crate::cli::icons::IconOptions;
+use crate::cli::inputs::Inputs;
+use crate::cli::limits::LimitOptions;
+use crate::cli::outputs::{ForceOption, finish, messages, unwritable};
 use crate::cli::trace::TraceReader;
-use crate::cli::{Failure, ForceOption, Inputs, LimitOptions, finish, integer, messages, unwritable};
+use crate::cli::values::integer;
 use crate::datalog::Limits;
 use crate::diag::{Diagnostic, SourceId, Sources};
 use crate::files::Output;

@@ -1,6 +1,6 @@
 //! Explains why a fact holds or does not hold, for all commands.
 
-use crate::cli::Failure;
+use crate::cli::failure::Failure;
 use crate::datalog::Session;
 use crate::datalog::Workspace;
 use crate::datalog::explain::{Explainer, ExplanationPrinter};

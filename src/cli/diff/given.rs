@@ -8,7 +8,8 @@
 
 use crate::builtin::BuiltinFiles;
 use crate::cli::diff::{CORE_EFFORT, in_city};
-use crate::cli::{Failure, inputs_of, load_workspace_from};
+use crate::cli::failure::Failure;
+use crate::cli::load::{inputs_of, load_workspace_from};
 use crate::datalog::codes;
 use crate::datalog::diff::{Difference, Equivalence, Options, diff, unsat_core};
 use crate::datalog::{BaseType, Clause, Comparison, InputPolicy, Literal, Rules, Term, VarId, is_name, quoted};

@@ -3,7 +3,11 @@
 use crate::builtin::BuiltinFiles;
 use crate::cancel::Cancel;
 use crate::city::Action;
-use crate::cli::{Failure, Inputs, LimitOptions, integer, report};
+use crate::cli::failure::Failure;
+use crate::cli::inputs::Inputs;
+use crate::cli::limits::LimitOptions;
+use crate::cli::report::report;
+use crate::cli::values::integer;
 use crate::config::Scenario;
 use crate::diag::{Diagnostic, Sources, json_error};
 use crate::files::{self, Journal};

@@ -2,10 +2,13 @@
 
 use crate::builtin::BuiltinFiles;
 use crate::cancel::Cancel;
+use crate::cli::failure::Failure;
 use crate::cli::induce::Arguments;
+use crate::cli::inputs::unreadable;
+use crate::cli::limits::LimitOptions;
+use crate::cli::report::report;
 use crate::cli::scenes::{SceneLine, SceneLines, open_input};
 use crate::cli::trace::{TraceReader, line_max};
-use crate::cli::{Failure, LimitOptions, report, unreadable};
 use crate::diag::{Diagnostic, Sources, listed};
 use crate::files::{self, Folder, ReadError, read_bytes};
 use crate::induce::{Examples, State};

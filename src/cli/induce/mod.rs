@@ -6,11 +6,15 @@ mod popper;
 
 use crate::cancel::Cancel;
 use crate::city::{Action, Split};
+use crate::cli::failure::Failure;
+use crate::cli::inputs::Inputs;
+use crate::cli::limits::LimitOptions;
+use crate::cli::load::load_city;
+use crate::cli::outputs::{ForceOption, finish, is_stdout, messages, print_others, refuse_mixing, unwritable};
+use crate::cli::report::plural;
+use crate::cli::values::{integer, one_of, threads};
 use crate::cli::view;
-use crate::cli::{
-    Failure, ForceOption, Inputs, LimitOptions, finish, integer, is_stdout, load_city, messages, one_of, plural,
-    print_others, signals, terminal, threads, unwritable,
-};
+use crate::cli::{signals, terminal};
 use crate::diag::Sources;
 use crate::files;
 use crate::induce::{Examples, LearnedRules, NOISE_MAX, Noise, Progress, Settings, VARIABLES_MAX, learn_with, support};
@@ -158,7 +162,7 @@ fn load(arguments: &Arguments, sources: &mut Sources) -> Result<(LoadedCity, usi
 
 pub fn run(arguments: &Arguments, sources: &mut Sources) -> Result<(), Failure> {
     let paths: Vec<&Path> = arguments.outputs().into_iter().map(|(_, path)| path).collect();
-    crate::cli::refuse_mixing(arguments.outputs())?;
+    refuse_mixing(arguments.outputs())?;
     if let Some(folder) = &arguments.popper.popper {
         return popper::run(arguments, folder, sources);
     }

@@ -1,10 +1,12 @@
 //! `logicity induce --popper`: learns the target of a task in the format of Popper.
 
+use crate::cli::failure::Failure;
 use crate::cli::induce::Arguments;
 use crate::cli::induce::ask::ASK_OPTIONS;
-use crate::cli::{
-    Failure, Inputs, finish, is_stdout, messages, plural, print_others, report, signals, unreadable, unwritable,
-};
+use crate::cli::inputs::{Inputs, unreadable};
+use crate::cli::outputs::{finish, is_stdout, messages, print_others, unwritable};
+use crate::cli::report::{plural, report};
+use crate::cli::signals;
 use crate::diag::{SourceId, Sources};
 use crate::files;
 use crate::induce::Settings;

@@ -3,7 +3,7 @@
 
 use crate::builtin;
 use crate::city::Action;
-use crate::cli::inputs_of;
+use crate::cli::load::inputs_of;
 use crate::cli::lsp::city::City;
 use crate::cli::lsp::place::{Encoding, Text};
 use crate::datalog;

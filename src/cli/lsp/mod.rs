@@ -20,7 +20,8 @@ mod words;
 
 use crate::builtin::BuiltinFiles;
 use crate::city::Action;
-use crate::cli::{Failure, MemoryOption};
+use crate::cli::failure::Failure;
+use crate::cli::limits::MemoryOption;
 use crate::datalog;
 use crate::datalog::Rules;
 use crate::diag::{Diagnostic, Fix, Label, Severity, SourceId, Sources, Span};

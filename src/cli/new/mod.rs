@@ -1,6 +1,7 @@
 //! `logicity new`: creates a folder with files to start from.
 
-use crate::cli::{Failure, terminal};
+use crate::cli::failure::Failure;
+use crate::cli::terminal;
 use crate::files::Output;
 use std::io::{self, Write};
 use std::path::{Path, PathBuf};

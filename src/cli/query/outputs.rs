@@ -3,8 +3,11 @@
 //! Rules can come from others, so their outputs stay inside the folder of results, also where links lead, unless the
 //! user permits more.
 
+use crate::cli::failure::Failure;
+use crate::cli::inputs::Inputs;
+use crate::cli::outputs::{finish, unwritable};
 use crate::cli::query::{Arguments, print_relation, relations};
-use crate::cli::{Failure, Inputs, finish, terminal, unwritable};
+use crate::cli::terminal;
 use crate::datalog::codes;
 use crate::datalog::{Directive, MarkKind, Program, RelId, Relation, RowPlace, Session, facts};
 use crate::diag::Diagnostic;

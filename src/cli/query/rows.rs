@@ -1,6 +1,6 @@
 //! Reads files of facts block by block, so that their text is never in memory as a whole.
 
-use crate::cli::Failure;
+use crate::cli::failure::Failure;
 use crate::datalog::{EvalError, RelId, RowFormat, Session, facts};
 use crate::diag::codes;
 use crate::diag::{Diagnostic, MAX_FAULTS, Sources, Span};

@@ -1,6 +1,6 @@
 //! The commands of the prompt.
 
-use crate::cli::Failure;
+use crate::cli::failure::Failure;
 use crate::datalog::codes;
 use crate::datalog::{DIRECTIVES, FULL_STOP};
 use crate::diag::{Diagnostic, SourceId, Sources, Span, did_you_mean};

@@ -8,9 +8,12 @@ mod prompt;
 mod table;
 mod workbench;
 
+use crate::cli::failure::Failure;
+use crate::cli::limits::LimitOptions;
+use crate::cli::report::{exit, report};
 use crate::cli::why;
 use crate::cli::why::Question;
-use crate::cli::{Failure, LimitOptions, exit, query, report, terminal};
+use crate::cli::{query, terminal};
 use crate::datalog;
 use crate::datalog::codes;
 use crate::datalog::{BaseType, ClauseId, MarkKind, RelId, Value, is_complete};

@@ -1,8 +1,9 @@
 //! Reads inputs: from a terminal with a line editor, else line by line from standard input.
 
+use crate::cli::failure::Failure;
 use crate::cli::repl::command;
 use crate::cli::repl::workbench::Workbench;
-use crate::cli::{Failure, query, terminal};
+use crate::cli::{query, terminal};
 use crate::datalog::DIRECTIVES;
 use rustyline::completion::{Completer, FilenameCompleter, Pair};
 use rustyline::config::{BellStyle, Config};

@@ -9,10 +9,11 @@
 // Decision: docs/decisions/tools.md#d030
 
 use crate::builtin::BuiltinFiles;
+use crate::cli::failure::Failure;
+use crate::cli::inputs::read;
 use crate::cli::kind::Kind;
 use crate::cli::query;
 use crate::cli::query::Times;
-use crate::cli::{Failure, read};
 use crate::config::rule_file;
 use crate::datalog;
 use crate::datalog::codes;

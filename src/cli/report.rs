@@ -1,0 +1,61 @@
+//! Prints diagnostics and failures, and counts in messages.
+
+use crate::cli::failure::Failure;
+use crate::cli::limits::advised;
+use crate::cli::{signals, terminal};
+use crate::config;
+use crate::diag::{Diagnostic, Sources, render};
+use std::io::Write;
+
+/// Prints a failure and returns its exit code.
+pub fn exit(failure: Failure, sources: &Sources) -> u8 {
+    match failure {
+        Failure::Closed => 0,
+        Failure::Input(diagnostics) => {
+            report(&diagnostics, sources);
+            // Splits come from options only.
+            let is_option = diagnostics
+                .iter()
+                .all(|fault| fault.code == config::codes::UNKNOWN_SPLIT);
+            if is_option { 2 } else { 1 }
+        }
+        Failure::Option(diagnostics) => {
+            report(&diagnostics, sources);
+            2
+        }
+        Failure::Reported => 1,
+        Failure::Interrupted => signals::code(),
+        Failure::Usage(message) => {
+            let _ = writeln!(terminal::err(), "error: {message}");
+            2
+        }
+    }
+}
+
+/// Prints diagnostics to standard error, with the options that raise exceeded limits, and their count if there are
+/// several.
+pub fn report(diagnostics: &[Diagnostic], sources: &Sources) {
+    if diagnostics.is_empty() {
+        return;
+    }
+    terminal::print_styled(&render(&advised(diagnostics), sources, terminal::has_color()));
+    let errors = diagnostics.iter().filter(|diagnostic| diagnostic.is_error()).count();
+    if diagnostics.len() > 1 {
+        let _ = writeln!(terminal::err(), "{}", count(errors, diagnostics.len() - errors));
+    }
+}
+
+/// Formats a count, for example `1 clause` or `2 clauses`.
+pub fn plural(count: impl TryInto<u64>, word: &str) -> String {
+    let count: u64 = count.try_into().unwrap_or(u64::MAX);
+    format!("{count} {word}{}", if count == 1 { "" } else { "s" })
+}
+
+/// Formats counts, for example `2 errors, 1 warning`.
+pub fn count(errors: usize, warnings: usize) -> String {
+    match (errors, warnings) {
+        (errors, 0) => plural(errors, "error"),
+        (0, warnings) => plural(warnings, "warning"),
+        (errors, warnings) => format!("{}, {}", plural(errors, "error"), plural(warnings, "warning")),
+    }
+}
