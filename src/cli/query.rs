@@ -3,7 +3,6 @@
 mod outputs;
 mod rows;
 
-use crate::cli::values::threads;
 use crate::cli::failure::Failure;
 use crate::cli::inputs::Inputs;
 use crate::cli::limits::LimitOptions;
@@ -11,6 +10,7 @@ use crate::cli::load::load_workspace;
 use crate::cli::outputs::ForceOption;
 use crate::cli::report::report;
 use crate::cli::terminal;
+use crate::cli::values::threads;
 use crate::cli::why;
 use crate::cli::why::Question;
 use crate::datalog::codes;

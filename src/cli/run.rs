@@ -1,5 +1,6 @@
 //! `logicity run`: runs a city.
 
+use crate::cancel::Cancel;
 use crate::city::codes;
 use crate::city::{Action, AgentKind, Split};
 use crate::cli::failure::Failure;
@@ -130,20 +131,7 @@ pub fn run(arguments: &Arguments, sources: &mut Sources) -> Result<(), Failure> 
     report(&agent_lints(world.program.rules(), agents.into_iter()), sources);
 
     let cancel = signals::cancel();
-    if !arguments.no_trace && simulation.agents().len() > MAX_ENTITIES {
-        let agents = simulation.agents().len();
-        let message = format!("a trace of {agents} agents would be too large; the limit is {MAX_ENTITIES}");
-        let fault = Diagnostic::new(diag::codes::LIMIT_EXCEEDED, message);
-        return Err(fault.help("use `--no-trace` to print only the summary").into());
-    }
-    let decisions = ticks.saturating_mul(simulation.agents().len() as u64);
-    if arguments.html.is_some() && decisions > DECISIONS_MAX as u64 {
-        let message = format!("a page of {decisions} decisions would be slow to open; the limit is {DECISIONS_MAX}");
-        let fault = Diagnostic::new(diag::codes::LIMIT_EXCEEDED, message);
-        return Err(fault
-            .help("omit `--html` and write a page of some ticks: `logicity view TRACE --from N --ticks N`")
-            .into());
-    }
+    refuse_large_outputs(arguments, ticks, simulation.agents().len())?;
     let inputs = Inputs::of(sources).with(arguments.icons.files());
     let mut record = match arguments.no_trace {
         true => None,
@@ -156,33 +144,7 @@ pub fn run(arguments: &Arguments, sources: &mut Sources) -> Result<(), Failure> 
         .map(|page| arguments.force.create("run", page, &inputs))
         .transpose()?;
 
-    let bar = ProgressBar::new(ticks).with_style(
-        ProgressStyle::with_template("{bar:30} tick {pos} of {len}, {per_sec}, {eta} left").expect("a valid template"),
-    );
-    let mut tally = Tally {
-        last_move: vec![0; simulation.agents().len()],
-        waited: vec![BTreeSet::new(); simulation.agents().len()],
-        firings: vec![0; simulation.clauses().len()],
-        ..Tally::default()
-    };
-    while tally.ticks < ticks && !cancel.requested() {
-        let begin = Instant::now();
-        let tick = simulation.tick(&[])?.tick;
-        tally.deciding += begin.elapsed();
-        tally.add(&mut simulation);
-        if arguments.check_constraints {
-            let snapshot = simulation.snapshot()?;
-            let world = snapshot.world();
-            let known = |relation| world.vocabulary.defines(&world.program, relation);
-            tally.add_broken(constraints::violations_among(snapshot.session(), known), tick);
-        }
-        if let Some(record) = &mut record {
-            record.tick(&simulation)?;
-        }
-        bar.inc(1);
-    }
-    bar.finish_and_clear();
-
+    let tally = simulate(arguments, ticks, &mut simulation, record.as_mut(), &cancel)?;
     let mut written = record.map_or_else(|| Ok(Vec::new()), |record| record.finish(&simulation))?;
     let page = match (&arguments.html, page, written.first()) {
         (Some(page), Some(mut out), Some(trace)) => {
@@ -213,6 +175,61 @@ pub fn run(arguments: &Arguments, sources: &mut Sources) -> Result<(), Failure> 
         ))
     });
     Err(Failure::Input(faults.collect()))
+}
+
+/// Fails if the trace or the page of a run would be too large.
+fn refuse_large_outputs(arguments: &Arguments, ticks: u64, agents: usize) -> Result<(), Failure> {
+    if !arguments.no_trace && agents > MAX_ENTITIES {
+        let message = format!("a trace of {agents} agents would be too large; the limit is {MAX_ENTITIES}");
+        let fault = Diagnostic::new(diag::codes::LIMIT_EXCEEDED, message);
+        return Err(fault.help("use `--no-trace` to print only the summary").into());
+    }
+    let decisions = ticks.saturating_mul(agents as u64);
+    if arguments.html.is_some() && decisions > DECISIONS_MAX as u64 {
+        let message = format!("a page of {decisions} decisions would be slow to open; the limit is {DECISIONS_MAX}");
+        let fault = Diagnostic::new(diag::codes::LIMIT_EXCEEDED, message);
+        return Err(fault
+            .help("omit `--html` and write a page of some ticks: `logicity view TRACE --from N --ticks N`")
+            .into());
+    }
+    Ok(())
+}
+
+/// Runs the ticks until cancellation and records them.
+fn simulate(
+    arguments: &Arguments,
+    ticks: u64,
+    simulation: &mut Simulation,
+    mut record: Option<&mut Record>,
+    cancel: &Cancel,
+) -> Result<Tally, Failure> {
+    let bar = ProgressBar::new(ticks).with_style(
+        ProgressStyle::with_template("{bar:30} tick {pos} of {len}, {per_sec}, {eta} left").expect("a valid template"),
+    );
+    let mut tally = Tally {
+        last_move: vec![0; simulation.agents().len()],
+        waited: vec![BTreeSet::new(); simulation.agents().len()],
+        firings: vec![0; simulation.clauses().len()],
+        ..Tally::default()
+    };
+    while tally.ticks < ticks && !cancel.requested() {
+        let begin = Instant::now();
+        let tick = simulation.tick(&[])?.tick;
+        tally.deciding += begin.elapsed();
+        tally.add(simulation);
+        if arguments.check_constraints {
+            let snapshot = simulation.snapshot()?;
+            let world = snapshot.world();
+            let known = |relation| world.vocabulary.defines(&world.program, relation);
+            tally.add_broken(constraints::violations_among(snapshot.session(), known), tick);
+        }
+        if let Some(record) = &mut record {
+            record.tick(simulation)?;
+        }
+        bar.inc(1);
+    }
+    bar.finish_and_clear();
+    Ok(tally)
 }
 
 /// The files of a run, which have temporary names until it ends.
@@ -439,8 +456,24 @@ fn summary(simulation: &mut Simulation, tally: &Tally, sources: &Sources, writte
             plural(*count, "decision")
         );
     }
+    firings(simulation, tally, sources, &mut text);
+    if tally.ticks >= STUCK_TICKS {
+        stuck(simulation, tally, sources, &mut text);
+    }
+    if tally.ticks > MAX_FRAMES && written.iter().any(|path| path.ends_with("city.gif")) {
+        let _ = writeln!(text, "the animation ends after {MAX_FRAMES} ticks");
+    }
+    let written: Vec<String> = written.iter().map(|path| path.display().to_string()).collect();
+    if !written.is_empty() {
+        let _ = writeln!(text, "wrote {}", written.join(", "));
+    }
+    text
+}
+
+/// Lists the clauses with the number of decisions in which each fired.
+fn firings(simulation: &Simulation, tally: &Tally, sources: &Sources, text: &mut String) {
     let _ = writeln!(text, "\n{:>10}  clause", "fired");
-    let rules = world.program.rules();
+    let rules = simulation.world().program.rules();
     let place = |clause: &Clause| {
         let file = Path::new(sources.name(clause.span.source)).file_name();
         let line = sources.position(clause.span).line;
@@ -466,17 +499,6 @@ fn summary(simulation: &mut Simulation, tally: &Tally, sources: &Sources, writte
     for [fired, head, place, title] in &rows {
         let _ = writeln!(text, "{fired:>10}  {head:<heads$}  {place:<places$}  {title}");
     }
-    if tally.ticks >= STUCK_TICKS {
-        stuck(simulation, tally, sources, &mut text);
-    }
-    if tally.ticks > MAX_FRAMES && written.iter().any(|path| path.ends_with("city.gif")) {
-        let _ = writeln!(text, "the animation ends after {MAX_FRAMES} ticks");
-    }
-    let written: Vec<String> = written.iter().map(|path| path.display().to_string()).collect();
-    if !written.is_empty() {
-        let _ = writeln!(text, "wrote {}", written.join(", "));
-    }
-    text
 }
 
 /// Describes the stuck agents and the waits between them in the state of the last tick.

@@ -87,6 +87,55 @@ struct Shown<'a> {
     rows: Option<&'a dyn Fn(RelId) -> usize>,
 }
 
+/// Returns slots with their positions as columns.
+fn in_order<'s>(slots: impl IntoIterator<Item = &'s Slot>) -> impl Iterator<Item = (u16, Slot)> {
+    slots.into_iter().zip(0_u16..).map(|(&slot, column)| (column, slot))
+}
+
+/// Returns how a step names its result: a test of a known value, or a new one.
+fn verb(test: bool) -> &'static str {
+    if test { "test" } else { "let " }
+}
+
+/// Returns the note that one match of the steps from `position` to `end` is enough.
+fn one_match_note(position: usize, end: usize, steps: usize) -> String {
+    match (position, end) {
+        (0, end) if end == steps => String::new(),
+        (_, end) if end == steps => "      the head is known: one match of the rest is enough\n".to_owned(),
+        (position, end) => {
+            let steps = match end - position {
+                1 => "step".to_owned(),
+                count => format!("{count} steps"),
+            };
+            format!("      one match of the next {steps} is enough\n")
+        }
+    }
+}
+
+/// Returns a functor with its arguments.
+fn show_expression(
+    functor: Functor,
+    base: BaseType,
+    arguments: &[Slot],
+    value: &dyn Fn(Slot, BaseType) -> String,
+) -> String {
+    // Only the first argument of `substr` is a string.
+    let base_of = |position: usize| match (functor, position) {
+        (Functor::Substring, 1..) => BaseType::Number,
+        _ => base,
+    };
+    let arguments: Vec<String> = (arguments.iter().enumerate())
+        .map(|(position, &slot)| value(slot, base_of(position)))
+        .collect();
+    let name = functor.name();
+    match arguments.as_slice() {
+        [left, right] if !matches!(functor, Functor::Min | Functor::Max | Functor::Cat) => {
+            format!("{left} {name} {right}")
+        }
+        many => format!("{name}({})", many.join(", ")),
+    }
+}
+
 impl Shown<'_> {
     fn all(&self, sources: &Sources) -> String {
         let (rules, plans) = (&self.compiled.rules, self.plans);
@@ -138,162 +187,123 @@ impl Shown<'_> {
         // The end of the part that the last note about one match covers.
         let mut covered = 0;
         for (position, step) in plan.steps.iter().enumerate() {
-            match plan.enough[position] as usize {
-                0 => {}
-                _ if position < covered => {}
-                end if end == plan.steps.len() => {
-                    covered = end;
-                    if position > 0 {
-                        *out += "      the head is known: one match of the rest is enough\n";
-                    }
+            let enough = plan.enough[position] as usize;
+            if enough > 0 && position >= covered {
+                covered = enough;
+                *out += &one_match_note(position, enough, plan.steps.len());
+            }
+            *out += &format!("      {}\n", self.show_step(step, &value));
+            if let Step::Correlated { relation, plans, .. } = step {
+                let mut inner = String::new();
+                for (plan, clause) in plans.iter().zip(self.plans.correlated_clauses(*relation)) {
+                    self.show_steps(&mut inner, &self.compiled.rules.clauses[clause.index()], plan);
                 }
-                end => {
-                    covered = end;
-                    let steps = match end - position {
-                        1 => "step".to_owned(),
-                        count => format!("{count} steps"),
-                    };
-                    *out += &format!("      one match of the next {steps} is enough\n");
+                inner.lines().for_each(|line| *out += &format!("  {line}\n"));
+            }
+        }
+        *out += &format!("      {}\n", self.show_head(plan, &value));
+    }
+
+    /// Returns a step without the steps inside of it.
+    fn show_step(&self, step: &Step, value: &dyn Fn(Slot, BaseType) -> String) -> String {
+        match step {
+            Step::Scan {
+                source,
+                key,
+                bind,
+                check,
+                ..
+            } => {
+                let terms: Vec<(u16, Slot)> = in_order(key).chain(bind.iter().chain(check).copied()).collect();
+                let lookup = self.show_lookup(*source, &terms, key.len(), value);
+                match self.plans.indexes.correlated(self.plans.indexes[source.index].relation) {
+                    Some(_) => format!("given  {}", lookup.trim_end_matches(", new")),
+                    None => format!("scan   {lookup}"),
                 }
             }
-            let mut inner = String::new();
-            let line = match step {
-                Step::Scan {
-                    source,
-                    key,
-                    bind,
-                    check,
-                    ..
-                } => {
-                    let found = key.iter().zip(0_u16..).map(|(&slot, column)| (column, slot));
-                    let terms: Vec<(u16, Slot)> = found.chain(bind.iter().chain(check).copied()).collect();
-                    let lookup = self.show_lookup(*source, &terms, key.len(), &value);
-                    match self.plans.indexes.correlated(self.plans.indexes[source.index].relation) {
-                        Some(_) => format!("given  {}", lookup.trim_end_matches(", new")),
-                        None => format!("scan   {lookup}"),
-                    }
-                }
-                Step::Exists { source, key } | Step::AntiJoin { source, key } => {
-                    let terms: Vec<(u16, Slot)> =
-                        key.iter().zip(0_u16..).map(|(&slot, column)| (column, slot)).collect();
-                    let what = if matches!(step, Step::Exists { .. }) {
-                        "exists"
-                    } else {
-                        "absent"
-                    };
-                    format!("{what} {}", self.show_lookup(*source, &terms, key.len(), &value))
-                }
-                Step::LeapfrogJoin { lists, to } => {
-                    let list = |list: &List| {
-                        let found = list.key.iter().chain([to]).zip(0_u16..);
-                        let terms: Vec<(u16, Slot)> = found.map(|(&slot, column)| (column, slot)).collect();
-                        self.show_lookup(list.source, &terms, list.key.len(), &value)
-                    };
-                    let lists: Vec<String> = lists.iter().map(list).collect();
-                    format!("join   {}", lists.join("\n         and "))
-                }
-                Step::Copy { to, from } => {
-                    let name = |slot: Slot| value(slot, BaseType::Number);
-                    format!("let    {} = {}", name(*to), name(*from))
-                }
-                Step::Compare { op, left, right, base } => {
-                    format!("test   {} {op} {}", value(*left, *base), value(*right, *base))
-                }
-                Step::Compute {
-                    functor,
-                    base,
-                    arguments,
-                    to,
-                    test,
-                } => {
-                    // Only the first argument of `substr` is a string.
-                    let base_of = |position: usize| match (functor, position) {
-                        (Functor::Substring, 1..) => BaseType::Number,
-                        _ => *base,
-                    };
-                    let arguments: Vec<String> = arguments
-                        .iter()
-                        .enumerate()
-                        .map(|(position, &slot)| value(slot, base_of(position)))
-                        .collect();
-                    let name = functor.name();
-                    let expression = match arguments.as_slice() {
-                        [left, right] if !matches!(functor, Functor::Min | Functor::Max | Functor::Cat) => {
-                            format!("{left} {name} {right}")
-                        }
-                        many => format!("{name}({})", many.join(", ")),
-                    };
-                    let what = if *test { "test" } else { "let " };
-                    format!("{what}   {} = {expression}", value(*to, *base))
-                }
-                Step::Aggregate {
-                    source,
-                    key,
-                    op,
-                    base,
-                    to,
-                    test,
-                    ..
-                } => {
-                    let terms: Vec<(u16, Slot)> =
-                        key.iter().zip(0_u16..).map(|(&slot, column)| (column, slot)).collect();
-                    let rows = self.show_lookup(*source, &terms, key.len(), &value);
-                    let what = if *test { "test" } else { "let " };
-                    format!("{what}   {} = {} : {{ {rows} }}", value(*to, *base), op.name())
-                }
-                Step::Group {
-                    source,
-                    key,
-                    op,
-                    base,
-                    to,
-                    test,
-                } => {
-                    let rows = self.show_rows(self.plans.indexes[source.index].relation, key, &value);
-                    let what = if *test { "test" } else { "let " };
-                    format!(
-                        "{what}   {} = {} : {{ {rows} }}, by group",
-                        value(*to, *base),
-                        op.name()
-                    )
-                }
-                Step::Correlated {
-                    relation,
-                    plans,
-                    key,
-                    op,
-                    base,
-                    to,
-                    test,
-                    ..
-                } => {
-                    for (plan, clause) in plans.iter().zip(self.plans.correlated_clauses(*relation)) {
-                        self.show_steps(&mut inner, &self.compiled.rules.clauses[clause.index()], plan);
-                    }
-                    let rows = self.show_rows(*relation, key, &value);
-                    let what = if *test { "test" } else { "let " };
-                    format!(
-                        "{what}   {} = {} : {{ {rows} }}, in place",
-                        value(*to, *base),
-                        op.name()
-                    )
-                }
-            };
-            *out += &format!("      {line}\n");
-            inner.lines().for_each(|line| *out += &format!("  {line}\n"));
+            Step::Exists { source, key } => format!("exists {}", self.show_keyed(*source, key, value)),
+            Step::AntiJoin { source, key } => format!("absent {}", self.show_keyed(*source, key, value)),
+            Step::LeapfrogJoin { lists, to } => {
+                let list = |list: &List| {
+                    let terms: Vec<(u16, Slot)> = in_order(list.key.iter().chain([to])).collect();
+                    self.show_lookup(list.source, &terms, list.key.len(), value)
+                };
+                let lists: Vec<String> = lists.iter().map(list).collect();
+                format!("join   {}", lists.join("\n         and "))
+            }
+            Step::Copy { to, from } => {
+                let name = |slot: Slot| value(slot, BaseType::Number);
+                format!("let    {} = {}", name(*to), name(*from))
+            }
+            Step::Compare { op, left, right, base } => {
+                format!("test   {} {op} {}", value(*left, *base), value(*right, *base))
+            }
+            Step::Compute {
+                functor,
+                base,
+                arguments,
+                to,
+                test,
+            } => {
+                let expression = show_expression(*functor, *base, arguments, value);
+                format!("{}   {} = {expression}", verb(*test), value(*to, *base))
+            }
+            Step::Aggregate {
+                source,
+                key,
+                op,
+                base,
+                to,
+                test,
+                ..
+            } => {
+                let rows = self.show_keyed(*source, key, value);
+                format!("{}   {} = {} : {{ {rows} }}", verb(*test), value(*to, *base), op.name())
+            }
+            Step::Group {
+                source,
+                key,
+                op,
+                base,
+                to,
+                test,
+            } => {
+                let rows = self.show_rows(self.plans.indexes[source.index].relation, key, value);
+                let (verb, to) = (verb(*test), value(*to, *base));
+                format!("{verb}   {to} = {} : {{ {rows} }}, by group", op.name())
+            }
+            Step::Correlated {
+                relation,
+                key,
+                op,
+                base,
+                to,
+                test,
+                ..
+            } => {
+                let rows = self.show_rows(*relation, key, value);
+                let (verb, to) = (verb(*test), value(*to, *base));
+                format!("{verb}   {to} = {} : {{ {rows} }}, in place", op.name())
+            }
         }
+    }
+
+    /// Returns what a plan does with each match of its steps.
+    fn show_head(&self, plan: &Plan, value: &dyn Fn(Slot, BaseType) -> String) -> String {
         let relation = &self.compiled.rules.relations[plan.head.index()];
         let terms = relation.columns.iter().zip(&plan.output);
         let terms: Vec<String> = terms.map(|(column, &slot)| value(slot, column.base)).collect();
+        let atom = format!("{}({})", relation.name, terms.join(", "));
         let Some(fold) = plan.fold else {
-            *out += &format!("      derive {}({})\n", relation.name, terms.join(", "));
-            return;
+            return format!("derive {atom}");
         };
-        let value = fold
-            .value
-            .map_or_else(String::new, |slot| format!(" {}", value(slot, fold.base)));
-        let (name, op) = (&relation.name, fold.op.name());
-        *out += &format!("      group  {name}({}) by {op}{value}\n", terms.join(", "));
+        let folded = fold.value.map(|slot| format!(" {}", value(slot, fold.base)));
+        format!("group  {atom} by {}{}", fold.op.name(), folded.unwrap_or_default())
+    }
+
+    /// Returns a lookup that binds nothing.
+    fn show_keyed(&self, source: Source, key: &[Slot], value: &dyn Fn(Slot, BaseType) -> String) -> String {
+        self.show_lookup(source, &in_order(key).collect::<Vec<_>>(), key.len(), value)
     }
 
     /// Returns the atom whose leading columns have these slots.

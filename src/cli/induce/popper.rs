@@ -44,16 +44,7 @@ pub fn run(arguments: &Arguments, folder: &Path, sources: &mut Sources) -> Resul
         let message = format!("--popper: `{}` is not a folder with a task", folder.display());
         return Err(Failure::Usage(message));
     }
-    let mut add = |name: &str| -> Result<SourceId, Failure> {
-        let path = folder.join(name);
-        let text = files::read_text(&path).map_err(|error| unreadable(&path, &error))?;
-        Ok(sources.add(path.display().to_string(), text))
-    };
-    let files = Files {
-        background: add("bk.pl")?,
-        examples: add("exs.pl")?,
-        bias: add("bias.pl")?,
-    };
+    let files = add_files(folder, sources)?;
     let inputs = Inputs::of(sources);
     // A file that cannot be written is reported before the work.
     let path = arguments.output.as_path();
@@ -73,14 +64,7 @@ pub fn run(arguments: &Arguments, folder: &Path, sources: &mut Sources) -> Resul
         return Err(diagnostics.into());
     };
     report(&diagnostics, sources);
-    if let Some(wanted) = arguments.variables.filter(|wanted| *wanted != task.variables) {
-        let bound = task.variables;
-        let message = match wanted > bound {
-            true => format!("the bias permits at most {bound}\nhelp: change `max_vars` in `bias.pl`"),
-            false => format!("the target has {bound} arguments"),
-        };
-        return Err(Failure::Usage(format!("--variables {wanted}: {message}")));
-    }
+    check_variables(arguments.variables, task.variables)?;
     let read_seconds = begun.elapsed().as_secs_f64();
     let settings = Settings {
         nodes: arguments.effort,
@@ -96,21 +80,7 @@ pub fn run(arguments: &Arguments, folder: &Path, sources: &mut Sources) -> Resul
     let learn_seconds = begun.elapsed().as_secs_f64();
 
     let rules = TargetRules::new(&task, (&examples, inseparable), &solution, &settings);
-    let lines = [
-        format!(
-            "Rules learned by logicity {} from {}.",
-            env!("CARGO_PKG_VERSION"),
-            files::portable_name(&folder.display().to_string())
-        ),
-        format!(
-            "At most {} variables, {} per search, seed {}{}{}.",
-            settings.variables,
-            plural(settings.nodes as usize, "step"),
-            settings.seed,
-            if options.negation { ", negated literals" } else { "" },
-            if options.closed_world { ", closed world" } else { "" },
-        ),
-    ];
+    let lines = origin(folder, &settings, options);
     let text = match path.extension() == Some(OsStr::new("dl")) {
         true => rules.rule_file(&lines),
         false => rules.prolog(&lines),
@@ -145,4 +115,49 @@ pub fn run(arguments: &Arguments, folder: &Path, sources: &mut Sources) -> Resul
         Some(fault) => Err(fault.into()),
         None => Ok(()),
     }
+}
+
+/// Reads the files of a task.
+fn add_files(folder: &Path, sources: &mut Sources) -> Result<Files, Failure> {
+    let mut add = |name: &str| -> Result<SourceId, Failure> {
+        let path = folder.join(name);
+        let text = files::read_text(&path).map_err(|error| unreadable(&path, &error))?;
+        Ok(sources.add(path.display().to_string(), text))
+    };
+    Ok(Files {
+        background: add("bk.pl")?,
+        examples: add("exs.pl")?,
+        bias: add("bias.pl")?,
+    })
+}
+
+/// Fails if the option `--variables` asks for another number of variables than the task can have.
+fn check_variables(wanted: Option<usize>, bound: usize) -> Result<(), Failure> {
+    let Some(wanted) = wanted.filter(|wanted| *wanted != bound) else {
+        return Ok(());
+    };
+    let message = match wanted > bound {
+        true => format!("the bias permits at most {bound}\nhelp: change `max_vars` in `bias.pl`"),
+        false => format!("the target has {bound} arguments"),
+    };
+    Err(Failure::Usage(format!("--variables {wanted}: {message}")))
+}
+
+/// Returns the lines that say how the rules were learned.
+fn origin(folder: &Path, settings: &Settings, options: &PopperOptions) -> [String; 2] {
+    [
+        format!(
+            "Rules learned by logicity {} from {}.",
+            env!("CARGO_PKG_VERSION"),
+            files::portable_name(&folder.display().to_string())
+        ),
+        format!(
+            "At most {} variables, {} per search, seed {}{}{}.",
+            settings.variables,
+            plural(settings.nodes as usize, "step"),
+            settings.seed,
+            if options.negation { ", negated literals" } else { "" },
+            if options.closed_world { ", closed world" } else { "" },
+        ),
+    ]
 }

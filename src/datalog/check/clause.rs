@@ -2,6 +2,7 @@
 //! [`super::body`] checks each of them.
 
 use std::borrow::Cow;
+use std::cell::OnceCell;
 use std::collections::{HashMap, HashSet};
 use std::ops::Range;
 
@@ -408,134 +409,169 @@ fn lone_variables<'c>(
     names: &Names,
     faults: &mut Faults,
 ) {
-    let mut counts = None;
-    // A variable that occurs once in this alternative may occur in others.
-    let mut is_lone = |name: &str| {
-        let counts = counts.get_or_insert_with(|| {
+    let mut lone = LoneVariables {
+        clause,
+        counts: OnceCell::new(),
+        reported: Vec::new(),
+        faults,
+    };
+    lone.in_equations(body, variables, names);
+    lone.outside_of_aggregates(variables, guarded);
+    if !is_scoped {
+        lone.in_aggregates(body);
+    }
+}
+
+/// The warnings of the variables of a clause that occur once.
+struct LoneVariables<'c, 'f> {
+    clause: &'c ast::Clause,
+    /// The number of occurrences of each variable in all alternatives, once a warning depends on it.
+    counts: OnceCell<HashMap<&'c str, usize>>,
+    reported: Vec<&'c str>,
+    faults: &'f mut Faults,
+}
+
+impl<'c> LoneVariables<'c, '_> {
+    /// Whether a variable occurs once. One that occurs once in this alternative may occur in others.
+    fn is_lone(&self, name: &str) -> bool {
+        let counts = self.counts.get_or_init(|| {
             let mut counts: HashMap<&str, usize> = HashMap::new();
             let mut count = |name| *counts.entry(name).or_default() += 1;
-            clause
-                .heads
-                .iter()
-                .flat_map(|head| &head.terms)
-                .for_each(|term| names_of(term, true, &mut count));
-            clause
-                .body
-                .iter()
-                .for_each(|literal| names_in(literal, true, &mut count));
+            for term in self.clause.heads.iter().flat_map(|head| &head.terms) {
+                names_of(term, true, &mut count);
+            }
+            for literal in &self.clause.body {
+                names_in(literal, true, &mut count);
+            }
             counts
         });
         counts.get(name) == Some(&1)
-    };
-    let explicit = |name: &str| !name.starts_with('_');
-    let mut reported: Vec<&str> = Vec::new();
-    for literal in body {
-        let ast::Literal::Compare {
-            op: Comparison::Equal,
-            left,
-            right,
-            place,
-        } = literal
-        else {
-            continue;
-        };
-        let (ast::TermKind::Variable(one), ast::TermKind::Variable(other)) = (&left.kind, &right.kind) else {
-            continue;
-        };
-        // The checker writes the result of `n = min x : { ... }` as such an equation.
-        let result = match (one.starts_with('+'), other.starts_with('+')) {
-            (false, false) => None,
-            (true, _) => Some((other, right)),
-            (false, true) => Some((one, left)),
-        };
-        if let Some((name, term)) = result {
-            if explicit(name) && is_lone(name) && !reported.contains(&name.as_str()) {
-                faults.push(singleton(name, term.place.0));
-                reported.push(name);
+    }
+
+    fn report(&mut self, name: &'c str, fault: Diagnostic) {
+        self.faults.push(fault);
+        self.reported.push(name);
+    }
+
+    fn in_equations(&mut self, body: &[&'c ast::Literal], variables: &[Known], names: &Names) {
+        for literal in body {
+            let ast::Literal::Compare {
+                op: Comparison::Equal,
+                left,
+                right,
+                place,
+            } = literal
+            else {
+                continue;
+            };
+            let (ast::TermKind::Variable(one), ast::TermKind::Variable(other)) = (&left.kind, &right.kind) else {
+                continue;
+            };
+            // The checker writes the result of `n = min x : { ... }` as such an equation.
+            let result = match (one.starts_with('+'), other.starts_with('+')) {
+                (false, false) => None,
+                (true, _) => Some((other, right)),
+                (false, true) => Some((one, left)),
+            };
+            if let Some((name, term)) = result {
+                if is_explicit(name) && self.is_lone(name) && !self.reported.contains(&name.as_str()) {
+                    self.report(name, singleton(name, term.place.0));
+                }
+                continue;
             }
-            continue;
-        }
-        if one == other {
-            let fault = Diagnostic::new(codes::VACUOUS_EQUATION, format!("`{one} = {other}` is always true"));
-            faults.push(fault.at(place.0, "").help("remove it"));
-            continue;
-        }
-        // Of two that could be meant, the right side.
-        let sides = [(one, left, other), (other, right, one)].into_iter();
-        let lone = sides.filter(|(name, ..)| explicit(name) && is_lone(name));
-        let Some((name, term, same)) = lone.max_by_key(|(name, ..)| reads_as_constant(name)) else {
-            continue;
-        };
-        let known = variables.iter().find(|variable| variable.name == *name);
-        let is_text = known.is_some_and(|variable| base(variable.ty, names) == Some(BaseType::Symbol));
-        let message = format!("`{one} = {other}` is always true: the variable `{name}` occurs nowhere else");
-        // The name that the author may have meant as a symbol.
-        let text = if reads_as_constant(same) && !reads_as_constant(name) {
-            same
-        } else {
-            name
-        };
-        let label = if text == name {
-            "a variable, since it has no quotes"
-        } else {
-            ""
-        };
-        let fault = Diagnostic::new(codes::VACUOUS_EQUATION, message).at(term.place.0, label);
-        let [one, other] = [one, other].map(|side| {
-            if side == text {
-                format!("\"{side}\"")
-            } else {
-                side.clone()
+            if one == other {
+                let fault = Diagnostic::new(codes::VACUOUS_EQUATION, format!("`{one} = {other}` is always true"));
+                self.faults.push(fault.at(place.0, "").help("remove it"));
+                continue;
             }
-        });
-        faults.push(match is_text {
-            true => fault.help(format!(
-                "if you mean the symbol `{text}`, write it in quotes: `{one} = {other}`"
-            )),
-            false => fault.help("remove the equation"),
-        });
-        reported.push(name);
-    }
-    for (variable, guarded) in variables.iter().zip(guarded) {
-        let name = variable.name.as_str();
-        let once = variable.count == 1 && !variable.hidden && explicit(name);
-        if *guarded || !once || reported.contains(&name) || !is_lone(name) {
-            continue;
+            // Of two that could be meant, the right side.
+            let sides = [(one, left, other), (other, right, one)].into_iter();
+            let lone = sides.filter(|(name, ..)| is_explicit(name) && self.is_lone(name));
+            let Some((name, term, same)) = lone.max_by_key(|(name, ..)| reads_as_constant(name)) else {
+                continue;
+            };
+            let known = variables.iter().find(|variable| variable.name == *name);
+            let is_symbol = known.is_some_and(|variable| base(variable.ty, names) == Some(BaseType::Symbol));
+            let fault = vacuous_equation([one, other], (name, same), is_symbol, term.place.0);
+            self.report(name, fault);
         }
-        faults.push(singleton(name, variable.first));
-        reported.push(name);
     }
-    if is_scoped {
-        return;
+
+    fn outside_of_aggregates(&mut self, variables: &'c [Known], guarded: &[bool]) {
+        for (variable, guarded) in variables.iter().zip(guarded) {
+            let name = variable.name.as_str();
+            let once = variable.count == 1 && !variable.hidden && is_explicit(name);
+            if *guarded || !once || self.reported.contains(&name) || !self.is_lone(name) {
+                continue;
+            }
+            self.report(name, singleton(name, variable.first));
+        }
     }
-    let mut inside: Vec<(&str, Span)> = Vec::new();
-    let mut add = |name, span| inside.push((name, span));
-    for term in clause.heads.iter().flat_map(|head| &head.terms) {
-        variables_of_aggregates(term, false, &mut add);
-    }
-    for literal in body {
-        for term in sides(literal) {
+
+    fn in_aggregates(&mut self, body: &[&'c ast::Literal]) {
+        let mut inside: Vec<(&str, Span)> = Vec::new();
+        let mut add = |name, span| inside.push((name, span));
+        for term in self.clause.heads.iter().flat_map(|head| &head.terms) {
             variables_of_aggregates(term, false, &mut add);
         }
-    }
-    for &(name, span) in &inside {
-        let written = witness::written(name);
-        let is_once = match witness::is_shadow(name) {
-            true => inside.iter().filter(|(other, _)| *other == name).count() == 1,
-            false => is_lone(name),
-        };
-        if !is_once || !explicit(written) || reported.contains(&name) {
-            continue;
+        for literal in body {
+            for term in sides(literal) {
+                variables_of_aggregates(term, false, &mut add);
+            }
         }
-        let fault = singleton(written, span);
-        faults.push(match witness::is_shadow(name) {
-            true => fault.note(format!(
-                "the `{written}` outside of this aggregate is another variable: it gets its value from the result"
-            )),
-            false => fault,
-        });
-        reported.push(name);
+        for &(name, span) in &inside {
+            let written = witness::written(name);
+            let is_once = match witness::is_shadow(name) {
+                true => inside.iter().filter(|(other, _)| *other == name).count() == 1,
+                false => self.is_lone(name),
+            };
+            if !is_once || !is_explicit(written) || self.reported.contains(&name) {
+                continue;
+            }
+            let fault = singleton(written, span);
+            let fault = match witness::is_shadow(name) {
+                true => fault.note(format!(
+                    "the `{written}` outside of this aggregate is another variable: it gets its value from the result"
+                )),
+                false => fault,
+            };
+            self.report(name, fault);
+        }
     }
+}
+
+fn is_explicit(name: &str) -> bool {
+    !name.starts_with('_')
+}
+
+/// Warns of an equation of variables of which `name` occurs nowhere else; `same` is the other one.
+fn vacuous_equation(
+    [one, other]: [&String; 2],
+    (name, same): (&String, &String),
+    is_symbol: bool,
+    place: Span,
+) -> Diagnostic {
+    let message = format!("`{one} = {other}` is always true: the variable `{name}` occurs nowhere else");
+    // The name that the author may have meant as a symbol.
+    let symbol = match reads_as_constant(same) && !reads_as_constant(name) {
+        true => same,
+        false => name,
+    };
+    let label = match symbol == name {
+        true => "a variable, since it has no quotes",
+        false => "",
+    };
+    let fault = Diagnostic::new(codes::VACUOUS_EQUATION, message).at(place, label);
+    if !is_symbol {
+        return fault.help("remove the equation");
+    }
+    let [one, other] = [one, other].map(|side| match side == symbol {
+        true => format!("\"{side}\""),
+        false => side.clone(),
+    });
+    fault.help(format!(
+        "if you mean the symbol `{symbol}`, write it in quotes: `{one} = {other}`"
+    ))
 }
 
 fn singleton(name: &str, place: Span) -> Diagnostic {

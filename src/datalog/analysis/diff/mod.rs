@@ -507,7 +507,7 @@ fn shrink(circuit: &mut Circuit<'_>, conflicts: &mut u64) -> bool {
 
 /// Describes the scene, with the rows that naive evaluation derives on each side.
 fn describe(pair: &Pair<'_>, view: ScopeRows, model: &Model) -> Difference {
-    let Pair { base, outputs, .. } = pair;
+    let base = &pair.base;
     let sides = [&pair.sides[0], &pair.sides[1]];
     let individuals = &model.individuals;
     let mut facts = model.facts.clone();
@@ -563,43 +563,7 @@ fn describe(pair: &Pair<'_>, view: ScopeRows, model: &Model) -> Difference {
         .iter()
         .filter(|scope| !facts.iter().any(|(predicate, _)| predicate == *scope));
     by_predicate.extend(empty.map(|&scope| (base[scope].name.clone(), Vec::new())));
-    let derived = [0, 1].map(|number| {
-        let side = sides[number];
-        let symbols: Symbols = side.rules.symbols.clone();
-        let word = |index: usize| match &individuals[index] {
-            Individual::Text(text) => Value(symbols.intern(text).0),
-            Individual::Number(number) => Value::number(*number),
-        };
-        let mut rows: Vec<(RelId, Vec<Value>)> = Vec::new();
-        for (predicate, row) in &facts {
-            if let Some(relation) = side.rules.relation(&base[*predicate].name) {
-                let relation = side.rules.relations[relation.index()].edb.unwrap_or(relation);
-                rows.push((relation, row.iter().map(|&index| word(index)).collect()));
-            }
-        }
-        for name in &everybody_sees {
-            if let Some(relation) = side.rules.relation(name) {
-                for &x in &shown {
-                    for &y in &shown {
-                        rows.push((relation, vec![word(x), word(y)]));
-                    }
-                }
-            }
-        }
-        let database = naive::evaluate(side.rules, &symbols, rows);
-        let mut derived = Vec::new();
-        for output in outputs {
-            for row in &database[output.ids[number].index()] {
-                let shown = (output.columns.iter().zip(row)).map(|(base, value)| match base {
-                    BaseType::Number | BaseType::Unsigned | BaseType::Float => value.as_number().to_string(),
-                    BaseType::Symbol => symbols.text(Symbol(value.0)).unwrap_or_default().to_owned(),
-                });
-                derived.push((output.name.clone(), shown.collect()));
-            }
-        }
-        derived.sort();
-        derived
-    });
+    let derived = [0, 1].map(|number| derived_rows(pair, number, individuals, &facts, (&everybody_sees, &shown)));
     Difference {
         entities: shown.iter().map(|&index| individuals[index].shown()).collect(),
         facts: by_predicate,
@@ -607,4 +571,50 @@ fn describe(pair: &Pair<'_>, view: ScopeRows, model: &Model) -> Difference {
         derived,
         smallest: model.smallest,
     }
+}
+
+/// Returns the output rows that naive evaluation derives on one side from these facts. In the scopes `everybody_sees`,
+/// each of the individuals `shown` sees all of them.
+fn derived_rows(
+    pair: &Pair<'_>,
+    number: usize,
+    individuals: &[Individual],
+    facts: &[BaseFact],
+    (everybody_sees, shown): (&[String], &[usize]),
+) -> Vec<(String, Vec<String>)> {
+    let side = &pair.sides[number];
+    let symbols: Symbols = side.rules.symbols.clone();
+    let word = |index: usize| match &individuals[index] {
+        Individual::Text(text) => Value(symbols.intern(text).0),
+        Individual::Number(number) => Value::number(*number),
+    };
+    let mut rows: Vec<(RelId, Vec<Value>)> = Vec::new();
+    for (predicate, row) in facts {
+        if let Some(relation) = side.rules.relation(&pair.base[*predicate].name) {
+            let relation = side.rules.relations[relation.index()].edb.unwrap_or(relation);
+            rows.push((relation, row.iter().map(|&index| word(index)).collect()));
+        }
+    }
+    for name in everybody_sees {
+        if let Some(relation) = side.rules.relation(name) {
+            for &x in shown {
+                for &y in shown {
+                    rows.push((relation, vec![word(x), word(y)]));
+                }
+            }
+        }
+    }
+    let database = naive::evaluate(side.rules, &symbols, rows);
+    let mut derived = Vec::new();
+    for output in &pair.outputs {
+        for row in &database[output.ids[number].index()] {
+            let shown = (output.columns.iter().zip(row)).map(|(base, value)| match base {
+                BaseType::Number | BaseType::Unsigned | BaseType::Float => value.as_number().to_string(),
+                BaseType::Symbol => symbols.text(Symbol(value.0)).unwrap_or_default().to_owned(),
+            });
+            derived.push((output.name.clone(), shown.collect()));
+        }
+    }
+    derived.sort();
+    derived
 }

@@ -274,7 +274,6 @@ impl<'c> Check<'_, 'c> {
         let mut inner = self.finish(body, context, finish, allowed)?;
         let base = head.target.map_or(BaseType::Number, |target| self.settled_base(target));
         let target = head.target.map(|target| self.finished(target, base));
-        let is_own = |check: &Self, id: VarId| check.level(id).is_none_or(|level| level >= head.level);
 
         let guards = self.guards(head, &mut inner, finish);
         if let ([Literal::Positive(atom)], true) = (inner.as_slice(), guards.is_empty())
@@ -284,36 +283,16 @@ impl<'c> Check<'_, 'c> {
         }
         inner.extend(guards);
 
-        // The columns: shared variables first.
-        let mut shared = BTreeSet::new();
-        let mut own = BTreeSet::new();
-        for term in inner.iter().flat_map(Literal::terms).chain(&target) {
-            if let Term::Variable(id) = term
-                && !is_own(self, *id)
-            {
-                shared.insert(*id);
-            }
-        }
-        if !matches!(head.op, AggregateOp::Min | AggregateOp::Max) {
-            for literal in &mut inner {
-                let Literal::Positive(atom) = literal else { continue };
-                let types = self.names.signatures[atom.relation.index()]
-                    .columns
-                    .clone()
-                    .unwrap_or_default();
-                for (term, ty) in atom.terms.iter_mut().zip(types) {
-                    if *term == Term::Wildcard {
-                        let ty = ty.map_or(VariableType::Unknown, VariableType::Type);
-                        *term = Term::Variable(fresh(finish.variables, ty, head.span));
-                    }
-                    if let Term::Variable(id) = *term
-                        && is_own(self, id)
-                    {
-                        own.insert(id);
-                    }
-                }
-            }
-        }
+        let shared: BTreeSet<VarId> = (inner.iter().flat_map(Literal::terms).chain(&target))
+            .filter_map(|term| match term {
+                Term::Variable(id) if !self.is_own(head, *id) => Some(*id),
+                _ => None,
+            })
+            .collect();
+        let mut own = match head.op {
+            AggregateOp::Min | AggregateOp::Max => BTreeSet::new(),
+            _ => self.own_columns(head, &mut inner, finish),
+        };
         let target = target.map(|target| match target {
             Term::Variable(id) => id,
             constant => {
@@ -333,26 +312,9 @@ impl<'c> Check<'_, 'c> {
         {
             own.insert(id);
         }
-        let outside = |literal: &Literal| self.is_outside(literal, finish);
-        let parameters = match grounding(&shared, &inner, context, &outside) {
-            Some(added) => {
-                for literal in added.into_iter().map(|position| &context[position]) {
-                    if let Some(atom) = literal.atom()
-                        && !self.names.relation(atom.relation).hidden
-                    {
-                        self.edge(atom.relation, EdgeKind::Aggregates, atom.span);
-                    }
-                    inner.push(literal.clone());
-                }
-                0
-            }
-            None if allowed == Allowed::Outside => return None,
-            None => {
-                grounding(&shared, &inner, context, &|_| true)?;
-                shared.len()
-            }
-        };
+        let parameters = self.parameters(&shared, &mut inner, context, finish, allowed)?;
 
+        // Shared variables first.
         let columns: Vec<VarId> = shared.iter().chain(&own).copied().collect();
         let relation = self.define(&columns, parameters, inner, head, finish);
         let term = |id: &VarId| {
@@ -375,14 +337,71 @@ impl<'c> Check<'_, 'c> {
         })
     }
 
+    /// Whether a variable belongs to an aggregate, not to what surrounds it.
+    fn is_own(&self, head: Head, id: VarId) -> bool {
+        self.level(id).is_none_or(|level| level >= head.level)
+    }
+
+    /// Returns the own variables in the atoms of an aggregate, after giving each of their wildcards one.
+    fn own_columns(&mut self, head: Head, inner: &mut [Literal], finish: &mut Finish<'_>) -> BTreeSet<VarId> {
+        let mut own = BTreeSet::new();
+        for literal in inner {
+            let Literal::Positive(atom) = literal else { continue };
+            let types = self.names.signatures[atom.relation.index()]
+                .columns
+                .clone()
+                .unwrap_or_default();
+            for (term, ty) in atom.terms.iter_mut().zip(types) {
+                if *term == Term::Wildcard {
+                    let ty = ty.map_or(VariableType::Unknown, VariableType::Type);
+                    *term = Term::Variable(fresh(finish.variables, ty, head.span));
+                }
+                if let Term::Variable(id) = *term
+                    && self.is_own(head, id)
+                {
+                    own.insert(id);
+                }
+            }
+        }
+        own
+    }
+
+    /// Grounds the shared variables of an aggregate with literals of the context, or makes them parameters. Returns the
+    /// number of parameters; `None` while an outer literal is missing.
+    fn parameters(
+        &mut self,
+        shared: &BTreeSet<VarId>,
+        inner: &mut Vec<Literal>,
+        context: &[Literal],
+        finish: &Finish<'_>,
+        allowed: Allowed,
+    ) -> Option<usize> {
+        let outside = |literal: &Literal| self.is_outside(literal, finish);
+        let Some(added) = grounding(shared, inner, context, &outside) else {
+            if allowed == Allowed::Outside {
+                return None;
+            }
+            grounding(shared, inner, context, &|_| true)?;
+            return Some(shared.len());
+        };
+        for literal in added.into_iter().map(|position| &context[position]) {
+            if let Some(atom) = literal.atom()
+                && !self.names.relation(atom.relation).hidden
+            {
+                self.edge(atom.relation, EdgeKind::Aggregates, atom.span);
+            }
+            inner.push(literal.clone());
+        }
+        Some(0)
+    }
+
     /// Returns the aggregate over the atom itself, unless one of its own variables occurs twice.
     fn direct(&self, head: Head, atom: &Atom, target: Option<Term>, base: BaseType) -> Option<Literal> {
-        let is_own = |id: VarId| self.level(id).is_none_or(|level| level >= head.level);
         let mut seen = BTreeSet::new();
         let mut terms = atom.terms.clone();
         for term in &mut terms {
             if let Term::Variable(id) = *term
-                && is_own(id)
+                && self.is_own(head, id)
             {
                 if !seen.insert(id) {
                     return None;
