@@ -74,7 +74,7 @@ impl PyEpisode {
 
 /// Parses an episode. Its agents must be those of the environment.
 pub fn read_episode(given: &Bound<'_, PyDict>, env: &Env) -> Result<Episode, Diagnostic> {
-    let episode = Part::new("the episode".to_owned(), given, &["seed", "agents", "oracle"])?;
+    let episode = EpisodeMapping::new("the episode".to_owned(), given, &["seed", "agents", "oracle"])?;
     let agents: Vec<Bound<'_, PyAny>> = episode.get("agents")?;
     let read = |(at, agent): (usize, &Bound<'_, PyAny>)| read_agent(&format!("agent {at} of the episode"), agent, env);
     let oracle: Option<Bound<'_, PyAny>> = episode.find("oracle")?.flatten();
@@ -86,7 +86,7 @@ pub fn read_episode(given: &Bound<'_, PyDict>, env: &Env) -> Result<Episode, Dia
 }
 
 fn read_agent(what: &str, given: &Bound<'_, PyAny>, env: &Env) -> Result<EpisodeAgent, Diagnostic> {
-    let agent = Part::new(what.to_owned(), given, &["id", "concepts", "priority", "start", "goal"])?;
+    let agent = EpisodeMapping::new(what.to_owned(), given, &["id", "concepts", "priority", "start", "goal"])?;
     let id: String = agent.get("id")?;
     let set = env.task().world().scenario.agent_set(env.city().split());
     let known: Vec<AgentName> = set.expect("a city has it").members().map(|(name, _)| name).collect();
@@ -113,9 +113,9 @@ fn read_agent(what: &str, given: &Bound<'_, PyAny>, env: &Env) -> Result<Episode
 
 fn read_oracle(given: &Bound<'_, PyAny>) -> Result<OracleRun, Diagnostic> {
     let what = "the oracle's run";
-    let run = Part::new(what.to_owned(), given, &["steps", "return", "constrained"])?;
+    let run = EpisodeMapping::new(what.to_owned(), given, &["steps", "return", "constrained"])?;
     let counts = run.get("constrained")?;
-    let counts = Part::new(
+    let counts = EpisodeMapping::new(
         format!("`constrained` of {what}"),
         &counts,
         &Action::ALL.map(Action::name),
@@ -132,12 +132,12 @@ fn read_oracle(given: &Bound<'_, PyAny>) -> Result<OracleRun, Diagnostic> {
 }
 
 /// A mapping that describes an episode or a part of an episode.
-struct Part<'a, 'py> {
+struct EpisodeMapping<'a, 'py> {
     what: String,
     given: &'a Bound<'py, PyMapping>,
 }
 
-impl<'a, 'py> Part<'a, 'py> {
+impl<'a, 'py> EpisodeMapping<'a, 'py> {
     /// Checks that the value is a mapping without unknown keys.
     fn new(what: String, given: &'a Bound<'py, PyAny>, keys: &[&str]) -> Result<Self, Diagnostic> {
         let wrong = |error: PyErr| invalid(format!("{what} cannot be read: {error}"));
@@ -151,7 +151,7 @@ impl<'a, 'py> Part<'a, 'py> {
                 return Err(unknown(message, &key, keys.iter().copied()));
             }
         }
-        Ok(Part { what, given })
+        Ok(EpisodeMapping { what, given })
     }
 
     /// Returns the value of an optional key.

@@ -165,7 +165,7 @@ impl Layout {
 
 /// The class of a coordinate on its axis, in bits: its [`Zone`] and the two flags below.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
-struct Part(u8);
+struct CoordinateClass(u8);
 
 /// The nearest street runs along an edge of the world.
 const AT_EDGE: u8 = 1 << 4;
@@ -267,13 +267,13 @@ impl Layout {
     }
 
     /// Returns the class of each coordinate of an axis with this number of blocks.
-    fn parts(&self, blocks: i32) -> Box<[Part]> {
+    fn parts(&self, blocks: i32) -> Box<[CoordinateClass]> {
         let size = self.street_start(blocks) + self.street;
         let part = |at| {
             let (zone, street) = self.zone(at);
             let at_edge = street == 0 || street == blocks;
             let on_lane = zone.in_street() && (at - self.mid_line(street)).abs() == self.lane_offset();
-            Part(zone as u8 | (u8::from(at_edge) * AT_EDGE) | (u8::from(on_lane) * ON_LANE))
+            CoordinateClass(zone as u8 | (u8::from(at_edge) * AT_EDGE) | (u8::from(on_lane) * ON_LANE))
         };
         (0..size).map(part).collect()
     }
@@ -410,8 +410,8 @@ pub struct CityMap {
     pub name: String,
     /// The positions of streets, blocks and intersections.
     pub layout: Layout,
-    rows: Box<[Part]>,
-    cols: Box<[Part]>,
+    rows: Box<[CoordinateClass]>,
+    cols: Box<[CoordinateClass]>,
     squares: Box<[Square; 1 << 10]>,
     /// The four buildings of each block, row by row; the blocks are in row order too.
     buildings: Vec<[Building; 4]>,
@@ -447,7 +447,7 @@ impl CityMap {
     }
 
     /// The classes of a cell's row and column; `None` off the map.
-    fn parts(&self, cell: Cell) -> Option<(Part, Part)> {
+    fn parts(&self, cell: Cell) -> Option<(CoordinateClass, CoordinateClass)> {
         let row = self.rows.get(usize::try_from(cell.row).ok()?)?;
         let col = self.cols.get(usize::try_from(cell.col).ok()?)?;
         Some((*row, *col))
@@ -455,7 +455,7 @@ impl CityMap {
 
     fn square(&self, cell: Cell) -> Option<Square> {
         let (row, col) = self.parts(cell)?;
-        let index = |part: Part| usize::from(part.0 & ZONE_AND_EDGE);
+        let index = |part: CoordinateClass| usize::from(part.0 & ZONE_AND_EDGE);
         Some(self.squares[index(row) << 5 | index(col)])
     }
 
@@ -481,11 +481,11 @@ impl CityMap {
 
     /// Returns whether a lane starts or ends here, so that the cell is a node of the road graph.
     pub fn is_lane_node(&self, cell: Cell) -> bool {
-        let is_line = |part: Part| {
+        let is_line = |part: CoordinateClass| {
             let zone = part.0 & 0xf;
             zone == Zone::LineBefore as u8 || zone == Zone::LineAfter as u8
         };
-        let across = |across: Part, along: Part| across.0 & ON_LANE != 0 && is_line(along);
+        let across = |across: CoordinateClass, along: CoordinateClass| across.0 & ON_LANE != 0 && is_line(along);
         (self.parts(cell)).is_some_and(|(row, col)| across(row, col) || across(col, row))
     }
 
@@ -560,7 +560,7 @@ impl CityMap {
     /// Returns the relations to intersections of the cells on which agents of a kind may be, each once.
     pub(crate) fn junctions(&self, kind: AgentKind) -> Vec<Junction> {
         // Cells of equal classes are alike.
-        let firsts = |parts: &[Part]| {
+        let firsts = |parts: &[CoordinateClass]| {
             let mut classes = std::collections::BTreeMap::new();
             for (part, at) in parts.iter().zip(0..) {
                 classes.entry(part.0).or_insert(at);

@@ -147,7 +147,7 @@ impl LanePlace {
 
 /// A node of the road graph: the start or the end of a lane, by its number.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, PartialOrd, Ord, Hash)]
-enum Node {
+enum RoadNode {
     /// The start of the car.
     Origin,
     Start(u32),
@@ -243,50 +243,50 @@ impl Roads {
     }
 
     /// The nodes of a route with the least sum of length and turn costs.
-    fn lightest(&self, first: u32, last: u32) -> Option<Vec<Node>> {
-        let successors = |&node: &Node| {
+    fn lightest(&self, first: u32, last: u32) -> Option<Vec<RoadNode>> {
+        let successors = |&node: &RoadNode| {
             (self.after(node, first, last).into_iter())
                 .map(move |next| (next, self.weight(node, next)))
                 .collect::<Vec<_>>()
         };
-        dijkstra(&Node::Origin, successors, |&node| node == Node::Destination).map(|(nodes, _)| nodes)
+        dijkstra(&RoadNode::Origin, successors, |&node| node == RoadNode::Destination).map(|(nodes, _)| nodes)
     }
 
     /// The nodes of a route with the fewest nodes. The bidirectional search expands the smaller frontier first, which
     /// breaks ties as the published program does.
-    fn fewest_hops(&self, first: u32, last: u32) -> Option<Vec<Node>> {
-        let after = |&node: &Node| self.after(node, first, last);
-        let before = |&node: &Node| self.before(node, first, last);
-        bfs_bidirectional(&Node::Origin, &Node::Destination, after, before)
+    fn fewest_hops(&self, first: u32, last: u32) -> Option<Vec<RoadNode>> {
+        let after = |&node: &RoadNode| self.after(node, first, last);
+        let before = |&node: &RoadNode| self.before(node, first, last);
+        bfs_bidirectional(&RoadNode::Origin, &RoadNode::Destination, after, before)
     }
 
     /// The successors of a node on a route from one lane to another.
-    fn after(&self, node: Node, first: u32, last: u32) -> Vec<Node> {
+    fn after(&self, node: RoadNode, first: u32, last: u32) -> Vec<RoadNode> {
         match node {
-            Node::Origin => vec![Node::End(first)],
-            Node::Start(lane) if lane == last => vec![Node::End(lane), Node::Destination],
-            Node::Start(lane) => vec![Node::End(lane)],
-            Node::End(lane) => self.next(lane).map(Node::Start).collect(),
-            Node::Destination => Vec::new(),
+            RoadNode::Origin => vec![RoadNode::End(first)],
+            RoadNode::Start(lane) if lane == last => vec![RoadNode::End(lane), RoadNode::Destination],
+            RoadNode::Start(lane) => vec![RoadNode::End(lane)],
+            RoadNode::End(lane) => self.next(lane).map(RoadNode::Start).collect(),
+            RoadNode::Destination => Vec::new(),
         }
     }
 
     /// The predecessors of a node: the converse of [`Roads::after`].
-    fn before(&self, node: Node, first: u32, last: u32) -> Vec<Node> {
+    fn before(&self, node: RoadNode, first: u32, last: u32) -> Vec<RoadNode> {
         match node {
-            Node::Origin => Vec::new(),
-            Node::Start(lane) => self.previous(lane).map(Node::End).collect(),
-            Node::End(lane) if lane == first => vec![Node::Start(lane), Node::Origin],
-            Node::End(lane) => vec![Node::Start(lane)],
-            Node::Destination => vec![Node::Start(last)],
+            RoadNode::Origin => Vec::new(),
+            RoadNode::Start(lane) => self.previous(lane).map(RoadNode::End).collect(),
+            RoadNode::End(lane) if lane == first => vec![RoadNode::Start(lane), RoadNode::Origin],
+            RoadNode::End(lane) => vec![RoadNode::Start(lane)],
+            RoadNode::Destination => vec![RoadNode::Start(last)],
         }
     }
 
     /// The weight of an edge in cells. The first and the last edge are common to all routes between two places.
-    fn weight(&self, from: Node, to: Node) -> u32 {
+    fn weight(&self, from: RoadNode, to: RoadNode) -> u32 {
         match (from, to) {
-            (Node::Start(lane), Node::End(_)) => self.lane(lane).length(),
-            (Node::End(from), Node::Start(to)) => {
+            (RoadNode::Start(lane), RoadNode::End(_)) => self.lane(lane).length(),
+            (RoadNode::End(from), RoadNode::Start(to)) => {
                 let (from, to) = (self.lane(from), self.lane(to));
                 steps(from.end, to.start) + if from.heading == to.heading { 0 } else { TURN_COST }
             }
@@ -315,24 +315,26 @@ impl Roads {
             Routing::Hops => 1,
             Routing::Weighted => self.weight(from, to),
         };
-        let successors = |&node: &Node| {
+        let successors = |&node: &RoadNode| {
             let after = self.after(node, first, last).into_iter();
             after.map(move |next| (next, weight(node, next))).collect::<Vec<_>>()
         };
-        let to_go = |&node: &Node| match node {
-            Node::Start(lane) if lane != last => weight(node, Node::End(lane)) + from_end(lane),
-            Node::End(lane) => from_end(lane),
+        let to_go = |&node: &RoadNode| match node {
+            RoadNode::Start(lane) if lane != last => weight(node, RoadNode::End(lane)) + from_end(lane),
+            RoadNode::End(lane) => from_end(lane),
             _ => 0,
         };
-        let (nodes, _) = astar(&Node::Origin, successors, to_go, |&node| node == Node::Destination)?;
+        let (nodes, _) = astar(&RoadNode::Origin, successors, to_go, |&node| {
+            node == RoadNode::Destination
+        })?;
         Some(entered(&nodes))
     }
 }
 
 /// The lanes that a route enters.
-fn entered(nodes: &[Node]) -> Vec<u32> {
-    let lane = |node: &Node| match node {
-        Node::Start(lane) => Some(*lane),
+fn entered(nodes: &[RoadNode]) -> Vec<u32> {
+    let lane = |node: &RoadNode| match node {
+        RoadNode::Start(lane) => Some(*lane),
         _ => None,
     };
     nodes.iter().filter_map(lane).collect()

@@ -45,7 +45,7 @@ const SCALE: [u32; 4] = [1_000, 10_000, 100_000, 1_000_000];
 
 /// The benchmarks.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
-enum What {
+enum Benchmark {
     Infer,
     Ground,
     Tick,
@@ -54,24 +54,24 @@ enum What {
     Scale,
 }
 
-impl What {
-    const ALL: [What; 6] = [
-        What::Infer,
-        What::Ground,
-        What::Tick,
-        What::Env,
-        What::Render,
-        What::Scale,
+impl Benchmark {
+    const ALL: [Benchmark; 6] = [
+        Benchmark::Infer,
+        Benchmark::Ground,
+        Benchmark::Tick,
+        Benchmark::Env,
+        Benchmark::Render,
+        Benchmark::Scale,
     ];
 
     const fn name(self) -> &'static str {
         match self {
-            What::Infer => "infer",
-            What::Ground => "ground",
-            What::Tick => "tick",
-            What::Env => "env",
-            What::Render => "render",
-            What::Scale => "scale",
+            Benchmark::Infer => "infer",
+            Benchmark::Ground => "ground",
+            Benchmark::Tick => "tick",
+            Benchmark::Env => "env",
+            Benchmark::Render => "render",
+            Benchmark::Scale => "scale",
         }
     }
 }
@@ -83,8 +83,8 @@ pub struct Arguments {
     /// episodes of the configuration's task under a random policy, with observations. render: pictures like those of
     /// the visual data set, drawn, encoded as PNG and decoded, at difficulties 0 and 50, and smaller ones. scale:
     /// cities of 1000 agents up to --agents
-    #[arg(value_parser = one_of(&What::ALL, What::name))]
-    what: What,
+    #[arg(value_parser = one_of(&Benchmark::ALL, Benchmark::name))]
+    what: Benchmark,
     /// Configuration of the city
     #[arg(long, default_value = "configs/expert.yaml")]
     config: PathBuf,
@@ -259,16 +259,16 @@ fn peak_memory() -> Option<u64> {
 
 pub fn run(arguments: &Arguments, sources: &mut Sources) -> Result<(), Failure> {
     let misplaced = |option: &str, of: &str| Err(Failure::Usage(format!("{option} is for `bench {of}` only")));
-    if arguments.threads.is_some() && !matches!(arguments.what, What::Tick | What::Scale) {
+    if arguments.threads.is_some() && !matches!(arguments.what, Benchmark::Tick | Benchmark::Scale) {
         return misplaced("--threads", "tick|scale");
     }
-    if arguments.executor != Executor::Auto && arguments.what == What::Env {
+    if arguments.executor != Executor::Auto && arguments.what == Benchmark::Env {
         return misplaced("--executor", "infer|ground|tick|render|scale");
     }
-    if arguments.breakdown && arguments.what != What::Tick {
+    if arguments.breakdown && arguments.what != Benchmark::Tick {
         return misplaced("--breakdown", "tick");
     }
-    if arguments.scenes.is_some() && arguments.what != What::Infer {
+    if arguments.scenes.is_some() && arguments.what != Benchmark::Infer {
         return misplaced("--scenes", "infer");
     }
     let city = load_city(
@@ -277,7 +277,7 @@ pub fn run(arguments: &Arguments, sources: &mut Sources) -> Result<(), Failure> 
         arguments.rules.as_deref(),
         &arguments.limits,
     )?;
-    if arguments.what == What::Scale {
+    if arguments.what == Benchmark::Scale {
         let most = arguments.agents.unwrap_or(SCALE[SCALE.len() - 1]);
         let sizes = SCALE.into_iter().take_while(|&size| size < most);
         for size in sizes.chain([most]) {
@@ -290,11 +290,11 @@ pub fn run(arguments: &Arguments, sources: &mut Sources) -> Result<(), Failure> 
     }
     let mut bench = Bench::new(arguments, city, arguments.agents)?;
     match arguments.what {
-        What::Infer => bench.infer(),
-        What::Ground => bench.ground(),
-        What::Tick | What::Scale => bench.tick(bench.world.scenario.ticks, arguments.breakdown),
-        What::Env => bench.env(sources),
-        What::Render => bench.render(),
+        Benchmark::Infer => bench.infer(),
+        Benchmark::Ground => bench.ground(),
+        Benchmark::Tick | Benchmark::Scale => bench.tick(bench.world.scenario.ticks, arguments.breakdown),
+        Benchmark::Env => bench.env(sources),
+        Benchmark::Render => bench.render(),
     }
 }
 
@@ -610,7 +610,7 @@ impl<'a> Bench<'a> {
         set("ns_per_decision".to_owned(), json!(timed.nanoseconds(agents)));
         let peak = peak_memory().map(|bytes| bytes as f64 / f64::from(1 << 20));
         set("peak_rss_mb".to_owned(), json!(peak));
-        if self.arguments.what == What::Scale {
+        if self.arguments.what == Benchmark::Scale {
             let per_agent = peak_memory().map(|bytes| bytes as f64 / agents as f64);
             set("peak_bytes_per_agent".to_owned(), json!(per_agent));
         }

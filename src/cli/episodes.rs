@@ -24,11 +24,11 @@ use std::sync::Arc;
 #[derive(clap::Args)]
 pub struct Arguments {
     #[command(subcommand)]
-    what: What,
+    what: EpisodesCommand,
 }
 
 #[derive(clap::Subcommand)]
-enum What {
+enum EpisodesCommand {
     /// Generate episodes that the oracle solves, balanced over the kinds of egos, and write them to a file
     Make(Make),
     /// Verify that the oracle solves the recorded episodes exactly as recorded
@@ -101,10 +101,10 @@ struct Spread {
 /// Generates, checks or prints episodes, or measures the spread of their sets.
 pub fn run(arguments: &Arguments, sources: &mut Sources) -> Result<(), Failure> {
     match &arguments.what {
-        What::Make(make) => make.run(sources),
-        What::Check(which) => which.check(sources),
-        What::Show(show) => show.run(sources),
-        What::Spread(spread) => spread.run(sources),
+        EpisodesCommand::Make(make) => make.run(sources),
+        EpisodesCommand::Check(which) => which.check(sources),
+        EpisodesCommand::Show(show) => show.run(sources),
+        EpisodesCommand::Spread(spread) => spread.run(sources),
     }
 }
 

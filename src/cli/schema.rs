@@ -14,16 +14,16 @@ const EXPERIMENT_SCHEMA: &str = "configs/experiments/schema.json";
 
 /// The content of a file; the name is that of the definition in [`SCHEMA`], unless the content has its own schema.
 #[derive(Clone, Copy, PartialEq, Eq)]
-struct Part(&'static str);
+struct SchemaPart(&'static str);
 
-const TRAINING: Part = Part("training");
-const EXPERIMENT: Part = Part("experiment");
-const PARTS: [Part; 7] = [
-    Part("run"),
-    Part("map"),
-    Part("agents"),
-    Part("predicates"),
-    Part("task"),
+const TRAINING: SchemaPart = SchemaPart("training");
+const EXPERIMENT: SchemaPart = SchemaPart("experiment");
+const PARTS: [SchemaPart; 7] = [
+    SchemaPart("run"),
+    SchemaPart("map"),
+    SchemaPart("agents"),
+    SchemaPart("predicates"),
+    SchemaPart("task"),
     TRAINING,
     EXPERIMENT,
 ];
@@ -32,7 +32,7 @@ const PARTS: [Part; 7] = [
 pub struct Arguments {
     /// Content of the files: a run configuration, a part of one, a training configuration, or an experiment
     #[arg(value_parser = one_of(&PARTS, |part| part.0), default_value = "run")]
-    part: Part,
+    part: SchemaPart,
 }
 
 pub fn run(arguments: &Arguments) -> Result<(), Failure> {

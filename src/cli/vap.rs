@@ -25,11 +25,11 @@ use std::sync::Arc;
 #[derive(clap::Args)]
 pub struct Arguments {
     #[command(subcommand)]
-    what: What,
+    what: VapCommand,
 }
 
 #[derive(clap::Subcommand)]
-enum What {
+enum VapCommand {
     /// Make the worlds of a data set; existing worlds stay, so an interrupted run can be resumed
     Make(Make),
     /// Check files, hashes, order, pictures and boxes of a data set, and derive every label from the facts
@@ -117,9 +117,9 @@ struct Stats {
 
 pub fn run(arguments: &Arguments, sources: &mut Sources) -> Result<(), Failure> {
     match &arguments.what {
-        What::Make(make) => make.run(sources),
-        What::Check(check) => check.run(sources),
-        What::Stats(stats) => stats.run(sources),
+        VapCommand::Make(make) => make.run(sources),
+        VapCommand::Check(check) => check.run(sources),
+        VapCommand::Stats(stats) => stats.run(sources),
     }
 }
 

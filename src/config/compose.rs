@@ -18,7 +18,7 @@ use crate::datalog::codes::INCLUDE_CYCLE;
 use crate::diag::{self, Diagnostic, SourceId, Sources, similar_file};
 use crate::files::{BUILTIN_FOLDER, ReadError, ReadFile, normalize};
 use crate::yaml;
-use crate::yaml::{Node, Value};
+use crate::yaml::{Value, YamlNode};
 use std::collections::HashMap;
 use std::path::{Path, PathBuf};
 
@@ -120,7 +120,7 @@ impl<'a> Composer<'a> {
 
     /// Returns the tree of a file that the user named. A bare name such as `expert` means the file with this name in
     /// the folder of `kind`.
-    pub fn root(&mut self, path: &Path, kind: Kind, parts: &[(&str, Kind)]) -> Option<Node> {
+    pub fn root(&mut self, path: &Path, kind: Kind, parts: &[(&str, Kind)]) -> Option<YamlNode> {
         let mut found = match self.read.read_named(path) {
             Err(ReadError::NotFound) => self.find(path, path),
             read => read.map(|text| (path.to_owned(), text)),
@@ -183,30 +183,30 @@ impl<'a> Composer<'a> {
     }
 
     /// Returns the path of the existing rule file that a value names.
-    pub fn rule_file(&mut self, node: &Node) -> Option<PathBuf> {
+    pub fn rule_file(&mut self, node: &YamlNode) -> Option<PathBuf> {
         self.refer(node, RULES).map(|(path, _)| path)
     }
 
     /// Returns the path of the file that a value names; the file need not exist.
-    pub fn name_file(&mut self, node: &Node) -> Option<PathBuf> {
+    pub fn name_file(&mut self, node: &YamlNode) -> Option<PathBuf> {
         let reference = crate::yaml::read::text(node, "the path of a file", &mut self.faults)?;
         let folder = self.path_of(node).parent().unwrap_or(Path::new(""));
         Some(normalize(&folder.join(reference)))
     }
 
     /// Returns the name of the file that a tree came from, without its extension.
-    pub fn name_of(&self, node: &Node) -> String {
+    pub fn name_of(&self, node: &YamlNode) -> String {
         let stem = self.path_of(node).file_stem().unwrap_or_default();
         stem.to_string_lossy().into_owned()
     }
 
     /// Returns the path of the file that a tree came from.
-    pub fn path_of(&self, node: &Node) -> &Path {
+    pub fn path_of(&self, node: &YamlNode) -> &Path {
         let file = self.files.iter().find(|(id, _)| *id == node.span.source);
         file.map_or(Path::new(""), |(_, path)| path)
     }
 
-    fn refer(&mut self, node: &Node, kind: Kind) -> Option<(PathBuf, String)> {
+    fn refer(&mut self, node: &YamlNode, kind: Kind) -> Option<(PathBuf, String)> {
         let path = self.name_file(node)?;
         let reference = crate::yaml::read::text(node, "the path of a file", &mut self.faults)?;
         let folder = self.path_of(node).parent().unwrap_or(Path::new("")).to_owned();
@@ -263,7 +263,7 @@ impl<'a> Composer<'a> {
         kind: Kind,
         parts: &[(&str, Kind)],
         chain: &mut Vec<PathBuf>,
-    ) -> Option<Node> {
+    ) -> Option<YamlNode> {
         if text.len() > yaml::MAX_BYTES {
             let (length, limit) = (text.len(), yaml::MAX_BYTES);
             let message = format!("`{}` has {length} bytes, the limit is {limit}", path.display());
@@ -289,20 +289,26 @@ impl<'a> Composer<'a> {
 
     /// Replaces a path by the tree of its file, and inserts the base into a part written in place. A part that cannot
     /// be loaded becomes absent; its diagnostic has been pushed.
-    fn part(&mut self, part: &mut Node, kind: Kind, chain: &mut Vec<PathBuf>) {
+    fn part(&mut self, part: &mut YamlNode, kind: Kind, chain: &mut Vec<PathBuf>) {
         match &part.value {
             Value::Map(_) => self.base(part, kind, &[], chain),
             Value::Scalar { .. } if !part.is_null() => {
                 let span = part.span;
                 *part = self
                     .referred(part, kind, &[], chain)
-                    .unwrap_or(Node::new(span, Value::Absent));
+                    .unwrap_or(YamlNode::new(span, Value::Absent));
             }
             _ => {}
         }
     }
 
-    fn referred(&mut self, node: &Node, kind: Kind, parts: &[(&str, Kind)], chain: &mut Vec<PathBuf>) -> Option<Node> {
+    fn referred(
+        &mut self,
+        node: &YamlNode,
+        kind: Kind,
+        parts: &[(&str, Kind)],
+        chain: &mut Vec<PathBuf>,
+    ) -> Option<YamlNode> {
         let (path, text) = self.refer(node, kind)?;
         if chain.contains(&path) || chain.len() == MAX_CHAIN {
             let fault = if chain.len() == MAX_CHAIN {
@@ -321,7 +327,7 @@ impl<'a> Composer<'a> {
 
     /// Removes the key `base` and merges the other keys over the file that it names. If that file cannot be loaded, the
     /// other keys remain, marked as partial.
-    fn base(&mut self, node: &mut Node, kind: Kind, parts: &[(&str, Kind)], chain: &mut Vec<PathBuf>) {
+    fn base(&mut self, node: &mut YamlNode, kind: Kind, parts: &[(&str, Kind)], chain: &mut Vec<PathBuf>) {
         let Value::Map(entries) = &mut node.value else { return };
         let Some(at) = entries.iter().position(|(key, _)| key.text == "base") else {
             return;
@@ -332,7 +338,7 @@ impl<'a> Composer<'a> {
             Some(mut base) => {
                 base.span = node.span;
                 let over = std::mem::replace(node, base);
-                merge(node, Node { whole: false, ..over });
+                merge(node, YamlNode { whole: false, ..over });
                 if node.partial {
                     node.mark_partial();
                 }
@@ -343,7 +349,7 @@ impl<'a> Composer<'a> {
     }
 }
 
-fn merge(base: &mut Node, over: Node) {
+fn merge(base: &mut YamlNode, over: YamlNode) {
     match (&mut base.value, over.value) {
         (Value::Map(kept), Value::Map(entries)) if !over.whole => {
             let index: HashMap<String, usize> = kept
@@ -364,7 +370,7 @@ fn merge(base: &mut Node, over: Node) {
             // A missing key is reported in the file that overrides the others.
             base.span = over.span;
         }
-        (_, value) => *base = Node { value, ..over },
+        (_, value) => *base = YamlNode { value, ..over },
     }
 }
 

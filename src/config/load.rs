@@ -15,7 +15,7 @@ use crate::files::BUILTIN_FOLDER;
 use crate::located::Located;
 use crate::yaml;
 use crate::yaml::read::{Fields, choice, integer, invalid, list, number, text};
-use crate::yaml::{Node, Value};
+use crate::yaml::{Value, YamlNode};
 use sha2::{Digest, Sha256};
 use std::path::Path;
 
@@ -137,7 +137,7 @@ const PARTS: [(&str, &str, &[&str]); 4] = [
 ];
 
 /// Returns the key and the description of the part that a tree holds instead of a run configuration.
-fn part_of_run(tree: &Node) -> Option<(&'static str, &'static str)> {
+fn part_of_run(tree: &YamlNode) -> Option<(&'static str, &'static str)> {
     let Value::Map(entries) = &tree.value else { return None };
     let has = |keys: &[&str]| entries.iter().any(|(key, _)| keys.contains(&key.text.as_str()));
     if has(&PARTS.map(|(key, ..)| key)) || has(&["rules"]) {
@@ -148,7 +148,7 @@ fn part_of_run(tree: &Node) -> Option<(&'static str, &'static str)> {
 }
 
 /// Reports a file that holds a part of a run configuration instead of one.
-fn is_part(composer: &mut Composer<'_>, tree: &Node) -> bool {
+fn is_part(composer: &mut Composer<'_>, tree: &YamlNode) -> bool {
     let Some((key, what)) = part_of_run(tree) else {
         return false;
     };
@@ -163,7 +163,7 @@ fn is_part(composer: &mut Composer<'_>, tree: &Node) -> bool {
     true
 }
 
-fn scenario(composer: &mut Composer<'_>, tree: &Node) -> Option<Scenario> {
+fn scenario(composer: &mut Composer<'_>, tree: &YamlNode) -> Option<Scenario> {
     if is_part(composer, tree) {
         return None;
     }
@@ -226,7 +226,7 @@ fn scenario(composer: &mut Composer<'_>, tree: &Node) -> Option<Scenario> {
 }
 
 /// Returns the value of [`Scenario::composed`].
-fn composed(tree: &Node) -> serde_json::Value {
+fn composed(tree: &YamlNode) -> serde_json::Value {
     let mut json = tree.to_json();
     if let Some(keys) = json.as_object_mut() {
         keys.shift_remove("rules");
@@ -243,7 +243,7 @@ fn hash(scenario: &Scenario) -> String {
     format!("{:x}", Sha256::digest(json))
 }
 
-fn map(map: &Node, name: String, faults: &mut Vec<Diagnostic>) -> Option<MapConfig> {
+fn map(map: &YamlNode, name: String, faults: &mut Vec<Diagnostic>) -> Option<MapConfig> {
     let mut fields = Fields::open(map, "a map", faults)?;
     fields.optional("base");
     let blocks = fields.required("blocks", faults).and_then(|node| {
@@ -274,7 +274,7 @@ fn map(map: &Node, name: String, faults: &mut Vec<Diagnostic>) -> Option<MapConf
     })
 }
 
-fn widths(node: &Node, faults: &mut Vec<Diagnostic>) -> Option<Widths> {
+fn widths(node: &YamlNode, faults: &mut Vec<Diagnostic>) -> Option<Widths> {
     let mut fields = Fields::open(node, "the widths of a map", faults)?;
     let mut width = |key| {
         fields
@@ -294,16 +294,16 @@ fn widths(node: &Node, faults: &mut Vec<Diagnostic>) -> Option<Widths> {
 
 /// Reports buildings whose rows come from another file than the blocks and have another size.
 fn other_blocks(
-    map: &Node,
-    node: &Node,
-    rows: &[Node],
+    map: &YamlNode,
+    node: &YamlNode,
+    rows: &[YamlNode],
     blocks: Located<[u32; 2]>,
     faults: &mut Vec<Diagnostic>,
 ) -> bool {
     if node.span.source == blocks.span.source {
         return false;
     }
-    let letters = |row: &Node| match &row.value {
+    let letters = |row: &YamlNode| match &row.value {
         Value::Scalar { text, .. } => text.chars().filter(|letter| !letter.is_whitespace()).count(),
         _ => 0,
     };
@@ -340,8 +340,8 @@ fn other_blocks(
 }
 
 fn buildings(
-    map: &Node,
-    node: &Node,
+    map: &YamlNode,
+    node: &YamlNode,
     blocks: Option<Located<[u32; 2]>>,
     faults: &mut Vec<Diagnostic>,
 ) -> Option<Buildings> {
@@ -406,7 +406,7 @@ fn buildings(
     }
 }
 
-fn building_row(node: &Node, wanted: Option<usize>, faults: &mut Vec<Diagnostic>) -> Option<Vec<Building>> {
+fn building_row(node: &YamlNode, wanted: Option<usize>, faults: &mut Vec<Diagnostic>) -> Option<Vec<Building>> {
     let row = text(node, "a row of building letters", faults)?;
     let mut buildings = Vec::new();
     for (byte, letter) in row.char_indices().filter(|(_, letter)| !letter.is_whitespace()) {
@@ -436,7 +436,7 @@ fn building_row(node: &Node, wanted: Option<usize>, faults: &mut Vec<Diagnostic>
 }
 
 /// Returns the place of a part of a scalar, or the whole scalar if it is quoted and may contain escapes.
-fn inside(node: &Node, text: &str, part: std::ops::Range<usize>) -> Span {
+fn inside(node: &YamlNode, text: &str, part: std::ops::Range<usize>) -> Span {
     let start = node.span.range().start;
     match &node.value {
         Value::Scalar { plain: true, .. } if node.span.range().len() == text.len() => {
@@ -446,7 +446,7 @@ fn inside(node: &Node, text: &str, part: std::ops::Range<usize>) -> Span {
     }
 }
 
-fn random_buildings(node: &Node, faults: &mut Vec<Diagnostic>) -> Option<Buildings> {
+fn random_buildings(node: &YamlNode, faults: &mut Vec<Diagnostic>) -> Option<Buildings> {
     let mut fields = Fields::open(node, "random buildings", faults)?;
     let seed = fields
         .required("seed", faults)
@@ -471,8 +471,8 @@ fn random_buildings(node: &Node, faults: &mut Vec<Diagnostic>) -> Option<Buildin
 }
 
 /// Returns the region of each split, in the order of [`Split::ALL`].
-fn regions(node: &Node, faults: &mut Vec<Diagnostic>) -> [Option<Located<u32>>; 3] {
-    let region = |node: &Node, faults: &mut Vec<Diagnostic>| {
+fn regions(node: &YamlNode, faults: &mut Vec<Diagnostic>) -> [Option<Located<u32>>; 3] {
+    let region = |node: &YamlNode, faults: &mut Vec<Diagnostic>| {
         let value = integer(node, 1..=MAX_REGION, faults)?;
         Some(Located { value, span: node.span })
     };
@@ -488,7 +488,7 @@ fn regions(node: &Node, faults: &mut Vec<Diagnostic>) -> [Option<Located<u32>>; 
 }
 
 fn splits(
-    node: &Node,
+    node: &YamlNode,
     predicates: Option<&Predicates>,
     regions: &[Option<Located<u32>>; 3],
     faults: &mut Vec<Diagnostic>,
@@ -516,7 +516,7 @@ fn splits(
 }
 
 fn agents(
-    node: &Node,
+    node: &YamlNode,
     split: Split,
     region: Option<Located<u32>>,
     concepts: Option<&Concepts<'_>>,
@@ -572,7 +572,7 @@ fn agents(
 /// Reads one entry of an agent list. `room` is what remains of [`MAX_AGENTS`]; a carried concept counts as much as an
 /// agent.
 fn group(
-    node: &Node,
+    node: &YamlNode,
     kind: AgentKind,
     room: &mut u32,
     known: Option<&Concepts<'_>>,
@@ -613,7 +613,7 @@ fn group(
     })
 }
 
-fn actions(node: &Node, faults: &mut Vec<Diagnostic>) -> Option<ActionsConfig> {
+fn actions(node: &YamlNode, faults: &mut Vec<Diagnostic>) -> Option<ActionsConfig> {
     let speeds = Action::ALL.map(|action| (action.name(), action));
     let mut fields = Fields::open(node, "the actions", faults)?;
     let priority = fields.required("priority", faults).and_then(|node| {

@@ -5,7 +5,7 @@ use crate::config::model::*;
 use crate::diag::{self, Diagnostic, MAX_FAULTS, Span, did_you_mean, listed};
 use crate::located::Located;
 use crate::predicate::{Concept, Definition, Sees};
-use crate::yaml::Node;
+use crate::yaml::YamlNode;
 use crate::yaml::codes;
 use crate::yaml::read::{Fields, entries, is_name, list, name};
 use std::collections::HashMap;
@@ -22,7 +22,7 @@ pub(super) struct Predicates {
     defined: Vec<PredicateConfig>,
 }
 
-pub(super) fn predicates(node: &Node, faults: &mut Vec<Diagnostic>) -> Option<Predicates> {
+pub(super) fn predicates(node: &YamlNode, faults: &mut Vec<Diagnostic>) -> Option<Predicates> {
     let before = faults.len();
     let mut fields = Fields::open(node, "the predicates", faults)?;
     fields.optional("base");
@@ -82,7 +82,11 @@ pub(super) fn predicates(node: &Node, faults: &mut Vec<Diagnostic>) -> Option<Pr
 }
 
 /// Returns the predicates that `use` names, in its order.
-fn selected(node: &Node, defined: &[PredicateConfig], faults: &mut Vec<Diagnostic>) -> Option<Vec<PredicateConfig>> {
+fn selected(
+    node: &YamlNode,
+    defined: &[PredicateConfig],
+    faults: &mut Vec<Diagnostic>,
+) -> Option<Vec<PredicateConfig>> {
     let mut used: Vec<PredicateConfig> = Vec::new();
     for item in list(node, "names of predicates", faults)? {
         let Some(wanted) = name(item, "the name of a predicate", faults) else {
@@ -189,7 +193,7 @@ impl<'p> Concepts<'p> {
 
 /// Reads the concepts of one entry of an agent list.
 pub(super) fn carried(
-    node: &Node,
+    node: &YamlNode,
     kind: AgentKind,
     known: Option<&Concepts<'_>>,
     faults: &mut Vec<Diagnostic>,

@@ -7,7 +7,7 @@ use crate::config::predicates::{Concepts, Predicates, carried};
 use crate::diag::Diagnostic;
 use crate::located::Located;
 use crate::yaml::read::{Fields, choice, entries, integer, invalid, list, number};
-use crate::yaml::{Node, Value};
+use crate::yaml::{Value, YamlNode};
 use std::sync::Arc;
 
 /// The maximum number of observed entities.
@@ -26,7 +26,7 @@ const MAX_STAGE_AGENTS: u32 = 1_000_000;
 const MAX_REWARD: f64 = 1e6;
 
 /// Reads the configuration of Safe Path Following.
-pub(super) fn spf(composer: &mut Composer<'_>, node: &Node, predicates: Option<&Predicates>) -> Option<SpfConfig> {
+pub(super) fn spf(composer: &mut Composer<'_>, node: &YamlNode, predicates: Option<&Predicates>) -> Option<SpfConfig> {
     let mut fields = Fields::open(node, "a task", &mut composer.faults)?;
     fields.optional("base");
     let episodes = fields.optional("episodes").map(|node| episodes(composer, node));
@@ -63,16 +63,16 @@ pub(super) fn spf(composer: &mut Composer<'_>, node: &Node, predicates: Option<&
     })
 }
 
-fn yes_or_no(node: &Node, faults: &mut Vec<Diagnostic>) -> Option<bool> {
+fn yes_or_no(node: &YamlNode, faults: &mut Vec<Diagnostic>) -> Option<bool> {
     choice(node, &[("true", true), ("false", false)], faults)
 }
 
-fn reward_value(node: &Node, faults: &mut Vec<Diagnostic>) -> Option<f64> {
+fn reward_value(node: &YamlNode, faults: &mut Vec<Diagnostic>) -> Option<f64> {
     let range = -MAX_REWARD..=MAX_REWARD;
     number(node, range, "a reward from -1e6 to 1e6; costs are negative", faults)
 }
 
-fn reward(node: &Node, faults: &mut Vec<Diagnostic>) -> Option<RewardConfig> {
+fn reward(node: &YamlNode, faults: &mut Vec<Diagnostic>) -> Option<RewardConfig> {
     let mut fields = Fields::open(node, "the reward", faults)?;
     let actions = fields.required("actions", faults).and_then(|node| {
         let mut fields = Fields::open(node, "the rewards of actions", faults)?;
@@ -94,7 +94,7 @@ fn reward(node: &Node, faults: &mut Vec<Diagnostic>) -> Option<RewardConfig> {
     let clauses = fields.optional("clauses").map(|node| {
         let entries = entries(node, "rewards by labels of clauses", faults)?.iter();
         let present = entries.filter(|(_, node)| !node.is_null());
-        let clause = |(key, node): &(crate::yaml::Key, Node)| {
+        let clause = |(key, node): &(crate::yaml::Key, YamlNode)| {
             let value = reward_value(node, faults)?;
             let label = Located {
                 value: key.text.clone(),
@@ -124,7 +124,7 @@ fn reward(node: &Node, faults: &mut Vec<Diagnostic>) -> Option<RewardConfig> {
     })
 }
 
-fn potential(node: &Node, faults: &mut Vec<Diagnostic>) -> Option<Potential> {
+fn potential(node: &YamlNode, faults: &mut Vec<Diagnostic>) -> Option<Potential> {
     let mut fields = Fields::open(node, "the potential", faults)?;
     let default = Potential::default();
     let weight = (fields.optional("weight")).map_or(Some(default.weight), |node| {
@@ -143,10 +143,10 @@ fn potential(node: &Node, faults: &mut Vec<Diagnostic>) -> Option<Potential> {
     })
 }
 
-fn curriculum(node: &Node, faults: &mut Vec<Diagnostic>) -> Option<Vec<CurriculumStage>> {
+fn curriculum(node: &YamlNode, faults: &mut Vec<Diagnostic>) -> Option<Vec<CurriculumStage>> {
     let stages = list(node, "stages with `until` and `agents`", faults)?;
     let mut reached = 0;
-    let stage = |item: &Node| {
+    let stage = |item: &YamlNode| {
         let mut fields = Fields::open(item, "a stage of the curriculum", faults)?;
         let until_node = fields.required("until", faults);
         let until = until_node.and_then(|node| integer(node, 1..=MAX_EPISODES, faults));
@@ -169,13 +169,13 @@ fn curriculum(node: &Node, faults: &mut Vec<Diagnostic>) -> Option<Vec<Curriculu
     stages.into_iter().collect()
 }
 
-fn ego(node: &Node, predicates: Option<&Predicates>, faults: &mut Vec<Diagnostic>) -> Option<EgoConfig> {
+fn ego(node: &YamlNode, predicates: Option<&Predicates>, faults: &mut Vec<Diagnostic>) -> Option<EgoConfig> {
     let mut fields = Fields::open(node, "the ego", faults)?;
     let priority = (fields.required("priority", faults)).and_then(|node| by_split(node, faults));
     let known = predicates.map(Concepts::new);
     let concepts = fields.required("concepts", faults).and_then(|node| {
         let items = list(node, "variants of the ego", faults)?;
-        let weighted = |item: &Node| {
+        let weighted = |item: &YamlNode| {
             let mut fields = Fields::open(item, "a variant of the ego", faults)?;
             let weight = (fields.required("weight", faults))
                 .and_then(|node| number(node, 0.0..=1e9, "a weight from 0 to 1e9", faults));
@@ -201,7 +201,7 @@ fn ego(node: &Node, predicates: Option<&Predicates>, faults: &mut Vec<Diagnostic
 }
 
 /// Reads one number, or one for each split; all splits are required.
-fn by_split(node: &Node, faults: &mut Vec<Diagnostic>) -> Option<[u32; 3]> {
+fn by_split(node: &YamlNode, faults: &mut Vec<Diagnostic>) -> Option<[u32; 3]> {
     let most = i32::MAX.cast_unsigned();
     if !matches!(node.value, Value::Map(_)) {
         return integer(node, 1..=most, faults).map(|value| [value; 3]);
@@ -216,7 +216,7 @@ fn by_split(node: &Node, faults: &mut Vec<Diagnostic>) -> Option<[u32; 3]> {
     Some([train?, val?, test?])
 }
 
-fn episodes(composer: &mut Composer<'_>, node: &Node) -> Option<[Option<Located<std::path::PathBuf>>; 3]> {
+fn episodes(composer: &mut Composer<'_>, node: &YamlNode) -> Option<[Option<Located<std::path::PathBuf>>; 3]> {
     let mut fields = Fields::open(node, "the files of episodes", &mut composer.faults)?;
     let nodes = Split::ALL.map(|split| fields.optional(split.name()));
     fields.close(&mut composer.faults);

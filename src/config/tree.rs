@@ -4,12 +4,12 @@ use crate::config::compose::{Composer, Kind, Read};
 use crate::config::load::finish;
 use crate::diag::{Code, Diagnostic, Sources};
 use crate::yaml::codes;
-use crate::yaml::{Node, Value};
+use crate::yaml::{Value, YamlNode};
 use serde_json::Value as Json;
 use std::path::Path;
 
 /// A configuration file with its `base` merged in.
-pub struct Tree(Node);
+pub struct Tree(YamlNode);
 
 /// Loads a configuration file without interpreting its keys. A bare name such as `dqn-easy` means `dqn-easy.yaml` in
 /// `folder`. Otherwise like [`load_scenario`](super::load_scenario).

@@ -84,7 +84,7 @@ impl Candidate {
     }
 }
 
-struct Node {
+struct BeamNode {
     chosen: Bits,
     positive: Rc<Rows>,
     negative: Rc<Rows>,
@@ -109,7 +109,7 @@ pub fn beam(
     open: &[Vec<u64>; 2],
     cancel: &Cancel,
 ) -> Option<(i64, Candidate)> {
-    let root = Node {
+    let root = BeamNode {
         chosen: bits::empty(problem.atoms.len()),
         positive: Rc::new(problem.all(problem.positive).into_owned()),
         negative: Rc::new(problem.all(problem.negative).into_owned()),
@@ -173,7 +173,7 @@ pub fn beam(
                 let (parent, atom) = (&nodes[extension.parent], &problem.atoms[extension.literal]);
                 let is_true = bits::contains(seed, extension.literal);
                 let negative = problem.restrict(problem.negative, &parent.negative, atom, is_true);
-                Node {
+                BeamNode {
                     positive: Rc::new(problem.restrict(problem.positive, &parent.positive, atom, is_true)),
                     negative_rows: negative.count(),
                     negative: Rc::new(negative),

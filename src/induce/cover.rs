@@ -38,7 +38,7 @@ pub fn cheapest_cover(columns: &[(Vec<u64>, u32)], cancel: &Cancel) -> Cover {
     }
     let costs: Vec<u32> = columns.iter().map(|(_, cost)| *cost).collect();
     let best = greedy(&elements, &costs);
-    let mut search = Search {
+    let mut search = CoverSearch {
         best_cost: best.iter().map(|&column| costs[column]).sum(),
         elements,
         costs,
@@ -69,7 +69,7 @@ fn greedy(elements: &[Vec<usize>], costs: &[u32]) -> Vec<usize> {
     chosen
 }
 
-struct Search<'a> {
+struct CoverSearch<'a> {
     /// For each element, the columns that cover it.
     elements: Vec<Vec<usize>>,
     costs: Vec<u32>,
@@ -79,7 +79,7 @@ struct Search<'a> {
     cancel: &'a Cancel,
 }
 
-impl Search<'_> {
+impl CoverSearch<'_> {
     /// Tries the columns of the uncovered element that has the fewest.
     fn extend(&mut self, is_chosen: &mut Vec<bool>, chosen: &mut Vec<usize>, cost: u32) {
         self.nodes += 1;

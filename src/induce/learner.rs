@@ -8,7 +8,7 @@ use crate::induce::examples::{Examples, State, majority};
 use crate::induce::noise;
 use crate::induce::problem::{LabeledColumns, Problem};
 use crate::induce::rules::{ActionRules, LearnedClause, LearnedRules, Noise, Progress, Settings};
-use crate::induce::search::{FoundClause, Search};
+use crate::induce::search::{ExampleSearch, FoundClause};
 use crate::induce::vocabulary::{Body, LITERAL_COST, VARIABLES_MAX, Vocabulary};
 use crate::rng::{self, Purpose, Seed};
 use crate::threads;
@@ -245,7 +245,7 @@ impl ClauseSearch<'_> {
             }
             let problem = &self.problems[variables - fewest];
             let counted = problem.open(&uncovered);
-            let search = |seed| Search::new(problem, seed, &counted, cancel).best(self.settings.nodes);
+            let search = |seed| ExampleSearch::new(problem, seed, &counted, cancel).best(self.settings.nodes);
             let found: Vec<FoundClause> = problem.all_seeds(tries).par_iter().filter_map(search).collect();
             for found in found {
                 if best.as_ref().is_none_or(|best| found.score > best.score) {

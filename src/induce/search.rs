@@ -38,7 +38,7 @@ pub struct FoundClause {
     pub is_best: bool,
 }
 
-struct Node {
+struct SearchNode {
     /// An upper bound of the score of each extension.
     bound: i64,
     /// Position in the order of creation, to break ties.
@@ -51,28 +51,28 @@ struct Node {
     compared: usize,
 }
 
-impl PartialEq for Node {
+impl PartialEq for SearchNode {
     fn eq(&self, other: &Self) -> bool {
         self.cmp(other) == Ordering::Equal
     }
 }
 
-impl Eq for Node {}
+impl Eq for SearchNode {}
 
-impl PartialOrd for Node {
+impl PartialOrd for SearchNode {
     fn partial_cmp(&self, other: &Self) -> Option<Ordering> {
         Some(self.cmp(other))
     }
 }
 
-impl Ord for Node {
+impl Ord for SearchNode {
     fn cmp(&self, other: &Self) -> Ordering {
         self.bound.cmp(&other.bound).then(other.number.cmp(&self.number))
     }
 }
 
 /// The search for the clauses of one example and one assignment.
-pub struct Search<'a> {
+pub struct ExampleSearch<'a> {
     problem: &'a Problem<'a>,
     /// The true atoms of the example.
     seed: &'a Bits,
@@ -83,10 +83,10 @@ pub struct Search<'a> {
     cancel: &'a Cancel,
 }
 
-impl<'a> Search<'a> {
+impl<'a> ExampleSearch<'a> {
     /// Prepares a search. `open` are the positive states that count.
-    pub fn new(problem: &'a Problem<'a>, seed: &'a Bits, open: &'a Open<'a>, cancel: &'a Cancel) -> Search<'a> {
-        Search {
+    pub fn new(problem: &'a Problem<'a>, seed: &'a Bits, open: &'a Open<'a>, cancel: &'a Cancel) -> ExampleSearch<'a> {
+        ExampleSearch {
             problem,
             seed,
             open,
@@ -107,7 +107,7 @@ impl<'a> Search<'a> {
         let everything = self.problem.all(self.problem.negative);
         self.exclude(&everything, SAMPLE)?;
         let mut heap = BinaryHeap::new();
-        heap.push(Node {
+        heap.push(SearchNode {
             bound: i64::MAX,
             number: 0,
             chosen: bits::empty(self.problem.atoms.len()),
@@ -185,7 +185,7 @@ impl<'a> Search<'a> {
     }
 
     /// Finds the exclusions since the last comparison that no chosen literal meets.
-    fn compare(&self, node: &mut Node) {
+    fn compare(&self, node: &mut SearchNode) {
         for (at, exclusion) in self.exclusions.iter().enumerate().skip(node.compared) {
             if !bits::intersects(exclusion, &node.chosen) {
                 node.open.push(at as u32);
@@ -195,7 +195,7 @@ impl<'a> Search<'a> {
     }
 
     /// Adds a node for each of the literals. Each bans those before it.
-    fn branch(&self, heap: &mut BinaryHeap<Node>, node: Node, choices: &Bits, number: &mut u32) {
+    fn branch(&self, heap: &mut BinaryHeap<SearchNode>, node: SearchNode, choices: &Bits, number: &mut u32) {
         let mut banned = node.banned;
         for literal in bits::elements(choices) {
             // With many rows, one literal takes a tenth of a second.
@@ -217,7 +217,7 @@ impl<'a> Search<'a> {
             let cost = self.problem.cost(&chosen, self.seed);
             let atom = &self.problem.atoms[literal];
             let rows = (self.problem).restrict(self.open.columns, &node.rows, atom, is_true);
-            heap.push(Node {
+            heap.push(SearchNode {
                 bound: self.score(&rows, cost + further * LITERAL_COST),
                 number: *number,
                 chosen,
@@ -260,7 +260,7 @@ impl<'a> Search<'a> {
     }
 
     /// Completes a clause greedily: the literal that excludes the most rows comes first.
-    fn complete(mut self, mut node: Node) -> Option<FoundClause> {
+    fn complete(mut self, mut node: SearchNode) -> Option<FoundClause> {
         while !self.cancel.requested() {
             while !node.open.is_empty() {
                 let mut gains = vec![0_u32; self.problem.atoms.len()];
@@ -289,7 +289,7 @@ impl<'a> Search<'a> {
     }
 
     /// Drops the literals that the clause does not need, negative ones first.
-    fn finish(&self, node: &Node, is_best: bool) -> FoundClause {
+    fn finish(&self, node: &SearchNode, is_best: bool) -> FoundClause {
         let mut chosen = node.chosen.clone();
         let mut order: Vec<usize> = bits::elements(&chosen).collect();
         order.sort_by_key(|&literal| (bits::contains(self.seed, literal), literal));

@@ -6,7 +6,7 @@ use crate::induce::cover::cheapest_cover;
 use crate::induce::learner::learn_here;
 use crate::induce::problem::LabeledColumns;
 use crate::induce::rules::clauses_hold;
-use crate::induce::search::{EXAMPLE, Search};
+use crate::induce::search::{EXAMPLE, ExampleSearch};
 use crate::induce::vocabulary::{ARITY_MAX, tuples};
 use crate::induce::{
     Body, Constraints, Examples, LearnedRules, Link, Literal, Noise, Predicate, Settings, State, Vocabulary, learn,
@@ -249,7 +249,7 @@ proptest! {
             }
             let counted: Vec<&State> = bits::elements(&open).map(|state| positive[state]).collect();
             let counted_columns = columns.columns(&vocabulary, &counted);
-            let found = Search::new(&problem, &example, &problem.open(&counted_columns), &never).best(u32::MAX);
+            let found = ExampleSearch::new(&problem, &example, &problem.open(&counted_columns), &never).best(u32::MAX);
             prop_assert!(found.as_ref().is_none_or(|found| found.is_best));
             prop_assert_eq!(found.map(|found| found.score), best);
         }

@@ -35,7 +35,7 @@ const SCRIPT: &str = concat!(
 );
 
 /// The kind of a part, the number of its run, and its packed data.
-pub type Part = (&'static str, usize, String);
+pub type PagePart = (&'static str, usize, String);
 
 /// Returns data as compressed JSON in base 64.
 pub fn packed(data: &impl Serialize) -> io::Result<String> {
@@ -49,7 +49,7 @@ pub fn packed(data: &impl Serialize) -> io::Result<String> {
 ///
 /// # Errors
 /// Errors of `out`.
-pub fn write_parts(title: &str, parts: &[Part], out: &mut impl Write) -> io::Result<()> {
+pub fn write_parts(title: &str, parts: &[PagePart], out: &mut impl Write) -> io::Result<()> {
     let title = title.replace('&', "&amp;").replace('<', "&lt;");
     let (start, rest) = split(TEMPLATE, "{{POLICY}}");
     let (before, rest) = split(rest, "{{TITLE}}");

@@ -8,7 +8,7 @@ use crate::diag::Diagnostic;
 #[cfg(test)]
 use crate::predicate::Definition;
 use crate::predicate::{PairKind, Phrase, PredicateKind, Reach, Relation, Sight, Subject, Syntax, Views};
-use crate::yaml::Node;
+use crate::yaml::YamlNode;
 use crate::yaml::read::{Fields, number};
 use serde::Serialize;
 
@@ -55,7 +55,7 @@ impl PredicateKind for Colliding {
     }
 }
 
-fn read(node: &Node, faults: &mut Vec<Diagnostic>) -> Option<Colliding> {
+fn read(node: &YamlNode, faults: &mut Vec<Diagnostic>) -> Option<Colliding> {
     let mut fields = Fields::open(node, "the definition of a collision", faults)?;
     let mut value = |key, most: f64, what| {
         fields

@@ -10,7 +10,7 @@ use crate::predicate::Definition;
 use crate::predicate::{PairKind, Phrase, PredicateKind, Reach, Relation, Sight, Subject, Syntax, Views};
 use crate::yaml::codes;
 use crate::yaml::read::{Fields, invalid, number};
-use crate::yaml::{Node, Value};
+use crate::yaml::{Value, YamlNode};
 use serde::Serialize;
 
 /// The Euclidean distance d in cells is within the present bounds.
@@ -66,7 +66,7 @@ impl PredicateKind for Distance {
     }
 }
 
-fn read(node: &Node, faults: &mut Vec<Diagnostic>) -> Option<Distance> {
+fn read(node: &YamlNode, faults: &mut Vec<Diagnostic>) -> Option<Distance> {
     let before = faults.len();
     let Some(mut fields) = Fields::open(node, "a distance", faults) else {
         let number = match &node.value {

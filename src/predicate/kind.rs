@@ -5,7 +5,7 @@ use crate::diag::Diagnostic;
 #[cfg(test)]
 use crate::predicate::Definition;
 use crate::predicate::{Phrase, PredicateKind, StaticKind, Syntax};
-use crate::yaml::Node;
+use crate::yaml::YamlNode;
 use crate::yaml::read::choice;
 use serde::Serialize;
 
@@ -40,6 +40,6 @@ impl StaticKind for Kind {
 }
 
 /// Parses a kind of agent.
-pub(super) fn read(node: &Node, faults: &mut Vec<Diagnostic>) -> Option<AgentKind> {
+pub(super) fn read(node: &YamlNode, faults: &mut Vec<Diagnostic>) -> Option<AgentKind> {
     choice(node, &AgentKind::ALL.map(|kind| (kind.name(), kind)), faults)
 }

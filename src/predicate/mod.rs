@@ -33,7 +33,7 @@ use crate::city::{AgentKind, Cell, CityMap, FieldOfView, Heading, Junction};
 use crate::diag::Diagnostic;
 use crate::yaml::codes;
 use crate::yaml::read::{Fields, choice};
-use crate::yaml::{Node, Value};
+use crate::yaml::{Value, YamlNode};
 use serde::{Serialize, Serializer};
 
 pub use colliding::Colliding;
@@ -98,7 +98,7 @@ pub(crate) enum Syntax {
     /// A mapping with exactly these keys. The first key identifies the kind; the function gets the value of each key.
     Keys(
         &'static [&'static str],
-        fn(&[&Node], &mut Vec<Diagnostic>) -> Option<Definition>,
+        fn(&[&YamlNode], &mut Vec<Diagnostic>) -> Option<Definition>,
     ),
     /// No syntax: every scenario has the predicate.
     Always,
@@ -506,7 +506,7 @@ impl Definition {
     }
 
     /// Parses a definition in a configuration.
-    pub(crate) fn read(node: &Node, faults: &mut Vec<Diagnostic>) -> Option<Definition> {
+    pub(crate) fn read(node: &YamlNode, faults: &mut Vec<Diagnostic>) -> Option<Definition> {
         if matches!(node.value, Value::Scalar { .. }) {
             let words = SYNTAX.iter().filter_map(|syntax| match syntax {
                 Syntax::Word(word, definition) => Some((*word, *definition)),
@@ -522,11 +522,11 @@ impl Definition {
         let mut fields = Fields::open(node, "the definition of a predicate", faults)?;
         let further_keys = mappings.clone().flat_map(|(keys, _)| &keys[1..]);
         let keys = mappings.clone().map(|(keys, _)| &keys[0]).chain(further_keys);
-        let given: Vec<(&str, &Node)> = keys.filter_map(|key| Some((*key, fields.optional(key)?))).collect();
+        let given: Vec<(&str, &YamlNode)> = keys.filter_map(|key| Some((*key, fields.optional(key)?))).collect();
         fields.close(faults);
         let value = |key: &&str| Some(given.iter().find(|(given, _)| given == key)?.1);
         let found = mappings.clone().find_map(|(keys, read)| {
-            let nodes: Vec<&Node> = keys.iter().map(value).collect::<Option<_>>()?;
+            let nodes: Vec<&YamlNode> = keys.iter().map(value).collect::<Option<_>>()?;
             (nodes.len() == given.len()).then_some((nodes, read))
         });
         if faults.len() > before {
@@ -574,7 +574,7 @@ const NEAR: [&str; 8] = ["near", "close", "within", "radius", "range", "max", "a
 const FAR: [&str; 5] = ["far", "beyond", "min", "at_least", "above"];
 
 /// Adds help to the faults of unknown keys in a definition.
-fn explain_unknown_keys(node: &Node, faults: &mut [Diagnostic]) {
+fn explain_unknown_keys(node: &YamlNode, faults: &mut [Diagnostic]) {
     let Value::Map(entries) = &node.value else { return };
     for fault in faults {
         let place = fault.primary.as_ref().map(|label| label.span);

@@ -132,7 +132,7 @@ impl Situations {
             });
         }
         let relations = pairs.iter().map(|pair| pair.relation()).collect::<Vec<_>>();
-        let mut search = Search {
+        let mut search = SituationSearch {
             groups: groups(&pairs),
             found: Found {
                 with: vec![0; relations.len()],
@@ -254,7 +254,7 @@ fn groups(pairs: &[&Pair]) -> [Group; 3] {
     ]
 }
 
-struct Search {
+struct SituationSearch {
     relations: Vec<PairRelation>,
     /// The relations of the first agent, of the second one, and of neither.
     groups: [Group; 3],
@@ -267,7 +267,7 @@ struct Search {
     found: Found,
 }
 
-impl Search {
+impl SituationSearch {
     /// Adds the situations of two agents with this offset.
     fn add(&mut self, offset: [i32; 2]) {
         let pose = self.poses.first().copied().unwrap_or((AgentKind::Car, None));

@@ -2,7 +2,7 @@
 //! and what hides a part of the icon. None of it depends on the class.
 
 use crate::render::difficulty::Difficulty;
-use crate::render::picture::{Body, PixelBox, Stamp};
+use crate::render::picture::{PixelBox, Silhouette, Stamp};
 use crate::render::sketch::{Dice, Ink, Sketch};
 use crate::rng::{Purpose, Rng, RngExt, Seed};
 use resvg::tiny_skia::{Pixmap, Transform};
@@ -152,7 +152,7 @@ impl Framing {
         let opaque = |col: u32, row: u32| pixmap.pixel(col, row).is_some_and(|pixel| pixel.alpha() >= 128);
         Some(Stamp {
             area,
-            body: Arc::new(Body::new(area, opaque)),
+            body: Arc::new(Silhouette::new(area, opaque)),
             pixels: pixmap.data().to_vec(),
         })
     }

@@ -5,7 +5,7 @@ use crate::render::class::{Class, Facing, Subject};
 use crate::render::difficulty::{Difficulty, DrawingVersion, Style};
 use crate::render::framing::Framing;
 use crate::render::pack::{Mode, Pack, shrunk};
-use crate::render::picture::{Body, PixelBox, Stamp};
+use crate::render::picture::{PixelBox, Silhouette, Stamp};
 use crate::render::sketch::{Dice, Ink, Sketch, byte};
 use crate::render::{building, car, pedestrian};
 use crate::rng::{Purpose, Rng, Seed};
@@ -42,7 +42,7 @@ struct Kept {
     /// Total size of the stamps' pixels, in bytes.
     bytes: usize,
     /// Bodies, also of icons without a stamp.
-    bodies: BTreeMap<Key, Arc<Body>>,
+    bodies: BTreeMap<Key, Arc<Silhouette>>,
     /// Total size of the bodies, in bytes.
     body_bytes: usize,
 }
@@ -60,7 +60,7 @@ pub struct Icons {
 }
 
 impl Kept {
-    fn note_body(&mut self, key: &Key, body: &Arc<Body>) {
+    fn note_body(&mut self, key: &Key, body: &Arc<Silhouette>) {
         if self.body_bytes > BODIES_KEPT {
             (self.bodies, self.body_bytes) = Default::default();
         }
@@ -197,7 +197,7 @@ impl Icons {
     }
 
     /// Returns the body of an icon, as in its stamp; does not draw the stamp.
-    pub(super) fn body(&self, class: &Class, instance: u32, facing: Facing, size: u32) -> Arc<Body> {
+    pub(super) fn body(&self, class: &Class, instance: u32, facing: Facing, size: u32) -> Arc<Silhouette> {
         let key = self.key(class, instance, facing, size);
         if let Some(body) = self.kept().bodies.get(&key) {
             return Arc::clone(body);
@@ -559,7 +559,7 @@ impl Layers {
 const HALF_OPAQUE: u8 = 128;
 
 /// Returns the pixels of a body that are at least half opaque.
-fn body_of(pixmap: &Pixmap) -> Body {
+fn body_of(pixmap: &Pixmap) -> Silhouette {
     let area = bounds(pixmap, HALF_OPAQUE).unwrap_or(PixelBox {
         x: 0,
         y: 0,
@@ -569,7 +569,7 @@ fn body_of(pixmap: &Pixmap) -> Body {
     let pixel = |from: i32, side: u32| (from + (side / 2).cast_signed()).cast_unsigned();
     let (left, top) = (pixel(area.x, pixmap.width()), pixel(area.y, pixmap.height()));
     let alpha = |col, row| pixmap.pixel(left + col, top + row).map_or(0, |pixel| pixel.alpha());
-    Body::new(area, |col, row| alpha(col, row) >= HALF_OPAQUE)
+    Silhouette::new(area, |col, row| alpha(col, row) >= HALF_OPAQUE)
 }
 
 /// Returns the box of pixels with at least this opacity, relative to the center.

@@ -352,12 +352,12 @@ fn urls(text: &str) -> impl Iterator<Item = &str> {
 
 /// Rejects elements and references that nest too deep, because the rasterizer recurses as deep, and those that multiply.
 fn check_nesting(document: &roxmltree::Document<'_>) -> Result<(), String> {
-    type Node<'a> = roxmltree::Node<'a, 'a>;
+    type SvgNode<'a> = roxmltree::Node<'a, 'a>;
     /// Returns the depth below a node, and the number of elements drawn for it; `None` if the depth exceeds `left`.
     fn below<'a>(
-        node: Node<'a>,
+        node: SvgNode<'a>,
         left: usize,
-        ids: &BTreeMap<&str, Vec<Node<'a>>>,
+        ids: &BTreeMap<&str, Vec<SvgNode<'a>>>,
         known: &mut BTreeMap<usize, (usize, usize)>,
     ) -> Option<(usize, usize)> {
         if let Some(&(depth, drawn)) = known.get(&node.id().get_usize()) {
@@ -373,7 +373,7 @@ fn check_nesting(document: &roxmltree::Document<'_>) -> Result<(), String> {
             .flatten()
             .copied();
         let (mut deepest, mut sum) = (0, 1_usize);
-        for next in node.children().filter(Node::is_element).chain(targets) {
+        for next in node.children().filter(SvgNode::is_element).chain(targets) {
             let (depth, drawn) = below(next, left, ids, known)?;
             deepest = deepest.max(depth);
             sum = sum.saturating_add(drawn);
@@ -381,9 +381,9 @@ fn check_nesting(document: &roxmltree::Document<'_>) -> Result<(), String> {
         known.insert(node.id().get_usize(), (deepest + 1, sum));
         Some((deepest + 1, sum))
     }
-    let elements = || document.descendants().filter(Node::is_element);
+    let elements = || document.descendants().filter(SvgNode::is_element);
     // Several elements may have one name; readers differ in which they choose.
-    let mut ids: BTreeMap<&str, Vec<Node<'_>>> = BTreeMap::new();
+    let mut ids: BTreeMap<&str, Vec<SvgNode<'_>>> = BTreeMap::new();
     for node in elements() {
         if let Some(id) = node.attribute("id") {
             ids.entry(id).or_default().push(node);

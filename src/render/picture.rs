@@ -50,22 +50,22 @@ impl PixelBox {
 
 /// The pixels of an agent itself, without shadow or marks: those where its icon is at least half opaque.
 #[derive(Clone, Debug, PartialEq, Eq)]
-pub(super) struct Body {
+pub(super) struct Silhouette {
     /// Their box, relative to the center of the icon; the center if there are no such pixels.
     pub(super) area: PixelBox,
     /// One bit per pixel of the box, row by row.
     bits: Box<[u64]>,
 }
 
-impl Body {
+impl Silhouette {
     /// Returns the body with the pixels of the box for which `is_in` returns true, by column and row of the box.
-    pub(super) fn new(area: PixelBox, is_in: impl Fn(u32, u32) -> bool) -> Body {
+    pub(super) fn new(area: PixelBox, is_in: impl Fn(u32, u32) -> bool) -> Silhouette {
         let mut bits = vec![0; (area.width as usize * area.height as usize).div_ceil(64)];
         for (row, col) in (0..area.height).flat_map(|row| (0..area.width).map(move |col| (row, col))) {
             let bit = row as usize * area.width as usize + col as usize;
             bits[bit / 64] |= u64::from(is_in(col, row)) << (bit % 64);
         }
-        Body {
+        Silhouette {
             area,
             bits: bits.into(),
         }
@@ -89,7 +89,7 @@ impl Body {
 
     /// Returns its size in memory, in bytes.
     pub(super) fn bytes(&self) -> usize {
-        size_of::<Body>() + size_of_val(&*self.bits)
+        size_of::<Silhouette>() + size_of_val(&*self.bits)
     }
 }
 
@@ -99,7 +99,7 @@ pub struct Stamp {
     /// The area of the pixels, relative to the center.
     pub(super) area: PixelBox,
     /// The pixels of the agent itself, without shadow or marks.
-    pub(super) body: Arc<Body>,
+    pub(super) body: Arc<Silhouette>,
     /// Premultiplied RGBA, row by row.
     pub(super) pixels: Vec<u8>,
 }

@@ -7,7 +7,7 @@ use crate::render::ground;
 use crate::render::ground::Look;
 use crate::render::icon::Icons;
 use crate::render::picture::Picture;
-use crate::render::picture::{Body, PixelBox, Stamp};
+use crate::render::picture::{PixelBox, Silhouette, Stamp};
 use crate::render::sprite::Sprite;
 use crate::render::view::Viewport;
 use crate::render::weather::Weather;
@@ -168,7 +168,7 @@ fn drawing_order(agents: &[Sprite<'_>]) -> impl DoubleEndedIterator<Item = usize
 
 /// A body at its place.
 struct PlacedBody {
-    body: Arc<Body>,
+    body: Arc<Silhouette>,
     /// Its center.
     x: i32,
     y: i32,

@@ -1,7 +1,7 @@
 //! Reads YAML: the tree of a file with places, and typed values from it.
 //!
 //! ```text
-//! text --parse--> Node (values with places) --read--> typed values, all faults
+//! text --parse--> YamlNode (values with places) --read--> typed values, all faults
 //! ```
 //!
 //! This module does not know which keys there are or what they mean.
@@ -10,4 +10,4 @@ pub mod codes;
 pub(crate) mod read;
 mod tree;
 
-pub(crate) use tree::{Key, MAX_BYTES, MAX_NODES, Node, Value, parse};
+pub(crate) use tree::{Key, MAX_BYTES, MAX_NODES, Value, YamlNode, parse};

@@ -5,12 +5,12 @@
 
 use crate::diag::{Diagnostic, Span, did_you_mean};
 use crate::yaml::codes;
-use crate::yaml::{Key, Node, Value};
+use crate::yaml::{Key, Value, YamlNode};
 use std::fmt::Display;
 use std::ops::RangeInclusive;
 
 /// Reports that a value is not what was expected.
-pub(crate) fn invalid(node: &Node, expected: impl Display, faults: &mut Vec<Diagnostic>) {
+pub(crate) fn invalid(node: &YamlNode, expected: impl Display, faults: &mut Vec<Diagnostic>) {
     let message = format!("expected {expected}, found {}", node.describe());
     let mut fault = Diagnostic::new(codes::INVALID_VALUE, message).at(node.span, "");
     fault.help.extend(node.missing_space());
@@ -22,7 +22,7 @@ pub(crate) struct Fields<'n> {
     /// The name of the mapping in messages, with its article: `a map`.
     what: &'static str,
     span: Span,
-    entries: &'n [(Key, Node)],
+    entries: &'n [(Key, YamlNode)],
     allowed: Vec<&'static str>,
     missing: Vec<&'static str>,
     /// Whether keys may be missing because the base could not be loaded.
@@ -30,7 +30,7 @@ pub(crate) struct Fields<'n> {
 }
 
 impl<'n> Fields<'n> {
-    pub fn open(node: &'n Node, what: &'static str, faults: &mut Vec<Diagnostic>) -> Option<Self> {
+    pub fn open(node: &'n YamlNode, what: &'static str, faults: &mut Vec<Diagnostic>) -> Option<Self> {
         Some(Fields {
             what,
             span: node.span,
@@ -42,13 +42,13 @@ impl<'n> Fields<'n> {
     }
 
     /// Returns the value of a key; a null value counts as absent.
-    pub fn optional(&mut self, key: &'static str) -> Option<&'n Node> {
+    pub fn optional(&mut self, key: &'static str) -> Option<&'n YamlNode> {
         self.allowed.push(key);
         let (_, node) = self.find(key)?;
         (!matches!(node.value, Value::Absent) && !node.is_null()).then_some(node)
     }
 
-    pub fn required(&mut self, key: &'static str, faults: &mut Vec<Diagnostic>) -> Option<&'n Node> {
+    pub fn required(&mut self, key: &'static str, faults: &mut Vec<Diagnostic>) -> Option<&'n YamlNode> {
         let node = self.optional(key);
         if node.is_some() {
             return node;
@@ -69,7 +69,7 @@ impl<'n> Fields<'n> {
         self.close_with(None, faults);
     }
 
-    fn find(&self, key: &str) -> Option<&'n (Key, Node)> {
+    fn find(&self, key: &str) -> Option<&'n (Key, YamlNode)> {
         self.entries.iter().find(|(given, _)| given.text == key)
     }
 
@@ -104,7 +104,11 @@ impl<'n> Fields<'n> {
 }
 
 /// Returns the entries of a mapping with arbitrary keys.
-pub(crate) fn entries<'n>(node: &'n Node, what: &str, faults: &mut Vec<Diagnostic>) -> Option<&'n [(Key, Node)]> {
+pub(crate) fn entries<'n>(
+    node: &'n YamlNode,
+    what: &str,
+    faults: &mut Vec<Diagnostic>,
+) -> Option<&'n [(Key, YamlNode)]> {
     match &node.value {
         Value::Map(entries) => Some(entries),
         _ => {
@@ -114,7 +118,7 @@ pub(crate) fn entries<'n>(node: &'n Node, what: &str, faults: &mut Vec<Diagnosti
     }
 }
 
-pub(crate) fn list<'n>(node: &'n Node, what: &str, faults: &mut Vec<Diagnostic>) -> Option<&'n [Node]> {
+pub(crate) fn list<'n>(node: &'n YamlNode, what: &str, faults: &mut Vec<Diagnostic>) -> Option<&'n [YamlNode]> {
     match &node.value {
         Value::List(items) => Some(items),
         _ => {
@@ -124,7 +128,7 @@ pub(crate) fn list<'n>(node: &'n Node, what: &str, faults: &mut Vec<Diagnostic>)
     }
 }
 
-pub(crate) fn text<'n>(node: &'n Node, what: &str, faults: &mut Vec<Diagnostic>) -> Option<&'n str> {
+pub(crate) fn text<'n>(node: &'n YamlNode, what: &str, faults: &mut Vec<Diagnostic>) -> Option<&'n str> {
     match &node.value {
         Value::Scalar { text, .. } if !node.is_null() => Some(text),
         _ => {
@@ -135,7 +139,7 @@ pub(crate) fn text<'n>(node: &'n Node, what: &str, faults: &mut Vec<Diagnostic>)
 }
 
 /// Reads a word that is valid in rule files and scenes: letters, digits and `_`, no digit first.
-pub(crate) fn name<'n>(node: &'n Node, what: &str, faults: &mut Vec<Diagnostic>) -> Option<&'n str> {
+pub(crate) fn name<'n>(node: &'n YamlNode, what: &str, faults: &mut Vec<Diagnostic>) -> Option<&'n str> {
     let text = text(node, what, faults)?;
     if is_name(text) {
         return Some(text);
@@ -154,7 +158,7 @@ pub(crate) fn is_name(text: &str) -> bool {
 }
 
 /// Reads one of a few words, ignoring case.
-pub(crate) fn choice<T: Copy>(node: &Node, choices: &[(&str, T)], faults: &mut Vec<Diagnostic>) -> Option<T> {
+pub(crate) fn choice<T: Copy>(node: &YamlNode, choices: &[(&str, T)], faults: &mut Vec<Diagnostic>) -> Option<T> {
     let words = || choices.iter().map(|&(word, _)| word);
     let list = || words().map(|word| format!("`{word}`")).collect::<Vec<_>>().join(", ");
     let text = match &node.value {
@@ -175,7 +179,7 @@ pub(crate) fn choice<T: Copy>(node: &Node, choices: &[(&str, T)], faults: &mut V
 }
 
 /// Reads an integer within a range.
-pub(crate) fn integer<T>(node: &Node, range: RangeInclusive<T>, faults: &mut Vec<Diagnostic>) -> Option<T>
+pub(crate) fn integer<T>(node: &YamlNode, range: RangeInclusive<T>, faults: &mut Vec<Diagnostic>) -> Option<T>
 where
     T: std::str::FromStr + PartialOrd + Display + Copy,
 {
@@ -194,7 +198,12 @@ where
 }
 
 /// Reads a finite number within a range; `what` describes it in messages.
-pub(crate) fn number(node: &Node, range: RangeInclusive<f64>, what: &str, faults: &mut Vec<Diagnostic>) -> Option<f64> {
+pub(crate) fn number(
+    node: &YamlNode,
+    range: RangeInclusive<f64>,
+    what: &str,
+    faults: &mut Vec<Diagnostic>,
+) -> Option<f64> {
     let value = match &node.value {
         Value::Scalar { text, plain: true } => text.parse().ok().filter(|value| range.contains(value)),
         _ => None,

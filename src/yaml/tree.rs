@@ -1,7 +1,7 @@
 //! Parses YAML to a tree with the place of each value.
 //!
 //! ```text
-//! text --events of the YAML crate--> Node (spans, duplicate keys reported, aliases expanded, size bounded)
+//! text --events of the YAML crate--> YamlNode (spans, duplicate keys reported, aliases expanded, size bounded)
 //! ```
 //!
 //! The parser builds the tree from events rather than through serde, because serde stops at the first fault and its
@@ -25,7 +25,7 @@ pub(crate) const MAX_NODES: usize = 200_000;
 
 /// A YAML value and its place.
 #[derive(Clone, Debug)]
-pub(crate) struct Node {
+pub(crate) struct YamlNode {
     /// The scalar; for a block collection its key, or else its own first key; for a collection in brackets its first
     /// line.
     pub span: Span,
@@ -43,8 +43,8 @@ pub(crate) enum Value {
         /// Whether it has no quotes: `5` is a number and `~` is null, but `"5"` and `"~"` are text.
         plain: bool,
     },
-    List(Vec<Node>),
-    Map(Vec<(Key, Node)>),
+    List(Vec<YamlNode>),
+    Map(Vec<(Key, YamlNode)>),
     /// The reference could not be loaded; its diagnostic has been pushed.
     Absent,
 }
@@ -55,9 +55,9 @@ pub(crate) struct Key {
     pub span: Span,
 }
 
-impl Node {
+impl YamlNode {
     pub fn new(span: Span, value: Value) -> Self {
-        Node {
+        YamlNode {
             span,
             value,
             whole: false,
@@ -98,7 +98,7 @@ impl Node {
             _ if self.is_null() => Json::Null,
             Value::Scalar { text, plain: false } => Json::from(text.as_str()),
             Value::Scalar { text, plain: true } => plain_to_json(text),
-            Value::List(items) => items.iter().map(Node::to_json).collect(),
+            Value::List(items) => items.iter().map(YamlNode::to_json).collect(),
             Value::Map(entries) => {
                 let entries = entries.iter().map(|(key, value)| (key.text.clone(), value.to_json()));
                 Json::Object(entries.collect::<Map<_, _>>())
@@ -180,7 +180,7 @@ fn plain_to_json(text: &str) -> Json {
 
 /// A collection whose end has not been parsed.
 struct Open {
-    node: Node,
+    node: YamlNode,
     block: bool,
     anchor: usize,
     /// In a mapping: the key that waits for its value; the inner `None` if the key is not text.
@@ -189,7 +189,7 @@ struct Open {
 
 /// The value of an alias.
 struct Anchored {
-    node: Node,
+    node: YamlNode,
     extent: Extent,
 }
 
@@ -210,7 +210,7 @@ struct Builder<'a> {
     text: &'a str,
     open: Vec<Open>,
     anchors: HashMap<usize, Anchored>,
-    root: Option<Node>,
+    root: Option<YamlNode>,
     nodes_left: &'a mut usize,
     faults: &'a mut Vec<Diagnostic>,
 }
@@ -222,7 +222,7 @@ pub(crate) fn parse(
     source: SourceId,
     nodes_left: &mut usize,
     faults: &mut Vec<Diagnostic>,
-) -> Option<Node> {
+) -> Option<YamlNode> {
     let text = sources.text(source);
     let start = Span::new(source, 0..0);
     let mut options = serde_yaml::granit_parser::Options::default();
@@ -356,7 +356,7 @@ impl Builder<'_> {
         }
         let mut open = |value, style, anchor| {
             self.open.push(Open {
-                node: Node::new(span, value),
+                node: YamlNode::new(span, value),
                 block: style == StructureStyle::Block,
                 anchor,
                 key: None,
@@ -366,7 +366,7 @@ impl Builder<'_> {
             Event::Scalar(text, style, anchor, _) => {
                 self.spend(1, span)?;
                 let (text, plain) = (text.into_owned(), style == ScalarStyle::Plain);
-                self.finished(Node::new(span, Value::Scalar { text, plain }), anchor)?;
+                self.finished(YamlNode::new(span, Value::Scalar { text, plain }), anchor)?;
             }
             Event::SequenceStart(style, anchor, _) => open(Value::List(Vec::new()), style, anchor),
             Event::MappingStart(style, anchor, _) => open(Value::Map(Vec::new()), style, anchor),
@@ -423,7 +423,7 @@ impl Builder<'_> {
     }
 
     /// Adds a complete value to its collection.
-    fn finished(&mut self, node: Node, anchor: usize) -> Progress {
+    fn finished(&mut self, node: YamlNode, anchor: usize) -> Progress {
         if anchor != 0 {
             let extent = extent(&node);
             self.spend(extent.nodes, node.span)?;
@@ -458,7 +458,7 @@ impl Builder<'_> {
 }
 
 /// Reports keys without a value, such as `{view:40}`, that lack a space after the colon.
-fn drop_glued(entries: &mut Vec<(Key, Node)>, faults: &mut Vec<Diagnostic>) {
+fn drop_glued(entries: &mut Vec<(Key, YamlNode)>, faults: &mut Vec<Diagnostic>) {
     entries.retain(|(key, value)| {
         let help = space_help(&key.text).filter(|_| value.is_null());
         let (Some(help), Some((word, _))) = (help, glued(&key.text)) else {
@@ -471,7 +471,7 @@ fn drop_glued(entries: &mut Vec<(Key, Node)>, faults: &mut Vec<Diagnostic>) {
 }
 
 /// Reports duplicate keys and keeps the first of each.
-fn drop_duplicates(entries: &mut Vec<(Key, Node)>, faults: &mut Vec<Diagnostic>) {
+fn drop_duplicates(entries: &mut Vec<(Key, YamlNode)>, faults: &mut Vec<Diagnostic>) {
     let mut first: HashMap<String, Span> = HashMap::new();
     entries.retain(|(key, _)| match first.get(&key.text) {
         None => {
@@ -486,8 +486,8 @@ fn drop_duplicates(entries: &mut Vec<(Key, Node)>, faults: &mut Vec<Diagnostic>)
     });
 }
 
-fn extent(node: &Node) -> Extent {
-    let around = |inside: &mut dyn Iterator<Item = &Node>| {
+fn extent(node: &YamlNode) -> Extent {
+    let around = |inside: &mut dyn Iterator<Item = &YamlNode>| {
         let sum = inside.map(extent).fold(Extent::default(), |sum, one| Extent {
             nodes: sum.nodes + one.nodes,
             depth: sum.depth.max(one.depth),

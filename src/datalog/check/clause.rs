@@ -11,7 +11,7 @@ use crate::diag::{self, Diagnostic, Faults, Span};
 use crate::symbol::Symbols;
 
 use crate::check::body;
-use crate::check::body::Body;
+use crate::check::body::UnguardedClause;
 use crate::check::clauses::{Checked, Clauses, Known, VariableType, reads_as_constant};
 use crate::check::inline;
 use crate::check::names::Names;
@@ -341,7 +341,7 @@ fn alternative(
     let written_out: Option<Vec<&ast::Literal>> = written_out.as_ref().map(|literals| literals.iter().collect());
     let body = written_out.as_deref().unwrap_or(body);
     let checked = body::check(clause, head, body, scopes.current(), names, out, faults);
-    let Some(Body {
+    let Some(UnguardedClause {
         head,
         body: mut literals,
         variables,

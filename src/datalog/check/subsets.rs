@@ -74,11 +74,11 @@ pub(crate) struct Subsets<E> {
     /// The rank of the first element that may be free.
     free: usize,
     /// The nodes of the trie; the first one is the root.
-    nodes: Vec<Node>,
+    nodes: Vec<TrieNode>,
 }
 
 #[derive(Default)]
-struct Node {
+struct TrieNode {
     /// The children by the rank of the next element.
     children: BTreeMap<usize, usize>,
     /// The numbers of the sets that end at this node.
@@ -103,14 +103,14 @@ impl<E: Clone + Ord + Hash> Subsets<E> {
                 .map(|(.., element)| element.clone())
                 .zip(0..)
                 .collect(),
-            nodes: vec![Node::default()],
+            nodes: vec![TrieNode::default()],
         };
         for (number, set) in sets {
             let node = set_of_ranks(set, &subsets.ranks).into_iter().fold(0, |node, rank| {
                 let new = subsets.nodes.len();
                 let child = *subsets.nodes[node].children.entry(rank).or_insert(new);
                 if child == new {
-                    subsets.nodes.push(Node::default());
+                    subsets.nodes.push(TrieNode::default());
                 }
                 child
             });
@@ -128,7 +128,7 @@ impl<E: Clone + Ord + Hash> Subsets<E> {
         let mut found = Vec::new();
         let mut open = vec![0];
         while let Some(node) = open.pop() {
-            let Node { children, sets } = &self.nodes[node];
+            let TrieNode { children, sets } = &self.nodes[node];
             let before = open.len();
             if children.len() < ranks.len() {
                 let has = |rank: usize| rank >= free || ranks.contains(&rank);

@@ -316,7 +316,7 @@ impl Pattern {
 
     fn search(&self, other: &Pattern, theory: &dyn Theory, renaming: bool, budget: &mut Budget) -> bool {
         budget.part(STEPS_OF_PAIR, |budget| {
-            let mut search = Search {
+            let mut search = SubstitutionSearch {
                 theory,
                 general: &self.general,
                 special: &other.special,
@@ -464,7 +464,7 @@ fn makes_redundant(
 }
 
 /// The state of the search for a substitution.
-struct Search<'a> {
+struct SubstitutionSearch<'a> {
     theory: &'a dyn Theory,
     general: &'a [Fact],
     special: &'a [Fact],
@@ -477,7 +477,7 @@ struct Search<'a> {
     budget: &'a mut Budget,
 }
 
-impl Search<'_> {
+impl SubstitutionSearch<'_> {
     /// Returns whether the facts of the general clause from `at` on follow from the special clause.
     fn fact(&mut self, at: usize) -> bool {
         let Some(wanted) = self.general.get(at) else {

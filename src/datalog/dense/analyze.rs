@@ -1,7 +1,7 @@
 //! Decides which strata the dense executor can evaluate.
 
 use crate::check::{Atom, ClauseId, Literal, RelId, Rules, Stratum, Term};
-use crate::dense::body::{Body, PAIR, decompose};
+use crate::dense::body::{DenseBody, PAIR, decompose};
 use crate::dense::program::Dense;
 use crate::diag::Span;
 use crate::syntax::ast::{BaseType, Comparison};
@@ -203,7 +203,7 @@ pub fn choose(rules: &Rules) -> Choice {
 
 /// Returns the maximum number of steps that the searches of a clause take.
 fn steps(rules: &Rules, clause: ClauseId, entities: u64, egos: u64) -> u64 {
-    let Some(body) = Body::new(&rules.clauses[clause.index()]) else {
+    let Some(body) = DenseBody::new(&rules.clauses[clause.index()]) else {
         return 0;
     };
     let (groups, first) = (body.groups(), body.second_of_head());

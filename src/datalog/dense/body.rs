@@ -36,7 +36,7 @@ impl Lit {
 }
 
 /// A body over numbered variables.
-pub(super) struct Body {
+pub(super) struct DenseBody {
     /// The number of variables, the head's first.
     variables: usize,
     pub literals: Vec<Lit>,
@@ -44,9 +44,9 @@ pub(super) struct Body {
     pair: bool,
 }
 
-impl Body {
+impl DenseBody {
     /// Translates a body; `None` if it never holds.
-    pub fn new(clause: &Clause) -> Option<Body> {
+    pub fn new(clause: &Clause) -> Option<DenseBody> {
         let mut numbers: BTreeMap<u32, Var> = BTreeMap::new();
         let mut variables = 0;
         let mut fresh = || {
@@ -109,7 +109,7 @@ impl Body {
         if literals.iter().any(contradicts) {
             return None;
         }
-        Some(Body {
+        Some(DenseBody {
             variables,
             literals,
             pair,
@@ -166,8 +166,8 @@ fn about(relation: RelId, terms: &[Var], holds: bool) -> Lit {
     }
 }
 
-/// A search for values of the variables of one group: one step per variable.
-pub(super) type Search = Vec<Seek>;
+/// How to search for values of the variables of one group: one step per variable.
+pub(super) type SearchPlan = Vec<Seek>;
 
 /// A step of a search.
 #[derive(Clone, Debug, Default, PartialEq, Eq, PartialOrd, Ord)]
@@ -185,7 +185,7 @@ pub(super) enum Relates {
     Same,
 }
 
-impl Body {
+impl DenseBody {
     /// Returns the conditions on one variable alone.
     pub fn properties(&self, var: Var) -> Vec<(Property, bool)> {
         let of = |literal: &Lit| match *literal {
@@ -212,9 +212,9 @@ impl Body {
         self.literals.iter().filter_map(of).collect()
     }
 
-    /// Returns a search for a group. It begins with `first`, if given. It tests `guards` first, since they leave few
-    /// values.
-    pub fn search(&self, group: &[Var], first: Option<Var>, guards: &[RelId]) -> Search {
+    /// Returns how to search for a group. The search begins with `first`, if given. It tests `guards` first, since they
+    /// leave few values.
+    pub fn search(&self, group: &[Var], first: Option<Var>, guards: &[RelId]) -> SearchPlan {
         let order = match group.len() {
             0..=PAIR => self.most_known_first(group, first),
             _ => self.last_eliminated_first(group, first),
@@ -325,7 +325,7 @@ pub(super) struct Branch {
 }
 
 /// Decomposes a search of a group of several variables. The first step is the root.
-pub(super) fn decompose(search: &Search) -> Vec<Branch> {
+pub(super) fn decompose(search: &SearchPlan) -> Vec<Branch> {
     let mut branches: Vec<Branch> = (search.iter())
         .map(|seek| {
             let bound: BTreeSet<usize> = seek.relations.iter().map(|&(_, to, _)| to).collect();

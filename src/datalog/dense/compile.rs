@@ -2,7 +2,7 @@
 
 use crate::check::{ClauseId, Literal, RelId, Rules};
 use crate::dense::analyze::Choice;
-use crate::dense::body::{Body, Lit, PAIR, Property, Relates, Search, Seek, decompose};
+use crate::dense::body::{DenseBody, Lit, PAIR, Property, Relates, SearchPlan, Seek, decompose};
 use crate::dense::program::{
     Any, Argument, Branch, DemandOp, Dense, Fired, Home, Input, List, Op, Place, Range, Rare, Reg, SearchStep, Test,
     TrackFirings,
@@ -21,8 +21,8 @@ impl Dense {
             derived[relation.index()] = true;
         }
         let clauses = strata().flat_map(|(_, stratum)| &stratum.clauses);
-        let bodies: Vec<(ClauseId, Body)> = clauses
-            .filter_map(|&clause| Some((clause, Body::new(&rules.clauses[clause.index()])?)))
+        let bodies: Vec<(ClauseId, DenseBody)> = clauses
+            .filter_map(|&clause| Some((clause, DenseBody::new(&rules.clauses[clause.index()])?)))
             .collect();
 
         let mut compiler = Compiler::new(rules, counting, derived);
@@ -83,8 +83,8 @@ struct Compiler<'a> {
     changes: Vec<Changes>,
     /// Searches that several clauses share. Each clause adds its conditions on the head's first variable over given
     /// predicates.
-    shared: BTreeMap<Search, Vec<Vec<(Property, bool)>>>,
-    known_searches: BTreeMap<Search, Reg>,
+    shared: BTreeMap<SearchPlan, Vec<Vec<(Property, bool)>>>,
+    known_searches: BTreeMap<SearchPlan, Reg>,
     /// The sets of derived one-column predicates.
     heads: Vec<Reg>,
 }
@@ -139,7 +139,7 @@ impl<'a> Compiler<'a> {
     }
 
     /// Numbers the input sets and determines whether the program is local.
-    fn find_inputs(&mut self, bodies: &[(ClauseId, Body)], steady: impl Fn(RelId) -> bool) {
+    fn find_inputs(&mut self, bodies: &[(ClauseId, DenseBody)], steady: impl Fn(RelId) -> bool) {
         let mut given = BTreeSet::new();
         for literal in bodies.iter().flat_map(|(_, body)| &body.literals) {
             if let Lit::Is(property, _, holds) = *literal {
@@ -172,7 +172,7 @@ impl<'a> Compiler<'a> {
     }
 
     /// Finds the searches to share between clauses.
-    fn find_shared(&mut self, bodies: &[(ClauseId, Body)]) {
+    fn find_shared(&mut self, bodies: &[(ClauseId, DenseBody)]) {
         for (_, body) in bodies {
             let mut asked = body.properties(0);
             asked.retain(|(property, _)| self.is_given(*property));
@@ -226,7 +226,7 @@ impl<'a> Compiler<'a> {
         }
     }
 
-    fn clause(&mut self, id: ClauseId, body: &Body) {
+    fn clause(&mut self, id: ClauseId, body: &DenseBody) {
         let head = self.rules.clauses[id.index()].head.relation;
         let mut asked = self.ask(&body.properties(0));
         asked.push(Asked::of(Reg::EGOS));
@@ -292,7 +292,7 @@ impl<'a> Compiler<'a> {
     }
 
     /// Returns the set of entities for which a shared search succeeds, among those that some clause demands.
-    fn shared_search(&mut self, search: Search) -> Reg {
+    fn shared_search(&mut self, search: SearchPlan) -> Reg {
         if let Some(&set) = self.known_searches.get(&search) {
             return set;
         }
@@ -320,14 +320,14 @@ impl<'a> Compiler<'a> {
     }
 
     /// Returns the members of both `left` and `right` for which a search succeeds.
-    fn exists(&mut self, left: Reg, right: Reg, search: &Search) -> Reg {
+    fn exists(&mut self, left: Reg, right: Reg, search: &SearchPlan) -> Reg {
         let dst = self.cleared(Changes::Often);
         self.add_existing(DemandOp { dst, left, right }, search);
         dst
     }
 
     /// Adds the demanded entities for which a search succeeds.
-    fn add_existing(&mut self, demand: DemandOp, search: &Search) {
+    fn add_existing(&mut self, demand: DemandOp, search: &SearchPlan) {
         let steps = self.steps(search);
         let op = match self.any(demand, &steps) {
             Some(op) => op,
@@ -338,7 +338,7 @@ impl<'a> Compiler<'a> {
     }
 
     /// Adds the tree of a search.
-    fn branches(&mut self, search: &Search, steps: Vec<SearchStep>) -> Range {
+    fn branches(&mut self, search: &SearchPlan, steps: Vec<SearchStep>) -> Range {
         let branches = (decompose(search).into_iter().zip(steps)).map(|(branch, step)| {
             let mut others = branch.separator;
             others.pop();
@@ -494,7 +494,7 @@ impl<'a> Compiler<'a> {
         dst
     }
 
-    fn steps(&mut self, search: &Search) -> Vec<SearchStep> {
+    fn steps(&mut self, search: &SearchPlan) -> Vec<SearchStep> {
         let step = |seek: &Seek| {
             let asked = self.ask(&seek.properties);
             let tests = (seek.relations.iter())

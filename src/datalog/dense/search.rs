@@ -41,8 +41,8 @@ pub(super) fn search<'a, const W: usize, P>(
     rows: &'a [Set<W>],
     count: usize,
     pairs: &'a P,
-) -> Search<'a, W, P> {
-    Search {
+) -> ValueSearch<'a, W, P> {
+    ValueSearch {
         program,
         sets,
         rows,
@@ -52,7 +52,7 @@ pub(super) fn search<'a, const W: usize, P>(
 }
 
 /// A search for values of variables.
-pub(super) struct Search<'a, const W: usize, P> {
+pub(super) struct ValueSearch<'a, const W: usize, P> {
     pub program: &'a Dense,
     pub sets: &'a [Set<W>],
     rows: &'a [Set<W>],
@@ -60,7 +60,7 @@ pub(super) struct Search<'a, const W: usize, P> {
     pub pairs: &'a P,
 }
 
-impl<const W: usize, P: BinaryFacts<W>> Search<'_, W, P> {
+impl<const W: usize, P: BinaryFacts<W>> ValueSearch<'_, W, P> {
     /// Returns the members of `demand` for which all steps have values.
     #[inline(never)]
     pub fn exists(&self, demand: Set<W>, steps: Range) -> Set<W> {

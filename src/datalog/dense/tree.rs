@@ -23,7 +23,7 @@
 // Decision: docs/decisions/executors.md#d040
 
 use crate::dense::program::{Branch, Dense, Range};
-use crate::dense::search::{BinaryFacts, Search};
+use crate::dense::search::{BinaryFacts, ValueSearch};
 use crate::dense::sets::{Set, and, has, is_empty, members, only, or, without};
 use std::fmt;
 
@@ -48,7 +48,7 @@ const TABLE_WORDS: usize = 1 << 19;
 
 /// The knowledge of a branch, for the values of the other variables of its separator.
 #[derive(Clone, Debug)]
-struct Row<const W: usize> {
+struct BranchRow<const W: usize> {
     /// The generation that wrote the row; it is empty in other generations.
     generation: u64,
     /// The values of the parent for which the branch has values.
@@ -60,7 +60,7 @@ struct Row<const W: usize> {
 /// The tables of searches, and the number of their steps.
 #[derive(Clone, Debug)]
 pub(super) struct Tables<const W: usize> {
-    rows: Vec<Row<W>>,
+    rows: Vec<BranchRow<W>>,
     /// The values of each branch that satisfy the conditions on the variable alone and on it and the head's first one.
     domains: Vec<Set<W>>,
     /// The values of each branch that may be part of a solution for some value of the head's first variable.
@@ -118,7 +118,7 @@ impl<const W: usize> Tables<W> {
             end += size.unwrap_or(0);
         }
         if self.rows.len() < end {
-            let row = Row {
+            let row = BranchRow {
                 generation: 0,
                 yes: [0; W],
                 no: [0; W],
@@ -131,7 +131,7 @@ impl<const W: usize> Tables<W> {
 
 /// A search for values of the variables of a tree.
 pub(super) struct TreeSearch<'a, const W: usize, P> {
-    search: Search<'a, W, P>,
+    search: ValueSearch<'a, W, P>,
     branches: &'a [Branch],
     tables: &'a mut Tables<W>,
     /// The generation of tables that do not depend on the head's first variable.
@@ -148,7 +148,7 @@ pub(super) struct TreeSearch<'a, const W: usize, P> {
 }
 
 impl<'a, const W: usize, P: BinaryFacts<W>> TreeSearch<'a, W, P> {
-    pub fn new(search: Search<'a, W, P>, tables: &'a mut Tables<W>, branches: Range) -> Self {
+    pub fn new(search: ValueSearch<'a, W, P>, tables: &'a mut Tables<W>, branches: Range) -> Self {
         let branches = search.program.branches(branches);
         tables.begin_search(branches, search.program, search.count);
         TreeSearch {
@@ -351,7 +351,7 @@ impl<'a, const W: usize, P: BinaryFacts<W>> TreeSearch<'a, W, P> {
         let generation = self.generation_of(branch);
         let row = &mut self.tables.rows[at];
         if row.generation != generation {
-            *row = Row {
+            *row = BranchRow {
                 generation,
                 yes: [0; W],
                 no: [0; W],

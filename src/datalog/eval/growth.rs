@@ -35,12 +35,12 @@ enum Way {
 const WAYS: [Way; 3] = [Way::Up, Way::Down, Way::Somewhere];
 
 /// A column of a predicate.
-type Node = (RelId, usize);
+type ColumnNode = (RelId, usize);
 
 /// A way in which a clause passes a value on.
 struct Edge {
-    from: Node,
-    to: Node,
+    from: ColumnNode,
+    to: ColumnNode,
     /// What grows the value.
     growth: Option<(Way, Growth)>,
 }
@@ -68,9 +68,9 @@ pub(crate) fn endless(rules: &Rules, clause: ClauseId) -> Option<Growth> {
 }
 
 /// Returns the strongly connected component of each node. An edge is on a cycle if both its nodes are in one component.
-fn homes(edges: &[Edge]) -> BTreeMap<Node, usize> {
-    let nodes: BTreeSet<Node> = edges.iter().flat_map(|edge| [edge.from, edge.to]).collect();
-    let number: BTreeMap<Node, usize> = nodes.into_iter().zip(0..).collect();
+fn homes(edges: &[Edge]) -> BTreeMap<ColumnNode, usize> {
+    let nodes: BTreeSet<ColumnNode> = edges.iter().flat_map(|edge| [edge.from, edge.to]).collect();
+    let number: BTreeMap<ColumnNode, usize> = nodes.into_iter().zip(0..).collect();
     let mut successors = vec![Vec::new(); number.len()];
     for edge in edges {
         successors[number[&edge.from]].push(number[&edge.to]);

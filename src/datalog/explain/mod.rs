@@ -35,7 +35,7 @@ use crate::diag::{Diagnostic, Limit};
 use crate::eval::limits::size;
 use crate::session::Session;
 use crate::value::Value;
-use search::{Binding, Search};
+use search::{Binding, ProofSearch};
 use std::collections::{HashMap, VecDeque};
 use std::fmt;
 
@@ -316,7 +316,7 @@ impl Session {
 
 /// Answers queries about one state of a session.
 pub struct Explainer<'s> {
-    search: Search<'s>,
+    search: ProofSearch<'s>,
     limit: u64,
 }
 
@@ -338,7 +338,7 @@ impl<'s> Explainer<'s> {
     /// cancellation it fails with [`ExplainError::Cancelled`], and the explainer is ready for the next query.
     pub fn new_with(session: &'s Session, cancel: &Cancel) -> Self {
         Explainer {
-            search: Search::new(session, cancel),
+            search: ProofSearch::new(session, cancel),
             limit: Self::LIMIT.min(session.limits().steps),
         }
     }
@@ -499,7 +499,7 @@ impl Making {
         id
     }
 
-    fn finish(mut self, search: &mut Search<'_>) -> Result<Explanation, ExplainError> {
+    fn finish(mut self, search: &mut ProofSearch<'_>) -> Result<Explanation, ExplainError> {
         while let Some(id) = self.todo.pop_front() {
             search.step()?;
             search.reserve(Explainer::NODE_BYTES)?;
@@ -516,7 +516,7 @@ impl Making {
 
     fn explain_fact(
         &mut self,
-        search: &mut Search<'_>,
+        search: &mut ProofSearch<'_>,
         relation: RelId,
         row: Vec<Value>,
     ) -> Result<Fact, ExplainError> {
@@ -560,7 +560,7 @@ impl Making {
 
     fn explain_absence(
         &mut self,
-        search: &mut Search<'_>,
+        search: &mut ProofSearch<'_>,
         relation: RelId,
         pattern: Pattern,
     ) -> Result<Absence, ExplainError> {
@@ -588,7 +588,7 @@ impl Making {
     /// Returns what prevents a clause from deriving the pattern; `None` for a fact of the source.
     fn obstacle(
         &mut self,
-        search: &mut Search<'_>,
+        search: &mut ProofSearch<'_>,
         id: ClauseId,
         pattern: &Pattern,
     ) -> Result<Option<Obstacle>, ExplainError> {

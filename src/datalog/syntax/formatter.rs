@@ -92,7 +92,7 @@ struct Layout<'a> {
 
 /// A token or a comment within an item.
 #[derive(Clone, Copy)]
-enum Part {
+enum Lexeme {
     Token(Token),
     /// A comment, as a byte range.
     Comment(usize, usize),
@@ -173,15 +173,15 @@ impl Layout<'_> {
         let tokens = &self.lexed.tokens[start..next];
         self.in_directive = tokens[0].kind == Kind::Dot;
         let (from, to) = (tokens[0].start as usize, tokens[tokens.len() - 1].end as usize);
-        let mut parts: Vec<Part> = Vec::new();
+        let mut parts: Vec<Lexeme> = Vec::new();
         for (offset, &token) in tokens.iter().enumerate() {
             while let Some(comment) = self.lexed.comments.get(self.next_comment)
                 && comment.before as usize <= start + offset
             {
                 self.next_comment += 1;
-                parts.push(Part::Comment(comment.start as usize, comment.end as usize));
+                parts.push(Lexeme::Comment(comment.start as usize, comment.end as usize));
             }
-            parts.push(Part::Token(token));
+            parts.push(Lexeme::Token(token));
         }
         let flat = self.flat(&parts);
         let line_start = self.out.rfind('\n').map_or(0, |newline| newline + 1);
@@ -220,14 +220,14 @@ impl Layout<'_> {
     }
 
     /// Returns the item on one line; `None` if a comment in it requires a line break.
-    fn flat(&self, parts: &[Part]) -> Option<String> {
+    fn flat(&self, parts: &[Lexeme]) -> Option<String> {
         let mut line = String::new();
         let mut before: Option<Token> = None;
         let mut binary = false;
         let mut last = None;
         for part in parts {
             match *part {
-                Part::Comment(start, end) => {
+                Lexeme::Comment(start, end) => {
                     let comment = &self.text[start..end];
                     if comment.starts_with("//")
                         || comment.contains('\n')
@@ -240,7 +240,7 @@ impl Layout<'_> {
                     before = None;
                     last = Some(end);
                 }
-                Part::Token(token) => {
+                Lexeme::Token(token) => {
                     if before.is_none() && !line.is_empty()
                         || before.is_some_and(|other| self.space(other, token, binary))
                     {
@@ -298,7 +298,7 @@ impl Layout<'_> {
     }
 
     /// Writes the item over several lines.
-    fn broken(&mut self, parts: &[Part]) {
+    fn broken(&mut self, parts: &[Lexeme]) {
         let allowed = usize::from(self.in_directive);
         let mut line = String::new();
         // The tokens since the last possible break, not yet part of `line`.
@@ -309,7 +309,7 @@ impl Layout<'_> {
         let mut last: Option<usize> = None;
         for part in parts {
             match *part {
-                Part::Comment(start, end) => {
+                Lexeme::Comment(start, end) => {
                     let comment = self.comment(start, end);
                     let own_line = last.is_some_and(|at| self.breaks(at, start) > 0);
                     join(&mut self.out, &mut line, &mut chunk);
@@ -333,7 +333,7 @@ impl Layout<'_> {
                     before = None;
                     last = Some(end);
                 }
-                Part::Token(token) => {
+                Lexeme::Token(token) => {
                     let may_break = before.is_some_and(|before| {
                         before.kind == Kind::If
                             || matches!(before.kind, Kind::Comma | Kind::Semicolon) && depth <= allowed

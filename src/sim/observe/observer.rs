@@ -23,7 +23,7 @@ use crate::sim::tick::chance::{Chance, Draws};
 use crate::sim::tick::ground_state::GroundState;
 use crate::sim::tick::simulation::Simulation;
 use crate::sim::tick::vocabulary::Actions;
-use crate::sim::tick::window::Body;
+use crate::sim::tick::window::AgentState;
 use crate::sim::tick::world::World;
 use std::sync::Arc;
 
@@ -136,7 +136,7 @@ impl Oracle {
     }
 
     /// Returns the field of view of the ego.
-    fn view(&self, ego: &Body) -> FieldOfView {
+    fn view(&self, ego: &AgentState) -> FieldOfView {
         FieldOfView::around(ego.at, self.views.of(ego.heading))
     }
 
@@ -173,7 +173,7 @@ pub struct Observer {
     like: Vec<(AgentKind, Arc<[String]>)>,
     words: usize,
     /// The observed entities, the ego first.
-    bodies: Vec<Body>,
+    bodies: Vec<AgentState>,
     atoms: Atoms,
     violations: Violations,
     broken: Vec<usize>,
@@ -273,7 +273,7 @@ impl Observer {
     pub fn look_with(&mut self, city: &Simulation, chance: &impl Chance) {
         let (oracle, map, before) = (&*self.oracle, self.oracle.world.map(), self.bodies.len());
         self.bodies.clear();
-        let ego = Body::new(map, self.ego, &city.agents()[self.ego]);
+        let ego = AgentState::new(map, self.ego, &city.agents()[self.ego]);
         let (view, ego_cell) = (oracle.view(&ego), ego.at);
         self.bodies.push(ego);
         for (position, agent) in city.agents().iter().enumerate() {
@@ -281,7 +281,7 @@ impl Observer {
                 break;
             }
             if view.contains(agent.cell) && position != self.ego {
-                self.bodies.push(Body::new(map, position, agent));
+                self.bodies.push(AgentState::new(map, position, agent));
             }
         }
         if oracle.nearest_first {
@@ -312,7 +312,7 @@ impl Observer {
                 How::Pair(relation) => {
                     rows.fill(0);
                     if bodies.len() > 1 || matches!(relation, PairRelation::Sees(_)) {
-                        let subjects = bodies.iter().map(Body::subject);
+                        let subjects = bodies.iter().map(AgentState::subject);
                         let draw = |first: usize, second: usize, probability| {
                             let [first, second] = [first, second].map(|entity| bodies[entity].agent as usize);
                             chance.decides(predicate, first, second, probability)
@@ -371,7 +371,7 @@ impl Observer {
         let width = Observer::state_width(oracle);
         let mut rows = out.chunks_exact_mut(width);
         #[allow(clippy::cast_precision_loss)] // a share of a field of view is of single precision
-        let mut write = |body: &Body, ego: Cell| {
+        let mut write = |body: &AgentState, ego: Cell| {
             let Some(row) = rows.next() else { return };
             let share = |cells: i32| cells as f32 / oracle.world.scenario.view as f32;
             row[..3].copy_from_slice(&[1.0, share(body.at.row - ego.row), share(body.at.col - ego.col)]);
@@ -388,15 +388,15 @@ impl Observer {
                 *value = f32::from(u8::from(holds));
             }
         };
-        let ego = Body::new(oracle.world.map(), self.ego, &city.agents()[self.ego]);
+        let ego = AgentState::new(oracle.world.map(), self.ego, &city.agents()[self.ego]);
         let view = oracle.view(&ego);
         write(&ego, ego.at);
         let agents = city.agents().iter().enumerate();
         let others = agents
             .filter(|(position, agent)| *position != self.ego && view.contains(agent.cell))
-            .map(|(position, agent)| Body::new(oracle.world.map(), position, agent));
+            .map(|(position, agent)| AgentState::new(oracle.world.map(), position, agent));
         if oracle.nearest_first {
-            let mut others: Vec<Body> = others.collect();
+            let mut others: Vec<AgentState> = others.collect();
             sort_by_distance(ego.at, &mut others);
             others.iter().for_each(|body| write(body, ego.at));
         } else {
@@ -463,19 +463,19 @@ impl Observer {
 
 /// Returns whether a static predicate holds for an agent. `steady` has `words` words per agent.
 #[inline]
-fn is_steadily(steady: &[u64], words: usize, body: &Body, predicate: usize) -> bool {
+fn is_steadily(steady: &[u64], words: usize, body: &AgentState, predicate: usize) -> bool {
     steady[body.agent as usize * words + predicate / 64] >> (predicate % 64) & 1 != 0
 }
 
 /// Sorts bodies by their distance from a cell; keeps the order of those at the same distance.
-fn sort_by_distance(from: Cell, bodies: &mut [Body]) {
+fn sort_by_distance(from: Cell, bodies: &mut [AgentState]) {
     bodies.sort_by_key(|body| {
         let [rows, cols] = [body.at.row - from.row, body.at.col - from.col].map(i64::from);
         rows * rows + cols * cols
     });
 }
 
-fn observed<'a>(atoms: &'a Atoms, bodies: &'a [Body], city: &'a Simulation) -> Observed<'a> {
+fn observed<'a>(atoms: &'a Atoms, bodies: &'a [AgentState], city: &'a Simulation) -> Observed<'a> {
     Observed {
         atoms,
         entities: Entities::Agents {

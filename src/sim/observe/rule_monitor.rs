@@ -19,7 +19,7 @@ use crate::sim::tick::executor::compile;
 use crate::sim::tick::ground::Facts;
 use crate::sim::tick::ground_state::GroundState;
 use crate::sim::tick::vocabulary::{Actions, Vocabulary};
-use crate::sim::tick::window::Body;
+use crate::sim::tick::window::AgentState;
 
 /// A clause that demands an action of an agent.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
@@ -442,7 +442,10 @@ impl BinaryFacts<1> for Related<'_> {
 #[derive(Clone, Copy)]
 pub(super) enum Entities<'a> {
     /// Agents of a city. A body has its position in the list of agents.
-    Agents { bodies: &'a [Body], agents: &'a [Agent] },
+    Agents {
+        bodies: &'a [AgentState],
+        agents: &'a [Agent],
+    },
     /// The first `present` of at most `most` entities without a city.
     Numbered { present: usize, most: usize },
 }

@@ -10,7 +10,7 @@ use crate::sim::tick::chance::Draws;
 use crate::sim::tick::executor::not_dense;
 use crate::sim::tick::vocabulary::{Actions, Vocabulary};
 use crate::sim::tick::width::{Width, in_words};
-use crate::sim::tick::window::{Body, Grounder, Near, Position, Window};
+use crate::sim::tick::window::{AgentState, Grounder, Near, Position, Window};
 use crate::sim::tick::world::World;
 use rayon::prelude::*;
 use std::ops::Range;
@@ -311,10 +311,10 @@ impl DenseExecutor {
 }
 
 /// Fills `bodies` with the visible state of the agents.
-fn list_bodies(bodies: &mut Vec<Body>, grounder: &mut Grounder, map: &CityMap, agents: &[Agent]) {
-    let body = |(position, agent): (usize, &Agent)| Body {
+fn list_bodies(bodies: &mut Vec<AgentState>, grounder: &mut Grounder, map: &CityMap, agents: &[Agent]) {
+    let body = |(position, agent): (usize, &Agent)| AgentState {
         class: grounder.class_of(agent.kind, &agent.concepts),
-        ..Body::new(map, position, agent)
+        ..AgentState::new(map, position, agent)
     };
     bodies.clear();
     bodies.extend(agents.iter().enumerate().map(body));
@@ -333,7 +333,7 @@ struct One<const W: usize> {
 }
 
 impl<const W: usize> One<W> {
-    fn new(grounder: &Grounder, map: &CityMap, bodies: Vec<Body>) -> Self {
+    fn new(grounder: &Grounder, map: &CityMap, bodies: Vec<AgentState>) -> Self {
         let mut one = One {
             window: Window::new(grounder),
         };
@@ -374,9 +374,9 @@ impl<const W: usize> OneWindow for One<W> {
 struct Tiles {
     /// Sorted by bin, row by row. Moves between ticks may leave a body outside its bin, but near it: sorting again
     /// accesses memory almost sequentially.
-    bodies: Vec<Body>,
+    bodies: Vec<AgentState>,
     /// The buffer that sorting writes to.
-    sorted: Vec<Body>,
+    sorted: Vec<AgentState>,
     /// The start of each bin in `bodies`, then the end of the last one.
     bins: Vec<u32>,
     /// The number of bins along each axis.
@@ -397,7 +397,7 @@ struct Worker {
     wide: Window<4>,
     wider: Window<16>,
     widest: Window<64>,
-    found: Vec<Body>,
+    found: Vec<AgentState>,
     firings: Vec<usize>,
 }
 
@@ -423,7 +423,7 @@ struct Bins {
 }
 
 impl Tiles {
-    fn new(grounder: &Grounder, map: &CityMap, bodies: Vec<Body>, threads: usize) -> Self {
+    fn new(grounder: &Grounder, map: &CityMap, bodies: Vec<AgentState>, threads: usize) -> Self {
         let view = grounder.farthest_view();
         let area = f64::from(map.rows()) * f64::from(map.cols());
         #[allow(clippy::cast_precision_loss)]
@@ -480,7 +480,7 @@ impl Tiles {
 
     /// Updates the positions of the agents.
     fn follow(&mut self, map: &CityMap, positions: &[Position]) {
-        let follow = |body: &mut Body| body.shift(map, positions[body.agent as usize]);
+        let follow = |body: &mut AgentState| body.shift(map, positions[body.agent as usize]);
         match self.workers.len() {
             1 => self.bodies.iter_mut().for_each(follow),
             _ => self.bodies.par_iter_mut().with_min_len(4096).for_each(follow),
@@ -617,7 +617,7 @@ impl Tiles {
     }
 
     /// Returns the bodies in adjacent bins of a row.
-    fn run(&self, row: i32, cols: Range<i32>) -> &[Body] {
+    fn run(&self, row: i32, cols: Range<i32>) -> &[AgentState] {
         let [start, end] = [cols.start, cols.end].map(|col| self.bins[(row * self.size[1] + col) as usize]);
         &self.bodies[start as usize..end as usize]
     }
@@ -637,7 +637,7 @@ impl Evaluate<'_> {
     fn run<const W: usize>(
         &self,
         window: &mut Window<W>,
-        found: &mut Vec<Body>,
+        found: &mut Vec<AgentState>,
         firings: &mut [usize],
     ) -> Result<(), TooManySteps> {
         std::mem::swap(&mut window.bodies, found);

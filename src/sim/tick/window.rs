@@ -22,7 +22,7 @@ use std::sync::Arc;
 
 /// The state of an agent that predicates can see.
 #[derive(Clone, Copy, Debug)]
-pub(crate) struct Body {
+pub(crate) struct AgentState {
     pub at: Cell,
     pub priority: i32,
     /// The position in the list of agents.
@@ -51,10 +51,10 @@ impl Position {
     }
 }
 
-impl Body {
+impl AgentState {
     /// Creates the body of an agent, with class 0. `position` is its place in the list.
     pub fn new(map: &CityMap, position: usize, agent: &Agent) -> Self {
-        Body {
+        AgentState {
             at: agent.cell,
             priority: agent.priority,
             agent: u32::try_from(position).expect("fewer than 2^32 agents"),
@@ -312,7 +312,7 @@ fn is_class((of, carried): &(AgentKind, Arc<[String]>), kind: AgentKind, concept
 /// Up to `64 * W` entities and their places.
 #[derive(Clone, Debug)]
 pub(super) struct Window<const W: usize> {
-    pub bodies: Vec<Body>,
+    pub bodies: Vec<AgentState>,
     pub bit_state: BitState<W>,
     /// The set of each input of the program.
     inputs: Vec<Set<W>>,
@@ -499,7 +499,7 @@ impl<const W: usize> Window<W> {
 fn run_in<const W: usize>(
     grounder: &Grounder,
     draws: Draws,
-    (bodies, inputs): (&[Body], &[Set<W>]),
+    (bodies, inputs): (&[AgentState], &[Set<W>]),
     place: &impl Surrounding<W>,
     bit_state: &mut BitState<W>,
 ) -> Result<(), TooManySteps> {
@@ -526,7 +526,7 @@ impl Window<1> {
         assert!(agents.len() <= Near::MAX, "{} agents", agents.len());
         let Window { bodies, inputs, .. } = self;
         bodies.clear();
-        bodies.extend((agents.iter().enumerate()).map(|(position, agent)| Body::new(map, position, agent)));
+        bodies.extend((agents.iter().enumerate()).map(|(position, agent)| AgentState::new(map, position, agent)));
         inputs.clear();
         inputs.extend_from_slice(steady);
         for &(input, table) in &grounder.local {
@@ -562,12 +562,12 @@ impl Window<1> {
 /// Finds the entities around a cell.
 trait Surrounding<const W: usize> {
     /// Returns the members of `among` at most this many cells up, down, left and right of entity `at`.
-    fn select(&self, bodies: &[Body], at: usize, cells: [i32; 4], among: Set<W>) -> Set<W>;
+    fn select(&self, bodies: &[AgentState], at: usize, cells: [i32; 4], among: Set<W>) -> Set<W>;
 }
 
 impl<const W: usize> Surrounding<W> for Place<W> {
     #[inline(always)]
-    fn select(&self, bodies: &[Body], at: usize, cells: [i32; 4], among: Set<W>) -> Set<W> {
+    fn select(&self, bodies: &[AgentState], at: usize, cells: [i32; 4], among: Set<W>) -> Set<W> {
         and(among, &self.around(bodies[at].at, cells))
     }
 }
@@ -583,7 +583,7 @@ impl Near {
     ///
     /// A difference takes half a word. Its bit 30 is set if it is at least 0: coordinates and `cells` are from 0 to
     /// 2^28.
-    fn new(bodies: &[Body], cells: i32) -> Near {
+    fn new(bodies: &[AgentState], cells: i32) -> Near {
         let both = |row: i32, col: i32| u64::from(row.cast_unsigned()) << 32 | u64::from(col.cast_unsigned());
         let sign = both(1 << 30, 1 << 30);
         let reach = both(cells, cells);
@@ -608,7 +608,7 @@ impl Near {
 
 impl Surrounding<1> for Near {
     #[inline(always)]
-    fn select(&self, bodies: &[Body], at: usize, [up, down, left, right]: [i32; 4], [among]: Set<1>) -> Set<1> {
+    fn select(&self, bodies: &[AgentState], at: usize, [up, down, left, right]: [i32; 4], [among]: Set<1>) -> Set<1> {
         let near = [self.0[at % Near::MAX] & among];
         let here = bodies[at].at;
         let inside = members(&near).fold(0, |set, other| {
@@ -625,7 +625,7 @@ impl Surrounding<1> for Near {
 /// Computes binary facts for the executor.
 struct Scene<'a, S> {
     plan: &'a Plan,
-    bodies: &'a [Body],
+    bodies: &'a [AgentState],
     place: &'a S,
     draws: Draws,
 }
@@ -721,7 +721,7 @@ impl<S> Scene<'_, S> {
         })
     }
 
-    fn decides(&self, predicate: usize, x: &Body, y: &Body, probability: f64) -> bool {
+    fn decides(&self, predicate: usize, x: &AgentState, y: &AgentState, probability: f64) -> bool {
         (self.draws).decides(predicate, x.agent as usize, y.agent as usize, probability)
     }
 }
@@ -750,7 +750,7 @@ mod tests {
         let mut counts = [0; 2];
         for round in 0..400 {
             let count = round % (Near::MAX + 1);
-            let body = |agent| Body {
+            let body = |agent| AgentState {
                 at: Cell::new(random.random_range(0..SIDE), random.random_range(0..SIDE)),
                 priority: 0,
                 agent,
@@ -759,7 +759,7 @@ mod tests {
                 heading: None,
                 junction: Junction::default(),
             };
-            let bodies: Vec<Body> = (0..u32::try_from(count).expect("small")).map(body).collect();
+            let bodies: Vec<AgentState> = (0..u32::try_from(count).expect("small")).map(body).collect();
             let farthest = random.random_range(0..30);
             let near = Near::new(&bodies, farthest);
             let lines = vec![[0]; SIDE as usize + 1];

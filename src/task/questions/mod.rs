@@ -198,7 +198,7 @@ impl QuestionSet {
     ) -> Result<QuestionSet, Vec<Diagnostic>> {
         check(world, &request)?;
         let mut known = Known::default();
-        let mut shown = Search::new(world, &request, request.demonstrations, request.shots);
+        let mut shown = QuestionSearch::new(world, &request, request.demonstrations, request.shots);
         let mut demonstrations = match request.shots {
             0 => Vec::new(),
             _ => shown.run(&[], &mut known, |_| ()).map_err(|fault| vec![fault])?,
@@ -207,7 +207,7 @@ impl QuestionSet {
             .iter()
             .map(|question| composition(world, question))
             .collect();
-        let mut search = Search::new(world, &request, request.split, request.count);
+        let mut search = QuestionSearch::new(world, &request, request.split, request.count);
         let mut questions = search
             .run(&request.about, &mut known, &mut watch)
             .map_err(|fault| vec![fault])?;
@@ -339,7 +339,7 @@ struct Known {
 }
 
 /// A search for questions about the cars of a split.
-struct Search<'w> {
+struct QuestionSearch<'w> {
     world: &'w Arc<World>,
     split: Split,
     extent: Extent,
@@ -350,9 +350,9 @@ struct Search<'w> {
     worlds: usize,
 }
 
-impl<'w> Search<'w> {
-    fn new(world: &'w Arc<World>, request: &Request, split: Split, count: usize) -> Search<'w> {
-        Search {
+impl<'w> QuestionSearch<'w> {
+    fn new(world: &'w Arc<World>, request: &Request, split: Split, count: usize) -> QuestionSearch<'w> {
+        QuestionSearch {
             world,
             split,
             extent: request.entities,

@@ -116,7 +116,7 @@ impl<'a> Writer<'a> {
             Some(action) => format!("{label} requires {action} of {}", self.term(&scope, &clause.head, 0)),
             None => format!("{label} makes {} true", self.atom(&scope, &clause.head)),
         };
-        let Body { some, conditions } = self.body(&scope, 0);
+        let StatementBody { some, conditions } = self.body(&scope, 0);
         match (some.is_empty(), conditions.is_empty()) {
             (_, true) => format!("{head} in every scene."),
             (true, false) => format!("{head} if: {}.", conditions.join("; ")),
@@ -144,7 +144,7 @@ impl<'a> Writer<'a> {
     }
 
     /// Returns the quantifiers and the conditions of a body. The variables of the head need no quantifier.
-    fn body(&self, scope: &Scope<'_>, depth: usize) -> Body {
+    fn body(&self, scope: &Scope<'_>, depth: usize) -> StatementBody {
         let clause = scope.clause;
         let mut known: BTreeSet<VarId> = clause.head.terms.iter().filter_map(Term::variable).collect();
         // Entities that the same guard introduces share a quantifier.
@@ -188,7 +188,7 @@ impl<'a> Writer<'a> {
         let some = groups
             .iter()
             .map(|(seen, names)| format!("for some {}{seen}", names.join(" and ")));
-        Body {
+        StatementBody {
             some: some.collect::<Vec<_>>().join(" and "),
             conditions,
         }
@@ -264,7 +264,7 @@ impl<'a> Writer<'a> {
                     bound[variable.index()] = Some(self.term(scope, atom, at));
                 }
                 let inner = self.scope(clause, bound, &scope.names);
-                let Body { some, conditions } = self.body(&inner, depth + 1);
+                let StatementBody { some, conditions } = self.body(&inner, depth + 1);
                 match some.is_empty() {
                     true => format!("({})", conditions.join(" and ")),
                     false => format!("({some}: {})", conditions.join(" and ")),
@@ -352,7 +352,7 @@ impl<'a> Writer<'a> {
 }
 
 /// The parts of a sentence after the head.
-struct Body {
+struct StatementBody {
     /// The quantified entities: `for some Y that X sees`; empty if there are none.
     some: String,
     /// The literals.

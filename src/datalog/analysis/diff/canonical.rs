@@ -124,12 +124,12 @@ impl<'a> Forms<'a> {
 
     /// Returns the canonical text of a clause.
     fn clause(&mut self, clause: &Clause, numbers: &mut HashMap<String, usize>) -> String {
-        let head = Part {
+        let head = CanonicalLiteral {
             text: String::new(),
             terms: self.atom_terms(&clause.head),
         };
         let body = clause.body.iter().map(|literal| self.part(literal, numbers));
-        let mut body: Vec<Part> = body.collect();
+        let mut body: Vec<CanonicalLiteral> = body.collect();
         let colors = colors(&head, &body, clause.variables.len());
         body.sort_by_cached_key(|part| (part.text.clone(), part.hash(&colors)));
         let mut names: HashMap<VarId, usize> = HashMap::new();
@@ -150,7 +150,7 @@ impl<'a> Forms<'a> {
         text
     }
 
-    fn part(&mut self, literal: &Literal, numbers: &mut HashMap<String, usize>) -> Part {
+    fn part(&mut self, literal: &Literal, numbers: &mut HashMap<String, usize>) -> CanonicalLiteral {
         let (text, terms) = match literal {
             Literal::Positive(atom) => (self.name(atom.relation, numbers), self.atom_terms(atom)),
             Literal::Guard(atom) => (
@@ -193,7 +193,7 @@ impl<'a> Forms<'a> {
                 (format!("{op:?} {base:?} {}", self.name(atom.relation, numbers)), terms)
             }
         };
-        Part { text, terms }
+        CanonicalLiteral { text, terms }
     }
 
     fn atom_terms(&self, atom: &Atom) -> Vec<Argument> {
@@ -222,7 +222,7 @@ impl<'a> Forms<'a> {
 }
 
 /// A head or a literal.
-struct Part {
+struct CanonicalLiteral {
     /// All of it but its terms.
     text: String,
     terms: Vec<Argument>,
@@ -235,7 +235,7 @@ enum Argument {
     Text(String),
 }
 
-impl Part {
+impl CanonicalLiteral {
     /// Returns a hash that does not depend on the names of variables.
     fn hash(&self, colors: &[u64]) -> u64 {
         let mut hasher = DefaultHasher::new();
@@ -254,7 +254,7 @@ impl Part {
 const ROUNDS_MAX: usize = 16;
 
 /// Returns a hash of each variable that depends on where it occurs and not on its name: color refinement.
-fn colors(head: &Part, body: &[Part], variables: usize) -> Vec<u64> {
+fn colors(head: &CanonicalLiteral, body: &[CanonicalLiteral], variables: usize) -> Vec<u64> {
     let mut colors = vec![0_u64; variables];
     for _ in 0..variables.min(ROUNDS_MAX) {
         let mut places: Vec<Vec<(u64, usize)>> = vec![Vec::new(); variables];

@@ -295,7 +295,7 @@ impl<'a> Circuit<'a> {
             .iter()
             .map(|&variable| self.base_of(side, clause, variable))
             .collect();
-        let mut search = Search {
+        let mut expansion = Expansion {
             side,
             round,
             order,
@@ -304,43 +304,43 @@ impl<'a> Circuit<'a> {
             bound,
             inputs: Vec::new(),
         };
-        self.choose(&mut search, 0, ways)
+        self.choose(&mut expansion, 0, ways)
     }
 
     /// Adds the literals that are ready at this depth, then iterates over the values of the next variable.
-    fn choose(&mut self, search: &mut Search<'a>, depth: usize, ways: &mut Vec<Lit>) -> Result<(), TooLarge> {
-        let mark = search.inputs.len();
-        for index in 0..search.ready[depth].len() {
-            let literal = search.ready[depth][index];
+    fn choose(&mut self, expansion: &mut Expansion<'a>, depth: usize, ways: &mut Vec<Lit>) -> Result<(), TooLarge> {
+        let mark = expansion.inputs.len();
+        for index in 0..expansion.ready[depth].len() {
+            let literal = expansion.ready[depth][index];
             self.literals_left = self.literals_left.checked_sub(1).ok_or(TooLarge)?;
-            let lit = self.literal(search, literal)?;
+            let lit = self.literal(expansion, literal)?;
             if self.is_no(lit) {
-                search.inputs.truncate(mark);
+                expansion.inputs.truncate(mark);
                 return Ok(());
             }
-            search.inputs.push(lit);
+            expansion.inputs.push(lit);
         }
-        if let Some(&variable) = search.order.get(depth) {
-            for value in self.of(search.bases[depth]) {
-                search.bound[variable] = Some(value);
-                self.choose(search, depth + 1, ways)?;
+        if let Some(&variable) = expansion.order.get(depth) {
+            for value in self.of(expansion.bases[depth]) {
+                expansion.bound[variable] = Some(value);
+                self.choose(expansion, depth + 1, ways)?;
             }
-            search.bound[variable] = None;
+            expansion.bound[variable] = None;
         } else {
-            ways.push(self.all(search.inputs.clone()));
+            ways.push(self.all(expansion.inputs.clone()));
         }
-        search.inputs.truncate(mark);
+        expansion.inputs.truncate(mark);
         Ok(())
     }
 
-    fn literal(&mut self, search: &Search<'a>, literal: &'a Literal) -> Result<Lit, TooLarge> {
+    fn literal(&mut self, expansion: &Expansion<'a>, literal: &'a Literal) -> Result<Lit, TooLarge> {
         match literal {
-            Literal::Positive(atom) | Literal::Guard(atom) => self.some(search, atom),
-            Literal::Negative(atom) => Ok(!self.some(search, atom)?),
+            Literal::Positive(atom) | Literal::Guard(atom) => self.some(expansion, atom),
+            Literal::Negative(atom) => Ok(!self.some(expansion, atom)?),
             Literal::Compare {
                 op, left, right, base, ..
             } => {
-                let mut value = |term| self.value(search.side, term, *base, &search.bound);
+                let mut value = |term| self.value(expansion.side, term, *base, &expansion.bound);
                 let holds = match (value(*left), value(*right)) {
                     (Some(left), Some(right)) => self.compare(*op, left, right),
                     _ => false,
@@ -353,14 +353,14 @@ impl<'a> Circuit<'a> {
     }
 
     /// Returns the gate for "some row matches the atom"; `_` matches any value.
-    fn some(&mut self, search: &Search<'a>, atom: &'a Atom) -> Result<Lit, TooLarge> {
-        let columns = &self.sides[search.side].rules.relations[atom.relation.index()].columns;
+    fn some(&mut self, expansion: &Expansion<'a>, atom: &'a Atom) -> Result<Lit, TooLarge> {
+        let columns = &self.sides[expansion.side].rules.relations[atom.relation.index()].columns;
         let mut rows: Vec<Vec<usize>> = vec![Vec::new()];
         for (column, &term) in columns.iter().zip(&atom.terms) {
             let values: Vec<usize> = match term {
                 Term::Wildcard => self.of(column.base).collect(),
                 _ => self
-                    .value(search.side, term, column.base, &search.bound)
+                    .value(expansion.side, term, column.base, &expansion.bound)
                     .into_iter()
                     .collect(),
             };
@@ -378,7 +378,7 @@ impl<'a> Circuit<'a> {
         }
         let mut lits = Vec::new();
         for row in rows {
-            lits.push(self.holds(search.side, atom.relation, &row, search.round)?);
+            lits.push(self.holds(expansion.side, atom.relation, &row, expansion.round)?);
         }
         Ok(self.any(lits))
     }
@@ -549,7 +549,7 @@ impl<'a> Circuit<'a> {
 }
 
 /// A clause during expansion.
-struct Search<'a> {
+struct Expansion<'a> {
     side: usize,
     round: Option<(usize, usize)>,
     order: Vec<usize>,

@@ -35,7 +35,7 @@ mod types;
 const MAX_EXPRESSIONS: usize = 1024;
 
 /// A checked clause before the scope adds its guards.
-pub(crate) struct Body {
+pub(crate) struct UnguardedClause {
     pub head: Atom,
     pub body: Vec<Literal>,
     pub variables: Vec<Known>,
@@ -64,7 +64,7 @@ pub(crate) fn check(
     names: &mut Names,
     out: &mut Clauses,
     faults: &mut Faults,
-) -> Option<Body> {
+) -> Option<UnguardedClause> {
     let mut check = Check {
         names,
         faults,
@@ -82,7 +82,7 @@ pub(crate) fn check(
     if clause.body.is_empty() && (lowered.is_none() || check.variables.is_empty()) {
         // The early return matters because programs may contain many facts.
         let sound = check.sound;
-        return lowered.map(|head| Body {
+        return lowered.map(|head| UnguardedClause {
             head,
             body: Vec::new(),
             variables: Vec::new(),
@@ -143,7 +143,7 @@ pub(crate) fn check(
         fold(&mut lowered, &mut literals, &out.symbols);
     }
     let variables = renumber(variables, std::iter::once(&mut lowered.terms), &mut literals);
-    Some(Body {
+    Some(UnguardedClause {
         head: lowered,
         body: literals,
         variables,

@@ -2,7 +2,7 @@
 
 use crate::check::{Atom, Clause, ClauseId, Literal, RelId, Rules};
 use crate::explain::ExplainError;
-use crate::explain::search::{Attempt, Binding, Search, bind_head, unify, value};
+use crate::explain::search::{Attempt, Binding, ProofSearch, bind_head, unify, value};
 use crate::value::Value;
 use std::collections::{BTreeMap, HashMap};
 
@@ -105,7 +105,7 @@ fn positive(clause: &Clause) -> impl Iterator<Item = (usize, &Atom)> {
     })
 }
 
-impl Search<'_> {
+impl ProofSearch<'_> {
     /// Returns the height of a fact that holds, and the derivation that gives it.
     pub(in crate::explain) fn origin(&mut self, rel: RelId, row: &[Value]) -> Result<(u32, Best), ExplainError> {
         let fact = (rel, row.to_vec());
@@ -498,7 +498,7 @@ mod tests {
                 .expect("a row that fits");
         }
         session.commit().expect("few rows");
-        let mut forwards = Search::new(&session, &Cancel::never());
+        let mut forwards = ProofSearch::new(&session, &Cancel::never());
         forwards.refill(1_000_000);
         for stratum in 0..program.rules().strata.len() {
             forwards.settle(stratum, None).expect("few rows");
@@ -507,7 +507,7 @@ mod tests {
         for name in ["hop", "path", "round"] {
             let rel = program.relation(name).expect("declared");
             for position in 0..u32::try_from(session.len(rel)).expect("few rows") {
-                let mut backwards = Search::new(&session, &Cancel::never());
+                let mut backwards = ProofSearch::new(&session, &Cancel::never());
                 backwards.refill(1_000_000);
                 assert!(backwards.settle_relevant((rel, position)));
                 let height = forwards.heights.of(rel, position);

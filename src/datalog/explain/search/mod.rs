@@ -37,7 +37,7 @@ struct Table<'s> {
 }
 
 /// A search over a session that counts its steps.
-pub(super) struct Search<'s> {
+pub(super) struct ProofSearch<'s> {
     pub(super) session: &'s Session,
     /// The tables, by [`RelId`].
     tables: Vec<OnceCell<Table<'s>>>,
@@ -45,7 +45,7 @@ pub(super) struct Search<'s> {
     clauses: Vec<Vec<ClauseId>>,
     limit: Cell<u64>,
     left: Cell<u64>,
-    /// Polled every [`Search::POLL_INTERVAL`] steps.
+    /// Polled every [`ProofSearch::POLL_INTERVAL`] steps.
     cancel: Cancel,
     /// Whether a poll of the current query returned true.
     cancelled: Cell<bool>,
@@ -132,7 +132,7 @@ struct Undo {
     bound: Vec<usize>,
 }
 
-impl<'s> Search<'s> {
+impl<'s> ProofSearch<'s> {
     /// Cancellation polling interval, in steps.
     const POLL_INTERVAL: u64 = 1 << 14;
 
@@ -143,7 +143,7 @@ impl<'s> Search<'s> {
             clauses[clause.head.relation.index()].push(ClauseId(id));
         }
         let left = session.bytes_left();
-        Search {
+        ProofSearch {
             session,
             tables: (0..rules.relations.len()).map(|_| OnceCell::new()).collect(),
             clauses,
@@ -305,7 +305,7 @@ impl<'s> Search<'s> {
         self.advance(&mut attempt, &|_, _| true, visit).map(|_| ())
     }
 
-    /// Variant of [`Search::solve`] that starts from a partial solution and uses only some rows.
+    /// Variant of [`ProofSearch::solve`] that starts from a partial solution and uses only some rows.
     pub(super) fn advance(
         &self,
         attempt: &mut Attempt<'_>,

@@ -17,7 +17,7 @@ use egg::{CostFunction, EGraph, Extractor, Id, Language, define_language};
 
 define_language! {
     /// Literals, by number, and conjunctions of them.
-    enum Body {
+    enum Conjunction {
         Literal(u32),
         "all" = All(Box<[Id]>),
         "never" = Never,
@@ -39,9 +39,9 @@ const NODES_MAX: usize = 4096;
 
 /// Returns the cheapest form of the conjunction of literals 0 to `count`, or `None` if it never holds.
 pub(super) fn simplest(count: usize, knowledge: &dyn Knowledge) -> Option<Vec<usize>> {
-    let mut egraph: EGraph<Body, ()> = EGraph::new(());
+    let mut egraph: EGraph<Conjunction, ()> = EGraph::new(());
     let leaves: Vec<Id> = (0..count as u32)
-        .map(|number| egraph.add(Body::Literal(number)))
+        .map(|number| egraph.add(Conjunction::Literal(number)))
         .collect();
     for a in 0..count {
         for b in 0..a {
@@ -50,17 +50,17 @@ pub(super) fn simplest(count: usize, knowledge: &dyn Knowledge) -> Option<Vec<us
             }
         }
     }
-    let root = egraph.add(Body::All(leaves.into()));
+    let root = egraph.add(Conjunction::All(leaves.into()));
     egraph.rebuild();
     let mut rows_scanned = 0;
     loop {
-        let forms: Vec<Body> = egraph[egraph.find(root)].nodes.clone();
+        let forms: Vec<Conjunction> = egraph[egraph.find(root)].nodes.clone();
         if forms.len() <= rows_scanned || egraph.total_number_of_nodes() > NODES_MAX {
             break;
         }
         rows_scanned = forms.len();
         for form in forms {
-            let Body::All(parts) = form else { continue };
+            let Conjunction::All(parts) = form else { continue };
             for better in simpler(&egraph, &parts, knowledge) {
                 let better = egraph.add(better);
                 egraph.union(root, better);
@@ -71,37 +71,37 @@ pub(super) fn simplest(count: usize, knowledge: &dyn Knowledge) -> Option<Vec<us
     let (_, best) = Extractor::new(&egraph, Fewest).find_best(root);
     let literals: Vec<usize> = (best.as_ref().iter())
         .filter_map(|node| match node {
-            Body::Literal(number) => Some(*number as usize),
+            Conjunction::Literal(number) => Some(*number as usize),
             _ => None,
         })
         .collect();
     match best.as_ref().last() {
-        Some(Body::Never) => None,
+        Some(Conjunction::Never) => None,
         _ => Some(literals),
     }
 }
 
 /// Rewrites a conjunction by one step.
-fn simpler(egraph: &EGraph<Body, ()>, parts: &[Id], knowledge: &dyn Knowledge) -> Vec<Body> {
+fn simpler(egraph: &EGraph<Conjunction, ()>, parts: &[Id], knowledge: &dyn Knowledge) -> Vec<Conjunction> {
     let mut set: Vec<Id> = parts.iter().map(|&part| egraph.find(part)).collect();
     set.sort_unstable();
     set.dedup();
     let literal = |class: Id| {
         egraph[class].nodes.iter().find_map(|node| match node {
-            Body::Literal(number) => Some(*number as usize),
+            Conjunction::Literal(number) => Some(*number as usize),
             _ => None,
         })
     };
     let literals: Vec<usize> = set.iter().filter_map(|&class| literal(class)).collect();
     let mut found = Vec::new();
     if set.len() < parts.len() {
-        found.push(Body::All(set.clone().into()));
+        found.push(Conjunction::All(set.clone().into()));
     }
     if literals
         .iter()
         .any(|&a| literals.iter().any(|&b| knowledge.exclude(a, b)))
     {
-        found.push(Body::Never);
+        found.push(Conjunction::Never);
     }
     // Remove one at a time, the last first. Implication is an order on classes, so every sequence ends in the same
     // form.
@@ -111,7 +111,7 @@ fn simpler(egraph: &EGraph<Body, ()>, parts: &[Id], knowledge: &dyn Knowledge) -
     });
     if let Some(at) = redundant {
         set.remove(at);
-        found.push(Body::All(set.into()));
+        found.push(Conjunction::All(set.into()));
     }
     found
 }
@@ -119,14 +119,14 @@ fn simpler(egraph: &EGraph<Body, ()>, parts: &[Id], knowledge: &dyn Knowledge) -
 /// The cost of a form: the number of literals, then their positions.
 struct Fewest;
 
-impl CostFunction<Body> for Fewest {
+impl CostFunction<Conjunction> for Fewest {
     type Cost = u64;
 
-    fn cost<C: FnMut(Id) -> u64>(&mut self, node: &Body, mut costs: C) -> u64 {
+    fn cost<C: FnMut(Id) -> u64>(&mut self, node: &Conjunction, mut costs: C) -> u64 {
         match node {
-            Body::Never => 0,
-            Body::Literal(number) => (1 << 32) + u64::from(*number),
-            Body::All(_) => node.fold(1, |sum, part| sum.saturating_add(costs(part))),
+            Conjunction::Never => 0,
+            Conjunction::Literal(number) => (1 << 32) + u64::from(*number),
+            Conjunction::All(_) => node.fold(1, |sum, part| sum.saturating_add(costs(part))),
         }
     }
 }

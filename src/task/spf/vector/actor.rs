@@ -331,13 +331,13 @@ impl Evaluation {
 
 /// The steps of some environments.
 #[derive(Default)]
-struct Part {
+struct EnvChunk {
     seen: IndexMap<Key, Evaluation>,
     scratch: Scratch,
     done: Trajectories,
 }
 
-impl Part {
+impl EnvChunk {
     fn value(&mut self, network: &PolicyNetwork, observation: &[f32]) -> f32 {
         let key = Key::of(observation);
         match self.seen.get(&key) {
@@ -433,7 +433,7 @@ impl VectorEnv {
         let share = count.div_ceil(threads.as_ref().map_or(1, |pool| pool.current_num_threads()));
         let cancel = &self.cancel;
         let run = |(sub_envs, rows): (&mut [SubEnv], &mut [f32]), random: &[f32]| {
-            let mut part = Part::default();
+            let mut part = EnvChunk::default();
             for (at, (sub_env, row)) in sub_envs.iter_mut().zip(rows.chunks_exact_mut(width)).enumerate() {
                 if cancel.requested() {
                     sub_env.cancel()?;
@@ -442,7 +442,7 @@ impl VectorEnv {
             }
             Ok(part)
         };
-        let parts: Vec<Result<Part, Diagnostic>> = match &threads {
+        let parts: Vec<Result<EnvChunk, Diagnostic>> = match &threads {
             Some(pool) => run_polled(pool, &|| _ = cancel.requested(), || {
                 (self.sub_envs.par_chunks_mut(share))
                     .zip(observations.par_chunks_mut(share * width))
@@ -452,15 +452,15 @@ impl VectorEnv {
             }),
             None => vec![run((&mut self.sub_envs, observations), random)],
         };
-        let parts = parts.into_iter().collect::<Result<Vec<Part>, Diagnostic>>()?;
+        let parts = parts.into_iter().collect::<Result<Vec<EnvChunk>, Diagnostic>>()?;
         Ok(join(network, parts))
     }
 }
 
 /// Joins the steps of all environments. The order of states does not depend on the parts.
-fn join(network: &PolicyNetwork, parts: Vec<Part>) -> Trajectories {
+fn join(network: &PolicyNetwork, parts: Vec<EnvChunk>) -> Trajectories {
     let mut parts = parts.into_iter();
-    let Some(Part { mut seen, mut done, .. }) = parts.next() else {
+    let Some(EnvChunk { mut seen, mut done, .. }) = parts.next() else {
         return Trajectories::default();
     };
     for part in parts {
