@@ -1,12 +1,11 @@
 //! `logicity bench`: measures how fast this machine evaluates rules, simulates cities and draws pictures.
 
-use crate::builtin::BuiltinFiles;
 use crate::cancel::Cancel;
 use crate::city::{Action, AgentSet, Building, Buildings, MapConfig, Split};
 use crate::city::{Agent, Cell};
 use crate::cli::failure::Failure;
 use crate::cli::limits::LimitOptions;
-use crate::cli::load::load_city;
+use crate::cli::load::{inference_of, load_city};
 use crate::cli::report::report;
 use crate::cli::scenes::{SceneLine, SceneLines};
 use crate::cli::terminal;
@@ -647,16 +646,8 @@ fn evaluate<const W: usize>(
 
 /// Measures the rules alone on the scenes of a file.
 fn infer_scenes(arguments: &Arguments, city: LoadedCity, path: &Path, sources: &Sources) -> Result<(), Failure> {
-    let (name, limits) = (city.scenario.name.clone(), city.limits);
-    let mut inference = Inference::new(
-        city.scenario,
-        city.program,
-        Seed(arguments.seed),
-        arguments.executor,
-        BuiltinFiles,
-    )?;
-    inference.name_clauses(sources);
-    inference.set_limits(limits);
+    let name = city.scenario.name.clone();
+    let mut inference = inference_of(city, arguments.seed, arguments.executor, sources)?;
     let dense = match arguments.executor {
         Executor::Relational => None,
         Executor::Dense => Some(inference.compile()?),

@@ -1,17 +1,15 @@
 //! `logicity infer`: evaluates the rules on scenes.
 
-use crate::builtin::BuiltinFiles;
 use crate::cli::failure::Failure;
 use crate::cli::inputs::Inputs;
 use crate::cli::limits::{LimitOptions, advised};
-use crate::cli::load::load_city;
+use crate::cli::load::{inference_of, load_city};
 use crate::cli::outputs::{ForceOption, finish, is_stdout, messages, unwritable};
 use crate::cli::report::report;
 use crate::cli::scenes::{SceneLine, SceneLines};
 use crate::cli::terminal;
 use crate::cli::values::{integer, one_of};
 use crate::diag::{SourceId, Sources, to_json};
-use crate::rng::Seed;
 use crate::sim::{Executor, Inference};
 use serde_json::json;
 use std::io::{self, BufWriter, Write};
@@ -66,15 +64,8 @@ pub fn run(arguments: &Arguments, sources: &mut Sources) -> Result<(), Failure> 
         arguments.rules.as_deref(),
         &arguments.limits,
     )?;
-    let mut inference = Inference::new(
-        city.scenario,
-        city.program,
-        Seed(arguments.seed),
-        arguments.executor,
-        BuiltinFiles,
-    )?;
-    inference.name_clauses(sources);
-    inference.set_limits(city.limits);
+    let memory = city.limits.bytes;
+    let mut inference = inference_of(city, arguments.seed, arguments.executor, sources)?;
     if arguments.check_constraints {
         inference.check_constraints();
     }
@@ -85,7 +76,7 @@ pub fn run(arguments: &Arguments, sources: &mut Sources) -> Result<(), Failure> 
         (None, None) => None,
     };
     let asked = question.map(|question| (question, &*sources));
-    let scenes = SceneLines::open(&arguments.file)?.within(city.limits.bytes);
+    let scenes = SceneLines::open(&arguments.file)?.within(memory);
     match arguments.out.as_deref().filter(|path| !is_stdout(path)) {
         None => {
             let mut out = BufWriter::new(terminal::data());

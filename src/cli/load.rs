@@ -11,7 +11,8 @@ use crate::config::{load_map, missing_file, rule_file};
 use crate::datalog::{InputPolicy, Program, Workspace};
 use crate::diag::{Diagnostic, Sources};
 use crate::files::ReadFile;
-use crate::sim::{LoadError, LoadedCity};
+use crate::rng::Seed;
+use crate::sim::{Executor, Inference, LoadError, LoadedCity};
 use std::path::Path;
 
 impl From<LoadError> for Failure {
@@ -77,6 +78,14 @@ pub fn load_city(
     city.limits = limits.limits(city.limits);
     report(&city.warnings, sources);
     Ok(city)
+}
+
+/// Returns what decides single scenes of a city.
+pub fn inference_of(city: LoadedCity, seed: u64, executor: Executor, sources: &Sources) -> Result<Inference, Failure> {
+    let mut inference = Inference::new(city.scenario, city.program, Seed(seed), executor, BuiltinFiles)?;
+    inference.name_clauses(sources);
+    inference.set_limits(city.limits);
+    Ok(inference)
 }
 
 /// Reads a map, given as a path to a YAML file or as the name of a built-in map.

@@ -102,26 +102,7 @@ impl<const W: usize> State<W> {
         };
         // Lost rows existed before, so they need no limit.
         let mut outputs: Vec<Output<W>> = stratum.members.iter().map(|_| Output::new(usize::MAX)).collect();
-        let mut steps: Vec<RowView<'_, W>> = Vec::new();
-        for &clause in &stratum.clauses {
-            for change in &plans.clauses[clause.index()].changes {
-                let Some(delta) = commit.delta(change.over) else {
-                    continue;
-                };
-                let rows = if change.negated { &delta.added } else { &delta.removed };
-                if let (false, Some(head)) = (rows.is_empty(), plans.member[change.plan.head.index()]) {
-                    steps.clear();
-                    steps.extend(views(commit, &change.plan, rows, None, &before));
-                    meter.run(
-                        clause,
-                        &change.plan,
-                        (&steps, rows.len()),
-                        commit.symbols,
-                        &mut outputs[head],
-                    )?;
-                }
-            }
-        }
+        derive_from_inputs(commit, stratum, ChangeSide::Lost, None, &before, meter, &mut outputs)?;
         if !stratum.recursive || outputs.iter().all(Output::is_empty) {
             return Ok((outputs.iter_mut().map(Output::take).collect(), 0));
         }
@@ -203,31 +184,19 @@ impl<const W: usize> State<W> {
         quota: Quota,
         meter: &mut Meter<'_>,
     ) -> Result<ByMember<W>, Failure> {
-        let plans = &commit.plans;
         let now = |spec: &IndexSpec| self.now(stratum, base, spec);
         let mut outputs: Vec<Output<W>> = stratum.members.iter().map(|_| Output::new(quota.rows)).collect();
         let share = quota.bytes / 2 / outputs.len().max(1) as u64;
         outputs.iter_mut().for_each(|output| output.set_bytes(share));
-        let mut steps: Vec<RowView<'_, W>> = Vec::new();
-        for &clause in &stratum.clauses {
-            for change in &plans.clauses[clause.index()].changes {
-                let Some(delta) = commit.delta(change.over) else {
-                    continue;
-                };
-                let rows = if change.negated { &delta.removed } else { &delta.added };
-                if let (false, Some(head)) = (rows.is_empty(), plans.member[change.plan.head.index()]) {
-                    steps.clear();
-                    steps.extend(views(commit, &change.plan, rows, Some(base[head]), &now));
-                    meter.run(
-                        clause,
-                        &change.plan,
-                        (&steps, rows.len()),
-                        commit.symbols,
-                        &mut outputs[head],
-                    )?;
-                }
-            }
-        }
+        derive_from_inputs(
+            commit,
+            stratum,
+            ChangeSide::Gained,
+            Some(base),
+            &now,
+            meter,
+            &mut outputs,
+        )?;
         Ok(outputs.iter_mut().map(Output::take).collect())
     }
 
@@ -236,6 +205,49 @@ impl<const W: usize> State<W> {
         let member = stratum.members.iter().position(|&member| member == spec.relation);
         member.map_or_else(|| self.batch(spec), |member| ByWidth::Own(base[member].batch(spec)))
     }
+}
+
+/// The side of a change on which heads depend.
+#[derive(Clone, Copy, PartialEq, Eq)]
+enum ChangeSide {
+    /// Removed rows; of a negated atom, added ones.
+    Lost,
+    /// Added rows; of a negated atom, removed ones.
+    Gained,
+}
+
+/// Adds to `outputs` the heads that the clauses derive from the changed rows of the inputs on one side, without those in
+/// `base`. The other atoms read what `complete` returns.
+fn derive_from_inputs<'b, const W: usize>(
+    commit: &Commit<'_, W>,
+    stratum: &StratumPlan,
+    side: ChangeSide,
+    base: Option<&[&Table<W>]>,
+    complete: &impl Fn(&IndexSpec) -> AnyBatch<'b, W>,
+    meter: &mut Meter<'_>,
+    outputs: &mut [Output<W>],
+) -> Result<(), Failure> {
+    let plans = &commit.plans;
+    let mut steps: Vec<RowView<'_, W>> = Vec::new();
+    for &clause in &stratum.clauses {
+        for change in &plans.clauses[clause.index()].changes {
+            let Some(delta) = commit.delta(change.over) else {
+                continue;
+            };
+            let rows = match (side == ChangeSide::Lost) != change.negated {
+                true => &delta.removed,
+                false => &delta.added,
+            };
+            if let (false, Some(head)) = (rows.is_empty(), plans.member[change.plan.head.index()]) {
+                steps.clear();
+                let known = base.map(|base| base[head]);
+                steps.extend(views(commit, &change.plan, rows, known, complete));
+                let views = (steps.as_slice(), rows.len());
+                meter.run(clause, &change.plan, views, commit.symbols, &mut outputs[head])?;
+            }
+        }
+    }
+    Ok(())
 }
 
 /// Returns the view of each step of a plan. The first step reads `rows`, the test for known heads reads `known`, and
