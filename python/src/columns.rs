@@ -373,7 +373,8 @@ impl<'py> Converter<'_, 'py> {
             BaseType::Unsigned => value.0.into_pyobject(self.py)?.into_any(),
             BaseType::Float => value.as_float().into_pyobject(self.py)?.into_any(),
             BaseType::Symbol => {
-                let text = || PyString::new(self.py, self.symbols.text(Symbol(value.0)).unwrap_or_default()).into_any();
+                let text =
+                    || PyString::new(self.py, self.symbols.resolve(Symbol(value.0)).unwrap_or_default()).into_any();
                 self.strings.entry(value.0).or_insert_with(text).clone()
             }
         })

@@ -99,7 +99,7 @@ impl Partial {
 
 /// Whether a minimum or maximum prefers the first value to the second.
 fn beats(op: AggregateOp, base: BaseType, a: Value, b: Value, symbols: &Symbols) -> bool {
-    let text = |value: Value| symbols.text(Symbol(value.0)).unwrap_or_default();
+    let text = |value: Value| symbols.resolve(Symbol(value.0)).unwrap_or_default();
     let order = match base {
         BaseType::Symbol => text(a).cmp(text(b)),
         BaseType::Number => a.as_number().cmp(&b.as_number()),

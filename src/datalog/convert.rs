@@ -247,7 +247,7 @@ columns! {
     };
     f32: "type float", BaseType::Float, |value, _base, _symbols| value.as_float();
     f64: "type float", BaseType::Float, |value, _base, _symbols| value.as_float().into();
-    &'s str: "type symbol", BaseType::Symbol, |value, _base, symbols| symbols.text(Symbol(value.0)).unwrap_or_default();
+    &'s str: "type symbol", BaseType::Symbol, |value, _base, symbols| symbols.resolve(Symbol(value.0)).unwrap_or_default();
     String: "type symbol", BaseType::Symbol, |value, base, symbols| <&str>::from_value(value, base, symbols).to_owned();
 }
 

@@ -279,7 +279,7 @@ pub fn sorted(session: &Session, rel: RelId) -> Vec<&[Value]> {
 
 /// Compares rows column by column: numbers by value, symbols by text.
 fn compare(session: &Session, relation: &Relation, a: &[Value], b: &[Value]) -> Ordering {
-    let text = |value: Value| session.symbols().text(Symbol(value.0)).unwrap_or_default();
+    let text = |value: Value| session.symbols().resolve(Symbol(value.0)).unwrap_or_default();
     let mut columns = relation.columns.iter().zip(a.iter().zip(b));
     let order = columns.find_map(|(column, (a, b))| {
         let order = match column.base {
@@ -296,7 +296,11 @@ fn compare(session: &Session, relation: &Relation, a: &[Value], b: &[Value]) -> 
 /// Returns a value as a rows file shows it.
 pub fn print_value(session: &Session, value: Value, base: BaseType) -> String {
     match base {
-        BaseType::Symbol => session.symbols().text(Symbol(value.0)).unwrap_or_default().to_owned(),
+        BaseType::Symbol => session
+            .symbols()
+            .resolve(Symbol(value.0))
+            .unwrap_or_default()
+            .to_owned(),
         BaseType::Number => value.as_number().to_string(),
         BaseType::Unsigned => value.0.to_string(),
         BaseType::Float => print_float(value.as_float()),
@@ -314,7 +318,7 @@ pub fn write_rows(session: &Session, rel: RelId, format: &RowFormat, out: &mut d
     let Some(relation) = session.program().rules().relations.get(rel.index()) else {
         return Ok(());
     };
-    let text = |value: Value| session.symbols().text(Symbol(value.0)).unwrap_or_default();
+    let text = |value: Value| session.symbols().resolve(Symbol(value.0)).unwrap_or_default();
     let in_order = (session.encoded_rows(rel)).is_sorted_by(|a, b| compare(session, relation, a, b).is_le());
     let mut order: Vec<usize> = Vec::new();
     if !in_order {

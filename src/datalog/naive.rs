@@ -209,7 +209,7 @@ fn value(term: &Term, known: &Binding) -> Option<Value> {
 }
 
 fn compare(op: Comparison, left: Value, right: Value, base: BaseType, symbols: &Symbols) -> bool {
-    let text = |value: Value| symbols.text(Symbol(value.0)).unwrap_or_default();
+    let text = |value: Value| symbols.resolve(Symbol(value.0)).unwrap_or_default();
     let less = |left: Value, right: Value| match base {
         BaseType::Number => left.as_number() < right.as_number(),
         BaseType::Symbol => text(left) < text(right),

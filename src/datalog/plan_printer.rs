@@ -359,7 +359,7 @@ impl Shown<'_> {
 
     fn show_value(&self, value: Value, base: BaseType) -> String {
         match base {
-            BaseType::Symbol => quoted(self.compiled.rules.symbols.text(Symbol(value.0)).unwrap_or_default()),
+            BaseType::Symbol => quoted(self.compiled.rules.symbols.resolve(Symbol(value.0)).unwrap_or_default()),
             BaseType::Number => value.as_number().to_string(),
             BaseType::Unsigned => value.0.to_string(),
             BaseType::Float => print_float(value.as_float()),

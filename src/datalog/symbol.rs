@@ -4,7 +4,7 @@
 //! numbered in order of first appearance, so they are the same in every run.
 //!
 //! A table grows through a shared reference, since rules create symbols during evaluation. A string never moves, so
-//! [`Symbols::text`] takes no lock.
+//! [`Symbols::resolve`] takes no lock.
 // Decision: docs/decisions/facts.md#d013
 
 use indexmap::IndexSet;
@@ -22,7 +22,7 @@ pub struct Symbols {
     /// Maps strings to numbers.
     numbers: RwLock<IndexSet<Arc<str>>>,
     /// Maps numbers to strings: block b holds `FIRST_BLOCK << b` strings.
-    texts: [OnceLock<Block>; BLOCKS],
+    strings: [OnceLock<Block>; BLOCKS],
     /// The number of strings; read for every inserted row.
     len: AtomicUsize,
     /// The approximate memory of all strings, in bytes.
@@ -35,7 +35,7 @@ type Block = Box<[OnceLock<Arc<str>>]>;
 const FIRST_BLOCK: usize = 64;
 
 /// The overhead of a string in bytes, rounded up: its entries in both directions, with room to grow, and its allocation.
-const TEXT_BYTES: u64 = 128;
+const STRING_BYTES: u64 = 128;
 
 /// The number of blocks that hold 2^32 strings.
 const BLOCKS: usize = 27;
@@ -54,21 +54,22 @@ impl Symbols {
     }
 
     /// Returns the symbol of a string; creates it if it is new.
-    pub fn intern(&self, text: &str) -> Symbol {
-        if let Some(known) = self.get(text) {
+    pub fn intern(&self, string: &str) -> Symbol {
+        if let Some(known) = self.get(string) {
             return known;
         }
         let mut numbers = self.numbers.write().unwrap_or_else(PoisonError::into_inner);
         // Another thread may have added it meanwhile.
-        if let Some(index) = numbers.get_index_of(text) {
+        if let Some(index) = numbers.get_index_of(string) {
             return symbol(index);
         }
-        let text: Arc<str> = text.into();
-        let made = symbol(numbers.insert_full(Arc::clone(&text)).0);
+        let string: Arc<str> = string.into();
+        let made = symbol(numbers.insert_full(Arc::clone(&string)).0);
         let (block, at) = place(made.0);
-        let block = self.texts[block].get_or_init(|| (0..FIRST_BLOCK << block).map(|_| OnceLock::new()).collect());
-        self.bytes.fetch_add(TEXT_BYTES + text.len() as u64, Ordering::Relaxed);
-        block[at].get_or_init(|| text);
+        let block = self.strings[block].get_or_init(|| (0..FIRST_BLOCK << block).map(|_| OnceLock::new()).collect());
+        self.bytes
+            .fetch_add(STRING_BYTES + string.len() as u64, Ordering::Relaxed);
+        block[at].get_or_init(|| string);
         self.len.store(numbers.len(), Ordering::Release);
         made
     }
@@ -76,27 +77,27 @@ impl Symbols {
     /// Removes all but the first `len` symbols.
     pub fn truncate(&mut self, len: usize) {
         let numbers = self.numbers.get_mut().unwrap_or_else(PoisonError::into_inner);
-        for text in numbers.drain(len.min(numbers.len())..).rev() {
+        for string in numbers.drain(len.min(numbers.len())..).rev() {
             let last = *self.len.get_mut() - 1;
             let (block, at) = place(symbol(last).0);
-            if let Some(block) = self.texts[block].get_mut() {
+            if let Some(block) = self.strings[block].get_mut() {
                 block[at].take();
             }
-            *self.bytes.get_mut() -= TEXT_BYTES + text.len() as u64;
+            *self.bytes.get_mut() -= STRING_BYTES + string.len() as u64;
             *self.len.get_mut() = last;
         }
     }
 
     /// Returns the symbol of a string, or `None` if it has none.
-    pub fn get(&self, text: &str) -> Option<Symbol> {
+    pub fn get(&self, string: &str) -> Option<Symbol> {
         let numbers = self.numbers.read().unwrap_or_else(PoisonError::into_inner);
-        numbers.get_index_of(text).map(symbol)
+        numbers.get_index_of(string).map(symbol)
     }
 
     /// Returns the string of a symbol, or `None` if the table does not have it.
-    pub fn text(&self, symbol: Symbol) -> Option<&str> {
+    pub fn resolve(&self, symbol: Symbol) -> Option<&str> {
         let (block, at) = place(symbol.0);
-        self.texts.get(block)?.get()?.get(at)?.get().map(AsRef::as_ref)
+        self.strings.get(block)?.get()?.get(at)?.get().map(AsRef::as_ref)
     }
 
     /// Returns the number of symbols.
@@ -151,26 +152,26 @@ mod tests {
         assert_eq!(symbols.len(), 501);
         symbols.truncate(1);
         assert_eq!((symbols.len(), symbols.bytes()), (1, bytes));
-        assert_eq!((symbols.text(Symbol(1)), symbols.get("0")), (None, None));
+        assert_eq!((symbols.resolve(Symbol(1)), symbols.get("0")), (None, None));
         assert_eq!(symbols.intern("b"), Symbol(1));
         assert_eq!(
-            (symbols.text(Symbol(0)), symbols.text(Symbol(1))),
+            (symbols.resolve(Symbol(0)), symbols.resolve(Symbol(1))),
             (Some("a"), Some("b"))
         );
     }
 
     #[test]
-    fn texts_and_numbers_go_both_ways() {
+    fn strings_and_numbers_go_both_ways() {
         let symbols = Symbols::new();
         for number in 0..1_000 {
             assert_eq!(symbols.intern(&number.to_string()), Symbol(number));
         }
         for number in 0..1_000 {
-            assert_eq!(symbols.text(Symbol(number)), Some(number.to_string().as_str()));
+            assert_eq!(symbols.resolve(Symbol(number)), Some(number.to_string().as_str()));
             assert_eq!(symbols.intern(&number.to_string()), Symbol(number));
         }
         assert_eq!((symbols.len(), symbols.clone().len()), (1_000, 1_000));
-        assert_eq!(symbols.text(Symbol(1_000)), None);
-        assert_eq!(symbols.text(Symbol(u32::MAX)), None);
+        assert_eq!(symbols.resolve(Symbol(1_000)), None);
+        assert_eq!(symbols.resolve(Symbol(u32::MAX)), None);
     }
 }

@@ -43,16 +43,16 @@ impl Value {
 }
 
 impl Functor {
-    /// Returns the maximum length in bytes of the text that [`Functor::apply`] creates; 0 if it creates none.
-    pub(crate) fn text_length(self, base: BaseType, arguments: &[Value], symbols: &Symbols) -> u64 {
-        /// The longest text of a number.
+    /// Returns the maximum length in bytes of the symbol that [`Functor::apply`] creates; 0 if it creates none.
+    pub(crate) fn symbol_length(self, base: BaseType, arguments: &[Value], symbols: &Symbols) -> u64 {
+        /// The longest symbol of a number.
         const NUMBER: u64 = 64;
-        let length = |value: &Value| symbols.text(Symbol(value.0)).map_or(0, str::len) as u64;
+        let length = |value: &Value| symbols.resolve(Symbol(value.0)).map_or(0, str::len) as u64;
         match (self, arguments) {
             (Cat, parts) => parts.iter().map(length).sum(),
             (Add, parts) if base == BaseType::Symbol => parts.iter().map(length).sum(),
             (Substring, [value, ..]) => length(value),
-            (ToText, _) => NUMBER,
+            (ToSymbol, _) => NUMBER,
             _ => 0,
         }
     }
@@ -61,7 +61,7 @@ impl Functor {
     ///
     /// `base` is the base type of the arguments; where they differ, that of the first.
     pub fn apply(self, base: BaseType, arguments: &[Value], symbols: &Symbols) -> Option<Value> {
-        let text = |value: &Value| symbols.text(Symbol(value.0)).unwrap_or_default();
+        let text = |value: &Value| symbols.resolve(Symbol(value.0)).unwrap_or_default();
         let made = |text: &str| Some(Value(symbols.intern(text).0));
         match (self, arguments) {
             (Cast, [value]) => return Some(*value),
@@ -76,11 +76,11 @@ impl Functor {
                 let Ok(from) = usize::try_from(from) else {
                     return made("");
                 };
-                // As in Soufflé, a negative length means the rest of the text.
+                // As in Soufflé, a negative length means the rest of the symbol.
                 let length = usize::try_from(length).unwrap_or(usize::MAX);
                 return made(&text(value).chars().skip(from).take(length).collect::<String>());
             }
-            (ToText, [value]) => {
+            (ToSymbol, [value]) => {
                 return match base {
                     BaseType::Symbol => Some(*value),
                     BaseType::Number => made(&value.as_number().to_string()),
@@ -262,7 +262,7 @@ impl Patterns {
     /// Returns whether the whole of `text` matches `pattern`.
     pub fn matches(&mut self, pattern: Value, text: &str, symbols: &Symbols) -> bool {
         let compiled = self.0.entry(pattern).or_insert_with(|| {
-            let pattern = symbols.text(Symbol(pattern.0)).unwrap_or_default();
+            let pattern = symbols.resolve(Symbol(pattern.0)).unwrap_or_default();
             Patterns::compile(pattern).ok()
         });
         compiled.as_ref().is_some_and(|compiled| compiled.is_match(text))

@@ -504,7 +504,7 @@ fn canonical(clause: &Clause) -> Clause {
 /// Translates a value from one symbol table to another.
 fn moved(value: Value, base: BaseType, from: &Symbols, to: &Symbols) -> Value {
     match base {
-        BaseType::Symbol => Value(to.intern(from.text(Symbol(value.0)).unwrap_or_default()).0),
+        BaseType::Symbol => Value(to.intern(from.resolve(Symbol(value.0)).unwrap_or_default()).0),
         _ => value,
     }
 }

@@ -171,7 +171,7 @@ fn clauses_of(node: &Node) -> Vec<ClauseId> {
     match node {
         Node::Fact(fact) => match &fact.origin {
             Origin::Input => Vec::new(),
-            Origin::Text(clause) => vec![*clause],
+            Origin::Source(clause) => vec![*clause],
             Origin::Derived(derivation) => vec![derivation.clause],
         },
         Node::Absence(absence) => match &absence.reason {
@@ -243,7 +243,7 @@ fn write_key(node: &Node, numbers: &[Option<u32>], key: &mut Vec<u32>) {
             key.extend(fact.row.iter().map(|value| value.0));
             match &fact.origin {
                 Origin::Input => key.push(0),
-                Origin::Text(clause) => key.extend([1, clause.0]),
+                Origin::Source(clause) => key.extend([1, clause.0]),
                 Origin::Derived(derivation) => {
                     key.extend([2, derivation.clause.0]);
                     write_pattern(&derivation.binding, key);

@@ -152,7 +152,7 @@ impl Background {
             .collect();
         for (rows, rel) in self.rows.values_mut().zip(derived) {
             for row in session.encoded_rows(rel) {
-                let text = |value: &Value| session.symbols().text(Symbol(value.0)).unwrap_or_default();
+                let text = |value: &Value| session.symbols().resolve(Symbol(value.0)).unwrap_or_default();
                 let numbers = row
                     .iter()
                     .map(|value| self.constants.get_index_of(text(value)).unwrap_or(0) as u32);

@@ -70,7 +70,7 @@ fn derived(task: &Task, rules: &ActionRules) -> BTreeSet<Vec<String>> {
         .find(|(relation, _)| relation.output)
         .unwrap();
     let names = session.symbols();
-    let text = |value: &logicity::datalog::Value| names.text(logicity::symbol::Symbol(value.0)).unwrap().to_owned();
+    let text = |value: &logicity::datalog::Value| names.resolve(logicity::symbol::Symbol(value.0)).unwrap().to_owned();
     session
         .encoded_rows(target)
         .map(|row| row.iter().map(text).collect())

@@ -172,7 +172,7 @@ fn by_naive(rules: &Rules, steps: &[Step]) -> Vec<Answer> {
         let mut answer: Answer = (database[id.index()].iter())
             .map(|row| {
                 let shown = columns.iter().zip(row).map(|(column, value)| match column.base {
-                    BaseType::Symbol => symbols.text(Symbol(value.0)).expect("a symbol").to_owned(),
+                    BaseType::Symbol => symbols.resolve(Symbol(value.0)).expect("a symbol").to_owned(),
                     BaseType::Number => value.as_number().to_string(),
                     BaseType::Unsigned => value.0.to_string(),
                     BaseType::Float => logicity_datalog::print_float(value.as_float()),

@@ -971,7 +971,7 @@ fn leaf() -> impl Strategy<Value = ast::Term> {
         1 => (-4_294_967_295_i64..=4_294_967_295).prop_map(ast::TermKind::Number),
         1 => any::<u32>().prop_map(ast::TermKind::Unsigned),
         1 => "-?[0-9]{1,3}\\.[0-9]{1,3}(e[+-]?[0-9])?".prop_map(ast::TermKind::Float),
-        1 => any::<String>().prop_map(ast::TermKind::Text),
+        1 => any::<String>().prop_map(ast::TermKind::Symbol),
     ]
     .prop_map(|kind| ast::Term { kind, place: place() })
 }

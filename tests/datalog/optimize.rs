@@ -200,7 +200,7 @@ proptest! {
         let (_, rules) = rules(&(written(&clauses, constraints) + "P(\"a\") :- A(\"b\"), R(\"c\", \"c\").\n"));
         let names = ["a", "b", "c"].map(|name| (0..rules.symbols.len() as u32)
             .map(Value)
-            .find(|value| rules.symbols.text(logicity_datalog::symbol::Symbol(value.0)) == Some(name))
+            .find(|value| rules.symbols.resolve(logicity_datalog::symbol::Symbol(value.0)) == Some(name))
             .unwrap());
         // Symmetric facts come in pairs and reflexive ones with loops, so that some remain.
         let loops = rules.constraints.iter().any(|one| matches!(one.constraint, Constraint::Reflexive(_)));

@@ -62,7 +62,7 @@ pub fn check(session: &Session, model: &naive::Database, explanation: &Explanati
                 assert!(model[fact.relation.index()].contains(&fact.row));
                 match &fact.origin {
                     Origin::Input => assert!(!rules.relations[fact.relation.index()].derived),
-                    Origin::Text(clause) => assert!(rules.clauses[clause.index()].body.is_empty()),
+                    Origin::Source(clause) => assert!(rules.clauses[clause.index()].body.is_empty()),
                     Origin::Derived(derivation) => {
                         let clause = &rules.clauses[derivation.clause.index()];
                         assert_eq!(clause.head.relation, fact.relation);

@@ -13,7 +13,8 @@ pub fn signature(analysis: &Analysis, byte: usize, client: &Client) -> Option<Va
     let tokens = tokens(analysis.entry, text);
     let before = &tokens[..tokens.partition_point(|(_, bytes)| bytes.start < byte)];
     if let Some((kind, bytes)) = before.last()
-        && (byte < bytes.end && *kind == TokenKind::Text || *kind == TokenKind::Comment && is_inside(text, bytes, byte))
+        && (byte < bytes.end && *kind == TokenKind::String
+            || *kind == TokenKind::Comment && is_inside(text, bytes, byte))
     {
         return None;
     }

@@ -81,7 +81,7 @@ fn found(analysis: &Analysis) -> Vec<Token> {
         let occurrence = named.peek().filter(|one| one.span.range() == bytes);
         found.push(match (kind, occurrence) {
             (TokenKind::Comment, _) => (bytes, "comment", 0),
-            (TokenKind::Text, _) => (bytes, "string", 0),
+            (TokenKind::String, _) => (bytes, "string", 0),
             (TokenKind::Number, _) => (bytes, "number", 0),
             (TokenKind::Directive, _) => (bytes, "keyword", 0),
             (TokenKind::Name, Some(one)) => {

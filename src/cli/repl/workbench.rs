@@ -339,7 +339,7 @@ impl<'s> Workbench<'s> {
 
     fn written(&self, value: Value, base: BaseType, place: ast::Place) -> ast::TermKind {
         match base {
-            BaseType::Symbol => ast::TermKind::Text(self.text(value).to_owned()),
+            BaseType::Symbol => ast::TermKind::Symbol(self.text(value).to_owned()),
             BaseType::Number => ast::TermKind::Number(i64::from(value.as_number())),
             BaseType::Unsigned => ast::TermKind::Unsigned(value.0),
             BaseType::Float if value.as_float().is_finite() => {
@@ -347,7 +347,7 @@ impl<'s> Workbench<'s> {
             }
             BaseType::Float => {
                 let text = ast::Term {
-                    kind: ast::TermKind::Text(datalog::print_float(value.as_float())),
+                    kind: ast::TermKind::Symbol(datalog::print_float(value.as_float())),
                     place,
                 };
                 ast::TermKind::Functor(Functor::ToFloat, vec![text])
@@ -356,7 +356,7 @@ impl<'s> Workbench<'s> {
     }
 
     fn text(&self, value: Value) -> &str {
-        self.session.symbols().text(Symbol(value.0)).unwrap_or_default()
+        self.session.symbols().resolve(Symbol(value.0)).unwrap_or_default()
     }
 
     /// Returns the rows of a predicate without rules that no source states.

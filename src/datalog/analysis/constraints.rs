@@ -107,7 +107,7 @@ fn shown(session: &Session, relation: RelId, row: &[Value]) -> String {
             BaseType::Number => value.as_number().to_string(),
             BaseType::Unsigned => value.0.to_string(),
             BaseType::Float => print_float(value.as_float()),
-            BaseType::Symbol => format!("{:?}", session.symbols().text(Symbol(value.0)).unwrap_or_default()),
+            BaseType::Symbol => format!("{:?}", session.symbols().resolve(Symbol(value.0)).unwrap_or_default()),
         });
     format!("`{}({})`", relation.name, values.collect::<Vec<_>>().join(", "))
 }

@@ -137,7 +137,7 @@ fn packed_facts(
 /// Returns the word of a constant in a column of this base type, if it fits.
 fn constant_of(base: BaseType, constant: Constant<'_>, symbols: &Symbols) -> Option<Value> {
     match (base, constant) {
-        (BaseType::Symbol, Constant::Text(text)) => Some(Value(symbols.intern(text).0)),
+        (BaseType::Symbol, Constant::Symbol(text)) => Some(Value(symbols.intern(text).0)),
         (BaseType::Number, Constant::Number(number)) => Some(Value::number(number)),
         (BaseType::Unsigned, Constant::Number(number)) => u32::try_from(number).ok().map(Value),
         #[allow(clippy::cast_precision_loss)]

@@ -488,7 +488,7 @@ pub(crate) fn renamed_term(term: &Term, names: &Names) -> Term {
         | TermKind::Address(_)
         | TermKind::Unsigned(_)
         | TermKind::Float(_)
-        | TermKind::Text(_) => {}
+        | TermKind::Symbol(_) => {}
     }
     term
 }

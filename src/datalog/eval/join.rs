@@ -74,7 +74,7 @@ pub(crate) struct JoinState {
     /// With more rows than this, budget and cancellation are checked.
     next_poll: u64,
     /// The maximum size of all symbols, in bytes.
-    pub(crate) text_bytes: u64,
+    pub(crate) symbol_bytes: u64,
     /// The correlated aggregates evaluated so far.
     pub(crate) correlated: CorrelatedValues,
 }
@@ -90,7 +90,7 @@ impl JoinState {
             rows_scanned: 0,
             budget,
             next_poll: budget.min(Self::POLL_INTERVAL),
-            text_bytes: u64::MAX,
+            symbol_bytes: u64::MAX,
             correlated: CorrelatedValues::default(),
         }
     }
@@ -115,7 +115,7 @@ pub(crate) fn run<const W: usize>(
         budget: state.budget,
         next_poll: state.next_poll,
         cancel,
-        text_bytes: state.text_bytes,
+        symbol_bytes: state.symbol_bytes,
         patterns: None,
         cursors: Vec::new(),
         sets: WordSets::default(),
@@ -144,7 +144,7 @@ struct Join<'a, const W: usize> {
     budget: u64,
     next_poll: u64,
     cancel: &'a Cancel,
-    text_bytes: u64,
+    symbol_bytes: u64,
     /// Created on first use.
     patterns: Option<Patterns>,
     /// The rest of each list of the active leapfrog joins, and the column of its words.
@@ -200,7 +200,7 @@ impl<const W: usize> Join<'_, W> {
                     to,
                     test,
                 } => {
-                    let value = match functor.makes_text() {
+                    let value = match functor.makes_symbol() {
                         true => self.make(*functor, *base, arguments)?,
                         false => self.compute(*functor, *base, arguments),
                     };
@@ -569,7 +569,7 @@ impl<const W: usize> Join<'_, W> {
                 budget: self.budget,
                 next_poll: self.next_poll,
                 cancel: self.cancel,
-                text_bytes: self.text_bytes,
+                symbol_bytes: self.symbol_bytes,
                 patterns: self.patterns.take(),
                 cursors: Vec::new(),
                 sets: WordSets::default(),
@@ -614,15 +614,15 @@ impl<const W: usize> Join<'_, W> {
         if functor == Functor::Cat {
             let length = |&slot: &Slot| {
                 self.symbols
-                    .text(Symbol(self.slots[slot as usize].0))
+                    .resolve(Symbol(self.slots[slot as usize].0))
                     .map_or(0, str::len)
             };
-            if arguments.iter().map(length).sum::<usize>() as u64 > self.text_bytes {
+            if arguments.iter().map(length).sum::<usize>() as u64 > self.symbol_bytes {
                 return Err(Abort::Memory);
             }
         }
         let value = self.compute(functor, base, arguments);
-        if self.symbols.bytes() > self.text_bytes {
+        if self.symbols.bytes() > self.symbol_bytes {
             return Err(Abort::Memory);
         }
         Ok(value)
@@ -642,7 +642,7 @@ impl<const W: usize> Join<'_, W> {
 
     #[cold]
     fn matches(&mut self, pattern: Value, text: Value) -> bool {
-        let text = self.symbols.text(Symbol(text.0)).unwrap_or_default();
+        let text = self.symbols.resolve(Symbol(text.0)).unwrap_or_default();
         let patterns = self.patterns.get_or_insert_default();
         patterns.matches(pattern, text, self.symbols)
     }
@@ -691,7 +691,7 @@ fn is_bound(plan: &Plan, slots: &mut [Value], parameters: &[Value]) -> bool {
 
 /// Whether a comparison holds. Numbers compare by value; symbols are equal by id and ordered by text.
 fn compare(symbols: &Symbols, op: Comparison, left: Value, right: Value, base: BaseType) -> bool {
-    let text = |value: Value| symbols.text(Symbol(value.0)).unwrap_or_default();
+    let text = |value: Value| symbols.resolve(Symbol(value.0)).unwrap_or_default();
     let order = || match base {
         BaseType::Number => Some(left.as_number().cmp(&right.as_number())),
         BaseType::Symbol if left == right => Some(Ordering::Equal),

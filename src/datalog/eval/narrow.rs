@@ -28,7 +28,7 @@ pub(crate) struct Loaded<const V: usize> {
     table: Table<V>,
     pending: PendingChanges<V>,
     /// The facts in the source.
-    text_facts: Vec<Row<V>>,
+    source_facts: Vec<Row<V>>,
 }
 
 /// The parts of a widened relation: rows, pending changes, and facts in the source.
@@ -57,15 +57,15 @@ impl NarrowTable {
     }
 
     /// Adds a fact of the source.
-    pub(crate) fn add_text_fact(&mut self, words: &[Value]) {
-        each!(self, loaded => loaded.text_facts.push(Row::new(words)));
+    pub(crate) fn add_source_fact(&mut self, words: &[Value]) {
+        each!(self, loaded => loaded.source_facts.push(Row::new(words)));
     }
 
     /// Makes the facts of the source pending. The first commit inserts them like any others.
-    pub(crate) fn insert_text_facts(&mut self) {
+    pub(crate) fn insert_source_facts(&mut self) {
         each!(self, loaded => {
-            normalize(&mut loaded.text_facts);
-            loaded.pending = PendingChanges::of(loaded.text_facts.clone());
+            normalize(&mut loaded.source_facts);
+            loaded.pending = PendingChanges::of(loaded.source_facts.clone());
         });
     }
 
@@ -73,7 +73,7 @@ impl NarrowTable {
     pub(crate) fn change(&mut self, row: &[Value], present: bool) {
         each!(self, loaded => {
             let row = Row::new(row);
-            if present || loaded.text_facts.binary_search(&row).is_err() {
+            if present || loaded.source_facts.binary_search(&row).is_err() {
                 loaded.pending.push(row, present);
             }
         });
@@ -181,7 +181,7 @@ impl NarrowTable {
     /// Returns all that the relation consists of in rows of the program's width.
     pub(crate) fn widened<const W: usize>(self) -> Widened<W> {
         each!(self, loaded => {
-            (wide(&loaded.table.rows), loaded.pending.widened(), wide(&loaded.text_facts))
+            (wide(&loaded.table.rows), loaded.pending.widened(), wide(&loaded.source_facts))
         })
     }
 }
@@ -195,7 +195,7 @@ impl<const V: usize> Loaded<V> {
         Loaded {
             table: Table::new(Vec::new(), indexes),
             pending: PendingChanges::default(),
-            text_facts: Vec::new(),
+            source_facts: Vec::new(),
         }
     }
 }

@@ -127,7 +127,7 @@ impl<'a> ExplanationPrinter<'a> {
         }
         match &fact.origin {
             Origin::Input => json!({ "holds": holds, "height": fact.height, "by": "input" }),
-            Origin::Text(clause) => json!({
+            Origin::Source(clause) => json!({
                 "holds": holds, "height": fact.height, "by": "text", "clause": self.clause_json(*clause),
             }),
             Origin::Derived(derivation) => {
@@ -232,7 +232,7 @@ impl<'a> ExplanationPrinter<'a> {
                     BaseType::Float if value.as_float().is_finite() => json!(value.as_float()),
                     // JSON has no infinities and no NaN.
                     BaseType::Float => json!(value.as_float().to_string()),
-                    BaseType::Symbol => json!(self.symbols.text(Symbol(value.0)).unwrap_or_default()),
+                    BaseType::Symbol => json!(self.symbols.resolve(Symbol(value.0)).unwrap_or_default()),
                 };
                 (name.to_owned(), value)
             })
@@ -352,7 +352,7 @@ impl<'a> ExplanationPrinter<'a> {
             BaseType::Unsigned => value.0.to_string(),
             BaseType::Float => crate::value::print_float(value.as_float()),
             BaseType::Symbol => {
-                let text = self.symbols.text(Symbol(value.0)).unwrap_or_default();
+                let text = self.symbols.resolve(Symbol(value.0)).unwrap_or_default();
                 let bare = |c: char| c.is_alphanumeric() || "_-.".contains(c);
                 if !self.quotes && !text.is_empty() && text.chars().all(bare) {
                     text.to_owned()
@@ -549,7 +549,7 @@ fn result_base(functor: Functor, base: BaseType) -> Option<BaseType> {
     match functor {
         Functor::Cast => None,
         Functor::Length | Functor::Ordinal | Functor::ToNumber => Some(BaseType::Number),
-        Functor::ToText => Some(BaseType::Symbol),
+        Functor::ToSymbol => Some(BaseType::Symbol),
         Functor::ToFloat => Some(BaseType::Float),
         Functor::ToUnsigned => Some(BaseType::Unsigned),
         _ => Some(base),
@@ -606,7 +606,7 @@ impl Drawing<'_> {
                 let mut item = Item::leaf(self.printer.row(fact.relation, &pattern));
                 match &fact.origin {
                     Origin::Input => {}
-                    Origin::Text(clause) => {
+                    Origin::Source(clause) => {
                         let clause = &self.printer.rules.clauses[clause.index()];
                         item.text = format!("{}  [{}]", item.text, self.printer.place(clause));
                     }

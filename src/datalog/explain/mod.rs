@@ -101,7 +101,7 @@ pub enum Origin {
     /// The caller inserted it.
     Input,
     /// The source contains it.
-    Text(ClauseId),
+    Source(ClauseId),
     /// A clause derives it.
     Derived(Derivation),
 }
@@ -523,7 +523,7 @@ impl Making {
         let (height, origin) = search.origin(relation, &row)?;
         let origin = match origin {
             search::heights::Best::Input => Origin::Input,
-            search::heights::Best::Text(clause) => Origin::Text(clause),
+            search::heights::Best::Source(clause) => Origin::Source(clause),
             search::heights::Best::Derived { clause, binding, rows } => {
                 let body = &search.rules().clauses[clause.index()].body;
                 let premise = |(literal, row): (&Literal, Option<Vec<Value>>)| match literal {

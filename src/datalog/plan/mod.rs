@@ -108,7 +108,7 @@ impl Plans {
             let grouping = groupings[relation.index()].as_ref();
             let clauses = clauses.iter().map(|clause| &rules.clauses[clause.index()]);
             let plans = clauses.map(|clause| {
-                let order = Order::Text { large: &[] };
+                let order = Order::Clause { large: &[] };
                 plan_correlated(clause, *parameters, grouping, &mut indexes, order)
             });
             let plans = plans.collect::<Result<Vec<Plan>, Diagnostic>>()?;
@@ -130,7 +130,7 @@ impl Plans {
             }
             let plans = Arc::new(match correlated.get(&clause.head.relation) {
                 Some(Correlated { parameters, .. }) => {
-                    let order = Order::Text { large: &[] };
+                    let order = Order::Clause { large: &[] };
                     ClausePlans::of(plan_correlated(clause, *parameters, grouping, &mut indexes, order)?)
                 }
                 None => plan_clause(clause, stratum, grouping, &mut indexes)?,

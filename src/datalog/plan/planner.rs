@@ -55,7 +55,7 @@ pub(crate) fn plan_clause(
             _ => false,
         })
         .collect();
-    let order = Order::Text { large: &[] };
+    let order = Order::Clause { large: &[] };
     let mut complete = Planner::new(clause, indexes, order).plan(First::Any, &|_| Version::Complete)?;
     if let Some(grouping) = grouping {
         complete = complete.grouped(grouping);
@@ -93,7 +93,7 @@ pub(crate) fn plan_clause(
     }
     // In maintenance a recursive relation is already large; in a computation from scratch it begins empty.
     let (changes, check) = match is_maintainable(clause) && grouping.is_none() {
-        true => plan_changes(clause, indexes, Order::Text { large: stratum })?,
+        true => plan_changes(clause, indexes, Order::Clause { large: stratum })?,
         false => (Vec::new(), None),
     };
     Ok(ClausePlans {
@@ -211,7 +211,7 @@ enum First {
 #[derive(Clone, Copy, Debug)]
 pub(crate) enum Order<'a> {
     /// By the clause alone. The relations in `large` are probably larger than the others.
-    Text { large: &'a [RelId] },
+    Clause { large: &'a [RelId] },
     /// By the sizes of relations. The sizes of all relations in the body are known.
     Sizes(&'a [Option<Size>]),
 }
@@ -594,7 +594,7 @@ impl<'a> Planner<'a> {
                 .filter(|term| **term != Term::Wildcard && self.is_bound(term))
                 .count();
             let (found, large) = match self.order {
-                Order::Text { large } => (0.0, large.contains(&atom.relation)),
+                Order::Clause { large } => (0.0, large.contains(&atom.relation)),
                 Order::Sizes(_) => (self.found(atom), false),
             };
             // An atom that matches at most one row may come anywhere.
@@ -669,7 +669,7 @@ impl<'a> Planner<'a> {
                 let size = sizes[atom.relation.index()].as_ref();
                 size.map_or(0.0, |size| self.flow.found(size, &self.key(atom)))
             }
-            Order::Text { .. } => 0.0,
+            Order::Clause { .. } => 0.0,
         }
     }
 

@@ -292,7 +292,7 @@ pub enum TermKind {
     /// `2.5`, as written.
     Float(String),
     /// A string, with its escapes replaced.
-    Text(String),
+    Symbol(String),
     /// `x + 1`, `cat(x, y)`
     Functor(Functor, Vec<Term>),
     /// `as(x, type)`
@@ -399,7 +399,7 @@ pub(crate) fn names_of<'c>(term: &'c Term, inside: bool, each: &mut impl FnMut(&
         | TermKind::Address(_)
         | TermKind::Unsigned(_)
         | TermKind::Float(_)
-        | TermKind::Text(_) => {}
+        | TermKind::Symbol(_) => {}
     }
 }
 

@@ -13,7 +13,7 @@
 
 use crate::diag::{Diagnostic, Faults, SourceId, Sources};
 
-use crate::syntax::include::small_text;
+use crate::syntax::include::small_source;
 use crate::syntax::lexer;
 use crate::syntax::lexer::{Kind, Lexed, Token};
 use crate::syntax::parser;
@@ -29,7 +29,7 @@ const INDENT: usize = 4;
 /// All faults, if the file does not parse.
 pub fn format(sources: &Sources, id: SourceId) -> Result<String, Vec<Diagnostic>> {
     let mut faults = Faults::default();
-    let Some(text) = small_text(sources, id, &mut faults) else {
+    let Some(text) = small_source(sources, id, &mut faults) else {
         return Err(faults.finish());
     };
     let lexed = lexer::lex(id, text, &mut faults);
@@ -271,7 +271,7 @@ impl Layout<'_> {
                         | Kind::Address
                         | Kind::Float
                         | Kind::Unsigned
-                        | Kind::Text
+                        | Kind::String
                         | Kind::RParen
                         | Kind::RBracket
                 )

@@ -70,7 +70,7 @@ pub enum Functor {
     Substring,
     Ordinal,
     ToNumber,
-    ToText,
+    ToSymbol,
     ToFloat,
     ToUnsigned,
     /// `as(x, T)`: the same bits with another type.
@@ -124,7 +124,7 @@ impl Functor {
         (Substring, "substr"),
         (Ordinal, "ord"),
         (ToNumber, "to_number"),
-        (ToText, "to_string"),
+        (ToSymbol, "to_string"),
         (ToFloat, "to_float"),
         (ToUnsigned, "to_unsigned"),
         (Cast, "as"),
@@ -163,8 +163,8 @@ impl Functor {
     }
 
     /// Returns whether the functor can create new symbols.
-    pub fn makes_text(self) -> bool {
-        matches!(self, Cat | Substring | ToText)
+    pub fn makes_symbol(self) -> bool {
+        matches!(self, Cat | Substring | ToSymbol)
     }
 
     /// Returns the precedence of an operator, from 1 (loosest) to 11; `None` for functions.
@@ -192,7 +192,7 @@ impl Functor {
             Cat => (1, 64),
             Substring => (3, 3),
             Range => (2, 3),
-            Length | Ordinal | ToNumber | ToText | ToFloat | ToUnsigned | Cast => (1, 1),
+            Length | Ordinal | ToNumber | ToSymbol | ToFloat | ToUnsigned | Cast => (1, 1),
             _ if self.is_prefix() => (1, 1),
             _ => (2, 2),
         }
@@ -211,7 +211,7 @@ impl Functor {
             Substring => Shape::Fixed(&[Symbol, Number, Number], Symbol),
             Ordinal => Shape::Fixed(&[Symbol], Number),
             ToNumber => Shape::Convert(ANY, Number),
-            ToText => Shape::Convert(ANY, Symbol),
+            ToSymbol => Shape::Convert(ANY, Symbol),
             ToFloat => Shape::Convert(ANY, Float),
             ToUnsigned => Shape::Convert(ANY, Unsigned),
             // The result has the base type of the named type.

@@ -61,7 +61,7 @@ pub(crate) fn gather(
         included: HashMap::new(),
         gathered,
     };
-    walk.text(entry);
+    walk.source(entry);
     if !walk.gathered.macros.is_empty() && !walk.included.is_empty() {
         // A file that uses macros is parsed before the files it includes, which define them.
         walk.faults.rewind(mark);
@@ -70,19 +70,19 @@ pub(crate) fn gather(
         walk.gathered.incomplete = incomplete;
         let included = &walk.included;
         walk.gathered.seen.retain(|key| !included.contains_key(key));
-        walk.text(entry);
+        walk.source(entry);
     }
 }
 
 pub(crate) fn parse_one(sources: &Sources, id: SourceId, faults: &mut Faults) -> File {
-    match small_text(sources, id, faults) {
+    match small_source(sources, id, faults) {
         Some(text) => parser::parse(id, text, faults),
         None => File::default(),
     }
 }
 
 /// Returns the source of a rule file, or reports that it is too large.
-pub(super) fn small_text<'s>(sources: &'s Sources, id: SourceId, faults: &mut Faults) -> Option<&'s str> {
+pub(super) fn small_source<'s>(sources: &'s Sources, id: SourceId, faults: &mut Faults) -> Option<&'s str> {
     let text = sources.text(id);
     if text.len() > MAX_TEXT_BYTES {
         let fault = Diagnostic::new(diag::codes::LIMIT_EXCEEDED, "rule file too large")
@@ -109,8 +109,8 @@ struct Walk<'a> {
 }
 
 impl Walk<'_> {
-    fn text(&mut self, id: SourceId) {
-        let Some(text) = small_text(self.sources, id, self.faults) else {
+    fn source(&mut self, id: SourceId) {
+        let Some(text) = small_source(self.sources, id, self.faults) else {
             return;
         };
         let (file, mut packed) = parser::parse_packed(id, text, &mut self.gathered.macros, self.faults);
@@ -229,7 +229,7 @@ impl Walk<'_> {
         }
         self.gathered.seen.insert(key.clone());
         self.open.push((key, Some(span)));
-        self.text(id);
+        self.source(id);
         self.open.pop();
     }
 

@@ -18,9 +18,9 @@ pub(crate) enum Kind {
     /// A malformed number or an overlong name, already reported.
     Faulty,
     /// A string with both quotes.
-    Text,
+    String,
     /// A string without its closing quote, already reported.
-    OpenText,
+    OpenString,
     LParen,
     RParen,
     LBracket,
@@ -211,7 +211,7 @@ pub enum TokenKind {
     /// A comment of any kind, with its delimiters.
     Comment,
     /// A string with its quotes.
-    Text,
+    String,
     /// A number or an IPv4 address.
     Number,
     /// The dot and the name of a directive, at the start of a line.
@@ -256,7 +256,7 @@ pub fn tokens(source: SourceId, text: &str) -> Vec<(TokenKind, std::ops::Range<u
             Kind::End => break,
             Kind::Ident => TokenKind::Name,
             Kind::Number | Kind::Float | Kind::Unsigned | Kind::Address => TokenKind::Number,
-            Kind::Text | Kind::OpenText => TokenKind::Text,
+            Kind::String | Kind::OpenString => TokenKind::String,
             Kind::LParen => TokenKind::Open,
             Kind::RParen => TokenKind::Close,
             Kind::LBrace => TokenKind::OpenBrace,
@@ -323,7 +323,7 @@ impl Lexer<'_> {
                 b' ' | b'\t' | b'\r' | 0x0b | 0x0c => self.at += 1,
                 b'/' if self.peek(1) == Some(b'/') => self.line_comment(),
                 b'/' if self.peek(1) == Some(b'*') => self.block_comment(),
-                b'"' => self.text_constant(),
+                b'"' => self.string(),
                 b'0'..=b'9' => self.number(),
                 _ if is_name_start(byte) => self.name(),
                 _ => self.punctuation(byte),
@@ -401,11 +401,11 @@ impl Lexer<'_> {
         }
     }
 
-    fn text_constant(&mut self) {
+    fn string(&mut self) {
         let mut length = 1;
         loop {
             match self.peek(length) {
-                Some(b'"') => return self.push(Kind::Text, length + 1),
+                Some(b'"') => return self.push(Kind::String, length + 1),
                 Some(b'\\') if !matches!(self.peek(length + 1), None | Some(b'\n')) => length += 2,
                 None | Some(b'\n') => break,
                 Some(_) => length += 1,
@@ -416,7 +416,7 @@ impl Lexer<'_> {
                 .at(self.span(self.at, self.at + 1), "it begins here")
                 .note("a string ends on the line where it begins; write a line break as `\\n`"),
         );
-        self.push(Kind::OpenText, length);
+        self.push(Kind::OpenString, length);
     }
 
     fn number(&mut self) {

@@ -21,7 +21,7 @@ pub(crate) struct PackedFacts {
     facts: Vec<PackedFact>,
     terms: Vec<PackedTerm>,
     /// The strings of all facts, one after the other.
-    texts: String,
+    symbols: String,
     /// Facts without other items between them: the number of items before them in their source, and their positions.
     pub(crate) runs: Vec<(usize, Range<usize>)>,
 }
@@ -48,15 +48,15 @@ struct PackedTerm {
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 enum PackedConstant {
     Number(i32),
-    /// The end of a string in the texts; it begins at the end of the string before.
-    Text(u32),
+    /// The end of a string in the symbols; it begins at the end of the string before.
+    Symbol(u32),
 }
 
 /// A constant as a fact writes it.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub(crate) enum Constant<'a> {
     Number(i32),
-    Text(&'a str),
+    Symbol(&'a str),
 }
 
 impl PackedFacts {
@@ -68,7 +68,7 @@ impl PackedFacts {
             known: HashMap::new(),
             facts: Vec::new(),
             terms: Vec::new(),
-            texts: String::new(),
+            symbols: String::new(),
             runs: Vec::new(),
         }
     }
@@ -104,19 +104,19 @@ impl PackedFacts {
         };
         let is_plain = |term: &Term| match &term.kind {
             TermKind::Number(number) => i32::try_from(*number).is_ok(),
-            TermKind::Text(_) => true,
+            TermKind::Symbol(_) => true,
             _ => false,
         };
-        let fits = u32::try_from(self.texts.len() + fact.end as usize).is_ok();
+        let fits = u32::try_from(self.symbols.len() + fact.end as usize).is_ok();
         if !fits || !clause.body.is_empty() || !clause.doc.is_empty() || !head.terms.iter().all(is_plain) {
             return None;
         }
         for term in &head.terms {
             let constant = match &term.kind {
                 TermKind::Number(number) => PackedConstant::Number(i32::try_from(*number).ok()?),
-                TermKind::Text(text) => {
-                    self.texts.push_str(text);
-                    PackedConstant::Text(u32::try_from(self.texts.len()).ok()?)
+                TermKind::Symbol(text) => {
+                    self.symbols.push_str(text);
+                    PackedConstant::Symbol(u32::try_from(self.symbols.len()).ok()?)
                 }
                 _ => return None,
             };
@@ -160,15 +160,15 @@ impl PackedFacts {
     pub(crate) fn constants(&self, fact: usize) -> impl ExactSizeIterator<Item = Constant<'_>> {
         self.terms(fact).map(|at| match self.terms[at].constant {
             PackedConstant::Number(number) => Constant::Number(number),
-            PackedConstant::Text(end) => Constant::Text(&self.texts[self.text_start(at)..end as usize]),
+            PackedConstant::Symbol(end) => Constant::Symbol(&self.symbols[self.symbol_start(at)..end as usize]),
         })
     }
 
     /// Returns the start of the string of a term: the end of the string before.
-    fn text_start(&self, term: usize) -> usize {
+    fn symbol_start(&self, term: usize) -> usize {
         let ends = self.terms[..term].iter().rev().map(|term| term.constant);
         let mut ends = ends.filter_map(|constant| match constant {
-            PackedConstant::Text(end) => Some(end as usize),
+            PackedConstant::Symbol(end) => Some(end as usize),
             PackedConstant::Number(_) => None,
         });
         ends.next().unwrap_or(0)
@@ -195,7 +195,7 @@ impl PackedFacts {
         let terms = self.terms(fact).zip(self.constants(fact)).map(|(at, constant)| Term {
             kind: match constant {
                 Constant::Number(number) => TermKind::Number(number.into()),
-                Constant::Text(text) => TermKind::Text(text.to_owned()),
+                Constant::Symbol(text) => TermKind::Symbol(text.to_owned()),
             },
             place: Place(self.span(fact, self.terms[at].start, self.terms[at].end)),
         });

@@ -166,7 +166,7 @@ impl Display for Term {
             TermKind::Address(address) => write!(f, "{address}"),
             TermKind::Unsigned(number) => write!(f, "{number}u"),
             TermKind::Float(number) => f.write_str(number),
-            TermKind::Text(text) => write!(f, "{}", Quoted(text)),
+            TermKind::Symbol(text) => write!(f, "{}", Quoted(text)),
             TermKind::Functor(functor, arguments) => write_functor(f, *functor, arguments),
             TermKind::Cast(term, ty) => write!(f, "as({term}, {})", ty.text),
             TermKind::Aggregate(aggregate) => {

@@ -144,7 +144,7 @@ pub fn agent_lints<'s>(rules: &Rules, sets: impl Iterator<Item = &'s AgentSet>) 
     let mut faults = Faults::default();
     let (mut reported, mut similar) = (HashSet::new(), HashMap::new());
     for (span, value) in (rules.clauses.iter()).flat_map(|clause| agent_constants(rules, clause, agent.ty)) {
-        let Some(name) = rules.symbols.text(Symbol(value.0)) else {
+        let Some(name) = rules.symbols.resolve(Symbol(value.0)) else {
             continue;
         };
         if agents.include(name) || !reported.insert((span, name)) {

@@ -215,7 +215,7 @@ impl<'a> Forms<'a> {
     /// Returns a constant as text. The two sides number their symbols differently.
     fn constant(&self, value: Value, base: BaseType) -> String {
         match base {
-            BaseType::Symbol => format!("{:?}", self.side.rules.symbols.text(Symbol(value.0))),
+            BaseType::Symbol => format!("{:?}", self.side.rules.symbols.resolve(Symbol(value.0))),
             BaseType::Number | BaseType::Unsigned | BaseType::Float => value.0.to_string(),
         }
     }

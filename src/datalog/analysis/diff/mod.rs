@@ -259,7 +259,7 @@ impl<'a> Scenes<'a> {
         let individuals = individuals([&pair.sides[0], &pair.sides[1]], entities);
         let [left, right] = &pair.sides;
         let sides = [left, right].map(|side| Side {
-            facts: text_facts(side, &individuals),
+            facts: source_facts(side, &individuals),
             ..side.clone()
         });
         Scenes {
@@ -381,7 +381,7 @@ fn individuals(sides: [&Side<'_>; 2], entities: usize) -> Vec<Individual> {
         let near: Vec<i32> = (constants.iter())
             .filter_map(|constant| match constant {
                 Individual::Number(number) => Some([number.saturating_sub(1), number.saturating_add(1)]),
-                Individual::Text(_) => None,
+                Individual::Symbol(_) => None,
             })
             .flatten()
             .collect();
@@ -391,15 +391,15 @@ fn individuals(sides: [&Side<'_>; 2], entities: usize) -> Vec<Individual> {
     let mut prefix = "e".to_owned();
     while constants
         .iter()
-        .any(|constant| matches!(constant, Individual::Text(text) if text.starts_with(&prefix)))
+        .any(|constant| matches!(constant, Individual::Symbol(text) if text.starts_with(&prefix)))
     {
         prefix.push('_');
     }
-    let entities = (0..entities).map(|number| Individual::Text(format!("{prefix}{number}")));
+    let entities = (0..entities).map(|number| Individual::Symbol(format!("{prefix}{number}")));
     entities.chain(constants).collect()
 }
 
-fn text_facts(side: &Side<'_>, individuals: &[Individual]) -> HashSet<(RelId, Vec<usize>)> {
+fn source_facts(side: &Side<'_>, individuals: &[Individual]) -> HashSet<(RelId, Vec<usize>)> {
     let mut facts = HashSet::new();
     let positions: HashMap<&Individual, usize> = individuals.iter().zip(0..).collect();
     for clause in side.rules.clauses.iter().filter(|clause| clause.body.is_empty()) {
@@ -585,7 +585,7 @@ fn derived_rows(
     let side = &pair.sides[number];
     let symbols: Symbols = side.rules.symbols.clone();
     let word = |index: usize| match &individuals[index] {
-        Individual::Text(text) => Value(symbols.intern(text).0),
+        Individual::Symbol(text) => Value(symbols.intern(text).0),
         Individual::Number(number) => Value::number(*number),
     };
     let mut rows: Vec<(RelId, Vec<Value>)> = Vec::new();
@@ -610,7 +610,7 @@ fn derived_rows(
         for row in &database[output.ids[number].index()] {
             let shown = (output.columns.iter().zip(row)).map(|(base, value)| match base {
                 BaseType::Number | BaseType::Unsigned | BaseType::Float => value.as_number().to_string(),
-                BaseType::Symbol => symbols.text(Symbol(value.0)).unwrap_or_default().to_owned(),
+                BaseType::Symbol => symbols.resolve(Symbol(value.0)).unwrap_or_default().to_owned(),
             });
             derived.push((output.name.clone(), shown.collect()));
         }

@@ -82,21 +82,21 @@ pub(super) struct Side<'a> {
 /// A value. Strings compare as text, numbers as numbers.
 #[derive(Clone, Debug, PartialEq, Eq, PartialOrd, Ord, Hash)]
 pub(super) enum Individual {
-    Text(String),
+    Symbol(String),
     Number(i32),
 }
 
 impl Individual {
     pub(super) fn base(&self) -> BaseType {
         match self {
-            Individual::Text(_) => BaseType::Symbol,
+            Individual::Symbol(_) => BaseType::Symbol,
             Individual::Number(_) => BaseType::Number,
         }
     }
 
     pub(super) fn shown(&self) -> String {
         match self {
-            Individual::Text(text) => text.clone(),
+            Individual::Symbol(text) => text.clone(),
             Individual::Number(number) => number.to_string(),
         }
     }
@@ -106,9 +106,13 @@ impl Side<'_> {
     pub(super) fn individual(&self, value: Value, base: BaseType) -> Individual {
         match base {
             BaseType::Number | BaseType::Unsigned | BaseType::Float => Individual::Number(value.as_number()),
-            BaseType::Symbol => {
-                Individual::Text(self.rules.symbols.text(Symbol(value.0)).unwrap_or_default().to_owned())
-            }
+            BaseType::Symbol => Individual::Symbol(
+                self.rules
+                    .symbols
+                    .resolve(Symbol(value.0))
+                    .unwrap_or_default()
+                    .to_owned(),
+            ),
         }
     }
 }

@@ -473,7 +473,7 @@ impl<'a> Trial<'a> {
                 };
                 for row in &database[relation.index()] {
                     let shown = output.columns.iter().zip(row).map(|(base, value)| match base {
-                        BaseType::Symbol => symbols.text(Symbol(value.0)).unwrap_or_default().to_owned(),
+                        BaseType::Symbol => symbols.resolve(Symbol(value.0)).unwrap_or_default().to_owned(),
                         base => print(*base, *value),
                     });
                     derived.push((output.name.clone(), shown.collect()));
@@ -568,7 +568,7 @@ fn named(rules: &Rules, constants: &mut BTreeSet<(BaseType, String)>) {
         let Term::Constant(value) = *term else { return };
         match base {
             BaseType::Symbol => {
-                let text = rules.symbols.text(Symbol(value.0)).unwrap_or_default();
+                let text = rules.symbols.resolve(Symbol(value.0)).unwrap_or_default();
                 constants.insert((base, text.to_owned()));
             }
             BaseType::Number => {

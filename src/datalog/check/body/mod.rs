@@ -408,7 +408,7 @@ impl<'c> Check<'_, 'c> {
             TermKind::Float(text) => {
                 OperandKind::Constant(Value::float(text.parse().unwrap_or_default()), BaseType::Float)
             }
-            TermKind::Text(text) => OperandKind::Constant(Value(self.symbols.intern(text).0), BaseType::Symbol),
+            TermKind::Symbol(text) => OperandKind::Constant(Value(self.symbols.intern(text).0), BaseType::Symbol),
             TermKind::Functor(functor, arguments) => {
                 let arguments = arguments.iter().map(|argument| self.operand(argument, None)).collect();
                 let to = into.unwrap_or_else(|| self.value_of(term));
@@ -719,7 +719,7 @@ impl<'c> Check<'_, 'c> {
                         }
                     }
                 }
-                if let (Comparison::Match | Comparison::NotMatch, TermKind::Text(pattern)) = (op, &left.kind)
+                if let (Comparison::Match | Comparison::NotMatch, TermKind::Symbol(pattern)) = (op, &left.kind)
                     && let Err(reason) = Patterns::compile(pattern)
                 {
                     let fault = Diagnostic::new(codes::INVALID_PATTERN, format!("not a regular expression: {reason}"));

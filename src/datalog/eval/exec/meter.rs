@@ -26,10 +26,15 @@ pub(crate) struct Meter<'a> {
 }
 
 impl<'a> Meter<'a> {
-    /// A meter that allows `budget` rows to be scanned, and symbols to grow to `text_bytes`.
-    pub(super) fn new(budget: u64, text_bytes: u64, options: CommitOptions<'a>, workers: Option<&'a Workers>) -> Self {
+    /// A meter that allows `budget` rows to be scanned, and symbols to grow to `symbol_bytes`.
+    pub(super) fn new(
+        budget: u64,
+        symbol_bytes: u64,
+        options: CommitOptions<'a>,
+        workers: Option<&'a Workers>,
+    ) -> Self {
         let mut state = JoinState::new(budget);
-        state.text_bytes = text_bytes;
+        state.symbol_bytes = symbol_bytes;
         Meter {
             state,
             rules: Vec::new(),

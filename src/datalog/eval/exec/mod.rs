@@ -104,11 +104,11 @@ pub(crate) fn store(compiled: &Compiled) -> Box<dyn Store> {
 pub(crate) struct State<const W: usize> {
     /// By [`RelId`]: the rows as of the last commit.
     pub(crate) tables: Vec<Table<W>>,
-    /// By [`RelId`]: a loaded relation with narrow rows. It has nothing in `tables`, `text_facts` and `pending`.
+    /// By [`RelId`]: a loaded relation with narrow rows. It has nothing in `tables`, `source_facts` and `pending`.
     narrow: Vec<Option<NarrowTable>>,
     /// By [`RelId`]: the facts in the source, for relations that no clause with a body derives. They cannot be
     /// retracted.
-    text_facts: Vec<Vec<Row<W>>>,
+    source_facts: Vec<Vec<Row<W>>>,
     /// By [`RelId`]: the changes that the next commit makes.
     pending: Vec<PendingChanges<W>>,
     /// The plans in use, made for about the current sizes of the relations.
@@ -187,17 +187,17 @@ impl<const W: usize> State<W> {
             Some(_) => None,
         };
         let mut narrow: Vec<Option<NarrowTable>> = indexes().zip((0..).map(RelId)).map(narrow).collect();
-        let mut text_facts = vec![Vec::new(); rules.relations.len()];
+        let mut source_facts = vec![Vec::new(); rules.relations.len()];
         for clause in rules.clauses.iter().filter(|clause| rules.is_row(clause)) {
             let Atom { relation, terms, .. } = &clause.head;
             let row: Row<W> = constants(terms);
             match &mut narrow[relation.index()] {
-                Some(narrow) => narrow.add_text_fact(&row.0[..terms.len()]),
-                None => text_facts[relation.index()].push(row),
+                Some(narrow) => narrow.add_source_fact(&row.0[..terms.len()]),
+                None => source_facts[relation.index()].push(row),
             }
         }
-        text_facts.iter_mut().for_each(normalize);
-        narrow.iter_mut().flatten().for_each(NarrowTable::insert_text_facts);
+        source_facts.iter_mut().for_each(normalize);
+        narrow.iter_mut().flatten().for_each(NarrowTable::insert_source_facts);
         State {
             tables: indexes().map(|count| Table::new(Vec::new(), count)).collect(),
             narrow,
@@ -205,10 +205,10 @@ impl<const W: usize> State<W> {
             copies_max: indexes().max().unwrap_or(0) + 1,
             costs: vec![Cost::default(); compiled.plans.strata.len()],
             // The first commit inserts the facts of the source like any others.
-            pending: text_facts.iter().cloned().map(PendingChanges::of).collect(),
+            pending: source_facts.iter().cloned().map(PendingChanges::of).collect(),
             plans: Arc::clone(&compiled.plans),
             bases: vec![Basis::default(); compiled.plans.strata.len()],
-            text_facts,
+            source_facts,
             committed: false,
         }
     }
@@ -320,10 +320,10 @@ impl<const W: usize> State<W> {
         if self.committed
             && let Some(narrow) = self.narrow[relation.index()].take()
         {
-            let (rows, pending, text_facts) = narrow.widened();
+            let (rows, pending, source_facts) = narrow.widened();
             self.tables[relation.index()] = self.tables[relation.index()].reloaded(rows.into());
             self.pending[relation.index()] = pending;
-            self.text_facts[relation.index()] = text_facts;
+            self.source_facts[relation.index()] = source_facts;
         }
     }
 
@@ -374,13 +374,13 @@ impl<const W: usize> State<W> {
         // One thread must make all new symbols, since they are numbered in the order of creation. With correlated
         // aggregates, the number of rows scanned depends on which of them the thread has evaluated before.
         let correlated = !stratum.correlated.is_empty();
-        let several = workers.are_several() && !correlated && !makes_texts(&commit.plans, stratum);
+        let several = workers.are_several() && !correlated && !makes_symbols(&commit.plans, stratum);
         let workers = several.then_some(workers);
         let inputs: usize = stratum.inputs.iter().map(|&input| self.len(input)).sum();
         let inputs = inputs as u64;
         let mut given_up = 0;
         // A stratum that makes symbols shares its memory between rows and symbols.
-        let text_bytes = commit.symbols.bytes() + quota.bytes / 2;
+        let symbol_bytes = commit.symbols.bytes() + quota.bytes / 2;
         if self.committed && stratum.maintainable && strategy != Strategy::Recompute {
             // The cost of the last computation from scratch, scaled to the current number of input rows.
             let recomputing = u128::from(cost.rows_scanned) * u128::from(inputs + 1) / u128::from(cost.inputs + 1);
@@ -395,7 +395,7 @@ impl<const W: usize> State<W> {
             };
             if let Some(budget) = budget.map(|budget| budget.min(quota.steps)) {
                 self.adapt(commit, (stratum, number), Aim::Maintain);
-                let mut meter = Meter::new(budget, text_bytes, commit.options, workers);
+                let mut meter = Meter::new(budget, symbol_bytes, commit.options, workers);
                 match self.maintain(commit, stratum, quota, &mut meter) {
                     Ok((deltas, rounds)) => {
                         for (&relation, delta) in stratum.members.iter().zip(deltas) {
@@ -429,13 +429,13 @@ impl<const W: usize> State<W> {
             }
             quota.bytes = (quota.bytes - missing) / if copied > 0 { 2 } else { 1 };
         }
-        if makes_texts(&commit.plans, stratum) {
+        if makes_symbols(&commit.plans, stratum) {
             quota.bytes /= 2;
         }
         let values_bytes = if correlated { quota.bytes / 4 } else { 0 };
         quota.bytes -= values_bytes;
         let attempt = |workers| {
-            let mut meter = Meter::new(quota.steps, text_bytes, commit.options, workers);
+            let mut meter = Meter::new(quota.steps, symbol_bytes, commit.options, workers);
             meter.state.correlated = CorrelatedValues::within(values_bytes, stratum.correlated.len());
             let result = self.evaluate(commit, stratum, quota, &mut meter);
             result.map(|(results, rounds)| (results, rounds, meter))
@@ -559,10 +559,10 @@ impl<const W: usize> State<W> {
 }
 
 /// Whether a clause of the stratum creates new symbols.
-fn makes_texts(plans: &Plans, stratum: &StratumPlan) -> bool {
+fn makes_symbols(plans: &Plans, stratum: &StratumPlan) -> bool {
     let makes = |plan: &Plan| {
         let mut steps = plan.steps.iter();
-        steps.any(|step| matches!(step, Step::Compute { functor, .. } if functor.makes_text()))
+        steps.any(|step| matches!(step, Step::Compute { functor, .. } if functor.makes_symbol()))
     };
     let mut inner = stratum
         .correlated
@@ -584,7 +584,7 @@ impl<const W: usize> Store for State<W> {
             return narrow.change(row, present);
         }
         let row = Row::new(row);
-        if present || self.text_facts[relation.index()].binary_search(&row).is_err() {
+        if present || self.source_facts[relation.index()].binary_search(&row).is_err() {
             self.pending[relation.index()].push(row, present);
         }
     }
@@ -620,7 +620,7 @@ impl<const W: usize> Store for State<W> {
     }
 
     fn rollback(&mut self) {
-        for (pending, facts) in self.pending.iter_mut().zip(&self.text_facts) {
+        for (pending, facts) in self.pending.iter_mut().zip(&self.source_facts) {
             pending.clear();
             if !self.committed {
                 *pending = PendingChanges::of(facts.clone());
@@ -630,7 +630,7 @@ impl<const W: usize> Store for State<W> {
             self.narrow
                 .iter_mut()
                 .flatten()
-                .for_each(NarrowTable::insert_text_facts);
+                .for_each(NarrowTable::insert_source_facts);
         }
     }
 

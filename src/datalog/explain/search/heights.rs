@@ -9,7 +9,7 @@ use std::collections::{BTreeMap, HashMap};
 /// The known heights.
 pub(super) struct Heights {
     /// The facts of the source, each with the first clause that states it.
-    text: HashMap<(RelId, Vec<Value>), ClauseId>,
+    source: HashMap<(RelId, Vec<Value>), ClauseId>,
     /// The position of the stratum of each derived relation, by [`RelId`].
     stratum: Vec<Option<usize>>,
     /// The heights of derived facts that some goal rests on, by relation and row position.
@@ -46,7 +46,7 @@ struct Height {
 #[derive(Clone)]
 pub(in crate::explain) enum Best {
     Input,
-    Text(ClauseId),
+    Source(ClauseId),
     Derived {
         clause: ClauseId,
         binding: Binding,
@@ -65,17 +65,17 @@ impl Heights {
                 }
             }
         }
-        let mut text = HashMap::new();
+        let mut source = HashMap::new();
         for (clause, id) in rules.clauses.iter().zip(0..) {
             if clause.body.is_empty() {
                 let row: Option<Vec<Value>> = clause.head.terms.iter().map(|term| value(term, &[])).collect();
                 if let Some(row) = row {
-                    text.entry((clause.head.relation, row)).or_insert(ClauseId(id));
+                    source.entry((clause.head.relation, row)).or_insert(ClauseId(id));
                 }
             }
         }
         Heights {
-            text,
+            source,
             stratum,
             relevant: HashMap::new(),
             best: HashMap::new(),
@@ -109,8 +109,8 @@ impl ProofSearch<'_> {
     /// Returns the height of a fact that holds, and the derivation that gives it.
     pub(in crate::explain) fn origin(&mut self, rel: RelId, row: &[Value]) -> Result<(u32, Best), ExplainError> {
         let fact = (rel, row.to_vec());
-        if let Some(&clause) = self.heights.text.get(&fact) {
-            return Ok((0, Best::Text(clause)));
+        if let Some(&clause) = self.heights.source.get(&fact) {
+            return Ok((0, Best::Source(clause)));
         }
         let Some(stratum) = self.heights.stratum[rel.index()] else {
             return Ok((0, Best::Input));
@@ -213,7 +213,7 @@ impl ProofSearch<'_> {
                 queue.entry(height).or_default().push(head);
                 continue;
             }
-            if self.heights.text.contains_key(&(rel, row.to_vec())) {
+            if self.heights.source.contains_key(&(rel, row.to_vec())) {
                 queue.entry(0).or_default().push(head);
                 continue;
             }

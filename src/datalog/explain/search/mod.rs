@@ -57,7 +57,7 @@ pub(super) struct ProofSearch<'s> {
     /// The bytes left for indexes and explanations.
     bytes_left: Cell<u64>,
     /// The maximum size of the symbol table, in bytes.
-    text_bytes: u64,
+    symbol_bytes: u64,
     heights: Heights,
 }
 
@@ -157,7 +157,7 @@ impl<'s> ProofSearch<'s> {
             correlated: RefCell::new(CorrelatedValues::caching(left / 4)),
             bytes_max: left / 4,
             bytes_left: Cell::new(left / 16 * 7),
-            text_bytes: session.symbols().bytes() + left / 16,
+            symbol_bytes: session.symbols().bytes() + left / 16,
             heights: Heights::new(rules),
         }
     }
@@ -497,8 +497,8 @@ impl<'s> ProofSearch<'s> {
                 let arguments: Option<Vec<Value>> = arguments.iter().map(|term| value(term, binding)).collect();
                 let Some(arguments) = arguments else { return Ok(None) };
                 let symbols = self.session.symbols();
-                let longest = functor.text_length(*base, &arguments, symbols);
-                if longest > 0 && symbols.bytes() + longest > self.text_bytes {
+                let longest = functor.symbol_length(*base, &arguments, symbols);
+                if longest > 0 && symbols.bytes() + longest > self.symbol_bytes {
                     return Err(self.too_much_memory());
                 }
                 Ok(Some(functor.apply(*base, &arguments, symbols)))
@@ -577,7 +577,7 @@ impl<'s> ProofSearch<'s> {
 
     fn compare(&self, op: Comparison, left: Value, right: Value, base: BaseType) -> bool {
         let symbols = self.session.symbols();
-        let text = |value: Value| symbols.text(Symbol(value.0)).unwrap_or_default();
+        let text = |value: Value| symbols.resolve(Symbol(value.0)).unwrap_or_default();
         // A NaN is neither less nor greater than any float.
         let order = || match base {
             BaseType::Number => Some(left.as_number().cmp(&right.as_number())),

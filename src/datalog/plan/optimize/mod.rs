@@ -518,7 +518,7 @@ fn shown_term(rules: &Rules, clause: &Clause, term: &Term, base: BaseType) -> St
             BaseType::Number => value.as_number().to_string(),
             BaseType::Unsigned => value.0.to_string(),
             BaseType::Float => crate::value::print_float(value.as_float()),
-            BaseType::Symbol => quoted(rules.symbols.text(Symbol(value.0)).unwrap_or_default()),
+            BaseType::Symbol => quoted(rules.symbols.resolve(Symbol(value.0)).unwrap_or_default()),
         },
     }
 }

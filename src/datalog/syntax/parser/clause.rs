@@ -226,7 +226,7 @@ impl Parser<'_> {
             return Err(self.applied_aggregate(start));
         }
         if start.kind == Kind::Ident && next.kind == Kind::LParen && !self.is_term_with_parentheses() {
-            return Ok(vec![self.atom_or_text_test()?]);
+            return Ok(vec![self.atom_or_symbol_test()?]);
         }
         let is_alone = comparison(next.kind).is_none() && self.infix(next).is_none();
         match self.slice(start) {
@@ -250,7 +250,7 @@ impl Parser<'_> {
     }
 
     /// `A(x)`, `match(x, y)`
-    fn atom_or_text_test(&mut self) -> Parse<Literal> {
+    fn atom_or_symbol_test(&mut self) -> Parse<Literal> {
         let start = self.token();
         let op = match self.slice(self.token()) {
             "match" => Some(Comparison::Match),
@@ -305,7 +305,7 @@ impl Parser<'_> {
         let start = self.token();
         let begins = matches!(
             start.kind,
-            Kind::Dollar | Kind::At | Kind::LBracket | Kind::Faulty | Kind::OpenText | Kind::Hash
+            Kind::Dollar | Kind::At | Kind::LBracket | Kind::Faulty | Kind::OpenString | Kind::Hash
         );
         if !begins && !self.begins_operand(start) && start.kind != Kind::Ident {
             return Err(self.expected("a literal"));

@@ -50,7 +50,7 @@ impl Parser<'_> {
             "output" => self.mark(MarkKind::Output).map(|mark| Some(Item::Mark(mark))),
             "printsize" => self.mark(MarkKind::PrintSize).map(|mark| Some(Item::Mark(mark))),
             "include" => {
-                if self.kind() != Kind::Text {
+                if self.kind() != Kind::String {
                     return Err(self.expected("the file's name in quotes"));
                 }
                 let token = self.bump();
@@ -69,7 +69,7 @@ impl Parser<'_> {
             }
             "pragma" => {
                 let mut words = Vec::new();
-                while self.kind() == Kind::Text {
+                while self.kind() == Kind::String {
                     let token = self.bump();
                     words.push(self.unescape(token));
                 }
@@ -257,7 +257,7 @@ impl Parser<'_> {
         }
         let token = self.token();
         let value = match token.kind {
-            Kind::Text => self.unescape(token),
+            Kind::String => self.unescape(token),
             Kind::Ident | Kind::Number => self.slice(token).to_owned(),
             _ => return Err(self.expected("the option's value")),
         };

@@ -77,7 +77,7 @@ impl Parser<'_> {
 
     pub(super) fn begins_operand(&self, token: Token) -> bool {
         match token.kind {
-            Kind::Number | Kind::Address | Kind::Float | Kind::Unsigned | Kind::Text | Kind::LParen | Kind::Minus => {
+            Kind::Number | Kind::Address | Kind::Float | Kind::Unsigned | Kind::String | Kind::LParen | Kind::Minus => {
                 true
             }
             Kind::Ident | Kind::Underscore => self.infix(token).is_none(),
@@ -326,9 +326,9 @@ impl Parser<'_> {
             Kind::Address => TermKind::Address(self.address(token)),
             Kind::Unsigned => TermKind::Unsigned(u32::try_from(self.number(token)).unwrap_or(0)),
             Kind::Float => TermKind::Float(self.slice(token).to_owned()),
-            Kind::Text => TermKind::Text(self.unescape(token)),
+            Kind::String => TermKind::Symbol(self.unescape(token)),
             // The lexer has reported it.
-            Kind::Faulty | Kind::OpenText => return Err(Reported),
+            Kind::Faulty | Kind::OpenString => return Err(Reported),
             _ => return Err(self.expected("an argument: a variable, a constant, `_` or an expression")),
         };
         self.bump();

@@ -76,7 +76,7 @@ const LATTICES: &str = "derive all values, and choose among them with `min` or `
 /// Returns whether a token of this kind can be the last one of a literal.
 fn ends_literal(kind: Kind) -> bool {
     use Kind::{
-        Address, Dot, Faulty, Float, Ident, Number, OpenText, RBrace, RBracket, RParen, Text, Underscore, Unsigned,
+        Address, Dot, Faulty, Float, Ident, Number, OpenString, RBrace, RBracket, RParen, String, Underscore, Unsigned,
     };
     matches!(
         kind,
@@ -89,8 +89,8 @@ fn ends_literal(kind: Kind) -> bool {
             | Unsigned
             | Float
             | Address
-            | Text
-            | OpenText
+            | String
+            | OpenString
             | Faulty
             | Dot
     )
@@ -328,7 +328,7 @@ impl<'a> Parser<'a> {
     /// Reports as [`Parser::expected`] does, with the given help.
     fn expected_with(&mut self, what: &str, help: Option<&str>) -> Reported {
         let token = self.token();
-        if token.kind == Kind::Faulty || self.is_before_open_text() {
+        if token.kind == Kind::Faulty || self.is_before_open_string() {
             return Reported;
         }
         let message = format!("expected {what}, found {}", self.describe(token));
@@ -405,12 +405,12 @@ impl<'a> Parser<'a> {
 
     /// Returns whether this line has a string without its closing quote at or after the current token. The lexer has
     /// reported it, and it may be the cause of any fault before it.
-    fn is_before_open_text(&self) -> bool {
+    fn is_before_open_string(&self) -> bool {
         let rest = &self.tokens[self.at..];
         let length = rest.iter().skip(1).take_while(|token| !token.first_on_line).count() + 1;
         rest[..length.min(rest.len())]
             .iter()
-            .any(|token| token.kind == Kind::OpenText)
+            .any(|token| token.kind == Kind::OpenString)
     }
 
     /// Reports that no clause or directive can begin at the current token.
@@ -558,7 +558,7 @@ impl<'a> Parser<'a> {
             },
             Kind::Ident => self.clause(doc).map(|clause| Some(Item::Clause(clause))),
             Kind::Bang => Err(self.expected_item(" (a head cannot be negated)")),
-            Kind::Hash if self.slice(self.ahead(1)) == "include" && self.ahead(2).kind == Kind::Text => {
+            Kind::Hash if self.slice(self.ahead(1)) == "include" && self.ahead(2).kind == Kind::String => {
                 self.bump();
                 self.bump();
                 let file = self.bump();
@@ -681,7 +681,7 @@ impl<'a> Parser<'a> {
     /// Returns the contents of a quoted string with its escapes replaced.
     fn unescape(&mut self, token: Token) -> String {
         let quoted = self.slice(token);
-        let inner = &quoted[1..quoted.len() - usize::from(token.kind == Kind::Text)];
+        let inner = &quoted[1..quoted.len() - usize::from(token.kind == Kind::String)];
         if !inner.contains('\\') {
             return inner.to_owned();
         }
