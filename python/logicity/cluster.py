@@ -6,7 +6,7 @@ import socket
 from types import ModuleType
 from typing import Any
 
-from .errors import missing_extra
+from .errors import extra
 from .signals import kept_handlers
 
 __all__ = ["ONE_THREAD", "RETRIES", "connect"]
@@ -39,10 +39,8 @@ def connect(address: str, workers: int | None = None) -> ModuleType:
         ConnectionError: If the cluster does not answer.
         ImportError: If Ray is not installed.
     """
-    try:
+    with extra("ray"):
         import ray
-    except ImportError as error:
-        raise missing_extra("ray", error) from error
     _check_listening(address)
     options: dict[str, Any] = {"num_cpus": workers, "include_dashboard": False} if address == "local" else {}
     try:

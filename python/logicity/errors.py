@@ -4,7 +4,8 @@ from __future__ import annotations
 
 import operator
 import os
-from collections.abc import Iterable, Mapping
+from collections.abc import Iterable, Iterator, Mapping
+from contextlib import contextmanager
 from typing import Any, SupportsIndex, TypeAlias
 
 from . import _logicity
@@ -129,3 +130,12 @@ def checked_limits(limits: Mapping[str, Any] | None) -> LimitArguments:
 def missing_extra(extra: str, error: ImportError) -> ImportError:
     """Return a copy of an import error whose message names the extra to install."""
     return type(error)(f"{error}; install the extra `{extra}`: pip install './python[{extra}]'", name=error.name)
+
+
+@contextmanager
+def extra(name: str) -> Iterator[None]:
+    """Name the extra to install if an import fails, as `missing_extra` does."""
+    try:
+        yield
+    except ImportError as error:
+        raise missing_extra(name, error) from error

@@ -17,7 +17,7 @@ from typing import Any
 
 import numpy as np
 
-from .errors import missing_extra
+from .errors import extra
 
 __all__ = ["SUBJECTS", "cut_out", "fill", "load_pipeline", "prompts"]
 
@@ -133,11 +133,9 @@ def load_pipeline(model: str | Path, *, device: str | None = None, **options: An
     Raises:
         ImportError: If diffusers is not installed. The extra `icons` installs it.
     """
-    try:
+    with extra("icons"):
         import torch
         from diffusers import AutoPipelineForText2Image
-    except ImportError as error:
-        raise missing_extra("icons", error) from error
     pipeline = AutoPipelineForText2Image.from_pretrained(str(model), **options)
     pipeline.set_progress_bar_config(disable=True)
     return pipeline.to(device or ("cuda" if torch.cuda.is_available() else "cpu"))

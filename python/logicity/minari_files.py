@@ -15,7 +15,7 @@ from typing import TYPE_CHECKING, Any
 
 from numpy.typing import NDArray
 
-from .errors import missing_extra
+from .errors import extra
 from .files import check_readable
 from .terminal import first_line
 
@@ -42,12 +42,10 @@ def load_minari(name: str | os.PathLike[str]) -> MinariDataset:
     folder = next((folder for folder in (path / "data", path) if (folder / "metadata.json").is_file()), None)
     if folder is None and (path.exists() or not isinstance(name, str)):
         raise FileNotFoundError(f"neither a Parquet table nor a Minari dataset: `{name}`")
-    try:
+    with extra("offline"):
         from minari import MinariDataset
         from minari.dataset.minari_storage import MinariStorage
         from minari.storage import get_dataset_path
-    except ImportError as error:
-        raise missing_extra("offline", error) from error
 
     if folder is None:
         folder = Path(get_dataset_path(os.fspath(name))) / "data"

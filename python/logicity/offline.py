@@ -22,7 +22,7 @@ from . import _logicity
 from .city import ACTIONS
 from .envs.config import checked_kind
 from .envs.layout import atoms_of
-from .errors import as_integer, checked_path, missing_extra
+from .errors import as_integer, checked_path, extra
 from .evaluation import episodes_that_fit
 from .files import replacing, reserved
 from .modes import ENVIRONMENTS, checked_mode
@@ -127,11 +127,9 @@ class Demonstrations(Sequence[Trajectory]):
             ImportError: If Minari is not installed. The extra `offline` installs it: `pip install './python[offline]'`.
             ValueError: If the dataset already exists.
         """
-        try:
+        with extra("offline"):
             import minari
             from minari.data_collector import EpisodeBuffer
-        except ImportError as error:
-            raise missing_extra("offline", error) from error
 
         buffers = [
             EpisodeBuffer(
@@ -250,11 +248,9 @@ class Demonstrations(Sequence[Trajectory]):
                 './python[offline]'`.
             OSError: If the file cannot be written.
         """
-        try:
+        with extra("offline"):
             import pyarrow
             import pyarrow.parquet
-        except ImportError as error:
-            raise missing_extra("offline", error) from error
 
         lengths = [len(trajectory) for trajectory in self]
         observations = np.concatenate([t.observations[:-1].reshape(len(t), -1) for t in self])
@@ -374,10 +370,8 @@ def _check_array(kind: str) -> None:
 
 def _environment(mode: str, **options: Any) -> gymnasium.Env[Any, Any]:
     """Make the environment of a mode or configuration file. Its spec does not depend on the working directory."""
-    try:
+    with extra("gym"):
         import gymnasium
-    except ImportError as error:
-        raise missing_extra("gym", error) from error
 
     if mode in ENVIRONMENTS:
         return gymnasium.make(ENVIRONMENTS[mode], **options)

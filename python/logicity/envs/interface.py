@@ -14,15 +14,13 @@ from numpy.typing import NDArray
 
 from .. import _logicity
 from ..city import ACTIONS
-from ..errors import checked_integer, missing_extra
+from ..errors import checked_integer, extra
 
-try:
+with extra("gym"):
     import gymnasium
     from gymnasium.envs.registration import EnvSpec
     from gymnasium.error import InvalidAction, UnsupportedMode
     from gymnasium.spaces import Box, Space
-except ImportError as error:
-    raise missing_extra("gym", error) from error
 
 from ..types import ArrayKind
 from .config import EnvConfig

@@ -9,16 +9,14 @@ from typing import TYPE_CHECKING, Any, TypeVar, cast
 
 import numpy as np
 
-from ..errors import missing_extra
+from ..errors import extra
 
-try:
+with extra("pettingzoo"):
     import gymnasium
     from gymnasium.error import InvalidAction, ResetNeeded
     from gymnasium.spaces import Discrete, Space
     from gymnasium.utils.seeding import np_random
     from pettingzoo import ParallelEnv
-except ImportError as error:
-    raise missing_extra("pettingzoo", error) from error
 
 from .. import _logicity
 from ..errors import did_you_mean

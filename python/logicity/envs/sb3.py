@@ -11,13 +11,11 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from ..errors import missing_extra
+from ..errors import extra
 
-try:
+with extra("learn"):
     from gymnasium.vector import AutoresetMode
     from stable_baselines3.common.vec_env import VecEnv, VecMonitor
-except ImportError as error:
-    raise missing_extra("learn", error) from error
 
 from .interface import (
     check_options,

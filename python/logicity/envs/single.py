@@ -15,14 +15,12 @@ import numpy as np
 from numpy.typing import NDArray
 
 from .. import _logicity
-from ..errors import checked_path, missing_extra
+from ..errors import checked_path, extra
 
-try:
+with extra("gym"):
     import gymnasium
     from gymnasium.error import ResetNeeded
     from gymnasium.spaces import Discrete
-except ImportError as error:
-    raise missing_extra("gym", error) from error
 
 from ..types import EnvOptions, Episodes, EpisodeStart
 from .config import EnvConfig

@@ -9,9 +9,9 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from ..errors import missing_extra
+from ..errors import extra
 
-try:
+with extra("torchrl"):
     import torch
     from gymnasium.error import ResetNeeded
     from gymnasium.spaces import Box, Dict, MultiBinary, Space
@@ -19,8 +19,6 @@ try:
     from tensordict import TensorDict, TensorDictBase
     from torchrl.data import Binary, Bounded, Categorical, Composite, TensorSpec, Unbounded
     from torchrl.envs import EnvBase
-except ImportError as error:
-    raise missing_extra("torchrl", error) from error
 
 from ..city import ACTIONS
 from .vector import SPFVectorEnv

@@ -12,17 +12,15 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from .. import _logicity
-from ..errors import checked_integer, missing_extra
+from ..errors import checked_integer, extra
 
-try:
+with extra("gym"):
     import gymnasium
     from gymnasium.error import InvalidAction
     from gymnasium.spaces import Discrete
     from gymnasium.utils.seeding import np_random
     from gymnasium.vector import AutoresetMode, VectorEnv
     from gymnasium.vector.utils import batch_space
-except ImportError as error:
-    raise missing_extra("gym", error) from error
 from ..types import EnvOptions, Episodes, EpisodeStart
 from .config import EnvConfig
 from .interface import (

@@ -19,7 +19,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from .. import _logicity
-from ..errors import missing_extra
+from ..errors import extra
 from ..types import ObservationKind, ViewKind
 from .layout import Layout
 
@@ -59,10 +59,8 @@ class Views:
         Raises:
             ImportError: If gymnasium is not installed. The extra `gym` installs it: `pip install './python[gym]'`.
         """
-        try:
+        with extra("gym"):
             from gymnasium.spaces import Box, Dict, MultiBinary
-        except ImportError as error:
-            raise missing_extra("gym", error) from error
 
         layout = self.layout
         count, unary, binary = layout.entities, len(layout.unary), len(layout.binary)

@@ -9,7 +9,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from ..errors import missing_extra
+from ..errors import extra
 
 __all__ = ["Window"]
 
@@ -29,10 +29,8 @@ class Window:
 
     def __init__(self, fps: int) -> None:
         """Import pygame."""
-        try:
+        with extra("human"):
             import pygame
-        except ImportError as error:
-            raise missing_extra("human", error) from error
         self.fps = fps
         self._pygame = pygame
         self._clock: Any = None

@@ -14,14 +14,12 @@ from typing import TYPE_CHECKING, Any, TypeAlias, cast
 import numpy as np
 from numpy.typing import NDArray
 
-from ..errors import missing_extra
+from ..errors import extra
 
-try:
+with extra("gym"):
     import gymnasium
     from gymnasium.vector import AutoresetMode, VectorEnv, VectorObservationWrapper, VectorWrapper
     from gymnasium.vector.utils import batch_space
-except ImportError as error:
-    raise missing_extra("gym", error) from error
 
 from .. import _logicity
 from ..types import ViewKind
