@@ -112,21 +112,8 @@ def infer(
 ) -> Answer:
     """Return the actions that the rules derive in one scene.
 
-    For several scenes make an `Inference`, which reads its files once.
-
-    Args:
-        scene: As for `Inference.answer`.
-        config: As for `Inference`.
-        rules: As for `Inference`.
-        seed: As for `Inference`.
-        executor: As for `Inference`.
-        limits: As for `Inference`.
-
-    Raises:
-        InputError: As for `Inference` and `Inference.answer`.
-        OSError: As for `Inference`.
-        TypeError: As for `Inference.answer`.
-        ValueError: As for `Inference`.
+    For several scenes make an `Inference`, which reads its files once. The arguments and exceptions are those of
+    `Inference` and `Inference.answer`.
     """
     return Inference(config, rules, seed, executor, limits=limits).answer(scene)
 
@@ -200,24 +187,19 @@ class Simulation:
     copy reads no file but repeats the ticks, which takes as long as the run so far.
 
     Args:
-        config: A run configuration: a path, or a built-in one such as `configs/expert.yaml` or `expert`.
-        rules: A rule file that replaces the configuration's.
+        config, rules, executor: As for `Inference`.
         split: The set of agents: `"train"`, `"val"` or `"test"`.
         seed: The seed, from 0 to 2**64 - 1.
         threads: The number of threads for a city of more than 256 agents; 0 means one per core. It does not affect the
             ticks.
-        executor: The executor of the rules. It does not affect the ticks.
         count_firings: Whether to count the firings of clauses, for `firings` and for traces of `run`.
         limits: The limits of the evaluation of each tick.
 
     Raises:
-        InputError: If the configuration or rule file is invalid, the configuration lacks the split, or the agents do
-            not fit on the map.
+        InputError: As for `Inference`, or if the configuration lacks the split, or the agents do not fit on the map.
         LimitError: If there are too many agents.
-        UnsupportedError: If `executor="dense"` cannot evaluate the rules.
-        OSError: If a file cannot be read.
-        ValueError: If the split, the executor or a limit is unknown, a number is out of range, or there are more than
-            1024 threads.
+        OSError, UnsupportedError: As for `Inference`.
+        ValueError: As for `Inference`, or if the split is unknown, or there are more than 1024 threads.
     """
 
     def __init__(

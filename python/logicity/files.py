@@ -16,17 +16,8 @@ from typing import Any
 from . import _logicity
 from .errors import checked_path
 
-__all__ = [
-    "check_readable",
-    "check_writable",
-    "file_hash",
-    "read_tensors",
-    "read_text",
-    "replacing",
-    "reserved",
-    "write_json",
-    "write_text",
-]
+__all__ = ["check_readable", "check_writable", "file_hash", "read_tensors", "read_text", "replacing", "reserved"]
+__all__ += ["write_json", "write_text"]
 
 
 def check_readable(path: str | os.PathLike[str], *, whole: bool = True, named: bool = False) -> None:

@@ -20,18 +20,11 @@ __all__ = ["EnvConfig", "array_kind", "checked_kind", "to_json"]
 
 
 class EnvConfig:
-    """A run configuration with its overrides, a split, and a kind of observation.
+    """A run configuration with its overrides, a split, and a kind of observation. `SPFEnv` documents the options.
 
     Args:
         config: A run configuration: a built-in name such as `expert`, or a path.
         env_class: The class of the environments. Errors about unknown options list its options.
-        split: The set of agents.
-        rules: A rule file that replaces the configuration's.
-        overrides: A mapping that is merged into the configuration and takes precedence.
-        observation: The kind of observation.
-        limits: The limits of each evaluation of the rules.
-        oracle: Whether `info` has the key `oracle_action`.
-        action_masks: Whether `info` has the key `action_mask`.
         unknown: Unknown options, which raise `TypeError`.
 
     Raises:
@@ -102,15 +95,7 @@ class EnvConfig:
 
 
 def checked_kind(kind: str, known: Sequence[str] = get_args(ObservationKind)) -> ObservationKind:
-    """Check the name of a kind of observation.
-
-    Args:
-        kind: The name.
-        known: The kinds that the caller supports.
-
-    Raises:
-        ValueError: If `kind` is not one of them.
-    """
+    """Return a kind of observation. Raise `ValueError` if it is not one of those that the caller supports."""
     if kind not in known:
         names = ", ".join(f'"{name}"' for name in known)
         raise ValueError(f"observation must be one of {names}, not {kind!r}")

@@ -4,10 +4,10 @@ from __future__ import annotations
 
 import operator
 import sys
-from collections.abc import Callable, Mapping, Sequence
-from copy import copy
+from collections.abc import Mapping
+from copy import copy, deepcopy
 from types import FrameType
-from typing import Any, Protocol
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -19,38 +19,78 @@ from ..errors import checked_integer, extra
 with extra("gym"):
     import gymnasium
     from gymnasium.envs.registration import EnvSpec
-    from gymnasium.error import InvalidAction, UnsupportedMode
+    from gymnasium.error import InvalidAction, ResetNeeded, UnsupportedMode
     from gymnasium.spaces import Box, Space
 
-from ..types import ArrayKind
 from .config import EnvConfig
-from .views import Observations, Views
+from .views import Observations, View, views_of
 from .window import Window
-
-__all__ = [
-    *("RENDER_FPS", "RENDER_MODES", "HorizonSpec"),
-    *("States", "check_masks", "check_options", "checked_action", "checked_render_mode", "checked_seed"),
-    *("config_overrides", "env_info", "info_dict", "masks_of", "observation_space", "parse_episode", "parsed_state"),
-    *("rendered", "restore_states", "states_of", "wrong_limit"),
-]
 
 RENDER_MODES = ["human", "rgb_array", "ansi"]
 RENDER_FPS = 10
 
 
-def observation_space(task: _logicity.Task, kind: ArrayKind, views: Views | None) -> Space[Any]:
-    """Return the observation space of a task: that of the views if there are any."""
-    if views is not None:
-        return views.space()
-    return Box(0.0 if kind == "groundings" else -1.0, 1.0, tuple(task.shape(kind)), np.float32)
+class BaseEnv:
+    """The parts that the environments with one, several and many cars share."""
+
+    metadata: dict[str, Any] = {"render_modes": RENDER_MODES, "render_fps": RENDER_FPS}
+    render_mode: str | None
+    _begun: bool
+
+    def _load(self, config: EnvConfig, render_mode: str | None, episodes: str = "drawn") -> None:
+        """Load the task, and make the window of the render mode.
+
+        Raises:
+            ImportError: If the mode is `human`, and pygame is not installed.
+            gymnasium.error.UnsupportedMode: If the mode is unknown.
+        """
+        if render_mode is not None and render_mode not in RENDER_MODES:
+            raise UnsupportedMode(f"unknown render mode `{render_mode}`; known: {', '.join(RENDER_MODES)}")
+        self.render_mode, self._window = render_mode, Window(RENDER_FPS) if render_mode == "human" else None
+        self._episodes, self._recorded = episodes, episodes == "recorded"
+        self._config, self._kind, self._task = config, config.array_kind, config.task()
+        self._clauses, self._shape = self._task.clauses(), tuple(self._task.shape(self._kind))
+        self._views = views_of(self._task, config.observation)
+
+    def _space(self) -> Space[Any]:
+        """Return a new observation space of one car."""
+        if self._views is not None:
+            return self._views.space()
+        return Box(0.0 if self._kind == "groundings" else -1.0, 1.0, self._shape, np.float32)
+
+    def _output(self, observations: Observations) -> Observations | View:
+        """Return the views of observations, or the observations without views."""
+        return observations if self._views is None else self._views(observations)
+
+    def _info(self, info: dict[str, Any]) -> dict[str, Any]:
+        """Convert an `info` to the types that gymnasium expects, and remove what the options exclude."""
+        info["seed"] = np.int64(info["seed"])
+        if not self._config.oracle:
+            del info["oracle_action"]
+        return info
+
+    def _rendered(self, core: _logicity.VectorEnv, count: int) -> list[Any]:
+        """Return the pictures or texts of environments. With a window, show the pictures and return `None` for each."""
+        if self.render_mode == "ansi":
+            return [core.text(at) for at in range(count)]
+        return self._shown([core.picture(at) for at in range(count)])
+
+    def _shown(self, pictures: list[NDArray[np.uint8]]) -> list[Any]:
+        if self._window is None:
+            return pictures
+        self._window.show(pictures)
+        return [None for _ in pictures]
+
+    def _check_begun(self) -> None:
+        if not self._begun:
+            raise ResetNeeded("no episode has started: call `reset`")
+
+    # Two environments cannot share a city.
+    __copy__ = deepcopy
 
 
 def checked_seed(seed: int | None, generator: np.random.Generator) -> int:
-    """Return the seed of a sequence of episodes: `seed`, or a number from the generator if `seed` is `None`.
-
-    Raises:
-        gymnasium.error.Error: If the seed is out of range, or not an integer.
-    """
+    """Return the seed of a sequence of episodes: `seed`, or a number from the generator if `seed` is `None`."""
     if seed is None:
         return int(generator.integers(2**53))
     try:
@@ -58,19 +98,6 @@ def checked_seed(seed: int | None, generator: np.random.Generator) -> int:
     except (TypeError, ValueError) as error:
         # As gymnasium itself does for negative seeds.
         raise gymnasium.error.Error(str(error)) from None
-
-
-def config_overrides(options: Mapping[str, Any]) -> dict[str, Any]:
-    """Return the parts of the configuration that the options of a reset replace."""
-    return {key: options[key] for key in ("map", "agents") if options.get(key) is not None}
-
-
-class _Limited(Protocol):
-    """An environment whose episodes have a step limit."""
-
-    _task: _logicity.Task
-    _config: EnvConfig
-    _recorded: bool
 
 
 class HorizonSpec:
@@ -88,7 +115,7 @@ class HorizonSpec:
         """Return the spec, or `None` before it is assigned."""
         return getattr(env, self._name, None)
 
-    def __set__(self, env: _Limited, spec: EnvSpec | None) -> None:
+    def __set__(self, env: BaseEnv, spec: EnvSpec | None) -> None:
         """Store the spec with the horizon of the environment."""
         if spec is not None:
             horizon = env._task.max_steps(env._config.split, env._recorded)
@@ -140,40 +167,11 @@ def states_of(core: _logicity.VectorEnv, count: int = 1) -> States:
     ]
 
 
-def parsed_state(state: Mapping[str, Any]) -> tuple[list[int], tuple[dict[str, Any], bytes] | None]:
-    """Return the state of an environment from the plain data of `SPFVectorEnv.state`.
-
-    Raises:
-        AttributeError, KeyError, TypeError, ValueError: If it is something else.
-    """
-    seed, begun = (checked_integer("source", number) for number in state["source"])
-    actions = bytes.fromhex(state["actions"])
-    return [seed, begun], None if state["episode"] is None else (dict(state["episode"]), actions)
-
-
 def restore_states(core: _logicity.VectorEnv, states: States, observations: Observations) -> None:
     """Restore the states of all environments."""
     for at, (source, _) in enumerate(states):
         core.seed(at, *source)
     core.replay([episode for _, episode in states], observations)
-
-
-def info_dict(info: dict[str, Any], config: EnvConfig) -> dict[str, Any]:
-    """Convert the `info` of an episode to the types that gymnasium expects, and remove what the options exclude."""
-    info["seed"] = np.int64(info["seed"])
-    if not config.oracle:
-        del info["oracle_action"]
-    return info
-
-
-def env_info(
-    info: dict[str, Any], config: EnvConfig, core: _logicity.VectorEnv, at: int, atoms: bool
-) -> dict[str, Any]:
-    """Convert the `info` of one environment. With `atoms`, add its true atoms."""
-    info_dict(info, config)
-    if atoms:
-        info["true_atoms"] = core.atoms(at)
-    return info
 
 
 def masks_of(core: _logicity.VectorEnv, count: int, ended: bool = False) -> NDArray[np.int8]:
@@ -184,44 +182,20 @@ def masks_of(core: _logicity.VectorEnv, count: int, ended: bool = False) -> NDAr
 
 
 def check_masks(config: EnvConfig) -> None:
-    """Check that the environments compute the allowed actions.
-
-    Raises:
-        gymnasium.error.Error: If they do not.
-    """
+    """Raise `gymnasium.error.Error` if the environments do not compute the allowed actions."""
     if not config.action_masks:
         raise gymnasium.error.Error("the environment has no action masks: make it with `action_masks=True`")
 
 
-def checked_render_mode(mode: str | None) -> tuple[str | None, Window | None]:
-    """Check a render mode, and return it with the window that it needs.
-
-    Raises:
-        ImportError: If the mode is `human`, and pygame is not installed.
-        gymnasium.error.UnsupportedMode: If the mode is unknown.
-    """
-    if mode is not None and mode not in RENDER_MODES:
-        raise UnsupportedMode(f"unknown render mode `{mode}`; known: {', '.join(RENDER_MODES)}")
-    return mode, Window(RENDER_FPS) if mode == "human" else None
-
-
 def check_options(options: Mapping[str, Any], known: tuple[str, ...]) -> None:
-    """Check the names of the options of a reset.
-
-    Raises:
-        ValueError: If an option is unknown.
-    """
+    """Raise `ValueError` if an option of a reset is unknown."""
     for option in options:
         if option not in known:
             raise ValueError(f"unknown option `{option}`; known: {', '.join(known)}")
 
 
 def checked_action(action: Any) -> int:
-    """Check an action and return it as an int.
-
-    Raises:
-        gymnasium.error.InvalidAction: If the action is not 0, 1, 2 or 3.
-    """
+    """Return an action as an int. Raise `gymnasium.error.InvalidAction` if it is not 0, 1, 2 or 3."""
     try:
         number = operator.index(action)
     except TypeError:
@@ -233,11 +207,7 @@ def checked_action(action: Any) -> int:
 
 
 def parse_episode(episode: Any) -> Any:
-    """Parse the option `episode` of a reset.
-
-    Returns:
-        `True` for the next episode of the sequence, the number of a recorded episode, or a mapping that describes an
-        episode.
+    """Return the option `episode` of a reset: a mapping or the number of a recorded episode; `True` for the next one.
 
     Raises:
         ValueError: If the option has another type, or the number is negative.
@@ -253,20 +223,3 @@ def parse_episode(episode: Any) -> Any:
     if isinstance(episode, bool) or number < 0:
         raise ValueError(f"expected an episode number, at least 0, or a mapping, not {episode!r}")
     return number
-
-
-def rendered(
-    picture: Callable[[int], NDArray[np.uint8]],
-    text: Callable[[int], str],
-    places: Sequence[int],
-    mode: str,
-    window: Window | None,
-) -> list[Any]:
-    """Return the pictures or texts of some places. With a window, show their pictures and return `None` for each."""
-    if mode == "ansi":
-        return [text(at) for at in places]
-    pictures = [picture(at) for at in places]
-    if window is None:
-        return pictures
-    window.show(pictures)
-    return [None for _ in places]

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import os
 from collections.abc import Mapping
-from copy import deepcopy
 from typing import TYPE_CHECKING, Any, TypeVar, cast
 
 import numpy as np
@@ -13,7 +12,7 @@ from ..errors import extra
 
 with extra("pettingzoo"):
     import gymnasium
-    from gymnasium.error import InvalidAction, ResetNeeded
+    from gymnasium.error import InvalidAction
     from gymnasium.spaces import Discrete, Space
     from gymnasium.utils.seeding import np_random
     from pettingzoo import ParallelEnv
@@ -22,17 +21,8 @@ from .. import _logicity
 from ..errors import did_you_mean
 from ..types import EnvOptions, EpisodeStart
 from .config import EnvConfig
-from .interface import (
-    RENDER_FPS,
-    RENDER_MODES,
-    checked_action,
-    checked_render_mode,
-    checked_seed,
-    info_dict,
-    observation_space,
-    parse_episode,
-)
-from .views import Observations, View, views_of
+from .interface import BaseEnv, checked_action, checked_seed, parse_episode
+from .views import Observations, View
 
 if TYPE_CHECKING:
     from typing_extensions import Unpack  # Python 3.11; only annotations use it
@@ -42,19 +32,17 @@ __all__ = ["SPFParallelEnv"]
 _T = TypeVar("_T")
 
 
-class SPFParallelEnv(ParallelEnv[str, Any, "np.int64 | int"]):
+class SPFParallelEnv(BaseEnv, ParallelEnv[str, Any, "np.int64 | int"]):
     """Safe Path Following in which every car is a controlled agent, named `Car_1`, `Car_2`, ...
 
     Observations, actions, rewards and `info` of a car are those of `SPFEnv`. When the episode of a car ends, the car
     leaves `agents` and follows the rules. A curriculum of the configuration has no effect.
 
     Args:
-        config: As for `SPFEnv`.
-        render_mode: As for `SPFEnv`.
-        options: As for `SPFEnv`.
+        config, render_mode, options: As for `SPFEnv`.
     """
 
-    metadata: dict[str, Any] = {"name": "logicity_spf_v0", "render_modes": RENDER_MODES, "render_fps": RENDER_FPS}
+    metadata = {"name": "logicity_spf_v0", **BaseEnv.metadata}
 
     def __init__(
         self,
@@ -64,20 +52,13 @@ class SPFParallelEnv(ParallelEnv[str, Any, "np.int64 | int"]):
         **options: Unpack[EnvOptions],
     ) -> None:
         """Load the configuration and the rules."""
-        self.render_mode, self._window = checked_render_mode(render_mode)
-        self._config = EnvConfig(config, SPFParallelEnv, **options)
-        self._task = self._config.task()
-        self._clauses = self._task.clauses()
-        self._kind = self._config.array_kind
-        self._views, self._shape = views_of(self._task, self._config.observation), tuple(self._task.shape(self._kind))
+        self._load(EnvConfig(config, SPFParallelEnv, **options), render_mode)
         self._cars = self._make_cars()
         self.possible_agents = self._cars.names()
         self.agents: list[str] = []
         self._index = {name: car for car, name in enumerate(self.possible_agents)}
         # Each car has its own space, so that seeding one does not affect the others.
-        self.observation_spaces = {
-            name: observation_space(self._task, self._kind, self._views) for name in self.possible_agents
-        }
+        self.observation_spaces = {name: self._space() for name in self.possible_agents}
         self.action_spaces = {name: Discrete(4) for name in self.possible_agents}
         self._generator: np.random.Generator | None = None
         self._seeded = self._begun = False
@@ -140,7 +121,7 @@ class SPFParallelEnv(ParallelEnv[str, Any, "np.int64 | int"]):
         self.agents, self._begun = [], False
         self._cars.reset(None if episode is True else episode)
         self.agents, self._begun = list(self.possible_agents), True
-        infos = {name: info_dict(self._cars.outcome(self._index[name])[3], self._config) for name in self.agents}
+        infos = {name: self._info(self._cars.outcome(self._index[name])[3]) for name in self.agents}
         if self._window is not None:
             self.render()
         return {name: self._observe(name) for name in self.agents}, infos
@@ -148,7 +129,7 @@ class SPFParallelEnv(ParallelEnv[str, Any, "np.int64 | int"]):
     def _observe(self, name: str) -> Observations | View:
         observation = np.empty(self._shape, np.float32)
         self._cars.observe(self._index[name], observation)
-        return observation if self._views is None else self._views(observation)
+        return self._output(observation)
 
     def step(
         self, actions: dict[str, np.int64 | int]
@@ -165,14 +146,12 @@ class SPFParallelEnv(ParallelEnv[str, Any, "np.int64 | int"]):
             gymnasium.error.ResetNeeded: If no episode has started.
             gymnasium.error.InvalidAction: If an action is missing, an action is not 0, 1, 2 or 3, or a car is unknown.
         """
-        if not self._begun:
-            raise ResetNeeded("no episode has started: call `reset`")
+        self._check_begun()
         live = self.agents
-        missing = [name for name in live if name not in actions]
-        unknown = [name for name in actions if name not in self._index]
-        if unknown:
-            raise InvalidAction(self._unknown(unknown[0]))
-        if missing:
+        for name in actions:
+            if name not in self._index:
+                raise InvalidAction(self._unknown(name))
+        if missing := [name for name in live if name not in actions]:
             raise InvalidAction(f"missing action of {', '.join(missing)}")
         numbers = [0] * len(self.possible_agents)
         for name in live:
@@ -187,7 +166,7 @@ class SPFParallelEnv(ParallelEnv[str, Any, "np.int64 | int"]):
             {name: outcome[0] for name, outcome in outcomes.items()},
             {name: outcome[1] for name, outcome in outcomes.items()},
             {name: outcome[2] for name, outcome in outcomes.items()},
-            {name: info_dict(outcome[3], self._config) for name, outcome in outcomes.items()},
+            {name: self._info(outcome[3]) for name, outcome in outcomes.items()},
         )
 
     @property
@@ -214,10 +193,6 @@ class SPFParallelEnv(ParallelEnv[str, Any, "np.int64 | int"]):
             raise ValueError(self._unknown(agent))
         return self._cars.explain(self._index[agent], fact)
 
-    def _check_begun(self) -> None:
-        if not self._begun:
-            raise ResetNeeded("no episode has started: call `reset`")
-
     def render(self) -> Any:
         """Return a picture of the city, a uint8 array of shape (height, width, 3), or text in the mode `ansi`.
 
@@ -228,11 +203,7 @@ class SPFParallelEnv(ParallelEnv[str, Any, "np.int64 | int"]):
         self._check_begun()
         if self.render_mode == "ansi":
             return "\n".join(self._cars.text(car) for car in range(len(self.possible_agents)))
-        picture = self._cars.picture()
-        if self._window is None:
-            return picture
-        self._window.show([picture])
-        return None
+        return self._shown([self._cars.picture()])[0]
 
     def close(self) -> None:
         """Close the window of the render mode `human`."""
@@ -253,7 +224,3 @@ class SPFParallelEnv(ParallelEnv[str, Any, "np.int64 | int"]):
         self._cars.seed(*source)
         if episode is not None:
             self._cars.replay(*episode)
-
-    def __copy__(self) -> SPFParallelEnv:
-        """Return a deep copy, because two environments cannot share a city."""
-        return deepcopy(self)

@@ -17,9 +17,7 @@ with extra("learn"):
     from gymnasium.vector import AutoresetMode
     from stable_baselines3.common.vec_env import VecEnv, VecMonitor
 
-from .interface import (
-    check_options,
-)
+from .interface import check_options
 from .vector import SPFVectorEnv
 
 __all__ = ["SPFVecEnv", "make_vec_env"]
@@ -103,14 +101,11 @@ class SPFVecEnv(VecEnv):
         """Close the environments."""
         self.envs.close()
 
-    def _selected(self, indices: Indices) -> list[int]:
-        return list(self._get_indices(indices))
-
     def get_attr(self, attr_name: str, indices: Indices = None) -> list[Any]:
         """Return an attribute, which all environments share, or `episode` of each environment."""
         if attr_name == "episode":
             return self.env_method("episode", indices=indices)
-        return [getattr(self.envs, attr_name) for _ in self._selected(indices)]
+        return [getattr(self.envs, attr_name) for _ in self._get_indices(indices)]
 
     def set_attr(self, attr_name: str, value: Any, indices: Indices = None) -> None:
         """Raise `AttributeError`, because individual environments have no attributes."""
@@ -120,17 +115,14 @@ class SPFVecEnv(VecEnv):
         self, method_name: str, *method_args: Any, indices: Indices = None, **method_kwargs: Any
     ) -> list[Any]:
         """Call `episode`, `explain`, `action_masks` or `render` of the selected environments."""
-        if method_name == "render":
-            images = self.envs.render() or ()
-            return [images[at] for at in self._selected(indices)]
-        if method_name == "action_masks":
-            masks = self.action_masks()
-            return [masks[at] for at in self._selected(indices)]
+        if method_name in ("action_masks", "render"):
+            results = getattr(self.envs, method_name)()
+            return [results[at] for at in self._get_indices(indices)]
         if method_name not in ("episode", "explain"):
             known = "`action_masks`, `episode`, `explain`, `render`"
             raise AttributeError(f"individual environments have no method `{method_name}`; known: {known}")
         method = getattr(self.envs, method_name)
-        return [method(at, *method_args, **method_kwargs) for at in self._selected(indices)]
+        return [method(at, *method_args, **method_kwargs) for at in self._get_indices(indices)]
 
     def action_masks(self) -> NDArray[np.bool_]:
         """Return the actions that violate no clause, as `SPFVectorEnv.action_masks` does, for `MaskablePPO`."""
@@ -141,13 +133,12 @@ class SPFVecEnv(VecEnv):
         """The names of the clauses that actions can violate, such as `S1`, in the order of `info["violations"]`."""
         return self.envs.clauses
 
-    def __copy__(self) -> SPFVecEnv:
-        """Return a deep copy, because two environments cannot share a city."""
-        return deepcopy(self)
+    # Two environments cannot share a city.
+    __copy__ = deepcopy
 
     def env_is_wrapped(self, wrapper_class: Any, indices: Indices = None) -> list[bool]:
         """Return `False` for each environment."""
-        return [False for _ in self._selected(indices)]
+        return [False for _ in self._get_indices(indices)]
 
     def get_images(self) -> Sequence[NDArray[np.uint8] | None]:
         """Return a picture of each environment."""
@@ -165,9 +156,8 @@ class _Monitor(VecMonitor):
         """Add the members of the class, as `VecEnvWrapper` does."""
         self.__dict__.update(state, class_attributes=dict(inspect.getmembers(type(self))))
 
-    def __copy__(self) -> _Monitor:
-        """Return a deep copy, because two environments cannot share a city."""
-        return deepcopy(self)
+    # Two environments cannot share a city.
+    __copy__ = deepcopy
 
 
 def make_vec_env(
@@ -181,15 +171,12 @@ def make_vec_env(
     """Make environments for Stable-Baselines3.
 
     Args:
-        config: A run configuration: a built-in name such as `expert`, or a path.
+        config: As for `SPFEnv`.
         n_envs: The number of environments.
         seed: The seed of the first environment. Environment i gets the seed `seed + i`.
         monitor: Whether to wrap the environments in a `VecMonitor`, which logs episode returns and lengths.
-        arguments: Other parameters of `SPFVectorEnv`, such as `split`, `overrides` or `num_threads`.
-
-    Raises:
-        InputError: If the configuration, the rule file or an override is invalid.
-        OSError: If a file cannot be read.
+        arguments: Other parameters of `SPFVectorEnv`, such as `split`, `overrides` or `num_threads`. The exceptions are
+            the same, too.
     """
     envs = SPFVecEnv(SPFVectorEnv(n_envs, config, autoreset_mode=AutoresetMode.SAME_STEP, **arguments))
     if seed is not None:

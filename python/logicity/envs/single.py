@@ -8,7 +8,6 @@ configuration.
 from __future__ import annotations
 
 import os
-from copy import deepcopy
 from typing import TYPE_CHECKING, Any, cast
 
 import numpy as np
@@ -19,30 +18,13 @@ from ..errors import checked_path, extra
 
 with extra("gym"):
     import gymnasium
-    from gymnasium.error import ResetNeeded
     from gymnasium.spaces import Discrete
 
 from ..types import EnvOptions, Episodes, EpisodeStart
+from . import interface
 from .config import EnvConfig
-from .interface import (
-    RENDER_FPS,
-    RENDER_MODES,
-    HorizonSpec,
-    check_masks,
-    check_options,
-    checked_action,
-    checked_render_mode,
-    checked_seed,
-    config_overrides,
-    env_info,
-    masks_of,
-    observation_space,
-    parse_episode,
-    rendered,
-    restore_states,
-    states_of,
-)
-from .views import Observations, View, views_of
+from .interface import BaseEnv, HorizonSpec
+from .views import Observations
 
 if TYPE_CHECKING:
     from typing_extensions import Unpack  # Python 3.11; only annotations use it
@@ -50,7 +32,7 @@ if TYPE_CHECKING:
 __all__ = ["SPFEnv"]
 
 
-class SPFEnv(gymnasium.Env[Any, np.int64]):
+class SPFEnv(BaseEnv, gymnasium.Env[Any, np.int64]):
     """Safe Path Following with one controlled car.
 
     Observations are float32 arrays, or dictionaries of arrays:
@@ -106,7 +88,6 @@ class SPFEnv(gymnasium.Env[Any, np.int64]):
         ValueError: If `episodes`, the split or the kind of observation is unknown.
     """
 
-    metadata = {"render_modes": RENDER_MODES, "render_fps": RENDER_FPS}
     spec = HorizonSpec()
 
     def __init__(
@@ -119,15 +100,8 @@ class SPFEnv(gymnasium.Env[Any, np.int64]):
         **options: Unpack[EnvOptions],
     ) -> None:
         """Load the configuration and the rules."""
-        self._config = EnvConfig(config, SPFEnv, **options)
-        self._kind, self._atoms = self._config.array_kind, atoms
-        self._episodes, self._recorded = episodes, episodes == "recorded"
-        self.render_mode, self._window = checked_render_mode(render_mode)
-        self._task = self._config.task()
-        self._clauses = self._task.clauses()
-        self._views, self._shape = views_of(self._task, self._config.observation), tuple(self._task.shape(self._kind))
-        self.observation_space = observation_space(self._task, self._kind, self._views)
-        self.action_space = Discrete(4)
+        self._load(EnvConfig(config, SPFEnv, **options), render_mode, episodes)
+        self._atoms, self.observation_space, self.action_space = atoms, self._space(), Discrete(4)
         self._base = self._make_core(self._task)
         self._core, self._core_task = self._base, self._task
         self._overrides: dict[str, Any] = {}
@@ -142,9 +116,6 @@ class SPFEnv(gymnasium.Env[Any, np.int64]):
 
     def _new_observation(self) -> Observations:
         return np.empty(self._shape, np.float32)
-
-    def _output(self, observation: Observations) -> Observations | View:
-        return observation if self._views is None else self._views(observation)
 
     def reset(self, *, seed: int | None = None, options: dict[str, Any] | None = None) -> tuple[Any, dict[str, Any]]:
         """Start an episode.
@@ -165,20 +136,27 @@ class SPFEnv(gymnasium.Env[Any, np.int64]):
         """
         super().reset(seed=seed)
         options = options or {}
-        check_options(options, ("episode", "map", "agents"))
+        interface.check_options(options, ("episode", "map", "agents"))
         if seed is not None or not self._seeded:
-            self._base.seed(0, checked_seed(seed, self.np_random), 0)
+            self._base.seed(0, interface.checked_seed(seed, self.np_random), 0)
             self._seeded = True
-        self._apply_overrides(config_overrides(options))
+        self._apply_overrides({key: options[key] for key in ("map", "agents") if options.get(key) is not None})
         observation = self._new_observation()
         self._begun = False
-        self._core.reset([parse_episode(options.get("episode"))], observation)
+        self._core.reset([interface.parse_episode(options.get("episode"))], observation)
         if self._core is not self._base:
             self._base.seed(0, *self._core.source(0))
         self._begun = True
+        return self._result(observation, self._core.info(0))
+
+    def _result(self, observation: Observations, info: dict[str, Any]) -> tuple[Any, dict[str, Any]]:
+        """Return what the caller of a reset or step gets, and show it in the window."""
+        self._info(info)
+        if self._atoms:
+            info["true_atoms"] = self._core.atoms(0)
         if self._window is not None:
             self.render()
-        return self._output(observation), env_info(self._core.info(0), self._config, self._core, 0, self._atoms)
+        return self._output(observation), info
 
     def _apply_overrides(self, overrides: dict[str, Any]) -> None:
         """Switch to the configuration with these overrides, and continue the sequence of episodes."""
@@ -206,12 +184,10 @@ class SPFEnv(gymnasium.Env[Any, np.int64]):
             gymnasium.error.InvalidAction: If the action is not 0, 1, 2 or 3.
         """
         self._check_begun()
-        observation = self._new_observation()
-        reward, terminated, truncated, info = self._core.step_one(checked_action(action), observation)
-        info = env_info(info, self._config, self._core, 0, self._atoms)
-        if self._window is not None:
-            self.render()
-        return self._output(observation), reward, terminated, truncated, info
+        array, number = self._new_observation(), interface.checked_action(action)
+        reward, terminated, truncated, info = self._core.step_one(number, array)
+        observation, info = self._result(array, info)
+        return observation, reward, terminated, truncated, info
 
     def action_masks(self) -> NDArray[np.bool_]:
         """Return for each action whether it violates no clause in the current state. The shape is (4,).
@@ -222,9 +198,9 @@ class SPFEnv(gymnasium.Env[Any, np.int64]):
             gymnasium.error.Error: If the environment was made without `action_masks=True`.
             gymnasium.error.ResetNeeded: If no episode has started.
         """
-        check_masks(self._config)
+        interface.check_masks(self._config)
         self._check_begun()
-        return cast("NDArray[np.bool_]", masks_of(self._core, 1)[0].astype(np.bool_))
+        return cast("NDArray[np.bool_]", interface.masks_of(self._core, 1)[0].astype(np.bool_))
 
     @property
     def clauses(self) -> tuple[str, ...]:
@@ -236,10 +212,6 @@ class SPFEnv(gymnasium.Env[Any, np.int64]):
         """The start of the current episode. Pass it to `reset(options={"episode": ...})` to restart it."""
         self._check_begun()
         return cast(EpisodeStart, self._core.episode(0))
-
-    def _check_begun(self) -> None:
-        if not self._begun:
-            raise ResetNeeded("no episode has started: call `reset`")
 
     def explain(self, fact: str | None = None) -> str:
         """Return proofs of the oracle's action as text, from the facts in the current view of the car.
@@ -290,7 +262,7 @@ class SPFEnv(gymnasium.Env[Any, np.int64]):
         if self.render_mode is None:
             raise gymnasium.error.Error("the environment has no `render_mode`: pass one to `gymnasium.make`")
         self._check_begun()
-        return rendered(self._core.picture, self._core.text, range(1), self.render_mode, self._window)[0]
+        return self._rendered(self._core, 1)[0]
 
     def close(self) -> None:
         """Close the window of the render mode `human`."""
@@ -300,7 +272,7 @@ class SPFEnv(gymnasium.Env[Any, np.int64]):
     def __getstate__(self) -> dict[str, Any]:
         """Return the tasks, the episode and the actions taken, which determine the state."""
         state = {key: value for key, value in self.__dict__.items() if key not in ("_base", "_core")}
-        return {**state, "_states": states_of(self._core), "_source": self._base.source(0)}
+        return {**state, "_states": interface.states_of(self._core), "_source": self._base.source(0)}
 
     def __setstate__(self, state: dict[str, Any]) -> None:
         """Start the same episode and take the same actions."""
@@ -309,9 +281,5 @@ class SPFEnv(gymnasium.Env[Any, np.int64]):
         self._base = self._core = self._make_core(self._task)
         if self._core_task is not self._task:
             self._core = self._make_core(self._core_task)
-        restore_states(self._core, states, self._new_observation())
+        interface.restore_states(self._core, states, self._new_observation())
         self._base.seed(0, *source)
-
-    def __copy__(self) -> SPFEnv:
-        """Return a deep copy, because two environments cannot share a city."""
-        return deepcopy(self)

@@ -50,17 +50,10 @@ class SPFTorchRLEnv(EnvBase):
     this option applies only to the environments that the mask selects.
 
     Args:
-        num_envs: The number of environments.
-        config: A run configuration: a built-in name such as `expert`, or a path.
+        num_envs, config: As for `SPFVectorEnv`.
         device: The device of the tensors. The environments run on the CPU.
         arguments: Other parameters of `SPFVectorEnv`, except `autoreset_mode` and `copy`: TorchRL resets environments
-            itself.
-
-    Raises:
-        InputError: If the configuration, the rule file or an override is invalid.
-        OSError: If a file cannot be read.
-        TypeError: If an argument is unknown.
-        ValueError: If an argument is invalid.
+            itself. The exceptions are the same, too.
     """
 
     def __init__(
@@ -99,9 +92,8 @@ class SPFTorchRLEnv(EnvBase):
         """The names of the clauses that actions can violate, such as `S1`, in the order of `violations`."""
         return self.envs.clauses
 
-    def __copy__(self) -> SPFTorchRLEnv:
-        """Return a deep copy, because two environments cannot share a city."""
-        return deepcopy(self)
+    # Two environments cannot share a city.
+    __copy__ = deepcopy
 
     def _spaces(self) -> dict[str, Space[Any]]:
         """Return the space of each entry of an observation, without the axis of the environments."""
@@ -119,8 +111,7 @@ class SPFTorchRLEnv(EnvBase):
 
     def _set_seed(self, seed: int | None) -> None:
         """Store the seeds of the environments for their next resets. `None` continues their sequences of episodes."""
-        count = self.envs.num_envs
-        self._seeds = [None if seed is None else seed + at for at in range(count)]
+        self._seeds = [None if seed is None else seed + at for at in range(self.envs.num_envs)]
 
     def _reset(self, tensordict: TensorDictBase | None = None, **options: Any) -> TensorDictBase:
         """Start episodes in the environments that `_reset` selects, by default in all."""

@@ -5,7 +5,6 @@ from __future__ import annotations
 import operator
 import os
 from collections.abc import Mapping, Sequence
-from copy import deepcopy
 from typing import TYPE_CHECKING, Any, cast
 
 import numpy as np
@@ -22,26 +21,9 @@ with extra("gym"):
     from gymnasium.vector import AutoresetMode, VectorEnv
     from gymnasium.vector.utils import batch_space
 from ..types import EnvOptions, Episodes, EpisodeStart
+from . import interface
 from .config import EnvConfig
-from .interface import (
-    RENDER_FPS,
-    RENDER_MODES,
-    HorizonSpec,
-    check_masks,
-    check_options,
-    checked_render_mode,
-    checked_seed,
-    env_info,
-    masks_of,
-    observation_space,
-    parse_episode,
-    parsed_state,
-    rendered,
-    restore_states,
-    states_of,
-    wrong_limit,
-)
-from .views import Observations, View, views_of
+from .interface import BaseEnv, HorizonSpec
 
 if TYPE_CHECKING:
     from typing_extensions import Unpack  # Python 3.11; only annotations use it
@@ -49,7 +31,7 @@ if TYPE_CHECKING:
 __all__ = ["SPFVectorEnv"]
 
 
-class SPFVectorEnv(VectorEnv[Any, NDArray[np.int64], NDArray[Any]]):
+class SPFVectorEnv(BaseEnv, VectorEnv[Any, NDArray[np.int64], NDArray[Any]]):
     """A vectorized environment of Safe Path Following: one call steps all environments.
 
     Vectorized results equal those of individual `SPFEnv` environments with the same seeds. `reset(seed=s)` gives
@@ -62,27 +44,20 @@ class SPFVectorEnv(VectorEnv[Any, NDArray[np.int64], NDArray[Any]]):
 
     Args:
         num_envs: The number of environments, at most 65536.
-        config: As for `SPFEnv`.
-        episodes: As for `SPFEnv`.
-        atoms: As for `SPFEnv`.
-        render_mode: As for `SPFEnv`.
+        config, episodes, atoms, render_mode, options: As for `SPFEnv`.
         autoreset_mode: An `AutoresetMode`, or its name or value in any case: `"SAME_STEP"`, `"SameStep"`.
         num_threads: The number of threads of a step.
         copy: Whether every call returns a new array of observations. `False` is faster: every call overwrites and
             returns the same array. Observations of the kinds `relational` and `graph` are always new.
         max_episode_steps: The horizon, which `gymnasium.make_vec` passes if it gets the `spec` of such environments. It
             cannot change the horizon: `overrides={"task": {"horizon": 100}}` does.
-        options: As for `SPFEnv`.
 
     Raises:
-        InputError: If the configuration, the rule file or an episode is invalid.
-        OSError: If a file cannot be read.
-        TypeError: If an option is unknown.
+        InputError, OSError, TypeError: As for `SPFEnv`.
         ValueError: If a name is unknown, the number of environments or threads is out of range, or `max_episode_steps`
             is not the horizon.
     """
 
-    metadata: dict[str, Any] = {"render_modes": RENDER_MODES, "render_fps": RENDER_FPS}
     spec = HorizonSpec()
 
     def __init__(
@@ -105,21 +80,15 @@ class SPFVectorEnv(VectorEnv[Any, NDArray[np.int64], NDArray[Any]]):
         self._num_threads = checked_integer("num_threads", num_threads, 1, _logicity.THREADS_MAX)
         self.autoreset_mode = _autoreset_mode(autoreset_mode)
         self.metadata = {**self.metadata, "autoreset_mode": self.autoreset_mode}
-        self.render_mode, self._window = checked_render_mode(render_mode)
+        self._load(EnvConfig(config, SPFVectorEnv, **options), render_mode, episodes)
         self._atoms, self.copy = atoms, copy
-        self._config = EnvConfig(config, SPFVectorEnv, **options)
-        self._kind, self._task = self._config.array_kind, self._config.task()
-        self._clauses = self._task.clauses()
-        self._views, self._shape = views_of(self._task, self._config.observation), tuple(self._task.shape(self._kind))
-        self.single_observation_space = observation_space(self._task, self._kind, self._views)
-        self.single_action_space = Discrete(4)
+        self.single_observation_space, self.single_action_space = self._space(), Discrete(4)
         self.observation_space = batch_space(self.single_observation_space, num_envs)
         self.action_space = batch_space(self.single_action_space, num_envs)
-        self._episodes, self._recorded = episodes, episodes == "recorded"
         self._core = self._make_core()
         horizon = self._task.max_steps(self._config.split, self._recorded)
         if max_episode_steps is not None and max_episode_steps != horizon:
-            raise wrong_limit(max_episode_steps, horizon)
+            raise interface.wrong_limit(max_episode_steps, horizon)
         self._observations = np.zeros((num_envs, *self._shape), np.float32)
         self._seeded = np.zeros(num_envs, np.bool_)
 
@@ -150,12 +119,10 @@ class SPFVectorEnv(VectorEnv[Any, NDArray[np.int64], NDArray[Any]]):
             The observations, and the infos.
 
         Raises:
-            IndexError: If the recorded episode does not exist.
-            InputError: If the mapping is not a valid episode of this environment (`invalid-episode`).
-            ValueError: If an option is unknown, or its value is invalid.
+            IndexError, InputError, ValueError: As for `SPFEnv.reset`.
         """
-        options = dict(options or {})
-        check_options(options, ("reset_mask", "episode", "episodes"))
+        options = options or {}
+        interface.check_options(options, ("reset_mask", "episode", "episodes"))
         if options.get("episode") is not None and options.get("episodes") is not None:
             raise ValueError("`episode` and `episodes` are mutually exclusive: give one of them")
         mask = self._mask(options)
@@ -174,25 +141,26 @@ class SPFVectorEnv(VectorEnv[Any, NDArray[np.int64], NDArray[Any]]):
             chosen = [options.get("episode")] * self.num_envs
         if len(chosen) != self.num_envs:
             raise ValueError(f"{len(chosen)} episodes for {self.num_envs} environments")
-        begin = [bool(begins) and parse_episode(episode) for begins, episode in zip(mask, chosen, strict=True)]
-        for at in np.flatnonzero(mask):
+        begin = [bool(begins) and interface.parse_episode(each) for begins, each in zip(mask, chosen, strict=True)]
+        places = np.flatnonzero(mask).tolist()
+        for at in places:
             given = seeds[at]
             if given is not None or not self._seeded[at]:
-                self._core.seed(int(at), checked_seed(given, self.np_random), 0)
+                self._core.seed(at, interface.checked_seed(given, self.np_random), 0)
                 self._seeded[at] = True
         self._core.reset(begin, self._observations)
         infos: dict[str, Any] = {}
-        for at in np.flatnonzero(mask):
-            info = env_info(self._core.info(int(at)), self._config, self._core, int(at), self._atoms)
-            infos = self._add_info(infos, info, int(at))
+        for at in places:
+            info = self._info(self._core.info(at))
+            if self._atoms:
+                info["true_atoms"] = self._core.atoms(at)
+            infos = self._add_info(infos, info, at)
         if self._window is not None and all(self._core.has_begun(at) for at in range(self.num_envs)):
             self.render()
-        return self._output(), infos
+        return self._observed(), infos
 
-    def _output(self) -> Observations | View:
-        if self._views is not None:
-            return self._views(self._observations)
-        return self._observations.copy() if self.copy else self._observations
+    def _observed(self) -> Any:
+        return self._output(self._observations.copy() if self.copy and self._views is None else self._observations)
 
     def _mask(self, options: Mapping[str, Any]) -> NDArray[np.bool_]:
         mask = options.get("reset_mask")
@@ -225,20 +193,16 @@ class SPFVectorEnv(VectorEnv[Any, NDArray[np.int64], NDArray[Any]]):
             raise InvalidAction(f"expected integers of shape ({count},), not {given.dtype} of {given.shape}")
         rewards = np.empty(count, np.float64)
         terminated, truncated = np.empty(count, np.bool_), np.empty(count, np.bool_)
-        columns = _columns(count, len(self._clauses))
+        columns = self._columns()
         numbers = np.ascontiguousarray(given, np.int64)
         self._core.step(numbers, self._observations, (rewards, terminated, truncated), columns)
-        infos = self._infos(columns)
-        if self._atoms:
-            infos["true_atoms"] = atoms = np.empty(count, object)
-            for at in range(count):
-                atoms[at] = self._core.atoms(at)
-            infos["_true_atoms"] = np.ones(count, np.bool_)
+        infos = self._infos(columns, {at: self._core.atoms(at) for at in range(count) if self._atoms})
+        infos |= {f"_{key}": np.ones(count, np.bool_) for key in infos}
         if self.autoreset_mode is AutoresetMode.SAME_STEP and (terminated.any() or truncated.any()):
             self._add_ends(infos)
         if self._window is not None:
             self.render()
-        return self._output(), rewards, terminated, truncated, infos
+        return self._observed(), rewards, terminated, truncated, infos
 
     def collect(self, network: _logicity.PolicyNetwork, random: NDArray[np.float32]) -> dict[str, NDArray[Any]]:
         """Run every environment under the stochastic policy of a network. The autoreset mode must be SameStep.
@@ -260,40 +224,34 @@ class SPFVectorEnv(VectorEnv[Any, NDArray[np.int64], NDArray[Any]]):
         """
         return self._core.collect(network, random, self._observations)
 
-    def _infos(self, columns: _Columns) -> dict[str, Any]:
-        infos = self._by_key(columns)
-        if self._config.action_masks:
-            infos["action_mask"] = masks_of(self._core, self.num_envs)
-        for key in tuple(infos):
-            infos["_" + key] = np.ones(self.num_envs, np.bool_)
-        return infos
+    def _columns(self) -> Any:
+        """Return the arrays of infos that the core fills, in the order of `_INFOS`."""
+        shapes = {"violations": (self.num_envs, len(self._clauses))}
+        return tuple(np.zeros(shapes.get(name, (self.num_envs,)), kind) for name, kind in _INFOS.items())
 
-    def _by_key(self, columns: _Columns) -> dict[str, Any]:
-        infos: dict[str, Any] = dict(zip(_COLUMNS, columns, strict=True))
+    def _infos(self, columns: Any, atoms: Mapping[int, tuple[str, ...]], ended: bool = False) -> dict[str, Any]:
+        """Return the infos of all environments, or those of the episodes that ended in the last step."""
+        infos: dict[str, Any] = dict(zip(_INFOS, columns, strict=True))
         if not self._config.oracle:
             del infos["oracle_action"]
+        if self._config.action_masks:
+            infos["action_mask"] = interface.masks_of(self._core, self.num_envs, ended)
+        if self._atoms:
+            infos["true_atoms"] = np.empty(self.num_envs, object)
+            for at, names in atoms.items():
+                infos["true_atoms"][at] = names
         return infos
 
     def _add_ends(self, infos: dict[str, Any]) -> None:
         """Add the last observations and infos of the episodes that ended in this step, for SameStep autoreset."""
-        count = self.num_envs
-        columns = _columns(count, len(self._clauses))
-        ends = self._core.ended(columns)
-        info = self._by_key(columns)
-        if self._config.action_masks:
-            info["action_mask"] = masks_of(self._core, count, ended=True)
-        infos["final_obs"] = observations = np.empty(count, object)
-        if self._atoms:
-            info["true_atoms"] = np.empty(count, object)
-        mask = np.zeros(count, np.bool_)
-        for at, observation in ends:
+        columns, observations = self._columns(), np.empty(self.num_envs, object)
+        mask = np.zeros(self.num_envs, np.bool_)
+        for at, observation in self._core.ended(columns):
             observations[at], mask[at] = observation.reshape(self._shape), True
-            if self._atoms:
-                info["true_atoms"][at] = self._core.ended_atoms(at)
-        if self._views is not None:
-            infos["final_obs"] = self._views.of_ended(observations, mask)
-        for key in tuple(info):
-            info["_" + key] = mask.copy()
+        atoms = {at: self._core.ended_atoms(at) for at in np.flatnonzero(mask).tolist() if self._atoms}
+        info = self._infos(columns, atoms, ended=True)
+        info |= {f"_{key}": mask.copy() for key in info}
+        infos["final_obs"] = observations if self._views is None else self._views.of_ended(observations, mask)
         infos["final_info"], infos["_final_info"], infos["_final_obs"] = info, mask.copy(), mask
 
     def action_masks(self) -> NDArray[np.bool_]:
@@ -304,8 +262,8 @@ class SPFVectorEnv(VectorEnv[Any, NDArray[np.int64], NDArray[Any]]):
         Raises:
             gymnasium.error.Error: If the environments were made without `action_masks=True`.
         """
-        check_masks(self._config)
-        return masks_of(self._core, self.num_envs).astype(np.bool_)
+        interface.check_masks(self._config)
+        return interface.masks_of(self._core, self.num_envs).astype(np.bool_)
 
     @property
     def clauses(self) -> tuple[str, ...]:
@@ -322,12 +280,7 @@ class SPFVectorEnv(VectorEnv[Any, NDArray[np.int64], NDArray[Any]]):
         return cast(EpisodeStart, self._core.episode(self._checked_index(at)))
 
     def explain(self, at: int, fact: str | None = None) -> str:
-        """Return proofs of the oracle's action in an environment, or of a fact, as `SPFEnv.explain` does.
-
-        Raises:
-            IndexError: If the environment does not exist.
-            gymnasium.error.ResetNeeded: If its episode has not started.
-        """
+        """Variant of `SPFEnv.explain` for an environment. The exceptions include those of `episode`."""
         return self._core.explain(self._checked_index(at), fact)
 
     def _checked_index(self, at: int) -> int:
@@ -345,8 +298,7 @@ class SPFVectorEnv(VectorEnv[Any, NDArray[np.int64], NDArray[Any]]):
         """
         if self.render_mode is None:
             raise gymnasium.error.Error("the environments have no `render_mode`: pass one to `gymnasium.make_vec`")
-        places = range(self.num_envs)
-        return tuple(rendered(self._core.picture, self._core.text, places, self.render_mode, self._window))
+        return tuple(self._rendered(self._core, self.num_envs))
 
     def close_extras(self, **kwargs: Any) -> None:
         """Close the window of the render mode `human`."""
@@ -361,7 +313,7 @@ class SPFVectorEnv(VectorEnv[Any, NDArray[np.int64], NDArray[Any]]):
         """
         return [
             {"source": source, "episode": None if begun is None else begun[0], "actions": (begun or ({}, b""))[1].hex()}
-            for source, begun in states_of(self._core, self.num_envs)
+            for source, begun in interface.states_of(self._core, self.num_envs)
         ]
 
     def restore(self, state: Sequence[Mapping[str, Any]]) -> None:
@@ -373,30 +325,30 @@ class SPFVectorEnv(VectorEnv[Any, NDArray[np.int64], NDArray[Any]]):
         """
         if len(state) != self.num_envs:
             raise ValueError(f"a state of {len(state)} environments, not of {self.num_envs}")
+        states: interface.States = []
         try:
-            states = [parsed_state(each) for each in state]
+            for each in state:
+                seed, begun = (checked_integer("source", number) for number in each["source"])
+                actions = bytes.fromhex(each["actions"])
+                states.append(([seed, begun], None if each["episode"] is None else (dict(each["episode"]), actions)))
         except (AttributeError, KeyError, TypeError, ValueError) as error:
             raise ValueError("state: expected what `state` of such environments returned") from error
         core = self._make_core()
-        restore_states(core, states, self._observations)
+        interface.restore_states(core, states, self._observations)
         self._core = core
         self._seeded[:] = True
 
     def __getstate__(self) -> dict[str, Any]:
         """Return the task, the episodes and the actions taken, which determine the state."""
         state = {key: value for key, value in self.__dict__.items() if key != "_core"}
-        return {**state, "_states": states_of(self._core, self.num_envs)}
+        return {**state, "_states": interface.states_of(self._core, self.num_envs)}
 
     def __setstate__(self, state: dict[str, Any]) -> None:
         """Start the same episodes and take the same actions."""
         states = state.pop("_states")
         self.__dict__.update(state)
         self._core = self._make_core()
-        restore_states(self._core, states, self._observations)
-
-    def __copy__(self) -> SPFVectorEnv:
-        """Return a deep copy, because two environments cannot share a city."""
-        return deepcopy(self)
+        interface.restore_states(self._core, states, self._observations)
 
 
 def _autoreset_mode(mode: AutoresetMode | str) -> AutoresetMode:
@@ -416,25 +368,12 @@ def _autoreset_mode(mode: AutoresetMode | str) -> AutoresetMode:
     raise ValueError(f"autoreset_mode must be one of {known_modes}, not {mode!r}")
 
 
-_Columns = tuple[
-    NDArray[np.int64],
-    NDArray[np.float64],
-    NDArray[np.bool_],
-    NDArray[np.int64],
-    NDArray[np.int64],
-    NDArray[np.bool_],
-]
-
-
-def _columns(count: int, clauses: int) -> _Columns:
-    return (
-        np.zeros(count, np.int64),
-        np.zeros(count, np.float64),
-        np.zeros(count, np.bool_),
-        np.zeros(count, np.int64),
-        np.zeros(count, np.int64),
-        np.zeros((count, clauses), np.bool_),
-    )
-
-
-_COLUMNS = ("oracle_action", "progress", "success", "steps", "seed", "violations")
+#: The types of the infos that the core computes, in its order.
+_INFOS = {
+    "oracle_action": np.int64,
+    "progress": np.float64,
+    "success": np.bool_,
+    "steps": np.int64,
+    "seed": np.int64,
+    "violations": np.bool_,
+}

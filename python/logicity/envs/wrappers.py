@@ -28,12 +28,7 @@ from .single import SPFEnv
 from .vector import SPFVectorEnv
 from .views import Observations, View, Views
 
-__all__ = [
-    "GraphObservation",
-    "RelationalObservation",
-    "VectorGraphObservation",
-    "VectorRelationalObservation",
-]
+__all__ = ["GraphObservation", "RelationalObservation", "VectorGraphObservation", "VectorRelationalObservation"]
 
 
 def _views(env: Any, of: type[SPFEnv | SPFVectorEnv], kind: ViewKind) -> Views:
@@ -54,12 +49,7 @@ class _ViewObservation(gymnasium.ObservationWrapper[View, np.int64, Observations
     _kind: ViewKind
 
     def __init__(self, env: gymnasium.Env[Observations, np.int64]) -> None:
-        """Wrap the environment.
-
-        Raises:
-            TypeError: If it is not an `SPFEnv`.
-            ValueError: If its observations are not of the kind `groundings`.
-        """
+        """Wrap the environment."""
         super().__init__(env)
         self._views = _views(env, SPFEnv, self._kind)
         self.observation_space = cast(gymnasium.Space[View], self._views.space())
@@ -68,9 +58,8 @@ class _ViewObservation(gymnasium.ObservationWrapper[View, np.int64, Observations
         """Return the view of an observation."""
         return self._views(observation)
 
-    def __copy__(self) -> _ViewObservation:
-        """Return a deep copy, because two environments cannot share a city."""
-        return deepcopy(self)
+    # Two environments cannot share a city.
+    __copy__ = deepcopy
 
 
 class RelationalObservation(_ViewObservation):
@@ -111,14 +100,7 @@ class GraphObservation(_ViewObservation):
     - `route_length`: float32 (1,), if the task observes the route length.
 
     The names are those of `gymnasium.spaces.GraphInstance`. The transposed `edge_links` are the `edge_index` of PyTorch
-    Geometric.
-
-    Args:
-        env: An `SPFEnv` with `observation="groundings"`.
-
-    Raises:
-        TypeError: If the environment is not an `SPFEnv`.
-        ValueError: If its observations are of another kind.
+    Geometric. The argument and the exceptions are those of `RelationalObservation`.
     """
 
     _kind = "graph"
@@ -137,12 +119,7 @@ class _VectorViewObservation(_VectorWrapper):
     _kind: ViewKind
 
     def __init__(self, env: VectorEnv[Observations, NDArray[np.int64], NDArray[Any]]) -> None:
-        """Wrap the environments.
-
-        Raises:
-            TypeError: If they are not an `SPFVectorEnv`.
-            ValueError: If their observations are not of the kind `groundings`.
-        """
+        """Wrap the environments."""
         # Not that of `VectorObservationWrapper`, which rejects the autoreset mode SameStep: `step` supports it.
         VectorWrapper.__init__(self, env)
         self._views = _views(env, SPFVectorEnv, self._kind)
@@ -153,9 +130,8 @@ class _VectorViewObservation(_VectorWrapper):
         """Return the views of the observations of all environments."""
         return self._views(observations)
 
-    def __copy__(self) -> _VectorViewObservation:
-        """Return a deep copy, because two environments cannot share a city."""
-        return deepcopy(self)
+    # Two environments cannot share a city.
+    __copy__ = deepcopy
 
     def step(self, actions: NDArray[np.int64]) -> tuple[View, NDArray[Any], NDArray[Any], NDArray[Any], dict[str, Any]]:
         """Run one tick in every environment, and return views instead of observations, also in `final_obs`."""
@@ -166,34 +142,16 @@ class _VectorViewObservation(_VectorWrapper):
 
 
 class VectorRelationalObservation(_VectorViewObservation):
-    """Replaces the observations of an `SPFVectorEnv` by tensors of truth values.
+    """Variant of `RelationalObservation` for an `SPFVectorEnv`.
 
-    The arrays are those of `RelationalObservation`, each with a first axis for the environments. In the autoreset mode
-    SameStep, `final_obs` has such dictionaries, too.
-
-    Args:
-        env: An `SPFVectorEnv` with `observation="groundings"`.
-
-    Raises:
-        TypeError: If the environment is not an `SPFVectorEnv`.
-        ValueError: If its observations are of another kind.
+    Each array has a first axis for the environments. In the autoreset mode SameStep, `final_obs` has such dictionaries,
+    too.
     """
 
     _kind = "relational"
 
 
 class VectorGraphObservation(_VectorViewObservation):
-    """Replaces the observations of an `SPFVectorEnv` by complete graphs over the entities.
-
-    The arrays are those of `GraphObservation`, each with a first axis for the environments. In the autoreset mode
-    SameStep, `final_obs` has such dictionaries, too.
-
-    Args:
-        env: An `SPFVectorEnv` with `observation="groundings"`.
-
-    Raises:
-        TypeError: If the environment is not an `SPFVectorEnv`.
-        ValueError: If its observations are of another kind.
-    """
+    """Variant of `GraphObservation` for an `SPFVectorEnv`, as `VectorRelationalObservation` is one."""
 
     _kind = "graph"
