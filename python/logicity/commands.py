@@ -11,6 +11,7 @@ import sys
 import time
 from collections.abc import Callable, Sequence
 from difflib import get_close_matches
+from functools import partial, reduce
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, NoReturn, cast
 
@@ -66,10 +67,7 @@ def run(words: tuple[str, ...], arguments: Sequence[str]) -> int:
         # The reader has closed the pipe. Python flushes standard output again at exit, which must not fail.
         os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
         return 0
-    except _UsageError as error:
-        print_message(f"error: {error}")
-        return 2
-    except UntrustedError as error:
+    except (_UsageError, UntrustedError) as error:
         print_message(f"error: {error}")
         return 2
     except InputError as error:
@@ -79,9 +77,6 @@ def run(words: tuple[str, ...], arguments: Sequence[str]) -> int:
     except ValueError as error:
         print_message(f"error: {error}")
         return 1
-    except FileNotFoundError as error:
-        print_message(f"error: {_missing(error)}")
-        return 2
     except (ImportError, OSError) as error:
         print_message(f"error: {_unusable(error)}")
         return 2
@@ -89,17 +84,13 @@ def run(words: tuple[str, ...], arguments: Sequence[str]) -> int:
 
 
 def _unusable(error: ImportError | OSError) -> str:
-    """Describe an error of the system without its number."""
-    if isinstance(error, OSError) and error.filename is not None and error.strerror:
-        return f"cannot use `{os.fsdecode(error.filename)}`: {error.strerror.lower()}"
-    return str(error)
-
-
-def _missing(error: FileNotFoundError) -> str:
-    """Describe a missing file in the words of the other commands, with a similar name from its folder."""
-    if error.filename is None:
+    """Describe an error of the system without its number, and a missing file with a similar name from its folder."""
+    if not isinstance(error, OSError) or error.filename is None:
         return str(error)
-    path = Path(os.fsdecode(error.filename))
+    name = os.fsdecode(error.filename)
+    if not isinstance(error, FileNotFoundError):
+        return f"cannot use `{name}`: {error.strerror.lower()}" if error.strerror else str(error)
+    path = Path(name)
     message = f"cannot read `{path}`: no such file"
     beside = [entry.name for entry in path.parent.iterdir()] if path.parent.is_dir() else []
     near = get_close_matches(path.name, sorted(beside), n=1)
@@ -136,42 +127,36 @@ def parser_of(words: tuple[str, ...]) -> tuple[argparse.ArgumentParser, _Command
 
 
 def _add_evaluate(parser: argparse.ArgumentParser) -> _Command:
-    parser.add_argument(
+    add = parser.add_argument
+    add(
         "--policy",
         required=True,
         help="oracle, random, the file of a policy (.pt), a rule file (.dl), the folder of a run of `logicity train`, "
         "or, with `--trust`, a model of Stable-Baselines3 (.zip)",
     )
     _add_trust(parser, "the policy")
-    parser.add_argument(
+    add(
         "--modes",
         type=_modes,
         help=f"all, or any of {','.join(ENVIRONMENTS)}, or configuration files; default: the mode that the run of a "
         "model records, or all",
     )
-    parser.add_argument(
-        "--split", type=str.lower, choices=("train", "val", "test"), default="test", help="default: test"
-    )
-    parser.add_argument(
+    add("--split", type=str.lower, choices=("train", "val", "test"), default="test", help="default: test")
+    add(
         "--observation",
         choices=("groundings", "state"),
         help="the kind of observation; default: that of the model, or groundings",
     )
-    parser.add_argument("--json", type=Path, metavar="FILE", help="write the results, with one record per episode")
-    _add_force(parser)
-    parser.add_argument(
-        "--traces",
-        type=Path,
-        metavar="FOLDER",
-        help="write one trace per episode into one folder per mode",
-    )
+    _add_json(parser, "write the results, with one record per episode")
+    add("--traces", type=Path, metavar="FOLDER", help="write one trace per episode into one folder per mode")
     return _evaluate
 
 
 def _add_train(parser: argparse.ArgumentParser) -> _Command:
-    parser.add_argument("config", type=Path, help="for example configs/baselines/dqn-easy.yaml")
-    parser.add_argument("--run", type=Path, metavar="FOLDER", help="folder of the run; default: runs/CONFIG-SEED")
-    parser.add_argument("--seed", type=_seed, help="replace the seed of the configuration")
+    add = parser.add_argument
+    add("config", type=Path, help="for example configs/baselines/dqn-easy.yaml")
+    add("--run", type=Path, metavar="FOLDER", help="folder of the run; default: runs/CONFIG-SEED")
+    add("--seed", type=_seed, help="replace the seed of the configuration")
     _add_wandb(parser)
     _add_trust(parser, "the policy that the configuration names under `start`")
     return _train
@@ -192,7 +177,8 @@ def _add_wandb(parser: argparse.ArgumentParser) -> None:
 
 
 def _add_experiment(parser: argparse.ArgumentParser) -> _Command:
-    parser.add_argument(
+    add = parser.add_argument
+    add(
         "experiment",
         help="spf, transfer, composition, observations, vap, vap-continual, vap-concepts, language, or a YAML file; "
         "`logicity schema experiment` prints its keys",
@@ -220,8 +206,8 @@ def _add_experiment(parser: argparse.ArgumentParser) -> _Command:
         metavar="FOLDER",
         help="copy equal trainings from the folder of another experiment of Safe Path Following, for example runs/spf",
     )
-    parser.add_argument("--quick", action="store_true", help="tiny budgets and one seed: a test of every cell")
-    parser.add_argument(
+    add("--quick", action="store_true", help="tiny budgets and one seed: a test of every cell")
+    add(
         "--only",
         type=_column,
         action="append",
@@ -229,8 +215,8 @@ def _add_experiment(parser: argparse.ArgumentParser) -> _Command:
         metavar="LEARNER[,MODE]",
         help="run only the cells of a row, or of a row in one mode (for `language` with one prompt); can be repeated",
     )
-    parser.add_argument("--seeds", type=_seeds, metavar="LIST", help="replace the seeds, for example 0,1,2")
-    parser.add_argument(
+    add("--seeds", type=_seeds, metavar="LIST", help="replace the seeds, for example 0,1,2")
+    add(
         "--set",
         type=_assignment,
         action="append",
@@ -240,8 +226,8 @@ def _add_experiment(parser: argparse.ArgumentParser) -> _Command:
         "settings.gamma=0.9; for `vap` a setting, for example training.epochs=3; for `language` a key of the "
         "experiment, for example models.NAME.url=http://localhost:8000/v1",
     )
-    parser.add_argument("--jobs", type=_positive, metavar="N", help="processes; default: the number of processors")
-    parser.add_argument(
+    add("--jobs", type=_positive, metavar="N", help="processes; default: the number of processors")
+    add(
         "--ray",
         nargs="?",
         const="local",
@@ -251,64 +237,57 @@ def _add_experiment(parser: argparse.ArgumentParser) -> _Command:
     )
     _add_wandb(parser)
     _add_trust(parser, "a policy that a training configuration names under `start`")
-    parser.add_argument("--run", type=Path, metavar="FOLDER", help="folder of the results; default: runs/EXPERIMENT")
+    add("--run", type=Path, metavar="FOLDER", help="folder of the results; default: runs/EXPERIMENT")
     return _experiment
 
 
 def _add_ask(parser: argparse.ArgumentParser) -> _Command:
-    parser.add_argument("--questions", type=Path, default=Path("questions.jsonl"), metavar="FILE", help=QUESTIONS)
-    parser.add_argument("--url", required=True, help="for example http://localhost:8000/v1")
-    parser.add_argument("--model", required=True, help="the name of the model on the server")
-    parser.add_argument("-o", "--output", type=Path, required=True, metavar="FILE", help="append the replies to FILE")
-    parser.add_argument(
-        "--key-from",
-        metavar="VARIABLE",
-        help="environment variable with the API key; by default no key is sent",
-    )
-    parser.add_argument(
+    add = parser.add_argument
+    add("--questions", type=Path, default=Path("questions.jsonl"), metavar="FILE", help=QUESTIONS)
+    add("--url", required=True, help="for example http://localhost:8000/v1")
+    add("--model", required=True, help="the name of the model on the server")
+    add("-o", "--output", type=Path, required=True, metavar="FILE", help="append the replies to FILE")
+    add("--key-from", metavar="VARIABLE", help="environment variable with the API key; by default no key is sent")
+    add(
         "--settings",
         type=_object,
         default={"temperature": 0},
         metavar="JSON",
         help='more fields of the request; default: {"temperature": 0}',
     )
-    parser.add_argument(
+    add(
         "--timeout",
         type=_positive_float,
         default=120.0,
         metavar="SECONDS",
         help="time for an attempt, from the name of the server to the end of the reply; default: 120",
     )
-    parser.add_argument("--tries", type=_positive, default=6, help="attempts per request; default: 6")
+    add("--tries", type=_positive, default=6, help="attempts per request; default: 6")
     return _ask
 
 
 def _add_grade(parser: argparse.ArgumentParser) -> _Command:
-    parser.add_argument(
-        "answers", type=Path, help='JSON lines {"id": .., "answer": ..}; an answer is a letter or a whole reply'
-    )
-    parser.add_argument("--questions", type=Path, default=Path("questions.jsonl"), metavar="FILE", help=QUESTIONS)
-    parser.add_argument("--json", type=Path, metavar="FILE", help="write the measures")
-    _add_force(parser)
+    add = parser.add_argument
+    add("answers", type=Path, help='JSON lines {"id": .., "answer": ..}; an answer is a letter or a whole reply')
+    add("--questions", type=Path, default=Path("questions.jsonl"), metavar="FILE", help=QUESTIONS)
+    _add_json(parser, "write the measures")
     return _grade
 
 
-def _add_describe(parser: argparse.ArgumentParser) -> _Command:
-    return _describe
-
-
 def _add_webdataset(parser: argparse.ArgumentParser) -> _Command:
-    parser.add_argument("folder", type=Path, help="the data set")
-    parser.add_argument("out", type=Path, help="the folder to create")
-    parser.add_argument("--shard-size", type=_positive, default=1000, help="samples per file; default: 1000")
-    parser.add_argument("--no-pictures", action="store_true", help="omit pictures; required if the data set has none")
+    add = parser.add_argument
+    add("folder", type=Path, help="the data set")
+    add("out", type=Path, help="the folder to create")
+    add("--shard-size", type=_positive, default=1000, help="samples per file; default: 1000")
+    add("--no-pictures", action="store_true", help="omit pictures; required if the data set has none")
     return _webdataset
 
 
 def _add_coco(parser: argparse.ArgumentParser) -> _Command:
-    parser.add_argument("folder", type=Path, help="the data set")
-    parser.add_argument("out", type=Path, help="the JSON file to write")
-    parser.add_argument(
+    add = parser.add_argument
+    add("folder", type=Path, help="the data set")
+    add("out", type=Path, help="the JSON file to write")
+    add(
         "--no-pictures",
         action="store_true",
         help="accept a data set without pictures; the output still has `file_name`s, and `info.pictures` is false",
@@ -318,35 +297,34 @@ def _add_coco(parser: argparse.ArgumentParser) -> _Command:
 
 
 def _add_baselines(parser: argparse.ArgumentParser) -> _Command:
-    parser.add_argument("--train", type=Path, required=True, metavar="FOLDER", help="the data set to train on")
-    parser.add_argument("--test", type=Path, required=True, metavar="FOLDER", help="the data set to measure on")
-    parser.add_argument("--seed", type=_seed, default=0, help="seed of the network; default: 0")
-    parser.add_argument("--epochs", type=_positive, default=30, help="epochs of the network; default: 30")
-    parser.add_argument("--json", type=Path, metavar="FILE", help="write the measures")
-    _add_force(parser)
+    add = parser.add_argument
+    add("--train", type=Path, required=True, metavar="FOLDER", help="the data set to train on")
+    add("--test", type=Path, required=True, metavar="FOLDER", help="the data set to measure on")
+    add("--seed", type=_seed, default=0, help="seed of the network; default: 0")
+    add("--epochs", type=_positive, default=30, help="epochs of the network; default: 30")
+    _add_json(parser, "write the measures")
     return _baselines
 
 
 def _add_features(parser: argparse.ArgumentParser) -> _Command:
-    parser.add_argument("folder", type=Path, help="a data set with pictures")
-    parser.add_argument("-o", "--out", type=Path, metavar="FOLDER", help="folder to write; default: FOLDER-BACKBONE")
-    parser.add_argument(
+    add = parser.add_argument
+    add("folder", type=Path, help="a data set with pictures")
+    add("-o", "--out", type=Path, metavar="FOLDER", help="folder to write; default: FOLDER-BACKBONE")
+    add(
         "--backbone",
         choices=["crops", "resnet50"],
         default="crops",
         help="crops of the boxes, or region features of a frozen ResNet50 with a feature pyramid; default: crops",
     )
-    parser.add_argument(
+    add(
         "--weights",
         type=Path,
         metavar="FILE",
         help="weights of torchvision's ResNet50 or Faster R-CNN with ResNet50; default: those in torchvision's cache",
     )
-    parser.add_argument("--device", default="cpu", help="device of PyTorch, for example cuda; default: cpu")
-    parser.add_argument(
-        "--threads", type=_threads, default=1, metavar="N", help="number of threads; 0 means one per core; default: 1"
-    )
-    parser.add_argument(
+    add("--device", default="cpu", help="device of PyTorch, for example cuda; default: cpu")
+    add("--threads", type=_threads, default=1, metavar="N", help="number of threads; 0 means one per core; default: 1")
+    add(
         "--ray",
         nargs="?",
         const="local",
@@ -362,6 +340,11 @@ def _add_force(parser: argparse.ArgumentParser) -> None:
         action="store_true",
         help="replace output files that this command did not write, or that have changed since",
     )
+
+
+def _add_json(parser: argparse.ArgumentParser, help: str) -> None:
+    parser.add_argument("--json", type=Path, metavar="FILE", help=help)
+    _add_force(parser)
 
 
 def _check_json(given: argparse.Namespace, by: str) -> None:
@@ -383,7 +366,7 @@ _COMMANDS: dict[tuple[str, ...], Callable[[argparse.ArgumentParser], _Command]] 
     ("experiment",): _add_experiment,
     ("ask",): _add_ask,
     ("grade",): _add_grade,
-    ("describe",): _add_describe,
+    ("describe",): lambda parser: _describe,
     ("vap", "webdataset"): _add_webdataset,
     ("vap", "coco"): _add_coco,
     ("vap", "baselines"): _add_baselines,
@@ -424,10 +407,7 @@ def _named_policy(text: str, trust: bool) -> tuple[Policy, str, str | None, Obse
 
 
 def _rule_file(text: str) -> Path | None:
-    """Return the rule file that `--policy` names, or `None` if it names no rule file.
-
-    The file can be a built-in one, or the best policy of a run.
-    """
+    """Return the rule file, possibly a built-in one or the best policy of a run, that `--policy` names, if any."""
     path = Path(text)
     file = path / "best.dl" if path.is_dir() else path
     if file.suffix != ".dl":
@@ -440,19 +420,17 @@ def _rule_file(text: str) -> Path | None:
 
 
 def _check_kind(given: ObservationKind | None, trained: ObservationKind | None, policy: Policy) -> ObservationKind:
-    """Return the kind of observation of an evaluation.
+    """Check the value of `--observation`, and return the kind that the policy takes or its file records."""
+    from .evaluation import model_shape
 
-    Args:
-        given: The value of `--observation`.
-        trained: The kind that the file of the policy records.
-        policy: The policy.
-
-    Raises:
-        _UsageError: If the policy takes another kind than that of `--observation`.
-    """
     if isinstance(policy, str):
         return given or "groundings"
-    expected = trained or _observation_of(policy)
+    expected, shape = trained, model_shape(policy)
+    if expected is None and isinstance(shape, dict):
+        # The names of the views differ. `state` has two axes, and `groundings` has one.
+        expected = "graph" if "nodes" in shape else "relational"
+    elif expected is None:
+        expected = "state" if shape is not None and len(shape) == 2 else "groundings"
     if given not in (None, expected):
         raise _UsageError(
             f"--observation: this policy takes observations of the kind `{expected}`, not `{given}`\n"
@@ -462,11 +440,7 @@ def _check_kind(given: ObservationKind | None, trained: ObservationKind | None, 
 
 
 def _check_prediction(policy: Policy, name: str, trained: str | None, benchmark: Benchmark) -> None:
-    """Check with one observation that a policy without an observation space takes those of a mode.
-
-    Raises:
-        _UsageError: If it does not.
-    """
+    """Check with one observation that a policy without an observation space takes those of a mode."""
     from .evaluation import model_shape
 
     predict, shape = getattr(policy, "predict", None), benchmark.observation_shape
@@ -482,21 +456,16 @@ def _check_prediction(policy: Policy, name: str, trained: str | None, benchmark:
 
 
 def _check_fit(policy: Policy, trained: str | None, benchmarks: Sequence[Benchmark]) -> None:
-    """Check that a model takes the observations of all modes.
-
-    Raises:
-        _UsageError: If it does not.
-    """
+    """Check that a model takes the observations of all modes."""
     from .evaluation import model_shape
 
     shape = model_shape(policy)
     other = next((each for each in benchmarks if shape not in (None, each.observation_shape)), None)
     if shape is None or other is None:
         return
-    fitting = [each.mode for each in benchmarks if each.observation_shape == shape]
     what = "this model takes" if trained is None else f"this model was trained for `{trained}`:"
     message = f"{what} {_numbers(shape)}, and `{other.mode}` has {_numbers(other.observation_shape)}"
-    modes = [trained] if trained is not None else fitting
+    modes = [each.mode for each in benchmarks if each.observation_shape == shape] if trained is None else [trained]
     raise _UsageError(f"{message}\nhelp: name `--modes {','.join(modes)}`" if modes else message)
 
 
@@ -508,11 +477,7 @@ def _numbers(shape: Shape) -> str:
 
 
 def _check_folder(option: str, path: Path) -> None:
-    """Check that a path is a folder or can become one.
-
-    Raises:
-        _UsageError: If it or a folder above it is a file.
-    """
+    """Check that a path is a folder or can become one."""
     existing = next((each for each in (path, *path.parents) if each.exists()), None)
     if existing is not None and not existing.is_dir():
         raise _UsageError(f"{option}: `{existing}` is a file, not a folder\nhelp: name a folder; it need not exist")
@@ -524,12 +489,8 @@ def _whole(text: str, least: int) -> int:
     return int(text)
 
 
-def _positive(text: str) -> int:
-    return _whole(text, 1)
-
-
-def _threads(text: str) -> int:
-    return _whole(text, 0)
+_positive = partial(_whole, least=1)
+_threads = partial(_whole, least=0)
 
 
 def _seed(text: str) -> int:
@@ -573,19 +534,6 @@ def _positive_float(text: str) -> float:
     return value
 
 
-def _observation_of(policy: Policy) -> ObservationKind:
-    """Return the kind of observation that a model was trained on.
-
-    `state` has two axes, and `groundings` has one. The views are dictionaries of other names.
-    """
-    from .evaluation import model_shape
-
-    shape = model_shape(policy)
-    if isinstance(shape, dict):
-        return "graph" if "nodes" in shape else "relational"
-    return "state" if shape is not None and len(shape) == 2 else "groundings"
-
-
 def _object(text: str) -> dict[str, object]:
     try:
         value = json.loads(text)
@@ -604,8 +552,7 @@ def _evaluate(given: argparse.Namespace) -> int:
     if given.traces is not None:
         _check_folder("--traces", given.traces)
     results: list[Evaluation] = []
-    trained: str | None = None
-    kind: ObservationKind | None = None
+    trained = kind = None
     rules = _rule_file(given.policy)
     if rules is not None:
         # The same rules read the observations of each mode in another order.
@@ -675,8 +622,9 @@ def _experiment(given: argparse.Namespace) -> int:
     from .experiments.kinds import load_experiment
     from .experiments.report import Report
     from .experiments.results import submit
+    from .learn.faults import merged
 
-    changes = _changes(given)
+    changes: dict[str, object] = reduce(merged, given.set, {})
     rows = {"learners": changes.pop("learners")} if "learners" in changes else {}
     try:
         loaded = load_experiment(given.experiment, rows)
@@ -716,23 +664,8 @@ def _experiment(given: argparse.Namespace) -> int:
     return int(any(cell.identity in failed and not cell.optional for cell in cells))
 
 
-def _changes(given: argparse.Namespace) -> dict[str, object]:
-    """Return the changes of all options `--set`."""
-    from .learn.faults import merged
-
-    changes: dict[str, object] = {}
-    for each in given.set:
-        changes = merged(changes, each)
-    return changes
-
-
 def _results_folder(given: argparse.Namespace, file: Path) -> Path:
-    """Return the folder of the results of an experiment.
-
-    Raises:
-        _UsageError: If it or a folder above it is a file, it has files but no experiment, or results are requested from
-            a folder without an experiment.
-    """
+    """Return the folder of the results of an experiment, after a check that it fits the options."""
     folder: Path = given.run or Path("runs") / (f"{file.stem}-quick" if given.quick else file.stem)
     _check_folder("--run", folder)
     begun = (folder / "cells").is_dir()

@@ -25,7 +25,7 @@ from .envs.views import Actions, Observations
 from .errors import InputError, checked_path
 from .files import check_writable
 from .modes import checked_mode
-from .terminal import neutral
+from .terminal import aligned, neutral
 from .types import Diagnostic, Limits, ObservationKind
 
 if TYPE_CHECKING:
@@ -44,11 +44,7 @@ class Predictor(Protocol):
     """A model of Stable-Baselines3, or an object with the same `predict`."""
 
     def predict(
-        self,
-        observation: Any,
-        state: Any = None,
-        episode_start: Any = None,
-        deterministic: bool = False,
+        self, observation: Any, state: Any = None, episode_start: Any = None, deterministic: bool = False
     ) -> tuple[Any, Any]:
         """Return actions for a batch of observations, and the next state."""
         ...
@@ -286,6 +282,7 @@ class Benchmark:
             totals.setdefault(record["episode"], []).append(record["total"])
         return [sum(runs) / len(runs) for _, runs in sorted(totals.items())]
 
+    @episodes_that_fit()
     def evaluate(
         self,
         policy: Policy,
@@ -321,8 +318,41 @@ class Benchmark:
                 random policy.
         """
         folder = None if traces is None else Path(checked_path("traces", traces))
-        with episodes_that_fit():
-            return self._evaluate(policy, batched, name, folder, overwrite)
+        named = name or (policy if isinstance(policy, str) else type(policy).__name__)
+        if policy == "random":
+            if folder is not None:
+                raise ValueError(
+                    "the random policy runs every episode ten times and supports no traces: pass a function instead"
+                )
+            return self._result(named, self._baseline().report())
+        self._check_model(policy)
+        evaluator = _logicity.BatchEvaluator(self._random, self._kind)
+        count = len(evaluator)
+        observations = np.zeros((count, *self._task.shape(self._kind)), np.float32)
+        running = np.ones(count, np.bool_)
+        act = _actor(policy, batched, evaluator)
+        if folder is not None:
+            folder.mkdir(parents=True, exist_ok=True)
+            self.check_traces(folder, overwrite)
+        taken = [bytearray() for _ in range(count)]
+        with Progress(f"{self.mode} {self.split}, {named}", count) as progress:
+            while running.any():
+                evaluator.observe(observations)
+                given = observations if self._views is None else self._views(observations)
+                actions = _checked(act(given, running), count)
+                evaluator.step(actions)
+                if folder is not None:
+                    for at in np.flatnonzero(running):
+                        taken[at].append(int(actions[at]))
+                evaluator.running(running)
+                progress.update(count - int(running.sum()))
+        if folder is not None:
+            with Progress(f"{self.mode} {self.split}, traces", count) as progress:
+                for episode, numbers in enumerate(taken):
+                    target = (folder / _trace_name(episode), "evaluate", overwrite)
+                    self._task.write_trace(self.split, evaluator.episode(episode), bytes(numbers), target)
+                    progress.update(episode + 1)
+        return self._result(named, evaluator.report(self._baseline()))
 
     def check_traces(self, folder: Path, overwrite: bool = False) -> None:
         """Check that the traces of all episodes can be written to a folder, if the folder exists.
@@ -343,46 +373,8 @@ class Benchmark:
         for name in sorted(names):
             check_writable(folder / name, by="evaluate", overwrite=overwrite)
 
-    def _evaluate(
-        self, policy: Policy, batched: bool, name: str | None, traces: Path | None, overwrite: bool
-    ) -> Evaluation:
-        named = name or (policy if isinstance(policy, str) else type(policy).__name__)
-        if policy == "random":
-            if traces is not None:
-                raise ValueError(
-                    "the random policy runs every episode ten times and supports no traces: pass a function instead"
-                )
-            return self._result(named, self._baseline().report())
-        self._check_model(policy)
-        evaluator = _logicity.BatchEvaluator(self._random, self._kind)
-        observations = np.zeros((len(evaluator), *self._task.shape(self._kind)), np.float32)
-        running = np.ones(len(evaluator), np.bool_)
-        act = _actor(policy, batched, evaluator)
-        if traces is not None:
-            traces.mkdir(parents=True, exist_ok=True)
-            self.check_traces(traces, overwrite)
-        taken = [bytearray() for _ in range(len(evaluator))]
-        with Progress(f"{self.mode} {self.split}, {named}", len(evaluator)) as progress:
-            while running.any():
-                evaluator.observe(observations)
-                given = observations if self._views is None else self._views(observations)
-                actions = _checked(act(given, running), len(evaluator))
-                evaluator.step(actions)
-                if traces is not None:
-                    for at in np.flatnonzero(running):
-                        taken[at].append(int(actions[at]))
-                evaluator.running(running)
-                progress.update(len(evaluator) - int(running.sum()))
-        if traces is not None:
-            self._write_traces(traces, evaluator, taken, overwrite)
-        return self._result(named, evaluator.report(self._baseline()))
-
     def _check_model(self, policy: Policy) -> None:
-        """Check that a model takes the observations.
-
-        Raises:
-            ValueError: If it takes others.
-        """
+        """Check that a model takes the observations."""
         shape = model_shape(policy)
         if shape not in (None, self.observation_shape):
             raise ValueError(
@@ -394,15 +386,6 @@ class Benchmark:
                 f"{type(policy).__name__} has no `observation_space`, so it does not say that it takes observations of "
                 f"the kind `{self._views.kind}`: use `groundings`, or pass a function"
             )
-
-    def _write_traces(
-        self, folder: Path, evaluator: _logicity.BatchEvaluator, taken: list[bytearray], overwrite: bool
-    ) -> None:
-        with Progress(f"{self.mode} {self.split}, traces", len(evaluator)) as progress:
-            for at, actions in enumerate(taken):
-                path = folder / _trace_name(at)
-                self._task.write_trace(self.split, evaluator.episode(at), bytes(actions), (path, "evaluate", overwrite))
-                progress.update(at + 1)
 
     def _result(self, policy: str, report: Mapping[str, Any]) -> Evaluation:
         summary = report["summary"]
@@ -450,9 +433,19 @@ def _actor(
         if policy != "oracle":
             raise ValueError(f"unknown policy `{policy}`: expected oracle, random, a model or a function")
         return lambda observations, running: evaluator.oracle_actions()
-    predict = getattr(policy, "predict", None)
+    predict: Any = getattr(policy, "predict", None)
     if predict is not None:
-        return _predicting(cast(Predictor, policy))
+        # A recurrent model has a state.
+        state: Any = None
+        first_step = True
+
+        def act(observations: Observations | View, running: NDArray[np.bool_]) -> Any:
+            nonlocal state, first_step
+            starts, first_step = np.full(len(running), first_step), False
+            actions, state = predict(observations, state=state, episode_start=starts, deterministic=True)
+            return actions
+
+        return act
     if not callable(policy):
         raise TypeError(
             f"expected a policy: oracle, random, a model with `predict` or a function, not {type(policy).__name__}"
@@ -464,36 +457,17 @@ def _actor(
     def one_by_one(observations: Observations | View, running: NDArray[np.bool_]) -> Any:
         actions = np.zeros(len(running), np.int64)
         for at in np.flatnonzero(running):
-            action = np.asarray(function(_row(observations, at)))
+            if isinstance(observations, dict):
+                row: Any = {name: values[at].copy() for name, values in observations.items()}
+            else:
+                row = observations[at].copy()
+            action = np.asarray(function(row))
             if action.size != 1:
                 raise ValueError(f"expected one action per observation, not an array of shape {action.shape}")
             actions[at] = _checked(action.reshape(1), 1)[0]
         return actions
 
     return one_by_one
-
-
-def _row(observations: Observations | View, at: np.intp) -> Observations | View:
-    """Return a copy of the observation of one episode."""
-    if isinstance(observations, dict):
-        return {name: values[at].copy() for name, values in observations.items()}
-    row: Observations = observations[at].copy()
-    return row
-
-
-def _predicting(model: Predictor) -> Callable[[Observations | View, NDArray[np.bool_]], Any]:
-    """Return a function that calls a model, and keeps the state of a recurrent model between steps."""
-    state: Any = None
-    first_step = True
-
-    def act(observations: Observations | View, running: NDArray[np.bool_]) -> Any:
-        nonlocal state, first_step
-        starts = np.full(len(running), first_step)
-        first_step = False
-        actions, state = model.predict(observations, state=state, episode_start=starts, deterministic=True)
-        return actions
-
-    return act
 
 
 def _checked(actions: Any, count: int) -> Actions:
@@ -525,23 +499,7 @@ def evaluate(
 ) -> Evaluation:
     """Measure a policy on the recorded episodes of a mode or of a configuration file.
 
-    Args:
-        policy: As for `Benchmark.evaluate`.
-        mode: As for `Benchmark`.
-        split: As for `Benchmark`.
-        batched: As for `Benchmark.evaluate`.
-        rules: As for `Benchmark`.
-        overrides: As for `Benchmark`.
-        observation: As for `Benchmark`.
-        traces: As for `Benchmark.evaluate`.
-        overwrite: As for `Benchmark.evaluate`.
-        limits: As for `Benchmark`.
-
-    Raises:
-        InputError: As for `Benchmark` and `Benchmark.evaluate`.
-        OSError: As for `Benchmark` and `Benchmark.evaluate`.
-        TypeError: As for `Benchmark.evaluate`.
-        ValueError: As for `Benchmark` and `Benchmark.evaluate`.
+    The arguments and exceptions are those of `Benchmark` and `Benchmark.evaluate`.
     """
     benchmark = Benchmark(mode, split, rules=rules, overrides=overrides, observation=observation, limits=limits)
     return benchmark.evaluate(policy, batched=batched, traces=traces, overwrite=overwrite)
@@ -554,6 +512,4 @@ def table(results: list[Evaluation]) -> str:
         (r.policy, r.mode, *map(str, (r.compliance, r.tsr, r.dsr, r.score, r.mean_return)), f"{r.mean_steps:.1f}")
         for r in results
     ]
-    widths = [max(len(row[column]) for row in [head, *rows]) for column in range(len(head))]
-    lines = ["  ".join(cell.ljust(width) for cell, width in zip(row, widths, strict=True)) for row in [head, *rows]]
-    return "\n".join(line.rstrip() for line in lines)
+    return aligned([head, *rows])

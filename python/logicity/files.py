@@ -8,7 +8,7 @@ import os
 import stat
 import zipfile
 from collections.abc import Iterator
-from contextlib import contextmanager
+from contextlib import contextmanager, nullcontext
 from pathlib import Path
 from pickle import UnpicklingError
 from typing import Any
@@ -16,7 +16,7 @@ from typing import Any
 from . import _logicity
 from .errors import checked_path
 
-__all__ = ["check_readable", "check_writable", "file_hash", "read_tensors", "read_text", "replacing", "reserved"]
+__all__ = ["check_readable", "check_writable", "file_hash", "read_tensors", "read_text", "reserved"]
 __all__ += ["write_json", "write_text"]
 
 
@@ -80,36 +80,22 @@ def file_hash(path: str | os.PathLike[str]) -> str:
 
 
 @contextmanager
-def replacing(path: str | os.PathLike[str], *, by: str, overwrite: bool = False) -> Iterator[str]:
-    """Yield a temporary path to write to. On success, the file replaces `path`.
-
-    The temporary file exists already; a writer opens it and writes it in place. Links are followed, and an existing
-    file keeps its permissions.
-
-    Args:
-        path: The file.
-        by: The command or function that writes.
-        overwrite: Whether to replace a file that it did not write, or that has changed since.
-
-    Raises:
-        FileExistsError: If `path` must not be replaced.
-        OSError: If the file cannot be written, or another process writes it.
-    """
-    with reserved(path, by=by, overwrite=overwrite) as output:
-        yield os.fspath(output.temporary)
-        output.finish()
-
-
-@contextmanager
 def reserved(
     path: str | os.PathLike[str], *, by: str | None, overwrite: bool = False
 ) -> Iterator[_logicity.OutputFile]:
     """Yield an output file that no other process can write in the meantime. It is discarded unless it is finished.
 
+    Its `temporary` file exists already; a writer opens it and writes it in place. `finish` replaces `path` by it. Links
+    are followed, and an existing file keeps its permissions.
+
     Args:
         path: The file.
         by: The command or function that writes. `None` replaces any file, and later commands do not recognize it.
-        overwrite: As for `replacing`.
+        overwrite: Whether to replace a file that `by` did not write, or that has changed since.
+
+    Raises:
+        FileExistsError: If `path` must not be replaced.
+        OSError: If the file cannot be written, or another process writes it.
     """
     output = _logicity.OutputFile(checked_path("path", path), overwrite, by)
     try:
@@ -119,7 +105,7 @@ def reserved(
 
 
 def check_writable(path: str | os.PathLike[str], *, by: str, overwrite: bool = False) -> None:
-    """Raise now if `replacing` would raise later."""
+    """Raise now if `reserved` would raise later."""
     with reserved(path, by=by, overwrite=overwrite):
         pass
 
@@ -133,23 +119,16 @@ def write_json(
     output: _logicity.OutputFile | None = None,
 ) -> None:
     """Write JSON to a file as `reserved` permits, or to an output file that it has begun."""
-    if output is None:
-        with reserved(path, by=by, overwrite=overwrite) as begun:
-            write_json(path, value, output=begun)
-        return
-    with open(output.temporary, "w", encoding="utf-8") as out:
-        json.dump(value, out, indent=1, allow_nan=False)
-        out.write("\n")
-    output.finish()
+    with nullcontext(output) if output else reserved(path, by=by, overwrite=overwrite) as begun:
+        with open(begun.temporary, "w", encoding="utf-8") as out:
+            json.dump(value, out, indent=1, allow_nan=False)
+            out.write("\n")
+        begun.finish()
 
 
-def write_text(path: str | os.PathLike[str], text: str) -> None:
-    """Write text to a file, in UTF-8, and replace an existing one.
-
-    Raises:
-        OSError: If the file cannot be written, or another process writes it.
-    """
-    with reserved(path, by=None) as output:
+def write_text(path: str | os.PathLike[str], text: str, *, by: str | None = None, overwrite: bool = False) -> None:
+    """Write text to a file, in UTF-8, as `reserved` permits."""
+    with reserved(path, by=by, overwrite=overwrite) as output:
         Path(output.temporary).write_text(text, encoding="utf-8")
         output.finish()
 

@@ -21,8 +21,8 @@ from numpy.typing import ArrayLike, NDArray
 from . import _logicity
 from .city import ACTIONS
 from .envs.layout import atoms_of
-from .errors import checked_integer, checked_path
-from .files import replacing
+from .errors import checked_integer, checked_path, checked_threads
+from .files import write_text
 from .minari_files import StoredEpisode, load_minari, stored_episodes
 from .modes import ENVIRONMENTS, checked_mode
 from .offline import Demonstrations
@@ -49,13 +49,11 @@ class Episode(Protocol):
 
     @property
     def observations(self) -> Any:
-        """Return the observations."""
-        ...
+        """The observations."""
 
     @property
     def actions(self) -> Any:
-        """Return the actions."""
-        ...
+        """The actions."""
 
 
 @dataclass(frozen=True)
@@ -120,26 +118,12 @@ class InducedRules:
 
     def __repr__(self) -> str:
         """Show the numbers of clauses and examples."""
-        clauses, examples = len(self.clauses), self.report["examples"]
-        return (
-            f"<InducedRules: {clauses} clause{'' if clauses == 1 else 's'} from {examples} "
-            f"example{'' if examples == 1 else 's'}>"
-        )
+        counts = {"clause": len(self.clauses), "example": self.report["examples"]}
+        shown = " from ".join(f"{count} {name}{'s' * (count != 1)}" for name, count in counts.items())
+        return f"<InducedRules: {shown}>"
 
     def __call__(self, observations: ArrayLike) -> NDArray[np.int64]:
-        """Return the actions that the rules choose.
-
-        An entity without facts counts as absent.
-
-        Args:
-            observations: Numbers of shape (N, width), of the kind `groundings`.
-
-        Returns:
-            int64 (N,): 0 Slow, 1 Normal, 2 Fast, 3 Stop.
-
-        Raises:
-            ValueError: If the shape is wrong.
-        """
+        """Variant of `RulePolicy.__call__`: return actions. An entity without facts counts as absent."""
         array = np.ascontiguousarray(observations, np.float32)
         if array.ndim != 2:
             raise ValueError(
@@ -157,41 +141,23 @@ class InducedRules:
         return Program(self.text, "learned.dl")
 
     def save(self, path: str | os.PathLike[str], *, overwrite: bool = False) -> None:
-        """Write the rule file, atomically.
-
-        Args:
-            path: The file to write.
-            overwrite: Whether to replace a file that this function did not write, or that has changed since.
-
-        Raises:
-            FileExistsError: If the file must not be replaced.
-            OSError: If the file cannot be written.
-        """
-        with (
-            replacing(path, by="induce", overwrite=overwrite) as temporary,
-            open(temporary, "w", encoding="utf-8") as file,
-        ):
-            file.write(self.text)
+        """Write the rule file, as `RulePolicy.save` does."""
+        write_text(path, self.text, by="induce", overwrite=overwrite)
 
 
 @dataclass
 class _Source:
-    """Where episodes come from.
-
-    Attributes:
-        episodes: The episodes.
-        title: Words that follow "from 3 episodes" in the rule file.
-        mode: The mode or the path of the configuration file, if known.
-        options: The options `rules` and `overrides` of the environment, if known.
-        lines: Further sentences about the source.
-        atoms: The atom of each number of an observation, if known.
-    """
+    """Episodes, and what is known about them."""
 
     episodes: Iterable[Episode]
+    #: Words that follow "from 3 episodes" in the rule file.
     title: str = ""
     mode: str | None = None
+    #: The options `rules` and `overrides` of the environment.
     options: Mapping[str, Any] = field(default_factory=dict)
+    #: Further sentences about the source.
     lines: Sequence[str] = ()
+    #: The atom of each number of an observation.
     atoms: Sequence[str] = ()
 
 
@@ -301,17 +267,15 @@ def induce(
             there are neither demonstrations nor an oracle, `demonstrations` is the name of a mode, a Minari dataset is
             damaged or too large, or the log has other questions.
     """
-    limits = {
-        "variables": (2, _logicity.VARIABLES_MAX),
-        "effort": (1, 2**32 - 1),
-        "threads": (0, _logicity.THREADS_MAX),
-    }
-    given = {"variables": variables, "effort": effort, "threads": threads}
-    checked = {name: checked_integer(name, value, *limits[name]) for name, value in given.items()}
-    checked_seed = checked_integer("seed", seed)
+    numbers = (
+        checked_integer("variables", variables, 2, _logicity.VARIABLES_MAX),
+        checked_integer("effort", effort, 1, 2**32 - 1),
+        checked_integer("seed", seed),
+        checked_threads(threads),
+    )
     if oracle is not None and not isinstance(oracle, Oracle):
         raise TypeError(f"oracle: expected an Oracle, not {type(oracle).__name__}")
-    checked_order = _checked_order(order)
+    names = _checked_order(order)
     if oracle is not None and noise is not None:
         raise ValueError("noise: expected None, because the answers of an oracle are exact")
     if noise is not None and noise != "auto":
@@ -343,20 +307,7 @@ def induce(
     if rules is not None:
         lines.append(f"The configuration has the rules in {os.path.basename(checked_path('rules', rules))}.")
     asking = None if oracle is None else oracle._arguments(mode, overrides)
-    learned, fault = _logicity.induce(
-        task,
-        observations,
-        actions,
-        parts,
-        lines,
-        checked_order,
-        checked["variables"],
-        checked["effort"],
-        checked_seed,
-        checked["threads"],
-        rate,
-        asking,
-    )
+    learned, fault = _logicity.induce(task, observations, actions, parts, lines, names, *numbers, rate, asking)
     induced = InducedRules(learned)
     if fault is not None:
         # Typed as `Any`: exceptions take further attributes.

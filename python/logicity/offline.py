@@ -24,7 +24,7 @@ from .envs.config import checked_kind
 from .envs.layout import atoms_of
 from .errors import as_integer, checked_path, extra
 from .evaluation import episodes_that_fit
-from .files import replacing, reserved
+from .files import reserved
 from .modes import ENVIRONMENTS, checked_mode
 from .tasks import load_task
 from .types import ArrayKind, Atom, ViewKind
@@ -274,8 +274,9 @@ class Demonstrations(Sequence[Trajectory]):
             "atoms": ";".join(f"{name}({','.join(map(str, entities))})" for name, entities in self.atoms),
         }
         table = pyarrow.table(columns).replace_schema_metadata(metadata)
-        with replacing(path, by="to_parquet", overwrite=overwrite) as temporary:
-            pyarrow.parquet.write_table(table, temporary)
+        with reserved(path, by="to_parquet", overwrite=overwrite) as output:
+            pyarrow.parquet.write_table(table, output.temporary)
+            output.finish()
 
 
 def popper_names(arities: Mapping[str, int]) -> dict[str, tuple[bool, str, int]]:

@@ -26,7 +26,7 @@ from .errors import checked_path
 from .evaluation import Interval, Progress
 from .files import check_readable, reserved
 from .redaction import Redactor, shown_url
-from .terminal import neutral
+from .terminal import aligned, neutral
 from .transport import RejectedError, RetryableError, post
 
 __all__ = ["Calibration", "Demonstration", "Endpoint", "Grade", "Question", "Recall", "Reply", "ask", "calibrate"]
@@ -442,14 +442,13 @@ class Grade:
         ]
         chosen = [str(sum(row[column] for row in self.confusion.values())) for column in columns]
         rows.append(["all", str(self.overall.total), str(self.overall.accuracy), *chosen])
-        widths = [max(len(row[place]) for row in [head, *rows]) for place in range(len(head))]
-        lines = ["  ".join(cell.ljust(width) for cell, width in zip(row, widths, strict=True)) for row in [head, *rows]]
+        lines = [aligned([head, *rows])]
         if self.rules is not None and self.both is not None:
             lines.append(f"rule correct: {self.rules.accuracy}; action and rule correct: {self.both.accuracy}")
         if self.calibration is not None:
             ece, brier, count = self.calibration.ece, self.calibration.brier, self.calibration.count
             lines.append(f"expected calibration error {ece:.3f}, Brier score {brier:.3f}, of {count} replies")
-        return "\n".join(line.rstrip() for line in lines)
+        return "\n".join(lines)
 
 
 def grade(

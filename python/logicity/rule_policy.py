@@ -15,7 +15,7 @@ from numpy.typing import ArrayLike, NDArray
 from . import _logicity
 from .envs.config import EnvConfig
 from .errors import checked_path
-from .files import replacing
+from .files import write_text
 from .modes import checked_mode
 from .types import Limits
 
@@ -110,11 +110,7 @@ class RulePolicy:
         return _logicity.decide(self._task, array)
 
     def predict(
-        self,
-        observation: ArrayLike,
-        state: Any = None,
-        episode_start: Any = None,
-        deterministic: bool = True,
+        self, observation: ArrayLike, state: Any = None, episode_start: Any = None, deterministic: bool = True
     ) -> tuple[NDArray[np.int64], None]:
         """Return the actions that the rules choose, and no state, as `logicity.learn.learner.Policy` does.
 
@@ -133,8 +129,7 @@ class RulePolicy:
             FileExistsError: If the file must not be replaced.
             OSError: If the file cannot be written.
         """
-        with replacing(path, by="RulePolicy.save", overwrite=overwrite) as temporary:
-            Path(temporary).write_text(self.text, encoding="utf-8")
+        write_text(path, self.text, by="RulePolicy.save", overwrite=overwrite)
 
 
 def header(algorithm: str, mode: str) -> str:

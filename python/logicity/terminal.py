@@ -5,10 +5,10 @@ from __future__ import annotations
 import os
 import re
 import sys
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from contextlib import contextmanager
 
-__all__ = ["first_line", "flush", "neutral", "print_message", "print_text"]
+__all__ = ["aligned", "first_line", "flush", "neutral", "print_message", "print_text"]
 
 # Controls but tabs and line breaks, marks that reorder or break lines, and bytes of file names that are not UTF-8. The
 # function of the same name in Rust replaces the same characters.
@@ -26,6 +26,13 @@ def neutral(text: str, *, lines: bool = True) -> str:
     """
     shown = _ACTIVE.sub(lambda found: f"\\u{ord(found[0]):04x}", text)
     return shown if lines else shown.replace("\n", "\\n")
+
+
+def aligned(rows: Sequence[Sequence[str]]) -> str:
+    """Return rows of cells as a text table."""
+    widths = [max(map(len, column)) for column in zip(*rows, strict=True)]
+    lines = ("  ".join(map(str.ljust, row, widths)) for row in rows)
+    return "\n".join(line.rstrip() for line in lines)
 
 
 def first_line(message: str, default: str = "no message") -> str:
