@@ -680,7 +680,8 @@ def _results_folder(given: argparse.Namespace, file: Path) -> Path:
 
 
 def _ask(given: argparse.Namespace) -> int:
-    from .questions import Endpoint, ask_with_progress, grade, key_from, load_logprobs, load_questions
+    from .evaluation import Progress
+    from .questions import Endpoint, ask, grade, key_from, load_logprobs, load_questions
 
     try:
         key = key_from(given.key_from)
@@ -688,7 +689,8 @@ def _ask(given: argparse.Namespace) -> int:
         raise _UsageError(f"--key-from: {error}") from None
     questions = load_questions(given.questions)
     endpoint = Endpoint(given.url, given.model, key, given.settings, given.timeout, given.tries)
-    answers = ask_with_progress(questions, endpoint, given.output)
+    with Progress(f"questions answered by {endpoint.model}", len(questions)) as progress:
+        answers = ask(questions, endpoint, given.output, progress.update)
     print_text(grade(questions, answers, load_logprobs(given.output)))
     print_message(f"wrote {given.output}")
     return 0

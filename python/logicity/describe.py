@@ -6,7 +6,7 @@ import inspect
 import json
 import os
 import re
-from collections.abc import Mapping
+from collections.abc import Iterable, Mapping
 from typing import Any
 
 from . import _logicity
@@ -17,12 +17,12 @@ from .errors import did_you_mean
 from .modes import ENVIRONMENTS
 from .rules import Program
 from .tasks import load_task
-from .types import Clause
 
 __all__ = ["describe", "environment_page", "observation_names", "parallel_page"]
 
 
 SPLITS = ("train", "val", "test")
+_Row = tuple[object, ...]
 
 
 def describe() -> str:
@@ -54,17 +54,17 @@ def environment_page(mode: str) -> str:
     task = _logicity.describe(load_task(mode))
     # The first line of the file, as in `# Safe Path Following, easy mode: give way at intersections.`
     about = _logicity.read_file(f"configs/{mode}.yaml").partition("\n")[0].partition(": ")[2]
-    agents = " / ".join(str(task["splits"][split]["agents"]) for split in SPLITS)
-    recorded = " / ".join(str(task["splits"][split]["episodes"]) for split in SPLITS)
-    overview: list[tuple[object, ...]] = [
+    overview: list[_Row] = [
         ("import", f'`gymnasium.make("{ENVIRONMENTS[mode]}")` after `import logicity`'),
         ("action space", "`Discrete(4)`"),
         ("observation space", f"`Box(0.0, 1.0, ({task['width']},), float32)`"),
-        ("agents in `train` / `val` / `test`", agents),
-        ("recorded episodes in `train` / `val` / `test`", recorded),
+        ("agents in `train` / `val` / `test`", _by_split(task, "agents")),
+        ("recorded episodes in `train` / `val` / `test`", _by_split(task, "episodes")),
     ]
-    meanings = {clause["label"]: clause["doc"].partition(": ")[2] for clause in _clauses(mode)}
-    clauses: list[tuple[object, ...]] = [
+    meanings = {
+        clause["label"]: clause["doc"].partition(": ")[2] for clause in Program.load(f"rules/{mode}.dl").clauses
+    }
+    clauses: list[_Row] = [
         (at, f"`{each['clause']}`", each["action"], f"{each['reward']:g}", " ".join(meanings[each["clause"]].split()))
         for at, each in enumerate(task["constraints"])
     ]
@@ -104,7 +104,7 @@ def parallel_page() -> str:
 
     loaded = {mode: load_task(mode) for mode in ENVIRONMENTS}
     tasks = {mode: _logicity.describe(task) for mode, task in loaded.items()}
-    cars: list[tuple[object, ...]] = [
+    cars: list[_Row] = [
         (
             f"`{mode}`",
             " / ".join(str(len(_logicity.MultiCarEnv(task, split, "groundings", False).names())) for split in SPLITS),
@@ -113,7 +113,7 @@ def parallel_page() -> str:
         )
         for mode, task in loaded.items()
     ]
-    overview: list[tuple[object, ...]] = [
+    overview: list[_Row] = [
         ("import", '`logicity.parallel_env("expert")`, or another mode or configuration file'),
         ("agents", "`Car_1`, `Car_2`, ...: all cars, in `possible_agents`"),
         ("action spaces", "`Discrete(4)`"),
@@ -152,9 +152,7 @@ def _page(
     infos: str,
 ) -> str:
     """Return the page of an environment, in the order that gymnasium's pages have."""
-    actions: list[tuple[object, ...]] = [
-        (number, action, distance) for number, (action, distance) in enumerate(zip(ACTIONS, (1, 2, 3, 0), strict=True))
-    ]
+    actions: list[_Row] = list(zip(range(len(ACTIONS)), ACTIONS, (1, 2, 3, 0), strict=True))
     sections = {
         "Description": description,
         "Action space": _table(("number", "action", "cells that the car moves"), actions),
@@ -179,7 +177,7 @@ def _parameters(env_class: type) -> dict[str, inspect.Parameter]:
 
 def _arguments(env_class: type) -> str:
     """Return a table of the keyword arguments of a class of environments, with the meanings that `SPFEnv` documents."""
-    rows: list[tuple[object, ...]] = [
+    rows: list[_Row] = [
         (f"`{name}`", f"`{parameter.default!r}`", _documented()[name])
         for name, parameter in _parameters(env_class).items()
     ]
@@ -188,7 +186,7 @@ def _arguments(env_class: type) -> str:
 
 def _infos(env_class: type) -> str:
     """Return a table of the keys of `info` in a class of environments, from the docstring of `SPFEnv`."""
-    rows: list[tuple[object, ...]] = []
+    rows: list[_Row] = []
     for key, kind, needs, meaning in re.findall(r"^- `(\w+)` \((.*?)\)(, with .*?)?: (.*)", _docstring(), re.MULTILINE):
         if all(name in _parameters(env_class) for name in re.findall(r"`(\w+)=True`", needs)):
             rows.append((f"`{key}`", kind + needs, meaning))
@@ -208,11 +206,6 @@ def _docstring() -> str:
     return re.sub(r"\n(?:  |        )(?=\S)", " ", inspect.cleandoc(SPFEnv.__doc__ or ""))
 
 
-def _clauses(mode: str) -> list[Clause]:
-    """Return the clauses of the rules of a mode."""
-    return Program.load(f"rules/{mode}.dl").clauses
-
-
 def observation_names(
     mode: str | os.PathLike[str],
     *,
@@ -224,53 +217,48 @@ def observation_names(
     Entity 0 is the ego. Entities 1, 2, ... are the other entities in its view. If the task observes the route length,
     the last name is `route length`.
 
-    Args:
-        mode: One of `logicity.ENVIRONMENTS`, such as `"expert"`, or the path of a configuration file.
-        rules: A rule file that replaces the configuration's.
-        overrides: Changes to the configuration, as in `gymnasium.make`.
-
-    Raises:
-        InputError: If the configuration, the rule file or an override is invalid.
-        OSError: If a file cannot be read.
-        ValueError: If the mode is unknown.
+    The arguments and the exceptions for them are those of `Benchmark`.
     """
     description = _logicity.describe(load_task(mode, rules, overrides))
     atoms = (f"{predicate}({', '.join(map(str, entities))})" for predicate, entities in atoms_of(description))
     return (*atoms, "route length") if description["route_length"] else tuple(atoms)
 
 
-def _table(head: tuple[str, ...], rows: list[tuple[object, ...]]) -> str:
+def _by_split(task: Mapping[str, Any], key: str) -> str:
+    """Format the values of a key of all splits."""
+    return " / ".join(str(task["splits"][split][key]) for split in SPLITS)
+
+
+def _by_value(values: Iterable[tuple[str, str]]) -> dict[str, str]:
+    """Return the names of the modes, in one text, by a value that they share."""
+    modes: dict[str, list[str]] = {}
+    for mode, value in values:
+        modes.setdefault(value, []).append(mode)
+    return {value: ", ".join(names) for value, names in modes.items()}
+
+
+def _table(head: tuple[str, ...], rows: list[_Row]) -> str:
     lines = ["| " + " | ".join(str(cell) for cell in row) + " |" for row in [head, *rows]]
     lines.insert(1, "|" + "---|" * len(head))
     return "\n".join(lines) + "\n"
 
 
 def _environments(tasks: dict[str, Any]) -> str:
-    head = (
-        "id",
-        "agents train / val / test",
-        "horizon (steps)",
-        "`groundings`",
-        "`state`",
-        "recorded train / val / test",
-        "test set",
-    )
-    rows: list[tuple[object, ...]] = []
-    for mode, task in tasks.items():
-        splits = [task["splits"][split] for split in SPLITS]
-        rows.append(
-            (
-                f"`{ENVIRONMENTS[mode]}`",
-                " / ".join(str(split["agents"]) for split in splits),
-                task["horizon"],
-                f"({task['width']},)",
-                f"({', '.join(map(str, task['state']))})",
-                " / ".join(str(split["episodes"]) for split in splits),
-                f"`{splits[2]['hash'][:12]}`",
-            )
+    head: tuple[str, ...] = ("id", "agents train / val / test", "horizon (steps)", "`groundings`", "`state`")
+    head += ("recorded train / val / test", "test set")
+    rows: list[_Row] = [
+        (
+            f"`{ENVIRONMENTS[mode]}`",
+            _by_split(task, "agents"),
+            task["horizon"],
+            f"({task['width']},)",
+            f"({', '.join(map(str, task['state']))})",
+            _by_split(task, "episodes"),
+            f"`{task['splits']['test']['hash'][:12]}`",
         )
-    patience = {task["patience"] for task in tasks.values()}
-    factors = " or ".join(str(number) for number in sorted(patience))
+        for mode, task in tasks.items()
+    ]
+    factors = " or ".join(map(str, sorted({task["patience"] for task in tasks.values()})))
     return (
         _table(head, rows)
         + f"\nThe step limit of a recorded episode is {factors} times the number of steps of the oracle. The last "
@@ -280,7 +268,7 @@ def _environments(tasks: dict[str, Any]) -> str:
 
 def _rewards(tasks: dict[str, Any]) -> str:
     head = ("mode", *ACTIONS, "overtime", "broken clause")
-    rows: list[tuple[object, ...]] = []
+    rows: list[_Row] = []
     for mode, task in tasks.items():
         by_action: dict[str, dict[float, list[str]]] = {}
         for constraint in task["constraints"]:
@@ -302,7 +290,7 @@ def _rewards(tasks: dict[str, Any]) -> str:
 
 def _shaping(tasks: dict[str, Any]) -> str:
     """Describe the reward terms that only training has."""
-    rows: list[tuple[object, ...]] = []
+    rows: list[_Row] = []
     for mode, task in tasks.items():
         terms, potential = task["shaping"], task["shaping"]["potential"]
         if terms["progress"] or terms["goal"] or potential["weight"]:
@@ -320,13 +308,11 @@ def _shaping(tasks: dict[str, Any]) -> str:
 
 
 def _groundings(tasks: dict[str, Any]) -> str:
-    layouts: dict[str, list[str]] = {}
-    for mode, task in tasks.items():
-        layouts.setdefault(json.dumps([task["columns"], task["entities"]]), []).append(mode)
+    layouts = _by_value((mode, json.dumps([task["columns"], task["entities"]])) for mode, task in tasks.items())
     sections = []
     for layout, modes in layouts.items():
         columns, entities = json.loads(layout)
-        rows: list[tuple[object, ...]] = []
+        rows: list[_Row] = []
         base = 0
         for column in columns:
             unary = column["arity"] == 1
@@ -334,7 +320,7 @@ def _groundings(tasks: dict[str, Any]) -> str:
             variables = "(i)" if unary else "(i, j)"
             rows.append((f"{base} to {base + column['width'] - 1}", f"`{column['predicate']}{variables}`", where))
             base += column["width"]
-        sections.append(f"{', '.join(modes)}:\n\n" + _table(("numbers", "atom", "at"), rows))
+        sections.append(f"{modes}:\n\n" + _table(("numbers", "atom", "at"), rows))
     return (
         "Each number is the truth value of a ground atom: 1 if it is true, else 0. Entity 0 is the ego. The others are "
         "the entities in its view. Indices i and j start at 0. Atoms over absent entities are false.\n\n"
@@ -345,26 +331,23 @@ def _groundings(tasks: dict[str, Any]) -> str:
 def _state(tasks: dict[str, Any]) -> str:
     def each(key: str) -> str:
         """Format the values of a key by mode, or a single value if all modes agree."""
-        by_value: dict[str, list[str]] = {}
-        for mode, task in tasks.items():
-            by_value.setdefault(f"{task[key]:g}", []).append(mode)
-        values = [f"{value} in {', '.join(modes)}" for value, modes in by_value.items()]
+        by_value = _by_value((mode, f"{task[key]:g}") for mode, task in tasks.items())
+        values = [f"{value} in {modes}" for value, modes in by_value.items()]
         return next(iter(by_value)) if len(by_value) == 1 else "; ".join(values)
 
-    rows: list[tuple[object, ...]] = [
+    rows: list[_Row] = [
         (0, "1: the row is in use", "0, 1"),
         (1, "row of the agent minus row of the ego, divided by the half-width of the field of view", "-1 to 1"),
         (2, "column of the agent minus column of the ego, divided by the same", "-1 to 1"),
         ("3 to 6", f"one-hot heading: {', '.join(HEADINGS)}; all 0 before the first move", "0, 1"),
         (7, "priority divided by the largest priority; a smaller number has the right of way", "-1 to 1"),
     ]
-    predicates: dict[str, list[str]] = {}
-    for mode, task in tasks.items():
-        names = ", ".join(f"`{column['predicate']}`" for column in task["columns"] if column["arity"] == 1)
-        predicates.setdefault(names, []).append(mode)
+    predicates = _by_value(
+        (mode, ", ".join(f"`{column['predicate']}`" for column in task["columns"] if column["arity"] == 1))
+        for mode, task in tasks.items()
+    )
     for names, modes in predicates.items():
-        last = 7 + names.count(",") + 1
-        rows.append((f"8 to {last}", f"truth values in {', '.join(modes)}: {names}", "0, 1"))
+        rows.append((f"8 to {8 + names.count(',')}", f"truth values in {modes}: {names}", "0, 1"))
     return (
         "Each row is an agent: the ego first, then the other agents in its field of view, in the order of the agent "
         "list (see `episode`), not by distance. Agents beyond the number of rows are omitted. Unused rows are 0. "

@@ -23,7 +23,7 @@ from typing import Any
 
 from .city import ACTIONS
 from .errors import checked_path
-from .evaluation import Interval, Progress
+from .evaluation import Interval
 from .files import check_readable, reserved
 from .redaction import Redactor, shown_url
 from .terminal import aligned, neutral
@@ -53,7 +53,6 @@ Wait = Callable[[float, str], None]
 
 
 def _sleep(seconds: float, reason: str) -> None:
-    """Wait for some seconds: the default `Wait`."""
     time.sleep(seconds)
 
 
@@ -82,13 +81,10 @@ class Question:
         id: The unique name of the question.
         system: The system message: the instructions.
         demonstrations: The few-shot examples.
-        text: The question.
         options: The actions by letter.
-        answer: The letter of the correct action.
-        clauses: The labels of the clauses that derive the action, in source order; `None` in a file of version 1.
         labels: The labels of all rules of actions, if the question requests a rule; otherwise empty.
-        scene: The facts, as `infer` takes them; `None` if the file has none.
         source: The configuration, the rules and the decision behind the question.
+        text, answer, clauses, scene: As for `Demonstration`. `scene` is `None` if the file has none.
     """
 
     id: str
@@ -186,14 +182,12 @@ def load_questions(path: str | os.PathLike[str]) -> list[Question]:
 
 
 def _text(line: Mapping[str, Any], key: str) -> str:
-    """Return the text of a key."""
     if not isinstance(line[key], str):
         raise TypeError(f"`{key}` is not text")
     return str(line[key])
 
 
 def _labels(line: Mapping[str, Any], key: str) -> tuple[str, ...] | None:
-    """Return the list of labels of a key, if the file has it."""
     labels = line.get(key)
     if labels is not None and not (isinstance(labels, list) and all(isinstance(label, str) for label in labels)):
         raise TypeError(f"`{key}` is not a list of texts")
@@ -464,22 +458,14 @@ def grade(
         logprobs: The log-probabilities of the options by id, as `load_logprobs` returns them.
     """
     confusion = {letter: dict.fromkeys([*LETTERS, UNREAD, MISSING], 0) for letter in LETTERS}
-    missing: list[str] = []
-    unread: list[str] = []
+    chosen = {each.id: read_letter(answers[each.id]) or UNREAD if each.id in answers else MISSING for each in questions}
     for question in questions:
-        reply = answers.get(question.id)
-        chosen = MISSING if reply is None else read_letter(reply) or UNREAD
-        confusion[question.answer][chosen] += 1
-        if chosen == MISSING:
-            missing.append(question.id)
-        if chosen == UNREAD:
-            unread.append(question.id)
+        confusion[question.answer][chosen[question.id]] += 1
     totals = Counter(question.answer for question in questions)
     why = [question for question in questions if question.labels]
     named = {question.id: read_rule(answers.get(question.id, ""), question.labels) for question in why}
-    derived = {question.id: named[question.id] in (question.clauses or (NO_RULE,)) for question in why}
-    right = [question for question in why if read_letter(answers.get(question.id, "")) == question.answer]
-    known = {question.id for question in questions}
+    derived = [question for question in why if named[question.id] in (question.clauses or (NO_RULE,))]
+    both = [question for question in derived if chosen[question.id] == question.answer]
     return Grade(
         overall=Recall.of(sum(confusion[letter][letter] for letter in LETTERS), len(questions)),
         by_action={
@@ -488,11 +474,11 @@ def grade(
             if totals[letter]
         },
         confusion={letter: row for letter, row in confusion.items() if totals[letter]},
-        missing=tuple(missing),
-        unread=tuple(unread),
-        unknown=tuple(name for name in answers if name not in known),
-        rules=Recall.of(sum(derived.values()), len(why)) if why else None,
-        both=Recall.of(sum(derived[question.id] for question in right), len(why)) if why else None,
+        missing=tuple(name for name, letter in chosen.items() if letter == MISSING),
+        unread=tuple(name for name, letter in chosen.items() if letter == UNREAD),
+        unknown=tuple(name for name in answers if name not in chosen),
+        rules=Recall.of(len(derived), len(why)) if why else None,
+        both=Recall.of(len(both), len(why)) if why else None,
         named=sum(label is not None for label in named.values()),
         calibration=calibrate(questions, logprobs or {}),
     )
@@ -546,23 +532,6 @@ class Endpoint:
 
     def __post_init__(self) -> None:
         """Check the arguments."""
-        self._check_url()
-        # The message must not reveal the key.
-        if self.key is not None and not re.fullmatch(r"[\x21-\x7e]+", self.key):
-            raise ValueError("the key is empty, or has characters other than printable ASCII")
-        if set(self.settings or ()) & {"model", "messages", "stream"}:
-            raise ValueError("`settings` must not contain `model`, `messages` or `stream`")
-        try:
-            json.dumps(dict(self.settings or {}), allow_nan=False)
-        except (TypeError, ValueError) as error:
-            raise ValueError(f"`settings` is not JSON: {error}") from None
-        if not 0 < self.timeout <= TIMEOUT_MAX:
-            raise ValueError(f"`timeout` must be positive and at most {TIMEOUT_MAX:,.0f} seconds, not {self.timeout}")
-        if not (self.tries >= 1 and 0 <= self.pause < math.inf):
-            raise ValueError("`tries` must be positive, and `pause` must be finite and not negative")
-
-    def _check_url(self) -> None:
-        """Raise `ValueError` if no request can be sent to the URL."""
         # The messages must not reveal a password.
         if "@" in self.url.partition("//")[2].partition("/")[0]:
             raise ValueError("the URL contains a user name or password: send the key as a bearer token instead")
@@ -577,6 +546,19 @@ class Endpoint:
             raise ValueError(f"expected a URL of http or https, such as http://localhost:8000/v1{found}")
         if not re.fullmatch(r"[\x21-\x7e]+", self.url):
             raise ValueError(f"the URL `{shown}` has characters other than printable ASCII: percent-encode them")
+        # The message must not reveal the key.
+        if self.key is not None and not re.fullmatch(r"[\x21-\x7e]+", self.key):
+            raise ValueError("the key is empty, or has characters other than printable ASCII")
+        if set(self.settings or ()) & {"model", "messages", "stream"}:
+            raise ValueError("`settings` must not contain `model`, `messages` or `stream`")
+        try:
+            json.dumps(dict(self.settings or {}), allow_nan=False)
+        except (TypeError, ValueError) as error:
+            raise ValueError(f"`settings` is not JSON: {error}") from None
+        if not 0 < self.timeout <= TIMEOUT_MAX:
+            raise ValueError(f"`timeout` must be positive and at most {TIMEOUT_MAX:,.0f} seconds, not {self.timeout}")
+        if not (self.tries >= 1 and 0 <= self.pause < math.inf):
+            raise ValueError("`tries` must be positive, and `pause` must be finite and not negative")
 
     def reply(self, messages: list[dict[str, str]], wait: Wait = _sleep) -> Reply:
         """Send a request, and return the reply of the model.
@@ -730,16 +712,15 @@ def ask(
     known = {question.id for question in questions}
     answers: dict[str, str] = {}
     # The reservation keeps other processes from the file; it writes nothing.
-    with reserved(path, by=None), _without_torn_line(Path(path)).open("a+", encoding="utf-8") as file:
+    with reserved(path, by=None), _without_torn_line(Path(path)).open("a", encoding="utf-8") as file:
         for place, line in _lines(path):
+            unfit = None
             if line["id"] not in known:
-                raise ValueError(
-                    f"{place}: the answer belongs to the unknown question {line['id']!r}: choose another output file"
-                )
-            if line.get("model") != endpoint.model:
-                raise ValueError(
-                    f"{place}: the answer comes from the model {line.get('model')!r}: choose another output file"
-                )
+                unfit = f"belongs to the unknown question {line['id']!r}"
+            elif line.get("model") != endpoint.model:
+                unfit = f"comes from the model {line.get('model')!r}"
+            if unfit is not None:
+                raise ValueError(f"{place}: the answer {unfit}: choose another output file")
         answers = load_answers(path)
         watch(len(answers))
         for question in questions:
@@ -788,9 +769,3 @@ def key_from(variable: str | None) -> str | None:
         named = f"`{variable}`" if re.fullmatch(r"[A-Z][A-Z_]*[0-9]*", variable) else "with the given name"
         raise ValueError(f"the environment variable {named} is not set: name the variable that contains the key")
     return key
-
-
-def ask_with_progress(questions: Sequence[Question], endpoint: Endpoint, path: Path) -> dict[str, str]:
-    """Call `ask` with a progress line on a terminal."""
-    with Progress(f"questions answered by {endpoint.model}", len(questions)) as progress:
-        return ask(questions, endpoint, path, progress.update)

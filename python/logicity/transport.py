@@ -10,7 +10,7 @@ import socket
 import threading
 import urllib.error
 import urllib.request
-from functools import partial
+from contextlib import suppress
 from typing import Any
 
 __all__ = ["RejectedError", "RetryableError", "post"]
@@ -64,41 +64,27 @@ class _Connections:
         with self._lock:
             self.closed = True
             for each in self._sockets:
-                try:
+                # The server may have closed it.
+                with suppress(OSError):
                     each.shutdown(socket.SHUT_RDWR)
-                except OSError:
-                    # The server has closed it.
-                    pass
                 each.close()
             self._sockets.clear()
 
 
-def _connection(
-    kind: type[http.client.HTTPConnection], connections: _Connections, host: str, **options: Any
-) -> http.client.HTTPConnection:
-    made = kind(host, **options)
-    made._create_connection = connections.create  # type: ignore[attr-defined]
-    return made
+class _Handler(urllib.request.HTTPHandler, urllib.request.HTTPSHandler):
+    """Sends requests of both schemes over connections that another thread can close."""
 
-
-class _Http(urllib.request.HTTPHandler):
     def __init__(self, connections: _Connections) -> None:
-        super().__init__()
+        urllib.request.HTTPSHandler.__init__(self)
         self._connections = connections
 
-    def http_open(self, request: urllib.request.Request) -> http.client.HTTPResponse:
-        return self.do_open(partial(_connection, http.client.HTTPConnection, self._connections), request)
+    def do_open(self, http_class: Any, req: urllib.request.Request, **options: Any) -> http.client.HTTPResponse:
+        def connection(host: str, **given: Any) -> http.client.HTTPConnection:
+            made: http.client.HTTPConnection = http_class(host, **given)
+            made._create_connection = self._connections.create  # type: ignore[attr-defined]
+            return made
 
-
-class _Https(urllib.request.HTTPSHandler):
-    def __init__(self, connections: _Connections) -> None:
-        super().__init__()
-        self._connections = connections
-
-    def https_open(self, request: urllib.request.Request) -> http.client.HTTPResponse:
-        context = self._context  # type: ignore[attr-defined]
-        kind = partial(_connection, http.client.HTTPSConnection, self._connections)
-        return self.do_open(kind, request, context=context)
+        return super().do_open(connection, req, **options)
 
 
 class _NoRedirect(urllib.request.HTTPRedirectHandler):
@@ -136,24 +122,18 @@ def post(url: str, body: bytes, headers: dict[str, str], seconds: float, most: i
     # A thread, because looking up a name has no timeout. A daemon does not delay the end of the process.
     threading.Thread(target=work, name="request", daemon=True).start()
     try:
-        result = _get(outcome, seconds)
-        if result is None:
-            connections.close()
-            result = _get(outcome, GRACE)
+        result = outcome.get(timeout=seconds)
+    except queue.Empty:
+        connections.close()
+        try:
+            result = outcome.get(timeout=GRACE)
+        except queue.Empty:
+            raise RetryableError(_late(seconds)) from None
     finally:
         connections.close()
-    if result is None:
-        raise RetryableError(_late(seconds))
     if isinstance(result, Exception):
         raise result from None
     return result
-
-
-def _get(outcome: queue.SimpleQueue[bytes | Exception], seconds: float) -> bytes | Exception | None:
-    try:
-        return outcome.get(timeout=seconds)
-    except queue.Empty:
-        return None
 
 
 def _late(seconds: float) -> str:
@@ -162,13 +142,15 @@ def _late(seconds: float) -> str:
 
 def _exchange(request: urllib.request.Request, connections: _Connections, seconds: float, most: int) -> bytes:
     """Send a request, and return the body of the reply. The exceptions are those of `post`."""
-    opener = urllib.request.build_opener(_NoRedirect, _Http(connections), _Https(connections))
+    opener = urllib.request.build_opener(_NoRedirect, _Handler(connections))
     try:
         with opener.open(request, timeout=seconds) as response:
             text: bytes = response.read(most + 1)
     except urllib.error.HTTPError as error:
-        with error:
-            body = _beginning(error)
+        body = ""
+        # The server may not send it.
+        with error, suppress(OSError, http.client.HTTPException, ValueError):
+            body = error.read(ERROR_BYTES).decode(errors="replace").strip()
         reason = f"{error.code} {error.reason}" + (f": {body}" if body else "")
         if error.code in (408, 409, 425, 429) or error.code >= 500:
             raise RetryableError(reason, _seconds(error.headers.get("Retry-After"))) from None
@@ -183,14 +165,6 @@ def _exchange(request: urllib.request.Request, connections: _Connections, second
     if len(text) > most:
         raise RetryableError(f"the reply is longer than {most >> 20} MiB")
     return text
-
-
-def _beginning(error: urllib.error.HTTPError) -> str:
-    """Return the beginning of the body of an error; empty if the server does not send it."""
-    try:
-        return error.read(ERROR_BYTES).decode(errors="replace").strip()
-    except (OSError, http.client.HTTPException, ValueError):
-        return ""
 
 
 def _seconds(header: str | None) -> float | None:
