@@ -5,10 +5,8 @@ from __future__ import annotations
 import os
 import signal
 import sys
-import threading
 import traceback
-from collections.abc import Iterator, Sequence
-from contextlib import contextmanager
+from collections.abc import Sequence
 from types import TracebackType
 
 from . import _logicity
@@ -40,8 +38,11 @@ def main(arguments: Sequence[str] | None = None) -> int:
     for stream in (sys.stdout, sys.stderr):
         if stream is not None and not stream.closed:
             stream.flush()
-    # Rust handles these signals by itself.
-    with _default_sigint(), kept_handlers():
+    # Rust handles the signals by itself.
+    with kept_handlers(signal.SIGINT) as kept:
+        # Python runs its handler of Ctrl-C only between bytecode instructions. An ignored signal stays ignored.
+        if kept and signal.getsignal(signal.SIGINT) != signal.SIG_IGN:
+            signal.signal(signal.SIGINT, signal.SIG_DFL)
         code, words, rest = _logicity.run_command_line(argv)
     if not words:
         return code
@@ -66,24 +67,6 @@ def _open_standard_streams() -> None:
 def _print_exception(kind: type[BaseException], error: BaseException, trace: TracebackType | None) -> None:
     """Print an exception that no command expects. Its message may contain text of others."""
     print_message("".join(traceback.format_exception(kind, error, trace)).rstrip())
-
-
-@contextmanager
-def _default_sigint() -> Iterator[None]:
-    """Let Ctrl-C end the process, because Python runs its handler only between bytecode instructions."""
-    if threading.current_thread() is not threading.main_thread():
-        yield
-        return
-    previous = signal.getsignal(signal.SIGINT)
-    # A signal that the caller of the process ignores stays ignored.
-    if previous != signal.SIG_IGN:
-        signal.signal(signal.SIGINT, signal.SIG_DFL)
-    try:
-        yield
-    finally:
-        # `None` means that Python did not install the handler and cannot restore it.
-        if previous is not None:
-            signal.signal(signal.SIGINT, previous)
 
 
 if __name__ == "__main__":

@@ -13,27 +13,20 @@ __all__ = ["ONE_THREAD", "RETRIES", "connect"]
 
 #: The largest number of times that a cell runs again because its worker is lost.
 RETRIES = 20
-
-
 #: The time for a Ray cluster to accept a connection, in seconds.
 CONNECT_SECONDS = 10.0
-
-
 #: The environment variables that give a process one thread. Cells and worlds run in parallel.
 ONE_THREAD = dict.fromkeys(("OMP_NUM_THREADS", "MKL_NUM_THREADS", "OPENBLAS_NUM_THREADS"), "1")
 
 
 def connect(address: str, workers: int | None = None) -> ModuleType:
-    """Connect to a Ray cluster, or start a local one. Each worker has one thread.
+    """Connect to a Ray cluster, or start a local one, and return the module `ray`. Each worker has one thread.
 
     The caller ends the connection with `shutdown` of the module.
 
     Args:
         address: The address of a cluster, or `local` for a new one on this machine.
         workers: The number of CPUs of a local cluster; by default those of this machine.
-
-    Returns:
-        The module `ray`.
 
     Raises:
         ConnectionError: If the cluster does not answer.
@@ -58,9 +51,6 @@ def _check_listening(address: str) -> None:
     """Check that a program listens at an address of the form `HOST:PORT` or `ray://HOST:PORT`.
 
     Without this check, Ray retries for minutes.
-
-    Raises:
-        ConnectionError: If no program listens.
     """
     host, separator, port = address.removeprefix("ray://").rpartition(":")
     if not separator or not port.isdecimal():

@@ -88,7 +88,6 @@ class EpisodeRecord:
 
     Attributes:
         episode: The number of the episode in the set, from 0.
-        steps: The number of steps.
         total: The return: the undiscounted sum of rewards.
         success: Whether the car reached the goal in time without violating a rule.
         truncated: Whether the run reached the step limit.
@@ -110,9 +109,7 @@ class Evaluation:
     """The measures of a policy on a set of episodes. Rates are from 0 to 1, with Wilson intervals.
 
     Attributes:
-        policy: The name of the policy.
         mode: The mode, or the path of the configuration file.
-        split: The split of the episodes.
         episodes_hash: SHA-256 of the set of episodes. Only results with the same hash are comparable.
         compliance: Rule compliance rate: of the episodes in which the rules require an action at least once, the share
             in which the car never violates a rule. The episode may end in any way. If the rules require nothing, 0 with
@@ -124,8 +121,6 @@ class Evaluation:
             clause that requires it.
         score: The mean difference between the return and the mean return of the random policy on the same episode.
         mean_return: The mean return (undiscounted sum of rewards).
-        mean_steps: The mean number of steps.
-        episodes: The results of the runs.
     """
 
     policy: str

@@ -88,11 +88,8 @@ def cut_out(image: Any, tolerance: int = 24) -> Any:
     corners by at most `tolerance`.
 
     Args:
-        image: A `PIL.Image.Image`.
+        image: A `PIL.Image.Image`, as is the result.
         tolerance: The largest difference of a channel, from 0 to 255.
-
-    Returns:
-        A `PIL.Image.Image`.
 
     Raises:
         ValueError: If the whole picture is background.
@@ -153,7 +150,7 @@ def fill(
     write: Callable[[str], str] | None = None,
     **options: Any,
 ) -> list[Path]:
-    """Draw icons of several classes into a pack.
+    """Draw icons of several classes into a pack, and return their paths.
 
     Icon `k` of a class uses prompt `k` and a generator with the seed `seed + k`. Existing files are kept, so another
     call resumes an interrupted one.
@@ -170,9 +167,6 @@ def fill(
         tolerance: As for `cut_out`. Buildings keep their background.
         write: As for `prompts`.
         options: Arguments of the pipeline, such as `num_inference_steps` and `guidance_scale`.
-
-    Returns:
-        The paths of the icons.
 
     Raises:
         OSError: If a file cannot be written.

@@ -61,7 +61,6 @@ class InducedClause:
     """A learned clause.
 
     Attributes:
-        action: The action.
         body: The literals of the body, without those that give precedence to other actions.
         examples: The number of steps with this action in which the body holds.
         alone: The number of these steps in which no other clause of the action holds.
@@ -230,7 +229,8 @@ def induce(
     """Learn rules from demonstrations, from questions to an oracle, or from both.
 
     The learner sees the observations and the actions, but no clause of the rules. The same arguments and the same
-    answers give the same rules on any number of threads.
+    answers give the same rules on any number of threads. Their `report["questions"]` describes the questions and the
+    certificate.
 
     Args:
         demonstrations: `Demonstrations`; a Minari dataset, its name, or its folder; a Parquet table of
@@ -251,9 +251,6 @@ def induce(
             demonstrations, if they name one.
         overrides: Changes of the configuration, as in `gymnasium.make`. The default is that of the demonstrations.
         oracle: Whom to ask, and how often. `noise` must be None.
-
-    Returns:
-        The rules. `report["questions"]` describes the questions and the certificate.
 
     Raises:
         BaseException: Any exception of the oracle. Its attribute `rules` has the rules learned so far, as have

@@ -82,12 +82,7 @@ def _hdf5_file(storage: Any) -> Path:
 
 
 def _stored_in_hdf5(storage: Any, indices: Sequence[int]) -> Iterator[StoredEpisode]:
-    """Yield episodes of a Minari dataset in an HDF5 file.
-
-    Raises:
-        OSError: If the file is damaged.
-        ValueError: If its values are not numbers, lie outside of the file, or take too much memory.
-    """
+    """Yield episodes in an HDF5 file."""
     import h5py
 
     read = 0
@@ -112,12 +107,7 @@ def _stored_in_hdf5(storage: Any, indices: Sequence[int]) -> Iterator[StoredEpis
 
 
 def _stored_in_tables(storage: Any, indices: Sequence[int]) -> Iterator[StoredEpisode]:
-    """Yield episodes of a Minari dataset in Arrow or Parquet files.
-
-    Raises:
-        OSError: If a file is damaged.
-        ValueError: If its values are not numbers, or take too much memory.
-    """
+    """Yield episodes in Arrow or Parquet files."""
     import pyarrow
     import pyarrow.parquet
 
@@ -161,11 +151,7 @@ def _check_bytes(read: int) -> None:
 
 
 def _uncompressed(file: Path) -> Any:
-    """Return the table in an Arrow file without compressed values and dictionaries. It takes no memory but the file's.
-
-    Raises:
-        ValueError: If the file has such values, or is damaged.
-    """
+    """Return the table in an Arrow file without compressed values and dictionaries, which take more memory."""
     import pyarrow
 
     def place(metadata: bytes, table: int, number: int) -> int | None:
@@ -200,8 +186,6 @@ def _uncompressed(file: Path) -> Any:
 def stored_episodes(dataset: MinariDataset) -> Iterator[StoredEpisode]:
     """Yield the episodes of a Minari dataset.
 
-    Reads only observations and actions: what the file says about other values may take any memory.
-
     Raises:
         ValueError: If its files are damaged, have values that are not numbers, or take too much memory.
     """
@@ -212,11 +196,7 @@ def stored_episodes(dataset: MinariDataset) -> Iterator[StoredEpisode]:
 
 @contextmanager
 def _reading(name: object) -> Iterator[None]:
-    """Name the Minari dataset in the exceptions of its reader.
-
-    Raises:
-        ValueError: If the files of the dataset are damaged.
-    """
+    """Name the Minari dataset in the exceptions of its reader."""
     try:
         yield
     except (FileNotFoundError, MemoryError):

@@ -70,7 +70,6 @@ class Demonstrations(Sequence[Trajectory]):
 
     Attributes:
         mode: The mode, or the path of the configuration file.
-        split: The split of the episodes.
         episodes_hash: SHA-256 of the set of episodes.
         atoms: The atom of each number of an observation. Empty if the observations are of the kind `state`.
         asked: The actions that the rules can require.
@@ -160,7 +159,7 @@ class Demonstrations(Sequence[Trajectory]):
     def to_popper(
         self, folder: str | os.PathLike[str], *, distinct: bool = False, overwrite: bool = False
     ) -> list[Path]:
-        """Write files for Popper, an inductive logic programming system.
+        """Write files for Popper, an inductive logic programming system, and return the folders of the actions.
 
         Every action that the rules can require gets a folder with `bk.pl`, `exs.pl` and `bias.pl`. The name of the
         folder is the action in lower case. Each step is one example, which is positive if the oracle took the action,
@@ -176,9 +175,6 @@ class Demonstrations(Sequence[Trajectory]):
             distinct: Whether to write steps with the same observation and action only once. The rules that are
                 consistent with all examples stay the same, but the weights of examples in noisy learning change.
             overwrite: Whether to replace files that this function did not write, or that have changed since.
-
-        Returns:
-            The folders of the actions.
 
         Raises:
             FileExistsError: If a file must not be replaced.
@@ -332,7 +328,12 @@ def demonstrations(
             episodes.
     """
     name = checked_mode(mode)
-    _check_array(observation)
+    if observation in get_args(ViewKind):
+        raise ValueError(
+            f"demonstrations have observations of the kind `groundings` or `state`, not `{observation}`: use "
+            "`groundings`, and map them with `logicity.envs.layout.Views`"
+        )
+    checked_kind(observation)
     task = load_task(mode, options.get("rules"), options.get("overrides"))
     count = task.recorded(split)
     wanted = count if n is None else as_integer("n", n)
@@ -353,20 +354,6 @@ def demonstrations(
     asked = {constraint["action"] for constraint in description["constraints"]}
     named = tuple(action for action in ACTIONS if action in asked)
     return Demonstrations(name, split, description["splits"][split]["hash"], atoms, named, spec, trajectories)
-
-
-def _check_array(kind: str) -> None:
-    """Check that observations of a kind are single arrays.
-
-    Raises:
-        ValueError: If they are not.
-    """
-    if kind in get_args(ViewKind):
-        raise ValueError(
-            f"demonstrations have observations of the kind `groundings` or `state`, not `{kind}`: use `groundings`, "
-            "and map them with `logicity.envs.layout.Views`"
-        )
-    checked_kind(kind)
 
 
 def _environment(mode: str, **options: Any) -> gymnasium.Env[Any, Any]:

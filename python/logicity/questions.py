@@ -301,14 +301,8 @@ _RULE = re.compile(r"\brule\b(?:\s+is)?\s*[:=]\s*([^\n]*)", flags=re.IGNORECASE)
 def read_rule(reply: str, labels: Sequence[str]) -> str | None:
     """Read the rule that a reply names after its last "Rule:". Remarks may follow the name.
 
-    Only the last 100,000 characters are read.
-
-    Args:
-        reply: The reply.
-        labels: The labels of the rules.
-
-    Returns:
-        One of the labels, or `"none"`, or `None` if the reply names no rule or several.
+    The result is one of the labels, or `"none"`, or `None` if the reply names no rule or several. Only the last 100,000
+    characters are read.
     """
     # Labels may contain characters of markup.
     known = {_MARKUP.sub("", label).casefold(): label for label in [*labels, NO_RULE]}
@@ -363,14 +357,7 @@ def calibrate(questions: Sequence[Question], logprobs: Mapping[str, Mapping[str,
     """Measure the calibration of the replies with log-probabilities.
 
     The probabilities of the options are normalized to a sum of 1. An option without a log-probability has probability
-    0.
-
-    Args:
-        questions: The questions.
-        logprobs: The log-probabilities by question and letter, as `load_logprobs` returns them.
-
-    Returns:
-        The measures, or `None` if no reply has log-probabilities.
+    0. The result of `load_logprobs` has them by question and letter. If there are none, the calibration is `None`.
     """
     bins: list[list[tuple[float, bool]]] = [[] for _ in range(BINS)]
     squares: list[float] = []
@@ -452,10 +439,7 @@ def grade(
 ) -> Grade:
     """Grade answers, which are letters or whole replies, by the ids of their questions.
 
-    Args:
-        questions: The questions. Those that request a rule all do.
-        answers: The answers by id.
-        logprobs: The log-probabilities of the options by id, as `load_logprobs` returns them.
+    Either all questions request a rule or none. `load_logprobs` returns the log-probabilities.
     """
     confusion = {letter: dict.fromkeys([*LETTERS, UNREAD, MISSING], 0) for letter in LETTERS}
     chosen = {each.id: read_letter(answers[each.id]) or UNREAD if each.id in answers else MISSING for each in questions}
@@ -634,10 +618,8 @@ def _shown(error: Exception, redact: Redactor) -> str:
 def _option_logprobs(reply: str, logprobs: Any) -> dict[str, float] | None:
     """Return the log-probabilities of the options at the token of the chosen option.
 
-    Args:
-        reply: The text of the reply.
-        logprobs: The field `logprobs` of a choice: `content` lists the tokens, each with `token`, `logprob` and
-            `top_logprobs`, the most probable tokens in its place.
+    In the field `logprobs`, `content` lists the tokens, each with `token`, `logprob` and `top_logprobs`, the most
+    probable tokens in its place.
     """
     letter = read_letter(reply)
     if letter is None:
@@ -689,7 +671,7 @@ def ask(
     watch: Callable[[int], None] = lambda answered: None,
     wait: Wait = _sleep,
 ) -> dict[str, str]:
-    """Send every question that has no reply in a file to an endpoint, and append each reply to the file.
+    """Send every question that has no reply in a file to an endpoint, append each reply, and return all by id.
 
     Each line of the file is `{"id": .., "model": .., "answer": ..}`, and `"logprobs": {LETTER: ..}` if the endpoint
     returns log-probabilities. After an interruption, the next call resumes.
@@ -700,9 +682,6 @@ def ask(
         path: The file of replies.
         watch: A function that receives the number of answered questions at the start and after each reply.
         wait: Waits before another attempt of a request.
-
-    Returns:
-        All replies by id.
 
     Raises:
         ConnectionError: As for `Endpoint.reply`. The file keeps the earlier replies.
@@ -737,11 +716,7 @@ def ask(
 
 
 def _without_torn_line(path: Path) -> Path:
-    """Remove the incomplete last line that an interrupted `ask` has left in a file, and return the path.
-
-    Raises:
-        ValueError: If the last line is not the beginning of a reply. Then the file is unchanged.
-    """
+    """Remove the incomplete last line that an interrupted `ask` has left in a file, and return the path."""
     if not path.exists():
         return path
     with open(path, "r+b") as file:

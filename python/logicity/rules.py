@@ -33,25 +33,16 @@ def check(text: str, name: str = "<text>") -> list[Diagnostic]:
     Raises:
         ValueError: If `text` is the path of a file.
     """
-    if isinstance(text, os.PathLike) or _looks_like_path(text):
+    path = isinstance(text, str) and re.fullmatch(r"(?!//)[^\n\"():%]+\.(dl|ya?ml)", text.strip())
+    if path or isinstance(text, os.PathLike):
         raise ValueError(
             f"text: `{os.fspath(text)}` looks like a path: read the file, as in `check(Path(path).read_text(), path)`"
         )
     return cast(list[Diagnostic], _logicity.check(text, name))
 
 
-def _looks_like_path(text: Any) -> bool:
-    """Return whether a text is the path of a rule file or configuration, not rules."""
-    return isinstance(text, str) and bool(re.fullmatch(r"(?!//)[^\n\"():%]+\.(dl|ya?ml)", text.strip()))
-
-
 def rule_file(rules: str | os.PathLike[str] | None) -> str | None:
-    """Check that an argument is the path of a rule file, and return it as a string.
-
-    Raises:
-        TypeError: If `rules` is not a string or a path.
-        ValueError: If `rules` is source text.
-    """
+    """Return the path of a rule file as a string. Raise `ValueError` if it is source text."""
     if isinstance(rules, str) and ("\n" in rules or ":-" in rules):
         raise ValueError(
             "`rules` must be the path of a rule file, not source text: write it to a file (`check` accepts source text)"
@@ -73,14 +64,10 @@ class Relation:
     """A declared predicate.
 
     Attributes:
-        name: The name.
-        columns: The columns.
-        input: Whether it is declared `.input`.
-        output: Whether it is declared `.output`.
+        input, output: Whether it is declared `.input` or `.output`.
         derived: Whether it is the head of a clause with a body.
         doc: The doc comment.
-        file: The file of the declaration.
-        line: The line of the declaration, from 1.
+        file, line: The place of the declaration. Lines start at 1.
     """
 
     name: str
@@ -240,8 +227,6 @@ class Explanation:
     """An explanation of why a fact holds or does not hold.
 
     Attributes:
-        fact: The fact.
-        holds: Whether the fact holds.
         text: The explanation as a text tree, also `str()`.
         nodes: The same tree as data. The first node is the fact. Nodes refer to each other by index. A node that holds
             is `{"holds", "height", "by": "input" | "text" | "clause" | "range", "clause", "binding", "premises"}`. A

@@ -11,7 +11,7 @@ from types import FrameType
 __all__ = ["ending_on_signals", "kept_handlers"]
 
 #: The signals that end a command. Windows has no SIGHUP.
-_ENDING = [getattr(signal, name) for name in ("SIGTERM", "SIGHUP") if hasattr(signal, name)]
+_ENDING: list[signal.Signals] = [getattr(signal, name) for name in ("SIGTERM", "SIGHUP") if hasattr(signal, name)]
 
 
 @contextmanager
@@ -29,11 +29,10 @@ def ending_on_signals() -> Iterator[None]:
             signal.signal(each, signal.SIG_DFL)
         raise SystemExit(128 + number)
 
-    with kept_handlers():
-        if threading.current_thread() is threading.main_thread():
-            for each in _ENDING:
-                if signal.getsignal(each) is signal.SIG_DFL:
-                    signal.signal(each, end)
+    with kept_handlers() as kept:
+        for each in kept:
+            if signal.getsignal(each) is signal.SIG_DFL:
+                signal.signal(each, end)
         try:
             yield
         except BaseException:
@@ -44,14 +43,15 @@ def ending_on_signals() -> Iterator[None]:
 
 
 @contextmanager
-def kept_handlers() -> Iterator[None]:
-    """Restore the handlers of these signals at the end of a block."""
-    if threading.current_thread() is not threading.main_thread():
-        yield
-        return
-    handlers = {each: signal.getsignal(each) for each in _ENDING}
+def kept_handlers(*more: signal.Signals) -> Iterator[list[signal.Signals]]:
+    """Restore the handlers of these signals, and of more, at the end of a block.
+
+    Yields the signals whose handlers the block can set: none outside of the main thread.
+    """
+    kept = [*_ENDING, *more] if threading.current_thread() is threading.main_thread() else []
+    handlers = {each: signal.getsignal(each) for each in kept}
     try:
-        yield
+        yield kept
     finally:
         for each, handler in handlers.items():
             # `None` means that Python did not install the handler and cannot restore it.

@@ -82,7 +82,6 @@ class Scene(TypedDict):
 
     Attributes:
         map: The name of the map.
-        agents: The agents.
         egos: The names of the agents to decide for. Default: all.
         given: Atoms by predicate, which replace the computed atoms of that predicate.
         tick: The tick, which selects the random numbers of probabilistic predicates. Default: 0.
@@ -175,8 +174,7 @@ class StratumStats(TypedDict):
         relations: The predicates of the stratum.
         how: Whether the commit skipped, incrementally maintained or recomputed the stratum.
         rounds: The number of semi-naive rounds: 1 for a stratum without recursion, and 0 if it was skipped.
-        rows_scanned: The number of rows that scans and tests read.
-        clauses: The statistics of the clauses.
+        rows_scanned: As for `RuleStats`.
     """
 
     relations: list[str]

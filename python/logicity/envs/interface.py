@@ -36,6 +36,7 @@ class BaseEnv:
     metadata: dict[str, Any] = {"render_modes": RENDER_MODES, "render_fps": RENDER_FPS}
     render_mode: str | None
     _begun: bool
+    _spec: EnvSpec | None
 
     def _load(self, config: EnvConfig, render_mode: str | None, episodes: str = "drawn") -> None:
         """Load the task, and make the window of the render mode.
@@ -51,6 +52,14 @@ class BaseEnv:
         self._config, self._kind, self._task = config, config.array_kind, config.task()
         self._clauses, self._shape = self._task.clauses(), tuple(self._task.shape(self._kind))
         self._views = views_of(self._task, config.observation)
+
+    def _new_core(
+        self, task: _logicity.Task, count: int = 1, autoreset: str = "Disabled", threads: int = 1
+    ) -> _logicity.VectorEnv:
+        core = _logicity.VectorEnv(task, self._config.split, count, autoreset, self._kind, self._episodes, threads)
+        if self._config.action_masks:
+            core.judge_actions()
+        return core
 
     def _space(self) -> Space[Any]:
         """Return a new observation space of one car."""
@@ -107,13 +116,9 @@ class HorizonSpec:
     add a `TimeLimit`, which knows neither the horizons of recorded episodes nor those of overrides.
     """
 
-    def __set_name__(self, owner: type, name: str) -> None:
-        """Store the name of the attribute."""
-        self._name = f"_{name}"
-
     def __get__(self, env: Any, owner: type | None = None) -> EnvSpec | None:
         """Return the spec, or `None` before it is assigned."""
-        return getattr(env, self._name, None)
+        return getattr(env, "_spec", None)
 
     def __set__(self, env: BaseEnv, spec: EnvSpec | None) -> None:
         """Store the spec with the horizon of the environment."""
@@ -124,7 +129,7 @@ class HorizonSpec:
             spec.max_episode_steps = horizon
             # `make_vec` adds it to the arguments if it gets such a spec.
             spec.kwargs = {name: value for name, value in spec.kwargs.items() if name != "max_episode_steps"}
-        setattr(env, self._name, spec)
+        env._spec = spec
 
 
 def _check_limit_of_make(frame: FrameType, horizon: int) -> None:

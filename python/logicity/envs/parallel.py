@@ -84,10 +84,9 @@ class SPFParallelEnv(BaseEnv, ParallelEnv[str, Any, "np.int64 | int"]):
         return self._of(self.action_spaces, agent)
 
     def _of(self, by_car: Mapping[str, _T], agent: str) -> _T:
-        try:
-            return by_car[agent]
-        except KeyError:
-            raise KeyError(self._unknown(agent)) from None
+        if agent not in by_car:
+            raise KeyError(self._unknown(agent))
+        return by_car[agent]
 
     def _unknown(self, agent: object) -> str:
         return f"unknown car `{agent}`{did_you_mean(agent, self.possible_agents)}"
@@ -95,15 +94,12 @@ class SPFParallelEnv(BaseEnv, ParallelEnv[str, Any, "np.int64 | int"]):
     def reset(
         self, seed: int | None = None, options: dict[str, Any] | None = None
     ) -> tuple[dict[str, Any], dict[str, dict[str, Any]]]:
-        """Start an episode, see `SPFEnv.reset`.
+        """Start an episode, and return the observations and the infos by car, see `SPFEnv.reset`.
 
         Args:
             seed: The seed of a new sequence of episodes, from 0 to 2**64 - 1. `None` continues the sequence.
             options: `episode` is a mapping such as the property `episode`. Other keys have no effect, as PettingZoo
                 requires.
-
-        Returns:
-            The observations and the infos by car.
 
         Raises:
             InputError: If the mapping is not a valid episode of this environment (`invalid-episode`).
@@ -134,13 +130,10 @@ class SPFParallelEnv(BaseEnv, ParallelEnv[str, Any, "np.int64 | int"]):
     def step(
         self, actions: dict[str, np.int64 | int]
     ) -> tuple[dict[str, Any], dict[str, float], dict[str, bool], dict[str, bool], dict[str, dict[str, Any]]]:
-        """Run one tick.
+        """Run one tick, and return observations, rewards, `terminated`, `truncated` and infos, each by car.
 
         Args:
             actions: One action per car in `agents`: 0 Slow, 1 Normal, 2 Fast or 3 Stop.
-
-        Returns:
-            The observations, the rewards, `terminated`, `truncated` and the infos, each by car.
 
         Raises:
             gymnasium.error.ResetNeeded: If no episode has started.

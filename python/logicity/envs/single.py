@@ -13,7 +13,6 @@ from typing import TYPE_CHECKING, Any, cast
 import numpy as np
 from numpy.typing import NDArray
 
-from .. import _logicity
 from ..errors import checked_path, extra
 
 with extra("gym"):
@@ -102,32 +101,22 @@ class SPFEnv(BaseEnv, gymnasium.Env[Any, np.int64]):
         """Load the configuration and the rules."""
         self._load(EnvConfig(config, SPFEnv, **options), render_mode, episodes)
         self._atoms, self.observation_space, self.action_space = atoms, self._space(), Discrete(4)
-        self._base = self._make_core(self._task)
+        self._base = self._new_core(self._task)
         self._core, self._core_task = self._base, self._task
         self._overrides: dict[str, Any] = {}
         self._seeded = self._begun = False
-
-    def _make_core(self, task: _logicity.Task) -> _logicity.VectorEnv:
-        config = self._config
-        core = _logicity.VectorEnv(task, config.split, 1, "Disabled", self._kind, self._episodes, 1)
-        if config.action_masks:
-            core.judge_actions()
-        return core
 
     def _new_observation(self) -> Observations:
         return np.empty(self._shape, np.float32)
 
     def reset(self, *, seed: int | None = None, options: dict[str, Any] | None = None) -> tuple[Any, dict[str, Any]]:
-        """Start an episode.
+        """Start an episode, and return the observation and `info`.
 
         Args:
             seed: The seed of a new sequence of episodes, from 0 to 2**64 - 1. `None` continues the sequence.
             options: `episode` is the number of a recorded episode of the split, or a mapping such as `SPFEnv.episode`;
                 the sequence then does not advance. `map` and `agents` replace these parts of the configuration for this
                 episode.
-
-        Returns:
-            The observation, and `info`.
 
         Raises:
             IndexError: If the recorded episode does not exist.
@@ -167,17 +156,14 @@ class SPFEnv(BaseEnv, gymnasium.Env[Any, np.int64]):
             task = self._config.task(**overrides)
             if tuple(task.shape(self._kind)) != self._shape:
                 raise ValueError("`map` and `agents` must not change the shape of observations")
-            self._core, self._core_task, self._overrides = self._make_core(task), task, overrides
+            self._core, self._core_task, self._overrides = self._new_core(task), task, overrides
         self._core.seed(0, *self._base.source(0))
 
     def step(self, action: np.int64 | int) -> tuple[Any, float, bool, bool, dict[str, Any]]:
-        """Run one tick with an action of the controlled car.
+        """Run one tick, and return the observation, the reward, `terminated`, `truncated` and `info`.
 
         Args:
             action: 0 Slow, 1 Normal, 2 Fast or 3 Stop.
-
-        Returns:
-            The observation, the reward, `terminated`, `truncated` and `info`.
 
         Raises:
             gymnasium.error.ResetNeeded: If no episode has started, or the episode has ended.
@@ -278,8 +264,8 @@ class SPFEnv(BaseEnv, gymnasium.Env[Any, np.int64]):
         """Start the same episode and take the same actions."""
         states, source = state.pop("_states"), state.pop("_source")
         self.__dict__.update(state)
-        self._base = self._core = self._make_core(self._task)
+        self._base = self._core = self._new_core(self._task)
         if self._core_task is not self._task:
-            self._core = self._make_core(self._core_task)
+            self._core = self._new_core(self._core_task)
         interface.restore_states(self._core, states, self._new_observation())
         self._base.seed(0, *source)

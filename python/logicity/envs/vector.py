@@ -38,9 +38,9 @@ class SPFVectorEnv(BaseEnv, VectorEnv[Any, NDArray[np.int64], NDArray[Any]]):
     environment i the seed s + i. Not thread-safe: concurrent use raises `RuntimeError`.
 
     Observations have shape (num_envs, ...), or are dictionaries of such arrays, computed for all environments at once.
-    Rewards (float64), `terminated` (bool) and `truncated` (bool) have shape
-    (num_envs,). `infos` has one array per key of `SPFEnv`'s `info`, and its mask under `_key`. In the autoreset mode
-    SameStep, `final_obs` and `final_info` have the last observations and infos of the episodes that ended.
+    Rewards (float64), `terminated` (bool) and `truncated` (bool) have shape (num_envs,). `infos` has one array per key
+    of `SPFEnv`'s `info`, and its mask under `_key`. In the autoreset mode SameStep, `final_obs` and `final_info` have
+    the last observations and infos of the episodes that ended.
 
     Args:
         num_envs: The number of environments, at most 65536.
@@ -93,12 +93,7 @@ class SPFVectorEnv(BaseEnv, VectorEnv[Any, NDArray[np.int64], NDArray[Any]]):
         self._seeded = np.zeros(num_envs, np.bool_)
 
     def _make_core(self) -> _logicity.VectorEnv:
-        config, mode = self._config, self.autoreset_mode.value
-        core = _logicity.VectorEnv(
-            self._task, config.split, self.num_envs, mode, self._kind, self._episodes, self._num_threads
-        )
-        if config.action_masks:
-            core.judge_actions()
+        core = self._new_core(self._task, self.num_envs, self.autoreset_mode.value, self._num_threads)
         if self._atoms:
             core.keep_last_atoms()
         return core
@@ -106,7 +101,7 @@ class SPFVectorEnv(BaseEnv, VectorEnv[Any, NDArray[np.int64], NDArray[Any]]):
     def reset(
         self, *, seed: int | Sequence[int | None] | None = None, options: dict[str, Any] | None = None
     ) -> tuple[Any, dict[str, Any]]:
-        """Start episodes.
+        """Start episodes, and return the observations and the infos.
 
         Args:
             seed: The seeds of new sequences of episodes. A number s gives environment i the seed s + i. A list has one
@@ -115,9 +110,6 @@ class SPFVectorEnv(BaseEnv, VectorEnv[Any, NDArray[np.int64], NDArray[Any]]):
                 `episode` sets the episode of all of them, as in `SPFEnv.reset`. `episodes` is a list of such values,
                 one per environment.
 
-        Returns:
-            The observations, and the infos.
-
         Raises:
             IndexError, InputError, ValueError: As for `SPFEnv.reset`.
         """
@@ -125,22 +117,17 @@ class SPFVectorEnv(BaseEnv, VectorEnv[Any, NDArray[np.int64], NDArray[Any]]):
         interface.check_options(options, ("reset_mask", "episode", "episodes"))
         if options.get("episode") is not None and options.get("episodes") is not None:
             raise ValueError("`episode` and `episodes` are mutually exclusive: give one of them")
-        mask = self._mask(options)
-        seeds: list[int | None]
-        if seed is None:
-            seeds = [None] * self.num_envs
-        elif isinstance(seed, (int, np.integer)):
+        mask, count = self._mask(options), self.num_envs
+        if isinstance(seed, (int, np.integer)):
             self._np_random, self._np_random_seed = np_random(int(seed))
-            seeds = [int(seed) + at for at in range(self.num_envs)]
-        else:
-            seeds = list(seed)
-            if len(seeds) != self.num_envs:
-                raise ValueError(f"{len(seeds)} seeds for {self.num_envs} environments")
+            seed = [int(seed) + at for at in range(count)]
+        seeds = [None] * count if seed is None else list(seed)
         chosen = options.get("episodes")
         if chosen is None:
-            chosen = [options.get("episode")] * self.num_envs
-        if len(chosen) != self.num_envs:
-            raise ValueError(f"{len(chosen)} episodes for {self.num_envs} environments")
+            chosen = [options.get("episode")] * count
+        for name, values in {"seeds": seeds, "episodes": chosen}.items():
+            if len(values) != count:
+                raise ValueError(f"{len(values)} {name} for {count} environments")
         begin = [bool(begins) and interface.parse_episode(each) for begins, each in zip(mask, chosen, strict=True)]
         places = np.flatnonzero(mask).tolist()
         for at in places:
@@ -155,7 +142,7 @@ class SPFVectorEnv(BaseEnv, VectorEnv[Any, NDArray[np.int64], NDArray[Any]]):
             if self._atoms:
                 info["true_atoms"] = self._core.atoms(at)
             infos = self._add_info(infos, info, at)
-        if self._window is not None and all(self._core.has_begun(at) for at in range(self.num_envs)):
+        if self._window is not None and all(self._core.has_begun(at) for at in range(count)):
             self.render()
         return self._observed(), infos
 
@@ -175,13 +162,10 @@ class SPFVectorEnv(BaseEnv, VectorEnv[Any, NDArray[np.int64], NDArray[Any]]):
     def step(
         self, actions: ArrayLike
     ) -> tuple[Any, NDArray[np.float64], NDArray[np.bool_], NDArray[np.bool_], dict[str, Any]]:
-        """Run one tick in every environment.
+        """Run one tick, and return the observations, the rewards, `terminated`, `truncated` and the infos.
 
         Args:
             actions: Integers of shape (num_envs,).
-
-        Returns:
-            The observations, the rewards, `terminated`, `truncated` and the infos.
 
         Raises:
             gymnasium.error.ResetNeeded: If an episode has not started, or has ended.

@@ -62,25 +62,13 @@ class Views:
         with extra("gym"):
             from gymnasium.spaces import Box, Dict, MultiBinary
 
-        layout = self.layout
-        count, unary, binary = layout.entities, len(layout.unary), len(layout.binary)
-        spaces: dict[str, Space[Any]]
-        if self.kind == "relational":
-            spaces = {
-                "unary": Box(0.0, 1.0, (count, unary), np.float32),
-                "binary": Box(0.0, 1.0, (count, count, binary), np.float32),
-                "mask": MultiBinary(count),
-            }
-        else:
-            spaces = {
-                "nodes": Box(0.0, 1.0, (count, unary), np.float32),
-                "edges": Box(0.0, 1.0, (count**2, binary), np.float32),
-                "edge_links": Box(0, count - 1, (count**2, 2), np.int64),
-                "node_mask": MultiBinary(count),
-                "edge_mask": MultiBinary(count**2),
-            }
-        if layout.route_length is not None:
-            spaces["route_length"] = Box(0.0, 1.0, (1,), np.float32)
+        spaces: dict[str, Space[Any]] = {}
+        for name, values in self(np.zeros(self.layout.width, np.float32)).items():
+            if values.dtype == np.int8:
+                spaces[name] = MultiBinary(len(values))
+            else:
+                high = self.layout.entities - 1 if name == "edge_links" else 1.0
+                spaces[name] = Box(0, high, values.shape, values.dtype.type)
         return Dict(spaces)
 
     def shapes(self) -> dict[str, tuple[int, ...]]:
