@@ -14,7 +14,7 @@ import numpy as np
 import numpy.typing as npt
 
 from . import _logicity
-from .errors import LimitArguments, checked_integer, checked_limits, checked_path, checked_threads, did_you_mean
+from .errors import checked_integer, checked_limits, checked_path, checked_threads, did_you_mean
 from .rules import Explanation, rule_file
 from .types import Action, Answer, Executor, Heading, Limits, Scene, Split, SymbolicScene
 
@@ -71,21 +71,18 @@ class Inference:
         limits: Limits | None = None,
     ) -> None:
         """Load the configuration and the rules."""
-        self._args: tuple[str, str | None, int, str, LimitArguments]
         name, seed = checked_path("config", config), checked_integer("seed", seed)
         self._args = (name, rule_file(rules), seed, executor, checked_limits(limits))
         self._inference = _logicity.Inference(*self._args, None)
 
-    @classmethod
-    def _restore(cls, args: tuple[str, str | None, int, str, LimitArguments], files: dict[Any, str]) -> Inference:
-        inference = cls.__new__(cls)
-        inference._args = args
-        inference._inference = _logicity.Inference(*args, files)
-        return inference
+    def __getstate__(self) -> tuple[Any, ...]:
+        """Return the arguments and the loaded sources."""
+        return self._args, self._inference.files()
 
-    def __reduce__(self) -> tuple[Any, ...]:
-        """Pickle the arguments and the loaded sources."""
-        return type(self)._restore, (self._args, self._inference.files())
+    def __setstate__(self, state: tuple[Any, ...]) -> None:
+        """Load the sources again."""
+        self._args, files = state
+        self._inference = _logicity.Inference(*self._args, files)
 
     def answer(self, scene: Scene | SymbolicScene) -> Answer:
         """Return the actions that the rules derive in a scene.

@@ -20,13 +20,9 @@ ONE_THREAD = dict.fromkeys(("OMP_NUM_THREADS", "MKL_NUM_THREADS", "OPENBLAS_NUM_
 
 
 def connect(address: str, workers: int | None = None) -> ModuleType:
-    """Connect to a Ray cluster, or start a local one, and return the module `ray`. Each worker has one thread.
+    """Connect to a Ray cluster, and return the module `ray`, whose `shutdown` ends the connection.
 
-    The caller ends the connection with `shutdown` of the module.
-
-    Args:
-        address: The address of a cluster, or `local` for a new one on this machine.
-        workers: The number of CPUs of a local cluster; by default those of this machine.
+    The address `local` starts a new one on this machine, by default with all its CPUs. Each worker has one thread.
 
     Raises:
         ConnectionError: If the cluster does not answer.

@@ -37,14 +37,7 @@ QUESTIONS = "output of `logicity questions`; default: questions.jsonl"
 
 
 def run(words: tuple[str, ...], arguments: Sequence[str]) -> int:
-    """Run a command.
-
-    Args:
-        words: A key of `SUMMARIES`.
-        arguments: The remaining arguments of the command line.
-
-    Returns:
-        The exit code, as for `logicity.__main__.main`.
+    """Run a command, a key of `SUMMARIES`, and return the exit code as `logicity.__main__.main` does.
 
     Raises:
         SystemExit: If the arguments are invalid or contain `--help`, or on SIGTERM and SIGHUP.
@@ -572,15 +565,15 @@ def _evaluate(given: argparse.Namespace) -> int:
     observation = _check_kind(given.observation, kind, policy)
     benchmarks = [Benchmark(mode, given.split, observation=observation) for mode in modes]
     _check_fit(policy, trained, benchmarks)
-    for benchmark, each in zip(benchmarks, policies, strict=True):
-        _check_prediction(each, given.policy, trained, benchmark)
     folders = [None if given.traces is None else given.traces / stem for stem in stems]
-    for benchmark, folder in zip(benchmarks, folders, strict=True):
-        # Check all folders before the first mode runs, so that no mode fails late.
+    runs = list(zip(benchmarks, policies, folders, strict=True))
+    # Check everything before the first mode runs, so that no mode fails late.
+    for benchmark, each, folder in runs:
+        _check_prediction(each, given.policy, trained, benchmark)
         if folder is not None:
             benchmark.check_traces(folder, given.force)
     try:
-        for benchmark, each, folder in zip(benchmarks, policies, folders, strict=True):
+        for benchmark, each, folder in runs:
             results.append(benchmark.evaluate(each, name=name, traces=folder, overwrite=given.force))
     finally:
         # An error must not hide the results of the modes before.

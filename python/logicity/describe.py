@@ -40,12 +40,9 @@ def describe() -> str:
 def environment_page(mode: str) -> str:
     """Return the description of the environment of a mode as Markdown, in the order that gymnasium's pages have.
 
-    Args:
-        mode: One of `logicity.ENVIRONMENTS`, such as `"expert"`.
-
     Raises:
         ImportError: If gymnasium is not installed.
-        ValueError: If there is no such mode.
+        ValueError: If the mode is not one of `logicity.ENVIRONMENTS`.
     """
     from .envs.single import SPFEnv
 

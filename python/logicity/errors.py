@@ -67,11 +67,7 @@ def did_you_mean(name: object, known: Iterable[str]) -> str:
 
 
 def checked_path(name: str, value: str | os.PathLike[str]) -> str:
-    """Check an argument that names a file or folder, and return it as a string.
-
-    Raises:
-        TypeError: If the value is not a path, or a path of bytes.
-    """
+    """Return an argument that names a file or folder as a string. Raise `TypeError` for others and for bytes."""
     path = os.fspath(value) if isinstance(value, (str, os.PathLike)) else None
     if not isinstance(path, str):
         raise TypeError(f"{name}: expected str or os.PathLike[str], not {type(value).__name__}")
@@ -79,11 +75,7 @@ def checked_path(name: str, value: str | os.PathLike[str]) -> str:
 
 
 def as_integer(name: str, value: SupportsIndex) -> int:
-    """Return an integer argument as an int.
-
-    Raises:
-        TypeError: If the value is not an integer.
-    """
+    """Return an integer argument as an int. Raise `TypeError` for other types."""
     try:
         return operator.index(value)
     except TypeError:
@@ -91,12 +83,7 @@ def as_integer(name: str, value: SupportsIndex) -> int:
 
 
 def checked_integer(name: str, value: SupportsIndex, low: int = 0, high: int = 2**64 - 1) -> int:
-    """Check an integer argument and return it as an int.
-
-    Raises:
-        TypeError: If the value is not an integer.
-        ValueError: If the value is less than `low` or greater than `high`.
-    """
+    """Variant of `as_integer` that raises `ValueError` if the value is less than `low` or greater than `high`."""
     number = as_integer(name, value)
     if not low <= number <= high:
         largest = f"2**{high.bit_length()} - 1" if high == 2 ** high.bit_length() - 1 > 2**16 else f"{high}"
@@ -110,12 +97,7 @@ def checked_threads(value: SupportsIndex, low: int = 0) -> int:
 
 
 def checked_limits(limits: Mapping[str, Any] | None) -> LimitArguments:
-    """Check the limits of an evaluation and return them in the order of `_LIMITS`; `None` for the default.
-
-    Raises:
-        TypeError: If the argument is not a mapping, or a value is not an integer.
-        ValueError: If a key is unknown, or a value is out of range.
-    """
+    """Check the limits of an evaluation and return them in the order of `_LIMITS`; `None` for the default."""
     if limits is None:
         return None, None, None
     if not isinstance(limits, Mapping):

@@ -21,15 +21,10 @@ __all__ += ["write_json", "write_text"]
 
 
 def check_readable(path: str | os.PathLike[str], *, whole: bool = True, named: bool = False) -> None:
-    """Raise now if reading a file could block or never end. A file that does not exist passes.
+    """Raise `OSError` now if reading a file could block or never end. A file that does not exist passes.
 
-    Args:
-        path: The file. It must not be a folder, a device, or below `/proc` or `/sys`.
-        whole: Whether it is read as a whole, so that it must not be larger than 1 GiB.
-        named: Whether the caller names the file itself, not its folder. Then it may be a pipe.
-
-    Raises:
-        OSError: If the file cannot be read.
+    The file must not be a folder, a device, or below `/proc` or `/sys`. A file that is read as a whole must not be
+    larger than 1 GiB. If the caller names the file itself, not its folder, it may be a pipe.
     """
     name = checked_path("path", path)
     try:
@@ -42,12 +37,7 @@ def check_readable(path: str | os.PathLike[str], *, whole: bool = True, named: b
 
 
 def read_json(path: str | os.PathLike[str]) -> Any:
-    """Return the value in a regular file of JSON, of at most 1 GiB.
-
-    Raises:
-        OSError: If it cannot be read.
-        ValueError: If it is not JSON.
-    """
+    """Return the value in a file of JSON, as `read_text` reads it. Raise `ValueError` if it is not JSON."""
     try:
         return json.loads(read_text(path))
     except RecursionError:
@@ -55,22 +45,13 @@ def read_json(path: str | os.PathLike[str]) -> Any:
 
 
 def read_text(path: str | os.PathLike[str]) -> str:
-    """Return the text of a regular file in UTF-8, of at most 1 GiB.
-
-    Raises:
-        OSError: If the file cannot be read.
-        ValueError: If it is not UTF-8.
-    """
+    """Return the text of a regular file of at most 1 GiB. Raise `ValueError` if it is not UTF-8."""
     check_readable(path)
     return Path(path).read_text(encoding="utf-8")
 
 
 def file_hash(path: str | os.PathLike[str]) -> str:
-    """Return the SHA-256 of a regular file of any size, as hex digits.
-
-    Raises:
-        OSError: If the file cannot be read.
-    """
+    """Return the SHA-256 of a regular file of any size, as hex digits."""
     digest = hashlib.sha256()
     check_readable(path, whole=False)
     with open(path, "rb") as file:
@@ -136,13 +117,8 @@ def write_text(path: str | os.PathLike[str], text: str, *, by: str | None = None
 def read_tensors(path: str | os.PathLike[str], expected: str) -> Any:
     """Return the content of a file of `torch.save` that has only tensors and plain data. Nothing in it runs as code.
 
-    Args:
-        path: The file.
-        expected: What it should be, for messages: `a policy`.
-
     Raises:
-        OSError: If the file cannot be read.
-        ValueError: If PyTorch cannot read it as such.
+        ValueError: If PyTorch cannot read it as such. The message says what is expected, such as `a policy`.
     """
     check_readable(path)
     import torch

@@ -10,12 +10,9 @@ __all__ = ["exports"]
 def exports(
     names: dict[str, Any], homes: Mapping[str, str], modules: Collection[str] = ()
 ) -> tuple[Callable[[str], Any], Callable[[], list[str]]]:
-    """Return the functions `__getattr__` and `__dir__` of a package.
+    """Return the functions `__getattr__` and `__dir__` of a package, from its `globals()`.
 
-    Args:
-        names: The `globals()` of the package.
-        homes: The modules that define the exported names, relative to the package.
-        modules: The exported modules.
+    `homes` has the modules that define the exported names, relative to the package.
     """
     package = names["__name__"]
 

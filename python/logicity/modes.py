@@ -25,12 +25,7 @@ ENVIRONMENTS = {config: f"logicity/SPF-{mode}-v0" for mode, config in MODES.item
 
 
 def checked_mode(mode: str | os.PathLike[str]) -> str:
-    """Check the name of a mode or the path of a configuration file, and return it as a string.
-
-    Raises:
-        TypeError: If `mode` is not a string or a path.
-        ValueError: If `mode` is neither.
-    """
+    """Return the name of a mode or the path of a configuration file. Raise `ValueError` if it is neither."""
     name = checked_path("mode", mode)
     if name not in ENVIRONMENTS and not Path(name).suffix and not Path(name).exists():
         raise ValueError(f"unknown mode `{name}`, and no file has this name{did_you_mean(name, ENVIRONMENTS)}")

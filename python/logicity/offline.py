@@ -65,6 +65,7 @@ class Trajectory:
         return len(self.actions)
 
 
+@dataclass(frozen=True, eq=False, repr=False)
 class Demonstrations(Sequence[Trajectory]):
     """Trajectories of the oracle.
 
@@ -76,20 +77,13 @@ class Demonstrations(Sequence[Trajectory]):
         env: The gymnasium spec of the environment.
     """
 
-    def __init__(
-        self,
-        mode: str,
-        split: str,
-        episodes_hash: str,
-        atoms: tuple[Atom, ...],
-        asked: tuple[str, ...],
-        env: gymnasium.envs.registration.EnvSpec,
-        trajectories: Sequence[Trajectory],
-    ) -> None:
-        """Store the arguments."""
-        self.mode, self.split, self.episodes_hash = mode, split, episodes_hash
-        self.atoms, self.asked, self.env = atoms, asked, env
-        self._trajectories = tuple(trajectories)
+    mode: str
+    split: str
+    episodes_hash: str
+    atoms: tuple[Atom, ...]
+    asked: tuple[str, ...]
+    env: gymnasium.envs.registration.EnvSpec
+    _trajectories: Sequence[Trajectory]
 
     def __repr__(self) -> str:
         """Show the mode, the split, and the numbers of trajectories and steps."""
@@ -311,8 +305,7 @@ def demonstrations(
     """Run the oracle on the first n recorded episodes of a split.
 
     Args:
-        mode: One of `logicity.ENVIRONMENTS`, such as `"expert"`, or the path of a configuration file. `logicity
-            episodes make` records episodes for a configuration file.
+        mode: As for `Benchmark`.
         n: The number of episodes, by default all. The modes have 40 episodes for `"val"`, and 100 for each other split.
         split: `"train"`, `"val"` or `"test"`.
         observation: `"groundings"` or `"state"`, as in `gymnasium.make`. `logicity.envs.views.Views` maps `groundings`
@@ -321,11 +314,9 @@ def demonstrations(
 
     Raises:
         ImportError: If gymnasium is not installed. The extra `gym` installs it: `pip install './python[gym]'`.
-        InputError: If the configuration or an option is invalid, no episodes are recorded, or the episodes do not fit
-            the agents.
-        OSError: If a file cannot be read.
-        ValueError: If the mode, the split or the kind of observation is unknown, or `n` exceeds the number of recorded
-            episodes.
+        InputError: As for `Benchmark`, or if the episodes do not fit the agents.
+        OSError: As for `Benchmark`.
+        ValueError: As for `Benchmark`, or if `n` exceeds the number of recorded episodes.
     """
     name = checked_mode(mode)
     if observation in get_args(ViewKind):
@@ -346,7 +337,7 @@ def demonstrations(
     spec.max_episode_steps = None
     try:
         with episodes_that_fit():
-            trajectories = [_run_oracle(env, episode) for episode in range(wanted)]
+            trajectories = tuple(_run_oracle(env, episode) for episode in range(wanted))
     finally:
         env.close()
     description = _logicity.describe(task)

@@ -545,11 +545,7 @@ class Endpoint:
             raise ValueError("`tries` must be positive, and `pause` must be finite and not negative")
 
     def reply(self, messages: list[dict[str, str]], wait: Wait = _sleep) -> Reply:
-        """Send a request, and return the reply of the model.
-
-        Args:
-            messages: The messages, see `Question.messages`.
-            wait: Waits before another attempt.
+        """Send messages, such as `Question.messages`, and return the reply of the model.
 
         Raises:
             ConnectionError: If the server rejects the request, or every attempt fails.

@@ -38,10 +38,7 @@ class RulePolicy:
 
     Args:
         path: The rule file.
-        mode: One of `logicity.ENVIRONMENTS`, such as `"expert"`, or the path of a configuration file. It determines the
-            order of the numbers in an observation.
-        overrides: Changes of the configuration, as in `gymnasium.make`.
-        limits: The limits of the evaluation of an observation, as in `gymnasium.make`.
+        mode, overrides, limits: As for `Benchmark`. The mode determines the order of the numbers in an observation.
 
     Raises:
         InputError: If the rules are invalid, or use a predicate that the mode does not define.
@@ -89,13 +86,10 @@ class RulePolicy:
         return f"<{type(self).__name__} of {self.mode}>"
 
     def __call__(self, observations: ArrayLike) -> NDArray[np.int64]:
-        """Return the actions that the rules choose.
+        """Return the actions that the rules choose, int64 (N,): 0 Slow, 1 Normal, 2 Fast, 3 Stop.
 
         Args:
             observations: Numbers of shape (N, width), of the kind `groundings`.
-
-        Returns:
-            int64 (N,): 0 Slow, 1 Normal, 2 Fast, 3 Stop.
 
         Raises:
             LimitError: If the rules derive too many rows.
@@ -138,12 +132,7 @@ def header(algorithm: str, mode: str) -> str:
 
 
 def saved_by(path: str | os.PathLike[str]) -> dict[str, str]:
-    """Return the `algorithm` and the `mode` in the file of a learner's policy.
-
-    Raises:
-        OSError: If the file cannot be read.
-        ValueError: If the file does not name them.
-    """
+    """Return the `algorithm` and the `mode` in the file of a learner's policy. Raise `ValueError` if it lacks them."""
     first = _logicity.read_file(checked_path("path", path)).partition("\n")[0]
     match = HEADER.fullmatch(first.rstrip("\r"))
     if match is None:
@@ -159,13 +148,7 @@ def rule_policies(
 ) -> list[RulePolicy]:
     """Return the policies of a rule file in several modes, for `logicity evaluate --policy FILE.dl`.
 
-    Args:
-        path: The rule file.
-        modes: The modes. The default is the mode that the file of a learner's policy names.
-
-    Raises:
-        InputError: If the rules are invalid, or use a predicate that a mode does not define.
-        OSError: If a file cannot be read.
-        ValueError: If a mode is unknown, or neither `modes` nor the file names one.
+    The default is the mode that the file of a learner's policy names. The exceptions are those of `RulePolicy` and
+    `saved_by`.
     """
     return [RulePolicy(path, mode) for mode in ([saved_by(path)["mode"]] if modes is None else modes)]

@@ -113,15 +113,13 @@ class Program:
         name = checked_path("path", path)
         return cls(_logicity.read_file(name), name)
 
-    @classmethod
-    def _restore(cls, files: list[tuple[str, str]]) -> Program:
-        program = cls.__new__(cls)
-        program._program = _logicity.Program(files)
-        return program
+    def __getstate__(self) -> list[tuple[str, str]]:
+        """Return the sources."""
+        return self._program.files()
 
-    def __reduce__(self) -> tuple[Any, ...]:
-        """Pickle the sources."""
-        return type(self)._restore, (self._program.files(),)
+    def __setstate__(self, files: list[tuple[str, str]]) -> None:
+        """Check and plan the rules again."""
+        self._program = _logicity.Program(files)
 
     def __repr__(self) -> str:
         """Show the name, and the numbers of predicates and clauses."""

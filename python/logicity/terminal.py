@@ -20,9 +20,7 @@ _ACTIVE = re.compile(
 def neutral(text: str, *, lines: bool = True) -> str:
     r"""Return a text with escapes such as `\u001b` in place of characters on which a terminal acts.
 
-    Args:
-        text: The text.
-        lines: Whether line breaks stay.
+    With `lines`, line breaks stay.
     """
     shown = _ACTIVE.sub(lambda found: f"\\u{ord(found[0]):04x}", text)
     return shown if lines else shown.replace("\n", "\\n")
@@ -41,11 +39,7 @@ def first_line(message: str, default: str = "no message") -> str:
 
 
 def print_text(text: object, *, end: str = "\n", flush: bool = False) -> None:
-    """Print a text to standard output.
-
-    Raises:
-        OSError: If it cannot be written; a `BrokenPipeError` if the reader has closed the pipe.
-    """
+    """Print a text to standard output. Raise `BrokenPipeError` if the reader has closed the pipe."""
     with _writing():
         print(neutral(str(text)), end=end, flush=flush)
 

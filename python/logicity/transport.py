@@ -95,14 +95,9 @@ class _NoRedirect(urllib.request.HTTPRedirectHandler):
 
 
 def post(url: str, body: bytes, headers: dict[str, str], seconds: float, most: int) -> bytes:
-    """Send a POST request, and return the body of the reply.
+    """Send a POST request, and return the body of the reply, of at most `most` bytes.
 
-    Args:
-        url: The URL.
-        body: The body of the request.
-        headers: Its headers.
-        seconds: The time for the whole request: names, connection, TLS, headers and body.
-        most: The largest number of bytes of the reply.
+    The time in seconds is that for the whole request: names, connection, TLS, headers and body.
 
     Raises:
         RejectedError: If the server rejects the request. The message contains text of the server.

@@ -75,12 +75,7 @@ class EnvConfig:
         return array_kind(self.observation)
 
     def task(self, **more: Any) -> _logicity.Task:
-        """Load the task with additional overrides.
-
-        Raises:
-            InputError: If the configuration, the rule file or an override is invalid.
-            OSError: If a file cannot be read.
-        """
+        """Load the task with additional overrides. Raise `InputError` if any of its sources is invalid."""
         return _logicity.Task(self.config, self.rules, self._as_json(more), self.limits)
 
     def _as_json(self, more: Mapping[str, Any]) -> str | None:

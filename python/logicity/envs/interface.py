@@ -39,12 +39,7 @@ class BaseEnv:
     _spec: EnvSpec | None
 
     def _load(self, config: EnvConfig, render_mode: str | None, episodes: str = "drawn") -> None:
-        """Load the task, and make the window of the render mode.
-
-        Raises:
-            ImportError: If the mode is `human`, and pygame is not installed.
-            gymnasium.error.UnsupportedMode: If the mode is unknown.
-        """
+        """Load the task, and make the window of the render mode."""
         if render_mode is not None and render_mode not in RENDER_MODES:
             raise UnsupportedMode(f"unknown render mode `{render_mode}`; known: {', '.join(RENDER_MODES)}")
         self.render_mode, self._window = render_mode, Window(RENDER_FPS) if render_mode == "human" else None
@@ -89,6 +84,10 @@ class BaseEnv:
             return pictures
         self._window.show(pictures)
         return [None for _ in pictures]
+
+    def _check_masks(self) -> None:
+        if not self._config.action_masks:
+            raise gymnasium.error.Error("the environment has no action masks: make it with `action_masks=True`")
 
     def _check_begun(self) -> None:
         if not self._begun:
@@ -137,9 +136,6 @@ def _check_limit_of_make(frame: FrameType, horizon: int) -> None:
 
     `gymnasium.make` passes it to no environment: after this check, it adds a `TimeLimit`, which would cut off episodes
     without the rewards of their ends.
-
-    Raises:
-        ValueError: If the limit is not the horizon.
     """
     if (frame.f_globals.get("__name__"), frame.f_code.co_name) != ("gymnasium.envs.registration", "make"):
         return
@@ -184,12 +180,6 @@ def masks_of(core: _logicity.VectorEnv, count: int, ended: bool = False) -> NDAr
     masks = np.zeros((count, len(ACTIONS)), np.int8)
     core.action_masks(masks, ended)
     return masks
-
-
-def check_masks(config: EnvConfig) -> None:
-    """Raise `gymnasium.error.Error` if the environments do not compute the allowed actions."""
-    if not config.action_masks:
-        raise gymnasium.error.Error("the environment has no action masks: make it with `action_masks=True`")
 
 
 def check_options(options: Mapping[str, Any], known: tuple[str, ...]) -> None:

@@ -43,13 +43,10 @@ def register_environments() -> None:
 def parallel_env(config: str | os.PathLike[str] = "expert", **arguments: Any) -> SPFParallelEnv:
     """Make a PettingZoo `ParallelEnv` in which every car is a controlled agent.
 
-    Args:
-        config: A run configuration: a built-in name such as `expert`, or a path.
-        arguments: The other parameters of `logicity.envs.SPFParallelEnv`.
+    The arguments and exceptions are those of `logicity.envs.SPFParallelEnv`.
 
     Raises:
-        ImportError: If PettingZoo is not installed. The extra `pettingzoo` installs it: `pip install
-            './python[pettingzoo]'`.
+        ImportError: If PettingZoo is not installed. `pip install './python[pettingzoo]'` installs it.
     """
     from .parallel import SPFParallelEnv
 

@@ -184,7 +184,7 @@ class SPFEnv(BaseEnv, gymnasium.Env[Any, np.int64]):
             gymnasium.error.Error: If the environment was made without `action_masks=True`.
             gymnasium.error.ResetNeeded: If no episode has started.
         """
-        interface.check_masks(self._config)
+        self._check_masks()
         self._check_begun()
         return cast("NDArray[np.bool_]", interface.masks_of(self._core, 1)[0].astype(np.bool_))
 

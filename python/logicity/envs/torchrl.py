@@ -74,7 +74,7 @@ class SPFTorchRLEnv(EnvBase):
         self._seeds: list[int | None] = [None] * num_envs
         self._ended = np.ones(num_envs, np.bool_)
         #: The sources of episodes before steps that a mask skips, by environment.
-        self._sources: dict[int, tuple[int, int]] = {}
+        self._sources: dict[int, list[int]] = {}
         self._state: dict[str, NDArray[Any]] = {}
         entries = {name: _spec(space, num_envs) for name, space in self._spaces().items()}
         self.observation_spec = Composite(entries, shape=self.batch_size, device=self.device)
@@ -120,10 +120,9 @@ class SPFTorchRLEnv(EnvBase):
             raise TypeError(f"reset() got an unexpected keyword argument '{next(iter(options))}'; known: options")
         mask = self._mask(tensordict, "_reset")
         for at in np.flatnonzero(mask).tolist():
-            source = self._sources.pop(at, None)
-            if source is not None:
-                # The episodes that skipped steps have started do not count.
-                self.envs._core.seed(at, *source)
+            # The episodes that skipped steps have started do not count.
+            if at in self._sources:
+                self.envs._core.seed(at, *self._sources.pop(at))
         seeds = [seed if chosen else None for seed, chosen in zip(self._seeds, mask, strict=True)]
         if mask.any():
             observations, infos = self.envs.reset(seed=seeds, options={**given, "reset_mask": mask})
@@ -140,9 +139,7 @@ class SPFTorchRLEnv(EnvBase):
         if not (mask | self._ended).all():
             raise ValueError("`_step` can skip only environments whose episode has ended")
         for at in np.flatnonzero(~mask).tolist():
-            if at not in self._sources:
-                seed, begun = self.envs._core.source(at)
-                self._sources[at] = (seed, begun)
+            self._sources.setdefault(at, self.envs._core.source(at))
         observations, rewards, terminated, truncated, infos = self.envs.step(np.where(mask, actions, 0))
         self._update(observations, infos, mask, rewards, {"terminated": terminated, "truncated": truncated})
         return self._tensors(reward=True)

@@ -246,7 +246,7 @@ class SPFVectorEnv(BaseEnv, VectorEnv[Any, NDArray[np.int64], NDArray[Any]]):
         Raises:
             gymnasium.error.Error: If the environments were made without `action_masks=True`.
         """
-        interface.check_masks(self._config)
+        self._check_masks()
         return interface.masks_of(self._core, self.num_envs).astype(np.bool_)
 
     @property
@@ -336,11 +336,7 @@ class SPFVectorEnv(BaseEnv, VectorEnv[Any, NDArray[np.int64], NDArray[Any]]):
 
 
 def _autoreset_mode(mode: AutoresetMode | str) -> AutoresetMode:
-    """Return the autoreset mode of a name or value, in any case and with or without underscores.
-
-    Raises:
-        ValueError: If the mode is unknown.
-    """
+    """Return the autoreset mode of a name or value, in any case and with or without underscores."""
 
     def plain(text: str) -> str:
         return text.rpartition(".")[2].replace("_", "").casefold()

@@ -100,11 +100,8 @@ class Views:
         """Return the views of the last observations of episodes, computed in one batch.
 
         Args:
-            final: An array of objects of shape (num_envs,), which has an observation where an episode ended.
+            final: An array of objects of shape (num_envs,), as is the result. Where no episode ended, it has `None`.
             ended: Where an episode ended, at least once; bool of shape (num_envs,).
-
-        Returns:
-            An array of objects of shape (num_envs,), which has a view where an episode ended, and `None` elsewhere.
         """
         views = np.empty(len(final), object)
         batch = self(np.stack(list(final[ended])))
