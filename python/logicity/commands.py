@@ -13,20 +13,18 @@ from collections.abc import Callable, Sequence
 from difflib import get_close_matches
 from functools import partial, reduce
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, NoReturn, cast
+from typing import Any, NoReturn, cast
 
 import numpy as np
 
 from . import _logicity
 from .errors import InputError, UntrustedError
+from .evaluation import Benchmark, Evaluation, Interval, Policy, Progress, Shape, model_shape, table
 from .files import check_writable, write_json
 from .modes import ENVIRONMENTS, checked_mode
 from .signals import ending_on_signals
 from .terminal import flush, neutral, print_message, print_text
-
-if TYPE_CHECKING:
-    from .evaluation import Benchmark, Evaluation, Policy, Shape
-    from .types import ObservationKind
+from .types import ObservationKind
 
 __all__ = ["SUMMARIES", "parser_of", "run"]
 
@@ -220,14 +218,8 @@ def _add_experiment(parser: argparse.ArgumentParser) -> _Command:
         "experiment, for example models.NAME.url=http://localhost:8000/v1",
     )
     add("--jobs", type=_positive, metavar="N", help="processes; default: the number of processors")
-    add(
-        "--ray",
-        nargs="?",
-        const="local",
-        metavar="ADDRESS",
-        help="run the cells on the Ray cluster at ADDRESS, or on a new one on this machine with as many workers as "
-        "`--jobs`",
-    )
+    where = "at ADDRESS, or on a new one on this machine with as many workers as `--jobs`"
+    add("--ray", nargs="?", const="local", metavar="ADDRESS", help=f"run the cells on the Ray cluster {where}")
     _add_wandb(parser)
     _add_trust(parser, "a policy that a training configuration names under `start`")
     add("--run", type=Path, metavar="FOLDER", help="folder of the results; default: runs/EXPERIMENT")
@@ -317,13 +309,8 @@ def _add_features(parser: argparse.ArgumentParser) -> _Command:
     )
     add("--device", default="cpu", help="device of PyTorch, for example cuda; default: cpu")
     add("--threads", type=_threads, default=1, metavar="N", help="number of threads; 0 means one per core; default: 1")
-    add(
-        "--ray",
-        nargs="?",
-        const="local",
-        metavar="ADDRESS",
-        help="compute the worlds on the Ray cluster at ADDRESS, whose machines share FOLDER, or on this machine",
-    )
+    where = "at ADDRESS, whose machines share FOLDER, or on this machine"
+    add("--ray", nargs="?", const="local", metavar="ADDRESS", help=f"compute the worlds on the Ray cluster {where}")
     return _features
 
 
@@ -414,8 +401,6 @@ def _rule_file(text: str) -> Path | None:
 
 def _check_kind(given: ObservationKind | None, trained: ObservationKind | None, policy: Policy) -> ObservationKind:
     """Check the value of `--observation`, and return the kind that the policy takes or its file records."""
-    from .evaluation import model_shape
-
     if isinstance(policy, str):
         return given or "groundings"
     expected, shape = trained, model_shape(policy)
@@ -434,8 +419,6 @@ def _check_kind(given: ObservationKind | None, trained: ObservationKind | None, 
 
 def _check_prediction(policy: Policy, name: str, trained: str | None, benchmark: Benchmark) -> None:
     """Check with one observation that a policy without an observation space takes those of a mode."""
-    from .evaluation import model_shape
-
     predict, shape = getattr(policy, "predict", None), benchmark.observation_shape
     if predict is None or isinstance(shape, dict) or model_shape(policy) is not None:
         return
@@ -450,8 +433,6 @@ def _check_prediction(policy: Policy, name: str, trained: str | None, benchmark:
 
 def _check_fit(policy: Policy, trained: str | None, benchmarks: Sequence[Benchmark]) -> None:
     """Check that a model takes the observations of all modes."""
-    from .evaluation import model_shape
-
     shape = model_shape(policy)
     other = next((each for each in benchmarks if shape not in (None, each.observation_shape)), None)
     if shape is None or other is None:
@@ -476,21 +457,16 @@ def _check_folder(option: str, path: Path) -> None:
         raise _UsageError(f"{option}: `{existing}` is a file, not a folder\nhelp: name a folder; it need not exist")
 
 
-def _whole(text: str, least: int) -> int:
-    if not text.isdecimal() or int(text) < least:
-        raise argparse.ArgumentTypeError(f"expected an integer from {least}, found `{text}`")
+def _whole(text: str, least: int, most: int | None = None) -> int:
+    if not text.isdecimal() or int(text) < least or (most is not None and int(text) > most):
+        to = "" if most is None else f" to {most}"
+        raise argparse.ArgumentTypeError(f"expected an integer from {least}{to}, found `{text}`")
     return int(text)
 
 
 _positive = partial(_whole, least=1)
 _threads = partial(_whole, least=0)
-
-
-def _seed(text: str) -> int:
-    seed = _whole(text, 0)
-    if seed >= 2**32:
-        raise argparse.ArgumentTypeError(f"expected an integer from 0 to {2**32 - 1}, found `{text}`")
-    return seed
+_seed = partial(_whole, least=0, most=2**32 - 1)
 
 
 def _seeds(text: str) -> tuple[int, ...]:
@@ -538,7 +514,6 @@ def _object(text: str) -> dict[str, object]:
 
 
 def _evaluate(given: argparse.Namespace) -> int:
-    from .evaluation import Benchmark, table
     from .rule_policy import rule_policies
 
     _check_json(given, "evaluate")
@@ -586,7 +561,6 @@ def _evaluate(given: argparse.Namespace) -> int:
 
 
 def _train(given: argparse.Namespace) -> int:
-    from .evaluation import Interval
     from .learn import TrainConfig, train
     from .learn.config import located
     from .learn.run import FolderError
@@ -673,7 +647,6 @@ def _results_folder(given: argparse.Namespace, file: Path) -> Path:
 
 
 def _ask(given: argparse.Namespace) -> int:
-    from .evaluation import Progress
     from .questions import Endpoint, ask, grade, key_from, load_logprobs, load_questions
 
     try:

@@ -13,7 +13,7 @@ from collections.abc import Callable, Iterator, Mapping
 from contextlib import contextmanager
 from dataclasses import asdict, dataclass
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, Literal, Protocol, TypeAlias, cast
+from typing import Any, Literal, Protocol, TypeAlias, cast
 
 import numpy as np
 from numpy.typing import NDArray
@@ -21,17 +21,12 @@ from numpy.typing import NDArray
 from . import _logicity
 from .city import ACTIONS
 from .envs.config import EnvConfig, array_kind, checked_kind
-from .envs.views import Actions, Observations
+from .envs.views import Actions, Observations, View, views_of
 from .errors import InputError, checked_path
 from .files import check_writable
 from .modes import checked_mode
 from .terminal import aligned, neutral
 from .types import Diagnostic, Limits, ObservationKind
-
-if TYPE_CHECKING:
-    from types import TracebackType
-
-    from .envs.views import View
 
 __all__ = ["Benchmark", "EpisodeRecord", "Evaluation", "Interval", "Policy", "evaluate"]
 
@@ -174,9 +169,7 @@ class Progress:
         if self._enabled:
             print(f"\r{self._label}: {done} of {self._total}", end="", file=sys.stderr, flush=True)
 
-    def __exit__(
-        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
-    ) -> None:
+    def __exit__(self, *error: object) -> None:
         """Clear the line."""
         if self._enabled:
             print("\r\x1b[K", end="", file=sys.stderr, flush=True)
@@ -230,9 +223,6 @@ class Benchmark:
         limits: Limits | None = None,
     ) -> None:
         """Load the task and its episodes."""
-        # That module needs `load_task`.
-        from .envs.views import views_of
-
         self.mode, self.split = checked_mode(mode), split
         self._kind = array_kind(checked_kind(observation))
         self._config = EnvConfig(self.mode, rules=rules, overrides=overrides, limits=limits)
@@ -393,12 +383,8 @@ class Benchmark:
             mode=self.mode,
             split=self.split,
             episodes_hash=self.episodes_hash,
-            compliance=interval(summary["compliance"]),
-            tsr=interval(summary["tsr"]),
-            dsr=interval(summary["dsr"]),
             dsr_by_action={rate["action"]: interval(rate) for rate in summary["dsr_by_action"]},
-            score=interval(summary["score"]),
-            mean_return=interval(summary["mean_return"]),
+            **{name: interval(summary[name]) for name in (*MEASURES, "mean_return")},
             mean_steps=summary["mean_steps"],
             episodes=tuple(
                 EpisodeRecord(**{**record, "violations": tuple(record["violations"])}) for record in report["episodes"]

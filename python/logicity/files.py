@@ -8,7 +8,7 @@ import os
 import stat
 import zipfile
 from collections.abc import Iterator
-from contextlib import contextmanager, nullcontext
+from contextlib import contextmanager, nullcontext, suppress
 from pathlib import Path
 from pickle import UnpicklingError
 from typing import Any
@@ -27,13 +27,11 @@ def check_readable(path: str | os.PathLike[str], *, whole: bool = True, named: b
     larger than 1 GiB. If the caller names the file itself, not its folder, it may be a pipe.
     """
     name = checked_path("path", path)
-    try:
+    # Opening a file that does not exist raises the exception that names it.
+    with suppress(FileNotFoundError):
         if not named and stat.S_ISFIFO(os.stat(name).st_mode):
             raise OSError(f"cannot read `{name}`: it is a pipe, not a regular file")
         _logicity.check_readable(name, whole)
-    except FileNotFoundError:
-        # Opening it raises the exception that names the file.
-        pass
 
 
 def read_json(path: str | os.PathLike[str]) -> Any:

@@ -9,7 +9,7 @@ from __future__ import annotations
 
 import os
 from collections.abc import Callable, Iterable, Mapping, Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, fields
 from itertools import zip_longest
 from numbers import Real
 from pathlib import Path
@@ -84,6 +84,11 @@ class InducedClause:
         return f"{self.action}(X) :- {', '.join(self.body)}."
 
 
+def _with_tuples(value: Any) -> Any:
+    """Return a value of JSON with tuples in place of lists."""
+    return tuple(map(_with_tuples, value)) if isinstance(value, list) else value
+
+
 class InducedRules:
     """Learned rules. Calling them with a batch of observations returns actions, so they are a policy.
 
@@ -99,15 +104,7 @@ class InducedRules:
         self.text = rules.text
         self.report: Mapping[str, Any] = rules.report()
         self.clauses = tuple(
-            InducedClause(
-                clause["action"],
-                tuple(clause["body"]),
-                clause["examples"],
-                clause["alone"],
-                tuple(clause["undecided"]),
-                tuple((own, other) for own, other in clause["alternatives"]),
-                tuple(clause["notes"]),
-            )
+            InducedClause(**{each.name: _with_tuples(clause[each.name]) for each in fields(InducedClause)})
             for clause in self.report["clauses"]
         )
 

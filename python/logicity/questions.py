@@ -77,6 +77,8 @@ class Demonstration:
 class Question:
     """A question from the output of `logicity questions`.
 
+    `text`, `answer` and `clauses` are as for `Demonstration`, and so is `scene`, which is `None` if the file has none.
+
     Attributes:
         id: The unique name of the question.
         system: The system message: the instructions.
@@ -84,7 +86,6 @@ class Question:
         options: The actions by letter.
         labels: The labels of all rules of actions, if the question requests a rule; otherwise empty.
         source: The configuration, the rules and the decision behind the question.
-        text, answer, clauses, scene: As for `Demonstration`. `scene` is `None` if the file has none.
     """
 
     id: str

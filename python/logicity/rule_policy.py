@@ -38,7 +38,8 @@ class RulePolicy:
 
     Args:
         path: The rule file.
-        mode, overrides, limits: As for `Benchmark`. The mode determines the order of the numbers in an observation.
+        mode: As for `Benchmark`. It determines the order of the numbers in an observation.
+        overrides, limits: As for `Benchmark`.
 
     Raises:
         InputError: If the rules are invalid, or use a predicate that the mode does not define.

@@ -63,11 +63,8 @@ class Column:
 class Relation:
     """A declared predicate.
 
-    Attributes:
-        input, output: Whether it is declared `.input` or `.output`.
-        derived: Whether it is the head of a clause with a body.
-        doc: The doc comment.
-        file, line: The place of the declaration. Lines start at 1.
+    `input` and `output` say whether it is declared `.input` and `.output`, and `derived` whether it is the head of a
+    clause with a body. `doc` is the doc comment. Lines start at 1.
     """
 
     name: str

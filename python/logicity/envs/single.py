@@ -235,9 +235,8 @@ class SPFEnv(BaseEnv, gymnasium.Env[Any, np.int64]):
         taken = self._core.taken(0)
         if not taken:
             raise ValueError("the episode has no steps yet: call `step` before `write_trace`")
-        task = self._config.task(**self._overrides) if self._overrides else self._core_task
-        name = checked_path("path", path)
-        task.write_trace(self._config.split, self._core.episode(0), taken, (name, "write_trace", overwrite))
+        target = (checked_path("path", path), "write_trace", overwrite)
+        self._core_task.write_trace(self._config.split, self._core.episode(0), taken, target)
 
     def render(self) -> Any:
         """Return a picture of the city, a uint8 array of shape (height, width, 3), or text in the mode `ansi`.

@@ -1,14 +1,9 @@
 """Relational and graph views of `groundings` observations.
 
 An observation of the kind `groundings` is a vector of truth values of ground atoms, whose positions `Layout` knows.
-`Views` maps batches of observations to two other views, without a loop over observations:
-
-- *relational*: for N entities, the unary truth values (N, U), the binary truth values (N, N, B) and the mask of the
-  entities that are present (N,);
-- *graph*: the complete graph over the N entities, with a loop at each. Node features are the unary truth values, and
-  edge features the binary ones.
-
-`logicity.envs.SPFEnv` makes environments with such observations, and `logicity.envs.wrappers` has wrappers.
+`Views` maps batches of observations to two other views, without a loop over observations.
+`logicity.envs.wrappers.RelationalObservation` and `GraphObservation` describe the arrays of the views, and wrap
+environments. `logicity.envs.SPFEnv` makes environments with such observations.
 """
 
 from __future__ import annotations
@@ -39,14 +34,7 @@ View: TypeAlias = dict[str, NDArray[Any]]
 
 
 class Views:
-    """Maps observations of one layout to views.
-
-    `logicity.envs.wrappers.RelationalObservation` and `GraphObservation` describe the arrays of the views.
-
-    Args:
-        layout: The layout.
-        kind: The kind of view.
-    """
+    """Maps observations of one layout to views of one kind."""
 
     def __init__(self, layout: Layout, kind: ViewKind) -> None:
         """Precompute what does not depend on the observations."""

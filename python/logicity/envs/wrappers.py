@@ -142,16 +142,15 @@ class _VectorViewObservation(_VectorWrapper):
 
 
 class VectorRelationalObservation(_VectorViewObservation):
-    """Variant of `RelationalObservation` for an `SPFVectorEnv`.
+    """Variant of `RelationalObservation` for an `SPFVectorEnv`, with the same exceptions.
 
-    Each array has a first axis for the environments. In the autoreset mode SameStep, `final_obs` has such dictionaries,
-    too.
+    Each array has a first axis for the environments. In the autoreset mode SameStep, `final_obs` has dictionaries, too.
     """
 
     _kind = "relational"
 
 
 class VectorGraphObservation(_VectorViewObservation):
-    """Variant of `GraphObservation` for an `SPFVectorEnv`, as `VectorRelationalObservation` is one."""
+    """Variant of `GraphObservation` for an `SPFVectorEnv`. Arrays change as in `VectorRelationalObservation`."""
 
     _kind = "graph"
