@@ -9,7 +9,7 @@ from __future__ import annotations
 import os
 import re
 from collections.abc import Iterator, Mapping, Sequence
-from contextlib import ExitStack
+from contextlib import ExitStack, closing
 from copy import copy
 from dataclasses import dataclass
 from pathlib import Path
@@ -335,11 +335,8 @@ def demonstrations(
     spec = copy(env.spec)
     assert spec is not None
     spec.max_episode_steps = None
-    try:
-        with episodes_that_fit():
-            trajectories = tuple(_run_oracle(env, episode) for episode in range(wanted))
-    finally:
-        env.close()
+    with closing(env), episodes_that_fit():
+        trajectories = tuple(_run_oracle(env, episode) for episode in range(wanted))
     description = _logicity.describe(task)
     atoms = tuple(atoms_of(description)) if observation == "groundings" else ()
     asked = {constraint["action"] for constraint in description["constraints"]}
