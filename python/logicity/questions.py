@@ -153,19 +153,11 @@ def load_questions(path: str | os.PathLike[str]) -> list[Question]:
             question = Question(
                 id=line["id"],
                 system=_text(line, "system"),
-                demonstrations=tuple(
-                    Demonstration(
-                        _text(shown, "question"), _text(shown, "answer"), _labels(shown, "clauses"), shown.get("scene")
-                    )
-                    for shown in line["demonstrations"]
-                ),
-                text=_text(line, "question"),
+                demonstrations=tuple(Demonstration(**_solved(shown)) for shown in line["demonstrations"]),
                 options=dict(line["options"]),
-                answer=_text(line, "answer"),
-                clauses=_labels(line, "clauses"),
                 labels=_labels(line, "labels") or (),
-                scene=line.get("scene"),
                 source=line.get("source", {}),
+                **_solved(line),
             )
         except (KeyError, TypeError, ValueError) as error:
             what = f"the key {error} is missing" if isinstance(error, KeyError) else str(error)
@@ -180,6 +172,12 @@ def load_questions(path: str | os.PathLike[str]) -> list[Question]:
     if not questions:
         raise ValueError(f"{os.fspath(path)} has no questions")
     return list(questions.values())
+
+
+def _solved(line: Mapping[str, Any]) -> dict[str, Any]:
+    """Return what a question and an example have in common."""
+    text, answer = _text(line, "question"), _text(line, "answer")
+    return {"text": text, "answer": answer, "clauses": _labels(line, "clauses"), "scene": line.get("scene")}
 
 
 def _text(line: Mapping[str, Any], key: str) -> str:
