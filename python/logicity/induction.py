@@ -119,7 +119,7 @@ class InducedRules:
         return f"<InducedRules: {shown}>"
 
     def __call__(self, observations: ArrayLike) -> NDArray[np.int64]:
-        """Variant of `RulePolicy.__call__`: return actions. An entity without facts counts as absent."""
+        """Return the actions that the rules choose, as `RulePolicy` does. An entity without facts counts as absent."""
         array = np.ascontiguousarray(observations, np.float32)
         if array.ndim != 2:
             raise ValueError(
