@@ -35,7 +35,7 @@ CLASSES = tuple(name for name in UNARY if name not in PLACES)
 #: The number of pixels per cell of the map.
 CELL = 8
 
-#: The wavelengths of the Fourier features of positions in the picture and of relative positions, in cells.
+#: The wavelengths of the Fourier features of positions in the picture and of relative ones, in cells.
 POSITION_WAVES = (128.0, 64.0, 32.0, 16.0, 8.0, 4.0, 2.0)
 RELATIVE_WAVES = (64.0, 32.0, 16.0, 8.0, 4.0, 2.0)
 
@@ -85,14 +85,14 @@ class ConceptModel(nn.Module):
             self.appearance = feature_network(settings.features, classes)
         else:
             self.appearance = perceptron(6, (64, 64), classes)
-        node = 9 if settings.priority else 8
         if plain:
             # HigherPri needs priorities, so they are not left out.
             self.pairs = perceptron(18, (128, 128), len(RELATIONS))
         else:
-            self.places = perceptron(4 * len(POSITION_WAVES) + node - 4 + 2, (128, 128), len(PLACES))
-            width = 10 * len(RELATIVE_WAVES) + 9 + 2 * (node - 4) + 4
-            self.pairs = perceptron(width, (128, 64), len(RELATIONS) - 1)
+            # The heading, perhaps the priority, and two types.
+            node = 4 + settings.priority + 2
+            self.places = perceptron(4 * len(POSITION_WAVES) + node, (128, 128), len(PLACES))
+            self.pairs = perceptron(10 * len(RELATIVE_WAVES) + 9 + 2 * node, (128, 64), len(RELATIONS) - 1)
             self.higher = perceptron(1, (8,), 1)
 
     def forward(self, batch: Mapping[str, Tensor]) -> tuple[Tensor, Tensor]:
@@ -111,77 +111,29 @@ class ConceptModel(nn.Module):
         if self.settings.spatial == "plain":
             return logits, self.pairs(_concatenated(nodes))
         types = torch.sigmoid(logits[..., :2])
-        extra = nodes[..., 4:] if self.settings.priority else nodes[..., 4:8]
-        return self.spatial(nodes, extra, types, logits)
-
-    def spatial(self, nodes: Tensor, extra: Tensor, types: Tensor, logits: Tensor) -> tuple[Tensor, Tensor]:
-        """Return all logits of `spatial: geometric`: those of the classes, with those of the geometric parts.
-
-        Args:
-            nodes: (B, N, 9), the node vectors.
-            extra: (B, N, 4 or 5), the headings, with the priority if all parts see it.
-            types: (B, N, 2), the probabilities of `IsPedestrian` and `IsCar`.
-            logits: (B, N, 9), the logits of `CLASSES`.
-
-        Returns:
-            As for `forward`.
-        """
+        own = torch.cat([nodes[..., 4:] if self.settings.priority else nodes[..., 4:8], types], -1)
         centers = (nodes[..., :2] + nodes[..., 2:4] / 2) * (PICTURE_SIDE / CELL)
-        places = self.places(torch.cat([waves(centers, POSITION_WAVES), extra, types], -1))
-        unary = torch.cat([logits, places], -1)
-        pairs = self.pairs(self._pair_features(centers, nodes[..., 4:8], extra, types))
+        places = self.places(torch.cat([waves(centers, POSITION_WAVES), own], -1))
+        pairs = self.pairs(_pair_features(centers, nodes[..., 4:8], own))
         priority = nodes[..., 8]
         # A sharp step: the smallest difference of two normalized priorities is about 1 / 14.
         higher = self.higher((priority[:, None, :] - priority[:, :, None])[..., None] * 10)
         at = RELATIONS.index("HigherPri")
-        return unary, torch.cat([pairs[..., :at], higher, pairs[..., at:]], -1)
+        return torch.cat([logits, places], -1), torch.cat([pairs[..., :at], higher, pairs[..., at:]], -1)
 
     def _appearance(self, batch: Mapping[str, Tensor]) -> Tensor:
         """Return the logits of the classes, (E, classes)."""
-        if self.settings.perception == "crops":
-            logits: Tensor = self.appearance(batch["crops"])
-        elif self.settings.perception == "features":
-            logits = self.appearance(batch["features"])
-        else:
-            # Sides of 48 pixels are 1. The heading says which side is the length.
-            nodes = batch["h"][batch["valid"]]
-            logits = self.appearance(torch.cat([nodes[:, 2:4] * (PICTURE_SIDE / 48), nodes[:, 4:8]], -1))
-        return logits
-
-    @staticmethod
-    def _pair_features(centers: Tensor, headings: Tensor, extra: Tensor, types: Tensor) -> Tensor:
-        """Return the features of each pair: the relative position in both frames, the distance, headings and types."""
-        count = centers.shape[1]
-        relative = centers[:, None, :, :] - centers[:, :, None, :]
-        directions = headings @ headings.new_tensor(DIRECTIONS)
-        # Forward and sideways parts of the other's position in the frame of the first and of the second entity. Both
-        # are 0 for an entity that has not moved yet.
-        own, other = _in_frame(relative, directions[:, :, None]), _in_frame(-relative, directions[:, None, :])
-        distance = relative.norm(dim=-1, keepdim=True)
-        angles = torch.cat([torch.atan2(each[..., 1:], each[..., :1]) for each in (own, other)], -1)
-        parts = torch.cat([own, other, distance], -1)
-        # The rows of an entity describe it as the first, the columns as the second of a pair.
-        nodes = torch.cat([extra, types], -1)
-        shape = (len(centers), count, count, nodes.shape[-1])
-        return torch.cat(
-            [
-                waves(parts, RELATIVE_WAVES),
-                torch.tanh(parts / 25),
-                angles,
-                torch.tanh(10 * angles),
-                nodes[:, :, None].expand(shape),
-                nodes[:, None].expand(shape),
-            ],
-            -1,
-        )
+        if self.settings.perception != "sides":
+            return self.appearance(batch[self.settings.perception])
+        # Sides of 48 pixels are 1. The heading says which side is the length.
+        nodes = batch["h"][batch["valid"]]
+        return self.appearance(torch.cat([nodes[:, 2:4] * (PICTURE_SIDE / 48), nodes[:, 4:8]], -1))
 
 
 class CropNetwork(nn.Module):
     """Six convolutions on crops of boxes. On processors with bfloat16, training is several times faster with it.
 
-    Args:
-        width: The number of channels of the first convolutions. The last ones have four times as many.
-        outputs: The number of logits.
+    The last convolutions have four times as many channels as the first ones, whose number is `width`.
     """
 
     def __init__(self, width: int, outputs: int) -> None:
@@ -201,8 +153,7 @@ class CropNetwork(nn.Module):
         with torch.autocast(images.device.type, torch.bfloat16):
             maps = self.layers(images)
         maps = maps.float()
-        result: Tensor = self.readout(torch.cat([maps.mean((2, 3)), maps.amax((2, 3))], -1))
-        return result
+        return self.readout(torch.cat([maps.mean((2, 3)), maps.amax((2, 3))], -1))
 
 
 def feature_network(inputs: int, outputs: int) -> nn.Sequential:
@@ -227,6 +178,25 @@ def waves(values: Tensor, wavelengths: Sequence[float]) -> Tensor:
     return torch.cat([phases.sin(), phases.cos()], -1).flatten(-2)
 
 
+def _pair_features(centers: Tensor, headings: Tensor, own: Tensor) -> Tensor:
+    """Return the features of each pair: the relative position in both frames, the distance, headings and types.
+
+    Args:
+        centers: (B, N, 2), in cells.
+        headings: (B, N, 4).
+        own: (B, N, C), the features of entities.
+    """
+    relative = centers[:, None, :, :] - centers[:, :, None, :]
+    directions = headings @ headings.new_tensor(DIRECTIONS)
+    # Forward and sideways parts of the other's position in the frame of the first and of the second entity. Both are 0
+    # for an entity that has not moved yet.
+    frames = _in_frame(relative, directions[:, :, None]), _in_frame(-relative, directions[:, None, :])
+    angles = torch.cat([torch.atan2(each[..., 1:], each[..., :1]) for each in frames], -1)
+    parts = torch.cat([*frames, relative.norm(dim=-1, keepdim=True)], -1)
+    scaled = [waves(parts, RELATIVE_WAVES), torch.tanh(parts / 25), angles, torch.tanh(10 * angles)]
+    return torch.cat([*scaled, _concatenated(own)], -1)
+
+
 def _in_frame(relative: Tensor, directions: Tensor) -> Tensor:
     """Return the parts of positions along directions and at right angles to them, to the right."""
     forward = (relative * directions).sum(-1)
@@ -235,6 +205,21 @@ def _in_frame(relative: Tensor, directions: Tensor) -> Tensor:
 
 
 def _concatenated(nodes: Tensor) -> Tensor:
+    """Return the vectors, (B, N, C), of both entities of each pair, (B, N, N, 2 C)."""
     count = nodes.shape[1]
     shape = (len(nodes), count, count, nodes.shape[-1])
     return torch.cat([nodes[:, :, None].expand(shape), nodes[:, None].expand(shape)], -1)
+
+
+def pairs_of(valid: Tensor) -> Tensor:
+    """Return which pairs of entities are present, bool (B, N, N), from the entities that are, bool (B, N)."""
+    return valid[:, :, None] & valid[:, None, :]
+
+
+def in_view(binary: Tensor, valid: Tensor) -> tuple[Tensor, Tensor]:
+    """Return the degrees to which present entities see each other, (B, N, N), and the diagonal, bool (N, N).
+
+    An entity sees itself. The arguments are those of `SoftRules.degrees`.
+    """
+    eye = torch.eye(valid.shape[1], dtype=torch.bool, device=valid.device)
+    return binary[..., RELATIONS.index("Sees")].masked_fill(eye, 1.0) * pairs_of(valid), eye

@@ -6,7 +6,7 @@ import os
 from bisect import bisect_right
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
-from functools import lru_cache
+from functools import lru_cache, partial
 from itertools import accumulate, pairwise
 from operator import index as as_index
 from pathlib import Path
@@ -149,12 +149,13 @@ class VapDataset(Sequence[VapSample]):
         self.split = cast(Split, settings["split"])
         self._cached_worlds = checked_integer("cached_worlds", cached_worlds, 0, 2**63 - 1)
         self._worlds = list(counts)
-        self._ends = list(accumulate(counts.values()))
+        #: The position of the first sample of each world, and the number of samples.
+        self._begins = list(accumulate(counts.values(), initial=0))
         self._tables = lru_cache(maxsize=self._cached_worlds)(self._read_tables)
 
     def __reduce__(self) -> tuple[Any, ...]:
         """Pickle the folder."""
-        return _restore, (self.folder, self.images, self._cached_worlds)
+        return partial(VapDataset, cached_worlds=self._cached_worlds), (self.folder, self.images)
 
     def __repr__(self) -> str:
         """Show the mode, the agents, the split and the number of samples."""
@@ -162,7 +163,7 @@ class VapDataset(Sequence[VapSample]):
 
     def __len__(self) -> int:
         """Return the number of samples."""
-        return self._ends[-1] if self._ends else 0
+        return self._begins[-1]
 
     def __getitem__(self, index: SupportsIndex) -> VapSample:  # type: ignore[override]
         """Read a sample. Its arrays are copies."""
@@ -201,8 +202,7 @@ class VapDataset(Sequence[VapSample]):
 
     def worlds(self) -> dict[int, range]:
         """Return the positions of the samples of each world, by the number of the world."""
-        begins = [0, *self._ends]
-        return {world: range(*ends) for world, ends in zip(self._worlds, pairwise(begins), strict=True)}
+        return {world: range(*ends) for world, ends in zip(self._worlds, pairwise(self._begins), strict=True)}
 
     def picture_path(self, index: SupportsIndex) -> Path:
         """Return the path of a sample's picture, a PNG file."""
@@ -252,14 +252,13 @@ class VapDataset(Sequence[VapSample]):
         """Return the tables of a sample's world, the number of the world, and the index of the sample in it."""
         # Negative indices count from the end. `range` raises `IndexError` for indices out of range.
         position = range(len(self))[as_index(index)]
-        which = bisect_right(self._ends, position)
-        world, begin = self._worlds[which], self._ends[which - 1] if which else 0
-        return self._tables(which), world, position - begin
+        which = bisect_right(self._begins, position) - 1
+        return self._tables(which), self._worlds[which], position - self._begins[which]
 
     def _read_tables(self, which: int) -> _Tables:
         folder = self._world_folder(self._worlds[which])
         tables = _Tables(*_logicity.read_world(folder, self._worlds[which], list(UNARY), list(BINARY)))
-        listed = self._ends[which] - (self._ends[which - 1] if which else 0)
+        listed = self._begins[which + 1] - self._begins[which]
         if len(tables.ticks) != listed:
             raise ValueError(f"`{folder}` has {len(tables.ticks)} frames, the manifest lists {listed}")
         return tables
@@ -271,16 +270,13 @@ class VapDataset(Sequence[VapSample]):
 def symbolic_facts(
     names: Sequence[str], unary: NDArray[np.bool_], binary: NDArray[np.bool_], sees: NDArray[np.bool_]
 ) -> dict[str, list[Any]]:
-    """Return the facts of n entities in the format of `SymbolicScene`.
+    """Return the facts of n entities in the format of `SymbolicScene`, in the order of the entities.
 
     Args:
         names: The names of the entities.
         unary: (n, 11), the truth values of `UNARY`.
         binary: (n, n, 6), those of `BINARY`.
         sees: (n, n), those of `Sees`.
-
-    Returns:
-        For each predicate, the names or the pairs of names for which it holds, in the order of the entities.
     """
     facts: dict[str, list[Any]] = {
         predicate: [names[entity] for entity in np.flatnonzero(holds).tolist()]
@@ -290,10 +286,6 @@ def symbolic_facts(
     for predicate, holds in zip((*BINARY, "Sees"), matrices, strict=True):
         facts[predicate] = [[names[first], names[second]] for first, second in np.argwhere(holds).tolist()]
     return facts
-
-
-def _restore(folder: Path, images: bool, cached_worlds: int) -> VapDataset:
-    return VapDataset(folder, images, cached_worlds=cached_worlds)
 
 
 def _read_manifest(folder: Path) -> tuple[dict[str, Any], dict[int, int]]:
@@ -320,12 +312,7 @@ def _read_manifest(folder: Path) -> tuple[dict[str, Any], dict[int, int]]:
 
 
 def count_in(world: Mapping[str, Any], key: str) -> int:
-    """Return a number of a world in a manifest.
-
-    Raises:
-        KeyError: If it is missing.
-        ValueError: If it is not an integer from 0 to 2**31 - 1.
-    """
+    """Return a number of a world in a manifest. Raises `ValueError` if it is not an integer from 0 to 2**31 - 1."""
     number = world[key]
     if type(number) is not int or not 0 <= number < 2**31:
         raise ValueError(f"`{key}` is not an integer from 0 to 2**31 - 1")

@@ -73,7 +73,8 @@ def _add_sample(tar: tarfile.TarFile, samples: VapDataset, index: int) -> None:
         **{"mode": samples.mode, "split": samples.split, "unary": UNARY, "binary": BINARY},
     }
     arrays = io.BytesIO()
-    np.savez_compressed(arrays, **_arrays(sample))
+    values = ((field.name, getattr(sample, field.name)) for field in fields(sample))
+    np.savez_compressed(arrays, **{name: value for name, value in values if isinstance(value, np.ndarray)})
     contents = {"json": json.dumps(record).encode(), "npz": arrays.getvalue()}
     if samples.images:
         picture = samples.picture_path(index)
@@ -84,11 +85,6 @@ def _add_sample(tar: tarfile.TarFile, samples: VapDataset, index: int) -> None:
         entry = tarfile.TarInfo(f"world-{sample.world:05}-frame-{sample.tick:03}.{ending}")
         entry.size = len(content)
         tar.addfile(entry, io.BytesIO(content))
-
-
-def _arrays(sample: VapSample) -> dict[str, Any]:
-    values = {field.name: getattr(sample, field.name) for field in fields(sample)}
-    return {name: value for name, value in values.items() if isinstance(value, np.ndarray)}
 
 
 @contextmanager

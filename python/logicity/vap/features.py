@@ -18,7 +18,7 @@ from dataclasses import dataclass
 from itertools import pairwise
 from pathlib import Path
 from threading import Event
-from typing import Any, Literal, Protocol
+from typing import Any, Literal, TypeAlias
 
 import numpy as np
 from numpy.typing import NDArray
@@ -44,9 +44,6 @@ Kind = Literal["crops", "resnet50"]
 #: The version of the format of `features.json`.
 FORMAT = 2
 
-#: The other keys of `features.json`.
-KEYS = ("kind", "shape", "extractor_hash")
-
 #: The keys of `world-00000.json`, all SHA-256: of the file of features, of the world's files and hashes in the
 #: manifest, and of the extractor.
 RECORD_KEYS = ("sha256", "data_hash", "extractor_hash")
@@ -58,8 +55,8 @@ WEIGHTS = ("fasterrcnn_resnet50_fpn_coco-258fb6c6.pth", "resnet50-0676ba61.pth",
 MEAN, DEVIATION = (0.485, 0.456, 0.406), (0.229, 0.224, 0.225)
 
 
-class Extractor(Protocol):
-    """Turns the boxes of a picture into arrays.
+class Crops:
+    """Crops of the boxes, see `crop_boxes`.
 
     Attributes:
         kind: The kind of features.
@@ -67,18 +64,6 @@ class Extractor(Protocol):
         dtype: Their type.
         identity: The SHA-256 of what determines the features of a picture.
     """
-
-    kind: Kind
-    shape: tuple[int, ...]
-    dtype: np.dtype[Any]
-    identity: str
-
-    def __call__(self, image: NDArray[np.uint8], boxes: NDArray[np.float32]) -> NDArray[Any]:
-        """Return the features, (N, *shape), of the boxes, (N, 4), of a picture, (rows, columns, 3)."""
-
-
-class Crops:
-    """Crops of the boxes, see `crop_boxes`."""
 
     kind: Kind = "crops"
     shape: tuple[int, ...] = (CROP_SIDE, CROP_SIDE, 3)
@@ -91,7 +76,7 @@ class Crops:
 
 
 class Backbone:
-    """A frozen ResNet50 with a feature pyramid and ROIAlign.
+    """A frozen ResNet50 with a feature pyramid and ROIAlign. Its attributes are those of `Crops`.
 
     Convolutions contain their batch normalizations and compute in bfloat16, which takes a third of the time and changes
     features by about 1 %.
@@ -162,6 +147,10 @@ class Backbone:
             pooled = torch.cat([regions.mean((2, 3)), regions.amax((2, 3))], 1)
         result[inside] = pooled.half().cpu().numpy()
         return result
+
+
+#: Turns the boxes, (N, 4), of a picture, (rows, columns, 3), into an array (N, *shape).
+Extractor: TypeAlias = Crops | Backbone
 
 
 def _fold_normalizations(network: nn.Module) -> None:
@@ -284,7 +273,7 @@ def compute_features(
     worlds = _worlds(samples)
     target.mkdir(parents=True, exist_ok=True)
     _begin(target, extract)
-    left = [world for world in worlds if not _finished(target, world, extract.identity, samples.folder)]
+    left = [world for world in worlds if _unfinished(target, world, extract.identity, samples.folder)]
     done = len(worlds) - len(left)
 
     def advance() -> None:
@@ -294,7 +283,14 @@ def compute_features(
             progress(done, len(worlds))
 
     if ray is not None:
-        _on_ray(ray, samples.folder, target, kind, weights, device, left, advance)
+        data, out = samples.folder.resolve(), target.resolve()
+        file = None if weights is None else Path(weights).resolve()
+
+        def work(world: _World) -> None:
+            torch.set_num_threads(1)
+            _store(VapDataset(data), world, out, extractor(kind, file, device))
+
+        _on_ray(ray, work, left, float(device.startswith("cuda")), advance)
         return target
     stopped = Event()
     torch_threads = torch.get_num_threads()
@@ -309,8 +305,7 @@ def compute_features(
                     advance()
             finally:
                 stopped.set()
-                for job in jobs:
-                    job.cancel()
+                pool.shutdown(wait=False, cancel_futures=True)
     finally:
         torch.set_num_threads(torch_threads)
     return target
@@ -360,20 +355,14 @@ def load_features(folder: str | os.PathLike[str], samples: VapDataset) -> Tensor
     document = _read(target)
     worlds = _worlds(samples)
     for world in worlds:
-        _check_world(target, world, document["extractor_hash"], samples.folder)
+        if reason := _unfinished(target, world, document["extractor_hash"], samples.folder):
+            raise ValueError(reason)
     return _stacked([_mapped(_world_file(target, world.number)) for world in worlds])
 
 
 @dataclass(frozen=True)
 class _World:
-    """What a data set has of a world.
-
-    Attributes:
-        number: The number of the world.
-        samples: The positions of its samples.
-        entities: The number of entities of all samples.
-        files: The SHA-256 of its files, by name, from the manifest.
-    """
+    """What a data set has of a world: the positions of its samples, and the SHA-256 of its files in the manifest."""
 
     number: int
     samples: range
@@ -404,21 +393,8 @@ def _worlds(samples: VapDataset) -> list[_World]:
         raise not_a_manifest(path, error) from None
 
 
-class _UnfinishedError(ValueError):
-    """The features of a world are missing or damaged."""
-
-
-def _finished(folder: Path, world: _World, identity: str, data: Path) -> bool:
-    """Return whether the features of a world are complete. Raises `ValueError` if they are those of other data."""
-    try:
-        _check_world(folder, world, identity, data)
-    except _UnfinishedError:
-        return False
-    return True
-
-
-def _check_world(folder: Path, world: _World, identity: str, data: Path) -> None:
-    """Check the stored features of a world.
+def _unfinished(folder: Path, world: _World, identity: str, data: Path) -> str | None:
+    """Return why the features of a world in a folder are missing or damaged, or `None` if they are complete.
 
     Args:
         folder: The folder of the features.
@@ -428,13 +404,13 @@ def _check_world(folder: Path, world: _World, identity: str, data: Path) -> None
 
     Raises:
         OSError: If a file cannot be read.
-        ValueError: If the features are missing, damaged, or those of other data.
+        ValueError: If the features are those of other data.
     """
     path = _world_file(folder, world.number)
     record = _record(path)
     again = "run `logicity vap features` again with the same options, which computes only such worlds"
     if record is None or not path.exists():
-        raise _UnfinishedError(
+        return (
             f"`{folder}` has no features of world {world.number} yet, or the world was added to `{data}` later: {again}"
         )
     if record["data_hash"] != world.data_hash or record["extractor_hash"] != identity:
@@ -443,22 +419,18 @@ def _check_world(folder: Path, world: _World, identity: str, data: Path) -> None
             f"changed since: run `logicity vap features {data}` with another folder"
         )
     if record["sha256"] != file_hash(path):
-        raise _UnfinishedError(f"`{path}` is damaged: it differs from its SHA-256 in `{_record_file(path)}`: {again}")
+        return f"`{path}` is damaged: it differs from its SHA-256 in `{path.with_suffix('.json')}`: {again}"
+    return None
 
 
 def _world_file(folder: Path, world: int) -> Path:
     return folder / f"world-{world:05}.npy"
 
 
-def _record_file(path: Path) -> Path:
-    """Return the file with the record of a file of features."""
-    return path.with_suffix(".json")
-
-
 def _record(path: Path) -> dict[str, Any] | None:
     """Return the record of a file of features, or `None` if it is missing or damaged."""
     try:
-        record = read_json(_record_file(path))
+        record = read_json(path.with_suffix(".json"))
     except (FileNotFoundError, ValueError):
         return None
     return record if isinstance(record, dict) and record.keys() == set(RECORD_KEYS) else None
@@ -490,20 +462,15 @@ def _stacked(parts: Sequence[NDArray[Any]]) -> Tensor:
 
 def _begin(target: Path, extract: Extractor) -> None:
     """Write `features.json`, or check that it describes the same features."""
-    document = {
-        "format": FORMAT,
-        "kind": extract.kind,
-        "shape": list(extract.shape),
-        "extractor_hash": extract.identity,
-    }
+    features = {"kind": extract.kind, "shape": list(extract.shape), "extractor_hash": extract.identity}
     path = target / "features.json"
-    if path.exists():
-        found = _read(target)
-        different = [name for name, value in document.items() if found[name] != value]
-        if different:
-            raise ValueError(f"`{target}` has features with another `{different[0]}`: choose another folder")
+    if not path.exists():
+        write_json(path, {"format": FORMAT, **features}, by="vap features")
         return
-    write_json(path, document, by="vap features")
+    found = _read(target)
+    for name, value in features.items():
+        if found[name] != value:
+            raise ValueError(f"`{target}` has features with another `{name}`: choose another folder")
 
 
 def _read(folder: Path) -> dict[str, Any]:
@@ -516,9 +483,9 @@ def _read(folder: Path) -> dict[str, Any]:
         raise ValueError(
             f"{path}: expected features of the format {FORMAT}: run `logicity vap features` with another folder"
         )
-    missing = [name for name in KEYS if name not in document]
-    if missing:
-        raise ValueError(f"{path}: expected the key `{missing[0]}`")
+    for name in ("kind", "shape", "extractor_hash"):
+        if name not in document:
+            raise ValueError(f"{path}: expected the key `{name}`")
     return document
 
 
@@ -547,7 +514,7 @@ def _store(samples: VapDataset, world: _World, target: Path, extract: Extractor,
     # The record comes last: features without one are not finished.
     temporary = temporary.with_suffix(".json")
     temporary.write_text(json.dumps(record, indent=1) + "\n", encoding="utf-8")
-    temporary.replace(_record_file(file))
+    temporary.replace(file.with_suffix(".json"))
 
 
 def _check_source(path: Path, world: _World) -> None:
@@ -559,28 +526,14 @@ def _check_source(path: Path, world: _World) -> None:
 
 
 def _on_ray(
-    address: str,
-    folder: Path,
-    target: Path,
-    kind: Kind,
-    weights: str | os.PathLike[str] | None,
-    device: str,
-    worlds: Sequence[_World],
-    advance: Callable[[], None],
+    address: str, work: Callable[[_World], None], worlds: Sequence[_World], gpus: float, advance: Callable[[], None]
 ) -> None:
-    """Compute worlds on Ray. If a worker is lost, its world is computed again."""
+    """Compute worlds on Ray, each with a number of GPUs. If a worker is lost, its world is computed again."""
     from ..cluster import RETRIES, connect
-
-    data, out = folder.resolve(), target.resolve()
-    file = None if weights is None else Path(weights).resolve()
-
-    def work(world: _World) -> None:
-        torch.set_num_threads(1)
-        _store(VapDataset(data), world, out, extractor(kind, file, device))
 
     ray = connect(address)
     try:
-        task = ray.remote(num_cpus=1, num_gpus=float(device.startswith("cuda")), max_retries=RETRIES)(work)
+        task = ray.remote(num_cpus=1, num_gpus=gpus, max_retries=RETRIES)(work)
         running = [task.remote(world) for world in worlds]
         while running:
             ready, running = ray.wait(running, num_returns=1)
@@ -596,18 +549,9 @@ def _on_ray(
 
 @dataclass(frozen=True)
 class DataSpec:
-    """A data set that an experiment makes, with the features of its boxes.
+    """The arguments of `make_dataset` for a data set that an experiment makes, with those of `extractor`.
 
-    Attributes:
-        mode: The mode, `easy` or `hard`.
-        split: The split.
-        agents: The sets of agents.
-        worlds: The number of worlds.
-        difficulty: The difficulty of the pictures.
-        drawing_version: The version of the drawing code, see `make_dataset`.
-        seed: The seed.
-        kind: The kind of features, or `None` for tables only.
-        weights: The weights of the backbone, see `Backbone`.
+    The kind of features is `None` for tables only.
     """
 
     mode: Literal["easy", "hard"]
@@ -622,15 +566,7 @@ class DataSpec:
 
     @property
     def name(self) -> str:
-        """The name of the folder of the tables."""
-        return f"{self._drawn}-{self.worlds}"
-
-    def features_name(self, extract: Extractor) -> str:
-        """Return the name of the folder of the features."""
-        return f"{self._drawn}-{extract.kind}-{extract.identity[:8]}"
-
-    @property
-    def _drawn(self) -> str:
+        """What determines a world, as the beginning of names of folders."""
         # The boxes in the tables depend on the drawing, too.
         drawing = f"difficulty{self.difficulty}-drawing{self.drawing_version}"
         return f"{self.mode}-{self.agents}-{self.split}-seed{self.seed}-{drawing}"
@@ -651,13 +587,13 @@ def prepared(spec: DataSpec, root: Path, version: str) -> tuple[VapDataset, Tens
         The tables, and the features of all entities, or `None` without a kind.
     """
     folder = root / hashlib.sha256(version.encode()).hexdigest()[:8]
-    tables = folder / spec.name
-    with _alone(folder / f"{spec.name}.lock"):
+    tables = folder / f"{spec.name}-{spec.worlds}"
+    with _alone(folder / f"{tables.name}.lock"):
         samples = _made(tables, spec, 0, spec.worlds, images=False)
     if spec.kind is None:
         return samples, None
     extract = extractor(spec.kind, spec.weights)
-    features = folder / spec.features_name(extract)
+    features = folder / f"{spec.name}-{extract.kind}-{extract.identity[:8]}"
     features.mkdir(exist_ok=True)
     worlds = _worlds(samples)
     for world in worlds:

@@ -8,6 +8,9 @@ from concurrent.futures import ThreadPoolExecutor
 from dataclasses import fields
 from typing import Any
 
+import numpy as np
+from numpy.typing import NDArray
+
 from ..errors import checked_threads, missing_extra
 from .data import PICTURE_SIDE, VapDataset, VapSample
 
@@ -36,15 +39,7 @@ class TorchVapDataset(torch.utils.data.Dataset[dict[str, Any]]):
     """A data set for PyTorch, see `torch_dataset`."""
 
     def __init__(self, samples: VapDataset, threads: int = 1) -> None:
-        """Wrap a data set.
-
-        Args:
-            samples: The data set.
-            threads: The number of threads that decode the pictures of a batch.
-
-        Raises:
-            ValueError: If the number of threads is not from 1 to 1024.
-        """
+        """Wrap a data set."""
         self.samples, self.threads = samples, checked_threads(threads, 1)
 
     def __len__(self) -> int:
@@ -60,19 +55,17 @@ class TorchVapDataset(torch.utils.data.Dataset[dict[str, Any]]):
         samples = [as_tensors(self.samples.facts(index)) for index in indices]
         if self.samples.images:
             images = _allocate((len(indices), PICTURE_SIDE, PICTURE_SIDE, 3))
-            self._read_pictures(indices, images)
+            self._read_pictures(indices, [image.numpy() for image in images])
             for image, sample in zip(images, samples, strict=True):
                 sample["image"] = image.permute(2, 0, 1)
         return samples
 
-    def _read_pictures(self, indices: Sequence[int], images: torch.Tensor) -> None:
-        arrays = [image.numpy() for image in images]
+    def _read_pictures(self, indices: Sequence[int], arrays: Sequence[NDArray[np.uint8]]) -> None:
+        # `map` does its work, or raises exceptions, only when its results are consumed.
         if self.threads == 1 or len(arrays) == 1:
-            for index, array in zip(indices, arrays, strict=True):
-                self.samples.read_picture(index, array)
+            list(map(self.samples.read_picture, indices, arrays))
             return
         with ThreadPoolExecutor(self.threads) as pool:
-            # `map` raises exceptions only when its results are consumed.
             list(pool.map(self.samples.read_picture, indices, arrays))
 
 
@@ -95,11 +88,12 @@ def padded_batch(samples: Sequence[Mapping[str, Any]]) -> dict[str, Any]:
     if not samples:
         raise ValueError("expected at least one sample")
     counts = torch.tensor([len(sample["mask"]) for sample in samples])
+    most = int(counts.max())
     batch: dict[str, Any] = {name: [sample[name] for sample in samples] for name in ("names", "concepts")}
     batch |= {name: torch.tensor([sample[name] for sample in samples]) for name in ("world", "tick")}
-    batch["valid"] = torch.arange(int(counts.max())) < counts[:, None]
+    batch["valid"] = torch.arange(most) < counts[:, None]
     for name, (axes, padding) in PADDED.items():
-        batch[name] = _padded([sample[name] for sample in samples], axes, int(counts.max()), padding)
+        batch[name] = _padded([sample[name] for sample in samples], axes, most, padding)
     if "image" in samples[0]:
         batch["image"] = _stacked([sample["image"] for sample in samples])
     return batch
@@ -117,12 +111,6 @@ def _stacked(images: list[torch.Tensor]) -> torch.Tensor:
     whole = images[0]._base
     if whole is not None and whole.dim() == 4 and len(whole) == len(images):
         batch = whole.permute(0, 3, 1, 2)
-        if all(_same_view(image, row) for image, row in zip(images, batch, strict=True)):
+        if all(image.dtype == row.dtype and image.is_set_to(row) for image, row in zip(images, batch, strict=True)):
             return batch
     return torch.stack(images)
-
-
-def _same_view(one: torch.Tensor, other: torch.Tensor) -> bool:
-    """Return whether two tensors are identical views of the same memory."""
-    first, second = ((tensor.data_ptr(), tensor.shape, tensor.stride(), tensor.dtype) for tensor in (one, other))
-    return bool(first == second)

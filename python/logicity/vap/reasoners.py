@@ -14,7 +14,7 @@ try:
 except ImportError as error:
     raise missing_extra("vap", error) from error
 
-from .concepts import RELATIONS
+from .concepts import RELATIONS, in_view
 
 __all__ = ["GraphReasoner", "LogicReasoner", "make_reasoner"]
 
@@ -56,9 +56,7 @@ class GraphReasoner(nn.Module):
 
     def forward(self, unary: Tensor, binary: Tensor, valid: Tensor) -> Tensor:
         """Return the logits of the actions, see `make_reasoner`."""
-        both = valid[:, :, None] & valid[:, None, :]
-        eye = torch.eye(valid.shape[1], dtype=torch.bool, device=valid.device)
-        sees = (binary[..., RELATIONS.index("Sees")].masked_fill(eye, 1.0) * both)[..., None]
+        sees = in_view(binary, valid)[0][..., None]
         features = torch.cat([binary, binary.transpose(1, 2)], -1)
         nodes = self.encoder(unary)
         for layer, (edge, update) in enumerate(zip(self.edges, self.updates, strict=True)):
@@ -66,8 +64,7 @@ class GraphReasoner(nn.Module):
             # Messages are not negative, so 0 is the maximum of none.
             total = (1 + self.eps[layer]) * nodes + messages.sum(2)
             nodes = update(torch.cat([total, messages.amax(2)], -1))
-        logits: Tensor = self.readout(nodes)
-        return logits
+        return self.readout(nodes)
 
 
 class LogicReasoner(nn.Module):
@@ -88,6 +85,4 @@ class LogicReasoner(nn.Module):
 
     def forward(self, unary: Tensor, binary: Tensor, valid: Tensor) -> Tensor:
         """Return the logits of the actions, see `make_reasoner`."""
-        values = self.machine([None, unary, binary], valid)[1]
-        logits: Tensor = self.readout(values)
-        return logits
+        return self.readout(self.machine([None, unary, binary], valid)[1])

@@ -25,7 +25,6 @@ from typing import Literal
 from ..city import ACTIONS
 from ..errors import missing_extra
 from ..rules import Program
-from ..types import Clause
 from .data import UNARY
 
 try:
@@ -34,7 +33,7 @@ try:
 except ImportError as error:
     raise missing_extra("vap", error) from error
 
-from .concepts import RELATIONS
+from .concepts import RELATIONS, in_view
 
 __all__ = ["Semantics", "SoftRules"]
 
@@ -57,9 +56,8 @@ class BodyLiteral:
 
 @dataclass(frozen=True)
 class Rule:
-    """A clause for an action."""
+    """A clause for an action. The first variable is the agent."""
 
-    head: str
     body: tuple[BodyLiteral, ...]
     variables: tuple[str, ...]
 
@@ -85,15 +83,16 @@ class SoftRules:
         strata = [[name for name in stratum if name in ACTIONS and name != default] for stratum in program.strata]
         # Actions without clauses are false.
         known = set(ACTIONS).difference([default], *strata)
+        clauses = [(each["head"], each["text"]) for each in program.clauses]
         self.rules: dict[str, list[Rule]] = {}
         for stratum in strata:
-            for head in stratum:
-                self.rules[head] = [_rule(head, each["text"], known) for each in _clauses(program, head)]
+            for action in stratum:
+                self.rules[action] = [_rule(text, known) for head, text in clauses if head == action]
             known |= set(stratum)
-        for each in _clauses(program, default):
-            rule = _rule(default, each["text"], known)
+        for text in (text for head, text in clauses if head == default):
+            rule = _rule(text, known)
             if not all(each.predicate in ("Sees", *ACTIONS) and len(rule.variables) == 1 for each in rule.body):
-                raise ValueError(f"`{default}` holds if no other action does: `{each['text']}` has no truth degree")
+                raise ValueError(f"`{default}` holds if no other action does: `{text}` has no truth degree")
 
     def degrees(self, unary: Tensor, binary: Tensor, valid: Tensor, semantics: Semantics = "product") -> Tensor:
         """Return the degree to which each action is the answer.
@@ -108,35 +107,26 @@ class SoftRules:
             (B, N, 4) in the order of `logicity.ACTIONS`. The action with the largest degree is the answer. With degrees
             0 and 1, exactly one action has the degree 1.
         """
-        both = valid[:, :, None] & valid[:, None, :]
-        # An entity sees itself.
-        eye = torch.eye(valid.shape[1], dtype=torch.bool, device=valid.device)
-        sees = binary[..., RELATIONS.index("Sees")].masked_fill(eye, 1.0) * both
+        sees, eye = in_view(binary, valid)
         values = {name: unary[..., at] for at, name in enumerate(UNARY)}
         # Binary predicates other than Sees are irreflexive.
         values |= {name: binary[..., at].masked_fill(eye, 0.0) for at, name in enumerate(RELATIONS)}
         values["Sees"] = sees
-        values |= {name: torch.zeros_like(unary[..., 0]) for name in ACTIONS if name not in self.rules}
-        derived: dict[str, Tensor] = {}
-        for head, rules in self.rules.items():
-            bodies = [_degree(rule, {**values, **derived}, sees, semantics) for rule in rules]
-            derived[head] = _any(torch.stack(bodies, -1), semantics)
-        # An action is the answer if it is derived, and none that comes before it.
         answers = dict.fromkeys(ACTIONS, torch.zeros_like(unary[..., 0]))
+        values |= answers
+        for head, rules in self.rules.items():
+            values[head] = _any(torch.stack([_degree(rule, values, sees, semantics) for rule in rules], -1), semantics)
+        # An action is the answer if it is derived, and none that comes before it.
         left = torch.ones_like(unary[..., 0])
         for action in self.precedence:
-            if action in derived:
-                answers[action] = _both(left, derived[action], semantics)
-                left = _both(left, 1 - derived[action], semantics)
+            if action in self.rules:
+                answers[action] = _both(left, values[action], semantics)
+                left = _both(left, 1 - values[action], semantics)
         answers[self.default] = left
         return torch.stack([answers[action] for action in ACTIONS], -1)
 
 
-def _clauses(program: Program, head: str) -> list[Clause]:
-    return [each for each in program.clauses if each["head"] == head]
-
-
-def _rule(head: str, text: str, actions: Collection[str]) -> Rule:
+def _rule(text: str, actions: Collection[str]) -> Rule:
     """Parse the text of a clause, whose body may contain some actions."""
     beginning, _, body_text = _COMMENT.sub("", text).partition(":-")
     body_text = body_text.strip().removesuffix(".")
@@ -144,11 +134,9 @@ def _rule(head: str, text: str, actions: Collection[str]) -> Rule:
     if not body_text or not _VARIABLE.fullmatch(ego):
         raise ValueError(f"only clauses with a body have truth degrees, not `{text}`")
     body: list[BodyLiteral] = []
-    anonymous = count()
-    end = 0
+    anonymous, end = count(), 0
     while end < len(body_text):
-        match = _LITERAL.match(body_text, end)
-        if match is None:
+        if (match := _LITERAL.match(body_text, end)) is None:
             rest = body_text[end:].strip()
             raise ValueError(f"only literals of predicates can have truth degrees, not `{rest}` in `{text}`")
         end = match.end()
@@ -160,14 +148,15 @@ def _rule(head: str, text: str, actions: Collection[str]) -> Rule:
             raise ValueError(f"`{match[0].strip(' ,')}` has no truth degree, in `{text}`")
         body.append(literal)
     others = sorted({name for literal in body for name in literal.variables} - {ego})
-    return Rule(head, tuple(body), (ego, *others))
+    return Rule(tuple(body), (ego, *others))
 
 
 def _degree(rule: Rule, values: dict[str, Tensor], sees: Tensor, semantics: Semantics) -> Tensor:
     """Return the degree of a body, (B, N): the disjunction over the entities in view of the conjunction of literals."""
     places = {name: at for at, name in enumerate(rule.variables)}
     seen = [BodyLiteral("Sees", (rule.variables[0], name), False) for name in rule.variables[1:]]
-    total: Tensor | None = None
+    # A body has at least one literal.
+    total: Tensor = None
     for literal in (*rule.body, *seen):
         value = sees if literal.predicate == "Sees" else values[literal.predicate]
         value = 1 - value if literal.negated else value
@@ -180,7 +169,6 @@ def _degree(rule: Rule, values: dict[str, Tensor], sees: Tensor, semantics: Sema
             if axis not in axes:
                 value = value.unsqueeze(axis + 1)
         total = value if total is None else _both(total, value, semantics)
-    assert total is not None  # a body has at least one literal
     for _ in rule.variables[1:]:
         total = _any(total, semantics)
     return total

@@ -11,7 +11,7 @@ from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from functools import cache
 from pathlib import Path
-from typing import Annotated, Any, Literal, cast
+from typing import Annotated, Any, Literal
 
 import numpy as np
 from pydantic import Field, model_validator
@@ -39,6 +39,7 @@ from .concepts import RELATIONS, ConceptModel, ConceptSettings
 from .reasoners import make_reasoner
 from .soft_rules import SoftRules
 from .training import (
+    Loss,
     Samples,
     TrainingSettings,
     concept_loss,
@@ -104,21 +105,17 @@ class VapSettings(StrictModel):
 
     @model_validator(mode="after")
     def _consistent(self) -> VapSettings:
-        key = fault = ""
-        if self.groundings == "exact" and self.stage in ("concepts", "end-to-end"):
-            key = "groundings"
-            fault = f"`groundings: exact` cannot be combined with the stage `{self.stage}`, which predicts the concepts"
-        elif self.groundings == "predicted" and self.stage == "bound":
-            key, fault = "stage", "the stage `bound` needs `groundings: exact`"
-        elif self.weights is not None and self.concepts.perception != "features":
-            key = "weights"
-            fault = "`weights` are those of a backbone: they need `concepts.perception: features`"
-        elif self.concepts.perception == "features" and self.concepts.features != Backbone.shape[0]:
-            key = "concepts.features"
-            fault = f"the backbone has {Backbone.shape[0]} features: `concepts.features` cannot change this"
-        if fault:
-            # Errors of a whole model have no path, so the context has the key.
-            raise PydanticCustomError("custom", "{message}", {"message": fault, "key": key})
+        stage, exact, features = self.stage, self.groundings == "exact", self.concepts.perception == "features"
+        if exact and stage in ("concepts", "end-to-end"):
+            fault = f"`groundings: exact` cannot be combined with the stage `{stage}`, which predicts the concepts"
+            raise _fault("groundings", fault)
+        if not exact and stage == "bound":
+            raise _fault("stage", "the stage `bound` needs `groundings: exact`")
+        if self.weights is not None and not features:
+            raise _fault("weights", "`weights` are those of a backbone: they need `concepts.perception: features`")
+        if features and self.concepts.features != (count := Backbone.shape[0]):
+            fault = f"the backbone has {count} features: `concepts.features` cannot change this"
+            raise _fault("concepts.features", fault)
         return self
 
     @property
@@ -140,9 +137,12 @@ class VapSettings(StrictModel):
         return _weights_hash(weights_file(self.weights)) if self.kind == "resnet50" else None
 
 
-@cache
-def _weights_hash(path: Path) -> str:
-    return file_hash(path)
+def _fault(key: str, message: str) -> PydanticCustomError:
+    """Return the error of a setting. Errors of a whole model have no path, so the context has the key."""
+    return PydanticCustomError("custom", "{message}", {"message": message, "key": key})
+
+
+_weights_hash = cache(file_hash)
 
 
 def rules_hash(mode: str) -> str:
@@ -156,7 +156,7 @@ class VapWork:
 
     Attributes:
         mode: The mode.
-        seed: The seed.
+        seed: The seed of the weights and of the training.
         settings: The settings.
         folder: The folder of the training, which has the model to start from in `start.pt`.
         data: The folder for data sets.
@@ -170,52 +170,57 @@ class VapWork:
     data: Path
     report: Callable[[int], None] | None
 
-    @property
-    def checkpoint(self) -> Path:
-        """The file of the checkpoint."""
-        return self.folder / "checkpoint.pt"
-
     def samples(self, split: Literal["train", "val", "test"]) -> Samples:
         """Return the samples of a split, made if they do not exist."""
-        settings = self.settings
-        test = split == "test" and settings.test_difficulty is not None
+        settings, difficulty = self.settings, self.settings.difficulty
+        if split == "test" and settings.test_difficulty is not None:
+            difficulty = settings.test_difficulty
         spec = DataSpec(
             mode=self.mode,
             split=split,
             agents="fixed" if split == "test" else settings.agents,
             worlds=getattr(settings.worlds, split),
-            difficulty=cast(int, settings.test_difficulty) if test else settings.difficulty,
+            difficulty=difficulty,
             drawing_version=settings.drawing_version,
             seed=settings.data_seed,
             kind=settings.kind,
             weights=settings.weights,
         )
         tables, features = prepared(spec, self.data, f"{__version__} {rules_hash(self.mode)}")
-        name = settings.concepts.perception
-        samples = Samples.load(tables, {} if features is None else {name: features})
+        samples = Samples.load(tables, {} if features is None else {settings.concepts.perception: features})
         return samples.subset(settings.fraction, self.seed) if split == "train" and settings.fraction < 1 else samples
 
     def rules(self) -> SoftRules:
         """Return the rules of the mode."""
         return SoftRules(Program.load(f"rules/vap-{self.mode}.dl"))
 
-    def concepts(self) -> ConceptModel:
-        """Return a concept model with random weights, which the seed determines."""
-        with torch.random.fork_rng(devices=[]):
-            torch.manual_seed(self.seed)
-            return ConceptModel(self.settings.concepts)
+    def part(self, name: str, model: Mapping[str, Any]) -> torch.nn.Module:
+        """Return `concepts` or `reasoner`, with the weights in a model. An empty model gives random ones of the seed.
 
-    def reasoner(self) -> torch.nn.Module:
-        """Return a reasoner with random weights, which the seed determines."""
+        Raises:
+            ValueError: If the model has no such part, or one of another architecture.
+        """
         with torch.random.fork_rng(devices=[]):
             torch.manual_seed(self.seed)
-            return make_reasoner(self.settings.reasoner)
+            settings = self.settings
+            part = ConceptModel(settings.concepts) if name == "concepts" else make_reasoner(settings.reasoner)
+        if not model:
+            return part
+        if name not in model:
+            raise ValueError(f"the model to start from has no part `{name}`: start from a row that trains it")
+        try:
+            part.load_state_dict(model[name])
+        except RuntimeError:
+            raise ValueError(
+                f"the part `{name}` of the model to start from has another architecture: give both rows the same "
+                "`concepts` and `reasoner`"
+            ) from None
+        return part
 
     def started(self) -> dict[str, Any]:
         """Return the model that the training starts from, or an empty one."""
         path = self.folder / "start.pt"
-        model: dict[str, Any] = read_tensors(path, "a model") if path.exists() else {}
-        return model
+        return read_tensors(path, "a model") if path.exists() else {}
 
 
 #: The model and its training history.
@@ -236,7 +241,10 @@ def train_stage(work: VapWork) -> Trained:
         "induction": _induce,
         "bound": _bound,
     }
-    return stages[work.settings.stage](work)
+    model, history = stages[work.settings.stage](work)
+    if not history and work.report is not None:
+        work.report(1)
+    return model, history
 
 
 def measure(work: VapWork, model: dict[str, Any]) -> tuple[dict[str, Any], dict[str, Any]]:
@@ -252,10 +260,7 @@ def predict(
 ) -> tuple[dict[str, Tensor], tuple[Tensor, Tensor] | None]:
     """Return the predicted actions, int64 (B, N), by predictor, and the probabilities of concepts that were trained.
 
-    Args:
-        work: The inputs and folders of the training.
-        model: The content of `model.pt`.
-        samples: The samples.
+    `model` is the content of `model.pt`.
     """
     stage, valid = work.settings.stage, samples.facts["valid"]
     atoms = _groundings(work, model, samples)
@@ -266,9 +271,7 @@ def predict(
         return {"": work.rules().degrees(atoms[0] * shown, atoms[1], valid, "max-min").argmax(-1)}, None
     if stage == "induction":
         return _by_rules(SoftRules(Program(model["rules"])), *atoms, samples), None
-    reasoner = work.reasoner()
-    reasoner.load_state_dict(model["reasoner"])
-    return {"": predict_actions(reasoner, *atoms, valid)}, None
+    return {"": predict_actions(work.part("reasoner", model), *atoms, valid)}, None
 
 
 def evaluation(predicted: Tensor, samples: Samples) -> dict[str, Any]:
@@ -280,26 +283,20 @@ def evaluation(predicted: Tensor, samples: Samples) -> dict[str, Any]:
     worlds = []
     of_frame = samples.facts["world"].numpy()
     hits = (actual == chosen) & cars
-    with_cars = cars.any(1)
     share = hits.sum(1) / np.maximum(cars.sum(1), 1)
     for world in np.unique(of_frame):
         own = of_frame == world
+        with_cars = own & cars.any(1)
         worlds.append(
             {
                 "world": int(world),
-                "frames": int((own & with_cars).sum()),
-                "a_acc": round(float(share[own & with_cars].sum()), 6),
+                "frames": int(with_cars.sum()),
+                "a_acc": round(float(share[with_cars].sum()), 6),
                 "counts": np.bincount(actual[own][cars[own]], minlength=len(ACTIONS)).tolist(),
                 "correct": np.bincount(actual[own][hits[own]], minlength=len(ACTIONS)).tolist(),
             }
         )
     return {"recall": dict(metrics.recall), "a_acc": metrics.a_acc, "w_acc": metrics.w_acc, "worlds": worlds}
-
-
-def _score(predicted: Tensor, samples: Samples) -> float:
-    """Return the mean recall over the actions that occur, which chooses the best epoch."""
-    recall = evaluation(predicted, samples)["recall"]
-    return float(np.mean(list(recall.values())))
 
 
 def _by_rules(rules: SoftRules, unary: Tensor, binary: Tensor, samples: Samples) -> dict[str, Tensor]:
@@ -312,48 +309,13 @@ def _by_rules(rules: SoftRules, unary: Tensor, binary: Tensor, samples: Samples)
     }
 
 
-def _train_concepts(work: VapWork) -> Trained:
-    """Train a concept model."""
-    train, val, settings = work.samples("train"), work.samples("val"), work.settings.training
-    model = work.concepts()
-    if start := work.started():
-        _restore(model, start, "concepts")
-    rules = work.rules()
-
-    def score() -> float:
-        return _score(_by_rules(rules, *groundings(model, val), val)["threshold"], val)
-
-    loss = concept_loss(model, train, settings.class_power)
-    history = fit(model, loss, len(train), settings, work.seed, score, work.checkpoint, work.report)
-    return {"concepts": model.state_dict()}, history
-
-
 def _groundings(work: VapWork, model: dict[str, Any], samples: Samples) -> tuple[Tensor, Tensor]:
     """Return the true groundings, or those that the concept model predicts from which the training starts."""
     if work.settings.groundings == "exact":
         return samples.facts["unary"].float(), samples.relations.float()
     if "concepts" not in model:
         raise ValueError(NO_CONCEPTS)
-    concepts = work.concepts()
-    _restore(concepts, model, "concepts")
-    return groundings(concepts, samples)
-
-
-def _restore(part: torch.nn.Module, model: Mapping[str, Any], name: str) -> None:
-    """Load the weights of a part of a model.
-
-    Raises:
-        ValueError: If the model has no such part, or one of another architecture.
-    """
-    if name not in model:
-        raise ValueError(f"the model to start from has no part `{name}`: start from a row that trains it")
-    try:
-        part.load_state_dict(model[name])
-    except RuntimeError:
-        raise ValueError(
-            f"the part `{name}` of the model to start from has another architecture: give both rows the same "
-            "`concepts` and `reasoner`"
-        ) from None
+    return groundings(work.part("concepts", model), samples)
 
 
 def _kept(start: Mapping[str, Any]) -> dict[str, Any]:
@@ -361,66 +323,78 @@ def _kept(start: Mapping[str, Any]) -> dict[str, Any]:
     return {name: start[name] for name in start if name == "concepts"}
 
 
-def _train_reasoner(work: VapWork) -> Trained:
-    """Train a reasoner on given concepts, which stay as they are."""
-    train, val, settings = work.samples("train"), work.samples("val"), work.settings.training
-    start = work.started()
-    reasoner = work.reasoner()
-    if "reasoner" in start:
-        _restore(reasoner, start, "reasoner")
-    unary, binary = _groundings(work, start, train)
-    of_val = _groundings(work, start, val)
+def _fitted(
+    work: VapWork, network: torch.nn.Module, loss: Loss, train: Samples, val: Samples, predict: Callable[[], Tensor]
+) -> list[dict[str, float]]:
+    """Train a network. The best epoch is that with the largest mean recall over the actions that occur in `val`."""
 
     def score() -> float:
-        return _score(predict_actions(reasoner, *of_val, val.facts["valid"]), val)
+        return float(np.mean(list(evaluation(predict(), val)["recall"].values())))
 
-    loss = reasoning_loss(reasoner, unary, binary, train, settings.class_power)
-    history = fit(reasoner, loss, len(train), settings, work.seed, score, work.checkpoint, work.report)
+    checkpoint = work.folder / "checkpoint.pt"
+    return fit(network, loss, len(train), work.settings.training, work.seed, score, checkpoint, work.report)
+
+
+def _train_concepts(work: VapWork) -> Trained:
+    """Train a concept model."""
+    train, val = work.samples("train"), work.samples("val")
+    model, rules = work.part("concepts", work.started()), work.rules()
+
+    def predict() -> Tensor:
+        return _by_rules(rules, *groundings(model, val), val)["threshold"]
+
+    loss = concept_loss(model, train, work.settings.training.class_power)
+    history = _fitted(work, model, loss, train, val, predict)
+    return {"concepts": model.state_dict()}, history
+
+
+def _train_reasoner(work: VapWork) -> Trained:
+    """Train a reasoner on given concepts, which stay as they are."""
+    train, val, start = work.samples("train"), work.samples("val"), work.started()
+    reasoner = work.part("reasoner", start if "reasoner" in start else {})
+    of_train, of_val = (_groundings(work, start, samples) for samples in (train, val))
+
+    def predict() -> Tensor:
+        return predict_actions(reasoner, *of_val, val.facts["valid"])
+
+    loss = reasoning_loss(reasoner, *of_train, train, work.settings.training.class_power)
+    history = _fitted(work, reasoner, loss, train, val, predict)
     return {**_kept(start), "reasoner": reasoner.state_dict()}, history
 
 
 def _train_end_to_end(work: VapWork) -> Trained:
     """Train a concept model and a reasoner together, on actions only."""
-    train, val, settings = work.samples("train"), work.samples("val"), work.settings.training
-    both = torch.nn.ModuleDict({"concepts": work.concepts(), "reasoner": work.reasoner()})
-    concepts, reasoner = cast(ConceptModel, both["concepts"]), both["reasoner"]
-    if start := work.started():
-        for name, part in both.items():
-            _restore(part, start, name)
+    train, val, start = work.samples("train"), work.samples("val"), work.started()
+    both = torch.nn.ModuleDict({name: work.part(name, start) for name in ("concepts", "reasoner")})
+    concepts, reasoner = both["concepts"], both["reasoner"]
 
-    def score() -> float:
-        return _score(predict_actions(reasoner, *groundings(concepts, val), val.facts["valid"]), val)
+    def predict() -> Tensor:
+        return predict_actions(reasoner, *groundings(concepts, val), val.facts["valid"])
 
-    loss = end_to_end_loss(concepts, reasoner, train, settings.class_power)
-    history = fit(both, loss, len(train), settings, work.seed, score, work.checkpoint, work.report)
+    loss = end_to_end_loss(concepts, reasoner, train, work.settings.training.class_power)
+    history = _fitted(work, both, loss, train, val, predict)
     return {name: part.state_dict() for name, part in both.items()}, history
 
 
 def _induce(work: VapWork) -> Trained:
     """Learn rules from thresholded concepts and actions, with wrong examples."""
-    start = work.started()
-    train = work.samples("train")
+    start, train = work.started(), work.samples("train")
     unary, binary = _groundings(work, start, train)
     scenes, learned = work.folder / "scenes.jsonl", work.folder / "learned.dl"
     with open(scenes, "w", encoding="utf-8") as out:
-        for scene in scenes_of(unary > 0.5, binary > 0.5, train):
-            out.write(json.dumps(scene) + "\n")
+        out.writelines(f"{json.dumps(scene)}\n" for scene in scenes_of(unary > 0.5, binary > 0.5, train))
     options = ["--config", f"configs/vap-{work.mode}.yaml", "--noise", "auto", "--threads", "1", "--force"]
     command = ["induce", str(scenes), *options, "--seed", str(work.seed), "-o", str(learned)]
     code, _, _ = _logicity.run_command_line(command)
     if code:
         raise ValueError(f"`logicity {' '.join(command)}` failed")
     scenes.unlink()
-    if work.report is not None:
-        work.report(1)
     return {**_kept(start), "rules": learned.read_text(encoding="utf-8")}, []
 
 
 def _bound(work: VapWork) -> Trained:
     """Find the unary predicates that hold for no agent of the training samples."""
     shown = work.samples("train").facts["unary"].flatten(0, 1).any(0)
-    if work.report is not None:
-        work.report(1)
     return {"absent": [name for name, each in zip(UNARY, shown.tolist(), strict=True) if not each]}, []
 
 
@@ -433,21 +407,16 @@ def scenes_of(unary: Tensor, binary: Tensor, samples: Samples) -> Iterator[dict[
         samples: The samples, which have the actions.
     """
     truths, pairs = unary.numpy(), binary.numpy()
-    at = RELATIONS.index("Sees")
-    for frame, (cars, valid, actions) in enumerate(
-        zip(
-            samples.facts["mask"].numpy(), samples.facts["valid"].numpy(), samples.facts["actions"].numpy(), strict=True
-        )
-    ):
-        for car in np.flatnonzero(cars):
-            others = np.flatnonzero(valid & pairs[frame, car, :, at])
-            seen = [int(car), *(int(other) for other in others if other != car)]
-            yield {
-                "entities": [f"e{entity}" for entity in seen],
-                "ego": f"e{car}",
-                "facts": facts_of(truths[frame], pairs[frame], seen),
-                "actions": {f"e{car}": ACTIONS[actions[car]]},
-            }
+    valid, actions = samples.facts["valid"].numpy(), samples.facts["actions"].numpy()
+    for frame, car in np.argwhere(samples.facts["mask"].numpy()).tolist():
+        others = np.flatnonzero(valid[frame] & pairs[frame, car, :, RELATIONS.index("Sees")]).tolist()
+        seen = [car, *(other for other in others if other != car)]
+        yield {
+            "entities": [f"e{entity}" for entity in seen],
+            "ego": f"e{car}",
+            "facts": facts_of(truths[frame], pairs[frame], seen),
+            "actions": {f"e{car}": ACTIONS[actions[frame, car]]},
+        }
 
 
 def facts_of(unary: np.ndarray[Any, Any], binary: np.ndarray[Any, Any], seen: Sequence[int]) -> dict[str, list[Any]]:

@@ -13,7 +13,7 @@ from collections.abc import Callable
 from copy import deepcopy
 from dataclasses import dataclass, field
 from pathlib import Path
-from typing import Annotated, Any, Literal
+from typing import Annotated, Any, Literal, TypeAlias
 
 import numpy as np
 from numpy.typing import NDArray
@@ -32,7 +32,7 @@ except ImportError as error:
     raise missing_extra("vap", error) from error
 
 from ..learn.storage import restore_optimizer
-from .concepts import RELATIONS, ConceptModel
+from .concepts import RELATIONS, ConceptModel, pairs_of
 from .loader import as_tensors, padded_batch
 from .reasoners import GraphReasoner
 
@@ -40,6 +40,10 @@ __all__ = ["Samples", "TrainingSettings", "concept_loss", "end_to_end_loss", "fi
 
 #: The number of samples that models predict at once.
 BATCH = 64
+
+#: The loss of some samples, a scalar. Its arguments are their positions, int64 (B,), and a generator of random numbers,
+#: which chooses how crops are turned and mirrored.
+Loss: TypeAlias = Callable[[Tensor, torch.Generator], Tensor]
 
 
 class TrainingSettings(BaseModel):
@@ -69,11 +73,11 @@ class Samples:
 
     Attributes:
         facts: Tensors in the format of `collate`, without names and concepts.
-        inputs: What the appearance part sees of the entities, in the order of samples and entities: `crops` uint8
+        inputs: What the appearance part sees of the E entities, in the order of samples and entities: `crops` uint8
             (E, side, side, 3) or `features` float (E, F). Empty for models that see only the sides of boxes.
 
     Raises:
-        ValueError: If the inputs are not as many as the entities of all samples.
+        ValueError: If the inputs are not those of E entities.
     """
 
     facts: dict[str, Tensor]
@@ -104,14 +108,7 @@ class Samples:
         return torch.cat([self.facts["binary"], self.facts["sees"][..., None]], -1)
 
     def batch(self, chosen: Tensor) -> dict[str, Tensor]:
-        """Return the tensors of some samples, which models take.
-
-        Args:
-            chosen: int64 (B,), the positions of the samples.
-
-        Returns:
-            The facts of the B samples, and the inputs of their E entities: a valid entity has one row.
-        """
+        """Return the facts of the samples at B positions, int64 (B,), and the inputs of their valid entities."""
         batch = {name: values[chosen] for name, values in self.facts.items()}
         if self.inputs:
             # The valid entities of a sample come first.
@@ -120,12 +117,7 @@ class Samples:
         return batch
 
     def subset(self, fraction: float, seed: int) -> Samples:
-        """Return a random part of the samples, in their order.
-
-        Args:
-            fraction: The part of the samples to return, above 0 and at most 1. At least one sample is returned.
-            seed: The seed, which determines the part.
-        """
+        """Return a fraction of the samples, above 0 and at most 1, in their order, but at least one sample."""
         count = max(1, round(fraction * len(self)))
         order = torch.randperm(len(self), generator=torch.Generator().manual_seed(seed))
         chosen = order[:count].sort().values
@@ -135,19 +127,13 @@ class Samples:
 
 
 def concept_weights(samples: Samples, power: float) -> tuple[Tensor, Tensor]:
-    """Return the weights of true atoms relative to false ones, for each unary and each binary predicate.
+    """Return the weights of true atoms, see `TrainingSettings.class_power`: float (11,) and (7,).
 
-    Args:
-        samples: The samples.
-        power: `TrainingSettings.class_power`.
-
-    Returns:
-        float (11,) and (7,), in the orders of `UNARY` and `RELATIONS`. A predicate without true atoms has the weight 1.
+    They are in the orders of `UNARY` and `RELATIONS`. A predicate without true atoms has the weight 1.
     """
     valid = samples.facts["valid"]
-    pairs = valid[:, :, None] & valid[:, None, :]
     weights = []
-    for truths in (samples.facts["unary"][valid], samples.relations[pairs]):
+    for truths in (samples.facts["unary"][valid], samples.relations[pairs_of(valid)]):
         true = truths.sum(0).double()
         false = len(truths) - true
         weights.append(torch.where(true > 0, (false / true.clamp(min=1)).clamp(1, 1e4) ** power, 1.0).float())
@@ -155,39 +141,29 @@ def concept_weights(samples: Samples, power: float) -> tuple[Tensor, Tensor]:
 
 
 def action_weights(actions: Tensor, power: float) -> Tensor:
-    """Return the weights of the actions, with the mean 1 over the examples.
+    """Return the weights of actions, float (4,), with the mean 1 over the examples, int64 (M,).
 
-    Args:
-        actions: int64 (M,), the actions of the examples, as indices into `ACTIONS`.
-        power: `TrainingSettings.class_power`.
-
-    Returns:
-        float (4,). Actions without examples have the weight 0.
+    Actions without examples have the weight 0. `power` is `TrainingSettings.class_power`.
     """
     counts = torch.bincount(actions, minlength=len(ACTIONS)).double()
     weights = torch.where(counts > 0, counts.clamp(min=1) ** -power, 0.0)
     return (weights * counts.sum() / (weights * counts).sum()).float()
 
 
-def concept_loss(model: ConceptModel, samples: Samples, power: float) -> Callable[[Tensor, torch.Generator], Tensor]:
-    """Return the loss of concepts: the weighted binary cross entropy of all atoms.
+def concept_loss(model: ConceptModel, samples: Samples, power: float) -> Loss:
+    """Return the loss of concepts: the means of the weighted binary cross entropy over unary and binary atoms, added.
 
     Args:
         model: The concept model.
         samples: The samples, which determine the weights.
         power: `TrainingSettings.class_power`.
-
-    Returns:
-        A function for `fit`. From positions of samples, int64 (B,), and a generator, which chooses how crops are turned
-        and mirrored, it computes the sum of the means over unary and over binary atoms: a scalar.
     """
     unary_weights, binary_weights = concept_weights(samples, power)
 
     def loss(chosen: Tensor, generator: torch.Generator) -> Tensor:
         batch = _augmented(samples.batch(chosen), generator)
         unary, binary = model(batch)
-        valid = batch["valid"]
-        pairs = valid[:, :, None] & valid[:, None, :]
+        valid, pairs = batch["valid"], pairs_of(batch["valid"])
         truths = torch.cat([batch["binary"], batch["sees"][..., None]], -1)
         cross_entropy = nn.functional.binary_cross_entropy_with_logits
         of_unary = cross_entropy(unary[valid], batch["unary"][valid].float(), pos_weight=unary_weights)
@@ -196,10 +172,8 @@ def concept_loss(model: ConceptModel, samples: Samples, power: float) -> Callabl
     return loss
 
 
-def reasoning_loss(
-    reasoner: nn.Module, unary: Tensor, binary: Tensor, samples: Samples, power: float
-) -> Callable[[Tensor, torch.Generator], Tensor]:
-    """Return the loss of a reasoner on given groundings: the weighted cross entropy of the actions of cars.
+def reasoning_loss(reasoner: nn.Module, unary: Tensor, binary: Tensor, samples: Samples, power: float) -> Loss:
+    """Return the loss of a reasoner on given groundings: the weighted mean cross entropy of the actions of cars.
 
     Args:
         reasoner: The reasoner, see `make_reasoner`.
@@ -207,52 +181,37 @@ def reasoning_loss(
         binary: float (S, N, N, 7), those of `RELATIONS`.
         samples: The samples, with the actions. They determine the weights.
         power: `TrainingSettings.class_power`.
-
-    Returns:
-        A function for `fit`. From positions of samples, int64 (B,), and a generator, which is not used, it computes the
-        weighted mean over the cars: a scalar.
     """
-    facts = samples.facts
-    weights = action_weights(facts["actions"][facts["mask"]], power)
 
-    def loss(chosen: Tensor, generator: torch.Generator) -> Tensor:
-        logits = reasoner(unary[chosen], binary[chosen], facts["valid"][chosen])
-        return _action_loss(logits, facts["actions"][chosen], facts["mask"][chosen], weights)
+    def logits(chosen: Tensor, generator: torch.Generator) -> Tensor:
+        return reasoner(unary[chosen], binary[chosen], samples.facts["valid"][chosen])
 
-    return loss
+    return _action_loss(logits, samples, power)
 
 
-def end_to_end_loss(
-    concepts: ConceptModel, reasoner: nn.Module, samples: Samples, power: float
-) -> Callable[[Tensor, torch.Generator], Tensor]:
-    """Return the loss of the actions of cars, for a concept model and a reasoner together.
+def end_to_end_loss(concepts: ConceptModel, reasoner: nn.Module, samples: Samples, power: float) -> Loss:
+    """Return the loss of `reasoning_loss` on the probabilities that a concept model predicts, which is trained, too."""
 
-    Args:
-        concepts: The concept model.
-        reasoner: The reasoner, see `make_reasoner`. Its inputs are the probabilities that `concepts` predicts.
-        samples: The samples, with the actions. They determine the weights.
-        power: `TrainingSettings.class_power`.
-
-    Returns:
-        A function for `fit`. From positions of samples, int64 (B,), and a generator, which chooses how crops are turned
-        and mirrored, it computes the weighted mean over the cars: a scalar.
-    """
-    facts = samples.facts
-    weights = action_weights(facts["actions"][facts["mask"]], power)
-
-    def loss(chosen: Tensor, generator: torch.Generator) -> Tensor:
+    def logits(chosen: Tensor, generator: torch.Generator) -> Tensor:
         batch = _augmented(samples.batch(chosen), generator)
         unary, binary = concepts(batch)
-        logits = reasoner(torch.sigmoid(unary), torch.sigmoid(binary), batch["valid"])
-        return _action_loss(logits, batch["actions"], batch["mask"], weights)
+        return reasoner(torch.sigmoid(unary), torch.sigmoid(binary), batch["valid"])
+
+    return _action_loss(logits, samples, power)
+
+
+def _action_loss(logits: Callable[[Tensor, torch.Generator], Tensor], samples: Samples, power: float) -> Loss:
+    """Return the weighted cross entropy of the actions of cars, 0 if there are none, from a function to logits."""
+    facts = samples.facts
+    weights = action_weights(facts["actions"][facts["mask"]], power)
+
+    def loss(chosen: Tensor, generator: torch.Generator) -> Tensor:
+        cars = facts["mask"][chosen]
+        actions = facts["actions"][chosen][cars]
+        each = nn.functional.cross_entropy(logits(chosen, generator)[cars], actions, weights, reduction="sum")
+        return each / weights[actions].sum().clamp(min=1e-6)
 
     return loss
-
-
-def _action_loss(logits: Tensor, actions: Tensor, cars: Tensor, weights: Tensor) -> Tensor:
-    """Return the weighted cross entropy of the actions of cars, 0 if there are none."""
-    each = nn.functional.cross_entropy(logits[cars], actions[cars], weights, reduction="sum")
-    return each / weights[actions[cars]].sum().clamp(min=1e-6)
 
 
 def _augmented(batch: dict[str, Tensor], generator: torch.Generator) -> dict[str, Tensor]:
@@ -266,7 +225,7 @@ def _augmented(batch: dict[str, Tensor], generator: torch.Generator) -> dict[str
 
 def fit(
     network: nn.Module,
-    loss: Callable[[Tensor, torch.Generator], Tensor],
+    loss: Loss,
     count: int,
     settings: TrainingSettings,
     seed: int,
@@ -278,8 +237,7 @@ def fit(
 
     Args:
         network: The network.
-        loss: Returns the loss of some samples, a scalar. Receives their positions, int64 (B,), and a generator of
-            random numbers.
+        loss: The loss.
         count: The number of samples.
         settings: The hyperparameters.
         seed: The seed.
@@ -294,9 +252,10 @@ def fit(
         OSError: If the checkpoint cannot be read.
         ValueError: If it is not one of this training.
     """
-    kinds = {"adam": torch.optim.Adam, "adamw": torch.optim.AdamW}
-    decay = {"weight_decay": settings.weight_decay} if settings.optimizer == "adamw" else {}
-    optimizer = kinds[settings.optimizer](network.parameters(), settings.learning_rate, **decay)
+    if settings.optimizer == "adamw":
+        optimizer = torch.optim.AdamW(network.parameters(), settings.learning_rate, weight_decay=settings.weight_decay)
+    else:
+        optimizer = torch.optim.Adam(network.parameters(), settings.learning_rate)
     steps = settings.epochs * -(-count // settings.batch)
     schedule = torch.optim.lr_scheduler.CosineAnnealingLR(optimizer, steps)
     history: list[dict[str, float]] = []
@@ -311,7 +270,8 @@ def fit(
             if _constants(saved["schedule"]) != _constants(schedule.state_dict()):
                 raise ValueError("its learning rate follows another schedule")
             schedule.load_state_dict(saved["schedule"])
-            history, best = [_read_epoch(epoch) for epoch in saved["history"]], saved["best"]
+            names, best = ("loss", "score", "cpu_seconds"), saved["best"]
+            history = [{name: float(epoch[name]) for name in names} for epoch in saved["history"]]
             done = len(history)
             if not 0 < done <= settings.epochs or schedule.last_epoch * settings.epochs != done * steps:
                 raise ValueError("the number of epochs does not fit")
@@ -340,23 +300,14 @@ def fit(
             best = deepcopy(network.state_dict())
         history.append({"loss": total / count, "score": reached, "cpu_seconds": time.process_time() - begun})
         if checkpoint is not None:
-            state = {
-                "network": network.state_dict(),
-                "optimizer": optimizer.state_dict(),
-                "schedule": schedule.state_dict(),
-                "history": history,
-                "best": best,
-            }
-            save(state, checkpoint)
+            parts = {"network": network, "optimizer": optimizer, "schedule": schedule}
+            states = {name: part.state_dict() for name, part in parts.items()}
+            save({**states, "history": history, "best": best}, checkpoint)
         if report is not None:
             report(epoch + 1)
     network.load_state_dict(best)
     network.eval()
     return history
-
-
-def _read_epoch(epoch: dict[str, float]) -> dict[str, float]:
-    return {name: float(epoch[name]) for name in ("loss", "score", "cpu_seconds")}
 
 
 def _constants(schedule: dict[str, Any]) -> dict[str, Any]:
@@ -383,22 +334,21 @@ def groundings(model: ConceptModel, samples: Samples) -> tuple[Tensor, Tensor]:
         float (S, N, 11) and (S, N, N, 7) for S samples, in the orders of `UNARY` and `RELATIONS`.
     """
     model.eval()
-    parts = []
     with torch.no_grad():
-        for chosen in torch.arange(len(samples)).split(BATCH):
-            unary, binary = model(samples.batch(chosen))
-            parts.append((torch.sigmoid(unary), torch.sigmoid(binary)))
-    return torch.cat([unary for unary, _ in parts]), torch.cat([binary for _, binary in parts])
+        batches = (samples.batch(chosen) for chosen in torch.arange(len(samples)).split(BATCH))
+        parts = [[torch.sigmoid(logits) for logits in model(batch)] for batch in batches]
+    unary, binary = zip(*parts, strict=True)
+    return torch.cat(unary), torch.cat(binary)
 
 
 def predict_actions(reasoner: nn.Module, unary: Tensor, binary: Tensor, valid: Tensor) -> Tensor:
     """Return the actions of all entities that a reasoner predicts. Sets the reasoner to evaluation mode.
 
     Args:
-        reasoner: The reasoner, see `make_reasoner`.
-        unary: float (S, N, 11), the truth degrees of `UNARY`.
-        binary: float (S, N, N, 7), those of `RELATIONS`.
-        valid: bool (S, N), the entities that are present.
+        reasoner: The reasoner; the other arguments are its own, see `make_reasoner`.
+        unary: float (S, N, 11).
+        binary: float (S, N, N, 7).
+        valid: bool (S, N).
 
     Returns:
         int64 (S, N), indices into `ACTIONS`. Those of pedestrians and of absent entities have no meaning.
@@ -427,44 +377,30 @@ def concept_measures(unary: Tensor, binary: Tensor, samples: Samples) -> dict[st
         For each predicate, `recall`, `precision`, and `count`, the number of true atoms. A ratio without atoms is
         `None`.
     """
-    valid, sees = samples.facts["valid"], samples.facts["sees"]
-    result = {
-        name: _measures(unary[..., at][valid] > 0.5, samples.facts["unary"][..., at][valid])
-        for at, name in enumerate(UNARY)
-    }
-    relations = samples.relations
-    cars = samples.facts["mask"][:, :, None] & sees
+    facts, relations = samples.facts, samples.relations
+    valid, sees = facts["valid"], facts["sees"]
+    result = {name: _measures(unary[..., at], facts["unary"][..., at], valid) for at, name in enumerate(UNARY)}
     for at, name in enumerate(RELATIONS):
-        pairs = valid[:, :, None] & valid[:, None, :] if name == "Sees" else sees
-        result[name] = _measures(binary[..., at][pairs] > 0.5, relations[..., at][pairs])
+        predicted, truth = binary[..., at], relations[..., at]
+        result[name] = _measures(predicted, truth, pairs_of(valid) if name == "Sees" else sees)
         if name == "CollidingClose":
-            result[f"{name} (cars)"] = _measures(binary[..., at][cars] > 0.5, relations[..., at][cars])
+            result[f"{name} (cars)"] = _measures(predicted, truth, facts["mask"][:, :, None] & sees)
     return result
 
 
-def _measures(predicted: Tensor, truth: Tensor) -> dict[str, float | None]:
+def _measures(probabilities: Tensor, truth: Tensor, chosen: Tensor) -> dict[str, float | None]:
+    predicted, truth = probabilities[chosen] > 0.5, truth[chosen]
     hits, true, positive = int((predicted & truth).sum()), int(truth.sum()), int(predicted.sum())
-    return {
-        "recall": hits / true if true else None,
-        "precision": hits / positive if positive else None,
-        "count": true,
-    }
+    precision = hits / positive if positive else None
+    return {"recall": hits / true if true else None, "precision": precision, "count": true}
 
 
 def train_on_facts(
     train: VapDataset, test: VapDataset, seed: int, epochs: int, progress: Callable[[int], None]
 ) -> NDArray[np.int64]:
-    """Train a graph network on the facts of a data set, and predict the actions of the cars in another.
+    """Train a graph network on the facts of a data set with cars, and predict the actions of the cars in another.
 
-    Args:
-        train: The data set to train on, which must have cars.
-        test: The data set to predict on.
-        seed: The seed.
-        epochs: The number of epochs.
-        progress: A function that receives the number of finished epochs after each epoch.
-
-    Returns:
-        The predicted actions, int64 of shape (M,) for M cars in all samples of `test`.
+    `progress` receives the number of finished epochs. The actions are int64 (M,) for the M cars in all samples.
     """
     facts, queries = Samples.load(train), Samples.load(test)
     settings = TrainingSettings(epochs=epochs, batch=64, learning_rate=3e-3, optimizer="adamw", class_power=0.0)
