@@ -63,12 +63,8 @@ def inputs(folder: Path) -> list[Path]:
 def reuse(cells: Sequence[Cell], root: Path, other: Path) -> list[str]:
     """Copy the trainings of finished cells of another experiment to the cells that have not begun and train the same.
 
-    Only their evaluations can differ, so the result is that of training again, except for the times.
-
-    Args:
-        cells: The cells.
-        root: The folder of the experiment.
-        other: The folder of the other experiment.
+    Only their evaluations can differ, so the result is that of training again, except for the times. `root` and `other`
+    are the folders of the experiments.
 
     Returns:
         A line for each copied training.
@@ -76,15 +72,15 @@ def reuse(cells: Sequence[Cell], root: Path, other: Path) -> list[str]:
     Raises:
         OSError: If the other folder has no cells, or a file cannot be read or written.
     """
-    trained = {}
     if not (other / "cells").is_dir():
         raise FileNotFoundError(f"{other}: not the folder of an experiment: it has no folder `cells`")
+    trained = {}
     for path in sorted(other.glob("cells/*/cell.json")):
         try:
             document = read_json(path)
             if _measured(path.parent, document["identity"]) is not None:
                 trained[_training(document["task"], document["spec"])] = path.parent
-        except (ValueError, KeyError, RecursionError, TypeError):
+        except (ValueError, KeyError, TypeError):
             continue  # of another version, or of another program
     lines = []
     for cell in cells:
@@ -126,7 +122,7 @@ def _measured(folder: Path, identity: str) -> dict[str, Any] | None:
     """Return the content of `measured.json` in a folder with a model, if it is that of the cell with an identity."""
     try:
         measured = read_json(folder / "measured.json")
-    except (FileNotFoundError, NotADirectoryError, RecursionError, ValueError):
+    except (FileNotFoundError, NotADirectoryError, ValueError):
         return None
     if not any(path for pattern in _MODELS for path in folder.glob(pattern)):
         return None
@@ -135,7 +131,7 @@ def _measured(folder: Path, identity: str) -> dict[str, Any] | None:
 
 def run_cell(
     folder: Path,
-    report: Callable[[int], None] | None = None,
+    report: Callable[[int], None] = lambda steps: None,
     *,
     progress: bool = False,
     wandb: str | None = None,
@@ -144,13 +140,7 @@ def run_cell(
 ) -> dict[str, Any]:
     """Run the cell that `prepare` wrote to a folder, or resume it from its last checkpoint.
 
-    Args:
-        folder: The folder.
-        report: Receives the number of training steps.
-        progress: Whether to write lines of progress to standard error.
-        wandb: The project of Weights & Biases, as for `train`.
-        trust: Whether the policy that a training configuration names under `start` may run code, as for `train`.
-        note: Receives what users should know before the cell ends.
+    The arguments are attributes of `Running`.
 
     Returns:
         The content of `measured.json`: the identity, the result of the run, and the evaluations by name.
@@ -162,8 +152,7 @@ def run_cell(
     document = read_json(folder / "cell.json")
     spec = document["spec"]
     # The process that ran the cell may have been lost after its last file.
-    measured = _measured(folder, document["identity"])
-    if measured is not None:
+    if (measured := _measured(folder, document["identity"])) is not None:
         return measured
     if spec["version"] != __version__:
         raise ValueError(
@@ -171,10 +160,8 @@ def run_cell(
             "on all machines"
         )
     task = task_named(document["task"])
-    measured = {
-        "identity": document["identity"],
-        **task.run(Running(folder, document, report, progress, wandb, trust, note)),
-    }
+    running = Running(folder, document, report, progress, wandb, trust, note)
+    measured = {"identity": document["identity"], **task.run(running)}
     write_json(folder / "measured.json", measured)
     task.clean(folder)
     return measured
@@ -192,9 +179,8 @@ class _Reporter:
         os.dup2(2, 1)
 
     def __call__(self, steps: int) -> None:
-        now = time.monotonic()
-        if now - self._last >= 0.5:
-            self._last = now
+        if time.monotonic() - self._last >= 0.5:
+            self._last = time.monotonic()
             self.write({"steps": steps})
 
     def note(self, text: str) -> None:

@@ -4,10 +4,11 @@ from __future__ import annotations
 
 import os
 import shlex
-from collections.abc import Callable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field
+from functools import reduce
 from pathlib import Path
-from typing import Annotated, Any, TypeAlias, cast
+from typing import Annotated, Any, TypeAlias, get_args
 
 from pydantic import BaseModel, Field, Strict, ValidationError
 
@@ -19,8 +20,8 @@ from .paper import paper_table
 
 __all__ = [
     *("Experiment", "Names", "Place", "Row", "Seeds", "Selection", "Variant"),
-    *("changes_of", "experiment_faults", "fault_error", "load", "name_of", "option_error", "place_of"),
-    *("read_experiment", "repeated"),
+    *("changes_of", "experiment_faults", "fault_error", "first_at", "load", "name_of", "option_error", "place_of"),
+    *("read_experiment", "repeated", "unknown_in"),
 ]
 
 Seeds = Annotated[tuple[Seed, ...], Strict(False), Field(min_length=1)]
@@ -107,11 +108,7 @@ class Experiment(StrictModel):
     def places(self, row: str, variant: str, quick: bool, usual: Mapping[str, Any] | None = None) -> list[Place]:
         """Return the changes to the settings of a row and a variant. Later ones override earlier ones.
 
-        Args:
-            row: The row.
-            variant: The variant.
-            quick: Whether to include those for `--quick`.
-            usual: The changes for `--quick` of every experiment of the task.
+        `quick` includes those for `--quick`, and `usual` are those of every experiment of the task.
         """
         spec = self.learners[row]
         places: list[Place] = [
@@ -147,10 +144,7 @@ class Selection:
                 raise ValueError(f"--set: each cell has its own `{key}`: {help}")
 
     def chosen(self, modes: Mapping[str, Sequence[str]]) -> list[tuple[str, str]]:
-        """Return the selected pairs of a row and a mode, in the order of the rows.
-
-        Args:
-            modes: The modes of each row.
+        """Return the selected pairs of a row and one of its modes, in the order of the rows.
 
         Raises:
             ValueError: If the selection names an unknown row or mode.
@@ -170,17 +164,13 @@ class Selection:
 
 def changes_of(places: Sequence[Place], *more: Mapping[str, Any]) -> dict[str, Any]:
     """Return the changes of all places and then more changes, merged."""
-    changes: dict[str, Any] = {}
-    for each in (*(values for _, values in places), *more):
-        changes = merged(changes, each)
-    return changes
+    return reduce(merged, (*(values for _, values in places), *more), {})
 
 
 def place_of(places: Sequence[Place], path: Sequence[str]) -> list[str] | None:
     """Return where a path of settings is written in the file, or `None` if no place has it."""
-    written = [[*prefix, *path] for prefix, values in places if contains(values, path)]
     # The last one overrides the others.
-    return written[-1] if written else None
+    return next(([*prefix, *path] for prefix, values in reversed(places) if contains(values, path)), None)
 
 
 def read_experiment(name: str | os.PathLike[str]) -> tuple[Path, _logicity.ConfigFile, dict[str, Any]]:
@@ -229,7 +219,7 @@ def load(
     try:
         return model.model_validate(merged(values, changes))
     except ValidationError as error:
-        raise fault_error(file, faults(error, _unknown_in(model), depth=3), changes) from None
+        raise fault_error(file, faults(error, unknown_in(model), depth=3), changes) from None
 
 
 def fault_error(file: _logicity.ConfigFile, wrong: list[Fault], changes: Mapping[str, Any]) -> BaseException:
@@ -243,18 +233,31 @@ def fault_error(file: _logicity.ConfigFile, wrong: list[Fault], changes: Mapping
     return file.error(wrong)
 
 
-def _unknown_in(model: type[BaseModel]) -> Callable[[tuple[str, ...]], tuple[str, str]]:
-    """Return a function that gives the message and the help for an unknown key, see `faults`."""
+def unknown_in(model: type[BaseModel], *, whole: bool = False) -> Callable[[tuple[str, ...]], tuple[str, str]]:
+    """Return a function that gives the message and the help for an unknown key, see `faults`.
+
+    Args:
+        model: The class of the values, whose fields can be models, too, or mappings of models.
+        whole: Whether the message has the whole path.
+    """
 
     def unknown(path: tuple[str, ...]) -> tuple[str, str]:
-        known = model
+        known: Any = model
         if len(path) > 1:
-            # The values of the mapping with this key, such as `learners`.
             annotation = model.model_fields[path[0]].annotation
-            known = cast(type[BaseModel], annotation.__args__[-1])  # type: ignore[union-attr]
-        return f"unknown key `{path[-1]}`", did_you_mean(path[-1], known.model_fields).removeprefix("; ")
+            known = next(each for each in (annotation, *get_args(annotation)) if hasattr(each, "model_fields"))
+        help = did_you_mean(path[-1], known.model_fields).removeprefix("; ")
+        return f"unknown key `{'.'.join(path) if whole else path[-1]}`", help
 
     return unknown
+
+
+def first_at(found: Iterable[Fault]) -> Iterable[Fault]:
+    """Return the first fault at each path. A value of the experiment is part of many cells."""
+    first: dict[tuple[str, ...], Fault] = {}
+    for fault in found:
+        first.setdefault(tuple(fault[1]), fault)
+    return first.values()
 
 
 def experiment_faults(
@@ -268,7 +271,7 @@ def experiment_faults(
         mode_fault: Returns the error of a mode at a path, or `None`.
     """
     lists: list[tuple[list[str], Sequence[object]]] = [(["modes"], experiment.modes), (["seeds"], experiment.seeds)]
-    modes: list[tuple[list[str], str]] = [(["modes", str(at)], mode) for at, mode in enumerate(experiment.modes)]
+    modes = [(["modes", str(at)], mode) for at, mode in enumerate(experiment.modes)]
     known: list[str] = []
     for row, spec in experiment.learners.items():
         lists += [(["learners", row, key], getattr(spec, key) or ()) for key in ("modes", "seeds", "variants")]
@@ -291,34 +294,22 @@ def experiment_faults(
     for name, variant in experiment.variants.items():
         if variant.mode is not None:
             modes.append((["variants", name, "mode"], variant.mode))
-        yield from _start_faults(experiment, name, variant)
+        path, start = ["variants", name, "start"], variant.start
+        if start is not None and start not in experiment.variants:
+            message = f"unknown variant `{start}`{did_you_mean(start, experiment.variants)}"
+            yield "invalid-value", path, message, ""
+        elif start is not None and experiment.variants[start].start is not None:
+            message = f"`{start}` itself starts from another variant: name a variant without `start`"
+            yield "invalid-value", path, message, ""
     for path, mode in modes:
         if fault := mode_fault(path, mode):
             yield fault
     rows = paper_table(experiment.paper).get("rows") or paper_table(usual)["rows"]
-    for name, row_spec in experiment.learners.items():
-        if row_spec.paper is not None and row_spec.paper not in rows:
-            message = f"the paper's table has no row `{row_spec.paper}`{did_you_mean(row_spec.paper, rows)}"
-            yield "invalid-value", ["learners", name, "paper"], message, ""
-    places = [
-        place
-        for row in experiment.learners
-        for name in experiment.variants
-        for place in experiment.places(row, name, True)
-    ]
-    for prefix, changes in {tuple(path): values for path, values in places}.items():
+    for row, spec in experiment.learners.items():
+        if spec.paper is not None and spec.paper not in rows:
+            message = f"the paper's table has no row `{spec.paper}`{did_you_mean(spec.paper, rows)}"
+            yield "invalid-value", ["learners", row, "paper"], message, ""
+    places = (experiment.places(row, name, True) for row in experiment.learners for name in experiment.variants)
+    for prefix, changes in {tuple(path): values for each in places for path, values in each}.items():
         for key in OWN_KEYS.keys() & changes.keys():
             yield "invalid-value", [*prefix, key], f"each cell has its own {key}: {OWN_KEYS[key]}", ""
-
-
-def _start_faults(experiment: Experiment, name: str, variant: Variant) -> Iterator[Fault]:
-    """Yield the errors in the key `start` of a variant: unknown names, and chains of more than two variants."""
-    if variant.start is None:
-        return
-    path = ["variants", name, "start"]
-    if variant.start not in experiment.variants:
-        message = f"unknown variant `{variant.start}`{did_you_mean(variant.start, experiment.variants)}"
-        yield "invalid-value", path, message, ""
-    elif experiment.variants[variant.start].start is not None:
-        message = f"`{variant.start}` itself starts from another variant: name a variant without `start`"
-        yield "invalid-value", path, message, ""

@@ -39,21 +39,42 @@ SECONDS = 30.0
 
 @dataclass
 class Watch:
-    """The state of a run: which cells are done, and how long the others will take."""
+    """The state of a run: which cells are done, and how long the others will take.
+
+    Raises:
+        ValueError: If an unfinished cell starts from one that is neither finished nor among the cells.
+    """
 
     cells: Sequence[Cell]
+    root: Path
     jobs: int
     say: Say
     failed: dict[str, str] = field(default_factory=dict)
-    done: int = 0
-    #: The cells that have not started.
-    pending: list[Cell] = field(default_factory=list)
 
     def __post_init__(self) -> None:
-        """Start the clock."""
+        """Find the finished cells, and start the clock."""
         self._durations: dict[str, list[float]] = {}
         self._running: dict[str, tuple[Cell, float, int, int]] = {}
         self._shown = time.monotonic()
+        #: The cells that have not started.
+        self.pending = [cell for cell in self.cells if finished(cell, self.root) is None]
+        known = {cell.identity for cell in self.cells}
+        for cell in self.pending:
+            if cell.start is not None and cell.start.identity not in known and finished(cell.start, self.root) is None:
+                raise ValueError(f"{cell.name} starts from {cell.start.name}, which is not among the cells")
+        self._done = len(self.cells) - len(self.pending)
+        if self._done:
+            self.say(f"{self._done} of {len(self.cells)} cells are finished already")
+
+    def startable(self) -> Iterator[Cell]:
+        """Yield and remove pending cells whose start is finished. Report those whose start has failed."""
+        for cell in list(self.pending):
+            if cell.start is not None and cell.start.identity in self.failed:
+                self.pending.remove(cell)
+                self.failure(cell, f"it starts from {cell.start.name}, which failed")
+            elif cell.start is None or finished(cell.start, self.root) is not None:
+                self.pending.remove(cell)
+                yield cell
 
     def started(self, cell: Cell) -> None:
         """Note that a cell has started."""
@@ -64,18 +85,21 @@ class Watch:
         _, begun, first, _ = self._running[cell.identity]
         self._running[cell.identity] = (cell, begun, first or steps, steps)
 
-    def finished(self, cell: Cell, measured: dict[str, Any]) -> None:
-        """Note the end of a cell, and print its result."""
+    def ended(self, cell: Cell, message: str) -> None:
+        """Note the end of a cell, and print its result, or the message if it has none."""
+        if (measured := finished(cell, self.root)) is None:
+            self.failure(cell, message)
+            return
         begun = self._running.pop(cell.identity)[1]
         self._durations.setdefault(cell.row, []).append(time.monotonic() - begun)
-        self.done += 1
+        self._done += 1
         cpu = measured["result"]["cpu_seconds"] / 60
-        self.say(f"{self._count()} {cell.name}: {cell.task.summary(measured)}, {cpu:.1f} CPU min; {self.left()}")
+        self.say(f"{self._count()} {cell.name}: {cell.task.summary(measured)}, {cpu:.1f} CPU min; {self._left()}")
 
     def failure(self, cell: Cell, message: str) -> None:
         """Note that a cell has failed."""
         self._running.pop(cell.identity, None)
-        self.done += 1
+        self._done += 1
         self.failed[cell.identity] = message
         self.say(f"{self._count()} {cell.name}: {'not run' if cell.optional else 'failed'}: {first_line(message)}")
 
@@ -88,12 +112,12 @@ class Watch:
         parts = [
             f"{cell.name} {min(1.0, steps / cell.task.steps(cell)):.0%}" for cell, _, _, steps in self._running.values()
         ]
-        self.say(f"{self._count()} running: {'; '.join(parts) or 'none'}; {self.left()}")
+        self.say(f"{self._count()} running: {'; '.join(parts) or 'none'}; {self._left()}")
 
     def _count(self) -> str:
-        return f"[{self.done}/{len(self.cells)}]"
+        return f"[{self._done}/{len(self.cells)}]"
 
-    def left(self) -> str:
+    def _left(self) -> str:
         """Estimate the remaining time from the finished and the running cells."""
         now = time.monotonic()
         known = {row: sum(each) / len(each) for row, each in self._durations.items()}
@@ -109,38 +133,8 @@ class Watch:
             return "no estimate yet"
         mean = sum(known.values()) / len(known)
         left += sum(known.get(cell.row, mean) for cell in self.pending)
-        minutes = left / max(1, self.jobs) / 60
-        hours, rest = divmod(round(minutes), 60)
+        hours, rest = divmod(round(left / max(1, self.jobs) / 60), 60)
         return f"about {f'{hours} h ' if hours else ''}{rest} min left"
-
-
-def _watch(cells: Sequence[Cell], root: Path, jobs: int, say: Say) -> Watch:
-    """Return the state at the beginning of a run: the cells without a result are pending.
-
-    Raises:
-        ValueError: If a pending cell starts from one that is neither finished nor among the cells.
-    """
-    watch = Watch(cells, jobs, say)
-    watch.pending = [cell for cell in cells if finished(cell, root) is None]
-    known = {cell.identity for cell in cells}
-    for cell in watch.pending:
-        if cell.start is not None and cell.start.identity not in known and finished(cell.start, root) is None:
-            raise ValueError(f"{cell.name} starts from {cell.start.name}, which is not among the cells")
-    watch.done = len(cells) - len(watch.pending)
-    if watch.done:
-        say(f"{watch.done} of {len(cells)} cells are finished already")
-    return watch
-
-
-def _startable(watch: Watch, root: Path) -> Iterator[Cell]:
-    """Yield and remove pending cells whose start is finished. Report those whose start has failed."""
-    for cell in list(watch.pending):
-        if cell.start is not None and cell.start.identity in watch.failed:
-            watch.pending.remove(cell)
-            watch.failure(cell, f"it starts from {cell.start.name}, which failed")
-        elif cell.start is None or finished(cell.start, root) is not None:
-            watch.pending.remove(cell)
-            yield cell
 
 
 @contextmanager
@@ -208,18 +202,18 @@ def run_in_processes(
     """
     if wandb is not None and find_spec("wandb") is None:
         raise ImportError("--wandb: the package wandb is not installed: pip install wandb")
-    watch = _watch(cells, root, jobs, say)
+    watch = Watch(cells, root, jobs, say)
     messages: queue.Queue[tuple[Cell, dict[str, Any] | None]] = queue.Queue()
-    processes: dict[str, tuple[Cell, subprocess.Popen[str]]] = {}
+    processes: dict[str, subprocess.Popen[str]] = {}
     errors: dict[str, str] = {}
     try:
         while watch.pending or processes:
-            startable = _startable(watch, root)
+            startable = watch.startable()
             while len(processes) < jobs and (cell := next(startable, None)) is not None:
                 folder = prepare(cell, root)
                 with open(folder / "log.txt", "a", encoding="utf-8") as log:
                     process = _start(folder, log, wandb, trust, cell.task.environment(cell))
-                processes[cell.identity] = (cell, process)
+                processes[cell.identity] = process
                 watch.started(cell)
                 threading.Thread(target=_read, args=(cell, process, messages), daemon=True).start()
             if not processes:
@@ -230,14 +224,9 @@ def run_in_processes(
                 watch.tick()
                 continue
             if message is None:
-                _, process = processes.pop(cell.identity)
-                code = _wait(process)
-                measured = finished(cell, root)
-                if measured is not None:
-                    watch.finished(cell, measured)
-                else:
-                    ended = f"its process ended with the code {code}; see {cell.folder(root) / 'log.txt'}"
-                    watch.failure(cell, errors.get(cell.identity, ended))
+                code = _wait(processes.pop(cell.identity))
+                ended = f"its process ended with the code {code}; see {cell.folder(root) / 'log.txt'}"
+                watch.ended(cell, errors.get(cell.identity, ended))
             elif "steps" in message:
                 watch.reported(cell, message["steps"])
             elif "note" in message:
@@ -246,7 +235,7 @@ def run_in_processes(
                 errors[cell.identity] = message["error"]
             watch.tick()
     finally:
-        for _, process in processes.values():
+        for process in processes.values():
             _wait(process)
     return watch.failed
 
@@ -300,34 +289,21 @@ def run_on_ray(
 ) -> dict[str, str]:
     """Run cells on Ray, each as a task with one CPU. If a worker is lost, its cell runs again.
 
-    This process and the workers exchange pickles through Ray, so they trust each other.
-
-    Args:
-        cells: The cells.
-        root: The folder of the experiment on this machine.
-        address: The address of a cluster, or `local` for a new one on this machine.
-        jobs: The number of workers of a local cluster.
-        say: Receives lines of progress.
-        wandb: The project of Weights & Biases, as for `train`.
-        trust: As for `run_cell`.
-
-    Returns:
-        The messages of the cells that failed, by identity.
+    This process and the workers exchange pickles through Ray, so they trust each other. `address` is that of a cluster,
+    or `local` for a new one with `jobs` workers on this machine. All else is as for `run_in_processes`.
 
     Raises:
         ConnectionError: If the cluster does not answer.
         ImportError: If Ray is not installed.
-        OSError: If a folder cannot be written.
-        ValueError: If a cell starts from one that is neither finished nor among the cells.
     """
     ray = connect(address, jobs)
     # A new process for each cell, as in `run_in_processes`. Only the loss of a worker repeats a cell.
     task = ray.remote(num_cpus=1, max_calls=1, max_retries=RETRIES)(_in_worker)
-    watch = _watch(cells, root, jobs, say)
+    watch = Watch(cells, root, jobs, say)
     running: dict[Any, Cell] = {}
     try:
         while watch.pending or running:
-            for cell in _startable(watch, root):
+            for cell in watch.startable():
                 folder = prepare(cell, root)
                 files = {path.name: path.read_bytes() for path in inputs(folder)}
                 # The same folder if the cell runs again, and another one for each experiment.
@@ -339,15 +315,10 @@ def run_on_ray(
                 cell = running.pop(reference)
                 try:
                     _unpack(ray.get(reference), cell.folder(root))
-                    measured = finished(cell, root)
-                    assert measured is not None
-                    watch.finished(cell, measured)
-                except ray.exceptions.RayTaskError as error:
-                    watch.failure(cell, str(error.cause or error))
-                except ValueError as error:
-                    watch.failure(cell, str(error))
-                except ray.exceptions.RayError as error:
-                    watch.failure(cell, str(error))
+                    watch.ended(cell, "its worker returned no measures")
+                except (ValueError, ray.exceptions.RayError) as error:
+                    # An error of the cell itself is the cause.
+                    watch.failure(cell, str(getattr(error, "cause", None) or error))
             watch.tick()
     finally:
         ray.shutdown()
@@ -369,9 +340,7 @@ def _in_worker(
     if hasattr(os, "getuid") and (folder.is_symlink() or folder.stat().st_uid != os.getuid()):
         raise PermissionError(f"{folder} belongs to another user: remove it")
     for name, content in files.items():
-        temporary = folder / f".{name}"
-        temporary.write_bytes(content)
-        temporary.replace(folder / name)
+        _write(folder / name, content)
     os.environ.update(environment)
     run_cell(folder, wandb=wandb, trust=trust)
     archive = io.BytesIO()
@@ -395,8 +364,12 @@ def _unpack(archive: bytes, folder: Path) -> None:
             if not (folder / name).resolve().is_relative_to(folder.resolve()):
                 raise ValueError(f"the worker returned a file outside of the folder of its cell: {name!r}")
         for name in names:
-            target = folder / name
-            target.parent.mkdir(parents=True, exist_ok=True)
-            temporary = target.with_name(f".{target.name}")
-            temporary.write_bytes(files.read(name))
-            temporary.replace(target)
+            _write(folder / name, files.read(name))
+
+
+def _write(path: Path, content: bytes) -> None:
+    """Write a file, which is replaced only when it is complete, and its folder."""
+    path.parent.mkdir(parents=True, exist_ok=True)
+    temporary = path.with_name(f".{path.name}")
+    temporary.write_bytes(content)
+    temporary.replace(path)

@@ -5,8 +5,9 @@ from __future__ import annotations
 import importlib
 import json
 import os
-from collections.abc import Mapping, Sequence
+from collections.abc import Mapping
 from dataclasses import dataclass, replace
+from functools import partial
 from pathlib import Path
 from typing import Any
 
@@ -59,12 +60,8 @@ def load_experiment(name: str | os.PathLike[str], changes: Mapping[str, Any] | N
         raise file.error([("invalid-value", ["task"], f"unknown task `{shown}`{did_you_mean(shown, TASKS)}", "")])
     task = task_named(kind)
     experiment = load(task.experiment, file, values, changes or {})
-
-    def mode_fault(at: list[str], mode: str) -> Any:
-        return task.mode_fault(at, mode, path.parent)
-
-    wrong = [*experiment_faults(experiment, task.paper, mode_fault), *task.faults(experiment, path)]
-    if wrong:
+    mode_fault = partial(task.mode_fault, path.parent)
+    if wrong := [*experiment_faults(experiment, task.paper, mode_fault), *task.faults(experiment, path)]:
         raise fault_error(file, wrong, changes or {})
     return Loaded(task, experiment, path)
 
@@ -88,7 +85,8 @@ class Loaded:
         found: dict[CellKey, Cell] = {}
         learners = self.experiment.learners
         for row, mode in selection.chosen({row: spec.modes or self.experiment.modes for row, spec in learners.items()}):
-            seeds = self._seeds(row, selection)
+            own = learners[row].seeds or self.experiment.seeds
+            seeds = selection.seeds or (own[:1] if selection.quick else own)
             for seed in seeds:
                 for variant in learners[row].variants or self.experiment.variants:
                     self._add(found, CellKey(row, mode, variant, seed), selection, check=seed == seeds[0])
@@ -104,31 +102,21 @@ class Loaded:
             raise read_experiment(self.file)[1].error([("invalid-value", ["learners", cell.row], message, "")])
         return list(unique.values())
 
-    def _seeds(self, row: str, selection: Selection) -> Sequence[int]:
-        own = self.experiment.learners[row].seeds or self.experiment.seeds
-        return selection.seeds or (own[:1] if selection.quick else own)
-
     def _add(self, found: dict[CellKey, Cell], key: CellKey, selection: Selection, *, check: bool) -> Cell:
         """Add a cell after the one that it starts from."""
         if key in found:
             return found[key]
         spec, variant = self.experiment.learners[key.row], self.experiment.variants[key.variant]
-        first = None
-        if variant.start is not None:
-            first = replace(key, variant=variant.start)
-        elif spec.start is not None:
-            first = replace(key, row=spec.start)
-        start = None if first is None else self._add(found, first, selection, check=check)
+        start = None
+        if variant.start is not None or spec.start is not None:
+            first: dict[str, Any] = {"row": spec.start} if variant.start is None else {"variant": variant.start}
+            start = self._add(found, replace(key, **first), selection, check=check)
         own = replace(key, mode=self.task.located_mode(variant.mode or key.mode, self.file.parent))
         started = start is not None
-        settings = self.task.settings(self.experiment, self.file, own, selection, started=started, check=check)
         found[key] = Cell(
             task=self.task,
-            row=key.row,
-            mode=own.mode,
-            variant=key.variant,
-            seed=key.seed,
-            settings=settings,
+            **vars(own),
+            settings=self.task.settings(self.experiment, self.file, own, selection, started=started, check=check),
             evaluations=self.task.evaluations(self.experiment),
             start=start,
             optional=spec.optional,

@@ -4,15 +4,17 @@ from __future__ import annotations
 
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import asdict, dataclass
+from itertools import chain
 from pathlib import Path
 from typing import Any
 
 from ..evaluation import Interval
+from ..files import write_json, write_text
 from ..terminal import first_line
 from .cells import finished
 from .kinds import Loaded
 from .paper import paper_table
-from .tables import aligned, draw_bars, draw_lines, draw_panels, latex_table, markdown_table, write_tables
+from .tables import aligned, draw_bars, draw_lines, draw_panels, latex_table, markdown_table
 from .task import Cell, Task
 
 __all__ = ["Entry", "Report", "detail_table", "mean_details", "paper_rows", "shown"]
@@ -23,13 +25,13 @@ PAPER = "  the paper's"
 
 @dataclass(frozen=True, kw_only=True)
 class Entry:
-    """A line of a table: the runs of a row and variant in a mode, with one evaluation.
+    """A line of a table: the runs of a row and variant in a mode, with one evaluation. Empty texts stand for no name.
 
     Attributes:
-        row: The name of the row.
+        row: The row.
         mode: The mode of the column.
-        variant: The name of the variant, or an empty text.
-        evaluation: The name of the evaluation, or an empty text if there is only one.
+        variant: The variant.
+        evaluation: The evaluation, if there are several.
         seeds: The seeds of the finished runs.
         measures: The measures with their intervals; empty without a finished run.
         details: More figures, see `Task.details`: their means over the runs that have them.
@@ -60,7 +62,7 @@ class Entry:
     @property
     def label(self) -> str:
         """The row with its evaluation and variant."""
-        return ", ".join(part for part in (self.row, self.evaluation, self.variant) if part)
+        return ", ".join(filter(None, (self.row, self.evaluation, self.variant)))
 
 
 class Report:
@@ -229,7 +231,10 @@ class Report:
         Raises:
             OSError: If a file cannot be written.
         """
-        written = write_tables(root, self.markdown(), self.latex(), self.to_dict())
+        written = [root / f"table.{ending}" for ending in ("md", "tex", "json")]
+        write_text(written[0], self.markdown())
+        write_text(written[1], self.latex())
+        write_json(written[2], self.to_dict())
         if not any(entry.measures for entry in self.entries):
             return written
         drawings = {"bars": self._bars}
@@ -277,7 +282,7 @@ class Report:
         lines: dict[str, list[tuple[float, Interval]]] = {}
         for entry in self.of_mode(mode):
             if entry.x is not None and entry.measures:
-                name = ", ".join(part for part in (entry.row, entry.evaluation, entry.group) if part)
+                name = ", ".join(filter(None, (entry.row, entry.evaluation, entry.group)))
                 lines.setdefault(name, []).append((entry.x, entry.measures[self.task.headline]))
         draw_lines(axes, lines, (self.experiment.x, self._axis()))
 
@@ -309,7 +314,7 @@ def paper_rows(
         for variant in variants:
             paper = task.paper_value(table, row, variant, mode)
             if paper is not None and (row, variant) not in found:
-                yield ", ".join(part for part in (row, variant, "the paper's") if part), paper
+                yield ", ".join(filter(None, (row, variant, "the paper's"))), paper
 
 
 def mean_details(runs: Sequence[Mapping[str, float]]) -> dict[str, float]:
@@ -328,34 +333,23 @@ def detail_table(columns: Mapping[str, Mapping[str, float]], paper: Mapping[str,
     """
     if not columns:
         return []
-    everything = {**columns, **({"the paper's": paper} if paper else {})}
     keys = list(dict.fromkeys(key for values in columns.values() for key in values))
-
-    def cell(name: str, key: str) -> str:
-        return f"{everything[name][key]:.3f}" if key in everything[name] else "-"
-
-    if len(keys) >= len(everything):
-        return [["", *everything], *([key, *(cell(name, key) for name in everything)] for key in keys)]
-    return [["", *keys], *([name, *(cell(name, key) for key in keys)] for name in everything)]
+    table = [["", *keys]]
+    for name, values in {**columns, **({"the paper's": paper} if paper else {})}.items():
+        table.append([name, *(f"{values[key]:.3f}" if key in values else "-" for key in keys)])
+    return [list(row) for row in zip(*table, strict=True)] if len(keys) >= len(table) - 1 else table
 
 
 def _mean_curve(runs: Sequence[Sequence[tuple[int, float]]]) -> tuple[tuple[int, float], ...]:
     """Return the means over the runs at the steps that all of them have."""
     by_step: dict[int, list[float]] = {}
-    for run in runs:
-        for step, value in run:
-            by_step.setdefault(step, []).append(value)
+    for step, value in chain(*runs):
+        by_step.setdefault(step, []).append(value)
     return tuple((step, sum(each) / len(each)) for step, each in sorted(by_step.items()) if len(each) == len(runs))
 
 
 def _why_missing(cells: Sequence[Cell], done: Sequence[Cell], failed: Mapping[str, str]) -> str:
-    """Return why runs are missing: the first message of those that failed, and the seeds if others are finished.
-
-    Args:
-        cells: The cells of an entry.
-        done: The finished ones.
-        failed: The messages of the cells that failed, by identity.
-    """
+    """Return why runs of an entry are missing: the first message that failed, and the seeds if others are done."""
     left = [cell for cell in cells if cell not in done]
     if not left:
         return ""

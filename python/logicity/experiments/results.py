@@ -8,11 +8,9 @@ from __future__ import annotations
 import json
 import os
 from collections.abc import Iterator, Mapping, Sequence
-from contextlib import contextmanager
 from pathlib import Path
 from typing import Any
 
-from ..evaluation import Interval
 from ..files import file_hash, read_json, reserved
 from .cells import finished
 from .experiment import name_of
@@ -20,7 +18,7 @@ from .kinds import Loaded, load_experiment
 from .paper import paper_table
 from .report import detail_table, headline_of, mean_details, paper_cells, paper_rows, shown
 from .tables import markdown_table
-from .task import Cell, Task
+from .task import Cell
 
 __all__ = ["as_text", "check_rows", "leaderboard", "read_results", "submit"]
 
@@ -67,7 +65,7 @@ def read_results(path: str | os.PathLike[str], experiment: str | None = None) ->
         return {"format": FORMAT, "experiment": experiment, "rows": []}
     try:
         results = read_json(file)
-    except (ValueError, RecursionError) as error:
+    except ValueError as error:
         raise ValueError(f"{file}: not JSON: {error}") from None
     if not isinstance(results, dict) or results.get("format") != FORMAT or not isinstance(results.get("rows"), list):
         raise ValueError(f"{file}: expected results of the format {FORMAT}")
@@ -94,21 +92,6 @@ def as_text(results: Mapping[str, Any]) -> str:
     head = {key: value for key, value in results.items() if key != "rows"}
     lines = ",\n".join(json.dumps(row, allow_nan=False) for row in results["rows"])
     return f'{json.dumps(head)[:-1]}, "rows": [\n{lines}\n]}}\n'
-
-
-@contextmanager
-def _updating(path: Path, experiment: str) -> Iterator[dict[str, Any]]:
-    """Yield the results of a file, and write them back at the end. No other process can add rows meanwhile.
-
-    Raises:
-        OSError: If the file cannot be written, or another process writes it.
-    """
-    path.parent.mkdir(parents=True, exist_ok=True)
-    with reserved(path, by=None) as output:
-        results = read_results(path, experiment)
-        yield results
-        Path(output.temporary).write_text(as_text(results), encoding="utf-8")
-        output.finish()
 
 
 def check_rows(results: Mapping[str, Any], loaded: Loaded | None = None) -> list[str]:
@@ -181,11 +164,16 @@ def submit(
     for cell in shown_cells:
         if Path(cell.mode).suffix:
             raise ValueError(f"{cell.name}: published results are of built-in modes, not of `{cell.mode}`")
-    with _updating(results, loaded.file.stem) as document:
+    results.parent.mkdir(parents=True, exist_ok=True)
+    # No other process can add rows meanwhile.
+    with reserved(results, by=None) as output:
+        document = read_results(results, loaded.file.stem)
         rows = {tuple(row[key] for key in KEY): row for row in document["rows"]}
         for cell in shown_cells:
             yield from _update(rows, loaded, cell, root, only_hashes)
         document["rows"] = sorted(rows.values(), key=lambda row: _place_of(row, loaded))
+        Path(output.temporary).write_text(as_text(document), encoding="utf-8")
+        output.finish()
     yield f"{len(rows)} rows in {results}"
 
 
@@ -305,8 +293,7 @@ def _rehashed(old: Row, new: Row) -> dict[str, Any]:
         ValueError: If the rows have other figures, settings, rules or episodes.
     """
     again = json.loads(json.dumps(new))
-    different = [key for key in old if key not in _CHANGING and old[key] != again.get(key)]
-    if different:
+    if different := [key for key in old if key not in _CHANGING and old[key] != again.get(key)]:
         raise ValueError(f"the published row differs in {', '.join(f'`{key}`' for key in different)}")
     if old["sha256_of"] == again["sha256_of"] and old["sha256"] != again["sha256"]:
         raise ValueError(f"the published row has the {old['sha256_of']} {old['sha256']}, not {again['sha256']}")
@@ -331,12 +318,11 @@ def leaderboard(results: Mapping[str, Any], level: int = 2, loaded: Loaded | Non
         parts.append(f"{'#' * level} {mode.capitalize()}\n\n{markdown_table(_mode_table(loaded, mode, own))}")
     columns: dict[str, list[Mapping[str, float]]] = {}
     for row in rows:
-        if row["details"] and loaded.task.paper_details(loaded.experiment.paper)[0]:
-            columns.setdefault(", ".join(filter(None, (row["learner"], row["variant"], row["mode"]))), []).append(
-                row["details"]
-            )
-    if columns:
-        paper, _ = loaded.task.paper_details(loaded.experiment.paper)
+        if row["details"]:
+            name = ", ".join(filter(None, (row["learner"], row["variant"], row["mode"])))
+            columns.setdefault(name, []).append(row["details"])
+    paper, _ = loaded.task.paper_details(loaded.experiment.paper)
+    if columns and paper:
         details = detail_table({name: mean_details(each) for name, each in columns.items()}, paper)
         parts.append(f"{'#' * level} {loaded.task.details_title}\n\n{markdown_table(details)}")
     notes = sorted({f"- `{row['learner']}`, {row['mode']}: {row['note']}" for row in rows if row["note"]})
@@ -349,7 +335,7 @@ def _mode_table(loaded: Loaded, mode: str, rows: Sequence[Row]) -> list[list[str
     groups: dict[tuple[str, str, str], list[Row]] = {}
     for row in rows:
         groups.setdefault((row["learner"], row["variant"], row["evaluation"]), []).append(row)
-    pooled = {key: _pooled(task, group) for key, group in groups.items()}
+    pooled = {key: task.intervals([task.evaluation_of(row) for row in group]) for key, group in groups.items()}
     several = len({evaluation for _, _, evaluation in groups}) > 1
     ordered = list(groups)
     if not several and not any(variant for _, variant, _ in groups):
@@ -375,15 +361,9 @@ def _mode_table(loaded: Loaded, mode: str, rows: Sequence[Row]) -> list[list[str
     for label, only in paper_rows(task, table, mode, found):
         figures = paper_cells(only, measures)
         head = headline_of(only, task.headline)
-        lines.append(
-            [label, *figures, figures[0] if head is None else f"{head:.2f}", *[""] * (len(lines[0]) - len(figures) - 2)]
-        )
+        figures.append(figures[0] if head is None else f"{head:.2f}")
+        lines.append([label, *figures, *[""] * (len(lines[0]) - len(figures) - 1)])
     return lines
-
-
-def _pooled(task: Task, rows: Sequence[Row]) -> dict[str, Interval]:
-    """Return the measures over the seeds."""
-    return task.intervals([task.evaluation_of(row) for row in rows])
 
 
 def _sources(loaded: Loaded, rows: Sequence[Row]) -> str:

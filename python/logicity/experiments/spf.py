@@ -5,6 +5,7 @@ from __future__ import annotations
 import json
 import re
 import shutil
+from collections import Counter
 from collections.abc import Iterable, Iterator, Mapping, Sequence
 from functools import cache
 from pathlib import Path
@@ -21,6 +22,7 @@ from ..evaluation import Benchmark, Interval
 from ..files import read_json
 from ..learn.config import TrainConfig, unused
 from ..learn.faults import Fault, contains, merged
+from ..learn.learner import LearnedPolicy
 from ..learn.policies import load_policy
 from ..learn.run import config_faults, train
 from ..learn.settings import Count, Seed, StrictModel
@@ -103,7 +105,7 @@ class SafePathFollowing(Task):
     reusable = True
     sends_curves = True
 
-    def mode_fault(self, path: list[str], mode: str, folder: Path) -> Fault | None:
+    def mode_fault(self, folder: Path, path: list[str], mode: str) -> Fault | None:
         """Return the error of an unknown mode or a missing file, which may be in the folder, or `None`."""
         try:
             checked_mode(mode)
@@ -184,7 +186,6 @@ class SafePathFollowing(Task):
 
     def spec(self, cell: Cell) -> dict[str, Any]:
         """Return the settings, rules, episodes, evaluations and version."""
-        assert isinstance(cell.settings, TrainConfig)
         config = cell.settings.to_dict()
         mode = config.pop("mode")
         return {
@@ -199,13 +200,11 @@ class SafePathFollowing(Task):
 
     def document(self, cell: Cell, root: Path) -> dict[str, Any]:
         """Return the training configuration."""
-        assert isinstance(cell.settings, TrainConfig)
         return {"config": cell.settings.to_dict()}
 
     def steps(self, cell: Cell) -> int:
         """Return the number of training steps."""
-        assert isinstance(cell.settings, TrainConfig)
-        return cell.settings.steps
+        return int(cell.settings.steps)
 
     def model(self, folder: Path) -> Path:
         """Return the file of the best policy."""
@@ -223,32 +222,13 @@ class SafePathFollowing(Task):
                 f"`{config.mode}` has another content of {', '.join(changed)} than when the experiment began: run the "
                 "same command again"
             )
-        result = _trained(folder) or train(
-            config,
-            folder,
-            progress=running.progress,
-            report=running.report,
-            wandb=running.wandb,
-            trust=running.trust,
-        )
-        policy = load_policy(folder).policy
-        evaluations = {}
-        for name, each in spec["evaluations"].items():
-            benchmark = _benchmark(folder, config, each)
-            if each == TEST:
-                evaluations[name] = dict(result["test"])
-            else:
-                evaluations[name] = benchmark.evaluate(policy, name=config.algorithm).to_dict()
-                # Not the path of the file of new episodes, which depends on the machine.
-                evaluations[name]["mode"] = spec["mode"]
-            evaluations[name]["random_returns"] = benchmark.random_returns()
+        options = {name: getattr(running, name) for name in ("progress", "report", "wandb", "trust")}
+        result = _trained(folder) or train(config, folder, **options)
+        evaluations = _evaluated(folder, config, spec["evaluations"], load_policy(folder).policy, result["test"])
         if config.start is not None:
             # The path depends on the machine; the hash of the file is in the result.
             result["config"]["start"] = Path(config.start).name
-        return {
-            "result": {key: value for key, value in result.items() if key != "test"},
-            "evaluations": evaluations,
-        }
+        return {"result": {key: result[key] for key in result if key != "test"}, "evaluations": evaluations}
 
     def clean(self, folder: Path) -> None:
         """Remove the checkpoints."""
@@ -257,18 +237,12 @@ class SafePathFollowing(Task):
 
     def measure_again(self, cell: Cell, root: Path) -> dict[str, dict[str, Any]]:
         """Evaluate the best policy."""
-        assert isinstance(cell.settings, TrainConfig)
-        folder, config = cell.folder(root), cell.settings
+        folder = cell.folder(root)
         try:
             policy = load_policy(folder).policy
         except ValueError as error:
             raise ValueError(f"{error}: delete `{folder}` and train the cell again") from None
-        again = {}
-        for name, each in cell.evaluations.items():
-            benchmark = _benchmark(folder, config, each)
-            again[name] = benchmark.evaluate(policy, name=config.algorithm).to_dict()
-            again[name]["random_returns"] = benchmark.random_returns()
-        return again
+        return _evaluated(folder, cell.settings, cell.evaluations, policy)
 
     def hashed(self, cell: Cell, root: Path) -> tuple[str, str]:
         """Return the hash of the weights of the best policy, or of its rules."""
@@ -311,8 +285,7 @@ class SafePathFollowing(Task):
         if row["mode"] not in ENVIRONMENTS:
             yield "published results are of built-in modes"
             return
-        different = [name for name, value in _hashes(row["mode"]).items() if row["hashes"].get(name) != value]
-        if different:
+        if different := [name for name, value in _hashes(row["mode"]).items() if row["hashes"].get(name) != value]:
             yield f"other {', '.join(different)}"
 
 
@@ -338,14 +311,9 @@ def clauses_of(mode: str) -> tuple[str, ...]:
 
 def violation_rates(evaluations: Sequence[Mapping[str, Any]], clauses: Iterable[str]) -> dict[str, float]:
     """Return, for each of the clauses, the share of the episodes of all runs whose last action violates it."""
-    counts = dict.fromkeys(clauses, 0)
-    total = 0
-    for evaluation in evaluations:
-        for record in evaluation["episodes"]:
-            total += 1
-            for clause in record["violations"]:
-                counts[clause] += 1
-    return {clause: counts[clause] / total for clause in sorted(counts, key=_by_name)}
+    records = [record for evaluation in evaluations for record in evaluation["episodes"]]
+    counts = Counter(clause for record in records for clause in record["violations"])
+    return {clause: counts[clause] / len(records) for clause in sorted(clauses, key=_by_name)}
 
 
 def _by_name(clause: str) -> tuple[str, int, str]:
@@ -354,9 +322,7 @@ def _by_name(clause: str) -> tuple[str, int, str]:
     return letters, int(clause[len(letters) :] or 0), clause
 
 
-@cache
-def _hashes(mode: str) -> dict[str, Any]:
-    return task_hashes(mode)
+_hashes = cache(task_hashes)
 
 
 def _training_file(file: Path, name: str) -> Path:
@@ -374,16 +340,35 @@ def _trained(folder: Path) -> dict[str, Any] | None:
     """
     try:
         result = read_json(folder / "result.json")
-    except (FileNotFoundError, RecursionError, ValueError):
+    except (FileNotFoundError, ValueError):
         return None
     complete = isinstance(result, dict) and "test" in result and any(folder.glob("best.*"))
     return result if complete else None
 
 
-def _benchmark(folder: Path, config: TrainConfig, evaluation: Mapping[str, Any]) -> Benchmark:
-    """Return the benchmark of an evaluation. New episodes are made in the folder of the cell, once."""
-    mode = config.mode if evaluation["fresh"] is None else _fresh(folder, config.mode, evaluation)
-    return Benchmark(mode, evaluation["split"], observation=config.observation)
+def _evaluated(
+    folder: Path,
+    config: TrainConfig,
+    evaluations: Mapping[str, Mapping[str, Any]],
+    policy: LearnedPolicy,
+    tested: Mapping[str, Any] | None = None,
+) -> dict[str, dict[str, Any]]:
+    """Return the evaluations of a policy. `tested` is that of `TEST`, if there is one already.
+
+    New episodes are made in the folder of the cell, once.
+    """
+    done = {}
+    for name, each in evaluations.items():
+        mode = config.mode if each["fresh"] is None else _fresh(folder, config.mode, each)
+        benchmark = Benchmark(mode, each["split"], observation=config.observation)
+        if tested is not None and each == TEST:
+            result = dict(tested)
+        else:
+            result = benchmark.evaluate(policy, name=config.algorithm).to_dict()
+            # Not the path of the file of new episodes, which depends on the machine.
+            result["mode"] = Path(config.mode).name
+        done[name] = {**result, "random_returns": benchmark.random_returns()}
+    return done
 
 
 def _fresh(folder: Path, mode: str, evaluation: Mapping[str, Any]) -> str:

@@ -7,40 +7,9 @@ from pathlib import Path
 from typing import Any
 
 from ..evaluation import Interval
-from ..files import reserved, write_json, write_text
+from ..files import reserved
 
-__all__ = [
-    *("aligned", "draw_bars", "draw_lines", "draw_panels", "escaped", "latex_table", "markdown_table", "write_tables"),
-]
-
-
-def write_tables(root: Path, markdown: str, latex: str, values: Mapping[str, Any]) -> list[Path]:
-    """Write `table.md`, `table.tex` and `table.json` to a folder, and return their paths.
-
-    Raises:
-        OSError: If a file cannot be written.
-    """
-    texts = {root / "table.md": markdown, root / "table.tex": latex}
-    for path, text in texts.items():
-        write_text(path, text)
-    write_json(root / "table.json", values)
-    return [*texts, root / "table.json"]
-
-
-def _save_figure(figure: Any, root: Path, name: str) -> list[Path]:
-    """Write a figure of matplotlib to a folder as PNG and SVG, without dates, and return the paths.
-
-    Raises:
-        OSError: If a file cannot be written.
-    """
-    written = []
-    for ending, metadata in (("png", {"Software": None}), ("svg", {"Date": None})):
-        path = root / f"{name}.{ending}"
-        with reserved(path, by=None) as output:
-            figure.savefig(output.temporary, format=ending, dpi=150, metadata=metadata)
-            output.finish()
-        written.append(path)
-    return written
+__all__ = ["aligned", "draw_bars", "draw_lines", "draw_panels", "escaped", "latex_table", "markdown_table"]
 
 
 def draw_panels(
@@ -78,7 +47,12 @@ def draw_panels(
             axes = figure.add_subplot(rows, columns, at)
             axes.set_title(title, fontsize=10)
             draw(axes, key)
-        return _save_figure(figure, root, name)
+        written = {root / f"{name}.png": {"Software": None}, root / f"{name}.svg": {"Date": None}}
+        for path, metadata in written.items():
+            with reserved(path, by=None) as output:
+                figure.savefig(output.temporary, format=path.suffix[1:], dpi=150, metadata=metadata)
+                output.finish()
+    return list(written)
 
 
 def draw_bars(axes: Any, bars: Sequence[tuple[str, Interval | None, float | None]], label: str) -> None:
@@ -103,9 +77,8 @@ def draw_lines(axes: Any, lines: Mapping[str, Sequence[tuple[float, Interval]]],
     for name, points in lines.items():
         xs, values = zip(*sorted(points, key=lambda point: point[0]), strict=True)
         (line,) = axes.plot(xs, [each.value for each in values], marker="o", markersize=3, linewidth=1, label=name)
-        axes.fill_between(
-            xs, [each.low for each in values], [each.high for each in values], color=line.get_color(), alpha=0.12
-        )
+        low, high = [each.low for each in values], [each.high for each in values]
+        axes.fill_between(xs, low, high, color=line.get_color(), alpha=0.12)
     axes.set_xlabel(labels[0])
     axes.set_ylabel(labels[1])
     axes.set_ylim(-0.02, 1.02)

@@ -5,7 +5,7 @@ from __future__ import annotations
 import hashlib
 import json
 from abc import ABC, abstractmethod
-from collections.abc import Callable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import dataclass, field
 from functools import cached_property
 from pathlib import Path
@@ -13,6 +13,7 @@ from typing import Any, ClassVar
 
 from pydantic import BaseModel
 
+from ..errors import did_you_mean
 from ..evaluation import Interval
 from ..learn.faults import Fault
 from .experiment import Experiment, Selection
@@ -41,7 +42,7 @@ class Cell:
         mode: The mode of the column.
         variant: The name of the variant, or an empty text.
         seed: The seed.
-        settings: The settings.
+        settings: The settings, as `Task.settings` returns them.
         evaluations: The evaluations by name, for tasks that have several.
         start: The cell from whose model the training starts.
         optional: Whether the learner may be missing on this machine.
@@ -53,7 +54,7 @@ class Cell:
     mode: str
     variant: str
     seed: int
-    settings: BaseModel
+    settings: Any
     evaluations: Mapping[str, Mapping[str, Any]] = field(default_factory=dict)
     start: Cell | None = None
     optional: bool = False
@@ -62,7 +63,7 @@ class Cell:
     @property
     def name(self) -> str:
         """A name for people, such as `dqn, easy, seed 0`."""
-        return ", ".join(part for part in (self.row, self.variant, Path(self.mode).stem, f"seed {self.seed}") if part)
+        return ", ".join(filter(None, (self.row, self.variant, Path(self.mode).stem, f"seed {self.seed}")))
 
     @cached_property
     def spec(self) -> dict[str, Any]:
@@ -77,7 +78,7 @@ class Cell:
     def folder(self, root: Path) -> Path:
         """Return the folder of the cell in that of an experiment. Another identity has another folder."""
         parts = (self.row, Path(self.mode).stem, self.variant, str(self.seed), self.identity[:12])
-        name = "-".join(part for part in parts if part)
+        name = "-".join(filter(None, parts))
         return root / "cells" / "".join(each if each.isalnum() or each in "-._" else "_" for each in name)
 
 
@@ -97,7 +98,7 @@ class Running:
 
     folder: Path
     document: Mapping[str, Any]
-    report: Callable[[int], None] | None = None
+    report: Callable[[int], None] = lambda steps: None
     progress: bool = False
     wandb: str | None = None
     trust: bool = False
@@ -121,10 +122,14 @@ class Task(ABC):
     main_measures: ClassVar[int] = 6
     #: The headings of modes, if they are not their names.
     mode_titles: ClassVar[Mapping[str, str]] = {}
+    #: What messages call a mode.
+    mode_word: ClassVar[str] = "mode"
     #: The measure that figures show.
     headline: ClassVar[str]
     #: What the headline is measured on, for the axes of figures.
     measured_on: ClassVar[str]
+    #: The key of evaluations with what `intervals` needs.
+    sampled: ClassVar[str]
     #: A sentence on the intervals.
     interval_note: ClassVar[str]
     #: The title of the details of an evaluation.
@@ -140,17 +145,19 @@ class Task(ABC):
 
     # --- what a cell is
 
-    @abstractmethod
-    def mode_fault(self, path: list[str], mode: str, folder: Path) -> Fault | None:
-        """Return the error of a mode that a file in a folder names, or `None`."""
+    def mode_fault(self, folder: Path, path: list[str], mode: str) -> Fault | None:
+        """Return the error of a mode that a file in a folder names, or `None`. By default modes have `mode_titles`."""
+        if mode in self.mode_titles:
+            return None
+        return "invalid-value", path, f"unknown {self.mode_word} `{mode}`{did_you_mean(mode, self.mode_titles)}", ""
 
     def located_mode(self, mode: str, folder: Path) -> str:
         """Return a mode that a file in a folder names, as it can be used from any folder."""
         return mode
 
-    def faults(self, experiment: Any, file: Path) -> Iterator[Fault]:
-        """Yield the errors in the keys of the task."""
-        return iter(())
+    def faults(self, experiment: Any, file: Path) -> Iterable[Fault]:
+        """Return the errors in the keys of the task."""
+        return ()
 
     @abstractmethod
     def settings(
@@ -186,6 +193,17 @@ class Task(ABC):
     def environment(self, cell: Cell) -> dict[str, str]:
         """Return environment variables for `run`, such as those with secrets, which no file has."""
         return {}
+
+    @staticmethod
+    def check_unchanged(spec: Mapping[str, Any], today: Mapping[str, Any]) -> None:
+        """Check that this process has the rules and other parts of the specification of a cell.
+
+        Raises:
+            ValueError: If one of them is different.
+        """
+        for name, value in today.items():
+            if value != spec.get(name):
+                raise ValueError(f"the {name} changed after the experiment had begun: run the same command again")
 
     @abstractmethod
     def steps(self, cell: Cell) -> int:
@@ -228,9 +246,9 @@ class Task(ABC):
     def intervals(self, evaluations: Sequence[Mapping[str, Any]]) -> dict[str, Interval]:
         """Return the measures of runs with 95 % intervals, from their evaluations."""
 
-    @abstractmethod
     def samples(self, evaluation: Mapping[str, Any]) -> Any:
-        """Return the part of an evaluation that `intervals` needs, for the published rows."""
+        """Return what `intervals` needs of an evaluation, for the published rows. By default the value of `sampled`."""
+        return evaluation[self.sampled]
 
     @abstractmethod
     def evaluation_of(self, row: Mapping[str, Any]) -> dict[str, Any]:
@@ -254,9 +272,9 @@ class Task(ABC):
         """Return the headline on the validation data by step."""
         return []
 
-    def row_faults(self, row: Mapping[str, Any], experiment: Any) -> Iterator[str]:
-        """Yield the faults of a published row that only this task knows."""
-        return iter(())
+    def row_faults(self, row: Mapping[str, Any], experiment: Any) -> Iterable[str]:
+        """Return the faults of a published row that only this task knows."""
+        return ()
 
     # --- what the paper reports
 

@@ -5,22 +5,22 @@ from __future__ import annotations
 import platform
 import tempfile
 import time
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Iterable, Iterator, Mapping, Sequence
 from pathlib import Path
 from typing import Annotated, Any, ClassVar, Literal, cast
 
 import numpy as np
 from numpy.typing import NDArray
-from pydantic import BaseModel, Field, ValidationError
+from pydantic import Field, ValidationError
 
 from .._logicity import __version__
 from ..city import ACTIONS
-from ..errors import did_you_mean, missing_extra
+from ..errors import missing_extra
 from ..evaluation import Interval
 from ..files import read_tensors
 from ..learn.faults import Fault, faults
 from ..learn.storage import weights_hash
-from .experiment import Experiment, Selection, changes_of, place_of
+from .experiment import Experiment, Selection, changes_of, first_at, place_of, unknown_in
 from .paper import paper_table
 from .statistics import bootstrap_weights
 from .task import Cell, CellKey, Running, Task
@@ -40,6 +40,9 @@ FORMAT = 1
 
 #: The keys of each world of an evaluation.
 WORLD_KEYS = ("world", "frames", "a_acc", "counts", "correct")
+
+#: Describes an unknown setting.
+UNKNOWN = unknown_in(VapSettings, whole=True)
 
 _Mode = Literal["easy", "hard"]
 
@@ -65,31 +68,24 @@ class VisualActionPrediction(Task):
     measures: ClassVar[Mapping[str, str]] = {name: name for name in (*ACTIONS, "aAcc", "wAcc")}
     headline = "wAcc"
     measured_on = "test worlds"
+    sampled = "worlds"
     interval_note = (
         "Intervals (95 %): bootstrap over seeds and, independently, over test worlds. Values of one seed and one "
         "test world have no interval."
     )
     details_title = "Recall of concepts at the threshold 0.5"
     paper = "vap"
+    mode_titles: ClassVar[Mapping[str, str]] = {"easy": "easy", "hard": "hard"}
 
-    def mode_fault(self, path: list[str], mode: str, folder: Path) -> Fault | None:
-        """Return the error of an unknown mode, or `None`."""
-        known = ("easy", "hard")
-        if mode in known:
-            return None
-        return "invalid-value", path, f"unknown mode `{mode}`{did_you_mean(mode, known)}", ""
-
-    def faults(self, experiment: VapExperiment, file: Path) -> Iterator[Fault]:
-        """Yield the errors in settings, each once, where its value is written, and rows that lack a `start`."""
-        # A value of the experiment is part of many cells.
-        seen: set[tuple[str, ...]] = set()
-        for quick in (False, True):
-            for row, spec in experiment.learners.items():
-                for name in spec.variants or experiment.variants:
-                    for fault in self._cell_faults(experiment, row, name, quick):
-                        if tuple(fault[1]) not in seen:
-                            seen.add(tuple(fault[1]))
-                            yield fault
+    def faults(self, experiment: VapExperiment, file: Path) -> Iterable[Fault]:
+        """Return the errors in settings, where their values are written, and rows that lack a `start`."""
+        return first_at(
+            fault
+            for quick in (False, True)
+            for row, spec in experiment.learners.items()
+            for name in spec.variants or experiment.variants
+            for fault in self._cell_faults(experiment, row, name, quick)
+        )
 
     def _cell_faults(self, experiment: VapExperiment, row: str, name: str, quick: bool) -> Iterator[Fault]:
         """Yield the errors in the settings of a row and the variant with a name."""
@@ -97,17 +93,15 @@ class VisualActionPrediction(Task):
         try:
             settings = VapSettings.model_validate(changes_of(places))
         except ValidationError as error:
-            for code, path, message, help in faults(error, _unknown_setting):
-                at = place_of(places, path or _key_of(error)) or ["learners", row]
+            for code, path, message, help in faults(error, UNKNOWN):
+                # An error of a whole model names its setting in the context.
+                at = place_of(places, path or error.errors()[0]["ctx"]["key"].split(".")) or ["learners", row]
                 cell = f"settings of `{row}`: " if not path or at[:2] == ["learners", row] else ""
                 yield code, at, f"{cell}{message}", help
             return
-        variant = experiment.variants.get(name)
-        if (
-            settings.needs_concepts
-            and experiment.learners[row].start is None
-            and (variant is None or variant.start is None)
-        ):
+        # An unknown variant is another fault.
+        starts = [spec.start for spec in (experiment.learners[row], experiment.variants.get(name)) if spec is not None]
+        if settings.needs_concepts and all(start is None for start in starts):
             yield "invalid-value", ["learners", row], f"`{row}`: {NO_CONCEPTS}", ""
 
     def settings(
@@ -118,7 +112,7 @@ class VisualActionPrediction(Task):
         try:
             settings = VapSettings.model_validate(changes_of(places, selection.changes))
         except ValidationError as error:
-            _, _, message, help = faults(error, _unknown_setting)[0]
+            _, _, message, help = faults(error, UNKNOWN)[0]
             raise ValueError(f"--set: settings of `{key.row}`: {message}" + f"; {help}" * bool(help)) from None
         if settings.needs_concepts and not started:
             raise ValueError(f"--set: `{key.row}`: {NO_CONCEPTS}")
@@ -126,7 +120,6 @@ class VisualActionPrediction(Task):
 
     def spec(self, cell: Cell) -> dict[str, Any]:
         """Return the settings, rules, weights of the backbone and version."""
-        assert isinstance(cell.settings, VapSettings)
         backbone = cell.settings.weights_hash
         return {
             "format": FORMAT,
@@ -145,7 +138,6 @@ class VisualActionPrediction(Task):
 
     def steps(self, cell: Cell) -> int:
         """Return the number of epochs."""
-        assert isinstance(cell.settings, VapSettings)
         return 1 if cell.settings.stage in ("induction", "bound") else cell.settings.training.epochs
 
     def model(self, folder: Path) -> Path:
@@ -160,9 +152,7 @@ class VisualActionPrediction(Task):
             # Another machine of a cluster makes its own data.
             data = Path(tempfile.gettempdir()) / "logicity-vap-data"
         settings = VapSettings.model_validate(spec["settings"])
-        for name, today in {"rules": rules_hash(spec["mode"]), "backbone": settings.weights_hash}.items():
-            if today != spec.get(name):
-                raise ValueError(f"the {name} changed after the experiment had begun: run the same command again")
+        self.check_unchanged(spec, {"rules": rules_hash(spec["mode"]), "backbone": settings.weights_hash})
         work = VapWork(spec["mode"], spec["seed"], settings, running.folder, data, running.report)
         torch.set_num_threads(1)
         begun = time.process_time()
@@ -170,20 +160,17 @@ class VisualActionPrediction(Task):
         save(model, self.model(running.folder))
         evaluations, concepts = measure(work, model)
         trained = sum(each["cpu_seconds"] for each in history)
-        return {
-            "result": {
-                "settings": spec["settings"],
-                "seed": spec["seed"],
-                # Epochs before an interruption took their time in another process.
-                "cpu_seconds": round(max(time.process_time() - begun, trained), 1),
-                "versions": {"logicity": __version__, "torch": torch.__version__, "python": platform.python_version()},
-                "hashes": {name: spec[name] for name in ("rules", "backbone") if name in spec},
-                "model_sha256": weights_hash(model),
-                "history": [{name: each[name] for name in ("loss", "score")} for each in history],
-            },
-            "evaluations": evaluations,
-            "concepts": concepts,
+        result = {
+            "settings": spec["settings"],
+            "seed": spec["seed"],
+            # Epochs before an interruption took their time in another process.
+            "cpu_seconds": round(max(time.process_time() - begun, trained), 1),
+            "versions": {"logicity": __version__, "torch": torch.__version__, "python": platform.python_version()},
+            "hashes": {name: spec[name] for name in ("rules", "backbone") if name in spec},
+            "model_sha256": weights_hash(model),
+            "history": [{name: each[name] for name in ("loss", "score")} for each in history],
         }
+        return {"result": result, "evaluations": evaluations, "concepts": concepts}
 
     def clean(self, folder: Path) -> None:
         """Remove the checkpoint."""
@@ -191,13 +178,11 @@ class VisualActionPrediction(Task):
 
     def measure_again(self, cell: Cell, root: Path) -> dict[str, dict[str, Any]]:
         """Measure the model on the test worlds."""
-        assert isinstance(cell.settings, VapSettings)
         # One thread, as in `run`: with several, measures could differ.
         torch.set_num_threads(1)
         folder, data = cell.folder(root), Path(self.document(cell, root)["data"])
-        work = VapWork(cast(_Mode, cell.mode), cell.seed, cell.settings, folder, data, None)
-        again, _ = measure(work, read_tensors(self.model(folder), "a model"))
-        return again
+        work = VapWork(cast(_Mode, cell.mode), cell.seed, cell.settings, folder, data)
+        return measure(work, read_tensors(self.model(folder), "a model"))[0]
 
     def hashed(self, cell: Cell, root: Path) -> tuple[str, str]:
         """Return the hash of the weights. Those of a model without a network are its rules, or the absent classes."""
@@ -212,10 +197,6 @@ class VisualActionPrediction(Task):
         (one,) = evaluations
         values = one.get("values") or {**one["recall"], "aAcc": one["a_acc"], "wAcc": one["w_acc"]}
         return {name: Interval(values[name], each.low, each.high) for name, each in measures.items()}
-
-    def samples(self, evaluation: Mapping[str, Any]) -> list[dict[str, Any]]:
-        """Return the counts of each world."""
-        return list(evaluation["worlds"])
 
     def evaluation_of(self, row: Mapping[str, Any]) -> dict[str, Any]:
         """Return the measures and the counts of each world."""
@@ -240,8 +221,7 @@ class VisualActionPrediction(Task):
         if [each["world"] for each in row["samples"]] != list(range(settings.worlds.test)):
             yield "other worlds"
         if row["samples"]:
-            means = {name: float(each[0]) for name, each in _means(_tables([row["samples"]])).items()}
-            for name, value in means.items():
+            for name, (value,) in _means(_tables([row["samples"]])).items():
                 recorded = row["measures"].get(name, {}).get("value", np.nan)
                 # The sums over the frames of a world have six decimals. An action that does not occur has no recall.
                 if not np.isclose(recorded, value, rtol=0, atol=1e-6, equal_nan=True):
@@ -254,19 +234,6 @@ class VisualActionPrediction(Task):
         """Return the paper's recalls of concepts if the experiment names a table of the paper."""
         concepts = paper_table("vap-concepts")
         return (concepts["concepts"], f"{concepts['source']}. {concepts['note']}") if table else ({}, "")
-
-
-def _key_of(error: ValidationError) -> list[str]:
-    """Return the path of the setting that an error of a whole model names."""
-    return str(error.errors()[0]["ctx"]["key"]).split(".")
-
-
-def _unknown_setting(path: tuple[str, ...]) -> tuple[str, str]:
-    """Return the message and the help for an unknown setting."""
-    model: type[BaseModel] = VapSettings
-    for name in path[:-1]:
-        model = cast(type[BaseModel], model.model_fields[name].annotation)
-    return f"unknown key `{'.'.join(path)}`", did_you_mean(path[-1], model.model_fields).removeprefix("; ")
 
 
 def measures_of_worlds(runs: Sequence[Sequence[Mapping[str, Any]]]) -> dict[str, Interval]:
@@ -285,10 +252,10 @@ def measures_of_worlds(runs: Sequence[Sequence[Mapping[str, Any]]]) -> dict[str,
     samples = _measures(tables, of_runs, of_worlds)
     result = {}
     for name, values in samples.items():
-        known = values[~np.isnan(values)]
-        if not np.isnan(plain[name][0]) and len(known):
+        known, (mean,) = values[~np.isnan(values)], plain[name]
+        if not np.isnan(mean) and len(known):
             low, high = np.percentile(known, [2.5, 97.5])
-            result[name] = Interval(float(plain[name][0]), float(low), float(high))
+            result[name] = Interval(float(mean), float(low), float(high))
     return result
 
 
@@ -326,6 +293,3 @@ def _measures(
     for at, name in enumerate(ACTIONS):
         values[name] = (of_runs * recall[:, :, at]).sum(1)
     return values
-
-
-# --- published results

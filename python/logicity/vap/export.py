@@ -74,7 +74,8 @@ def _add_sample(tar: tarfile.TarFile, samples: VapDataset, index: int) -> None:
     }
     arrays = io.BytesIO()
     values = ((field.name, getattr(sample, field.name)) for field in fields(sample))
-    np.savez_compressed(arrays, **{name: value for name, value in values if isinstance(value, np.ndarray)})
+    named: dict[str, Any] = {name: value for name, value in values if isinstance(value, np.ndarray)}
+    np.savez_compressed(arrays, **named)
     contents = {"json": json.dumps(record).encode(), "npz": arrays.getvalue()}
     if samples.images:
         picture = samples.picture_path(index)

@@ -168,7 +168,7 @@ class VapWork:
     settings: VapSettings
     folder: Path
     data: Path
-    report: Callable[[int], None] | None
+    report: Callable[[int], None] = lambda epochs: None
 
     def samples(self, split: Literal["train", "val", "test"]) -> Samples:
         """Return the samples of a split, made if they do not exist."""
@@ -242,7 +242,7 @@ def train_stage(work: VapWork) -> Trained:
         "bound": _bound,
     }
     model, history = stages[work.settings.stage](work)
-    if not history and work.report is not None:
+    if not history:
         work.report(1)
     return model, history
 

@@ -231,7 +231,7 @@ def fit(
     seed: int,
     score: Callable[[], float],
     checkpoint: Path | None = None,
-    report: Callable[[int], None] | None = None,
+    report: Callable[[int], None] = lambda epochs: None,
 ) -> list[dict[str, float]]:
     """Train a network, and keep the weights of the epoch with the best score.
 
@@ -303,8 +303,7 @@ def fit(
             parts = {"network": network, "optimizer": optimizer, "schedule": schedule}
             states = {name: part.state_dict() for name, part in parts.items()}
             save({**states, "history": history, "best": best}, checkpoint)
-        if report is not None:
-            report(epoch + 1)
+        report(epoch + 1)
     network.load_state_dict(best)
     network.eval()
     return history

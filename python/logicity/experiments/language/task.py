@@ -1,8 +1,7 @@
 """Experiments of language questions: solvers of this package and language models, beside the paper's models.
 
-`logicity questions` generates the questions. They are the same for each mode, which is a prompt: with solved examples
-only, with the rules in words, and with a request for the rule that requires the action. Solvers answer them here,
-models over HTTP. All replies are files that `logicity grade` reads.
+`logicity questions` generates the questions. They are the same for each mode, which is a prompt. Solvers answer them
+here, models over HTTP. All replies are files that `logicity grade` reads.
 """
 
 from __future__ import annotations
@@ -12,11 +11,11 @@ import json
 import os
 import platform
 import time
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Iterable, Iterator, Mapping, Sequence
 from pathlib import Path
 from typing import Annotated, Any, ClassVar, Literal
 
-from pydantic import BaseModel, Field, Strict, ValidationError
+from pydantic import Field, Strict, ValidationError
 
 from ... import _logicity
 from ..._logicity import __version__
@@ -44,7 +43,7 @@ from ...questions import (
 from ...redaction import masked, shown_url
 from ...rules import Program
 from ...tasks import files_hash
-from ..experiment import Experiment, Selection, changes_of, place_of
+from ..experiment import Experiment, Selection, changes_of, first_at, option_error, place_of, unknown_in
 from ..task import Cell, CellKey, Running, Task
 from .solvers import SOLVERS, run_command
 
@@ -147,8 +146,10 @@ class LanguageQuestions(Task):
     }
     main_measures = len(ACTIONS) + 1
     mode_titles = PROMPTS
+    mode_word = "prompt"
     headline = "overall"
     measured_on = "questions"
+    sampled = "replies"
     interval_note = (
         "Accuracy by correct action, with 95 % Wilson intervals over the questions of all seeds; the intervals do "
         "not account for differences between the sets. Unread replies count as wrong. rule: the reply names a "
@@ -160,47 +161,32 @@ class LanguageQuestions(Task):
     paper = "language"
     chance = 1 / len(LETTERS)
 
-    def mode_fault(self, path: list[str], mode: str, folder: Path) -> Fault | None:
-        """Return the error of an unknown prompt, or `None`."""
-        if mode in PROMPTS:
-            return None
-        return "invalid-value", path, f"unknown prompt `{mode}`{did_you_mean(mode, PROMPTS)}", ""
+    def faults(self, experiment: LanguageExperiment, file: Path) -> Iterable[Fault]:
+        """Return the errors in settings, where their values are written."""
+        cells = ((row, variant) for row in experiment.learners for variant in experiment.variants)
+        return first_at(fault for row, variant in cells for fault in self._cell_faults(experiment, file, row, variant))
 
-    def faults(self, experiment: LanguageExperiment, file: Path) -> Iterator[Fault]:
-        """Yield the errors in settings, each once, where its value is written."""
-        seen: set[tuple[str, ...]] = set()
-        for row in experiment.learners:
-            for variant in experiment.variants:
-                places = experiment.places(row, variant, False)
-                for code, path, message, help in _faults(row, changes_of(places), file):
-                    missing = path[-1:] * (code == "missing-key")
-                    at = [*(place_of(places, path[: -len(missing) or None]) or ["learners", row]), *missing]
-                    if tuple(at) not in seen:
-                        seen.add(tuple(at))
-                        yield code, at, message, help
+    def _cell_faults(self, experiment: LanguageExperiment, file: Path, row: str, variant: str) -> Iterator[Fault]:
+        places = experiment.places(row, variant, False)
+        for code, path, message, help in _faults(row, changes_of(places), file):
+            missing = path[-1:] * (code == "missing-key")
+            at = place_of(places, path[: -len(missing) or None]) or ["learners", row]
+            yield code, [*at, *missing], message, help
 
     def settings(
-        self,
-        experiment: LanguageExperiment,
-        file: Path,
-        key: CellKey,
-        selection: Selection,
-        *,
-        started: bool,
-        check: bool,
+        self, experiment: Any, file: Path, key: CellKey, selection: Selection, *, started: bool, check: bool
     ) -> LanguageSettings:
         """Return the settings of a cell, with its solver if it has no endpoint."""
         values = changes_of(experiment.places(key.row, key.variant, selection.quick, QUICK), selection.changes)
-        for _, path, message, help in _faults(key.row, values, file):
-            raise ValueError(f"--set {'.'.join(path)}: {message}" + f"\nhelp: {help}" * bool(help))
+        for fault in _faults(key.row, values, file):
+            raise option_error(fault)
         settings = LanguageSettings.model_validate(values)
-        if settings.endpoint is None and settings.solver is None:
-            settings = settings.model_copy(update={"solver": key.row})
-        return settings.model_copy(update={"config": _config_path(settings.config, file)})
+        solver = key.row if settings.endpoint is None and settings.solver is None else settings.solver
+        return settings.model_copy(update={"solver": solver, "config": _config_path(settings.config, file)})
 
     def spec(self, cell: Cell) -> dict[str, Any]:
         """Return the settings, rules and version. Those of a request have no secrets, and no address."""
-        settings = _settings(cell).model_dump(mode="json")
+        settings = cell.settings.model_dump(mode="json")
         config = settings.pop("config")
         if settings["endpoint"] is not None:
             shown = masked({key: settings["endpoint"][key] for key in ("model", "settings", "logprobs")})
@@ -217,21 +203,20 @@ class LanguageQuestions(Task):
 
     def document(self, cell: Cell, root: Path) -> dict[str, Any]:
         """Return the path of the configuration, and the endpoint without what may be a secret."""
-        settings = _settings(cell).model_dump(mode="json")
+        settings: dict[str, Any] = cell.settings.model_dump(mode="json", include={"config", "endpoint"})
         if (endpoint := settings["endpoint"]) is not None:
             # The key can stand in place of its variable by mistake.
-            safe = {"url": shown_url(endpoint["url"]), "settings": masked(endpoint["settings"]), "key_from": None}
-            endpoint |= safe
-        return {"config": settings["config"], "endpoint": endpoint}
+            endpoint |= {"url": shown_url(endpoint["url"]), "settings": masked(endpoint["settings"]), "key_from": None}
+        return settings
 
     def environment(self, cell: Cell) -> dict[str, str]:
         """Return the endpoint."""
-        endpoint = _settings(cell).endpoint
+        endpoint = cell.settings.endpoint
         return {} if endpoint is None else {ENDPOINT: endpoint.model_dump_json()}
 
     def steps(self, cell: Cell) -> int:
         """Return the number of questions."""
-        return _settings(cell).count
+        return int(cell.settings.count)
 
     def model(self, folder: Path) -> Path:
         """Return the file of the replies."""
@@ -241,8 +226,7 @@ class LanguageQuestions(Task):
         """Write the questions, have them answered, and grade the replies."""
         spec, document, folder = running.document["spec"], running.document, running.folder
         config, settings = document["config"], spec["settings"]
-        if files_hash(config) != spec["rules"]:
-            raise ValueError("the rules changed after the experiment had begun: run the same command again")
+        self.check_unchanged(spec, {"rules": files_hash(config)})
         begun = sum(os.times()[:4])
         options = [text for key in ("count", "shots", "style", "entities") for text in (f"--{key}", str(settings[key]))]
         about = ["--about", ",".join(settings["about"])] if settings["about"] else []
@@ -250,27 +234,23 @@ class LanguageQuestions(Task):
         asked = ["--prompt", spec["prompt"], "--seed", str(spec["seed"]), "--output", str(path), "--force"]
         run_command("questions", config, *options, *about, *asked)
         questions = load_questions(path)
-        report = running.report or (lambda answered: None)
         if document["endpoint"] is not None:
-            known = os.environ.get(ENDPOINT)
-            values = document["endpoint"] if known is None else json.loads(known)
+            values = json.loads(os.environ.get(ENDPOINT, "null")) or document["endpoint"]
             _ask(questions, EndpointSettings.model_validate(values), replies, running)
         elif not replies.exists():
             answers = SOLVERS[settings["solver"]](questions, config, folder / "solved")
             lines = ({"id": each.id, "model": settings["solver"], "answer": answers[each.id]} for each in questions)
             write_text(replies, "".join(json.dumps(line) + "\n" for line in lines))
-        report(len(questions))
-        return {
-            "result": {
-                "settings": settings,
-                "seed": spec["seed"],
-                # With the programs that it ran.
-                "cpu_seconds": round(sum(os.times()[:4]) - begun, 1),
-                "versions": {"logicity": __version__, "python": platform.python_version()},
-                "hashes": {"rules": spec["rules"]},
-            },
-            "evaluations": {"": {"replies": graded(questions, replies)}},
+        running.report(len(questions))
+        result = {
+            "settings": settings,
+            "seed": spec["seed"],
+            # With the programs that it ran.
+            "cpu_seconds": round(sum(os.times()[:4]) - begun, 1),
+            "versions": {"logicity": __version__, "python": platform.python_version()},
+            "hashes": {"rules": spec["rules"]},
         }
+        return {"result": result, "evaluations": {"": {"replies": graded(questions, replies)}}}
 
     def measure_again(self, cell: Cell, root: Path) -> dict[str, dict[str, Any]]:
         """Grade the replies."""
@@ -286,27 +266,20 @@ class LanguageQuestions(Task):
         """Return the measures over the questions of all sets, shares with Wilson intervals."""
         replies = [reply for each in evaluations for reply in each["replies"]]
         right = [reply["chosen"] == reply["answer"] for reply in replies]
-        result: dict[str, Interval] = {}
-        for letter, action in zip(LETTERS, ACTIONS, strict=True):
-            of_action = [correct for reply, correct in zip(replies, right, strict=True) if reply["answer"] == letter]
-            if of_action:
-                result[action] = Interval.of_share(sum(of_action), len(of_action))
-        result["overall"] = Interval.of_share(sum(right), len(replies))
+        shares: dict[str, list[bool]] = {action: [] for action in ACTIONS}
+        for reply, correct in zip(replies, right, strict=True):
+            shares[ACTIONS[LETTERS.index(reply["answer"])]].append(correct)
+        shares["overall"] = right
         if any(reply["rule"] is not None for reply in replies):
-            derived = [bool(reply["derived"]) for reply in replies]
-            both = sum(correct and rule for correct, rule in zip(right, derived, strict=True))
-            result["rule"] = Interval.of_share(sum(derived), len(replies))
-            result["both"] = Interval.of_share(both, len(replies))
+            shares["rule"] = [bool(reply["derived"]) for reply in replies]
+            shares["both"] = [correct and rule for correct, rule in zip(right, shares["rule"], strict=True)]
+        result = {name: Interval.of_share(sum(each), len(each)) for name, each in shares.items() if each}
         questions = [Question(str(at), "", (), "", {}, reply["answer"]) for at, reply in enumerate(replies)]
         logprobs = {str(at): reply["logprobs"] for at, reply in enumerate(replies) if reply["logprobs"] is not None}
         if (calibration := calibrate(questions, logprobs)) is not None:
             for name, value in (("ece", calibration.ece), ("brier", calibration.brier)):
                 result[name] = Interval(value, value, value)
         return result
-
-    def samples(self, evaluation: Mapping[str, Any]) -> list[dict[str, Any]]:
-        """Return the graded replies."""
-        return list(evaluation["replies"])
 
     def evaluation_of(self, row: Mapping[str, Any]) -> dict[str, Any]:
         """Return the graded replies."""
@@ -330,20 +303,14 @@ def graded(questions: Sequence[Question], path: Path) -> list[dict[str, Any]]:
     Each has the letters of the correct and of the chosen option, or `unread`; if the question requests a rule, the name
     of the rule, or `None` without one, and whether it derives the action; and the log-probabilities of options.
     """
-    answers, logprobs = load_answers(path), load_logprobs(path)
-    replies = []
+    answers, logprobs, replies = load_answers(path), load_logprobs(path), []
     for question in questions:
-        text = answers[question.id]
-        rule = read_rule(text, question.labels) if question.labels else None
-        replies.append(
-            {
-                "answer": question.answer,
-                "chosen": read_letter(text) or UNREAD,
-                "rule": rule,
-                "derived": rule in (question.clauses or (NO_RULE,)) if question.labels else None,
-                "logprobs": logprobs.get(question.id),
-            }
-        )
+        text, rule, derived = answers[question.id], None, None
+        if question.labels:
+            rule = read_rule(text, question.labels)
+            derived = rule in (question.clauses or (NO_RULE,))
+        reply = {"answer": question.answer, "chosen": read_letter(text) or UNREAD, "rule": rule, "derived": derived}
+        replies.append({**reply, "logprobs": logprobs.get(question.id)})
     return replies
 
 
@@ -355,14 +322,9 @@ def _ask(questions: Sequence[Question], spec: EndpointSettings, path: Path, runn
         time.sleep(seconds)
 
     try:
-        ask(questions, spec.endpoint(), path, running.report or (lambda answered: None), wait)
+        ask(questions, spec.endpoint(), path, running.report, wait)
     except ValueError as error:
         raise ValueError(f"{error}\nhelp: remove `{path}`; the same command asks its questions again") from None
-
-
-def _settings(cell: Cell) -> LanguageSettings:
-    assert isinstance(cell.settings, LanguageSettings)
-    return cell.settings
 
 
 def _faults(row: str, values: Mapping[str, Any], file: Path) -> Iterator[Fault]:
@@ -374,7 +336,7 @@ def _faults(row: str, values: Mapping[str, Any], file: Path) -> Iterator[Fault]:
     try:
         settings = LanguageSettings.model_validate(values)
     except ValidationError as error:
-        yield from faults(error, _unknown)
+        yield from faults(error, unknown_in(LanguageSettings))
         return
     if settings.endpoint is None and settings.solver is None and row not in SOLVERS:
         message = f"`{row}` is no solver{did_you_mean(row, SOLVERS)}: set `endpoint` for a model, or `solver`"
@@ -398,12 +360,6 @@ def _faults(row: str, values: Mapping[str, Any], file: Path) -> Iterator[Fault]:
         yield "invalid-value", ["shots"], message, "use 0, or at least one per action"
 
 
-def _unknown(path: tuple[str, ...]) -> tuple[str, str]:
-    """Return the message and the help for an unknown setting."""
-    model: type[BaseModel] = EndpointSettings if len(path) > 1 else LanguageSettings
-    return f"unknown key `{path[-1]}`", did_you_mean(path[-1], model.model_fields).removeprefix("; ")
-
-
 def _config_path(config: str, file: Path) -> str:
     """Return the configuration as commands take it."""
     return str((file.parent / config).resolve()) if Path(config).suffix else config
@@ -420,9 +376,8 @@ def _part(file: _logicity.ConfigFile, key: str) -> Path | None:
 
 def _car_concepts(file: _logicity.ConfigFile) -> list[str] | None:
     """Return the concepts of cars in a configuration, or `None` if its predicates are not in a separate file."""
-    path = _part(file, "predicates")
-    if path is None:
-        # `logicity questions` reports unknown concepts.
+    # `logicity questions` reports unknown concepts in other files.
+    if (path := _part(file, "predicates")) is None:
         return None
     try:
         predicates = _logicity.ConfigFile(path, "configs/predicates").value()
