@@ -10,17 +10,17 @@ from functools import reduce
 from pathlib import Path
 from typing import Annotated, Any, TypeAlias, get_args
 
-from pydantic import BaseModel, Field, Strict, ValidationError
+from pydantic import BaseModel, Field, Strict
 
 from .. import _logicity
 from ..errors import did_you_mean
-from ..learn.faults import Fault, contains, faults, merged
+from ..learn.faults import Fault, contains, merged
 from ..learn.settings import Seed, StrictModel
 from .paper import paper_table
 
 __all__ = [
     *("Experiment", "Names", "Place", "Row", "Seeds", "Selection", "Variant"),
-    *("changes_of", "experiment_faults", "fault_error", "first_at", "load", "name_of", "option_error", "place_of"),
+    *("changes_of", "experiment_faults", "fault_error", "first_at", "name_of", "option_error", "place_of"),
     *("read_experiment", "repeated", "unknown_in"),
 ]
 
@@ -205,21 +205,6 @@ def option_error(fault: Fault) -> ValueError:
     """Return the error for a fault in the changes of `--set`."""
     _, path, message, help = fault
     return ValueError(f"--set {'.'.join(path)}: {message}" + f"\nhelp: {help}" * bool(help))
-
-
-def load(
-    model: type[Experiment], file: _logicity.ConfigFile, values: Mapping[str, Any], changes: Mapping[str, Any]
-) -> Experiment:
-    """Return the experiment with the content of a file and changes to it.
-
-    Raises:
-        InputError: If the content has an unknown key or invalid value, or lacks a key.
-        ValueError: If the changes do.
-    """
-    try:
-        return model.model_validate(merged(values, changes))
-    except ValidationError as error:
-        raise fault_error(file, faults(error, unknown_in(model), depth=3), changes) from None
 
 
 def fault_error(file: _logicity.ConfigFile, wrong: list[Fault], changes: Mapping[str, Any]) -> BaseException:

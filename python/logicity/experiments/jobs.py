@@ -97,7 +97,7 @@ class Watch:
         self.say(f"{self._count()} {cell.name}: {cell.task.summary(measured)}, {cpu:.1f} CPU min; {self._left()}")
 
     def failure(self, cell: Cell, message: str) -> None:
-        """Note that a cell has failed."""
+        """Note and print that a cell has failed."""
         self._running.pop(cell.identity, None)
         self._done += 1
         self.failed[cell.identity] = message
@@ -167,8 +167,7 @@ def run(
 ) -> dict[str, str]:
     """Run cells in processes, or on Ray if an address is given, as the only process that runs the experiment.
 
-    The arguments, the result and the exceptions are those of `run_in_processes` and `run_on_ray`, and for the folder of
-    another experiment those of `reuse`.
+    All else is as for `run_in_processes`, `run_on_ray`, and for the folder of another experiment `reuse`.
     """
     with exclusive(root):
         if other is not None:
@@ -331,9 +330,6 @@ def _in_worker(
     """Run a cell in a worker, and return its files as a zip archive.
 
     The folder is temporary, but stays if the worker is lost. Then the cell resumes if it runs again on this machine.
-
-    Raises:
-        PermissionError: If the folder belongs to another user.
     """
     folder = Path(tempfile.gettempdir()) / name
     folder.mkdir(mode=0o700, exist_ok=True)
@@ -353,7 +349,7 @@ def _in_worker(
 
 
 def _unpack(archive: bytes, folder: Path) -> None:
-    """Write the files of a cell. `measured.json`, which marks the cell as finished, is the last one.
+    """Write the files of a cell, the last one `measured.json`, which marks it as finished.
 
     Raises:
         ValueError: If a name leads out of the folder. Then no file is written.

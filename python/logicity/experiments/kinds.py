@@ -11,11 +11,11 @@ from functools import partial
 from pathlib import Path
 from typing import Any
 
-from pydantic import BaseModel
+from pydantic import BaseModel, ValidationError
 
 from ..errors import did_you_mean
-from ..learn.faults import inlined, tidy
-from .experiment import Experiment, Selection, experiment_faults, fault_error, load, read_experiment
+from ..learn.faults import faults, inlined, merged, tidy
+from .experiment import Experiment, Selection, experiment_faults, fault_error, read_experiment, unknown_in
 from .task import Cell, CellKey, Task
 
 __all__ = ["TASKS", "Loaded", "experiment_schema", "load_experiment", "task_named"]
@@ -59,7 +59,10 @@ def load_experiment(name: str | os.PathLike[str], changes: Mapping[str, Any] | N
         shown = kind if isinstance(kind, str) else "~" if kind is None else json.dumps(kind)
         raise file.error([("invalid-value", ["task"], f"unknown task `{shown}`{did_you_mean(shown, TASKS)}", "")])
     task = task_named(kind)
-    experiment = load(task.experiment, file, values, changes or {})
+    try:
+        experiment = task.experiment.model_validate(merged(values, changes or {}))
+    except ValidationError as error:
+        raise fault_error(file, faults(error, unknown_in(task.experiment), depth=3), changes or {}) from None
     mode_fault = partial(task.mode_fault, path.parent)
     if wrong := [*experiment_faults(experiment, task.paper, mode_fault), *task.faults(experiment, path)]:
         raise fault_error(file, wrong, changes or {})
@@ -146,27 +149,18 @@ def experiment_schema() -> dict[str, Any]:
         for keys in (properties, *rows):
             for key in keys.keys() & {"changes", "quick"}:
                 keys[key] = {"$ref": f"#/$defs/{settings}", "description": keys[key]["description"]}
+    first, *others = TASKS
+    # Without the key, the task is the first one.
+    required: dict[str, Any] = {first: {}, **dict.fromkeys(others, {"required": ["task"]})}
+    help = "The task, which determines the other keys."
     return {
         "$schema": "https://json-schema.org/draft/2020-12/schema",
         "title": "An experiment",
         "type": "object",
-        "properties": {
-            "task": {
-                "enum": list(TASKS),
-                "default": next(iter(TASKS)),
-                "description": "The task, which determines the other keys.",
-            }
-        },
+        "properties": {"task": {"enum": list(TASKS), "default": first, "description": help}},
         "allOf": [
-            {
-                "if": {
-                    "properties": {"task": {"const": task}},
-                    # Without the key, the task is the first one.
-                    **({} if task == next(iter(TASKS)) else {"required": ["task"]}),
-                },
-                "then": {"$ref": f"#/$defs/{task}"},
-            }
-            for task in TASKS
+            {"if": {"properties": {"task": {"const": name}}, **more}, "then": {"$ref": f"#/$defs/{name}"}}
+            for name, more in required.items()
         ],
         "$defs": definitions,
     }

@@ -2,11 +2,11 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Iterable, Iterator, Mapping, Sequence
 from dataclasses import asdict, dataclass
 from itertools import chain
 from pathlib import Path
-from typing import Any
+from typing import Any, TypeVar
 
 from ..evaluation import Interval
 from ..files import write_json, write_text
@@ -17,7 +17,10 @@ from .paper import paper_table
 from .tables import aligned, draw_bars, draw_lines, draw_panels, latex_table, markdown_table
 from .task import Cell, Task
 
-__all__ = ["Entry", "Report", "detail_table", "mean_details", "paper_rows", "shown"]
+__all__ = ["Entry", "Report", "detail_table", "grouped", "mean_details", "paper_rows", "shown"]
+
+Key = TypeVar("Key")
+Value = TypeVar("Value")
 
 #: The line below a row that has the paper's figures.
 PAPER = "  the paper's"
@@ -81,10 +84,7 @@ class Report:
         """Read the results."""
         self.task, self.experiment = loaded.task, loaded.experiment
         results = {cell.identity: finished(cell, root) for cell in cells}
-        groups: dict[tuple[str, str, str], list[Cell]] = {}
-        for cell in cells:
-            if not cell.hidden:
-                groups.setdefault((cell.mode, cell.row, cell.variant), []).append(cell)
+        groups = grouped(((cell.mode, cell.row, cell.variant), cell) for cell in cells if not cell.hidden)
         self.entries = [entry for group in groups.values() for entry in self._entries(group, results, failed or {})]
         #: The CPU time of all finished cells.
         self.cpu_hours = sum(each["result"]["cpu_seconds"] for each in results.values() if each is not None) / 3600
@@ -287,6 +287,14 @@ class Report:
         draw_lines(axes, lines, (self.experiment.x, self._axis()))
 
 
+def grouped(pairs: Iterable[tuple[Key, Value]]) -> dict[Key, list[Value]]:
+    """Return the values of each key, in their order."""
+    groups: dict[Key, list[Value]] = {}
+    for key, value in pairs:
+        groups.setdefault(key, []).append(value)
+    return groups
+
+
 def shown(measure: Interval | None) -> str:
     """Format a measure, with its interval if it has one."""
     if measure is None:
@@ -319,8 +327,7 @@ def paper_rows(
 
 def mean_details(runs: Sequence[Mapping[str, float]]) -> dict[str, float]:
     """Return the means of details over the runs that have them."""
-    names = dict.fromkeys(name for run in runs for name in run)
-    values = {name: [run[name] for run in runs if name in run] for name in names}
+    values = grouped(item for run in runs for item in run.items())
     return {name: sum(each) / len(each) for name, each in values.items()}
 
 
@@ -342,10 +349,8 @@ def detail_table(columns: Mapping[str, Mapping[str, float]], paper: Mapping[str,
 
 def _mean_curve(runs: Sequence[Sequence[tuple[int, float]]]) -> tuple[tuple[int, float], ...]:
     """Return the means over the runs at the steps that all of them have."""
-    by_step: dict[int, list[float]] = {}
-    for step, value in chain(*runs):
-        by_step.setdefault(step, []).append(value)
-    return tuple((step, sum(each) / len(each)) for step, each in sorted(by_step.items()) if len(each) == len(runs))
+    by_step = sorted(grouped(chain(*runs)).items())
+    return tuple((step, sum(each) / len(each)) for step, each in by_step if len(each) == len(runs))
 
 
 def _why_missing(cells: Sequence[Cell], done: Sequence[Cell], failed: Mapping[str, str]) -> str:

@@ -16,7 +16,7 @@ from .cells import finished
 from .experiment import name_of
 from .kinds import Loaded, load_experiment
 from .paper import paper_table
-from .report import detail_table, headline_of, mean_details, paper_cells, paper_rows, shown
+from .report import detail_table, grouped, headline_of, mean_details, paper_cells, paper_rows, shown
 from .tables import markdown_table
 from .task import Cell
 
@@ -115,7 +115,7 @@ def check_rows(results: Mapping[str, Any], loaded: Loaded | None = None) -> list
     for row, key in zip(results["rows"], keys, strict=True):
         faults = ["it occurs twice"] if keys.count(key) > 1 else []
         faults += _row_faults(row, loaded)
-        place = ", ".join(part for part in (row["learner"], row["evaluation"], row["variant"]) if part)
+        place = ", ".join(filter(None, (row["learner"], row["evaluation"], row["variant"])))
         found += [f"{place}, {row['mode']}, seed {row['seed']}: {fault}" for fault in faults]
     return found
 
@@ -180,14 +180,9 @@ def submit(
 def _place_of(row: Row, loaded: Loaded) -> tuple[Any, ...]:
     """Return the place of a row: those of its names in the experiment. Unknown names come last."""
     experiment = loaded.experiment
-    order = {
-        "mode": experiment.modes,
-        "learner": list(experiment.learners),
-        "variant": list(experiment.variants),
-        "evaluation": list(loaded.task.evaluations(experiment)),
-    }
-    places = [list(names).index(row[key]) if row[key] in names else len(names) for key, names in order.items()]
-    return (*places, row["seed"])
+    order = (list(experiment.modes), list(experiment.learners), list(experiment.variants))
+    columns = zip(KEY, (*order, list(loaded.task.evaluations(experiment))), strict=False)
+    return (*(names.index(row[key]) if row[key] in names else len(names) for key, names in columns), row["seed"])
 
 
 def _update(
@@ -198,16 +193,14 @@ def _update(
     if measured is None:
         yield f"{cell.name}: not finished"
         return
-    names = {"mode": cell.mode, "learner": cell.row, "variant": cell.variant}
-    keys = {name: (*names.values(), name, cell.seed) for name in measured["evaluations"]}
+    keys = {name: (cell.mode, cell.row, cell.variant, name, cell.seed) for name in measured["evaluations"]}
     if only_hashes:
+        model = task.model(cell.folder(root))
         for name, key in list(keys.items()):
             if key not in rows:
                 yield f"{cell.name}, {name}: not published"
                 del keys[name]
-        model = task.model(cell.folder(root))
-        for name, key in list(keys.items()):
-            if rows[key]["sha256_of"] == "file" and rows[key]["sha256"] == file_hash(model):
+            elif rows[key]["sha256_of"] == "file" and rows[key]["sha256"] == file_hash(model):
                 # Nothing needs to be measured again.
                 hashed, sha256 = task.hashed(cell, root)
                 rows[key] = {**rows[key], "sha256_of": hashed, "sha256": sha256}
@@ -237,20 +230,13 @@ def _update(
 
 def _trained_as(row: Row) -> Any:
     """Return the settings of a row and its hashes, without those that depend on the seed."""
-    return [
-        {key: value for key, value in row[name].items() if key not in ("seed", "start")}
-        for name in ("settings", "hashes")
-    ]
+    return [{**row[name], "seed": None, "start": None} for name in ("settings", "hashes")]
 
 
 def _row(
     loaded: Loaded, cell: Cell, root: Path, measured: Mapping[str, Any], name: str, again: Mapping[str, Any]
 ) -> dict[str, Any]:
-    """Return the row of an evaluation of a cell.
-
-    Raises:
-        ValueError: If the evaluation that was made again has other measures.
-    """
+    """Return the row of an evaluation of a cell. Raises `ValueError` if the one made again has other measures."""
     task, recorded, result = loaded.task, measured["evaluations"][name], measured["result"]
     measures = task.intervals([recorded])
     for measure, interval in task.intervals([again]).items():
@@ -287,11 +273,7 @@ def _row(
 
 
 def _rehashed(old: Row, new: Row) -> dict[str, Any]:
-    """Return a published row with the hash of the model that was trained again. Its figures stay as they are.
-
-    Raises:
-        ValueError: If the rows have other figures, settings, rules or episodes.
-    """
+    """Return a published row with the hash of the model that was trained again. Its figures must be the same."""
     again = json.loads(json.dumps(new))
     if different := [key for key in old if key not in _CHANGING and old[key] != again.get(key)]:
         raise ValueError(f"the published row differs in {', '.join(f'`{key}`' for key in different)}")
@@ -303,24 +285,21 @@ def _rehashed(old: Row, new: Row) -> dict[str, Any]:
 def leaderboard(results: Mapping[str, Any], level: int = 2, loaded: Loaded | None = None) -> str:
     """Return the results as Markdown: a table per mode, beside the figures of the paper, and notes.
 
-    Args:
-        results: The results.
-        level: The level of the headings, 2 for `##`.
-        loaded: The experiment; by default the built-in one with the name.
+    Headings have a level, 2 for `##`. The experiment is by default the built-in one with the name.
     """
     rows = results["rows"]
     if not rows:
         return f"The file `results/{results['experiment']}.json` has no row yet.\n"
     loaded = loaded or load_experiment(results["experiment"])
-    parts = []
-    for mode in dict.fromkeys(row["mode"] for row in rows):
-        own = [row for row in rows if row["mode"] == mode]
-        parts.append(f"{'#' * level} {mode.capitalize()}\n\n{markdown_table(_mode_table(loaded, mode, own))}")
-    columns: dict[str, list[Mapping[str, float]]] = {}
-    for row in rows:
-        if row["details"]:
-            name = ", ".join(filter(None, (row["learner"], row["variant"], row["mode"])))
-            columns.setdefault(name, []).append(row["details"])
+    parts = [
+        f"{'#' * level} {mode.capitalize()}\n\n{markdown_table(_mode_table(loaded, mode, own))}"
+        for mode, own in grouped((row["mode"], row) for row in rows).items()
+    ]
+    columns = grouped(
+        (", ".join(filter(None, (row["learner"], row["variant"], row["mode"]))), row["details"])
+        for row in rows
+        if row["details"]
+    )
     paper, _ = loaded.task.paper_details(loaded.experiment.paper)
     if columns and paper:
         details = detail_table({name: mean_details(each) for name, each in columns.items()}, paper)
@@ -332,9 +311,7 @@ def leaderboard(results: Mapping[str, Any], level: int = 2, loaded: Loaded | Non
 def _mode_table(loaded: Loaded, mode: str, rows: Sequence[Row]) -> list[list[str]]:
     """Return the table of a mode. Rows without variants are sorted by the headline."""
     task, table = loaded.task, loaded.experiment.paper
-    groups: dict[tuple[str, str, str], list[Row]] = {}
-    for row in rows:
-        groups.setdefault((row["learner"], row["variant"], row["evaluation"]), []).append(row)
+    groups = grouped(((row["learner"], row["variant"], row["evaluation"]), row) for row in rows)
     pooled = {key: task.intervals([task.evaluation_of(row) for row in group]) for key, group in groups.items()}
     several = len({evaluation for _, _, evaluation in groups}) > 1
     ordered = list(groups)

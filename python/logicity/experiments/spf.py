@@ -42,10 +42,7 @@ FORMAT = 1
 PLACEHOLDERS = ("{row}", "{mode}")
 
 #: The settings of a short run of a learner in environments, and of another learner.
-QUICK: dict[bool, dict[str, Any]] = {
-    True: {"steps": 512, "validate_every": 256},
-    False: {"steps": 8, "validate_every": 4},
-}
+QUICK = {True: {"steps": 512, "validate_every": 256}, False: {"steps": 8, "validate_every": 4}}
 
 #: The evaluation that a training ends with.
 TEST: dict[str, Any] = {"split": "test", "fresh": None, "seed": 0}

@@ -289,7 +289,5 @@ def _measures(
         inverse = np.where(counts > 0, 1 / counts, 0.0)
         w_acc = (np.nan_to_num(recall) * inverse).sum(2) / inverse.sum(2)
         a_acc = (of_worlds @ tables["a_acc"].T) / (of_worlds @ tables["frames"].T)
-    values: dict[str, NDArray[np.float64]] = {"aAcc": (of_runs * a_acc).sum(1), "wAcc": (of_runs * w_acc).sum(1)}
-    for at, name in enumerate(ACTIONS):
-        values[name] = (of_runs * recall[:, :, at]).sum(1)
-    return values
+    values = {"aAcc": a_acc, "wAcc": w_acc} | {name: recall[:, :, at] for at, name in enumerate(ACTIONS)}
+    return {name: (of_runs * each).sum(1) for name, each in values.items()}

@@ -75,18 +75,12 @@ def measure_baselines(
     with Progress("epoch", epochs) as progress:
         learned = train_on_facts(train_set, test_set, seed, epochs, progress.update)
     predictions = {"majority": np.full_like(labels, majority), "network": learned, "rules": rule_actions(test_set)}
-    return [
-        BaselineResult(name, test_set.mode, vap_metrics(labels, predicted, frames))
-        for name, predicted in predictions.items()
-    ]
+    measured = {name: vap_metrics(labels, predicted, frames) for name, predicted in predictions.items()}
+    return [BaselineResult(name, test_set.mode, metrics) for name, metrics in measured.items()]
 
 
 def _labels(samples: VapDataset) -> NDArray[np.int64]:
-    """Return the labels of all cars in all samples.
-
-    Raises:
-        ValueError: If the data set has no cars.
-    """
+    """Return the labels of all cars in all samples. Raises `ValueError` if there are none."""
     labels = [sample.actions[sample.mask] for sample in samples]
     if not any(map(len, labels)):
         raise ValueError(f"`{samples.folder}` has no cars")

@@ -9,18 +9,18 @@ from __future__ import annotations
 
 import math
 from collections.abc import Mapping, Sequence
-from typing import Annotated, Literal
+from typing import Literal
 
 from ..errors import missing_extra
 from .data import BINARY, PICTURE_SIDE, UNARY
 
 try:
     import torch
-    from pydantic import BaseModel, ConfigDict, Field
     from torch import Tensor, nn
 except ImportError as error:
     raise missing_extra("vap", error) from error
 
+from ..learn.settings import Count, StrictModel
 from .crops import as_images
 
 __all__ = ["RELATIONS", "ConceptModel", "ConceptSettings"]
@@ -43,10 +43,8 @@ RELATIVE_WAVES = (64.0, 32.0, 16.0, 8.0, 4.0, 2.0)
 DIRECTIONS = ((-1.0, 0.0), (1.0, 0.0), (0.0, -1.0), (0.0, 1.0))
 
 
-class ConceptSettings(BaseModel):
+class ConceptSettings(StrictModel):
     """The architecture of a `ConceptModel`."""
-
-    model_config = ConfigDict(extra="forbid", frozen=True, strict=True, use_attribute_docstrings=True)
 
     perception: Literal["crops", "features", "sides"] = "crops"
     """What the appearance part sees: `crops` of the boxes, stored `features` of a backbone, or `sides`: the width and
@@ -59,9 +57,9 @@ class ConceptSettings(BaseModel):
     """Whether all parts of `spatial: geometric` see priorities, as in the paper. With fixed agents, a priority
     identifies an agent and so its class. By default, only `HigherPri` sees them. The pairs of `spatial: plain` always
     see them."""
-    width: Annotated[int, Field(ge=1)] = 16
+    width: Count = 16
     """The number of channels of the first convolutions."""
-    features: Annotated[int, Field(ge=1)] = 512
+    features: Count = 512
     """The number of stored features of a box."""
 
 

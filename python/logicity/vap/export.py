@@ -141,12 +141,8 @@ def to_coco(
         for index in range(len(samples)):
             sample = samples.facts(index)
             place = samples.picture_path(index).relative_to(samples.folder).as_posix()
-            pictures.append(
-                {
-                    **{"id": index, "file_name": place, "width": PICTURE_SIDE, "height": PICTURE_SIDE},
-                    **{"world": sample.world, "tick": sample.tick},
-                }
-            )
+            picture = {"id": index, "file_name": place, "width": PICTURE_SIDE, "height": PICTURE_SIDE}
+            pictures.append({**picture, "world": sample.world, "tick": sample.tick})
             for annotation in _annotations(sample):
                 kinds[annotation["category"]] = annotation.pop("type")
                 annotations.append({"id": len(annotations) + 1, "image_id": index, **annotation})
@@ -159,10 +155,8 @@ def to_coco(
     numbers = {category["name"]: category["id"] for category in categories}
     for annotation in annotations:
         annotation["category_id"] = numbers[annotation.pop("category")]
-    info = {
-        "description": f"LogiCity, Visual Action Prediction, {samples.mode}, {samples.split}",
-        "pictures": samples.has_pictures,
-    }
+    title = f"LogiCity, Visual Action Prediction, {samples.mode}, {samples.split}"
+    info = {"description": title, "pictures": samples.has_pictures}
     content = {"info": info, "images": pictures, "annotations": annotations, "categories": categories}
     write_json(target, content, by="vap coco", overwrite=overwrite)
 
@@ -170,18 +164,11 @@ def to_coco(
 def _annotations(sample: VapSample) -> Iterator[dict[str, Any]]:
     """Yield the annotations of the entities in a picture, with the names of their types and categories."""
     for entity in np.flatnonzero(~np.isnan(sample.boxes[:, 0])).tolist():
-        box = sample.boxes[entity].tolist()
+        box, concepts = sample.boxes[entity].tolist(), sample.concepts[entity]
         kind = "Car" if sample.mask[entity] else "Pedestrian"
-        annotation = {
-            "category": sample.concepts[entity] or kind.lower(),
-            "type": kind,
-            "bbox": box,
-            "area": box[2] * box[3],
-            "iscrowd": 0,
-            "name": sample.names[entity],
-            "concepts": sample.concepts[entity],
-            "visible": float(sample.visible[entity]),
-        }
+        annotation: dict[str, Any] = {"category": concepts or kind.lower(), "type": kind}
+        annotation |= {"bbox": box, "area": box[2] * box[3], "iscrowd": 0}
+        annotation |= {"name": sample.names[entity], "concepts": concepts, "visible": float(sample.visible[entity])}
         if sample.mask[entity]:
             annotation["action"] = ACTIONS[sample.actions[entity]]
         yield annotation

@@ -197,17 +197,10 @@ def _state(path: Path) -> Mapping[str, Tensor]:
 
 
 def extractor(kind: Kind, weights: str | os.PathLike[str] | None = None, device: str = "cpu") -> Extractor:
-    """Return the extractor of a kind.
-
-    Args:
-        kind: `"crops"` or `"resnet50"`.
-        weights: As for `Backbone`.
-        device: As for `Backbone`.
+    """Return the extractor of a kind. The other arguments and the exceptions are those of `Backbone`.
 
     Raises:
-        FileNotFoundError: As for `Backbone`.
-        ImportError: As for `Backbone`.
-        ValueError: As for `Backbone`, or if the kind is unknown, or crops are given weights or a device.
+        ValueError: Also if the kind is unknown, or crops are given weights or a device.
     """
     _check_options(kind, weights, device)
     return Backbone(weights, device) if kind == "resnet50" else Crops()
@@ -322,8 +315,7 @@ def output_folder(
 
     Raises:
         TypeError: If a folder is not a path.
-        ValueError: If the output folder is in the data set, the kind is unknown, or crops are given weights or a
-            device.
+        ValueError: If the output folder is in the data set, or as for `extractor`.
     """
     _check_options(kind, weights, device)
     data = Path(checked_path("folder", folder))
@@ -378,17 +370,13 @@ class _World:
 def _worlds(samples: VapDataset) -> list[_World]:
     """Return the worlds of a data set."""
     path = samples.folder / "manifest.json"
+    worlds = []
     try:
         listed = {count_in(world, "world"): world for world in read_json(path)["worlds"]}
-        return [
-            _World(
-                number,
-                positions,
-                count_in(listed[number], "agents"),
-                {name: str(file["sha256"]) for name, file in listed[number]["files"].items()},
-            )
-            for number, positions in samples.worlds().items()
-        ]
+        for number, positions in samples.worlds().items():
+            files = {name: str(file["sha256"]) for name, file in listed[number]["files"].items()}
+            worlds.append(_World(number, positions, count_in(listed[number], "agents"), files))
+        return worlds
     except (AttributeError, KeyError, TypeError, ValueError) as error:
         raise not_a_manifest(path, error) from None
 
@@ -396,15 +384,7 @@ def _worlds(samples: VapDataset) -> list[_World]:
 def _unfinished(folder: Path, world: _World, identity: str, data: Path) -> str | None:
     """Return why the features of a world in a folder are missing or damaged, or `None` if they are complete.
 
-    Args:
-        folder: The folder of the features.
-        world: The world in the data set.
-        identity: The identity of the extractor.
-        data: The folder of the data set, for messages.
-
-    Raises:
-        OSError: If a file cannot be read.
-        ValueError: If the features are those of other data.
+    `identity` is that of the extractor. Raises `ValueError` if the features are those of other data.
     """
     path = _world_file(folder, world.number)
     record = _record(path)
@@ -437,12 +417,7 @@ def _record(path: Path) -> dict[str, Any] | None:
 
 
 def _mapped(path: Path) -> NDArray[Any]:
-    """Map a file of features into memory.
-
-    Raises:
-        OSError: If the file cannot be read.
-        ValueError: If it is not a file of an array, or too short.
-    """
+    """Map a file of features into memory. Raises `ValueError` if it is not a file of an array, or too short."""
     check_readable(path, whole=False)
     try:
         return np.lib.format.open_memmap(path, mode="r")
@@ -490,11 +465,7 @@ def _read(folder: Path) -> dict[str, Any]:
 
 
 def _store(samples: VapDataset, world: _World, target: Path, extract: Extractor, stopped: Event | None = None) -> None:
-    """Compute and write the features of a world. Nothing is written after `stopped` is set.
-
-    Raises:
-        ValueError: If a file of the world has changed since it was made.
-    """
+    """Compute and write the features of a world. Nothing is written after `stopped` is set."""
     picture = np.empty((PICTURE_SIDE, PICTURE_SIDE, 3), np.uint8)
     parts: list[NDArray[Any]] = []
     # The table has the boxes.
@@ -614,8 +585,7 @@ def _readable(folder: Path, world: _World, extract: Extractor) -> bool:
     path = _world_file(folder, world.number)
     try:
         values = _mapped(path)
-        record = _record(path)
-        whole = record is not None and record["sha256"] == file_hash(path)
+        whole = (record := _record(path)) is not None and record["sha256"] == file_hash(path)
     except (FileNotFoundError, ValueError):
         return False
     return whole and values.shape == (world.entities, *extract.shape) and values.dtype == extract.dtype

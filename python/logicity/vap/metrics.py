@@ -49,10 +49,8 @@ def vap_metrics(labels: ArrayLike, predictions: ArrayLike, frames: ArrayLike) ->
         TypeError: If an argument is not an array of integers.
         ValueError: If there are no cars, the lengths differ, or a number is not an action.
     """
-    actual, predicted, frame_ids = (
-        _integers(name, values)
-        for name, values in [("labels", labels), ("predictions", predictions), ("frames", frames)]
-    )
+    actual, predicted = _integers("labels", labels), _integers("predictions", predictions)
+    frame_ids = _integers("frames", frames)
     if not len(actual) == len(predicted) == len(frame_ids):
         raise ValueError(
             f"the lengths differ: {len(actual)} labels, {len(predicted)} predictions and {len(frame_ids)} frames"

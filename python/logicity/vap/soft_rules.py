@@ -162,9 +162,9 @@ def _degree(rule: Rule, values: dict[str, Tensor], sees: Tensor, semantics: Sema
         value = 1 - value if literal.negated else value
         axes = [places[name] for name in literal.variables]
         if len(axes) == 2 and axes[0] == axes[1]:
-            value, axes = value.diagonal(dim1=1, dim2=2), axes[:1]
+            value = value.diagonal(dim1=1, dim2=2)
         elif len(axes) == 2 and axes[0] > axes[1]:
-            value, axes = value.transpose(1, 2), axes[::-1]
+            value = value.transpose(1, 2)
         for axis in range(len(rule.variables)):
             if axis not in axes:
                 value = value.unsqueeze(axis + 1)

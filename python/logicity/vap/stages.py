@@ -234,13 +234,8 @@ def train_stage(work: VapWork) -> Trained:
         OSError: If a file cannot be read or written.
         ValueError: If the model to start from does not fit.
     """
-    stages = {
-        "concepts": _train_concepts,
-        "reasoning": _train_reasoner,
-        "end-to-end": _train_end_to_end,
-        "induction": _induce,
-        "bound": _bound,
-    }
+    stages = {"concepts": _train_concepts, "reasoning": _train_reasoner, "end-to-end": _train_end_to_end}
+    stages |= {"induction": _induce, "bound": _bound}
     model, history = stages[work.settings.stage](work)
     if not history:
         work.report(1)
@@ -248,30 +243,24 @@ def train_stage(work: VapWork) -> Trained:
 
 
 def measure(work: VapWork, model: dict[str, Any]) -> tuple[dict[str, Any], dict[str, Any]]:
-    """Return the measures of each predictor on the test worlds, and the recalls of concepts."""
-    test = work.samples("test")
-    actions, atoms = predict(work, model, test)
-    concepts = {} if atoms is None else concept_measures(*atoms, test)
-    return {name: evaluation(predicted, test) for name, predicted in actions.items()}, concepts
-
-
-def predict(
-    work: VapWork, model: dict[str, Any], samples: Samples
-) -> tuple[dict[str, Tensor], tuple[Tensor, Tensor] | None]:
-    """Return the predicted actions, int64 (B, N), by predictor, and the probabilities of concepts that were trained.
+    """Return the measures of each predictor on the test worlds, and the recalls of concepts that were trained.
 
     `model` is the content of `model.pt`.
     """
-    stage, valid = work.settings.stage, samples.facts["valid"]
-    atoms = _groundings(work, model, samples)
+    stage, test = work.settings.stage, work.samples("test")
+    unary, binary = _groundings(work, model, test)
     if stage == "concepts":
-        return _by_rules(work.rules(), *atoms, samples), atoms
-    if stage == "bound":
+        actions = _by_rules(work.rules(), unary, binary, test)
+    elif stage == "induction":
+        actions = _by_rules(SoftRules(Program(model["rules"])), unary, binary, test)
+    elif stage == "bound":
         shown = torch.tensor([name not in model["absent"] for name in UNARY])
-        return {"": work.rules().degrees(atoms[0] * shown, atoms[1], valid, "max-min").argmax(-1)}, None
-    if stage == "induction":
-        return _by_rules(SoftRules(Program(model["rules"])), *atoms, samples), None
-    return {"": predict_actions(work.part("reasoner", model), *atoms, valid)}, None
+        degrees = work.rules().degrees(unary * shown, binary, test.facts["valid"], "max-min")
+        actions = {"": degrees.argmax(-1)}
+    else:
+        actions = {"": predict_actions(work.part("reasoner", model), unary, binary, test.facts["valid"])}
+    concepts = concept_measures(unary, binary, test) if stage == "concepts" else {}
+    return {name: evaluation(predicted, test) for name, predicted in actions.items()}, concepts
 
 
 def evaluation(predicted: Tensor, samples: Samples) -> dict[str, Any]:
@@ -399,12 +388,9 @@ def _bound(work: VapWork) -> Trained:
 
 
 def scenes_of(unary: Tensor, binary: Tensor, samples: Samples) -> Iterator[dict[str, Any]]:
-    """Yield a labeled scene for each car: the entities in its view, their facts, and its action.
+    """Yield a labeled scene for each car: the entities in its view, their facts, and its action in the samples.
 
-    Args:
-        unary: bool (B, N, 11), the facts of `UNARY`.
-        binary: bool (B, N, N, 7), those of `RELATIONS`.
-        samples: The samples, which have the actions.
+    The facts are bool (B, N, 11) of `UNARY`, and bool (B, N, N, 7) of `RELATIONS`.
     """
     truths, pairs = unary.numpy(), binary.numpy()
     valid, actions = samples.facts["valid"].numpy(), samples.facts["actions"].numpy()

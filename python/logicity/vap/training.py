@@ -13,7 +13,7 @@ from collections.abc import Callable
 from copy import deepcopy
 from dataclasses import dataclass, field
 from pathlib import Path
-from typing import Annotated, Any, Literal, TypeAlias
+from typing import Any, Literal, TypeAlias
 
 import numpy as np
 from numpy.typing import NDArray
@@ -26,11 +26,11 @@ from .data import UNARY, VapDataset
 
 try:
     import torch
-    from pydantic import BaseModel, ConfigDict, Field
     from torch import Tensor, nn
 except ImportError as error:
     raise missing_extra("vap", error) from error
 
+from ..learn.settings import Count, LearningRate, NonNegative, Share, StrictModel
 from ..learn.storage import restore_optimizer
 from .concepts import RELATIONS, ConceptModel, pairs_of
 from .loader import as_tensors, padded_batch
@@ -46,22 +46,20 @@ BATCH = 64
 Loss: TypeAlias = Callable[[Tensor, torch.Generator], Tensor]
 
 
-class TrainingSettings(BaseModel):
+class TrainingSettings(StrictModel):
     """The hyperparameters of training."""
 
-    model_config = ConfigDict(extra="forbid", frozen=True, strict=True, use_attribute_docstrings=True)
-
-    epochs: Annotated[int, Field(ge=1)] = 10
+    epochs: Count = 10
     """The number of passes over the samples."""
-    batch: Annotated[int, Field(ge=1)] = 16
+    batch: Count = 16
     """The number of pictures of an update."""
-    learning_rate: Annotated[float, Field(gt=0, le=1)] = 1e-3
+    learning_rate: LearningRate = 1e-3
     """The learning rate, which falls to 0 along a half cosine."""
     optimizer: Literal["adam", "adamw"] = "adam"
     """Adam, or AdamW with decoupled weight decay."""
-    weight_decay: Annotated[float, Field(ge=0)] = 0.01
+    weight_decay: NonNegative = 0.01
     """The weight decay of `adamw`."""
-    class_power: Annotated[float, Field(ge=0, le=1)] = 0.5
+    class_power: Share = 0.5
     """The exponent p of the class weights. An action with n examples has a weight proportional to n^-p. A true atom of
     a predicate has the weight (false atoms / true atoms)^p, with the ratio limited to 1 to 10,000, and a false atom the
     weight 1. With 0, all examples weigh alike."""
@@ -362,19 +360,16 @@ def predict_actions(reasoner: nn.Module, unary: Tensor, binary: Tensor, valid: T
 
 
 def concept_measures(unary: Tensor, binary: Tensor, samples: Samples) -> dict[str, dict[str, float | None]]:
-    """Return the recall, the precision and the number of true atoms of each predicate, at the threshold 0.5.
+    """Return `recall` and `precision` at the threshold 0.5, and `count`, the number of true atoms, by predicate.
 
     As in the paper, the pairs of a binary predicate are those whose first entity sees the second. `CollidingClose
-    (cars)` has only the pairs whose first entity is a car: that of a pedestrian is drawn at random.
+    (cars)` has only the pairs whose first entity is a car: that of a pedestrian is drawn at random. A ratio without
+    atoms is `None`.
 
     Args:
         unary: float (S, N, 11), the predicted probabilities of `UNARY`.
         binary: float (S, N, N, 7), those of `RELATIONS`.
         samples: The samples, with the true facts.
-
-    Returns:
-        For each predicate, `recall`, `precision`, and `count`, the number of true atoms. A ratio without atoms is
-        `None`.
     """
     facts, relations = samples.facts, samples.relations
     valid, sees = facts["valid"], facts["sees"]

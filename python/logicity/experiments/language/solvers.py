@@ -52,18 +52,14 @@ def _induced(questions: Sequence[Question], config: str, path: Path) -> dict[str
     learned: dict[str, Inference] = {}
     replies = {}
     for question in questions:
-        scenes = [
-            {**_scene(shown), "actions": {_scene(shown)["ego"]: question.options[shown.answer]}}
-            for shown in question.demonstrations
-        ]
-        if not scenes:
+        shown = [(_scene(each), question.options[each.answer]) for each in question.demonstrations]
+        if not shown:
             raise ValueError("the solver `induced` needs solved examples: set `shots`, or leave it out of `solvers`")
-        text = "".join(json.dumps(scene) + "\n" for scene in scenes)
+        text = "".join(json.dumps({**scene, "actions": {scene["ego"]: action}}) + "\n" for scene, action in shown)
         if text not in learned:
             learned[text] = Inference(config, _learn(text, config, path.with_name(f"{path.stem}-{len(learned)}")))
-        answer = learned[text].answer(cast("Any", _scene(question)))
         # The learned clauses have no names in the rules, so the reply names none.
-        replies[question.id] = f"Answer: {_letter(answer['egos'][_scene(question)['ego']]['action'])}"
+        replies[question.id] = f"Answer: {_letter(_action(learned[text], _scene(question)))}"
     return replies
 
 
@@ -82,17 +78,15 @@ def _oracle(questions: Sequence[Question], config: str, path: Path) -> dict[str,
     labels = {(Path(clause["file"]).name, clause["line"]): clause["label"] for clause in program.clauses}
     replies = {}
     for question in questions:
-        scene = _scene(question)
-        action = inference.answer(cast("Any", scene))["egos"][scene["ego"]]["action"]
-        rules = []
+        scene, rules = _scene(question), []
+        action = _action(inference, scene)
         if question.labels and action in program.relations:
             session = Session(program)
             for name, rows in scene["facts"].items():
                 if name in program.relations:
                     session.insert(name, [(row,) if isinstance(row, str) else tuple(row) for row in rows])
             session.commit()
-            proof = session.explain(action, [scene["ego"]])
-            if proof.holds:
+            if (proof := session.explain(action, [scene["ego"]])).holds:
                 clause = proof.nodes[0]["clause"]
                 rules = [labels[Path(clause["file"]).name, clause["line"]]]
         replies[question.id] = question.reply(_letter(action), rules)
@@ -101,6 +95,10 @@ def _oracle(questions: Sequence[Question], config: str, path: Path) -> dict[str,
 
 #: The solvers by name.
 SOLVERS: dict[str, Solver] = {"majority": _majority, "nearest": _nearest, "induced": _induced, "oracle": _oracle}
+
+
+def _action(inference: Inference, scene: Mapping[str, Any]) -> str:
+    return inference.answer(cast("Any", scene))["egos"][scene["ego"]]["action"]
 
 
 def _letter(action: str) -> str:
@@ -123,12 +121,10 @@ def features(scene: Mapping[str, Any]) -> Counter[Any]:
     """
     first: dict[str, list[str]] = {entity: ["ego"] if entity == scene["ego"] else [] for entity in scene["entities"]}
     pairs: list[tuple[str, str, str]] = []
-    for predicate in sorted(scene["facts"]):
-        for row in scene["facts"][predicate]:
-            if isinstance(row, str):
-                first[row].append(predicate)
-            elif len(row) == 1:
-                first[row[0]].append(predicate)
+    for predicate, rows in sorted(scene["facts"].items()):
+        for row in rows:
+            if isinstance(row, str) or len(row) == 1:
+                first[row if isinstance(row, str) else row[0]].append(predicate)
             else:
                 pairs.append((predicate, *row))
     labels = {entity: tuple(sorted(names)) for entity, names in first.items()}
