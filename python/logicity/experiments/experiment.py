@@ -34,11 +34,7 @@ Place: TypeAlias = tuple[list[str], Mapping[str, Any]]
 OWN_KEYS = {"seed": "write the seeds under `seeds`", "mode": "write it under `modes`, or as the `mode` of a variant"}
 
 #: What `--set` cannot change, and which option does.
-OPTIONS = {
-    "seed": "use `--seeds`",
-    "mode": "use `--only LEARNER,MODE`",
-    "algorithm": "write another experiment",
-}
+OPTIONS = {"seed": "use `--seeds`", "mode": "use `--only LEARNER,MODE`", "algorithm": "write another experiment"}
 
 
 class Row(StrictModel):

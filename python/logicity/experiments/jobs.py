@@ -277,14 +277,7 @@ def _wait(process: subprocess.Popen[str]) -> int:
 
 
 def run_on_ray(
-    cells: Sequence[Cell],
-    root: Path,
-    address: str,
-    jobs: int,
-    say: Say,
-    *,
-    wandb: str | None = None,
-    trust: bool = False,
+    cells: Sequence[Cell], root: Path, address: str, jobs: int, say: Say, *, wandb: str | None, trust: bool
 ) -> dict[str, str]:
     """Run cells on Ray, each as a task with one CPU. If a worker is lost, its cell runs again.
 

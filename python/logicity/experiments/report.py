@@ -186,22 +186,21 @@ class Report:
 
     def text(self) -> str:
         """Return everything for a terminal: a table per mode, the details, and notes."""
-        parts = [self.experiment.title]
-        for mode in self.modes:
-            parts += [f"\n{self._heading(mode)}", aligned(self.table(mode))]
-        if details := self.details():
-            parts += [f"\n{self.task.details_title}", aligned(details)]
-        return "\n".join([*parts, "", *self.notes()])
+        tables = (f"\n{heading}\n{aligned(table)}" for heading, table in self._tables())
+        return "\n".join([self.experiment.title, *tables, "", *self.notes()])
 
     def markdown(self) -> str:
         """Return the report as Markdown."""
-        parts = [f"# {self.experiment.title}\n"]
+        tables = (f"## {heading}\n\n{markdown_table(table)}" for heading, table in self._tables())
+        notes = (f"- {note}" for note in self.notes())
+        return "\n".join([f"# {self.experiment.title}\n", *tables, "## Notes\n", *notes]) + "\n"
+
+    def _tables(self) -> Iterator[tuple[str, list[list[str]]]]:
+        """Yield the heading and the table of each mode, and of the details if there are any."""
         for mode in self.modes:
-            parts += [f"## {self._heading(mode)}\n", markdown_table(self.table(mode))]
+            yield self._heading(mode), self.table(mode)
         if details := self.details():
-            parts += [f"## {self.task.details_title}\n", markdown_table(details)]
-        parts += ["## Notes\n", *(f"- {note}" for note in self.notes())]
-        return "\n".join(parts) + "\n"
+            yield self.task.details_title, details
 
     def _heading(self, mode: str) -> str:
         name = self.task.mode_titles.get(mode, Path(mode).stem)

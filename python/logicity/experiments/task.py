@@ -24,7 +24,14 @@ __all__ = ["Cell", "CellKey", "Running", "Task"]
 
 @dataclass(frozen=True)
 class CellKey:
-    """The names of a cell of an experiment."""
+    """The names of a cell of an experiment.
+
+    Attributes:
+        row: The name of the row: a learner with its settings.
+        mode: The mode of the column.
+        variant: The name of the variant, or an empty text.
+        seed: The seed.
+    """
 
     row: str
     mode: str
@@ -33,15 +40,11 @@ class CellKey:
 
 
 @dataclass(frozen=True, kw_only=True)
-class Cell:
+class Cell(CellKey):
     """A cell of an experiment: one run, with its measures.
 
     Attributes:
         task: The task.
-        row: The name of the row: a learner with its settings.
-        mode: The mode of the column.
-        variant: The name of the variant, or an empty text.
-        seed: The seed.
         settings: The settings, as `Task.settings` returns them.
         evaluations: The evaluations by name, for tasks that have several.
         start: The cell from whose model the training starts.
@@ -50,10 +53,6 @@ class Cell:
     """
 
     task: Task
-    row: str
-    mode: str
-    variant: str
-    seed: int
     settings: Any
     evaluations: Mapping[str, Mapping[str, Any]] = field(default_factory=dict)
     start: Cell | None = None
@@ -88,7 +87,7 @@ class Running:
 
     Attributes:
         folder: The folder of the cell, with its files of the run.
-        document: The content of `cell.json`. `spec` is that of the cell.
+        document: The content of `cell.json`, with the `spec` of the cell.
         report: Receives the number of finished steps.
         progress: Whether to write lines of progress to standard error.
         wandb: The project of Weights & Biases.

@@ -181,10 +181,10 @@ def weights_file(weights: str | os.PathLike[str] | None) -> Path:
     for name in WEIGHTS:
         if (folder / name).exists():
             return folder / name
+    first, second, third = WEIGHTS
     raise FileNotFoundError(
         f"no weights of ResNet50 in torchvision's cache `{folder}`: name a file with `--weights` (in experiments "
-        "`weights`), or put "
-        f"{', '.join(f'`{name}`' for name in WEIGHTS[:-1])} or `{WEIGHTS[-1]}` there"
+        f"`weights`), or put `{first}`, `{second}` or `{third}` there"
     )
 
 

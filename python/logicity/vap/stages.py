@@ -51,9 +51,7 @@ from .training import (
     reasoning_loss,
 )
 
-__all__ = [
-    *("NO_CONCEPTS", "VapSettings", "VapWork", "facts_of", "measure", "rules_hash", "scenes_of", "train_stage"),
-]
+__all__ = [*("NO_CONCEPTS", "VapSettings", "VapWork", "facts_of", "measure", "rules_hash", "scenes_of", "train_stage")]
 
 #: The message about a row that needs the concepts of another one.
 NO_CONCEPTS = "`groundings: predicted` needs the concepts of another row: set its `start`"
@@ -128,8 +126,8 @@ class VapSettings(StrictModel):
         """The kind of stored features that the model sees, or `None`."""
         if self.groundings == "exact":
             return None
-        kinds: dict[str, Kind | None] = {"crops": "crops", "features": "resnet50", "sides": None}
-        return kinds[self.concepts.perception]
+        kinds: dict[str, Kind] = {"crops": "crops", "features": "resnet50"}
+        return kinds.get(self.concepts.perception)
 
     @property
     def weights_hash(self) -> str | None:
@@ -307,11 +305,6 @@ def _groundings(work: VapWork, model: dict[str, Any], samples: Samples) -> tuple
     return groundings(work.part("concepts", model), samples)
 
 
-def _kept(start: Mapping[str, Any]) -> dict[str, Any]:
-    """Return the concepts of the model to start from, if it has any."""
-    return {name: start[name] for name in start if name == "concepts"}
-
-
 def _fitted(
     work: VapWork, network: torch.nn.Module, loss: Loss, train: Samples, val: Samples, predict: Callable[[], Tensor]
 ) -> list[dict[str, float]]:
@@ -348,7 +341,8 @@ def _train_reasoner(work: VapWork) -> Trained:
 
     loss = reasoning_loss(reasoner, *of_train, train, work.settings.training.class_power)
     history = _fitted(work, reasoner, loss, train, val, predict)
-    return {**_kept(start), "reasoner": reasoner.state_dict()}, history
+    kept = {"concepts": start["concepts"]} if "concepts" in start else {}
+    return {**kept, "reasoner": reasoner.state_dict()}, history
 
 
 def _train_end_to_end(work: VapWork) -> Trained:
@@ -378,7 +372,8 @@ def _induce(work: VapWork) -> Trained:
     if code:
         raise ValueError(f"`logicity {' '.join(command)}` failed")
     scenes.unlink()
-    return {**_kept(start), "rules": learned.read_text(encoding="utf-8")}, []
+    kept = {"concepts": start["concepts"]} if "concepts" in start else {}
+    return {**kept, "rules": learned.read_text(encoding="utf-8")}, []
 
 
 def _bound(work: VapWork) -> Trained:
