@@ -305,7 +305,7 @@ class Toy:
 
 
 def test_learns_the_optimal_actions(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr("logicity.learn.dreamer.Interaction", Toy)
+    monkeypatch.setattr("logicity.learn.interaction.Interaction", Toy)
     rates = {"model_learning_rate": 5e-3, "actor_learning_rate": 2e-3, "critic_learning_rate": 5e-3}
     training = {"random_steps": 200, "updates": 10, "batch_size": 40, "sequence_length": 3, "target_interval": 20}
     settings = small(width=24, discount=0.5, entropy_scale=0.05, buffer_size=4000, **rates, **training)

@@ -235,7 +235,7 @@ class Toy:
 
 
 def test_learns_the_optimal_actions(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr("logicity.learn.shooting.Interaction", Toy)
+    monkeypatch.setattr("logicity.learn.interaction.Interaction", Toy)
     settings = small(
         sequences=64, reward_learning_rate=3e-3, model_learning_rate=3e-3, width=16, random_steps=400, exploration=0.1
     )

@@ -9,60 +9,37 @@ from __future__ import annotations
 import math
 from abc import abstractmethod
 from collections.abc import Mapping
+from itertools import pairwise
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any, ClassVar, Literal
 
 import numpy as np
+import torch
+from pydantic import Field
+from torch import Tensor, nn
 
 from ..city import ACTIONS
-from ..errors import missing_extra
-from ..files import read_tensors
-
-try:
-    import torch
-    from pydantic import Field, Strict
-    from torch import Tensor, nn
-except ImportError as error:
-    raise missing_extra("learn", error) from error
-
 from ..envs.views import Actions, Observations
-from .curves import Curves
+from ..files import read_tensors
 from .demonstrations import DemonstrationData, Layout, RelationalView, Sampler
-from .learner import (
-    LearnedPolicy,
-    Learner,
-    Progress,
-    check_shape,
-)
+from .learner import LearnedPolicy, Learner, Progress, check_shape, minimize
 from .nlm import NeuralLogicMachine
-from .settings import Count, LearnerSettings, LearningRate, NonNegative, Positive, Share
-from .storage import read_checkpoint, restore_optimizer, save_checkpoint
+from .settings import Count, LearnerSettings, LearningRate, NonNegative, Positive, Share, Widths
+from .storage import restore_optimizer
 
 if TYPE_CHECKING:
     from .settings import Training
 
 __all__ = [
-    "ClonedPolicy",
-    "CloningLearner",
-    "CloningSettings",
-    "GnnLearner",
-    "GnnSettings",
-    "LogicNetwork",
-    "LogicSettings",
-    "MlpLearner",
-    "MlpSettings",
-    "NlmLearner",
-    "NlmSettings",
-    "shuffled",
+    *("ClonedPolicy", "CloningLearner", "CloningSettings", "GnnLearner", "GnnSettings", "LogicNetwork"),
+    *("LogicSettings", "MlpLearner", "MlpSettings", "NlmLearner", "NlmSettings", "shuffled"),
 ]
 
-#: The version of the files of policies and checkpoints.
+#: The version of the files of policies.
 FORMAT = 1
 
 #: The interval between two points of the training curves, in updates.
 CURVE_EVERY = 50
-
-Widths = Annotated[tuple[Count, ...], Field(min_length=1), Strict(False)]
 
 
 class CloningSettings(LearnerSettings):
@@ -205,24 +182,13 @@ class ClonedPolicy(LearnedPolicy):
         self.layout, self.network = layout, network
 
     def predict(
-        self,
-        observation: Observations,
-        state: Any = None,
-        episode_start: Any = None,
-        deterministic: bool = True,
+        self, observation: Observations, state: Any = None, episode_start: Any = None, deterministic: bool = True
     ) -> tuple[Actions, Any]:
-        """Return the actions with the largest scores, or draw actions with the softmax of the scores.
-
-        Raises:
-            ValueError: If the observations have another shape than those of the training.
-        """
+        """Return the actions with the largest scores, or draw actions with the softmax of the scores."""
         check_shape(observation, self.layout.width, self.mode)
         with torch.no_grad():
             scores = self.network(torch.from_numpy(np.ascontiguousarray(observation, np.float32)))
-            if deterministic:
-                actions = scores.argmax(1)
-            else:
-                actions = torch.multinomial(scores.softmax(1), 1)[:, 0]
+            actions = scores.argmax(1) if deterministic else torch.multinomial(scores.softmax(1), 1)[:, 0]
         numbers: Actions = actions.numpy()
         return numbers, None
 
@@ -249,17 +215,16 @@ class ClonedPolicy(LearnedPolicy):
 
     @classmethod
     def load(cls, path: Path) -> ClonedPolicy:
-        """Read a policy that `save` wrote.
-
-        Raises:
-            OSError: If the file cannot be read.
-            ValueError: If the file is not such a policy.
-        """
-        saved = _loaded(path)
+        """Read a policy that `save` wrote."""
+        what = "policy of behavior cloning"
+        saved = read_tensors(path, f"a {what}")
+        version = saved.get("format") if isinstance(saved, dict) else None
+        if version != FORMAT:
+            raise ValueError(f"{path} is not a {what} of format {FORMAT}, but of format {version!r}")
         algorithm = str(saved.get("algorithm"))
         learner = _LEARNERS.get(algorithm)
         if learner is None:
-            raise ValueError(f"{path} is not a policy of behavior cloning, but of `{algorithm}`")
+            raise ValueError(f"{path} is not a {what}, but of `{algorithm}`")
         try:
             settings = learner.settings_class.model_validate(saved["settings"])
             atoms = [(str(name), tuple(map(int, entities))) for name, entities in saved["atoms"]]
@@ -280,15 +245,10 @@ class CloningLearner(Learner):
     interacts = False
     policy_class = ClonedPolicy
     starts = True
+    steps = 0
 
     def __init__(self, config: Training, log: Path | None = None) -> None:
-        """Read the demonstrations and create the network.
-
-        Raises:
-            InputError: If the configuration of the mode is invalid, or no episodes are recorded.
-            OSError: If a file cannot be read.
-            ValueError: If the mode is unknown.
-        """
+        """Read the demonstrations and create the network."""
         super().__init__(config, log)
         assert isinstance(config.settings, CloningSettings)
         self._settings = config.settings
@@ -305,8 +265,6 @@ class CloningLearner(Learner):
         self._optimizer = torch.optim.AdamW(
             self._network.parameters(), self._settings.learning_rate, weight_decay=self._settings.weight_decay
         )
-        self._steps = 0
-        self._curves = Curves(log)
 
     @staticmethod
     @abstractmethod
@@ -324,19 +282,14 @@ class CloningLearner(Learner):
             raise ValueError("its network has other sizes than those in `settings`") from None
         self._average.load_state_dict(self._network.state_dict())
 
-    @property
-    def steps(self) -> int:
-        """The number of updates."""
-        return self._steps
-
     def fit(self, steps: int, progress: Progress) -> None:
         """Train until `steps` updates. The schedule `cosine` ends at `steps`."""
-        while self._steps < steps:
-            loss, accuracy = self._update(self._steps / steps)
-            self._steps += 1
-            if self._steps % CURVE_EVERY == 0:
+        while self.steps < steps:
+            loss, accuracy = self._update(self.steps / steps)
+            self.steps += 1
+            if self.steps % CURVE_EVERY == 0:
                 self._curves.add({"train/loss": loss, "train/accuracy": accuracy})
-                self._curves.write(self._steps)
+                self._curves.write(self.steps)
             progress()
 
     def _update(self, done: float) -> tuple[float, float]:
@@ -355,11 +308,7 @@ class CloningLearner(Learner):
             observations = shuffled(observations, self._data.layout, self._shuffler)
         scores = self._network(observations)
         loss = nn.functional.cross_entropy(scores, actions, self._weights)
-        self._optimizer.zero_grad()
-        loss.backward()
-        if settings.gradient_clip is not None:
-            nn.utils.clip_grad_norm_(self._network.parameters(), settings.gradient_clip)
-        self._optimizer.step()
+        minimize(loss, self._optimizer, settings.gradient_clip)
         if settings.average:
             with torch.no_grad():
                 for mean, weight in zip(self._average.parameters(), self._network.parameters(), strict=True):
@@ -371,39 +320,28 @@ class CloningLearner(Learner):
         config = self.config
         return ClonedPolicy(config.algorithm, config.mode, self._settings, self._data.layout, self._average)
 
-    def save(self, folder: Path) -> None:
-        """Write the weights, the optimizer and the random states."""
-        state = {
-            "steps": self._steps,
+    def state(self) -> dict[str, Any]:
+        """Return the weights, the optimizer and the random states."""
+        return {
+            "steps": self.steps,
             "network": self._network.state_dict(),
             "average": self._average.state_dict(),
             "optimizer": self._optimizer.state_dict(),
             "sampler": self._sampler.state_dict(),
             "shuffler": self._shuffler.get_state(),
         }
-        save_checkpoint(folder, self.config.algorithm, state)
 
-    def restore(self, folder: Path) -> None:
-        """Restore what `save` wrote.
-
-        Raises:
-            OSError: If the file cannot be read.
-            ValueError: If the file does not fit the configuration.
-        """
-        saved = read_checkpoint(folder, self.config.algorithm)
+    def load_state(self, state: dict[str, Any]) -> None:
+        """Restore what `state` returned."""
         try:
-            self._network.load_state_dict(saved["network"])
-            self._average.load_state_dict(saved["average"])
-            restore_optimizer(self._optimizer, saved["optimizer"])
-            self._sampler.load_state_dict(saved["sampler"])
-            self._shuffler.set_state(saved["shuffler"])
-            self._steps = int(saved["steps"])
+            self._network.load_state_dict(state["network"])
+            self._average.load_state_dict(state["average"])
+            restore_optimizer(self._optimizer, state["optimizer"])
+            self._sampler.load_state_dict(state["sampler"])
+            self._shuffler.set_state(state["shuffler"])
+            self.steps = int(state["steps"])
         except (KeyError, RuntimeError, TypeError, ValueError) as error:
-            raise ValueError(f"{folder} does not fit the configuration: {error}") from error
-
-    def close(self) -> None:
-        """Close the training curves."""
-        self._curves.close()
+            raise ValueError(f"the checkpoint does not fit the configuration: {error}") from error
 
 
 class MlpLearner(CloningLearner):
@@ -415,9 +353,7 @@ class MlpLearner(CloningLearner):
     def new_network(layout: Layout, settings: MlpSettings) -> nn.Module:
         """Create linear layers with ReLU between them."""
         ends = [layout.width, *settings.network]
-        layers: list[nn.Module] = []
-        for before, after in zip(ends[:-1], ends[1:], strict=True):
-            layers += [nn.Linear(before, after), nn.ReLU()]
+        layers = [layer for inputs, outputs in pairwise(ends) for layer in (nn.Linear(inputs, outputs), nn.ReLU())]
         return nn.Sequential(*layers, nn.Linear(ends[-1], len(ACTIONS)))
 
 
@@ -431,15 +367,8 @@ class GnnLearner(CloningLearner):
         """Create convolutions and a linear layer on the ego."""
         from .gnn import GraphNetwork
 
-        return GraphNetwork(
-            layout,
-            len(ACTIONS),
-            settings.network,
-            settings.layers,
-            settings.reverse,
-            settings.present_only,
-            settings.learned_eps,
-        )
+        options = settings.model_dump(include={"layers", "reverse", "present_only", "learned_eps"})
+        return GraphNetwork(layout, len(ACTIONS), settings.network, **options)
 
 
 class NlmLearner(CloningLearner):
@@ -476,18 +405,3 @@ def shuffled(observations: Tensor, layout: Layout, generator: torch.Generator) -
     source[:, unary_at.flatten()] = unary_at[order].flatten(1)
     source[:, binary_at.flatten()] = binary_at[order[:, :, None], order[:, None, :]].flatten(1)
     return observations.gather(1, source)
-
-
-def _loaded(path: Path) -> dict[str, Any]:
-    """Return the content of a file of a policy.
-
-    Raises:
-        OSError: If the file cannot be read.
-        ValueError: If it is not such a file.
-    """
-    what = "policy of behavior cloning"
-    saved = read_tensors(path, f"a {what}")
-    if not isinstance(saved, dict) or saved.get("format") != FORMAT:
-        version = saved.get("format") if isinstance(saved, dict) else None
-        raise ValueError(f"{path} is not a {what} of format {FORMAT}, but of format {version!r}")
-    return saved

@@ -22,9 +22,7 @@ except ImportError as error:
 
 from ..modes import ENVIRONMENTS, checked_mode
 from .faults import Fault, contains, faults, inlined, merged, tidy
-from .learner import (
-    Learner,
-)
+from .learner import Learner
 from .registry import LEARNERS, learner_class
 from .settings import LearnerSettings, Training
 

@@ -15,38 +15,28 @@ OpenCV.
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Mapping, Sequence
+from collections.abc import Mapping
 from copy import deepcopy
 from dataclasses import dataclass
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, Any, ClassVar, Literal, NamedTuple
+from typing import TYPE_CHECKING, Annotated, Any, NamedTuple
 
 import numpy as np
+import torch
 from pydantic import Field
-
-from ..errors import missing_extra
-
-try:
-    import torch
-    from torch import Tensor, nn
-    from torch.nn import functional
-except ImportError as error:
-    raise missing_extra("learn", error) from error
+from torch import Tensor, nn
+from torch.nn import functional
 
 from ..city import ACTIONS
 from ..envs.views import Actions, Observations
-from .curves import Curves
-from .interaction import Interaction, Transitions, as_bits, random_actions, step_generator
-from .learner import (
-    LearnedPolicy,
-    Learner,
-    Progress,
-    check_shape,
-)
+from .interaction import TransitionLearner, Transitions, as_bits, random_actions, step_generator
+from .learner import check_shape, minimize
 from .settings import Count, LearnerSettings, LearningRate, NonNegative, Positive, Share
-from .storage import build_policy, read_checkpoint, restore_optimizer, save_checkpoint, save_policy
+from .storage import StoredPolicy, restore_optimizer
 
 if TYPE_CHECKING:
+    from typing_extensions import Self
+
     from .settings import Training
 
 __all__ = [
@@ -264,10 +254,12 @@ class WorldModel(nn.Module):
 
     def start(self, count: int) -> State:
         """Return the states before the first observation: zeros for a batch of `count` environments."""
-        settings = self._settings
-        return State(
-            torch.zeros(count, settings.deterministic), torch.zeros(count, settings.variables * settings.classes)
-        )
+        widths = (self._settings.deterministic, self._settings.variables * self._settings.classes)
+        return State(*(torch.zeros(count, width) for width in widths))
+
+    def start_memory(self, count: int) -> Memory:
+        """Return the memory of a policy before the first observation."""
+        return Memory(self.start(count), torch.zeros(count, len(ACTIONS)), 0)
 
     def advance(self, state: State, actions: Tensor) -> Tensor:
         """Return the deterministic part after actions, of shape (batch, deterministic).
@@ -481,7 +473,7 @@ class Memory(NamedTuple):
     steps: int
 
 
-class DreamerPolicy(LearnedPolicy):
+class DreamerPolicy(StoredPolicy):
     """The world model, which infers states from observations, and the actor. Its state is a `Memory`.
 
     Args:
@@ -492,28 +484,20 @@ class DreamerPolicy(LearnedPolicy):
         seed: The seed of random samples.
     """
 
-    algorithm: ClassVar = "dreamer"
+    algorithm = "dreamer"
+    algorithms = (algorithm,)
 
     def __init__(self, model: WorldModel, actor: nn.Module, settings: DreamerSettings, mode: str, seed: int) -> None:
         """Store the arguments."""
         self.model, self.actor, self.settings, self.mode, self.seed = model, actor, settings, mode, seed
 
     def predict(
-        self,
-        observation: Observations,
-        state: Any = None,
-        episode_start: Any = None,
-        deterministic: bool = True,
+        self, observation: Observations, state: Any = None, episode_start: Any = None, deterministic: bool = True
     ) -> tuple[Actions, Any]:
-        """Return the most probable actions in the most probable states, or sample both.
-
-        Raises:
-            ValueError: If the observations have another shape than those of the training, or are not binary.
-        """
+        """Return the most probable actions in the most probable states, or sample both."""
         check_shape(observation, self.model.bits, self.mode)
-        count = len(observation)
-        memory = Memory(self.model.start(count), torch.zeros(count, len(ACTIONS)), 0) if state is None else state
-        starts = np.full(count, state is None) if episode_start is None else np.asarray(episode_start)
+        memory = self.model.start_memory(len(observation)) if state is None else state
+        starts = np.full(len(observation), state is None) if episode_start is None else np.asarray(episode_start)
         first = torch.from_numpy(starts).float()[:, None]
         generator = None if deterministic else step_generator(self.seed, memory.steps)
         actions, after = self.act(torch.from_numpy(as_bits(observation)).float(), memory, first, generator)
@@ -536,37 +520,23 @@ class DreamerPolicy(LearnedPolicy):
             chosen = one_hot_samples(self.actor(state.features()), generator)
         return chosen.argmax(-1), Memory(state, chosen, memory.steps + 1)
 
-    def save(self, path: Path) -> None:
-        """Write the policy to a file."""
-        config = {
-            "mode": self.mode,
-            "seed": self.seed,
-            "bits": self.model.bits,
-            "settings": self.settings.model_dump(mode="json"),
-        }
-        save_policy(path, self.algorithm, config, self.weights())
+    def config(self) -> dict[str, Any]:
+        """Return the arguments, and the number of bits of an observation."""
+        settings = self.settings.model_dump(mode="json")
+        return {"mode": self.mode, "seed": self.seed, "bits": self.model.bits, "settings": settings}
 
     def weights(self) -> Mapping[str, Any]:
         """Return the weights of the world model and of the actor."""
         return {"model": self.model.state_dict(), "actor": self.actor.state_dict()}
 
     @classmethod
-    def load(cls, path: Path) -> DreamerPolicy:
-        """Read a policy that `save` wrote.
-
-        Raises:
-            OSError: If the file cannot be read.
-            ValueError: If the file is not such a policy.
-        """
-
-        def build(config: dict[str, Any], weights: dict[str, Any]) -> DreamerPolicy:
-            settings = DreamerSettings.model_validate(config["settings"])
-            model, actor = WorldModel(config["bits"], settings), head(settings, len(ACTIONS))
-            model.load_state_dict(weights["model"])
-            actor.load_state_dict(weights["actor"])
-            return cls(model, actor, settings, config["mode"], config["seed"])
-
-        return build_policy(path, [cls.algorithm], build)
+    def build(cls, config: dict[str, Any], weights: dict[str, Any]) -> Self:
+        """Create the policy of a file."""
+        settings = DreamerSettings.model_validate(config["settings"])
+        model, actor = WorldModel(config["bits"], settings), head(settings, len(ACTIONS))
+        model.load_state_dict(weights["model"])
+        actor.load_state_dict(weights["actor"])
+        return cls(model, actor, settings, config["mode"], config["seed"])
 
 
 def head(settings: DreamerSettings, outputs: int) -> nn.Sequential:
@@ -574,23 +544,18 @@ def head(settings: DreamerSettings, outputs: int) -> nn.Sequential:
     return mlp(settings.deterministic + settings.variables * settings.classes, settings, outputs)
 
 
-class Dreamer(Learner):
+class Dreamer(TransitionLearner):
     """Learns a world model from sequences of observations, and the actor and the critic in imagination."""
 
     settings_class = DreamerSettings
     policy_class = DreamerPolicy
-    unit: ClassVar[Literal["environment steps", "updates"]] = "environment steps"
-    interacts = True
 
     def __init__(self, config: Training, log: Path | None = None) -> None:
         """Make the environments and the networks.
 
         Raises:
-            InputError: If the configuration of the mode or an override is invalid.
-            OSError: If a file cannot be read.
-            ValueError: If the observations are not binary, or the stored observations are fewer than a sequence.
+            ValueError: If the stored observations are fewer than a sequence.
         """
-        super().__init__(config, log)
         settings = config.settings
         assert isinstance(settings, DreamerSettings)
         if settings.buffer_size < config.envs * settings.sequence_length:
@@ -598,61 +563,45 @@ class Dreamer(Learner):
                 f"`buffer_size` {settings.buffer_size} is too small for {config.envs} environments with sequences of "
                 f"{settings.sequence_length} observations: use at least {config.envs * settings.sequence_length}"
             )
+        super().__init__(config, log)
         self._settings = settings
-        self._interaction = Interaction(config)
-        self._generator = torch.Generator().manual_seed(config.seed)
         with torch.random.fork_rng(devices=[]):
             torch.manual_seed(config.seed)
             self._model = WorldModel(self._interaction.width, settings)
             self._actor, self._critic = head(settings, len(ACTIONS)), head(settings, 1)
         self._target = deepcopy(self._critic).requires_grad_(False)
+        self._networks = (self._model, self._actor, self._critic, self._target)
+        rates = (settings.model_learning_rate, settings.actor_learning_rate, settings.critic_learning_rate)
+        # The epsilon and the decoupled weight decay of the paper (appendix D).
         self._optimizers = {
-            "model": _adam(self._model.parameters(), settings.model_learning_rate),
-            "actor": _adam(self._actor.parameters(), settings.actor_learning_rate),
-            "critic": _adam(self._critic.parameters(), settings.critic_learning_rate),
+            name: torch.optim.AdamW(module.parameters(), rate, eps=1e-5, weight_decay=1e-6, fused=True)
+            for name, module, rate in zip(("model", "actor", "critic"), self._networks, rates, strict=False)
         }
         observations = torch.from_numpy(self._interaction.observations)
         self._replay = EpisodeReplay(settings.buffer_size, self._interaction.width, observations)
-        self._memory = Memory(self._model.start(config.envs), torch.zeros(config.envs, len(ACTIONS)), 0)
+        self._memory = self._model.start_memory(config.envs)
         self._first = torch.ones(config.envs, 1)
         self._updates = 0
-        self._curves = Curves(log)
 
-    @property
-    def steps(self) -> int:
-        """The number of environment steps so far."""
-        return self._interaction.steps
-
-    def fit(self, steps: int, progress: Progress) -> None:
-        """Train until `self.steps` reaches `steps`."""
-        settings, interaction = self._settings, self._interaction
-        while self.steps < steps:
-            before = self.steps
-            transitions = interaction.step(self._actions())
-            self._replay.add(transitions, torch.from_numpy(interaction.observations))
-            ended = torch.from_numpy(transitions.terminated | transitions.truncated)
-            self._first = ended.float()[:, None]
-            trainings = self.steps // settings.train_interval - before // settings.train_interval
-            if self.steps >= settings.random_steps and self._replay.ready(settings.sequence_length):
-                for _ in range(trainings * settings.updates):
-                    self._update()
-            if self._curves.due(self.steps):
-                self._curves.add(interaction.episodes())
-                self._curves.write(self.steps)
-            progress()
+    def _learn(self, transitions: Transitions, before: int) -> None:
+        settings = self._settings
+        self._replay.add(transitions, torch.from_numpy(self._interaction.observations))
+        self._first = torch.from_numpy(transitions.terminated | transitions.truncated).float()[:, None]
+        if self.steps >= settings.random_steps and self._replay.ready(settings.sequence_length):
+            for _ in range(self._due(before, settings.train_interval) * settings.updates):
+                self._update()
 
     def _actions(self) -> Actions:
         observations = torch.from_numpy(self._interaction.observations).float()
-        if self.steps < self._settings.random_steps:
-            actions = random_actions(len(observations), self._generator)
-            chosen = functional.one_hot(torch.from_numpy(actions), len(ACTIONS)).float()
-            # The states follow the random actions, so the first actions of the actor have a memory.
-            _, memory = self.policy().act(observations, self._memory, self._first, self._generator)
-            self._memory = memory._replace(actions=chosen)
-            return actions
-        drawn, self._memory = self.policy().act(observations, self._memory, self._first, self._generator)
-        sampled: Actions = drawn.numpy()
-        return sampled
+        is_random = self.steps < self._settings.random_steps
+        drawn = random_actions(len(observations), self._generator) if is_random else None
+        chosen, self._memory = self.policy().act(observations, self._memory, self._first, self._generator)
+        if drawn is None:
+            return np.asarray(chosen.numpy())
+        # The states follow the random actions, so the first actions of the actor have a memory.
+        one_hot = functional.one_hot(torch.from_numpy(drawn), len(ACTIONS)).float()
+        self._memory = self._memory._replace(actions=one_hot)
+        return drawn
 
     def _update(self) -> None:
         """Train the world model on sequences, and the actor and the critic on what it imagines from their states."""
@@ -660,7 +609,7 @@ class Dreamer(Learner):
         batch = self._replay.sample(settings.batch_size, settings.sequence_length, self._generator)
         states, losses = self._model.loss(batch, self._generator)
         total = losses.observations + losses.rewards + losses.discounts + settings.kl_scale * losses.divergence
-        self._minimize("model", total, self._model)
+        minimize(total, self._optimizers["model"], settings.gradient_clip)
         self._curves.add({f"loss/{name}": value.item() for name, value in losses._asdict().items()})
         self._behave(states.flat(), (1 - batch.terminated).flatten())
         self._updates += 1
@@ -694,11 +643,11 @@ class Dreamer(Learner):
         log_probabilities = torch.stack(logits).log_softmax(-1)
         entropy = -(log_probabilities.exp() * log_probabilities).sum(-1)
         gain = (log_probabilities * torch.stack(actions)).sum(-1) * advantages + settings.entropy_scale * entropy
-        self._minimize("actor", -(weights * gain).mean(), self._actor)
+        minimize(-(weights * gain).mean(), self._optimizers["actor"], settings.gradient_clip)
         # Equation 5.
         errors = (self._critic(every[:-1])[..., 0] - targets) ** 2 / 2
         critic_loss = (weights * errors).mean()
-        self._minimize("critic", critic_loss, self._critic)
+        minimize(critic_loss, self._optimizers["critic"], settings.gradient_clip)
         self._curves.add(
             {
                 "actor/entropy": entropy.mean().item(),
@@ -707,40 +656,25 @@ class Dreamer(Learner):
             }
         )
 
-    def _minimize(self, name: str, loss: Tensor, module: nn.Module) -> None:
-        optimizer = self._optimizers[name]
-        optimizer.zero_grad()
-        loss.backward()
-        nn.utils.clip_grad_norm_(module.parameters(), self._settings.gradient_clip)
-        optimizer.step()
-
     def policy(self) -> DreamerPolicy:
         """Return the current policy."""
         return DreamerPolicy(self._model, self._actor, self._settings, self.config.mode, self.config.seed)
 
-    def save(self, folder: Path) -> None:
-        """Write everything that `restore` needs."""
-        state = {
-            "interaction": self._interaction.state(),
+    def state(self) -> dict[str, Any]:
+        """Return the environments, the networks, the optimizers, the observations, the memory and the random state."""
+        return {
+            **super().state(),
             "networks": [module.state_dict() for module in self._networks],
             "optimizers": {name: optimizer.state_dict() for name, optimizer in self._optimizers.items()},
             "replay": self._replay.state(),
             "memory": ([part.clone() for part in self._memory.state], self._memory.actions, self._memory.steps),
             "first": self._first,
             "updates": self._updates,
-            "generator": self._generator.get_state(),
         }
-        save_checkpoint(folder, DreamerPolicy.algorithm, state)
 
-    def restore(self, folder: Path) -> None:
-        """Restore what `save` wrote.
-
-        Raises:
-            OSError: If the file cannot be read.
-            ValueError: If the file does not fit the configuration.
-        """
-        state = read_checkpoint(folder, DreamerPolicy.algorithm)
-        self._interaction.restore(state["interaction"])
+    def load_state(self, state: dict[str, Any]) -> None:
+        """Restore what `state` returned."""
+        super().load_state(state)
         for module, weights in zip(self._networks, state["networks"], strict=True):
             module.load_state_dict(weights)
         for name, optimizer in self._optimizers.items():
@@ -749,19 +683,3 @@ class Dreamer(Learner):
         parts, actions, steps = state["memory"]
         self._memory = Memory(State(*parts), actions, steps)
         self._first, self._updates = state["first"], state["updates"]
-        self._generator.set_state(state["generator"])
-        self._curves.begin(self.steps)
-
-    @property
-    def _networks(self) -> Sequence[nn.Module]:
-        return self._model, self._actor, self._critic, self._target
-
-    def close(self) -> None:
-        """Close the environments and the training curves."""
-        self._interaction.close()
-        self._curves.close()
-
-
-def _adam(parameters: Iterable[nn.Parameter], learning_rate: float) -> torch.optim.Optimizer:
-    """Create an optimizer with the epsilon and the decoupled weight decay of the paper (appendix D)."""
-    return torch.optim.AdamW(parameters, learning_rate, eps=1e-5, weight_decay=1e-6, fused=True)

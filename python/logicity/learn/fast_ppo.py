@@ -20,20 +20,13 @@ import os
 import time
 from collections.abc import Mapping, Sequence
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, Any, ClassVar, Literal, NamedTuple, TypeAlias
+from typing import TYPE_CHECKING, Any, ClassVar, NamedTuple, TypeAlias
 
 import numpy as np
+import torch
+from gymnasium.vector import AutoresetMode
 from numpy.typing import NDArray
-
-from ..errors import missing_extra
-
-try:
-    import torch
-    from gymnasium.vector import AutoresetMode
-    from pydantic import Field, Strict
-    from torch import Tensor, nn
-except ImportError as error:
-    raise missing_extra("learn", error) from error
+from torch import Tensor, nn
 
 from .. import _logicity
 from ..city import ACTIONS
@@ -43,14 +36,8 @@ from ..envs.views import Actions, Observations
 from ..files import read_tensors
 from ..tasks import load_task
 from .curves import Curves
-from .learner import (
-    LearnedPolicy,
-    Learner,
-    Progress,
-    check_shape,
-)
-from .settings import Count, LearnerSettings, LearningRate, NonNegative, Positive, Share
-from .storage import read_checkpoint, save_checkpoint
+from .learner import LearnedPolicy, Learner, Progress, check_shape
+from .settings import Count, LearnerSettings, LearningRate, NonNegative, Positive, Share, Widths
 
 if TYPE_CHECKING:
     from .settings import Training
@@ -73,7 +60,7 @@ ENDINGS = {1: "violation", 2: "success", 3: "horizon"}
 class FastPPOSettings(LearnerSettings):
     """The settings of `ppo-fast`."""
 
-    network: Annotated[tuple[Count, ...], Strict(False), Field(min_length=1)] = (64, 64)
+    network: Widths = (64, 64)
     """The widths of the hidden layers. The policy and the value share them."""
     entities_per_slot: Count = 1
     """The number of entities besides the ego in a slot of the first layer. With all entities, the network is a
@@ -351,11 +338,7 @@ class FastPPOPolicy(LearnedPolicy):
     def predict(
         self, observation: Observations, state: Any = None, episode_start: Any = None, deterministic: bool = True
     ) -> tuple[Actions, Any]:
-        """Return the most probable actions, or random ones with their probabilities.
-
-        Raises:
-            ValueError: If the observations have another shape than those of the training.
-        """
+        """Return the most probable actions, or random ones with their probabilities."""
         check_shape(observation, self._width, self.mode)
         native = self._network.native(self._width, self._slots)
         logits = native.evaluate(np.ascontiguousarray(observation, np.float32))[:, :-1]
@@ -384,12 +367,7 @@ class FastPPOPolicy(LearnedPolicy):
 
     @classmethod
     def load(cls, path: Path) -> FastPPOPolicy:
-        """Read a policy that `save` wrote.
-
-        Raises:
-            OSError: If the file cannot be read.
-            ValueError: If the file is not such a policy.
-        """
+        """Read a policy that `save` wrote."""
         content = read_tensors(path, f"a policy of `{NAME}`")
         if not isinstance(content, dict) or content.get("algorithm") != NAME:
             raise ValueError(f"{os.fspath(path)} is not a policy of `{NAME}`")
@@ -418,19 +396,15 @@ class FastPPO(Learner):
         seconds: The CPU seconds since the start or the last `restore`, by phase.
     """
 
-    settings_class: ClassVar[type[LearnerSettings]] = FastPPOSettings
-    unit: ClassVar[Literal["environment steps", "updates"]] = "environment steps"
-    interacts: ClassVar[bool] = True
-    policy_class: ClassVar[type[LearnedPolicy]] = FastPPOPolicy
-    starts: ClassVar[bool] = True
+    settings_class = FastPPOSettings
+    unit: ClassVar = "environment steps"
+    interacts = True
+    policy_class = FastPPOPolicy
+    starts = True
+    steps = 0
 
     def __init__(self, config: Training, log: Path | None = None) -> None:
-        """Create the environments and the network.
-
-        Raises:
-            InputError: If the configuration of the mode or an override is invalid.
-            OSError: If a file cannot be read.
-        """
+        """Create the environments and the network."""
         super().__init__(config, log)
         assert isinstance(config.settings, FastPPOSettings)
         self._settings = config.settings
@@ -441,15 +415,9 @@ class FastPPO(Learner):
             torch.manual_seed(config.seed)
             self._network = Network(self._slots.shape[1], self._settings.network)
         self._random = np.random.default_rng(config.seed)
-        self._steps = self._updates = 0
-        self._envs = SPFVectorEnv(
-            config.envs,
-            config.mode,
-            autoreset_mode=AutoresetMode.SAME_STEP,
-            num_threads=config.threads,
-            copy=False,
-            **config.env_options(),
-        )
+        self._updates = 0
+        options: dict[str, Any] = {**config.env_options(), "num_threads": config.threads, "copy": False}
+        self._envs = SPFVectorEnv(config.envs, config.mode, autoreset_mode=AutoresetMode.SAME_STEP, **options)
         self._envs.reset(seed=config.seed)
         self._curves = Curves(None if log is None else log / NAME)
         self._ended = np.zeros(len(ENDINGS) + 1, np.int64)
@@ -462,14 +430,9 @@ class FastPPO(Learner):
             raise ValueError("its layers do not fit the observations and the settings")
         self._network.parameters.copy_(policy._network.parameters)
 
-    @property
-    def steps(self) -> int:
-        """The number of steps of all environments."""
-        return self._steps
-
     def fit(self, steps: int, progress: Progress) -> None:
         """Train until at least `steps` steps. Schedules end at the steps of the configuration."""
-        while self._steps < steps:
+        while self.steps < steps:
             self._train_once()
             progress()
 
@@ -490,7 +453,7 @@ class FastPPO(Learner):
         )
         prepared = time.process_time()
         last = self._update(batch, random.size)
-        self._steps += random.size
+        self.steps += random.size
         self._updates += 1
         spent = (collected - begun, prepared - collected, time.process_time() - prepared)
         for phase, seconds in zip(self.seconds, spent, strict=True):
@@ -517,7 +480,7 @@ class FastPPO(Learner):
         return loss
 
     def _scheduled(self, first: float, last: float) -> float:
-        return first + (last - first) * min(1.0, self._steps / self.config.steps)
+        return first + (last - first) * min(1.0, self.steps / self.config.steps)
 
     def _add_to_curves(self, done: Mapping[str, NDArray[Any]], batch: Batch, loss: Losses) -> None:
         """Add a batch to the training curves, and write them every `LOG_EVERY` updates."""
@@ -537,42 +500,33 @@ class FastPPO(Learner):
         episodes = max(self._ended[1:].sum(), 1)
         self._curves.add({f"episodes/{name}": self._ended[ending] / episodes for ending, name in ENDINGS.items()})
         self._curves.add({f"cpu_seconds/{phase}": seconds for phase, seconds in self.seconds.items()})
-        self._curves.write(self._steps)
+        self._curves.write(self.steps)
         self._ended[:] = 0
 
     def policy(self) -> FastPPOPolicy:
         """Return the current policy."""
         return FastPPOPolicy(self._network, self._slots, self._width, self.config.mode, self._settings)
 
-    def save(self, folder: Path) -> None:
-        """Write the weights, the optimizer, the environments and the random state."""
-        state = {
+    def state(self) -> dict[str, Any]:
+        """Return the weights, the optimizer, the environments and the random state."""
+        return {
             "network": (self._network.parameters, self._network.moments, self._network.updates),
             "environments": self._envs.state(),
             "random": self._random.bit_generator.state,
-            "counts": (self._steps, self._updates),
+            "counts": (self.steps, self._updates),
         }
-        save_checkpoint(folder, NAME, state)
 
-    def restore(self, folder: Path) -> None:
-        """Restore what `save` wrote.
-
-        Raises:
-            InputError: If an episode is invalid.
-            OSError: If the file cannot be read.
-            ValueError: If the file does not fit the configuration.
-        """
-        state = read_checkpoint(folder, NAME)
+    def load_state(self, state: dict[str, Any]) -> None:
+        """Restore what `state` returned."""
         parameters, moments, self._network.updates = state["network"]
         self._network.parameters.copy_(parameters)
         self._network.moments.copy_(moments)
         self._random.bit_generator.state = state["random"]
-        self._steps, self._updates = state["counts"]
+        self.steps, self._updates = state["counts"]
         self._envs.restore(state["environments"])
-        self._curves.begin(self._steps)
         self._ended[:] = 0
 
     def close(self) -> None:
         """Close the environments and the training curves."""
         self._envs.close()
-        self._curves.close()
+        super().close()

@@ -8,22 +8,18 @@ from __future__ import annotations
 
 import warnings
 from collections.abc import Sequence
+from itertools import pairwise
 
-from ..errors import missing_extra
-
-try:
-    import torch
-    from torch import Tensor, nn
-
-    with warnings.catch_warnings():
-        # PyTorch Geometric compiles functions on import.
-        warnings.filterwarnings("ignore", "`torch.jit.script` is deprecated", FutureWarning)
-        warnings.filterwarnings("ignore", "`torch.jit.script` is deprecated", DeprecationWarning)
-        from torch_geometric.nn import GINEConv
-except ImportError as error:
-    raise missing_extra("learn", error) from error
+import torch
+from torch import Tensor, nn
 
 from .demonstrations import GraphView, Layout
+
+with warnings.catch_warnings():
+    # PyTorch Geometric compiles functions on import.
+    for category in (FutureWarning, DeprecationWarning):
+        warnings.filterwarnings("ignore", "`torch.jit.script` is deprecated", category)
+    from torch_geometric.nn import GINEConv
 
 __all__ = ["GraphNetwork"]
 
@@ -59,13 +55,9 @@ class GraphNetwork(nn.Module):
         self.convolutions = nn.ModuleList()
         width = len(layout.unary)
         for _ in range(layers):
-            ends = [width, *widths]
-            perceptron: list[nn.Module] = []
-            for before, after in zip(ends[:-1], ends[1:], strict=True):
-                perceptron += [nn.Linear(before, after), nn.ReLU()]
-            self.convolutions.append(
-                GINEConv(nn.Sequential(*perceptron), train_eps=learned_eps, edge_dim=self.view.edge_width)
-            )
+            ends = pairwise([width, *widths])
+            perceptron = nn.Sequential(*(layer for pair in ends for layer in (nn.Linear(*pair), nn.ReLU())))
+            self.convolutions.append(GINEConv(perceptron, train_eps=learned_eps, edge_dim=self.view.edge_width))
             width = widths[-1]
         self.readout = nn.Linear(width + (layout.route_length is not None), outputs)
 

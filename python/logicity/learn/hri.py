@@ -31,16 +31,10 @@ from ..envs.layout import Layout
 from ..envs.views import Actions, Observations
 from ..files import read_tensors
 from ..tasks import load_task
-from .curves import Curves
 from .demonstrations import DemonstrationData
-from .learner import (
-    LearnedPolicy,
-    Learner,
-    Progress,
-    check_shape,
-)
+from .learner import LearnedPolicy, Learner, Progress, check_shape, minimize
 from .settings import LearnerSettings, NonNegative, Positive
-from .storage import read_checkpoint, restore_optimizer, save_checkpoint
+from .storage import restore_optimizer
 
 if TYPE_CHECKING:
     from .settings import Training
@@ -743,7 +737,7 @@ class _ActionTrainer:
             "quality": list(self.quality),
         }
 
-    def restore(self, state: Mapping[str, Any], place: str) -> None:
+    def restore(self, state: Mapping[str, Any], action: str) -> None:
         """Restore what `state` returned.
 
         Raises:
@@ -752,7 +746,7 @@ class _ActionTrainer:
         best = Hypothesis(self.program, tuple(state["choices"]))
         weights = {"predicates": self.predicates, "rules": self.rules}
         if not best.is_valid() or any(state[name].shape != weight.shape for name, weight in weights.items()):
-            raise ValueError(f"{place}: the sizes are those of other settings")
+            raise ValueError(f"the sizes of the models of {action} are those of other settings")
         with torch.no_grad():
             for name, weight in weights.items():
                 weight.copy_(state[name])
@@ -781,10 +775,8 @@ class _ActionTrainer:
             values.clamp(1e-6, 1 - 1e-6), wanted.expand_as(values), reduction="none"
         ).mean(1)
         loss = fit + settings.regularization * (degrees * (1 - degrees)).mean((1, 2))
-        self.optimizer.zero_grad()
         # The models share no weights: the gradient of the sum has the gradient of each.
-        loss.sum().backward()
-        self.optimizer.step()
+        minimize(loss.sum(), self.optimizer)
         return float(fit.detach().mean())
 
 
@@ -856,10 +848,11 @@ class Examples:
 class HRI(Learner):
     """Hierarchical Rule Induction. One step updates the models of all actions once."""
 
-    settings_class: ClassVar[type[LearnerSettings]] = HriSettings
-    unit = "updates"
+    settings_class = HriSettings
+    unit: ClassVar = "updates"
     interacts = False
-    policy_class: ClassVar[type[LearnedPolicy]] = HriPolicy
+    policy_class = HriPolicy
+    steps = 0
 
     def __init__(self, config: Training, log: Path | None = None) -> None:
         """Run the oracle on the recorded training episodes, and draw the first weights."""
@@ -884,28 +877,21 @@ class HRI(Learner):
                 data.trajectories.numpy(),
             )
             self._trainers[action] = _ActionTrainer(program, settings, self._generator)
-        self._steps = 0
-        self._curves = Curves(log)
-
-    @property
-    def steps(self) -> int:
-        """The number of updates so far."""
-        return self._steps
 
     def fit(self, steps: int, progress: Progress) -> None:
-        """Train until `self.steps` reaches `steps`."""
-        while self._steps < steps:
+        """Train until `steps` updates."""
+        while self.steps < steps:
             length = self._settings.generation or self.config.steps
-            if self._steps and self._steps % length == 0:
+            if self.steps and self.steps % length == 0:
                 for trainer in self._trainers.values():
                     trainer.start(self._generator)
-            done = self._steps % length / length
+            done = self.steps % length / length
             losses = {
                 action: trainer.update(self._examples[action], done, self._generator)
                 for action, trainer in self._trainers.items()
             }
-            self._steps += 1
-            if self._steps % self._settings.extract_every == 0 or self._steps == self.config.steps:
+            self.steps += 1
+            if self.steps % self._settings.extract_every == 0 or self.steps == self.config.steps:
                 for action, trainer in self._trainers.items():
                     trainer.extract(self._examples[action])
                     self._curves.add(
@@ -915,7 +901,7 @@ class HRI(Learner):
                             f"reproduced/{action}": trainer.quality.reproduced,
                         }
                     )
-                self._curves.write(self._steps)
+                self._curves.write(self.steps)
             progress()
 
     def policy(self) -> HriPolicy:
@@ -927,30 +913,16 @@ class HRI(Learner):
             {action: trainer.best for action, trainer in self._trainers.items()},
         )
 
-    def save(self, folder: Path) -> None:
-        """Write the weights, the best rules, and the states of the optimizers and of the generator."""
-        state = {
-            "steps": self._steps,
-            "generator": self._generator.get_state(),
-            "models": {action: trainer.state() for action, trainer in self._trainers.items()},
-        }
-        save_checkpoint(folder, "hri", state)
+    def state(self) -> dict[str, Any]:
+        """Return the weights, the best rules, and the states of the optimizers and of the generator."""
+        models = {action: trainer.state() for action, trainer in self._trainers.items()}
+        return {"steps": self.steps, "generator": self._generator.get_state(), "models": models}
 
-    def restore(self, folder: Path) -> None:
-        """Restore what `save` wrote.
-
-        Raises:
-            OSError: If the file cannot be read.
-            ValueError: If the file does not fit the configuration.
-        """
-        state = read_checkpoint(folder, "hri")
+    def load_state(self, state: dict[str, Any]) -> None:
+        """Restore what `state` returned."""
         if list(state["models"]) != list(self._trainers):
-            raise ValueError(f"{folder} has models of other actions: {', '.join(state['models'])}")
+            raise ValueError(f"the checkpoint has models of other actions: {', '.join(state['models'])}")
         for action, trainer in self._trainers.items():
-            trainer.restore(state["models"][action], f"{folder}, {action}")
+            trainer.restore(state["models"][action], action)
         self._generator.set_state(state["generator"])
-        self._steps = state["steps"]
-
-    def close(self) -> None:
-        """Close the training curves."""
-        self._curves.close()
+        self.steps = state["steps"]

@@ -1,37 +1,27 @@
-"""Training environments and random numbers, for learners that store transitions."""
+"""Training environments and random numbers, for learners that store transitions, and what these learners share."""
 
 from __future__ import annotations
 
+from abc import abstractmethod
 from collections.abc import Mapping
 from dataclasses import dataclass
-from typing import TYPE_CHECKING, Any
+from pathlib import Path
+from typing import TYPE_CHECKING, Any, ClassVar
 
 import numpy as np
+import torch
+from gymnasium.vector import AutoresetMode
 from numpy.typing import NDArray
-
-from ..errors import missing_extra
-
-try:
-    import torch
-    from gymnasium.vector import AutoresetMode
-except ImportError as error:
-    raise missing_extra("learn", error) from error
 
 from ..city import ACTIONS
 from ..envs.vector import SPFVectorEnv
 from ..envs.views import Actions, Observations
+from .learner import Learner, Progress
 
 if TYPE_CHECKING:
     from .settings import Training
 
-__all__ = [
-    "Bits",
-    "Interaction",
-    "Transitions",
-    "as_bits",
-    "random_actions",
-    "step_generator",
-]
+__all__ = ["Bits", "Interaction", "TransitionLearner", "Transitions", "as_bits", "random_actions", "step_generator"]
 
 Bits = NDArray[np.uint8]
 
@@ -71,12 +61,9 @@ class Interaction:
 
     def __init__(self, config: Training) -> None:
         """Make the environments and start their first episodes."""
+        options = config.env_options()
         self.envs = SPFVectorEnv(
-            config.envs,
-            config.mode,
-            autoreset_mode=AutoresetMode.SAME_STEP,
-            copy=False,
-            **config.env_options(),
+            config.envs, config.mode, autoreset_mode=AutoresetMode.SAME_STEP, copy=False, **options
         )
         self.observations: Bits = as_bits(self.envs.reset(seed=config.seed)[0])
         self.steps = 0
@@ -135,11 +122,8 @@ class Interaction:
             InputError: If an episode is invalid.
             ValueError: If the state is that of other environments.
         """
-        expected: dict[str, NDArray[Any]] = {
-            "observations": self.observations,
-            "returns": self._returns,
-            "lengths": self._lengths,
-        }
+        expected: dict[str, NDArray[Any]]
+        expected = {"observations": self.observations, "returns": self._returns, "lengths": self._lengths}
         arrays = {name: state[name].numpy() for name in expected}
         for name, array in arrays.items():
             if array.shape != expected[name].shape or array.dtype != expected[name].dtype:
@@ -151,9 +135,64 @@ class Interaction:
         self.steps = int(state["steps"])
         self._ended = [(float(total), int(length), bool(success)) for total, length, success in state["ended"]]
 
+
+class TransitionLearner(Learner):
+    """A learner that stores the transitions of its environments, and learns from them after each step."""
+
+    unit: ClassVar = "environment steps"
+    interacts = True
+
+    def __init__(self, config: Training, log: Path | None = None) -> None:
+        """Make the environments."""
+        super().__init__(config, log)
+        self._interaction = Interaction(config)
+        self._generator = torch.Generator().manual_seed(config.seed)
+
+    @property
+    def steps(self) -> int:
+        """The number of steps of all environments."""
+        return self._interaction.steps
+
+    def fit(self, steps: int, progress: Progress) -> None:
+        """Train until `self.steps` is at least `steps`."""
+        while self.steps < steps:
+            before = self.steps
+            self._learn(self._interaction.step(self._actions()), before)
+            if self._curves.due(self.steps):
+                self._curves.add(self._interaction.episodes())
+                self._curves.write(self.steps)
+            progress()
+
+    @abstractmethod
+    def _actions(self) -> Actions:
+        """Choose the actions of the next step."""
+
+    @abstractmethod
+    def _learn(self, transitions: Transitions, before: int) -> None:
+        """Store a step, and train.
+
+        Args:
+            transitions: The step.
+            before: The value of `steps` before it.
+        """
+
+    def _due(self, before: int, interval: int) -> int:
+        """Return how many multiples of an interval the number of steps has reached since it was `before`."""
+        return self.steps // interval - before // interval
+
+    def state(self) -> dict[str, Any]:
+        """Return the state of the environments and of the random generator."""
+        return {"interaction": self._interaction.state(), "generator": self._generator.get_state()}
+
+    def load_state(self, state: dict[str, Any]) -> None:
+        """Restore what `state` returned."""
+        self._interaction.restore(state["interaction"])
+        self._generator.set_state(state["generator"])
+
     def close(self) -> None:
-        """Close the environments."""
-        self.envs.close()
+        """Close the environments and the training curves."""
+        self._interaction.envs.close()
+        super().close()
 
 
 def as_bits(observations: Observations) -> Bits:

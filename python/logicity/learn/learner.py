@@ -9,10 +9,13 @@ from typing import TYPE_CHECKING, Any, ClassVar, Literal, TypeAlias
 
 from ..envs.views import Actions, Observations
 from ..errors import missing_extra
+from ..files import read_tensors
+from .curves import Curves
 from .settings import LearnerSettings
 
 try:
-    import torch  # noqa: F401
+    import torch
+    from torch import Tensor, nn
 except ImportError as error:
     raise missing_extra("learn", error) from error
 
@@ -20,10 +23,10 @@ if TYPE_CHECKING:
     from ..types import ArrayKind
     from .settings import Training
 
-__all__ = [
-    *("Learner", "LearnedPolicy", "Progress", "check_shape"),
-]
+__all__ = ["LearnedPolicy", "Learner", "Progress", "check_shape", "minimize"]
 
+#: The version of the files of checkpoints.
+CHECKPOINT = 2
 
 #: A learner calls it after each step. It validates the learner and writes checkpoints at intervals.
 Progress: TypeAlias = Callable[[], None]
@@ -47,16 +50,22 @@ def check_shape(observation: Observations, width: int, mode: str) -> None:
         )
 
 
+def minimize(loss: Tensor, optimizer: torch.optim.Optimizer, gradient_clip: float | None = None) -> None:
+    """Take a step along the gradient of a loss, shortened to a norm of `gradient_clip`."""
+    optimizer.zero_grad()
+    loss.backward()
+    if gradient_clip is not None:
+        parameters = [parameter for group in optimizer.param_groups for parameter in group["params"]]
+        nn.utils.clip_grad_norm_(parameters, gradient_clip)
+    optimizer.step()
+
+
 class LearnedPolicy(ABC):
     """A trained policy, which maps batches of observations to actions."""
 
     @abstractmethod
     def predict(
-        self,
-        observation: Observations,
-        state: Any = None,
-        episode_start: Any = None,
-        deterministic: bool = True,
+        self, observation: Observations, state: Any = None, episode_start: Any = None, deterministic: bool = True
     ) -> tuple[Actions, Any]:
         """Return one action per observation, int64 of shape (batch,), and the next state.
 
@@ -65,6 +74,9 @@ class LearnedPolicy(ABC):
             state: The state that the last call returned; `None` at the start. A policy without memory returns `None`.
             episode_start: bool of shape (batch,): where an episode starts. The state is reset there.
             deterministic: Whether to take the most probable action.
+
+        Raises:
+            ValueError: If the observations do not fit those of the training.
         """
 
     @abstractmethod
@@ -72,10 +84,7 @@ class LearnedPolicy(ABC):
         """Write the policy to a file with the suffix `Learner.suffix`."""
 
     def rules(self) -> str | None:
-        """Return the source of a rule file that makes the same decisions as the policy.
-
-        A policy that is not made of rules returns `None`.
-        """
+        """Return the source of a rule file that makes the same decisions; `None` if the policy is not made of rules."""
         return None
 
     def weights(self) -> Mapping[str, Any]:
@@ -102,6 +111,8 @@ class Learner(ABC):
     `logicity.learn.run.train` creates a learner, restores its last checkpoint if there is one, and calls `fit`. `fit`
     calls `progress` after each step. During that call `policy`, `save` and `steps` must be valid. A restored learner
     continues exactly: the result of an interrupted run equals that of an uninterrupted one.
+
+    A subclass implements `state` and `load_state`, or `save` and `restore`.
     """
 
     #: The class of the values under `settings` in a training file.
@@ -123,13 +134,19 @@ class Learner(ABC):
     starts: ClassVar[bool] = False
 
     def __init__(self, config: Training, log: Path | None = None) -> None:
-        """Store the configuration.
+        """Prepare the training.
 
         Args:
             config: The configuration. `config.settings` is an instance of `settings_class`.
             log: The folder of the training curves (TensorBoard), if there is one.
+
+        Raises:
+            InputError: If the configuration of the mode or an override is invalid, or no episodes are recorded.
+            OSError: If a file cannot be read.
+            ValueError: If the mode is unknown, or the learner rejects the settings or the observations.
         """
         self.config, self.log = config, log
+        self._curves = Curves(log)
 
     def start_from(self, policy: LearnedPolicy) -> None:
         """Copy the weights of a policy of the same learner before the training begins.
@@ -146,7 +163,7 @@ class Learner(ABC):
 
     @abstractmethod
     def fit(self, steps: int, progress: Progress) -> None:
-        """Train until `self.steps` reaches `steps`.
+        """Train until `self.steps` is at least `steps`.
 
         Raises:
             ValueError: If the settings are invalid in a way that only the training shows.
@@ -156,23 +173,38 @@ class Learner(ABC):
     def policy(self) -> LearnedPolicy:
         """Return the current policy. Its actions may change when training continues."""
 
-    @abstractmethod
-    def save(self, folder: Path) -> None:
-        """Write everything that `restore` needs: weights, optimizers, buffers, environments and random states.
+    def state(self) -> dict[str, Any]:
+        """Return what `load_state` needs, as plain data: weights, optimizers, buffers, environments, random states."""
+        raise NotImplementedError
 
-        The files are plain data, see `logicity.learn.storage`.
-        """
-
-    @abstractmethod
-    def restore(self, folder: Path) -> None:
-        """Restore what `save` wrote.
-
-        Nothing in the files runs as code.
+    def load_state(self, state: dict[str, Any]) -> None:
+        """Restore what `state` returned.
 
         Raises:
+            ValueError: If the state does not fit the configuration.
+        """
+        raise NotImplementedError
+
+    def save(self, folder: Path) -> None:
+        """Write everything that `restore` needs. The files are plain data."""
+        state = {"checkpoint": CHECKPOINT, "algorithm": self.config.algorithm, **self.state()}
+        torch.save(state, folder / "learner.pt")
+
+    def restore(self, folder: Path) -> None:
+        """Restore what `save` wrote. Nothing in the files runs as code.
+
+        Raises:
+            InputError: If an episode is invalid.
             OSError: If a file cannot be read.
             ValueError: If the files do not fit the configuration.
         """
+        path, algorithm = folder / "learner.pt", self.config.algorithm
+        state = read_tensors(path, "a checkpoint")
+        if not isinstance(state, dict) or (state.get("checkpoint"), state.get("algorithm")) != (CHECKPOINT, algorithm):
+            raise ValueError(f"{path} is not a checkpoint of `{algorithm}` that this version can read")
+        self.load_state(state)
+        self._curves.begin(self.steps)
 
-    def close(self) -> None:  # noqa: B027
-        """Release environments and other resources."""
+    def close(self) -> None:
+        """Close the training curves and what subclasses open."""
+        self._curves.close()

@@ -12,9 +12,7 @@ from ..errors import UntrustedError
 from ..files import read_json, read_tensors
 from ..rule_policy import saved_by
 from ..terminal import neutral
-from .learner import (
-    LearnedPolicy,
-)
+from .learner import LearnedPolicy
 from .registry import LEARNERS, learner_class
 
 if TYPE_CHECKING:

@@ -4,9 +4,8 @@ from __future__ import annotations
 
 import importlib
 
-from .learner import (
-    Learner,
-)
+from ..errors import missing_extra
+from .learner import Learner
 
 __all__ = ["LEARNERS", "learner_class"]
 
@@ -37,8 +36,12 @@ def learner_class(name: str) -> type[Learner]:
         name: A key of `LEARNERS`.
 
     Raises:
+        ImportError: If a package is missing.
         KeyError: If the name is unknown.
     """
     module, _, cls = LEARNERS[name].partition(":")
-    learner: type[Learner] = getattr(importlib.import_module(f".{module}", __package__), cls)
+    try:
+        learner: type[Learner] = getattr(importlib.import_module(f".{module}", __package__), cls)
+    except ImportError as error:
+        raise missing_extra("learn", error) from error
     return learner

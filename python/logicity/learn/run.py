@@ -36,9 +36,7 @@ from ..terminal import first_line, neutral, print_message
 from . import random_state
 from .config import TrainConfig, fault_of_override
 from .faults import Fault
-from .learner import (
-    Learner,
-)
+from .learner import Learner
 from .policies import SavedPolicy, load_policy
 
 __all__ = ["FolderError", "check_overrides", "check_start", "train"]

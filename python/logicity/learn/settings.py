@@ -7,14 +7,14 @@ from typing import Annotated, Any, TypeAlias
 from ..errors import missing_extra
 
 try:
-    from pydantic import BaseModel, ConfigDict, Field, SerializeAsAny
+    from pydantic import BaseModel, ConfigDict, Field, SerializeAsAny, Strict
 except ImportError as error:
     raise missing_extra("learn", error) from error
 from ..types import ArrayKind, EnvOptions, Episodes
 
 __all__ = [
     *("Count", "LearnerSettings", "LearningRate", "NonNegative", "Positive", "Seed", "Share", "StrictModel"),
-    *("Training", "TrainingOptions"),
+    *("Training", "TrainingOptions", "Widths"),
 ]
 
 #: A positive integer. Booleans and strings are invalid.
@@ -34,6 +34,9 @@ LearningRate: TypeAlias = Annotated[float, Field(gt=0, le=1)]
 
 #: A number of at least 0.
 NonNegative: TypeAlias = Annotated[float, Field(ge=0)]
+
+#: The widths of one or more layers. YAML has lists, which strict validation does not accept as tuples.
+Widths: TypeAlias = Annotated[tuple[Count, ...], Field(min_length=1), Strict(False)]
 
 
 class StrictModel(BaseModel):

@@ -17,34 +17,24 @@ from __future__ import annotations
 
 from collections.abc import Callable, Mapping
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, Any, ClassVar, Literal, TypeAlias
+from typing import TYPE_CHECKING, Annotated, Any, TypeAlias
 
 import numpy as np
+import torch
 from pydantic import Field
-
-from ..errors import missing_extra
-
-try:
-    import torch
-    from torch import Tensor, nn
-    from torch.nn import functional
-except ImportError as error:
-    raise missing_extra("learn", error) from error
+from torch import Tensor, nn
+from torch.nn import functional
 
 from ..city import ACTIONS
 from ..envs.views import Actions, Observations
-from .curves import Curves
-from .interaction import Bits, Interaction, Transitions, as_bits, random_actions, step_generator
-from .learner import (
-    LearnedPolicy,
-    Learner,
-    Progress,
-    check_shape,
-)
+from .interaction import Bits, TransitionLearner, Transitions, as_bits, random_actions, step_generator
+from .learner import check_shape, minimize
 from .settings import Count, LearnerSettings, LearningRate, Share
-from .storage import build_policy, read_checkpoint, restore_optimizer, save_checkpoint, save_policy
+from .storage import StoredPolicy, restore_optimizer
 
 if TYPE_CHECKING:
+    from typing_extensions import Self
+
     from .settings import Training
 
 __all__ = ["Ensemble", "Shooting", "ShootingPolicy", "ShootingSettings", "WorldModel", "predicted_returns"]
@@ -379,7 +369,7 @@ def planned_actions(
     return actions
 
 
-class ShootingPolicy(LearnedPolicy):
+class ShootingPolicy(StoredPolicy):
     """Plans with a model. Its state is the number of steps so far, which determines the random sequences.
 
     Args:
@@ -389,38 +379,26 @@ class ShootingPolicy(LearnedPolicy):
         seed: The seed of the random sequences.
     """
 
-    algorithm: ClassVar = "mb-shooting"
+    algorithm = "mb-shooting"
+    algorithms = (algorithm,)
 
     def __init__(self, model: WorldModel, settings: ShootingSettings, mode: str, seed: int) -> None:
         """Store the arguments."""
         self.model, self.settings, self.mode, self.seed = model, settings, mode, seed
 
     def predict(
-        self,
-        observation: Observations,
-        state: Any = None,
-        episode_start: Any = None,
-        deterministic: bool = True,
+        self, observation: Observations, state: Any = None, episode_start: Any = None, deterministic: bool = True
     ) -> tuple[Actions, Any]:
-        """Plan one action per observation. `episode_start` and `deterministic` have no effect.
-
-        Raises:
-            ValueError: If the observations have another shape than those of the training, or are not binary.
-        """
+        """Plan one action per observation. `episode_start` and `deterministic` have no effect."""
         check_shape(observation, self.model.bits, self.mode)
         step = 0 if state is None else int(state)
         generator = step_generator(self.seed, step)
         return planned_actions(self.model, as_bits(observation), self.settings, generator), step + 1
 
-    def save(self, path: Path) -> None:
-        """Write the policy to a file."""
-        config = {
-            "mode": self.mode,
-            "seed": self.seed,
-            "bits": self.model.bits,
-            "settings": self.settings.model_dump(mode="json"),
-        }
-        save_policy(path, self.algorithm, config, self.weights())
+    def config(self) -> dict[str, Any]:
+        """Return the arguments, and the number of bits of an observation."""
+        settings = self.settings.model_dump(mode="json")
+        return {"mode": self.mode, "seed": self.seed, "bits": self.model.bits, "settings": settings}
 
     def weights(self) -> Mapping[str, Any]:
         """Return the weights of the model of the environment."""
@@ -428,21 +406,12 @@ class ShootingPolicy(LearnedPolicy):
         return weights
 
     @classmethod
-    def load(cls, path: Path) -> ShootingPolicy:
-        """Read a policy that `save` wrote.
-
-        Raises:
-            OSError: If the file cannot be read.
-            ValueError: If the file is not such a policy.
-        """
-
-        def build(config: dict[str, Any], weights: dict[str, Any]) -> ShootingPolicy:
-            settings = ShootingSettings.model_validate(config["settings"])
-            model = WorldModel(config["bits"], settings, torch.Generator())
-            model.load_state_dict(weights)
-            return cls(model, settings, config["mode"], config["seed"])
-
-        return build_policy(path, [cls.algorithm], build)
+    def build(cls, config: dict[str, Any], weights: dict[str, Any]) -> Self:
+        """Create the policy of a file."""
+        settings = ShootingSettings.model_validate(config["settings"])
+        model = WorldModel(config["bits"], settings, torch.Generator())
+        model.load_state_dict(weights)
+        return cls(model, settings, config["mode"], config["seed"])
 
 
 class Replay:
@@ -501,56 +470,28 @@ class Replay:
     _plain = ("actions", "rewards", "terminated", "truncated")
 
 
-class Shooting(Learner):
+class Shooting(TransitionLearner):
     """Learns a model of the environment from transitions, and plans with it."""
 
     settings_class = ShootingSettings
     policy_class = ShootingPolicy
-    unit: ClassVar[Literal["environment steps", "updates"]] = "environment steps"
-    interacts = True
 
     def __init__(self, config: Training, log: Path | None = None) -> None:
-        """Make the environments and the networks.
-
-        Raises:
-            InputError: If the configuration of the mode or an override is invalid.
-            OSError: If a file cannot be read.
-            ValueError: If the observations are not binary.
-        """
+        """Make the environments and the networks."""
         super().__init__(config, log)
-        settings = config.settings
-        assert isinstance(settings, ShootingSettings)
-        self._settings = settings
-        self._interaction = Interaction(config)
-        self._generator = torch.Generator().manual_seed(config.seed)
+        assert isinstance(config.settings, ShootingSettings)
+        self._settings = settings = config.settings
         self._model = WorldModel(self._interaction.width, settings, self._generator)
         self._replay = Replay(settings.buffer_size, self._interaction.width)
         self._changes_optimizer = _adam(self._model.changes, settings.model_learning_rate)
         self._outcomes_optimizer = _adam(self._model.outcomes, settings.reward_learning_rate)
-        self._curves = Curves(log)
 
-    @property
-    def steps(self) -> int:
-        """The number of environment steps so far."""
-        return self._interaction.steps
-
-    def fit(self, steps: int, progress: Progress) -> None:
-        """Train until `self.steps` reaches `steps`."""
-        while self.steps < steps:
-            before = self.steps
-            self._replay.add(self._interaction.step(self._actions()))
-            for _ in range(self._due(before, self._settings.model_interval)):
-                self._update_changes()
-            for _ in range(self._due(before, self._settings.reward_interval)):
-                self._update_outcomes()
-            if self._curves.due(self.steps):
-                self._curves.add(self._interaction.episodes())
-                self._curves.write(self.steps)
-            progress()
-
-    def _due(self, before: int, interval: int) -> int:
-        """Return the number of updates since the number of steps was `before`."""
-        return self.steps // interval - before // interval
+    def _learn(self, transitions: Transitions, before: int) -> None:
+        self._replay.add(transitions)
+        for _ in range(self._due(before, self._settings.model_interval)):
+            self._update_changes()
+        for _ in range(self._due(before, self._settings.reward_interval)):
+            self._update_outcomes()
 
     def _actions(self) -> Actions:
         observations = self._interaction.observations
@@ -569,7 +510,7 @@ class Shooting(Learner):
         replay, at = self._replay, self._batch()
         bits, next_bits = replay.observations[at].float(), replay.next_observations[at].float()
         loss = self._model.changes_loss(bits, replay.actions[at].long(), next_bits)
-        _minimize(loss, self._changes_optimizer)
+        minimize(loss, self._changes_optimizer)
         self._curves.add({"loss/changes": loss.item() / self._settings.members})
 
     def _update_outcomes(self) -> None:
@@ -581,7 +522,7 @@ class Shooting(Learner):
             replay.terminated[at].float(),
             replay.truncated[at],
         )
-        _minimize(errors + cross_entropy, self._outcomes_optimizer)
+        minimize(errors + cross_entropy, self._outcomes_optimizer)
         members = self._settings.members
         self._curves.add({"loss/rewards": errors.item() / members, "loss/terminations": cross_entropy.item() / members})
 
@@ -589,45 +530,24 @@ class Shooting(Learner):
         """Return the current policy."""
         return ShootingPolicy(self._model, self._settings, self.config.mode, self.config.seed)
 
-    def save(self, folder: Path) -> None:
-        """Write everything that `restore` needs."""
-        state = {
-            "interaction": self._interaction.state(),
+    def state(self) -> dict[str, Any]:
+        """Return the environments, the networks, the optimizers, the transitions and the random state."""
+        return {
+            **super().state(),
             "model": self._model.state_dict(),
             "changes_optimizer": self._changes_optimizer.state_dict(),
             "outcomes_optimizer": self._outcomes_optimizer.state_dict(),
             "replay": self._replay.state(),
-            "generator": self._generator.get_state(),
         }
-        save_checkpoint(folder, ShootingPolicy.algorithm, state)
 
-    def restore(self, folder: Path) -> None:
-        """Restore what `save` wrote.
-
-        Raises:
-            OSError: If the file cannot be read.
-            ValueError: If the file does not fit the configuration.
-        """
-        state = read_checkpoint(folder, ShootingPolicy.algorithm)
-        self._interaction.restore(state["interaction"])
+    def load_state(self, state: dict[str, Any]) -> None:
+        """Restore what `state` returned."""
+        super().load_state(state)
         self._model.load_state_dict(state["model"])
         restore_optimizer(self._changes_optimizer, state["changes_optimizer"])
         restore_optimizer(self._outcomes_optimizer, state["outcomes_optimizer"])
         self._replay.restore(state["replay"])
-        self._generator.set_state(state["generator"])
-        self._curves.begin(self.steps)
-
-    def close(self) -> None:
-        """Close the environments and the training curves."""
-        self._interaction.close()
-        self._curves.close()
 
 
 def _adam(module: nn.Module, learning_rate: float) -> torch.optim.Optimizer:
     return torch.optim.Adam(module.parameters(), learning_rate, fused=True)
-
-
-def _minimize(loss: Tensor, optimizer: torch.optim.Optimizer) -> None:
-    optimizer.zero_grad()
-    loss.backward()
-    optimizer.step()

@@ -12,37 +12,30 @@ from types import NoneType, UnionType
 from typing import TYPE_CHECKING, Annotated, Any, ClassVar, Literal, TypeAlias, Union, cast, get_args, get_origin
 from zipfile import BadZipFile, ZipFile
 
-from ..errors import missing_extra
-
-try:
-    import gymnasium
-    import torch
-    from pydantic import Field, Strict, ValidationError, ValidatorFunctionWrapHandler, WrapValidator, create_model
-    from pydantic_core import PydanticCustomError
-    from stable_baselines3 import A2C, DQN, PPO
-    from stable_baselines3.common.base_class import BaseAlgorithm
-    from stable_baselines3.common.buffers import ReplayBuffer
-    from stable_baselines3.common.callbacks import BaseCallback
-    from stable_baselines3.common.off_policy_algorithm import OffPolicyAlgorithm
-    from stable_baselines3.common.torch_layers import BaseFeaturesExtractor
-    from stable_baselines3.common.vec_env import VecEnv, VecMonitor
-except ImportError as error:
-    raise missing_extra("learn", error) from error
+import gymnasium
+import torch
+from pydantic import Field, Strict, ValidationError, ValidatorFunctionWrapHandler, WrapValidator, create_model
+from pydantic_core import PydanticCustomError
+from stable_baselines3 import A2C, DQN, PPO
+from stable_baselines3.common.base_class import BaseAlgorithm
+from stable_baselines3.common.buffers import ReplayBuffer
+from stable_baselines3.common.callbacks import BaseCallback
+from stable_baselines3.common.off_policy_algorithm import OffPolicyAlgorithm
+from stable_baselines3.common.torch_layers import BaseFeaturesExtractor, create_mlp
+from stable_baselines3.common.vec_env import VecEnv, VecMonitor
 
 from ..city import ACTIONS
 from ..envs.sb3 import SPFVecEnv, make_vec_env
 from ..envs.views import Actions, Observations
 from . import random_state
-from .learner import (
-    LearnedPolicy,
-    Learner,
-    Progress,
-)
+from .learner import LearnedPolicy, Learner, Progress
 from .registry import learner_class
-from .settings import Count, LearnerSettings, LearningRate, NonNegative, Positive, Share
-from .storage import build_policy, read_checkpoint, restore_optimizer, save_checkpoint, save_policy
+from .settings import Count, LearnerSettings, LearningRate, NonNegative, Positive, Share, Widths
+from .storage import StoredPolicy, restore_optimizer
 
 if TYPE_CHECKING:
+    from typing_extensions import Self
+
     from ..types import ArrayKind
     from .settings import Training
 
@@ -65,11 +58,8 @@ class FeatureLayers(BaseFeaturesExtractor):
     def __init__(self, observation_space: gymnasium.Space[Any], widths: tuple[int, ...]) -> None:
         """Create layers of these widths after the flattened observation."""
         super().__init__(observation_space, widths[-1])
-        ends = [gymnasium.spaces.flatdim(observation_space), *widths]
-        layers: list[torch.nn.Module] = [torch.nn.Flatten()]
-        for inputs, outputs in zip(ends[:-1], ends[1:], strict=True):
-            layers += [torch.nn.Linear(inputs, outputs), torch.nn.ReLU()]
-        self._layers = torch.nn.Sequential(*layers)
+        layers = create_mlp(gymnasium.spaces.flatdim(observation_space), -1, list(widths))
+        self._layers = torch.nn.Sequential(torch.nn.Flatten(), *layers)
 
     def forward(self, observations: torch.Tensor) -> torch.Tensor:
         """Return features of shape (batch, last width)."""
@@ -80,7 +70,7 @@ class FeatureLayers(BaseFeaturesExtractor):
 class _SharedSettings(LearnerSettings):
     """The settings of all algorithms."""
 
-    network: Annotated[tuple[Count, ...], Strict(False), Field(min_length=1)]
+    network: Widths
     """The widths of the layers between the observation and the heads."""
 
 
@@ -208,12 +198,14 @@ def algorithm_of(path: str | os.PathLike[str]) -> str:
     return "ppo" if "ppo" in found else found[0]
 
 
-class StableBaselinesPolicy(LearnedPolicy):
+class StableBaselinesPolicy(StoredPolicy):
     """The policy of a model of Stable-Baselines3.
 
     Attributes:
         model: The model. That of a file has no environments and no optimizer of its training.
     """
+
+    algorithms = tuple(_ALGORITHMS)
 
     def __init__(self, model: BaseAlgorithm, algorithm: str, config: Mapping[str, Any] | None = None) -> None:
         """Store the model.
@@ -233,18 +225,14 @@ class StableBaselinesPolicy(LearnedPolicy):
         return space
 
     def predict(
-        self,
-        observation: Observations,
-        state: Any = None,
-        episode_start: Any = None,
-        deterministic: bool = True,
+        self, observation: Observations, state: Any = None, episode_start: Any = None, deterministic: bool = True
     ) -> tuple[Actions, Any]:
         """Call `predict` of the model."""
         actions, state = self.model.predict(observation, state, episode_start, deterministic)
         return actions, state
 
-    def save(self, path: Path) -> None:
-        """Write the weights, and the settings of the network as plain data.
+    def config(self) -> dict[str, Any]:
+        """Return the settings of the network.
 
         `model.save` writes a file of Stable-Baselines3.
 
@@ -254,10 +242,8 @@ class StableBaselinesPolicy(LearnedPolicy):
         if self._config is None:
             raise ValueError("a model of another program may have parts that are not data: use `model.save`")
         space = cast(gymnasium.spaces.Box, self.observation_space)
-        bounds = [torch.from_numpy(space.low), torch.from_numpy(space.high)]
-        config = {key: self._config[key] for key in ("mode", "settings", "features")}
-        observation = cast("ArrayKind", self._config["observation"])
-        save_policy(path, self.algorithm, {**config, "space": bounds}, self.weights(), observation)
+        config = {key: self._config[key] for key in ("mode", "settings", "features", "observation")}
+        return {**config, "space": [torch.from_numpy(space.low), torch.from_numpy(space.high)]}
 
     def weights(self) -> Mapping[str, Any]:
         """Return the weights of the networks."""
@@ -265,36 +251,27 @@ class StableBaselinesPolicy(LearnedPolicy):
         return weights
 
     @classmethod
-    def load(cls, path: Path) -> StableBaselinesPolicy:
-        """Read a policy that `save` wrote.
-
-        Raises:
-            OSError: If the file cannot be read.
-            ValueError: If the file is not such a policy.
-        """
-
-        def build(config: dict[str, Any], weights: dict[str, Any]) -> StableBaselinesPolicy:
-            learner = learner_class(config["algorithm"])
-            assert issubclass(learner, StableBaselinesLearner)
-            settings = learner.settings_class.model_validate(config["settings"]).model_dump()
-            low, high = (bound.numpy() for bound in config["space"])
-            policy = learner.policy_arguments(settings, config["features"])
-            model = _ALGORITHMS[config["algorithm"]][0](
-                "MlpPolicy", None, policy_kwargs=policy, device="cpu", _init_setup_model=False, **settings
+    def build(cls, config: dict[str, Any], weights: dict[str, Any]) -> Self:
+        """Create the policy of a file."""
+        learner = learner_class(config["algorithm"])
+        assert issubclass(learner, StableBaselinesLearner)
+        settings = learner.settings_class.model_validate(config["settings"]).model_dump()
+        low, high = (bound.numpy() for bound in config["space"])
+        policy = learner.policy_arguments(settings, config["features"])
+        model = _ALGORITHMS[config["algorithm"]][0](
+            "MlpPolicy", None, policy_kwargs=policy, device="cpu", _init_setup_model=False, **settings
+        )
+        model.observation_space = gymnasium.spaces.Box(low, high, dtype=low.dtype.type)
+        model.action_space = gymnasium.spaces.Discrete(len(ACTIONS))
+        model.n_envs = 1
+        # As `_setup_model` does, but without buffers, and without seeding the global generators.
+        model._setup_lr_schedule()
+        with torch.random.fork_rng(devices=[]):
+            model.policy = model.policy_class(
+                model.observation_space, model.action_space, model.lr_schedule, **model.policy_kwargs
             )
-            model.observation_space = gymnasium.spaces.Box(low, high, dtype=low.dtype.type)
-            model.action_space = gymnasium.spaces.Discrete(len(ACTIONS))
-            model.n_envs = 1
-            # As `_setup_model` does, but without buffers, and without seeding the global generators.
-            model._setup_lr_schedule()
-            with torch.random.fork_rng(devices=[]):
-                model.policy = model.policy_class(
-                    model.observation_space, model.action_space, model.lr_schedule, **model.policy_kwargs
-                )
-            model.policy.load_state_dict(weights)
-            return cls(model, config["algorithm"], config)
-
-        return build_policy(path, list(_ALGORITHMS), build)
+        model.policy.load_state_dict(weights)
+        return cls(model, config["algorithm"], config)
 
 
 def from_stable_baselines(path: str | os.PathLike[str]) -> StableBaselinesPolicy:
@@ -325,18 +302,14 @@ class _BetweenRollouts(BaseCallback):
 class StableBaselinesLearner(Learner):
     """An algorithm of Stable-Baselines3, with the layers `FeatureLayers` between the observation and its heads."""
 
-    unit: ClassVar[Literal["environment steps", "updates"]] = "environment steps"
-    interacts: ClassVar[bool] = True
+    unit: ClassVar = "environment steps"
+    interacts = True
     observations: ClassVar[tuple[ArrayKind, ...]] = ("groundings", "state")
-    policy_class: ClassVar[type[LearnedPolicy]] = StableBaselinesPolicy
-    starts: ClassVar[bool] = True
+    policy_class = StableBaselinesPolicy
+    starts = True
 
     def __init__(self, config: Training, log: Path | None = None) -> None:
-        """Create the environments and the model.
-
-        Raises:
-            ValueError: If the algorithm rejects the settings.
-        """
+        """Create the environments and the model."""
         super().__init__(config, log)
         self._features = self.features(config)
         env = make_vec_env(config.mode, config.envs, **config.env_options())
@@ -397,8 +370,8 @@ class StableBaselinesLearner(Learner):
         about = {"mode": config.mode, "observation": config.observation, "settings": settings}
         return StableBaselinesPolicy(self._model, config.algorithm, {**about, "features": self._features})
 
-    def save(self, folder: Path) -> None:
-        """Write the weights, the optimizer, the replay buffer, the environments, and all random states."""
+    def state(self) -> dict[str, Any]:
+        """Return the weights, the optimizer, the replay buffer, the environments, and all random states."""
         model = self._model
         state: dict[str, Any] = {
             "policy": model.policy.state_dict(),
@@ -415,17 +388,11 @@ class StableBaselinesLearner(Learner):
         if isinstance(model, OffPolicyAlgorithm):
             assert model.replay_buffer is not None
             state["replay"] = _replay_of(model.replay_buffer)
-        save_checkpoint(folder, self.config.algorithm, state)
+        return state
 
-    def restore(self, folder: Path) -> None:
-        """Restore what `save` wrote.
-
-        Raises:
-            InputError: If an episode is invalid.
-            OSError: If the file cannot be read.
-            ValueError: If the file does not fit the configuration.
-        """
-        state, model = read_checkpoint(folder, self.config.algorithm), self._model
+    def load_state(self, state: dict[str, Any]) -> None:
+        """Restore what `state` returned."""
+        model = self._model
         model.policy.load_state_dict(state["policy"])
         restore_optimizer(model.policy.optimizer, state["optimizer"])
         for name in _COUNTERS:
@@ -445,6 +412,7 @@ class StableBaselinesLearner(Learner):
         """Close the environments."""
         if self._model.env is not None:
             self._model.env.close()
+        super().close()
 
 
 #: The numbers of a model that change in training. Only DQN has the last two.

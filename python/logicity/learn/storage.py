@@ -1,12 +1,13 @@
-"""Files of policies and of checkpoints. They are plain data, so loading one runs no code from it."""
+"""Files of policies, states of optimizers, and hashes. Files are plain data, so loading one runs no code from it."""
 
 from __future__ import annotations
 
 import hashlib
 import json
-from collections.abc import Callable, Collection, Iterator, Mapping
+from abc import abstractmethod
+from collections.abc import Iterator, Mapping
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, TypeVar
+from typing import TYPE_CHECKING, Any, ClassVar
 
 from ..errors import missing_extra
 
@@ -17,109 +18,67 @@ except ImportError as error:
 
 from ..files import read_tensors
 from ..terminal import first_line, neutral
+from .learner import LearnedPolicy
 
 if TYPE_CHECKING:
-    from ..types import ArrayKind
-    from .learner import (
-        LearnedPolicy,
-    )
+    from typing_extensions import Self
 
-__all__ = [
-    "build_policy",
-    "policy_hash",
-    "read_checkpoint",
-    "restore_optimizer",
-    "save_checkpoint",
-    "save_policy",
-    "weights_hash",
-]
-
-#: The class of the policy that `build_policy` returns.
-Built = TypeVar("Built")
+__all__ = ["StoredPolicy", "policy_hash", "restore_optimizer", "weights_hash"]
 
 #: The version of the files of policies.
 FORMAT = 1
 
-#: The version of the files of checkpoints.
-CHECKPOINT = 2
 
-#: What the file of a policy says about its training.
-_HEADER = ("algorithm", "observation")
+class StoredPolicy(LearnedPolicy):
+    """A policy whose file has a configuration and weights.
 
-#: The file of a learner in a checkpoint.
-LEARNER = "learner.pt"
-
-
-def save_policy(
-    path: Path,
-    algorithm: str,
-    config: Mapping[str, Any],
-    weights: Mapping[str, Any],
-    observation: ArrayKind = "groundings",
-) -> None:
-    """Write a policy.
-
-    Args:
-        path: The file.
-        algorithm: The name of the learner.
-        config: The arguments from which to build the policy, as plain data. `mode` is the mode of the training.
-        weights: The weights.
-        observation: The kind of observation of the training.
+    Attributes:
+        algorithm: The name of its learner.
     """
-    header = {"format": FORMAT, "algorithm": algorithm, "mode": config["mode"], "observation": observation}
-    torch.save({**header, "config": dict(config), "weights": dict(weights)}, path)
 
+    algorithm: str
+    #: The learners whose policies `load` can read.
+    algorithms: ClassVar[tuple[str, ...]]
 
-def build_policy(
-    path: Path, algorithms: Collection[str], build: Callable[[dict[str, Any], dict[str, Any]], Built]
-) -> Built:
-    """Return the result of `build` for the configuration and the weights that `save_policy` wrote.
+    @abstractmethod
+    def config(self) -> dict[str, Any]:
+        """Return what `build` needs besides the weights, as plain data. `mode` is the mode of the training."""
 
-    The configuration has two more keys: `algorithm` and `observation`.
+    @classmethod
+    @abstractmethod
+    def build(cls, config: dict[str, Any], weights: dict[str, Any]) -> Self:
+        """Create the policy of a file. The configuration also has the keys `algorithm` and `observation`."""
 
-    Raises:
-        OSError: If the file cannot be read.
-        ValueError: If the file is not a policy of one of the algorithms.
-    """
-    saved = read_tensors(path, "a policy")
-    if not isinstance(saved, dict) or not {"format", "algorithm", "config", "weights"} <= saved.keys():
-        raise ValueError(f"{path} is not a policy")
-    algorithm = saved["algorithm"]
-    if not isinstance(algorithm, str) or algorithm not in algorithms:
-        raise ValueError(f"{path} is a policy of {neutral(str(algorithm))}, not of {' or '.join(algorithms)}")
-    if saved["format"] != FORMAT:
-        raise ValueError(f"{path} has version {saved['format']} of the format, and only {FORMAT} can be read")
-    try:
-        return build({**saved["config"], **{key: saved.get(key) for key in _HEADER}}, saved["weights"])
-    except (AttributeError, KeyError, TypeError, ValueError, RuntimeError) as error:
-        reason = first_line(str(error), repr(error))
-        raise ValueError(f"{path} is not a complete policy of {algorithm}: {reason}") from None
+    def save(self, path: Path) -> None:
+        """Write the policy to a file."""
+        config: dict[str, Any] = {"observation": "groundings", **self.config()}
+        header = {"format": FORMAT, "algorithm": self.algorithm, "mode": config["mode"]}
+        header["observation"] = config.pop("observation")
+        torch.save({**header, "config": config, "weights": dict(self.weights())}, path)
 
-
-def save_checkpoint(folder: Path, algorithm: str, state: Mapping[str, Any]) -> None:
-    """Write the state of a learner, tensors and plain data, to a checkpoint."""
-    torch.save({"checkpoint": CHECKPOINT, "algorithm": algorithm, **state}, folder / LEARNER)
-
-
-def read_checkpoint(folder: Path, algorithm: str) -> dict[str, Any]:
-    """Return the state that `save_checkpoint` wrote.
-
-    Raises:
-        OSError: If the file cannot be read.
-        ValueError: If it is not a checkpoint of the learner.
-    """
-    path = folder / LEARNER
-    state = read_tensors(path, "a checkpoint")
-    if not isinstance(state, dict) or state.get("checkpoint") != CHECKPOINT or state.get("algorithm") != algorithm:
-        raise ValueError(f"{path} is not a checkpoint of `{algorithm}` that this version can read")
-    return state
+    @classmethod
+    def load(cls, path: Path) -> Self:
+        """Read a policy that `save` wrote."""
+        saved = read_tensors(path, "a policy")
+        if not isinstance(saved, dict) or not {"format", "algorithm", "config", "weights"} <= saved.keys():
+            raise ValueError(f"{path} is not a policy")
+        algorithm = saved["algorithm"]
+        if not isinstance(algorithm, str) or algorithm not in cls.algorithms:
+            raise ValueError(f"{path} is a policy of {neutral(str(algorithm))}, not of {' or '.join(cls.algorithms)}")
+        if saved["format"] != FORMAT:
+            raise ValueError(f"{path} has version {saved['format']} of the format, and only {FORMAT} can be read")
+        try:
+            header = {key: saved.get(key) for key in ("algorithm", "observation")}
+            return cls.build({**saved["config"], **header}, saved["weights"])
+        except (AttributeError, KeyError, TypeError, ValueError, RuntimeError) as error:
+            reason = first_line(str(error), repr(error))
+            raise ValueError(f"{path} is not a complete policy of {algorithm}: {reason}") from None
 
 
 def restore_optimizer(optimizer: torch.optim.Optimizer, state: dict[str, Any]) -> None:
     """Restore an optimizer from what its `state_dict` returned.
 
-    PyTorch checks neither the settings nor the shapes of the tensors, so that a faulty state would fail in a later
-    update.
+    PyTorch checks neither settings nor shapes of tensors, so that a faulty state would fail in a later update.
 
     Raises:
         ValueError: If the state does not fit the optimizer.
@@ -137,10 +96,7 @@ def restore_optimizer(optimizer: torch.optim.Optimizer, state: dict[str, Any]) -
 
 
 def policy_hash(policy: LearnedPolicy) -> tuple[str, str]:
-    """Return what identifies a policy, `rules` or `weights`, and its SHA-256.
-
-    It does not depend on the file of the policy.
-    """
+    """Return what identifies a policy, `rules` or `weights`, and its SHA-256, which does not depend on its file."""
     rules = policy.rules()
     if rules is not None:
         return "rules", hashlib.sha256(rules.encode()).hexdigest()

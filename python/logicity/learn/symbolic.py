@@ -19,11 +19,7 @@ from ..offline import Demonstrations
 from ..rule_policy import RulePolicy, header, saved_by
 from ..types import Atom
 from .demonstrations import first_demonstrations
-from .learner import (
-    LearnedPolicy,
-    Learner,
-    Progress,
-)
+from .learner import LearnedPolicy, Learner, Progress
 from .settings import LearnerSettings
 
 if TYPE_CHECKING:
