@@ -144,15 +144,10 @@ class LogicNetwork(nn.Module):
         order, parts = [], []
         for rows, count in ((few, 2), (~few, mask.shape[1])):
             if rows.any():
-                groups: list[Tensor | None] = [
-                    None if lengths is None else lengths[rows],
-                    unary[rows, :count],
-                    binary[rows, :count, :count],
-                ]
-                part = self.machine(groups, mask[rows, :count])[1]
-                assert part is not None  # the NLM returns the predicates of one entity
+                length = None if lengths is None else lengths[rows]
+                groups = [length, unary[rows, :count], binary[rows, :count, :count]]
                 order.append(rows.nonzero()[:, 0])
-                parts.append(part[:, 0])
+                parts.append(self.machine(groups, mask[rows, :count])[1][:, 0])
         place = torch.cat(order).argsort()[inverse]
         return torch.cat(parts).index_select(0, place)
 
@@ -164,20 +159,12 @@ class LogicNetwork(nn.Module):
 
 
 class ClonedPolicy(LearnedPolicy):
-    """A network that maps observations to scores of the four actions.
-
-    Attributes:
-        algorithm: The name of its learner.
-        mode: The mode of the training.
-        settings: The settings of the learner.
-        layout: The layout of the observations.
-        network: The network.
-    """
+    """A network that maps observations to scores of the four actions."""
 
     def __init__(
         self, algorithm: str, mode: str, settings: CloningSettings, layout: Layout, network: nn.Module
     ) -> None:
-        """Store the arguments."""
+        """Store the name of the learner, the mode of the training and the network with what it was made from."""
         self.algorithm, self.mode, self.settings = algorithm, mode, settings
         self.layout, self.network = layout, network
 
@@ -194,19 +181,14 @@ class ClonedPolicy(LearnedPolicy):
 
     def save(self, path: Path) -> None:
         """Write the policy to a file of `torch.save` with plain data."""
-        torch.save(
-            {
-                "format": FORMAT,
-                "algorithm": self.algorithm,
-                "mode": self.mode,
-                "observation": "groundings",
-                "settings": self.settings.model_dump(mode="json"),
-                "atoms": [[name, list(entities)] for name, entities in self.layout.atoms()],
-                "route_length": self.layout.route_length is not None,
-                "weights": self.network.state_dict(),
-            },
-            path,
-        )
+        content = {
+            **{"format": FORMAT, "algorithm": self.algorithm, "mode": self.mode, "observation": "groundings"},
+            "settings": self.settings.model_dump(mode="json"),
+            "atoms": [[name, list(entities)] for name, entities in self.layout.atoms()],
+            "route_length": self.layout.route_length is not None,
+            "weights": self.network.state_dict(),
+        }
+        torch.save(content, path)
 
     def weights(self) -> Mapping[str, Any]:
         """Return the weights of the network."""

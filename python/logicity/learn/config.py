@@ -114,14 +114,7 @@ class TrainConfig(Training):
             "title": "A training configuration",
             "type": "object",
             "additionalProperties": False,
-            "properties": {
-                "base": {
-                    "type": "string",
-                    "description": "Path of a file to start from. Mappings merge key by key; any other value replaces "
-                    "that of the base.",
-                },
-                **keys,
-            },
+            "properties": {"base": {"type": "string", "description": _BASE}, **keys},
             "allOf": [
                 {
                     "if": {"properties": {"algorithm": {"const": name}}, "required": ["algorithm"]},
@@ -201,10 +194,9 @@ def located(path: str | os.PathLike[str], config: TrainConfig, error: ValueError
     """
     file = _logicity.ConfigFile(path, "configs/baselines")
     if isinstance(error, InputError):
-        faults = [fault_of_override(config, fault) for fault in error.diagnostics]
-        known = [fault for fault in faults if fault is not None]
+        known = [fault for each in error.diagnostics if (fault := fault_of_override(config, each)) is not None]
         # The other errors are in other files, and have a location there.
-        return cast(InputError, file.error(known)) if len(known) == len(faults) else error
+        return cast(InputError, file.error(known)) if len(known) == len(error.diagnostics) else error
     message = str(error)
     named = [(quoted or first).split(".") for quoted, first in re.findall(r"`([\w.]+)`|^(\w+)(?=:)", message)]
     key = next((each for each in named if each[0] in TrainConfig.model_fields), None)
@@ -226,13 +218,7 @@ def fault_of_override(config: TrainConfig, fault: Diagnostic) -> Fault | None:
 
 
 def _path_at(value: Any, column: int, start: int = 0) -> list[str]:
-    """Return the path of the key or value at a column of the text that `json.dumps` writes.
-
-    Args:
-        value: The document.
-        column: The column, from 0.
-        start: The column at which the document starts.
-    """
+    """Return the path of the key or value at a column of `json.dumps(value)`, which starts at the column `start`."""
     at = start + 1
     for key, each in value.items() if isinstance(value, dict) else enumerate(value) if isinstance(value, list) else ():
         begin = at + len(f"{json.dumps(key)}: ") * isinstance(value, dict)
@@ -246,23 +232,16 @@ def _path_at(value: Any, column: int, start: int = 0) -> list[str]:
 def unused(algorithm: str) -> dict[str, str]:
     """Return the keys that a learner does not use, with the reason."""
     learner = learner_class(algorithm)
-    keys = {}
+    keys = dict.fromkeys(("overrides", "envs", "episodes"), "it learns from demonstrations, not in environments")
     if learner.interacts:
-        keys["demonstrations"] = "it learns in environments, not from demonstrations"
-    else:
-        keys |= dict.fromkeys(("overrides", "envs", "episodes"), "it learns from demonstrations, not in environments")
-    if not learner.starts:
-        keys["start"] = "its training cannot start from a policy"
-    return keys
+        keys = {"demonstrations": "it learns in environments, not from demonstrations"}
+    return keys if learner.starts else {**keys, "start": "its training cannot start from a policy"}
 
 
 def _named_file(file: _logicity.ConfigFile, key: str, name: str, folder: Path) -> str:
     """Return the absolute path of a file that a key names, or the name if it is that of a built-in mode or of no file.
 
     As in run configurations, a path is relative to the folder of the file that contains it, or names a built-in file.
-
-    Raises:
-        InputError: If the path names no file.
     """
     at = folder / name
     if at.exists():
@@ -274,6 +253,10 @@ def _named_file(file: _logicity.ConfigFile, key: str, name: str, folder: Path) -
 
 #: The paths of the modes among the built-in files.
 _BUILTIN_MODES = {f"configs/{name}.yaml" for name in ENVIRONMENTS}
+
+
+#: The description of the key `base` in the schema.
+_BASE = "Path of a file to start from. Mappings merge key by key; any other value replaces that of the base."
 
 
 def _settings_schema(name: str, settings: type[LearnerSettings]) -> dict[str, Any]:

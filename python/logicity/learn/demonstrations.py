@@ -7,19 +7,14 @@ from dataclasses import dataclass
 from functools import cached_property
 
 import numpy as np
+import torch
+from torch import Tensor, nn
 
 from .. import _logicity
 from ..city import ACTIONS
 from ..envs.layout import Layout
-from ..errors import missing_extra
 from ..offline import Demonstrations, demonstrations
 from ..tasks import load_task
-
-try:
-    import torch
-    from torch import Tensor, nn
-except ImportError as error:
-    raise missing_extra("learn", error) from error
 
 __all__ = ["DemonstrationData", "GraphView", "Layout", "RelationalView", "Sampler", "first_demonstrations", "layout_of"]
 
@@ -35,14 +30,13 @@ def layout_of(mode: str | os.PathLike[str]) -> Layout:
     return Layout.of_description(_logicity.describe(load_task(mode)))
 
 
-def first_demonstrations(mode: str | os.PathLike[str], share: float = 1.0, split: str = "train") -> Demonstrations:
-    """Run the oracle on the first recorded episodes of a mode or of a configuration file.
+def first_demonstrations(mode: str | os.PathLike[str], share: float = 1.0) -> Demonstrations:
+    """Run the oracle on the first recorded training episodes of a mode or of a configuration file.
 
     Args:
         mode: As for `logicity.demonstrations`.
         share: The share of the recorded episodes, 0 < share <= 1. Their number is rounded to the nearest one, and at
             least 1.
-        split: The split of the episodes.
 
     Raises:
         InputError: If the configuration is invalid, or no episodes are recorded.
@@ -51,7 +45,7 @@ def first_demonstrations(mode: str | os.PathLike[str], share: float = 1.0, split
     """
     if not 0 < share <= 1:
         raise ValueError(f"the share of the demonstrations must be above 0 and at most 1, not {share}")
-    return demonstrations(mode, max(1, round(share * load_task(mode).recorded(split))), split)
+    return demonstrations(mode, max(1, round(share * load_task(mode).recorded("train"))), "train")
 
 
 @dataclass(frozen=True, eq=False)
@@ -71,9 +65,9 @@ class DemonstrationData:
     trajectories: Tensor
 
     @classmethod
-    def load(cls, mode: str | os.PathLike[str], share: float = 1.0, split: str = "train") -> DemonstrationData:
+    def load(cls, mode: str | os.PathLike[str], share: float = 1.0) -> DemonstrationData:
         """Run the oracle on recorded episodes. The arguments and errors are those of `first_demonstrations`."""
-        chosen = first_demonstrations(mode, share, split)
+        chosen = first_demonstrations(mode, share)
         lengths = torch.tensor([len(trajectory) for trajectory in chosen])
         return cls(
             layout_of(mode),
@@ -95,9 +89,8 @@ class DemonstrationData:
         """Return the steps without those that repeat the observation and the action of an earlier step."""
         both = torch.cat([self.observations, self.actions[:, None].float()], 1)
         _, groups = torch.unique(both, dim=0, return_inverse=True)
-        first = torch.full((int(groups.max()) + 1,), len(self)).scatter_reduce(
-            0, groups, torch.arange(len(self)), "amin"
-        )
+        every = torch.arange(len(self))
+        first = torch.full((int(groups.max()) + 1,), len(self)).scatter_reduce(0, groups, every, "amin")
         return self[first.sort().values]
 
     def __getitem__(self, steps: Tensor) -> DemonstrationData:
@@ -107,8 +100,7 @@ class DemonstrationData:
     def class_weights(self, power: float) -> Tensor:
         """Return weights of the actions for a loss, float32 (4,): the power of (mean count / count of the action).
 
-        With the power 0 all weights are 1. With the power 1, every action that occurs has the same total weight. An
-        action that never occurs has weight 0.
+        With the power 1, every action that occurs has the same total weight. One that never occurs has weight 0.
         """
         occurs = self.counts > 0
         mean = self.counts[occurs].float().mean()
@@ -152,11 +144,8 @@ class Sampler:
             ValueError: If the state was saved for other data.
         """
         order = state["order"]
-        if (
-            order.dtype != torch.int64
-            or order.ndim != 1
-            or (len(order) and not 0 <= order.min() <= order.max() < self._count)
-        ):
+        is_flat = order.dtype == torch.int64 and order.ndim == 1
+        if not is_flat or (len(order) and not 0 <= order.min() <= order.max() < self._count):
             raise ValueError("this sampler state was saved for different demonstrations")
         self._generator.set_state(state["generator"])
         self._order = state["order"]
@@ -173,16 +162,12 @@ class RelationalView(nn.Module):
         """Store the positions as tensors. A saved state omits them."""
         super().__init__()
         self.layout = layout
-        self.register_buffer("_unary", torch.from_numpy(layout.unary_at).flatten(), persistent=False)
-        self.register_buffer("_binary", torch.from_numpy(layout.binary_at).flatten(), persistent=False)
-        self.register_buffer("_occurrences", torch.from_numpy(layout.occurrences()), persistent=False)
+        buffers = {"_unary": layout.unary_at.ravel(), "_binary": layout.binary_at.ravel()}
+        for name, values in {**buffers, "_occurrences": layout.occurrences()}.items():
+            self.register_buffer(name, torch.from_numpy(values), persistent=False)
 
     def forward(self, observations: Tensor) -> tuple[Tensor, Tensor, Tensor]:
-        """Return the unary (batch, N, U) and binary (batch, N, N, B) truth values, and the mask, bool (batch, N).
-
-        Args:
-            observations: (batch, width).
-        """
+        """Return the truth values, (batch, N, U) and (batch, N, N, B), and the mask of entities, bool (batch, N)."""
         count, batch = self.layout.entities, len(observations)
         unary = observations.index_select(1, self._unary).view(batch, count, -1)
         binary = observations.index_select(1, self._binary).view(batch, count, count, -1)
@@ -220,10 +205,7 @@ class GraphView(nn.Module):
         return len(self.relational.layout.binary) * (2 if self.reverse else 1)
 
     def forward(self, observations: Tensor) -> tuple[Tensor, Tensor, Tensor, Tensor]:
-        """Return the node features, the edge index, the edge features and the mask of the nodes.
-
-        Args:
-            observations: (batch, width).
+        """Return the graphs of observations of shape (batch, width).
 
         Returns:
             The node features (batch * N, U); the edge index, int64 (2, batch * N * N), whose first row has the sources;

@@ -160,11 +160,8 @@ def one_hot_samples(logits: Tensor, generator: torch.Generator | None) -> Tensor
     """Sample one-hot vectors of categorical variables, with straight-through gradients (algorithm 1).
 
     Args:
-        logits: The logits, of shape (..., classes).
+        logits: The logits, of shape (..., classes), as the vectors have.
         generator: The source of samples. Without it, the most probable classes are returned.
-
-    Returns:
-        The vectors, of shape (..., classes).
     """
     probabilities = logits.softmax(-1)
     if generator is None:
@@ -181,15 +178,8 @@ def one_hot_samples(logits: Tensor, generator: torch.Generator | None) -> Tensor
 def balanced_kl(posterior: Tensor, prior: Tensor, balance: float) -> Tensor:
     """Return the KL divergence of the posterior from the prior, with KL balancing (algorithm 2).
 
-    The value is the divergence. The share `balance` of it trains the prior, and the rest the posterior.
-
-    Args:
-        posterior: Logits of shape (..., variables, classes).
-        prior: Logits of the same shape.
-        balance: The share, from 0 to 1.
-
-    Returns:
-        The sums over the variables, of shape (...).
+    The share `balance` of it, from 0 to 1, trains the prior, and the rest the posterior. The logits have the shape
+    (..., variables, classes), and the sums over the variables the shape (...).
     """
 
     def divergence(of: Tensor, to: Tensor) -> Tensor:
@@ -200,16 +190,13 @@ def balanced_kl(posterior: Tensor, prior: Tensor, balance: float) -> Tensor:
 
 
 def lambda_returns(rewards: Tensor, discounts: Tensor, values: Tensor, trace_decay: float) -> Tensor:
-    """Return the targets of the critic (equation 4).
+    """Return the targets of the critic for the states before H actions, of shape (H, ...) (equation 4).
 
     Args:
-        rewards: The rewards of H actions, of shape (H, ...).
-        discounts: The discounts after the actions, of shape (H, ...).
-        values: The values of the states after the actions, of shape (H, ...).
+        rewards: The rewards of the actions, of shape (H, ...).
+        discounts: The discounts after the actions, of this shape.
+        values: The values of the states after the actions, of this shape.
         trace_decay: The weight lambda.
-
-    Returns:
-        The targets of the states before the actions, of shape (H, ...).
     """
     following = values[-1]
     returns = []
@@ -230,12 +217,7 @@ class Losses(NamedTuple):
 
 
 class WorldModel(nn.Module):
-    """The recurrent state-space model with its encoder, decoder and predictors (equation 1).
-
-    Args:
-        bits: The number of bits of an observation.
-        settings: The settings.
-    """
+    """The recurrent state-space model with its encoder, decoder and predictors, over `bits` bits (equation 1)."""
 
     def __init__(self, bits: int, settings: DreamerSettings) -> None:
         """Initialize the weights."""
@@ -262,14 +244,8 @@ class WorldModel(nn.Module):
         return Memory(self.start(count), torch.zeros(count, len(ACTIONS)), 0)
 
     def advance(self, state: State, actions: Tensor) -> Tensor:
-        """Return the deterministic part after actions, of shape (batch, deterministic).
-
-        Args:
-            state: The states before the actions.
-            actions: The one-hot actions, of shape (batch, actions).
-        """
-        inputs = self.input(torch.cat([state.stochastic, actions], -1))
-        after: Tensor = self.gru(inputs, state.deterministic)
+        """Return the deterministic part, (batch, deterministic), after one-hot actions, (batch, actions)."""
+        after: Tensor = self.gru(self.input(torch.cat([state.stochastic, actions], -1)), state.deterministic)
         return after
 
     def _sample(self, deterministic: Tensor, logits: Tensor, generator: torch.Generator | None) -> State:
@@ -300,13 +276,7 @@ class WorldModel(nn.Module):
         return self._sample(deterministic, logits, generator), logits
 
     def imagine(self, state: State, actions: Tensor, generator: torch.Generator | None) -> State:
-        """Predict the states after actions.
-
-        Args:
-            state: The states before the actions.
-            actions: The one-hot actions, of shape (batch, actions).
-            generator: The source of samples. Without it, the most probable states are returned.
-        """
+        """Predict the states after one-hot actions, of shape (batch, actions). The arguments are those of `observe`."""
         deterministic = self.advance(state, actions)
         return self._sample(deterministic, self._logits(self.prior(deterministic)), generator)
 
@@ -356,19 +326,13 @@ class Batch:
 
 
 class EpisodeReplay:
-    """The last observations of each environment, in ring buffers. Every episode has its last observation too.
-
-    Args:
-        capacity: The number of observations of all environments.
-        bits: The number of bits of an observation.
-        observations: The first observation of every environment.
-    """
+    """The last observations of each environment, in ring buffers. Every episode has its last observation too."""
 
     #: The bits of a flag.
     TERMINATED, TRUNCATED, FIRST = 1, 2, 4
 
     def __init__(self, capacity: int, bits: int, observations: Tensor) -> None:
-        """Allocate the memory, and add the first observations."""
+        """Allocate the memory for `capacity` observations of all environments, and add the first ones."""
         envs = len(observations)
         length = max(1, capacity // envs)
         self.observations = torch.zeros(envs, length, bits, dtype=torch.uint8)
@@ -389,21 +353,12 @@ class EpisodeReplay:
         self.added[envs] += 1
 
     def add(self, transitions: Transitions, observations: Tensor) -> None:
-        """Add the observations after a step, and the first ones of new episodes.
-
-        Args:
-            transitions: The step.
-            observations: The observations from which the next step starts.
-        """
+        """Add the observations after a step, and the first ones of new episodes, with which the next step starts."""
         every = torch.arange(len(self.added))
         terminated, truncated = (torch.from_numpy(ends) for ends in (transitions.terminated, transitions.truncated))
-        self._add(
-            every,
-            torch.from_numpy(transitions.next_observations),
-            terminated * self.TERMINATED + truncated * self.TRUNCATED,
-            torch.from_numpy(transitions.actions).to(torch.uint8),
-            torch.from_numpy(transitions.rewards),
-        )
+        observed, rewards = torch.from_numpy(transitions.next_observations), torch.from_numpy(transitions.rewards)
+        flags = terminated * self.TERMINATED + truncated * self.TRUNCATED
+        self._add(every, observed, flags, torch.from_numpy(transitions.actions).to(torch.uint8), rewards)
         begun = (terminated | truncated).nonzero()[:, 0]
         if len(begun):
             self._add(begun, observations[begun], torch.full((len(begun),), self.FIRST))
@@ -411,12 +366,7 @@ class EpisodeReplay:
     def sample(self, count: int, length: int, generator: torch.Generator) -> Batch:
         """Draw sequences of consecutive observations, which can contain the ends of episodes.
 
-        Every environment must have `length` observations, see `ready`.
-
-        Args:
-            count: The number of sequences, the batch size of the result.
-            length: The number of observations of a sequence.
-            generator: The source of the sequences.
+        Every environment must have `length` observations, see `ready`. The result has `count` sequences.
         """
         size = self.rewards.shape[1]
         envs = torch.randint(len(self.added), (count,), generator=generator)
@@ -452,9 +402,8 @@ class EpisodeReplay:
         """Restore what `state` returned."""
         self.added = state["added"].clone()
         count, bits = state["rewards"].shape[1], self.observations.shape[2]
-        self.observations[:, :count] = torch.from_numpy(
-            np.unpackbits(state["observations"].numpy(), axis=2, count=bits)
-        )
+        unpacked = np.unpackbits(state["observations"].numpy(), axis=2, count=bits)
+        self.observations[:, :count] = torch.from_numpy(unpacked)
         for name in ("actions", "rewards", "flags"):
             getattr(self, name)[:, :count] = state[name]
 
@@ -474,15 +423,7 @@ class Memory(NamedTuple):
 
 
 class DreamerPolicy(StoredPolicy):
-    """The world model, which infers states from observations, and the actor. Its state is a `Memory`.
-
-    Args:
-        model: The world model.
-        actor: The actor.
-        settings: The settings.
-        mode: The mode of the training.
-        seed: The seed of random samples.
-    """
+    """The world model, which infers states from observations, and the actor. Its state is a `Memory`."""
 
     algorithm = "dreamer"
     algorithms = (algorithm,)
@@ -648,13 +589,8 @@ class Dreamer(TransitionLearner):
         errors = (self._critic(every[:-1])[..., 0] - targets) ** 2 / 2
         critic_loss = (weights * errors).mean()
         minimize(critic_loss, self._optimizers["critic"], settings.gradient_clip)
-        self._curves.add(
-            {
-                "actor/entropy": entropy.mean().item(),
-                "actor/return": targets.mean().item(),
-                "loss/critic": critic_loss.item(),
-            }
-        )
+        figures = {"actor/entropy": entropy.mean(), "actor/return": targets.mean(), "loss/critic": critic_loss}
+        self._curves.add({name: value.item() for name, value in figures.items()})
 
     def policy(self) -> DreamerPolicy:
         """Return the current policy."""

@@ -4,16 +4,11 @@ from __future__ import annotations
 
 from typing import Any
 
-from ..errors import missing_extra
+import gymnasium
+from stable_baselines3.common.torch_layers import BaseFeaturesExtractor
+from torch import Tensor
+
 from ..types import Atom
-
-try:
-    import gymnasium
-    from stable_baselines3.common.torch_layers import BaseFeaturesExtractor
-    from torch import Tensor
-except ImportError as error:
-    raise missing_extra("learn", error) from error
-
 from .cloning import LogicNetwork
 from .demonstrations import Layout
 

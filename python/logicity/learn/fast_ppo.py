@@ -16,7 +16,6 @@ from __future__ import annotations
 
 import itertools
 import math
-import os
 import time
 from collections.abc import Mapping, Sequence
 from pathlib import Path
@@ -92,7 +91,7 @@ class FastPPOSettings(LearnerSettings):
 
 
 def slots(description: Mapping[str, Any], others: int) -> NDArray[np.int64]:
-    """Return the positions of the entries of an observation that each slot of the first layer selects.
+    """Return the positions of the entries that each slot of the first layer selects, int64 (slots, inputs).
 
     There is a slot for every set of `others` entities besides the ego (fewer if fewer are observed). Its inputs are the
     atoms about these entities and the ego, and the route length if it is observed. Binary predicates are irreflexive,
@@ -101,9 +100,6 @@ def slots(description: Mapping[str, Any], others: int) -> NDArray[np.int64]:
     Args:
         description: The description of the task, as `_logicity.describe` returns it.
         others: The number of entities besides the ego.
-
-    Returns:
-        int64 of shape (slots, inputs).
     """
     atoms = list(atoms_of(description))
     positions = {atom: position for position, atom in enumerate(atoms)}
@@ -194,12 +190,9 @@ class Network:
 
 def _layers(vector: Tensor, shapes: list[tuple[int, int]]) -> list[tuple[Tensor, Tensor]]:
     """Return views of a vector as weights and biases."""
-    layers, start = [], 0
-    for before, after in shapes:
-        middle, end = start + before * after, start + (before + 1) * after
-        layers.append((vector[start:middle].view(before, after), vector[middle:end]))
-        start = end
-    return layers
+    parts = vector.split([(before + 1) * after for before, after in shapes])
+    rows = [part.view(-1, after) for part, (_, after) in zip(parts, shapes, strict=True)]
+    return [(each[:-1], each[-1]) for each in rows]
 
 
 def advantages(
@@ -258,7 +251,7 @@ def grouped(
     Args:
         inputs: The inputs of the network for each distinct observation.
         outputs: Its outputs in the rollouts, of shape (observations, 5).
-        states: The position of each step's observation. This and the following arrays have shape (steps,).
+        states: The position of each step's observation, of shape (steps,), as the other arguments have.
         actions: The actions.
         step_advantages: The advantages.
         returns: The returns.
@@ -320,12 +313,7 @@ def losses(outputs: Tensor, batch: Batch, clip_range: float, vf_coef: float, ent
 
 
 class FastPPOPolicy(LearnedPolicy):
-    """A policy of `ppo-fast`.
-
-    Attributes:
-        mode: The mode of the training.
-        settings: The settings of the training.
-    """
+    """A policy of `ppo-fast`."""
 
     def __init__(
         self, network: Network, slots: NDArray[np.int64], width: int, mode: str, settings: FastPPOSettings
@@ -350,14 +338,9 @@ class FastPPOPolicy(LearnedPolicy):
     def save(self, path: Path) -> None:
         """Write the policy."""
         content = {
-            "algorithm": NAME,
-            "format": FORMAT,
-            "mode": self.mode,
-            "observation": "groundings",
-            "settings": self.settings.model_dump(mode="json"),
-            "slots": torch.from_numpy(self._slots),
-            "width": self._width,
-            "weights": self._network.parameters,
+            **{"algorithm": NAME, "format": FORMAT, "mode": self.mode, "observation": "groundings"},
+            **{"settings": self.settings.model_dump(mode="json"), "slots": torch.from_numpy(self._slots)},
+            **{"width": self._width, "weights": self._network.parameters},
         }
         torch.save(content, path)
 
@@ -370,11 +353,9 @@ class FastPPOPolicy(LearnedPolicy):
         """Read a policy that `save` wrote."""
         content = read_tensors(path, f"a policy of `{NAME}`")
         if not isinstance(content, dict) or content.get("algorithm") != NAME:
-            raise ValueError(f"{os.fspath(path)} is not a policy of `{NAME}`")
-        if content.get("format") != FORMAT:
-            raise ValueError(
-                f"{os.fspath(path)} has the format {content.get('format')!r}, but this version reads {FORMAT}"
-            )
+            raise ValueError(f"{path} is not a policy of `{NAME}`")
+        if (version := content.get("format")) != FORMAT:
+            raise ValueError(f"{path} has the format {version!r}, but this version reads {FORMAT}")
         try:
             settings = FastPPOSettings.model_validate(content["settings"])
             positions = content["slots"].numpy()
@@ -385,7 +366,7 @@ class FastPPOPolicy(LearnedPolicy):
             policy = cls(network, positions, content["width"], content["mode"], settings)
             network.native(content["width"], positions)
         except (AttributeError, IndexError, KeyError, OverflowError, RuntimeError, TypeError, ValueError) as error:
-            raise ValueError(f"{os.fspath(path)} is a damaged policy of `{NAME}`: {error}") from None
+            raise ValueError(f"{path} is a damaged policy of `{NAME}`: {error}") from None
         return policy
 
 
@@ -446,11 +427,8 @@ class FastPPO(Learner):
         estimates = advantages(done["rewards"], values, done["next_values"], ended, settings.gamma, settings.gae_lambda)
         returns = estimates + values
         estimates = (estimates - estimates.mean()) / (estimates.std() + np.float32(1e-8))
-        batch = grouped(
-            done["inputs"],
-            done["outputs"],
-            *(each.ravel() for each in (done["states"], done["actions"], estimates, returns)),
-        )
+        steps = (each.ravel() for each in (done["states"], done["actions"], estimates, returns))
+        batch = grouped(done["inputs"], done["outputs"], *steps)
         prepared = time.process_time()
         last = self._update(batch, random.size)
         self.steps += random.size
@@ -487,14 +465,9 @@ class FastPPO(Learner):
         size = done["rewards"].size
         part = self._settings.minibatches / size
         self._ended += np.bincount(done["endings"].ravel(), minlength=len(self._ended))
-        self._curves.add(
-            {
-                "batches/reward": done["rewards"].mean(),
-                "batches/distinct": len(batch.counts) / size,
-                "batches/value_loss": loss.value * part,
-                "batches/entropy": loss.entropy * part,
-            }
-        )
+        values = {"reward": done["rewards"].mean(), "distinct": len(batch.counts) / size}
+        values |= {"value_loss": loss.value * part, "entropy": loss.entropy * part}
+        self._curves.add({f"batches/{name}": value for name, value in values.items()})
         if self._updates % LOG_EVERY:
             return
         episodes = max(self._ended[1:].sum(), 1)

@@ -15,6 +15,7 @@ except ImportError as error:
 
 if TYPE_CHECKING:
     from pydantic_core import ErrorDetails
+
 __all__ = ["Fault", "contains", "faults", "inlined", "merged", "tidy"]
 
 #: An error in a YAML file: its code, the path of keys to the value, the message, and the help, which may be empty.
@@ -91,17 +92,19 @@ _AT_KEYS = ("extra_forbidden", "missing")
 def _fault(
     path: tuple[str, ...], errors: Sequence[ErrorDetails], unknown: Callable[[tuple[str, ...]], tuple[str, str]]
 ) -> Fault:
-    first, name = errors[0], ".".join(path)
-    if first["type"] == "extra_forbidden":
+    first, name, kind = errors[0], ".".join(path), errors[0]["type"]
+    if kind == "extra_forbidden":
         return "unknown-key", list(path), *unknown(path)
-    if first["type"] == "missing":
+    if kind == "missing":
         return "missing-key", list(path), f"the key `{name}` is missing", ""
-    if first["type"] == "custom":
-        return "invalid-value", list(path), first["msg"], ""
-    if first["type"] in ("value_error", "assertion_error"):
-        return "invalid-value", list(path), f"`{name}`: {first['ctx']['error']}", ""
-    expected = " or ".join(dict.fromkeys(map(_expected, errors)))
-    return "invalid-value", list(path), f"`{name}` must be {expected}, not `{_shown(first['input']):.40}`", ""
+    if kind == "custom":
+        message = first["msg"]
+    elif kind in ("value_error", "assertion_error"):
+        message = f"`{name}`: {first['ctx']['error']}"
+    else:
+        expected = " or ".join(dict.fromkeys(map(_expected, errors)))
+        message = f"`{name}` must be {expected}, not `{_shown(first['input']):.40}`"
+    return "invalid-value", list(path), message, ""
 
 
 def _shown(value: object) -> str:
@@ -118,8 +121,7 @@ def _shown(value: object) -> str:
 #: Words that are no strings in YAML.
 _NOT_STRINGS = ("", "~", "null", "true", "false")
 
-
-#: What a value must be, by the type of pydantic's error.
+#: What a value must be, by the type of pydantic's error, with the bounds of the error.
 _EXPECTED = {
     "bool_type": "true or false",
     "dict_type": "a mapping",
@@ -132,11 +134,6 @@ _EXPECTED = {
     "none_required": "null (~)",
     "string_type": "text",
     "tuple_type": "a list",
-}
-
-
-#: As `_EXPECTED`, with the bound of the error.
-_BOUNDS = {
     "greater_than": "greater than {gt}",
     "greater_than_equal": "at least {ge}",
     "less_than": "less than {lt}",
@@ -150,12 +147,10 @@ _BOUNDS = {
 def _expected(error: ErrorDetails) -> str:
     """Describe the values that a key accepts."""
     kind, context = error["type"], error.get("ctx", {})
-    if kind in _EXPECTED:
-        return _EXPECTED[kind]
     if kind == "too_short" and context["field_type"] == "Dictionary":
         return f"a mapping with {context['min_length']} or more keys"
-    if kind in _BOUNDS:
-        return _BOUNDS[kind].format(**context)
+    if kind in _EXPECTED:
+        return _EXPECTED[kind].format(**context)
     if kind == "literal_error":
         return str(context["expected"]).replace("'", "`")
     return f"valid ({error['msg']})"

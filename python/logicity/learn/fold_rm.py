@@ -21,13 +21,14 @@ from __future__ import annotations
 from collections.abc import Iterable, Sequence
 from dataclasses import dataclass
 from itertools import combinations
-from typing import Annotated, Any, ClassVar, TypeAlias, cast
+from typing import Annotated, Any, TypeAlias, cast
 
 import numpy as np
 from numpy.typing import NDArray
 from pydantic import Field
 
 from ..city import ACTIONS
+from ..envs.layout import Layout
 from ..errors import missing_extra
 from ..offline import Demonstrations
 from ..rule_policy import RulePolicy
@@ -81,18 +82,11 @@ class Relations:
     @classmethod
     def of(cls, atoms: Sequence[Atom], observations: NDArray[np.float32]) -> Relations:
         """Split observations by predicate."""
-        entities = 1 + max(entity for _, of in atoms for entity in of)
-        true = observations > 0.5
-        unary, binary, base = {}, {}, 0
-        for name, arity in arities(tuple(atoms)).items():
-            width = entities**arity
-            values = true[:, base : base + width]
-            if arity == 1:
-                unary[name] = values
-            else:
-                binary[name] = values.reshape(-1, entities, entities)
-            base += width
-        return cls(unary, binary)
+        true, layout = observations > 0.5, Layout.of_atoms(atoms)
+        return cls(
+            {name: true[:, layout.unary_at[:, at]] for at, name in enumerate(layout.unary)},
+            {name: true[:, layout.binary_at[:, :, at]] for at, name in enumerate(layout.binary)},
+        )
 
     def about(self, atom: PatternAtom) -> NDArray[np.bool_]:
         """Return the truth values of an atom about variable 1, and possibly the ego, bool (N, E)."""
@@ -119,8 +113,7 @@ class Relations:
 def patterns(atoms: Sequence[Atom], settings: FoldRMSettings) -> list[Pattern]:
     """Return all patterns over the predicates of an observation, in the order of the module's description."""
     known = arities(tuple(atoms))
-    unary = [name for name, arity in known.items() if arity == 1]
-    binary = [name for name, arity in known.items() if arity == 2]
+    unary, binary = ([name for name, arity in known.items() if arity == wanted] for wanted in (1, 2))
     result = [Pattern(((name, (0,)),)) for name in unary]
     about: list[PatternAtom] = [(name, (1,)) for name in unary]
     about += [(name, variables) for name in binary for variables in ((0, 1), (1, 0))]
@@ -135,7 +128,7 @@ def patterns(atoms: Sequence[Atom], settings: FoldRMSettings) -> list[Pattern]:
 class FoldRMLearner(SymbolicLearner):
     """FOLD-RM on the distinct steps of the demonstrations."""
 
-    settings_class: ClassVar[type[LearnerSettings]] = FoldRMSettings
+    settings_class = FoldRMSettings
 
     def rules(self, data: Demonstrations) -> str:
         """Return the default rules as a rule file.
@@ -152,12 +145,10 @@ class FoldRMLearner(SymbolicLearner):
         actions = np.concatenate([trajectory.actions for trajectory in data])
         relations = Relations.of(data.atoms, observations[:, : len(data.atoms)])
         chosen, columns = _informative(patterns(data.atoms, settings), relations)
-        rows = [
-            [*("1" if value else "0" for value in row), ACTIONS[action]]
-            for row, action in zip(columns.T.tolist(), actions, strict=True)
-        ]
+        values = np.where(columns.T, "1", "0").tolist()
+        rows = ((*row, ACTIONS[action]) for row, action in zip(values, actions, strict=True))
         # The same list for the same rows: `foldrm` breaks ties by the order of rows.
-        distinct = [list(row) for row in dict.fromkeys(map(tuple, rows))]
+        distinct = list(map(list, dict.fromkeys(rows)))
         learned: list[FoldRule] = foldrm(distinct, ratio=settings.ratio)
         return rule_file(learned, chosen, _default_action(self.config.mode))
 
@@ -191,9 +182,7 @@ def rule_file(learned: Sequence[FoldRule], known: Sequence[Pattern], default: st
         default: The action that an ego takes if no rule derives one.
     """
     printer = _Printer(known)
-    classes = []
-    for (_, _, action), conditions, exceptions, _ in learned:
-        classes.append((action, printer.rule("Rule", conditions, exceptions)))
+    classes = [(action, printer.rule("Rule", *parts)) for (_, _, action), *parts, _ in learned]
     lines = ['.include "vocabulary.dl"', *printer.lines]
     for number, (action, name) in enumerate(classes):
         if action != default:

@@ -16,7 +16,8 @@ from __future__ import annotations
 
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass
-from itertools import count, groupby, product
+from functools import cache
+from itertools import groupby, product
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any, ClassVar, Literal, NamedTuple, TypeAlias
 
@@ -24,6 +25,7 @@ import numpy as np
 import torch
 from numpy.typing import NDArray
 from pydantic import Field, field_validator
+from torch import Tensor
 
 from .. import _logicity
 from ..city import ACTIONS
@@ -175,14 +177,13 @@ class ProgramTemplate:
         self.layers: list[list[InventedPredicate]] = []
         self.slots = 0
         visible = len(self.unary) + len(self.binary)
-        for number in range(1, depth + 1):
-            target = number == depth
-            templates = settings.unary[:1] if target else [*settings.unary, *settings.binary]
+        hidden: list[str] = [each for each in (*settings.unary, *settings.binary) for _ in range(settings.copies)]
+        layers: list[list[str]] = [*[hidden] * (depth - 1), [settings.unary[0]]]
+        for templates in layers:
             layer = []
             for template in templates:
-                for _ in range(1 if target else settings.copies):
-                    layer.append(InventedPredicate(template, self.slots, visible))
-                    self.slots += SLOTS[template]
+                layer.append(InventedPredicate(template, self.slots, visible))
+                self.slots += SLOTS[template]
             visible += len(layer)
             self.layers.append(layer)
         self.invented = [invented for layer in self.layers for invented in layer]
@@ -193,7 +194,7 @@ class ProgramTemplate:
         at = predicate - len(self.unary) - len(self.binary)
         return predicate < len(self.unary) or (at >= 0 and self.invented[at].template == "A00+")
 
-    def visible(self) -> torch.Tensor:
+    def visible(self) -> Tensor:
         """Return which predicates each slot can hold, bool of shape (slots, predicates)."""
         mask = torch.zeros(self.slots, self.predicates, dtype=torch.bool)
         for invented in self.invented:
@@ -209,13 +210,8 @@ class ProgramTemplate:
         return np.concatenate([one, true, ~true]), np.ascontiguousarray(two)
 
     def infer(
-        self,
-        degrees: torch.Tensor,
-        unary: torch.Tensor,
-        binary: torch.Tensor,
-        exist: torch.Tensor,
-        conjunction: Literal["min", "product"],
-    ) -> torch.Tensor:
+        self, degrees: Tensor, unary: Tensor, binary: Tensor, exist: Tensor, conjunction: Literal["min", "product"]
+    ) -> Tensor:
         """Return the soft truth value of the target for the ego, by the paper's inference without recursion.
 
         The value of a slot is the sum of the values of all predicates, weighted by the degrees to which it holds them.
@@ -235,12 +231,10 @@ class ProgramTemplate:
         both = torch.minimum if conjunction == "min" else torch.mul
         n, parts = exist.shape[1], (len(self.unary), len(self.binary))
         # The predicates of lower layers, with their values (models, predicates, batch, N) and the same with N x N.
-        ones: list[int] = []
-        twos: list[int] = []
-        one_values: list[torch.Tensor] = []
-        two_values: list[torch.Tensor] = []
+        ones, twos = list[int](), list[int]()
+        one_values, two_values = list[Tensor](), list[Tensor]()
 
-        def held(slots: torch.Tensor, rows: slice = slice(None), columns: slice = slice(None)) -> torch.Tensor:
+        def held(slots: Tensor, rows: slice = slice(None), columns: slice = slice(None)) -> Tensor:
             """Return the values of slots for pairs of entities, (models, slots, batch, rows, columns)."""
             degrees_one, degrees_two = slots[..., : sum(parts)].split(parts, -1)
             one = _weighted(degrees_one, unary[:, :, rows])
@@ -290,16 +284,13 @@ class ProgramTemplate:
         return values
 
 
-def _weighted(degrees: torch.Tensor, values: torch.Tensor, models: bool = False) -> torch.Tensor:
-    """Return the sums of values weighted by degrees, (models, slots, ...).
+def _weighted(degrees: Tensor, values: Tensor, models: bool = False) -> Tensor:
+    """Return the sums of values weighted by degrees (models, slots, predicates): (models, slots, ...).
 
-    Args:
-        degrees: (models, slots, predicates).
-        values: (predicates, ...), or with `models` (models, predicates, ...).
-        models: Whether each model has its own values.
+    Values have the shape (predicates, ...), or with `models` (models, predicates, ...).
     """
     first = 2 if models else 1
-    sums: torch.Tensor = degrees @ values.flatten(first)
+    sums: Tensor = degrees @ values.flatten(first)
     return sums.unflatten(-1, values.shape[first:])
 
 
@@ -330,26 +321,18 @@ class Hypothesis:
         )
 
     def holds(self, unary: Bools, binary: Bools) -> Bools:
-        """Return whether the rules derive the target for the ego.
+        """Return whether the rules derive the target for the ego, bool (batch,).
 
         Args:
             unary: The truth values of observed predicates, (batch, N, U).
             binary: The same, (batch, N, N, B).
-
-        Returns:
-            bool (batch,).
         """
         exist = present(unary, binary)
         one, two = self.program.facts(unary, binary)
-        known: dict[int, Bools] = {}
 
+        @cache
         def pairs(predicate: int) -> Bools:
             """Return the truth values for all pairs, (batch, N, N), or (batch, N, 1) for a unary predicate."""
-            if predicate not in known:
-                known[predicate] = compute(predicate)
-            return known[predicate]
-
-        def compute(predicate: int) -> Bools:
             if predicate < len(one):
                 return np.asarray(one[predicate, :, :, None])
             at = predicate - len(one)
@@ -381,16 +364,14 @@ class Hypothesis:
         Returns:
             The bodies of the target, and the kept definitions: the name, the number of arguments, and the bodies.
         """
-        known: dict[int, list[Body]] = {}
         definitions: list[tuple[str, int, list[Body]]] = []
         symbols = [*self.program.unary, *self.program.binary]
 
         def unfold(predicate: int, first: int, second: int) -> list[Body]:
             """Return the bodies of a predicate for two variables."""
-            if predicate not in known:
-                known[predicate] = define(predicate)
-            return [_renamed(body, {0: first, 1: second}) for body in known[predicate]]
+            return [_renamed(body, {0: first, 1: second}) for body in define(predicate)]
 
+        @cache
         def define(predicate: int) -> list[Body]:
             unary = self.program.is_unary(predicate)
             if predicate < len(symbols):
@@ -433,13 +414,8 @@ def _renamed(body: Body, names: Mapping[int, int]) -> Body:
 
 def _joined(one: Body, other: Body) -> Body:
     """Return the conjunction of two bodies, whose local variables are different ones."""
-    fresh = count(100 + max((variable for _, _, arguments in one for variable in arguments), default=0))
-    names: dict[int, int] = {}
-    for _, _, arguments in sorted(other):
-        for variable in arguments:
-            if variable >= LOCAL:
-                names.setdefault(variable, next(fresh))
-    return one | _renamed(other, names)
+    first = 100 + max((variable for _, _, arguments in one for variable in arguments), default=0)
+    return one | _numbered(other, LOCAL, first)
 
 
 #: The first number of local variables. Smaller numbers are arguments of the head, and the variable of template B.
@@ -452,7 +428,7 @@ def _pruned(bodies: Iterable[Body], arity: int) -> list[Body]:
     for body in dict.fromkeys(bodies):
         if any((not sign, name, arguments) in body for sign, name, arguments in body):
             continue
-        reduced = _numbered(_condensed(body, arity), arity)
+        reduced = _numbered(_condensed(body, arity), arity, LOCAL)
         if any(_subsumes(other, reduced, arity) for other in kept):
             continue
         kept = [other for other in kept if not _subsumes(reduced, other, arity)]
@@ -469,14 +445,10 @@ def _condensed(body: Body, arity: int) -> Body:
     return body
 
 
-def _numbered(body: Body, arity: int) -> Body:
-    """Number the local variables in order."""
-    names: dict[int, int] = {}
-    for _, _, arguments in sorted(body):
-        for variable in arguments:
-            if variable >= arity:
-                names.setdefault(variable, LOCAL + len(names))
-    return _renamed(body, names)
+def _numbered(body: Body, least: int, first: int) -> Body:
+    """Number the variables from `least` on in the order of the literals, with numbers from `first` on."""
+    variables = (variable for _, _, arguments in sorted(body) for variable in arguments if variable >= least)
+    return _renamed(body, {variable: first + at for at, variable in enumerate(dict.fromkeys(variables))})
 
 
 def _subsumes(general: Body, special: Body, arity: int) -> bool:
@@ -516,10 +488,8 @@ def _clause(head: str, arguments: tuple[int, ...], body: Body, more: Sequence[st
 
     # Literals about the ego come first, positive ones before negative ones.
     ordered = sorted(body, key=lambda literal: (max(literal[2]), not literal[0], literal[1:]))
-    literals = [*more]
-    literals += [
-        atom(name, variables) if sign else f"Not({atom(name, variables)})" for sign, name, variables in ordered
-    ]
+    atoms = ((sign, atom(name, variables)) for sign, name, variables in ordered)
+    literals = [*more, *(text if sign else f"Not({text})" for sign, text in atoms)]
     unbound = [variable for variable in used if variable not in (*bound, ego)]
     literals += [atom("Sees", (ego, variable)) for variable in unbound]
     if not unbound and not bound & {ego, EGO}:
@@ -528,14 +498,7 @@ def _clause(head: str, arguments: tuple[int, ...], body: Body, more: Sequence[st
 
 
 class HriPolicy(LearnedPolicy):
-    """A policy that evaluates learned rules.
-
-    Attributes:
-        mode: The mode of the training.
-        layout: The positions of truth values in observations.
-        settings: The settings.
-        models: The rules of each action, in the order of precedence.
-    """
+    """A policy that evaluates learned rules. `models` has the rules of each action, in the order of precedence."""
 
     def __init__(self, mode: str, layout: Layout, settings: HriSettings, models: Mapping[str, Hypothesis]) -> None:
         """Store the arguments."""
@@ -554,11 +517,7 @@ class HriPolicy(LearnedPolicy):
     def predict(
         self, observation: Observations, state: Any = None, episode_start: Any = None, deterministic: bool = True
     ) -> tuple[Actions, Any]:
-        """Return the first derived action, or the default one.
-
-        Raises:
-            ValueError: If the observations have another shape than those of the training.
-        """
+        """Return the first derived action, or the default one."""
         actions = np.full(len(observation), ACTIONS.index(DEFAULT), np.int64)
         if self.models:
             derived = self.derived(observation)
@@ -572,18 +531,15 @@ class HriPolicy(LearnedPolicy):
         The file includes the vocabulary of the modes. If several actions are derived, those with precedence exclude the
         others by negated literals.
         """
-        lines = [f"// Rules learned by hierarchical rule induction from demonstrations of {self.mode}."]
-        lines.append('.include "vocabulary.dl"')
+        title = f"// Rules learned by hierarchical rule induction from demonstrations of {self.mode}."
+        lines = [title, '.include "vocabulary.dl"']
         earlier: list[str] = []
         for action, hypothesis in self.models.items():
             bodies, definitions = hypothesis.bodies()
             for name, arguments, parts in definitions:
                 columns = ", ".join(f"{column}: agent" for column in ("e", "x", "y")[:arguments])
-                lines += [
-                    "",
-                    f"/// A part of the rules for {action}; e is the agent that decides.",
-                    f".decl {action}{name}({columns})",
-                ]
+                lines += ["", f"/// A part of the rules for {action}; e is the agent that decides."]
+                lines.append(f".decl {action}{name}({columns})")
                 head = (EGO, 0, 1)[:arguments]
                 lines += [_clause(f"{action}{name}", head, body) for body in _prefixed(action, parts, definitions)]
             guards = [f"Not({name}(X))" for name in earlier]
@@ -594,30 +550,29 @@ class HriPolicy(LearnedPolicy):
 
     def save(self, path: Path) -> None:
         """Write the policy to a file."""
+        predicates = [(name, len(entities)) for name, entities in dict(self.layout.atoms()).items()]
+        models = [(action, len(each.program.layers), list(each.choices)) for action, each in self.models.items()]
         plain = {
             "format": FORMAT,
             "algorithm": "hri",
             "mode": self.mode,
-            "layout": _plain(self.layout),
+            "layout": (self.layout.entities, predicates, self.layout.route_length is not None),
             "settings": self.settings.model_dump(),
-            "models": [
-                (action, len(hypothesis.program.layers), list(hypothesis.choices))
-                for action, hypothesis in self.models.items()
-            ],
+            "models": models,
         }
         torch.save(plain, path)
 
     @classmethod
     def load(cls, path: Path) -> HriPolicy:
-        """Read a policy that `save` wrote.
-
-        Raises:
-            OSError: If the file cannot be read.
-            ValueError: If the file is not such a policy.
-        """
-        plain = _load(path)
+        """Read a policy that `save` wrote."""
+        plain = read_tensors(path, "a file of hri")
+        found = plain.get("format") if isinstance(plain, dict) else None
+        if found != FORMAT:
+            raise ValueError(f"{path} is not a file of hri: expected the format `{FORMAT}`, not `{found}`")
         try:
-            layout = _layout(*plain["layout"])
+            entities, predicates, route_length = plain["layout"]
+            atoms = [(name, at) for name, arity in predicates for at in product(range(entities), repeat=arity)]
+            layout = Layout.of_atoms(atoms, route_length)
             settings = HriSettings.model_validate(plain["settings"])
             models = {}
             for action, depth, choices in plain["models"]:
@@ -632,19 +587,6 @@ class HriPolicy(LearnedPolicy):
             raise ValueError(f"{path} is not a policy of hri: {error}") from error
 
 
-def _plain(layout: Layout) -> tuple[int, list[tuple[str, int]], bool]:
-    """Return the number of entities, the predicates with their arities in order, and whether a route length follows."""
-    starts = [(int(at), name, 1) for name, at in zip(layout.unary, layout.unary_at[0], strict=True)]
-    starts += [(int(at), name, 2) for name, at in zip(layout.binary, layout.binary_at[0, 0], strict=True)]
-    return layout.entities, [(name, arity) for _, name, arity in sorted(starts)], layout.route_length is not None
-
-
-def _layout(entities: int, predicates: Sequence[tuple[str, int]], route_length: bool) -> Layout:
-    """Return the layout that `_plain` described."""
-    atoms = [(name, at) for name, arity in predicates for at in product(range(entities), repeat=arity)]
-    return Layout.of_atoms(atoms, route_length)
-
-
 def _prefixed(action: str, bodies: Iterable[Body], definitions: Iterable[tuple[str, int, Any]]) -> list[Body]:
     """Add the name of an action to the names of its definitions."""
     own = {name for name, _, _ in definitions}
@@ -652,20 +594,6 @@ def _prefixed(action: str, bodies: Iterable[Body], definitions: Iterable[tuple[s
         frozenset((sign, f"{action}{name}" if name in own else name, arguments) for sign, name, arguments in body)
         for body in bodies
     ]
-
-
-def _load(path: Path) -> dict[str, Any]:
-    """Read the file of a policy, and check its format.
-
-    Raises:
-        OSError: If the file cannot be read.
-        ValueError: If the file has another format.
-    """
-    plain = read_tensors(path, "a file of hri")
-    found = plain.get("format") if isinstance(plain, dict) else None
-    if found != FORMAT:
-        raise ValueError(f"{path} is not a file of hri: expected the format `{FORMAT}`, not `{found}`")
-    return dict(plain)
 
 
 class Quality(NamedTuple):
@@ -707,16 +635,15 @@ class _ActionTrainer:
         self.optimizer = torch.optim.Adam([{"params": [self.predicates]}, {"params": [self.rules]}], lr=1.0)
         self.quality = Quality(-1.0, -1.0)
 
-    def similarities(self) -> torch.Tensor:
+    def similarities(self) -> Tensor:
         """Return the cosine similarities of slots and predicates, (restarts, slots, predicates)."""
         rules = torch.nn.functional.normalize(self.rules, dim=-1)
         predicates = torch.nn.functional.normalize(self.predicates, dim=-1)
-        similarities: torch.Tensor = rules @ predicates.transpose(-1, -2)
+        similarities: Tensor = rules @ predicates.transpose(-1, -2)
         return similarities.masked_fill(self.hidden, -torch.inf)
 
     def _extract(self) -> list[list[int]]:
-        with torch.no_grad():
-            choices: list[list[int]] = self.similarities().argmax(-1).tolist()
+        choices: list[list[int]] = self.similarities().detach().argmax(-1).tolist()
         return choices
 
     def extract(self, examples: Examples) -> None:
@@ -738,11 +665,7 @@ class _ActionTrainer:
         }
 
     def restore(self, state: Mapping[str, Any], action: str) -> None:
-        """Restore what `state` returned.
-
-        Raises:
-            ValueError: If the sizes are those of other settings.
-        """
+        """Restore what `state` returned."""
         best = Hypothesis(self.program, tuple(state["choices"]))
         weights = {"predicates": self.predicates, "rules": self.rules}
         if not best.is_valid() or any(state[name].shape != weight.shape for name, weight in weights.items()):
@@ -754,13 +677,7 @@ class _ActionTrainer:
         self.best, self.quality = best, Quality(*state["quality"])
 
     def update(self, examples: Examples, progress: float, generator: torch.Generator) -> float:
-        """Run one update, and return the mean cross entropy of the models, without the regularization.
-
-        Args:
-            examples: The examples to draw from.
-            progress: The completed share of the updates.
-            generator: The source of random numbers.
-        """
+        """Run one update after a share `progress` of all, and return the mean cross entropy of the models."""
         settings = self.settings
         rates = (settings.embedding_rates, settings.rule_rates)
         for group, rate in zip(self.optimizer.param_groups, rates, strict=True):
@@ -786,15 +703,7 @@ def _between(ends: tuple[float, float], progress: float) -> float:
 
 
 class Examples:
-    """The distinct observations of demonstrations, and in which of them the oracle takes an action.
-
-    Args:
-        program: The predicates and rule templates.
-        layout: The positions of truth values in observations.
-        observations: The observation of each step.
-        taken: Whether the oracle takes the action, by step.
-        trajectories: The number of the trajectory of each step, from 0.
-    """
+    """The distinct observations of demonstrations, and in which of them the oracle takes an action."""
 
     def __init__(
         self,
@@ -804,7 +713,7 @@ class Examples:
         taken: Bools,
         trajectories: NDArray[Any],
     ) -> None:
-        """Prepare the truth values."""
+        """Prepare the truth values. The last three arguments have an entry per step; trajectories count from 0."""
         rows, first, inverse = np.unique(observations, axis=0, return_index=True, return_inverse=True)
         # NumPy 2.0 returns a column.
         self._at = inverse.reshape(-1)
@@ -815,14 +724,8 @@ class Examples:
         self._exist = torch.from_numpy(present(self.unary, self.binary)).float()
         self._parts = [torch.from_numpy(np.flatnonzero(self.taken == sign)) for sign in (True, False)]
 
-    def sample(
-        self, batch: int, generator: torch.Generator
-    ) -> tuple[torch.Tensor, torch.Tensor, torch.Tensor, torch.Tensor]:
+    def sample(self, batch: int, generator: torch.Generator) -> tuple[Tensor, Tensor, Tensor, Tensor]:
         """Draw examples, half of them positive, or fewer if there are only positive or only negative ones.
-
-        Args:
-            batch: The number of examples.
-            generator: The source of the examples.
 
         Returns:
             The values of the unary symbols, float32 (U, batch, N), and of the binary symbols, float32 (B, batch, N, N);
@@ -865,17 +768,13 @@ class HRI(Learner):
         self._generator = torch.Generator().manual_seed(config.seed)
         self._trainers: dict[str, _ActionTrainer] = {}
         self._examples: dict[str, Examples] = {}
-        for action in settings.order:
-            if action not in asked:
-                continue
+        observations, actions, trajectories = (
+            each.numpy() for each in (data.observations, data.actions, data.trajectories)
+        )
+        for action in (each for each in settings.order if each in asked):
             program = ProgramTemplate(self._layout, settings, settings.depth_of.get(action, settings.depth))
-            self._examples[action] = Examples(
-                program,
-                self._layout,
-                data.observations.numpy(),
-                data.actions.numpy() == ACTIONS.index(action),
-                data.trajectories.numpy(),
-            )
+            taken = actions == ACTIONS.index(action)
+            self._examples[action] = Examples(program, self._layout, observations, taken, trajectories)
             self._trainers[action] = _ActionTrainer(program, settings, self._generator)
 
     def fit(self, steps: int, progress: Progress) -> None:
@@ -894,24 +793,15 @@ class HRI(Learner):
             if self.steps % self._settings.extract_every == 0 or self.steps == self.config.steps:
                 for action, trainer in self._trainers.items():
                     trainer.extract(self._examples[action])
-                    self._curves.add(
-                        {
-                            f"loss/{action}": losses[action],
-                            f"accuracy/{action}": trainer.quality.accuracy,
-                            f"reproduced/{action}": trainer.quality.reproduced,
-                        }
-                    )
+                    values = {"loss": losses[action], **trainer.quality._asdict()}
+                    self._curves.add({f"{name}/{action}": value for name, value in values.items()})
                 self._curves.write(self.steps)
             progress()
 
     def policy(self) -> HriPolicy:
         """Return the best rules so far."""
-        return HriPolicy(
-            self.config.mode,
-            self._layout,
-            self._settings,
-            {action: trainer.best for action, trainer in self._trainers.items()},
-        )
+        best = {action: trainer.best for action, trainer in self._trainers.items()}
+        return HriPolicy(self.config.mode, self._layout, self._settings, best)
 
     def state(self) -> dict[str, Any]:
         """Return the weights, the best rules, and the states of the optimizers and of the generator."""

@@ -81,7 +81,7 @@ class LogicLayer(nn.Module):
         linear, ways = self.linear[str(arity)], len(_permutations(arity))
         below = groups[arity - 1] if arity else None
         above = groups[arity + 1] if arity + 1 < len(groups) else None
-        same = [group for group in (groups[arity],) if group is not None]
+        same = [] if groups[arity] is None else [groups[arity]]
         tuples = _tuples(len(mask), arity, linear.out_features, self.exclude_self)
         if above is not None:
             same += self._reduced(above, arity + 1, mask)

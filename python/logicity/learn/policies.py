@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import errno
 import os
+from contextlib import suppress
 from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
@@ -68,6 +69,7 @@ def load_policy(path: str | os.PathLike[str], *, trust: bool = False) -> SavedPo
     if not file.is_file():
         raise FileNotFoundError(errno.ENOENT, "no such file", os.fspath(path))
     recorded = _recorded(file)
+    saved: dict[str, Any]
     if file.suffix == ".zip":
         from .stable_baselines import algorithm_of, from_stable_baselines
 
@@ -79,51 +81,27 @@ def load_policy(path: str | os.PathLike[str], *, trust: bool = False) -> SavedPo
             )
         policy: LearnedPolicy = from_stable_baselines(file)
     elif file.suffix == ".pt":
-        saved = _header(file)
+        content = read_tensors(file, "a policy")
+        saved = content if isinstance(content, dict) else {}
     elif file.suffix == ".dl":
-        saved = saved_by(file)
-        _check_learner(file, saved["algorithm"])
+        saved = dict(saved_by(file))
     else:
         raise ValueError(f"{file} is not a policy: its suffix must be .dl, .pt or .zip")
-    algorithm = str(saved["algorithm"])
+    algorithm = saved.get("algorithm")
+    if not isinstance(algorithm, str) or algorithm not in LEARNERS:
+        what = f"has the unknown learner `{neutral(algorithm)}`" if isinstance(algorithm, str) else "names no learner"
+        raise ValueError(f"{file} is not a policy: it {what}; known: {', '.join(LEARNERS)}")
     if file.suffix != ".zip":
         policy = learner_class(algorithm).policy_class.load(file)
-    return SavedPolicy(
-        policy=policy,
-        path=file,
-        algorithm=algorithm,
-        mode=recorded.get("mode", saved.get("mode")),
-        observation=recorded.get("observation", saved.get("observation")),
-    )
-
-
-def _header(file: Path) -> dict[str, Any]:
-    """Return the content of a file of `torch.save`, which must name its learner.
-
-    Raises:
-        ValueError: If the file is not a policy of a known learner.
-    """
-    saved = read_tensors(file, "a policy")
-    header: dict[str, Any] = saved if isinstance(saved, dict) else {}
-    name = header.get("algorithm")
-    _check_learner(file, name)
-    return header
-
-
-def _check_learner(file: Path, name: object) -> None:
-    """Raise `ValueError` if a file of a policy names no known learner."""
-    if not isinstance(name, str) or name not in LEARNERS:
-        what = f"has the unknown learner `{neutral(name)}`" if isinstance(name, str) else "names no learner"
-        raise ValueError(f"{file} is not a policy: it {what}; known: {', '.join(LEARNERS)}")
+    mode, observation = (recorded.get(key, saved.get(key)) for key in ("mode", "observation"))
+    return SavedPolicy(policy, file, algorithm, mode, observation)
 
 
 def _recorded(file: Path) -> dict[str, Any]:
     """Return the configuration that a run records for one of its policies; empty without a record."""
     run = file.parent.parent if file.parent.name.startswith("checkpoint-") else file.parent
-    try:
+    config = None
+    with suppress(OSError, RecursionError, ValueError):
         config = read_json(run / "config.json")
-    except (OSError, RecursionError, ValueError):
-        return {}
-    if not isinstance(config, dict):
-        return {}
-    return {key: config[key] for key in ("mode", "observation") if isinstance(config.get(key), str)}
+    known = config if isinstance(config, dict) else {}
+    return {key: known[key] for key in ("mode", "observation") if isinstance(known.get(key), str)}

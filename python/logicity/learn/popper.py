@@ -15,7 +15,8 @@ from __future__ import annotations
 import os
 import re
 import shutil
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Mapping, Sequence
+from itertools import takewhile
 from tempfile import TemporaryDirectory
 from typing import Annotated, ClassVar, cast
 
@@ -60,7 +61,7 @@ class PopperSettings(LearnerSettings):
 class PopperLearner(SymbolicLearner):
     """Popper, run once for each action."""
 
-    settings_class: ClassVar[type[LearnerSettings]] = PopperSettings
+    settings_class = PopperSettings
     #: The arguments that select the algorithm.
     selection: ClassVar[tuple[str, ...]] = ()
 
@@ -173,7 +174,7 @@ def read_output(text: str, action: str, predicates: Mapping[str, int]) -> list[s
     names = popper_names(predicates)
     head = next(iter(popper_names({action: 1})))
     clauses = []
-    for line in _block(lines[starts[-1] :]):
+    for line in takewhile(lambda line: not _STARS.search(line), lines[starts[-1] :]):
         match = _CLAUSE.search(line)
         if match is not None:
             clauses.append(_clause(match, head, action, names))
@@ -184,14 +185,6 @@ def read_output(text: str, action: str, predicates: Mapping[str, int]) -> list[s
     return clauses
 
 
-def _block(lines: Sequence[str]) -> Iterator[str]:
-    """Yield the lines before the next line of stars."""
-    for line in lines:
-        if _STARS.search(line):
-            return
-        yield line
-
-
 def _clause(match: re.Match[str], head: str, action: str, names: Mapping[str, tuple[bool, str, int]]) -> str:
     """Return a clause in the syntax of rule files."""
     name, (ego, *more) = _atom(match["head"])
@@ -200,15 +193,13 @@ def _clause(match: re.Match[str], head: str, action: str, names: Mapping[str, tu
     wrong = [name for name, arguments in literals if known.get(name) != len(arguments)]
     if name != head or more or wrong:
         raise ChildProcessError(f"Popper printed a clause that is not of this task: {match[0].strip()[:200]}")
-    egos = {ego, *(arguments[0] for name, arguments in literals if name == "sees")}
-    numbers: dict[str, int] = dict.fromkeys(egos, 0)
+    numbers = dict.fromkeys([ego, *(arguments[0] for name, arguments in literals if name == "sees")], 0)
     body = []
     for name, arguments in literals:
         if name == "sees":
             continue
         for argument in arguments:
-            if argument not in numbers:
-                numbers[argument] = 1 + max(numbers.values())
+            numbers.setdefault(argument, 1 + max(numbers.values()))
         negated, predicate, _ = names[name]
         body.append((negated, predicate, tuple(numbers[argument] for argument in arguments)))
     return clause(action, body)

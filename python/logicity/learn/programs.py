@@ -9,6 +9,7 @@ import subprocess
 import sys
 import time
 from collections.abc import Mapping, Sequence
+from contextlib import suppress
 from pathlib import Path
 from typing import NamedTuple
 
@@ -99,10 +100,8 @@ def _observed(process: subprocess.Popen[bytes], timeout: float | None) -> Ended:
 def _kill(process: subprocess.Popen[bytes]) -> None:
     """Kill a supervisor with its program and those that it started."""
     if hasattr(os, "killpg"):
-        try:
+        # macOS refuses to signal a group of ended processes.
+        with suppress(ProcessLookupError, PermissionError):
             os.killpg(process.pid, signal.SIGKILL)
-        except (ProcessLookupError, PermissionError):
-            # macOS refuses to signal a group of ended processes.
-            pass
     else:
         process.kill()

@@ -17,7 +17,7 @@ import sys
 import time
 import zipfile
 from collections.abc import Callable, Iterator, Mapping
-from contextlib import ExitStack, contextmanager
+from contextlib import ExitStack, contextmanager, suppress
 from dataclasses import asdict, dataclass, field
 from importlib.metadata import PackageNotFoundError, version
 from pathlib import Path
@@ -43,7 +43,6 @@ __all__ = ["FolderError", "check_overrides", "check_start", "train"]
 
 #: The packages whose versions `result.json` records, besides logicity, if they are installed.
 PACKAGES = ("torch", "stable-baselines3", "torch-geometric", "numpy")
-
 
 #: The memory of an environment without its observation, in bytes: a lower bound.
 ENV_BYTES = 6 * 1024
@@ -121,7 +120,9 @@ def train(
         state = _state(checkpoints[-1]) if checkpoints else State()
         _check_folder(run, config, state)
         start = check_start(config, trust=trust)
-        hashes = _hashes(config)
+        hashes = task_hashes(config.mode)
+        if config.start is not None:
+            hashes["start"] = file_hash(config.start)
         _check_hashes(run, state, hashes)
         state.hashes = hashes
         torch.set_num_threads(config.threads)
@@ -129,22 +130,23 @@ def train(
         val, test = (Benchmark(config.mode, split, observation=config.observation) for split in ("val", "test"))
         check_overrides(config)
         log = run / "tensorboard" if tensorboard else None
-        tracker = None if wandb is None else _wandb()
+        curves = _ValidationCurves(run, config, log, wandb)
         files.enter_context(_enough_memory(config))
         learner = config.learner(config, log)
         files.callback(learner.close)
         if checkpoints:
             _restore(learner, checkpoints[-1])
         elif start is not None:
-            _start_from(learner, start)
+            try:
+                learner.start_from(start.policy)
+            except ValueError as error:
+                raise ValueError(f"`start`: {start.path}: {error}") from None
         write_json(run / "config.json", config.to_dict())
         display = files.enter_context(_Display(config, learner, progress))
         begun = f"resumed after {state.steps:,} of" if checkpoints else "started:"
         display.say(f"{config.algorithm} in {config.mode}, {begun} {config.steps:,} steps; folder {run}")
-        curves = files.enter_context(_ValidationCurves(run, config, log))
-        if tracker is not None:
-            curves.track(tracker, str(wandb))
-        training = _Training(run, config, learner, state, val, display, curves)
+        files.enter_context(curves)
+        training = _Training(run, learner, state, val, display, curves)
 
         def progress_and_report() -> None:
             training.progress()
@@ -169,13 +171,8 @@ def train(
 def _claimed(run: Path) -> Iterator[_logicity.OutputFile]:
     """Create the folder of a run, and keep other processes from it.
 
-    If the run fails before its first checkpoint, the new folders, or the new `config.json`, are removed.
-
-    Yields:
-        The output file `result.json`.
-
-    Raises:
-        OSError: If another process trains in the folder, or the folder cannot be created.
+    Yields the output file `result.json`. If the run fails before its first checkpoint, the new folders, or the new
+    `config.json`, are removed.
     """
     missing = [folder for folder in (run, *run.parents) if not folder.exists()]
     try:
@@ -196,36 +193,18 @@ def _claimed(run: Path) -> Iterator[_logicity.OutputFile]:
             stored.unlink(missing_ok=True)
             if missing:
                 shutil.rmtree(run, ignore_errors=True)
-        _remove_empty(missing)
+        for folder in missing:
+            try:
+                folder.rmdir()
+            except FileNotFoundError:
+                continue
+            except OSError:
+                break
         raise
 
 
-def _remove_empty(folders: list[Path]) -> None:
-    """Remove folders, the innermost first, as long as they are empty."""
-    for folder in folders:
-        try:
-            folder.rmdir()
-        except FileNotFoundError:
-            continue
-        except OSError:
-            return
-
-
-def _hashes(config: TrainConfig) -> dict[str, Any]:
-    """Return the hashes of the rules, the episodes and `start`, on which a result depends besides the configuration."""
-    hashes = task_hashes(config.mode)
-    if config.start is not None:
-        hashes["start"] = file_hash(config.start)
-    return hashes
-
-
 def _read_json(path: Path, remedy: str) -> dict[str, Any]:
-    """Read a JSON object of a run.
-
-    Raises:
-        FolderError: If the file has other content.
-        OSError: If the file cannot be read.
-    """
+    """Read a JSON object of a run."""
     try:
         value = read_json(path)
     except FileNotFoundError:
@@ -243,12 +222,7 @@ def _remedy(checkpoint: Path) -> str:
 
 
 def _state(checkpoint: Path) -> State:
-    """Read the progress of a run.
-
-    Raises:
-        FolderError: If the file is damaged.
-        OSError: If the file cannot be read.
-    """
+    """Read the progress of a run."""
     path = checkpoint / "state.json"
     values = _read_json(path, _remedy(checkpoint))
     if not values.keys() <= asdict(State()).keys() or not isinstance(values.get("steps"), int):
@@ -257,12 +231,7 @@ def _state(checkpoint: Path) -> State:
 
 
 def _restore(learner: Learner, checkpoint: Path) -> None:
-    """Restore a learner, and check that the best policy of the checkpoint can be loaded.
-
-    Raises:
-        FolderError: If a file is damaged, or does not fit.
-        OSError: If a file cannot be read.
-    """
+    """Restore a learner, and check that the best policy of the checkpoint can be loaded."""
     pickled = next((path for path in sorted(checkpoint.iterdir()) if path.suffix in (".pkl", ".zip")), None)
     if pickled is not None:
         raise FolderError(
@@ -303,11 +272,7 @@ def _readable(path: Path) -> bool:
 
 
 def _check_folder(run: Path, config: TrainConfig, state: State) -> None:
-    """Check that the folder has no run and no other files, or a run of this configuration with at most as many steps.
-
-    Raises:
-        FolderError: If the folder has another run or other files.
-    """
+    """Check that a folder has no run and no other files, or a run of this configuration with no more steps."""
     stored = run / "config.json"
     if not stored.exists():
         expected = [_REMAINS, _CELL] if (run / "cell.json").exists() else [_REMAINS]
@@ -330,11 +295,7 @@ def _check_folder(run: Path, config: TrainConfig, state: State) -> None:
 
 
 def _check_hashes(run: Path, state: State, hashes: Mapping[str, Any]) -> None:
-    """Check that a run began with the same rules and episodes.
-
-    Raises:
-        FolderError: If they have changed.
-    """
+    """Check that a run began with the same rules and episodes."""
     different = [name for name in hashes if state.hashes and state.hashes.get(name) != hashes[name]]
     if different:
         raise FolderError(
@@ -343,11 +304,7 @@ def _check_hashes(run: Path, state: State, hashes: Mapping[str, Any]) -> None:
 
 
 def check_start(config: TrainConfig, *, trust: bool = False) -> SavedPolicy | None:
-    """Return the policy of `start`, if there is one.
-
-    Args:
-        config: The configuration.
-        trust: As for `load_policy`.
+    """Return the policy of `start`, if there is one. `trust` is that of `load_policy`.
 
     Raises:
         OSError: If the file cannot be read.
@@ -368,25 +325,9 @@ def check_start(config: TrainConfig, *, trust: bool = False) -> SavedPolicy | No
     return saved
 
 
-def _start_from(learner: Learner, start: SavedPolicy) -> None:
-    """Copy the weights of the policy of `start`.
-
-    Raises:
-        ValueError: If the policy does not fit.
-    """
-    try:
-        learner.start_from(start.policy)
-    except ValueError as error:
-        raise ValueError(f"`start`: {start.path}: {error}") from None
-
-
 @contextmanager
 def _enough_memory(config: TrainConfig) -> Iterator[None]:
-    """Raise an error that names the largest setting if the block runs out of memory.
-
-    Raises:
-        ValueError: If it does not suffice.
-    """
+    """Raise an error that names the largest setting if the block runs out of memory."""
     if config.learner.interacts and hasattr(os, "sysconf"):
         needed, total = config.envs * ENV_BYTES, os.sysconf("SC_PAGE_SIZE") * os.sysconf("SC_PHYS_PAGES")
         if needed > total:
@@ -444,18 +385,11 @@ class _Training:
     """Validates a learner at intervals, keeps the best policy, and writes checkpoints."""
 
     def __init__(
-        self,
-        run: Path,
-        config: TrainConfig,
-        learner: Learner,
-        state: State,
-        benchmark: Benchmark,
-        display: _Display,
-        curves: _ValidationCurves,
+        self, run: Path, learner: Learner, state: State, val: Benchmark, display: _Display, curves: _ValidationCurves
     ) -> None:
         """Start from a state."""
-        self._run, self._config, self._learner, self._state = run, config, learner, state
-        self._benchmark, self._display, self._curves = benchmark, display, curves
+        self._run, self._config, self._learner, self._state = run, learner.config, learner, state
+        self._benchmark, self._display, self._curves = val, display, curves
         self._cpu_before, self._wall_before = _cpu_seconds() - state.cpu_seconds, time.monotonic() - state.wall_seconds
 
     def progress(self) -> None:
@@ -480,7 +414,9 @@ class _Training:
         state.steps = self._learner.steps
         state.cpu_seconds = _cpu_seconds() - self._cpu_before
         state.wall_seconds = time.monotonic() - self._wall_before
-        point = {"steps": state.steps, "cpu_seconds": round(state.cpu_seconds, 2), **_figures(measured)}
+        point = {"steps": state.steps, "cpu_seconds": round(state.cpu_seconds, 2)}
+        measures = measured.to_dict()
+        point |= {name: measures[name] for name in (*MEASURES, "dsr_by_action", "mean_return", "mean_steps")}
         state.validations.append(point)
         self._curves.add(point)
         self._display.say(f"validation after {state.steps:,} steps: {measured.summary()}")
@@ -515,45 +451,25 @@ def _rank(point: Mapping[str, Any]) -> tuple[float, float]:
     return point["tsr"]["value"], point["score"]["value"]
 
 
-def _figures(measured: Evaluation) -> dict[str, Any]:
-    measures = measured.to_dict()
-    return {name: measures[name] for name in (*MEASURES, "dsr_by_action", "mean_return", "mean_steps")}
-
-
-def _wandb() -> Any:
-    """Return the package of Weights & Biases.
-
-    Raises:
-        ImportError: If it is not installed.
-    """
-    try:
-        import wandb
-    except ImportError as error:
-        raise ImportError("`wandb` needs the package wandb: pip install wandb") from error
-    return wandb
-
-
 class _ValidationCurves:
     """The measures of validations as training curves, for TensorBoard and Weights & Biases."""
 
-    def __init__(self, run: Path, config: TrainConfig, log: Path | None) -> None:
-        """Store the folder of TensorBoard."""
-        self._run, self._config, self._log, self._wandb = run, config, log, None
+    def __init__(self, run: Path, config: TrainConfig, log: Path | None, project: str | None) -> None:
+        """Store the folder of TensorBoard, and import Weights & Biases if a project is given."""
+        self._run, self._config, self._log, self._project, self._wandb = run, config, log, project, None
+        if project is not None:
+            try:
+                import wandb
+            except ImportError as error:
+                raise ImportError("`wandb` needs the package wandb: pip install wandb") from error
+            self._start = wandb.init
 
-    def track(self, wandb: Any, project: str) -> None:
-        """Start or resume a run in a project of Weights & Biases."""
-        identity = hashlib.sha256(str(self._run.resolve()).encode()).hexdigest()[:16]
-        self._wandb = wandb.init(
-            project=project,
-            name=self._run.name,
-            id=identity,
-            resume="allow",
-            dir=str(self._run),
-            config=self._config.to_dict(),
-        )
-
-    def __enter__(self) -> _ValidationCurves:
-        return self
+    def __enter__(self) -> None:
+        """Start or resume the run of Weights & Biases."""
+        if self._project is not None:
+            identity = hashlib.sha256(str(self._run.resolve()).encode()).hexdigest()[:16]
+            about = {"project": self._project, "name": self._run.name, "dir": str(self._run)}
+            self._wandb = self._start(**about, id=identity, resume="allow", config=self._config.to_dict())
 
     def __exit__(self, *error: object) -> None:
         if self._wandb is not None:
@@ -642,19 +558,13 @@ def _versions() -> dict[str, str]:
     """Return the versions of the installed packages among `PACKAGES`."""
     found = {}
     for name in PACKAGES:
-        try:
+        with suppress(PackageNotFoundError):
             found[name] = version(name)
-        except PackageNotFoundError:
-            continue
     return found
 
 
 def config_faults(config: TrainConfig, trust: bool) -> list[Fault]:
     """Return the faults in `mode`, `start` and `overrides`, which `train` reports only when it runs.
-
-    Args:
-        config: The configuration.
-        trust: As for `train`.
 
     Raises:
         InputError: If the configuration of the mode is invalid.

@@ -15,9 +15,10 @@ ICRA 2018.
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping
+from collections.abc import Mapping
+from itertools import pairwise
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, Any, TypeAlias
+from typing import TYPE_CHECKING, Annotated, Any
 
 import numpy as np
 import torch
@@ -79,13 +80,6 @@ class Ensemble(nn.Module):
     """Networks of the same shape with two hidden layers and ReLU, evaluated as one batch.
 
     The input is a vector of bits and an action. A member has the initial weights that `torch.nn.Linear` would have.
-
-    Args:
-        members: The number of networks.
-        bits: The number of bits of the input.
-        width: The width of the hidden layers.
-        outputs: The number of outputs.
-        generator: The source of the initial weights.
     """
 
     def __init__(self, members: int, bits: int, width: int, outputs: int, generator: torch.Generator) -> None:
@@ -93,7 +87,7 @@ class Ensemble(nn.Module):
         super().__init__()
         ends = [bits + len(ACTIONS), width, width, outputs]
         self.weights, self.biases = nn.ParameterList(), nn.ParameterList()
-        for inputs, units in zip(ends[:-1], ends[1:], strict=True):
+        for inputs, units in pairwise(ends):
             bound = inputs**-0.5
             for shape, parameters in (((members, inputs, units), self.weights), ((members, 1, units), self.biases)):
                 values = torch.rand(shape, generator=generator) * (2 * bound) - bound
@@ -103,24 +97,20 @@ class Ensemble(nn.Module):
         """Evaluate each member on its own inputs.
 
         Args:
-            bits: Float tensor of shape (members, batch, bits).
+            bits: Floats of shape (members, batch, bits).
             actions: Integers of shape (members, batch).
 
         Returns:
-            The outputs, of shape (members, batch, outputs).
+            Outputs of shape (members, batch, outputs).
         """
-        one_hot = functional.one_hot(actions, len(ACTIONS)).to(bits.dtype)
-        inputs = torch.cat([bits, one_hot], -1)
+        inputs = torch.cat([bits, functional.one_hot(actions, len(ACTIONS)).to(bits.dtype)], -1)
         return self._upper(torch.baddbmm(self.biases[0], inputs, self.weights[0]))
 
     def all_actions(self, bits: Tensor) -> Tensor:
-        """Evaluate each member on its own bits with every action.
-
-        Args:
-            bits: Float tensor of shape (members, batch, bits).
+        """Evaluate each member on its own bits, floats of shape (members, batch, bits), with every action.
 
         Returns:
-            The outputs, of shape (members, batch, actions, outputs).
+            Outputs of shape (members, batch, actions, outputs).
         """
         members, batch, width = bits.shape
         # The layer is linear, so its values for the bits are computed once for all actions.
@@ -135,13 +125,7 @@ class Ensemble(nn.Module):
 
 
 class WorldModel(nn.Module):
-    """The ensemble's model of the environment.
-
-    Args:
-        bits: The number of bits of an observation.
-        settings: The settings.
-        generator: The source of the initial weights.
-    """
+    """The ensemble's model of the environment, over observations of `bits` bits."""
 
     #: The classes of a change of a bit, from which its difference follows by subtracting 1.
     FALLS, STAYS, RISES = 0, 1, 2
@@ -158,10 +142,7 @@ class WorldModel(nn.Module):
         self.outcomes = Ensemble(settings.members, bits, settings.width, 2, generator)
 
     def outcomes_of(self, states: Tensor) -> tuple[Tensor, Tensor]:
-        """Predict the outcome of every action.
-
-        Args:
-            states: Bits as floats, of shape (members, batch, bits).
+        """Predict the outcome of every action in states, which are bits as floats, of shape (members, batch, bits).
 
         Returns:
             The rewards, and the probabilities that the episode continues, both of shape (members, batch, actions).
@@ -170,14 +151,7 @@ class WorldModel(nn.Module):
         return rewards, torch.sigmoid(-terminates)
 
     def flips_of(self, states: Tensor) -> Tensor:
-        """Predict which bits change.
-
-        Args:
-            states: Bits as floats, of shape (members, batch, bits).
-
-        Returns:
-            Bools of shape (members, batch, actions, bits). A bit changes if the change is more probable than none.
-        """
+        """Predict which bits of such states change, bool (members, batch, actions, bits): the more probable case."""
         logits = self.changes.all_actions(states)
         falls, stays, rises = logits.unflatten(-1, (3, self.bits)).unbind(-2)
         return torch.where(states[:, :, None] > 0, falls, rises) > stays
@@ -201,26 +175,19 @@ class WorldModel(nn.Module):
         """Return the mean squared error of the rewards and the mean cross entropy of terminations, summed over members.
 
         The observation has no clock, so the overtime cost of a truncated episode cannot be predicted. The error leaves
-        its reward out.
+        its reward out. Both values have the shape ().
 
         Args:
             bits: Bits as floats, of shape (members, batch, bits).
             actions: Integers of shape (members, batch). The other arguments have this shape too.
-            rewards: The rewards.
-            terminated: Whether the episode terminated, as floats.
-            truncated: Whether the episode was truncated, as bools.
-
-        Returns:
-            Two values of shape ().
+            rewards: Floats.
+            terminated: Floats, 0 or 1.
+            truncated: Bools.
         """
         predicted, terminates = self.outcomes(bits, actions).unbind(-1)
         errors = torch.where(truncated, 0.0, (predicted - rewards) ** 2)
         cross_entropy = functional.binary_cross_entropy_with_logits(terminates, terminated)
         return errors.mean() * self.members, cross_entropy * self.members
-
-
-#: Evaluates the outcomes or flips of states, of shape (members, batch, bits).
-Predict: TypeAlias = Callable[[Tensor], Any]
 
 
 class _Graph:
@@ -236,12 +203,7 @@ class _Graph:
     BATCH = 64
 
     def __init__(self, model: WorldModel, states: Tensor) -> None:
-        """Add a node per member and state.
-
-        Args:
-            model: The model.
-            states: Bits of shape (states, bits), uint8.
-        """
+        """Add a node per member and state, uint8 (states, bits)."""
         self._model = model
         generator = torch.Generator().manual_seed(0)
         low, high = torch.iinfo(torch.int64).min, torch.iinfo(torch.int64).max
@@ -326,12 +288,12 @@ def predicted_returns(model: WorldModel, states: Tensor, sequences: Tensor, disc
 
     Args:
         model: The model.
-        states: Bits of shape (states, bits), uint8.
+        states: uint8 (states, bits).
         sequences: Actions of shape (sequences, horizon).
         discount: The discount per step.
 
     Returns:
-        The mean returns, of shape (states, sequences).
+        float32 (states, sequences).
     """
     horizon = sequences.shape[1]
     with torch.inference_mode():
@@ -351,15 +313,9 @@ def predicted_returns(model: WorldModel, states: Tensor, sequences: Tensor, disc
 def planned_actions(
     model: WorldModel, observations: Bits, settings: ShootingSettings, generator: torch.Generator
 ) -> Actions:
-    """Return the first action of the best random sequence for each observation.
+    """Return the first action of the best random sequence for each observation, of shape (batch, bits).
 
     All observations share the sequences, so equal observations get the same action and are evaluated once.
-
-    Args:
-        model: The model.
-        observations: Bits of shape (batch, bits).
-        settings: The number and length of sequences, and the discount.
-        generator: The source of the sequences.
     """
     shape = (settings.sequences, settings.horizon)
     sequences = torch.randint(len(ACTIONS), shape, generator=generator)
@@ -370,14 +326,7 @@ def planned_actions(
 
 
 class ShootingPolicy(StoredPolicy):
-    """Plans with a model. Its state is the number of steps so far, which determines the random sequences.
-
-    Args:
-        model: The model.
-        settings: The settings.
-        mode: The mode of the training.
-        seed: The seed of the random sequences.
-    """
+    """Plans with a model. Its state is the number of steps so far, which determines the sequences besides the seed."""
 
     algorithm = "mb-shooting"
     algorithms = (algorithm,)
@@ -415,21 +364,14 @@ class ShootingPolicy(StoredPolicy):
 
 
 class Replay:
-    """The last transitions, in a ring buffer.
-
-    Args:
-        capacity: The number of transitions.
-        bits: The number of bits of an observation.
-    """
+    """The last transitions, in a ring buffer."""
 
     def __init__(self, capacity: int, bits: int) -> None:
-        """Allocate the memory."""
-        self.observations = torch.zeros(capacity, bits, dtype=torch.uint8)
-        self.next_observations = torch.zeros(capacity, bits, dtype=torch.uint8)
+        """Allocate the memory for `capacity` transitions between observations of `bits` bits."""
+        self.observations, self.next_observations = torch.zeros(2, capacity, bits, dtype=torch.uint8)
         self.actions = torch.zeros(capacity, dtype=torch.uint8)
         self.rewards = torch.zeros(capacity)
-        self.terminated = torch.zeros(capacity, dtype=torch.bool)
-        self.truncated = torch.zeros(capacity, dtype=torch.bool)
+        self.terminated, self.truncated = torch.zeros(2, capacity, dtype=torch.bool)
         self.added = 0
 
     def __len__(self) -> int:
@@ -439,34 +381,29 @@ class Replay:
     def add(self, transitions: Transitions) -> None:
         """Store transitions in place of the oldest ones."""
         at = (torch.arange(len(transitions.actions)) + self.added) % len(self.rewards)
-        self.observations[at] = torch.from_numpy(transitions.observations)
-        self.next_observations[at] = torch.from_numpy(transitions.next_observations)
-        self.actions[at] = torch.from_numpy(transitions.actions).to(torch.uint8)
-        self.rewards[at] = torch.from_numpy(transitions.rewards)
-        self.terminated[at] = torch.from_numpy(transitions.terminated)
-        self.truncated[at] = torch.from_numpy(transitions.truncated)
+        for name in (*self._packed, *self._plain):
+            stored = getattr(self, name)
+            stored[at] = torch.from_numpy(getattr(transitions, name)).to(stored.dtype)
         self.added += len(at)
 
     def state(self) -> dict[str, Any]:
         """Return what `restore` needs, with eight bits of observations in a byte."""
         count = len(self)
-        packed = {
-            name: torch.from_numpy(np.packbits(getattr(self, name)[:count].numpy(), axis=1))
-            for name in ("observations", "next_observations")
-        }
-        plain = {name: getattr(self, name)[:count].clone() for name in self._plain}
-        return {"added": self.added, **packed, **plain}
+        parts = {name: getattr(self, name)[:count] for name in (*self._packed, *self._plain)}
+        packed = {name: torch.from_numpy(np.packbits(parts[name].numpy(), axis=1)) for name in self._packed}
+        return {"added": self.added, **packed, **{name: parts[name].clone() for name in self._plain}}
 
     def restore(self, state: dict[str, Any]) -> None:
         """Restore what `state` returned."""
         self.added = state["added"]
         count, bits = len(self), self.observations.shape[1]
-        for name in ("observations", "next_observations"):
+        for name in self._packed:
             unpacked = np.unpackbits(state[name].numpy(), axis=1, count=bits)
             getattr(self, name)[:count] = torch.from_numpy(unpacked)
         for name in self._plain:
             getattr(self, name)[:count] = state[name]
 
+    _packed = ("observations", "next_observations")
     _plain = ("actions", "rewards", "terminated", "truncated")
 
 
@@ -483,8 +420,9 @@ class Shooting(TransitionLearner):
         self._settings = settings = config.settings
         self._model = WorldModel(self._interaction.width, settings, self._generator)
         self._replay = Replay(settings.buffer_size, self._interaction.width)
-        self._changes_optimizer = _adam(self._model.changes, settings.model_learning_rate)
-        self._outcomes_optimizer = _adam(self._model.outcomes, settings.reward_learning_rate)
+        changes, outcomes = self._model.changes.parameters(), self._model.outcomes.parameters()
+        self._changes_optimizer = torch.optim.Adam(changes, settings.model_learning_rate, fused=True)
+        self._outcomes_optimizer = torch.optim.Adam(outcomes, settings.reward_learning_rate, fused=True)
 
     def _learn(self, transitions: Transitions, before: int) -> None:
         self._replay.add(transitions)
@@ -515,13 +453,13 @@ class Shooting(TransitionLearner):
 
     def _update_outcomes(self) -> None:
         replay, at = self._replay, self._batch()
-        errors, cross_entropy = self._model.outcomes_loss(
+        bits, actions, terminated = (
             replay.observations[at].float(),
             replay.actions[at].long(),
-            replay.rewards[at],
             replay.terminated[at].float(),
-            replay.truncated[at],
         )
+        outcomes = (replay.rewards[at], terminated, replay.truncated[at])
+        errors, cross_entropy = self._model.outcomes_loss(bits, actions, *outcomes)
         minimize(errors + cross_entropy, self._outcomes_optimizer)
         members = self._settings.members
         self._curves.add({"loss/rewards": errors.item() / members, "loss/terminations": cross_entropy.item() / members})
@@ -547,7 +485,3 @@ class Shooting(TransitionLearner):
         restore_optimizer(self._changes_optimizer, state["changes_optimizer"])
         restore_optimizer(self._outcomes_optimizer, state["outcomes_optimizer"])
         self._replay.restore(state["replay"])
-
-
-def _adam(module: nn.Module, learning_rate: float) -> torch.optim.Optimizer:
-    return torch.optim.Adam(module.parameters(), learning_rate, fused=True)

@@ -40,15 +40,8 @@ if TYPE_CHECKING:
     from .settings import Training
 
 __all__ = [
-    "A2CLearner",
-    "DQNLearner",
-    "FeatureLayers",
-    "PPOLearner",
-    "StableBaselinesLearner",
-    "StableBaselinesPolicy",
-    "algorithm_of",
-    "from_stable_baselines",
-    "new_model",
+    *("A2CLearner", "DQNLearner", "FeatureLayers", "PPOLearner", "StableBaselinesLearner", "StableBaselinesPolicy"),
+    *("algorithm_of", "from_stable_baselines", "new_model"),
 ]
 
 
@@ -128,15 +121,14 @@ def settings_model(algorithm: type[BaseAlgorithm]) -> type[LearnerSettings]:
     set_elsewhere = {"policy", "env", "policy_kwargs", "seed", "tensorboard_log", "device"}
     fields: dict[str, Any] = {}
     for each in signature(algorithm).parameters.values():
-        hint = _in_range(_expressible(each.annotation), _RANGES.get(each.name))
+        hint, known = _expressible(each.annotation), _RANGES.get(each.name)
+        if hint is not None and known is not None:
+            # The setting can be null if its class says so.
+            hint = known | None if NoneType in get_args(hint) else known
         if hint not in (None, NoneType) and each.name not in set_elsewhere and not each.name.startswith("_"):
             fields[each.name] = (hint, each.default)
-    model: type[LearnerSettings] = create_model(
-        f"{algorithm.__name__}Settings",
-        __base__=_SharedSettings,
-        __doc__="Arguments of the algorithm's class.",
-        **fields,
-    )
+    name, about = f"{algorithm.__name__}Settings", "Arguments of the algorithm's class."
+    model: type[LearnerSettings] = create_model(name, __base__=_SharedSettings, __doc__=about, **fields)
     return model
 
 
@@ -151,13 +143,6 @@ def _expressible(hint: Any) -> Any:
     return hint if get_origin(hint) is dict or hint in (bool, dict, float, int, str, NoneType) else None
 
 
-def _in_range(hint: Any, known: Any) -> Any:
-    """Return the type of `_RANGES` if there is one. The setting can be null if its class says so."""
-    if hint is None or known is None:
-        return hint
-    return known | None if NoneType in get_args(hint) else known
-
-
 #: The class of each algorithm in Stable-Baselines3, and a setting that only its models have.
 _ALGORITHMS: dict[str, tuple[type[BaseAlgorithm], str]] = {
     "dqn": (DQN, "exploration_fraction"),
@@ -165,7 +150,6 @@ _ALGORITHMS: dict[str, tuple[type[BaseAlgorithm], str]] = {
     "a2c": (A2C, "normalize_advantage"),
     "nlm-dqn": (DQN, "exploration_fraction"),
 }
-
 
 #: The most bytes of the description in a model of Stable-Baselines3, which is read before the model is loaded.
 _DESCRIPTION_BYTES = 2**26
@@ -208,13 +192,7 @@ class StableBaselinesPolicy(StoredPolicy):
     algorithms = tuple(_ALGORITHMS)
 
     def __init__(self, model: BaseAlgorithm, algorithm: str, config: Mapping[str, Any] | None = None) -> None:
-        """Store the model.
-
-        Args:
-            model: The model.
-            algorithm: The name of the learner.
-            config: What `save` needs besides the weights; `None` for a model that another program trained.
-        """
+        """Store the model, and what `save` needs besides: `None` for a model that another program trained."""
         self.model, self.algorithm = model, algorithm
         self._config = config
 
@@ -333,11 +311,8 @@ class StableBaselinesLearner(Learner):
             settings: The settings. The method removes those that are not arguments of the algorithm's class.
             features: The result of `features`.
         """
-        return {
-            "features_extractor_class": FeatureLayers,
-            "features_extractor_kwargs": {"widths": settings.pop("network")},
-            "net_arch": [],
-        }
+        widths = {"widths": settings.pop("network")}
+        return {"features_extractor_class": FeatureLayers, "features_extractor_kwargs": widths, "net_arch": []}
 
     def start_from(self, policy: LearnedPolicy) -> None:
         """Copy the weights of a policy."""
@@ -356,12 +331,8 @@ class StableBaselinesLearner(Learner):
     def fit(self, steps: int, progress: Progress) -> None:
         """Train until at least `steps` steps. Schedules such as DQN's exploration rate end at `steps`."""
         if self.steps < steps:
-            self._model.learn(
-                steps - self.steps,
-                callback=_BetweenRollouts(progress),
-                reset_num_timesteps=self.steps == 0,
-                tb_log_name=self.config.algorithm,
-            )
+            options = {"reset_num_timesteps": self.steps == 0, "tb_log_name": self.config.algorithm}
+            self._model.learn(steps - self.steps, callback=_BetweenRollouts(progress), **options)
 
     def policy(self) -> StableBaselinesPolicy:
         """Return the policy of the model in training."""
@@ -421,13 +392,10 @@ _COUNTERS = (
     *("_current_progress_remaining", "exploration_rate", "_n_calls"),
 )
 
-#: What `VecMonitor` records of an episode: its return, its length, and when it ended.
-_EPISODE = ("r", "l", "t")
-
 
 def _episode_of(record: Mapping[str, Any]) -> dict[str, float]:
-    """Return what `VecMonitor` records of an episode as numbers."""
-    return {name: float(record[name]) for name in _EPISODE}
+    """Return what `VecMonitor` records of an episode as numbers: its return, its length, and when it ended."""
+    return {name: float(record[name]) for name in ("r", "l", "t")}
 
 
 #: The arrays of a replay buffer. A buffer with `optimize_memory_usage` has no `next_observations`.
@@ -463,11 +431,7 @@ def _replay_of(buffer: ReplayBuffer) -> dict[str, Any]:
 
 
 def _restore_replay(buffer: ReplayBuffer, state: Mapping[str, Any]) -> None:
-    """Restore what `_replay_of` returned.
-
-    Raises:
-        ValueError: If it is from a buffer of another size.
-    """
+    """Restore what `_replay_of` returned."""
     for name in _REPLAY:
         if hasattr(buffer, name):
             array, saved = getattr(buffer, name), state[name].numpy()
@@ -480,12 +444,7 @@ def _restore_replay(buffer: ReplayBuffer, state: Mapping[str, Any]) -> None:
 
 
 def new_model(config: Training, env: VecEnv, log: str | None = None) -> BaseAlgorithm:
-    """Create an untrained model.
-
-    Args:
-        config: The configuration.
-        env: The environments.
-        log: The folder of the training curves.
+    """Create an untrained model, with training curves in the folder `log`.
 
     Raises:
         ValueError: If the algorithm rejects the settings.
@@ -498,10 +457,9 @@ def new_model(config: Training, env: VecEnv, log: str | None = None) -> BaseAlgo
     assert issubclass(learner, StableBaselinesLearner)
     policy = learner.policy_arguments(settings, learner.features(config))
     algorithm, _ = _ALGORITHMS[config.algorithm]
+    options = {"policy_kwargs": policy, "seed": config.seed, "tensorboard_log": log, "device": "cpu"}
     try:
-        return algorithm(
-            "MlpPolicy", env, policy_kwargs=policy, seed=config.seed, tensorboard_log=log, device="cpu", **settings
-        )
+        return algorithm("MlpPolicy", env, **options, **settings)
     except (AssertionError, TypeError, ValueError) as error:
         raise ValueError(f"{algorithm.__name__} rejects the `settings`: {error}") from error
 

@@ -8,7 +8,7 @@ from __future__ import annotations
 from abc import abstractmethod
 from collections.abc import Sequence
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, ClassVar, Literal, TypeAlias, cast
+from typing import TYPE_CHECKING, Annotated, ClassVar, Literal, TypeAlias
 
 from pydantic import Field
 
@@ -43,8 +43,6 @@ class SymbolicPolicy(RulePolicy, LearnedPolicy):
 
         Raises:
             InputError: If the rules are invalid.
-            OSError: If the file cannot be read.
-            ValueError: If the file does not name the mode.
         """
         return cls(path, saved_by(path)["mode"])
 
@@ -54,17 +52,13 @@ class SymbolicPolicy(RulePolicy, LearnedPolicy):
 
 
 class SymbolicLearner(Learner):
-    """A learner of rules.
+    """A learner of rules, in one step. The result depends on the demonstrations, the settings and the seed only."""
 
-    A subclass implements `rules`. Training has one step. Its result depends on the demonstrations, the settings and the
-    seed only.
-    """
-
-    unit: ClassVar[Literal["environment steps", "updates"]] = "updates"
-    only_steps: ClassVar[int | None] = 1
-    interacts: ClassVar[bool] = False
-    suffix: ClassVar[str] = ".dl"
-    policy_class: ClassVar[type[LearnedPolicy]] = SymbolicPolicy
+    unit: ClassVar = "updates"
+    only_steps = 1
+    interacts = False
+    suffix = ".dl"
+    policy_class = SymbolicPolicy
 
     def __init__(self, config: Training, log: Path | None = None) -> None:
         """Start without rules."""
@@ -106,17 +100,14 @@ class SymbolicLearner(Learner):
 
     def restore(self, folder: Path) -> None:
         """Read the rules. There is no file if training had not ended."""
-        path = folder / "rules.dl"
+        self._text, path = None, folder / "rules.dl"
         if not path.exists():
-            self._text = None
             return
         saved = saved_by(path)
-        expected = {"algorithm": self.config.algorithm, "mode": self.config.mode}
-        if saved != expected:
-            raise ValueError(
-                f"{path} has rules of `{saved['algorithm']}` for {saved['mode']}, not of `{expected['algorithm']}` for "
-                f"{expected['mode']}"
-            )
+        found, expected = (saved["algorithm"], saved["mode"]), (self.config.algorithm, self.config.mode)
+        if found != expected:
+            texts = ["`{}` for {}".format(*each) for each in (found, expected)]
+            raise ValueError(f"{path} has rules of {texts[0]}, not of {texts[1]}")
         self._text = read_text(path)
 
 
@@ -135,21 +126,12 @@ class InduceSettings(LearnerSettings):
 class InduceLearner(SymbolicLearner):
     """`logicity.induce` on the demonstrations."""
 
-    settings_class: ClassVar[type[LearnerSettings]] = InduceSettings
+    settings_class = InduceSettings
 
     def rules(self, data: Demonstrations) -> str:
         """Return the induced rules."""
-        settings = cast(InduceSettings, self.config.settings)
-        induced = induce(
-            data,
-            self.config.mode,
-            variables=settings.variables,
-            effort=settings.effort,
-            noise=settings.noise,
-            seed=self.config.seed,
-            threads=self.config.threads,
-        )
-        return induced.text
+        config = self.config
+        return induce(data, config.mode, **config.settings.model_dump(), seed=config.seed, threads=config.threads).text
 
 
 def clause(head: str, body: Sequence[BodyLiteral]) -> str:
