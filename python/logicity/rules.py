@@ -152,7 +152,7 @@ class Program:
 
 
 class Rows(Sequence[Row]):
-    """Rows that a commit added or removed, in the order of `Session.rows`.
+    """Rows that a commit added or removed, or that answer a query, in the order of `Session.rows`.
 
     Rows are converted lazily. Access while another thread uses the session raises `RuntimeError`. An instance equals a
     list of the same tuples.
@@ -200,7 +200,7 @@ class Rows(Sequence[Row]):
     def __reduce__(self) -> NoReturn:
         """Refuse to pickle and to copy."""
         raise TypeError(
-            "rows of a commit cannot be pickled or copied, because they belong to their session: "
+            "Rows cannot be pickled or copied, because they belong to a session: "
             "use `list(rows)` or `rows.columns()`"
         )
 
@@ -392,6 +392,24 @@ class Session:
             ValueError: As for `insert`.
         """
         return self._session.contains(relation, row)
+
+    def query(self, body: str) -> Rows:
+        """Return the answers of a query to the facts of the last commit.
+
+        Args:
+            body: The body of a rule, such as `path(1, X), !edge(1, X)`. All names are variables, in lower case too.
+
+        Returns:
+            The distinct rows of values, with a column for each variable in the order of occurrence. Variables within
+            aggregates, and those whose name begins with `_`, have no column. Without columns, the answer is one empty
+            row if the body holds, and no row otherwise.
+
+        Raises:
+            InputError: If the query is invalid.
+            KeyboardInterrupt: On Ctrl-C.
+            LimitError: If the evaluation exceeds a limit of the session. Memory counts the rows of both.
+        """
+        return Rows(self._session.query(body))
 
     @overload
     def explain(self, fact: str) -> Explanation: ...

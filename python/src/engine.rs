@@ -268,6 +268,39 @@ impl PySession {
         })
     }
 
+    /// Returns the answers of a query: one column for each of its variables.
+    fn query(&self, py: Python<'_>, body: &str) -> PyResult<PyRows> {
+        let mut sources = self.loaded.sources.clone();
+        let question = sources.add("<query>", body);
+        let answered = self.session.detached(py, |session, cancel| {
+            let asked = (self.loaded.workspace).ask(&sources, question, session.symbols().clone());
+            let query = Program::new(asked.rules.ok_or(asked.diagnostics)?).map_err(|fault| vec![fault])?;
+            let failed = |error: EvalError| vec![error.diagnostic(query.rules())];
+            let mut answer = session.query(&query, cancel).map_err(failed)?;
+            let delta = answer.commit_with(cancel).map_err(failed)?;
+            let relation = query.relation(Workspace::ANSWER).expect("every query has an answer");
+            let rows = delta.of(relation).map(|change| change.added.clone());
+            Ok((query, answer, relation, rows.unwrap_or_default()))
+        })?;
+        let answered = answered.map_err(|faults: Vec<Diagnostic>| input_error(py, &faults, &sources));
+        let (program, answer, relation, rows) = answered?;
+        let loaded = Loaded {
+            workspace: Workspace::new(InputPolicy::Fixed),
+            sources,
+            program,
+            warnings: Vec::new(),
+        };
+        let session = PySession {
+            loaded: Arc::new(loaded),
+            session: Shared::new("Session", answer),
+        };
+        Ok(PyRows {
+            session: Py::new(py, session)?,
+            relation,
+            rows,
+        })
+    }
+
     /// Returns the fact as text, whether it holds, the explanation as text, and the nodes of the explanation.
     fn explain<'py>(
         &self,

@@ -294,6 +294,64 @@ def test_unknown_predicates_are_key_errors(ask: Callable[[Session, str], object]
         ask(session(PATH), "pth")
 
 
+def test_queries_have_a_column_for_each_variable() -> None:
+    held = session(PATH)
+    assert held.query('path("a", X)') == []
+    held.insert("edge", [("a", "b"), ("b", "c"), ("c", "a")])
+    assert held.query("edge(x, y)") == []  # not committed
+    held.commit()
+    assert held.query('path("a", X)') == [("b",), ("c",), ("a",)]
+    assert held.query("?- edge(from, _via), edge(_via, to).")[:] == [("a", "c"), ("b", "a"), ("c", "b")]
+    assert held.query('edge("a", to)').columns()["to"].tolist() == ["b"]
+    assert held.query('edge("a", "b")') == [()]
+    assert held.query('edge("a", "unknown"), path(_, _)') == []
+    assert held.commit() == {}
+    answer = held.query("edge(x, y)")
+    held.retract("edge", [("a", "b")])
+    held.commit()
+    assert len(answer) == 3  # answers keep the rows
+
+
+@pytest.mark.parametrize(
+    ("query", "message"),
+    [
+        ("pth(1, X)", "did you mean `path`"),
+        ("path(1, X)", "symbol"),
+        ("path(X)", "2"),
+        ("!edge(X, Y)", "X"),
+        ("edge(X,", "<query>:1"),
+        ("", "<query>:1"),
+    ],
+)
+def test_faults_of_queries_have_a_place(query: str, message: str) -> None:
+    with pytest.raises(InputError) as caught:
+        session(PATH).query(query)
+    assert message in str(caught.value)
+    assert "<query>:1:" in str(caught.value)
+
+
+def test_queries_stay_within_the_limits() -> None:
+    held = session(PATH, max_rows=5000, max_bytes=20_000_000)
+    held.insert("edge", [(f"a{n}", "b") for n in range(2000)])
+    held.commit()
+    with pytest.raises(LimitError, match="more than 5000 rows"):
+        held.query("edge(x, z), edge(y, z)")
+    assert len(held.query("edge(x, _)")) == 2000
+    held = session(PATH, max_bytes=1_000_000)
+    held.insert("edge", [(f"a{n}", "b") for n in range(4500)])
+    held.commit()
+    with pytest.raises(LimitError, match="the inserted rows take more than"):
+        held.query("edge(x, y), path(x, y)")
+
+
+def test_ctrl_c_ends_a_query_at_once(ctrl_c: Interrupt) -> None:
+    held = session(PATH)
+    held.insert("edge", [(f"a{n}", "b") for n in range(5000)])
+    held.commit()
+    ctrl_c(lambda: held.query("edge(a, z), edge(b, z), edge(c, z), a != b, b != c"))
+    assert held.count("edge") == 5000
+
+
 def test_explanations_of_facts() -> None:
     held = session(PATH)
     held.insert("edge", [("a", "b"), ("b", "c")])
@@ -447,3 +505,13 @@ def test_random_changes_agree_with_python_sets() -> None:
         assert (set(change.removed) if change else set()) == paths - now
         assert set(held.rows("p")) == now
         paths = now
+        queries: dict[str, set[tuple[int, ...]]] = {
+            "p(3, y)": {(y,) for x, y in now if x == 3},
+            "e(x, x)": {(x,) for x, y in facts if x == y},
+            "e(2, y), !p(2, y)": {(y,) for x, y in facts if x == 2} - {(y,) for x, y in now if x == 2},
+            "e(y, 4), e(4, x), x < y": {(y, x) for y, z in facts for w, x in facts if z == w == 4 and x < y},
+            "n = count : { e(5, _) }": {(sum(x == 5 for x, _ in facts),)},
+        }
+        for query, expected in queries.items():
+            answer = held.query(query)
+            assert (len(answer), set(answer)) == (len(expected), expected)

@@ -3,7 +3,7 @@
 use std::fmt;
 
 use crate::cancel::Cancel;
-use crate::check::{ClauseId, Literal, RelId, Relation};
+use crate::check::{ClauseId, Literal, RelId, Relation, Term};
 use crate::convert::{AsRelation, FromRow, IntoRow, RowError, check_words, encode};
 use crate::eval::delta::{Delta, Rows};
 use crate::eval::exec::{self, CommitOptions, Store};
@@ -421,6 +421,65 @@ impl Session {
         } else {
             Vec::new()
         }
+    }
+
+    /// Returns a session of a query with the rows that the query reads. Its commit answers the query.
+    ///
+    /// `query` is the program of [`Workspace::ask`](crate::Workspace::ask) for the workspace of this session's program
+    /// and the symbols of this session. Its limits are those of this session, and of memory what this session leaves.
+    ///
+    /// ```
+    /// # use logicity_datalog::cancel::Cancel;
+    /// # use logicity_datalog::{InputPolicy, Program, Workspace, diag::Sources};
+    /// let mut sources = Sources::new();
+    /// let mut workspace = Workspace::new(InputPolicy::Fixed);
+    /// let rules = sources.add("edges.dl", ".decl edge(x: number, y: number) edge(1, 2). edge(1, 3). edge(2, 3).");
+    /// workspace.add(&mut sources, rules, &|_: &std::path::Path| unreachable!());
+    /// let mut session = Program::new(workspace.check().rules.unwrap())?.session();
+    /// session.commit()?;
+    ///
+    /// let question = sources.add("<query>", "edge(1, x), !edge(2, x)");
+    /// let query = Program::new(workspace.ask(&sources, question, session.symbols().clone()).rules.unwrap())?;
+    /// let mut answer = session.query(&query, &Cancel::never())?;
+    /// answer.commit()?;
+    /// let rows: Vec<(i64,)> = answer.rows(Workspace::ANSWER)?.collect();
+    /// assert_eq!(rows, [(2,)]);
+    /// # Ok::<(), Box<dyn std::error::Error>>(())
+    /// ```
+    ///
+    /// # Errors
+    /// If the rows take too much memory, and on cancellation.
+    pub fn query(&self, query: &Program, cancel: &Cancel) -> Result<Session, EvalError> {
+        /// Rows between two tests of the limit and of `cancel`.
+        const PART: usize = 1 << 12;
+        let mut session = query.session();
+        let limit = self.bytes_left();
+        session.set_limits(Limits {
+            bytes: limit,
+            ..self.limits
+        });
+        let rules = query.rules();
+        let atoms = || (rules.clauses.iter()).flat_map(|clause| clause.body.iter().filter_map(Literal::atom));
+        for (rel, relation) in (0..).map(RelId).zip(&rules.relations).filter(|(_, relation)| relation.input) {
+            let reading: Vec<_> = atoms().filter(|atom| atom.relation == rel).collect();
+            let matches = |row: &[Value], terms: &[Term]| {
+                (terms.iter().zip(row)).all(|(term, value)| !matches!(term, Term::Constant(wanted) if wanted != value))
+            };
+            let read = |row: &&[Value]| reading.iter().any(|atom| matches(row, &atom.terms));
+            let length = if reading.is_empty() { 0 } else { self.len(rel) };
+            for start in (0..length).step_by(PART) {
+                if cancel.requested() {
+                    return Err(EvalError::Cancelled { clause: ClauseId(0) });
+                }
+                if session.bytes() > limit {
+                    return Err(EvalError::TooManyInputs { limit });
+                }
+                let part = start..length.min(start + PART);
+                let rows = part.map(|position| &self.store.row(rel, position)[..relation.arity()]);
+                (session.insert_all(rel, rows.filter(read))).expect("an input of the query has the columns of the relation");
+            }
+        }
+        Ok(session)
     }
 
     /// Returns the statistics of the last successful commit.

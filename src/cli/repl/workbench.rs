@@ -9,6 +9,7 @@
 // Decision: docs/decisions/tools.md#d030
 
 use crate::builtin::BuiltinFiles;
+use crate::cancel::Cancel;
 use crate::cli::failure::Failure;
 use crate::cli::inputs::read;
 use crate::cli::kind::Kind;
@@ -17,7 +18,7 @@ use crate::cli::query::Times;
 use crate::config::rule_file;
 use crate::datalog;
 use crate::datalog::codes;
-use crate::datalog::{BaseType, Functor, InputPolicy, Literal, RelId, Relation, Rules, Value, Workspace, ast};
+use crate::datalog::{BaseType, Functor, InputPolicy, RelId, Relation, Rules, Value, Workspace, ast};
 use crate::datalog::{Delta, Limits, Loaded, Program, RowError, Session, facts};
 use crate::diag::{Diagnostic, SourceId, Sources, Span};
 use crate::symbol::Symbol;
@@ -413,18 +414,8 @@ impl<'s> Workbench<'s> {
     /// Answers a question by evaluating its rules on the rows of the predicates that it names.
     pub fn ask(&self, id: SourceId) -> Result<Answer, Failure> {
         let (program, warnings) = self.compile_question(id)?;
-        let mut session = program.session();
-        session.set_limits(self.limits);
-        let named: BTreeSet<RelId> = (program.rules().clauses.iter())
-            .flat_map(|clause| clause.body.iter().filter_map(Literal::atom))
-            .map(|atom| atom.relation)
-            .filter(|relation| program.rules().relations[relation.index()].input)
-            .collect();
-        for relation in named {
-            for row in self.session.encoded_rows(relation) {
-                session.insert(relation, row).map_err(not_taken)?;
-            }
-        }
+        let mut session = (self.session.query(&program, &Cancel::never()))
+            .map_err(|error| error.diagnostic(program.rules()))?;
         let (_, times) = query::timed_commit(&mut session)?;
         let relation = program
             .relation(Workspace::ANSWER)
