@@ -89,11 +89,11 @@ fn rules(criterion: &mut Criterion) {
             facts.load(&dense, &mut bit_state);
             bit_state.run(&dense, &facts).expect("few steps");
             for action in Action::ALL {
-                let relation = world.vocabulary.action(action).expect("the rules use every action");
-                let set = bit_state.set(&dense, relation).expect("derived");
+                let declared = world.vocabulary.action(action).expect("the rules use every action");
+                let set = bit_state.set(&dense, declared).expect("derived");
                 let state = simulation.snapshot().expect("within limits");
                 for agent in 0..count {
-                    let holds = state.session().contains(relation, [state.value(agent)]);
+                    let holds = state.session().contains(declared, [state.value(agent)]);
                     assert_eq!(has(set, agent), holds, "{} of {agent}", action.name());
                 }
             }

@@ -16,7 +16,7 @@ mod root;
 mod written_program;
 
 use logicity_datalog::dense::{BitFacts, BitState, Dense, TrackFirings, choose, has};
-use logicity_datalog::{Limits, Program, RelId, Session, Value};
+use logicity_datalog::{Limits, PredicateId, Program, Session, Value};
 use std::fmt::Write;
 use std::time::{Duration, Instant};
 use written_program::program;
@@ -76,10 +76,14 @@ fn clause(variables: usize, random: &mut impl FnMut(usize) -> usize) -> String {
 
 /// The facts about entities that see and are close to each other. Priorities are a total order; `NextTo` and `LeftOf`
 /// hold for some pairs.
-fn facts(program: &Program, entities: usize, random: &mut impl FnMut(usize) -> usize) -> Vec<(RelId, Vec<usize>)> {
+fn facts(
+    program: &Program,
+    entities: usize,
+    random: &mut impl FnMut(usize) -> usize,
+) -> Vec<(PredicateId, Vec<usize>)> {
     let [sees, close, higher, next, left, old, car] =
         ["Sees", "IsClose", "HigherPri", "NextTo", "LeftOf", "IsOld", "IsCar"]
-            .map(|name| program.relation(name).expect("declared"));
+            .map(|name| program.predicate(name).expect("declared"));
     let mut facts = Vec::new();
     for x in 0..entities {
         if random(8) == 0 {
@@ -97,9 +101,9 @@ fn facts(program: &Program, entities: usize, random: &mut impl FnMut(usize) -> u
             if x < y {
                 facts.push((higher, vec![x, y]));
             }
-            for (relation, one_in) in [(next, 8), (left, 30)] {
+            for (predicate, one_in) in [(next, 8), (left, 30)] {
                 if random(one_in) == 0 {
-                    facts.push((relation, vec![x, y]));
+                    facts.push((predicate, vec![x, y]));
                 }
             }
         }
@@ -108,15 +112,15 @@ fn facts(program: &Program, entities: usize, random: &mut impl FnMut(usize) -> u
 }
 
 /// A session with uncommitted facts.
-fn session(program: &Program, facts: &[(RelId, Vec<usize>)], value: &[Value]) -> Session {
+fn session(program: &Program, facts: &[(PredicateId, Vec<usize>)], value: &[Value]) -> Session {
     let mut session = program.session();
     session.set_limits(Limits {
         steps: 1_000_000_000,
         ..Limits::default()
     });
-    for (relation, row) in facts {
+    for (predicate, row) in facts {
         let row: Vec<Value> = row.iter().map(|&entity| value[entity]).collect();
-        session.insert(*relation, &row).expect("it fits");
+        session.insert(*predicate, &row).expect("it fits");
     }
     session
 }
@@ -163,7 +167,7 @@ struct Times {
 }
 
 /// Measures both executors and compares their answers.
-fn measure(program: &Program, entities: usize, facts: &[(RelId, Vec<usize>)]) -> Times {
+fn measure(program: &Program, entities: usize, facts: &[(PredicateId, Vec<usize>)]) -> Times {
     let rules = program.rules();
     let value: Vec<Value> = (0..entities)
         .map(|entity| Value(rules.symbols.intern(&format!("e{entity}")).0))
@@ -176,8 +180,8 @@ fn measure(program: &Program, entities: usize, facts: &[(RelId, Vec<usize>)]) ->
     let mut taken = least(
         || {
             let mut bits: BitFacts<1> = BitFacts::new(&dense, entities);
-            for (relation, row) in facts {
-                bits.insert(&dense, *relation, row);
+            for (predicate, row) in facts {
+                bits.insert(&dense, *predicate, row);
             }
             bits
         },
@@ -187,7 +191,7 @@ fn measure(program: &Program, entities: usize, facts: &[(RelId, Vec<usize>)]) ->
         },
     );
 
-    let stop = program.relation("Stop").expect("declared");
+    let stop = program.predicate("Stop").expect("declared");
     let mut answer: Option<Vec<bool>> = None;
     let relational = least(
         || session(program, facts, &value),

@@ -10,8 +10,8 @@ mod written_program;
 
 use criterion::{BatchSize, Criterion, criterion_group, criterion_main};
 use datafrog::{Iteration, Relation};
+use logicity_datalog::{PredicateId, Value};
 use logicity_datalog::{Program, Session, naive};
-use logicity_datalog::{RelId, Value};
 use std::hint::black_box;
 use std::time::Duration;
 use written_program::program;
@@ -53,18 +53,18 @@ fn tree() -> Vec<(u32, u32)> {
 
 fn load(program: &Program, base: &str, rows: &[(u32, u32)]) -> Session {
     let mut session = program.session();
-    let base = program.relation(base).expect("the program has it");
+    let base = program.predicate(base).expect("the program has it");
     let rows = rows.iter().map(|&(a, b)| [Value(a), Value(b)]);
     session
         .insert_all(base, rows)
-        .expect("it is a base relation of two columns");
+        .expect("it is a base predicate of two columns");
     session
 }
 
 fn derived_rows(program: &Program, base: &str, derived: &str, rows: &[(u32, u32)]) -> usize {
     let mut session = load(program, base, rows);
     session.commit().expect("within the limit");
-    session.len(program.relation(derived).expect("the program has it"))
+    session.len(program.predicate(derived).expect("the program has it"))
 }
 
 fn transitive_datafrog(edges: &[(u32, u32)]) -> usize {
@@ -92,7 +92,7 @@ fn same_generation_datafrog(parent: &[(u32, u32)]) -> usize {
     same.complete().len()
 }
 
-/// A program with one derived relation over one base relation of pairs.
+/// A program with one derived predicate over one base predicate of pairs.
 struct Case {
     name: &'static str,
     rules: &'static str,
@@ -138,17 +138,17 @@ fn fixpoints(c: &mut Criterion) {
     }
 }
 
-/// A relation and one of its rows.
-type Fact = (RelId, Vec<Value>);
+/// A predicate and one of its rows.
+type Fact = (PredicateId, Vec<Value>);
 
 /// The rules of the expert city over 18 entities: the cost of a small tick.
 fn ticks(c: &mut Criterion) {
     let program = program(".include \"expert.dl\"");
-    let inputs: Vec<RelId> = (program.rules().relations.iter().zip((0..).map(RelId)))
-        .filter_map(|(relation, rel)| relation.input.then_some(rel))
+    let inputs: Vec<PredicateId> = (program.rules().predicates.iter().zip((0..).map(PredicateId)))
+        .filter_map(|(predicate, id)| predicate.input.then_some(id))
         .collect();
-    let arity = |rel: &RelId| program.rules().relations[rel.index()].arity();
-    let rel = |name: &str| program.relation(name).expect("the program has it");
+    let arity = |id: &PredicateId| program.rules().predicates[id.index()].arity();
+    let id = |name: &str| program.predicate(name).expect("the program has it");
     // Facts of an invented tick: one in four of the possible ones.
     let facts = |seed: u64| {
         let mut random = generator(seed);
@@ -157,17 +157,17 @@ fn ticks(c: &mut Criterion) {
             let wanted = if x == y { 1 } else { 2 };
             let present = inputs
                 .iter()
-                .filter(|rel| arity(rel) == wanted && random().is_multiple_of(4));
-            facts.extend(present.map(|&rel| (rel, vec![Value(x), Value(y)][..wanted].to_vec())));
+                .filter(|id| arity(id) == wanted && random().is_multiple_of(4));
+            facts.extend(present.map(|&id| (id, vec![Value(x), Value(y)][..wanted].to_vec())));
         }
         facts
     };
     let (even, odd) = (facts(1), facts(2));
     let switch = |session: &mut Session, from: &[Fact], to: &[Fact]| {
         from.iter()
-            .for_each(|(rel, row)| session.retract(*rel, row).expect("a base relation"));
+            .for_each(|(id, row)| session.retract(*id, row).expect("a base predicate"));
         to.iter()
-            .for_each(|(rel, row)| session.insert(*rel, row).expect("a base relation"));
+            .for_each(|(id, row)| session.insert(*id, row).expect("a base predicate"));
     };
     let fresh = || {
         let mut session = program.session();
@@ -179,8 +179,8 @@ fn ticks(c: &mut Criterion) {
     let delta = session.commit().expect("within the limit");
     let expected = naive::evaluate(program.rules(), session.symbols(), even.iter().cloned());
     for action in ["Stop", "Slow", "Fast"] {
-        let added = &delta.of(rel(action)).expect("an agent takes it").added;
-        assert!(added.iter().eq(&expected[rel(action).index()]), "{action}");
+        let added = &delta.of(id(action)).expect("an agent takes it").added;
+        assert!(added.iter().eq(&expected[id(action).index()]), "{action}");
     }
 
     let mut group = c.benchmark_group("expert_18_entities");
@@ -196,12 +196,12 @@ fn ticks(c: &mut Criterion) {
     let row = [Value(0)];
     group.bench_function("tick_one_fact_changed", |b| {
         b.iter(|| {
-            if session.contains(rel("IsInInter"), row) {
-                session.retract(rel("IsInInter"), row)
+            if session.contains(id("IsInInter"), row) {
+                session.retract(id("IsInInter"), row)
             } else {
-                session.insert(rel("IsInInter"), row)
+                session.insert(id("IsInInter"), row)
             }
-            .expect("a base relation");
+            .expect("a base predicate");
             session.commit()
         });
     });
@@ -213,12 +213,12 @@ fn ticks(c: &mut Criterion) {
 /// The expert rules over 10,000 agents that each see few others: about 30,000 unary and 280,000 binary facts.
 fn large_city(c: &mut Criterion) {
     let program = program(".include \"expert.dl\"");
-    let inputs: Vec<RelId> = (program.rules().relations.iter().zip((0..).map(RelId)))
-        .filter_map(|(relation, rel)| relation.input.then_some(rel))
+    let inputs: Vec<PredicateId> = (program.rules().predicates.iter().zip((0..).map(PredicateId)))
+        .filter_map(|(predicate, id)| predicate.input.then_some(id))
         .collect();
-    let (unary, binary): (Vec<RelId>, Vec<RelId>) = inputs
+    let (unary, binary): (Vec<PredicateId>, Vec<PredicateId>) = inputs
         .iter()
-        .partition(|rel| program.rules().relations[rel.index()].arity() == 1);
+        .partition(|id| program.rules().predicates[id.index()].arity() == 1);
     let mut session = program.session();
     let agents: Vec<Value> = (0..10_000).map(|agent| session.intern(&format!("a{agent}"))).collect();
     let mut random = generator(3);
@@ -228,28 +228,29 @@ fn large_city(c: &mut Criterion) {
             unary
                 .iter()
                 .filter(|_| random().is_multiple_of(4))
-                .map(|&rel| (rel, vec![x])),
+                .map(|&id| (id, vec![x])),
         );
         for _ in 0..14 {
             // Agents see near agents, and near agents have near numbers.
             let y = agents[(position + random() as usize % 60) % agents.len()];
             let related = binary
                 .iter()
-                .filter(|&&rel| rel == binary[binary.len() - 1] || random().is_multiple_of(6));
-            facts.extend(related.map(|&rel| (rel, vec![x, y])));
+                .filter(|&&id| id == binary[binary.len() - 1] || random().is_multiple_of(6));
+            facts.extend(related.map(|&id| (id, vec![x, y])));
         }
     }
     let moving: Vec<Fact> = facts
         .iter()
-        .filter(|(rel, _)| binary.contains(rel))
+        .filter(|(id, _)| binary.contains(id))
         .step_by(100)
         .cloned()
         .collect();
     facts
         .iter()
-        .for_each(|(rel, row)| session.insert(*rel, row).expect("a base relation"));
+        .for_each(|(id, row)| session.insert(*id, row).expect("a base predicate"));
     session.commit().expect("within the limit");
-    let actions = ["Stop", "Slow", "Fast"].map(|name| session.len(program.relation(name).expect("the program has it")));
+    let actions =
+        ["Stop", "Slow", "Fast"].map(|name| session.len(program.predicate(name).expect("the program has it")));
     assert_eq!(
         (facts.len(), moving.len(), actions),
         (307_867, 2_806, [5_407, 876, 2_010])
@@ -261,13 +262,13 @@ fn large_city(c: &mut Criterion) {
     group.bench_function("tick_1_percent_changed", |b| {
         b.iter(|| {
             present = !present;
-            for (rel, row) in &moving {
+            for (id, row) in &moving {
                 if present {
-                    session.insert(*rel, row)
+                    session.insert(*id, row)
                 } else {
-                    session.retract(*rel, row)
+                    session.retract(*id, row)
                 }
-                .expect("a base relation");
+                .expect("a base predicate");
             }
             session.commit()
         });
@@ -281,7 +282,7 @@ fn large_city(c: &mut Criterion) {
                 .for_each(|(_, agent)| _ = session.intern(&format!("a{agent}")));
             facts
                 .iter()
-                .for_each(|(rel, row)| session.insert(*rel, row).expect("a base relation"));
+                .for_each(|(id, row)| session.insert(*id, row).expect("a base predicate"));
             session
         };
         b.iter_batched(fresh, |mut session| session.commit(), BatchSize::LargeInput);

@@ -30,7 +30,7 @@
 //!      path(x, y) :- edge(x, y).
 //!      path(x, z) :- path(x, y), edge(y, z).",
 //! )?;
-//! let path = program.relation("path").unwrap();
+//! let path = program.predicate("path").unwrap();
 //!
 //! let mut session = program.session();
 //! session.insert("edge", ("a", "b"))?;

@@ -44,7 +44,7 @@ if TYPE_CHECKING:
     from .modes import ENVIRONMENTS, MODES
     from .offline import Demonstrations, Trajectory, demonstrations
     from .rule_policy import RulePolicy
-    from .rules import Change, Column, Explanation, Program, Relation, Rows, Session, check
+    from .rules import Change, Column, Explanation, Predicate, Program, Rows, Session, check
     from .types import (
         Action,
         Agent,
@@ -74,7 +74,7 @@ _NAMES = {
     "modes": ["ENVIRONMENTS", "MODES"],
     "offline": ["Demonstrations", "Trajectory", "demonstrations"],
     "rule_policy": ["RulePolicy"],
-    "rules": ["Change", "Column", "Explanation", "Program", "Relation", "Rows", "Session", "check"],
+    "rules": ["Change", "Column", "Explanation", "Predicate", "Program", "Rows", "Session", "check"],
     "types": [
         *["Action", "Agent", "Answer", "Clause", "Diagnostic", "EgoAnswer", "Executor", "Heading"],
         *["Label", "Limits", "RuleStats", "Scene", "Split", "StratumStats", "SymbolicScene"],
@@ -86,7 +86,7 @@ _MODULES = ("envs", "icons", "learn", "questions", "vap")
 __all__ = ["ACTIONS", "Action", "Agent", "AgentInfo", "Answer", "Benchmark", "Change", "Clause", "Column", "Decision"]
 __all__ += ["Demonstrations", "Diagnostic", "ENVIRONMENTS", "EgoAnswer", "EpisodeRecord", "Evaluation", "Executor"]
 __all__ += ["Explanation", "HEADINGS", "Heading", "InducedClause", "InducedRules", "Inference", "InputError"]
-__all__ += ["Interval", "Label", "LimitError", "Limits", "MODES", "Oracle", "Policy", "Program", "REASONS", "Relation"]
+__all__ += ["Interval", "Label", "LimitError", "Limits", "MODES", "Oracle", "Policy", "Predicate", "Program", "REASONS"]
 __all__ += ["Rows", "RulePolicy", "RuleStats", "Scene", "Session", "Simulation", "Split", "StratumStats"]
 __all__ += ["SymbolicScene", "Tick", "Trajectory", "UnsupportedError", "UntrustedError", "__version__", "check"]
 __all__ += ["demonstrations", "evaluate", "induce", "infer", "observation_names", "parallel_env"]

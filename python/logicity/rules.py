@@ -14,7 +14,7 @@ from . import _logicity
 from .errors import checked_limits, checked_path, checked_threads
 from .types import Clause, Diagnostic, StratumStats
 
-__all__ = ["Change", "Column", "Explanation", "Program", "Relation", "Rows", "Session", "check"]
+__all__ = ["Change", "Column", "Explanation", "Predicate", "Program", "Rows", "Session", "check"]
 
 Row = tuple[str | int | float, ...]
 """A row: str for symbols, int for numbers and unsigned numbers, and float for floats."""
@@ -60,7 +60,7 @@ class Column:
 
 
 @dataclass(frozen=True)
-class Relation:
+class Predicate:
     """A declared predicate.
 
     `input` and `output` say whether it is declared `.input` and `.output`, and `derived` whether it is the head of a
@@ -120,16 +120,16 @@ class Program:
 
     def __repr__(self) -> str:
         """Show the name, and the numbers of predicates and clauses."""
-        return f"<Program {self._program.files()[0][0]}: {len(self.relations)} predicates, {len(self.clauses)} clauses>"
+        return f"<Program {self._program.files()[0][0]}: {len(self.predicates)} predicates, {len(self.clauses)} clauses>"
 
     @property
-    def relations(self) -> dict[str, Relation]:
+    def predicates(self) -> dict[str, Predicate]:
         """The declared predicates by name, in source order."""
-        relations = {}
-        for relation in self._program.relations():
-            columns = tuple(Column(**column) for column in relation.pop("columns"))
-            relations[relation["name"]] = Relation(columns=columns, **relation)
-        return relations
+        predicates = {}
+        for predicate in self._program.predicates():
+            columns = tuple(Column(**column) for column in predicate.pop("columns"))
+            predicates[predicate["name"]] = Predicate(columns=columns, **predicate)
+        return predicates
 
     @property
     def strata(self) -> list[list[str]]:
@@ -293,15 +293,15 @@ class Session:
         return self._program
 
     def __repr__(self) -> str:
-        """Return the numbers of relations and of rows at the last commit."""
-        relations = self._program.relations
-        return f"<Session of {len(relations)} relations: {sum(map(self.count, relations)):,} rows>"
+        """Return the numbers of predicates and of rows at the last commit."""
+        predicates = self._program.predicates
+        return f"<Session of {len(predicates)} predicates: {sum(map(self.count, predicates)):,} rows>"
 
-    def insert(self, relation: str, rows: RowsLike) -> int:
+    def insert(self, predicate: str, rows: RowsLike) -> int:
         """Insert rows at the next commit. The last change of each row counts.
 
         Args:
-            relation: A predicate that no rule derives, or an `.input` predicate.
+            predicate: A predicate that no rule derives, or an `.input` predicate.
             rows: The rows, in one of these forms:
 
                 - an iterable of tuples or lists with one value per column: str for a symbol, int for a 32-bit signed or
@@ -324,15 +324,15 @@ class Session:
             ValueError: If a number is out of range, a row or array has the wrong shape, or rules derive the predicate.
                 No row is inserted then.
         """
-        return self._session.insert(relation, rows)
+        return self._session.insert(predicate, rows)
 
-    def retract(self, relation: str, rows: RowsLike) -> int:
+    def retract(self, predicate: str, rows: RowsLike) -> int:
         """Retract rows at the next commit.
 
         A row still holds if it is a fact of the program, or if rules derive it. Rows that do not hold are accepted.
         Arguments, return value and exceptions are those of `insert`.
         """
-        return self._session.retract(relation, rows)
+        return self._session.retract(predicate, rows)
 
     def rollback(self) -> None:
         """Discard the changes since the last commit."""
@@ -353,7 +353,7 @@ class Session:
         changes = self._session.commit()
         return {name: Change(Rows(added), Rows(removed)) for name, (added, removed) in changes.items()}
 
-    def rows(self, relation: str) -> list[Row]:
+    def rows(self, predicate: str) -> list[Row]:
         """Return the rows of a predicate as tuples.
 
         The rows are sorted by the unsigned 32-bit words of their values: negative numbers follow positive ones, and
@@ -362,9 +362,9 @@ class Session:
         Raises:
             KeyError: If the predicate is not declared.
         """
-        return cast(list[Row], self._session.tuples(relation))
+        return cast(list[Row], self._session.tuples(predicate))
 
-    def columns(self, relation: str) -> dict[str, npt.NDArray[Any]]:
+    def columns(self, predicate: str) -> dict[str, npt.NDArray[Any]]:
         """Return the rows of a predicate as one array of shape (n,) per column, in the order of `rows`.
 
         The dtype is int32 for numbers, uint32 for unsigned numbers, float32 for floats, and object (str) for symbols.
@@ -373,17 +373,17 @@ class Session:
         Raises:
             KeyError: If the predicate is not declared.
         """
-        return self._session.columns(relation)
+        return self._session.columns(predicate)
 
-    def count(self, relation: str) -> int:
+    def count(self, predicate: str) -> int:
         """Return the number of rows of a predicate.
 
         Raises:
             KeyError: If the predicate is not declared.
         """
-        return self._session.count(relation)
+        return self._session.count(predicate)
 
-    def contains(self, relation: str, row: Sequence[object]) -> bool:
+    def contains(self, predicate: str, row: Sequence[object]) -> bool:
         """Return whether a row holds.
 
         Raises:
@@ -391,7 +391,7 @@ class Session:
             TypeError: As for `insert`.
             ValueError: As for `insert`.
         """
-        return self._session.contains(relation, row)
+        return self._session.contains(predicate, row)
 
     def query(self, body: str) -> Rows:
         """Return the answers of a query to the facts of the last commit.
@@ -461,5 +461,5 @@ class Session:
         return cast(list[StratumStats], self._session.work())
 
     def plan(self) -> str:
-        """Return the plan of every clause for the current sizes of the relations."""
+        """Return the plan of every clause for the current sizes of the predicates."""
         return self._session.plan()

@@ -171,13 +171,13 @@ class StratumStats(TypedDict):
     """Statistics of a stratum in a commit.
 
     Attributes:
-        relations: The predicates of the stratum.
+        predicates: The predicates of the stratum.
         how: Whether the commit skipped, incrementally maintained or recomputed the stratum.
         rounds: The number of semi-naive rounds: 1 for a stratum without recursion, and 0 if it was skipped.
         rows_scanned: As for `RuleStats`.
     """
 
-    relations: list[str]
+    predicates: list[str]
     how: Literal["skipped", "maintained", "recomputed"]
     rounds: int
     rows_scanned: int

@@ -1,6 +1,6 @@
 //! Conversion of rows from and to Python: tuples, or one numpy array per column.
 
-use logicity::datalog::{BaseType, Column, Relation, Value};
+use logicity::datalog::{BaseType, Column, Predicate, Value};
 use logicity::symbol::{Symbol, Symbols};
 use numpy::{Element, PyArray1, PyArrayDescrMethods, PyReadonlyArray1, PyUntypedArray, PyUntypedArrayMethods};
 use pyo3::PyTypeInfo as _;
@@ -40,11 +40,11 @@ fn type_text(base: BaseType) -> &'static str {
 }
 
 /// Describes a column and its type for messages.
-fn expects(relation: &Relation, column: &Column) -> String {
+fn expects(predicate: &Predicate, column: &Column) -> String {
     format!(
         "column `{}` of `{}` holds {}",
         column.name,
-        relation.name,
+        predicate.name,
         type_text(column.base)
     )
 }
@@ -101,7 +101,7 @@ fn word(value: &Bound<'_, PyAny>, base: BaseType, symbol: &Intern<'_>) -> PyResu
 
 /// Converts a row. With `open`, `None` matches any value.
 pub fn row(
-    relation: &Relation,
+    predicate: &Predicate,
     values: &Bound<'_, PyAny>,
     open: bool,
     symbol: &Intern<'_>,
@@ -113,15 +113,15 @@ pub fn row(
         let kind = values.get_type().name()?;
         let message = format!(
             "a row of `{}` must be a tuple of its values, not a {kind}",
-            relation.name
+            predicate.name
         );
         return Err(PyTypeError::new_err(message));
     }
-    let mut words = Vec::with_capacity(relation.arity());
-    let mut columns = relation.columns.iter();
+    let mut words = Vec::with_capacity(predicate.arity());
+    let mut columns = predicate.columns.iter();
     let mut count = 0;
     let misshapen = |count: &str| {
-        let (name, arity) = (&relation.name, relation.arity());
+        let (name, arity) = (&predicate.name, predicate.arity());
         PyValueError::new_err(format!("a row of `{name}` must have {arity} values, not {count}"))
     };
     for value in values.try_iter()? {
@@ -144,26 +144,26 @@ pub fn row(
             }
             Err(misfit) => misfit,
         };
-        let (expects, value) = (expects(relation, column), value.repr()?);
+        let (expects, value) = (expects(predicate, column), value.repr()?);
         return Err(match misfit {
             Misfit::Type => PyTypeError::new_err(format!("{expects}, not {value}")),
             Misfit::Range => PyValueError::new_err(format!("{expects}; {value} is out of range")),
         });
     }
-    match count == relation.arity() {
+    match count == predicate.arity() {
         true => Ok(words),
         false => Err(misshapen(&count.to_string())),
     }
 }
 
 /// Converts rows in any form that `Session.insert` documents.
-pub fn rows(relation: &Relation, given: &Bound<'_, PyAny>, target: &Target<'_>) -> PyResult<Words> {
+pub fn rows(predicate: &Predicate, given: &Bound<'_, PyAny>, target: &Target<'_>) -> PyResult<Words> {
     if let Ok(array) = given.cast::<PyUntypedArray>() {
-        return of_array(relation, array, target);
+        return of_array(predicate, array, target);
     }
     if let Ok(columns) = given.cast::<PyMapping>() {
         return of_named(
-            relation,
+            predicate,
             &columns.keys()?.try_iter()?.collect::<PyResult<Vec<_>>>()?,
             given,
             target,
@@ -172,7 +172,7 @@ pub fn rows(relation: &Relation, given: &Bound<'_, PyAny>, target: &Target<'_>) 
     if given.is_instance_of::<PyString>() {
         let message = format!(
             "rows of `{}` must be a list of tuples or a numpy array, not a str",
-            relation.name
+            predicate.name
         );
         return Err(PyTypeError::new_err(message));
     }
@@ -181,7 +181,7 @@ pub fn rows(relation: &Relation, given: &Bound<'_, PyAny>, target: &Target<'_>) 
         words: Vec::new(),
     };
     for values in given.try_iter()? {
-        let words = row(relation, &values?, false, target.symbol);
+        let words = row(predicate, &values?, false, target.symbol);
         let words = words.map_err(|error| in_row(given.py(), found.rows, &error))?;
         found.words.extend(words.into_iter().flatten());
         found.rows += 1;
@@ -204,12 +204,12 @@ fn in_row(py: Python<'_>, row: usize, error: &PyErr) -> PyErr {
     }
 }
 
-fn of_array(relation: &Relation, array: &Bound<'_, PyUntypedArray>, target: &Target<'_>) -> PyResult<Words> {
-    let (py, name, arity) = (array.py(), &relation.name, relation.arity());
+fn of_array(predicate: &Predicate, array: &Bound<'_, PyUntypedArray>, target: &Target<'_>) -> PyResult<Words> {
+    let (py, name, arity) = (array.py(), &predicate.name, predicate.arity());
     let fields = array.dtype().names();
     if let (Some(fields), 1) = (&fields, array.ndim()) {
         let fields: Vec<Bound<'_, PyAny>> = fields.iter().map(|field| PyString::new(py, field).into_any()).collect();
-        return of_named(relation, &fields, array, target);
+        return of_named(predicate, &fields, array, target);
     }
     if fields.is_some() || array.ndim() != 2 || array.shape()[1] != arity {
         let shape = array.getattr(intern!(py, "shape"))?;
@@ -219,23 +219,23 @@ fn of_array(relation: &Relation, array: &Bound<'_, PyUntypedArray>, target: &Tar
     }
     let columns = array.getattr(intern!(py, "T"))?;
     let columns: PyResult<Vec<_>> = (0..arity).map(|at| columns.get_item(at)).collect();
-    of_columns(relation, &columns?, array.shape()[0], target)
+    of_columns(predicate, &columns?, array.shape()[0], target)
 }
 
 /// Converts a mapping from column names to arrays.
 fn of_named(
-    relation: &Relation,
+    predicate: &Predicate,
     keys: &[Bound<'_, PyAny>],
     given: &Bound<'_, PyAny>,
     target: &Target<'_>,
 ) -> PyResult<Words> {
     let mut names: Vec<String> = keys.iter().map(|key| key.extract()).collect::<PyResult<_>>()?;
-    let mut wanted: Vec<&str> = relation.columns.iter().map(|column| column.name.as_str()).collect();
+    let mut wanted: Vec<&str> = predicate.columns.iter().map(|column| column.name.as_str()).collect();
     let shown = format!("[{}]", wanted.join(", "));
     names.sort_unstable();
     wanted.sort_unstable();
     if names != wanted {
-        let (name, found) = (&relation.name, names.join(", "));
+        let (name, found) = (&predicate.name, names.join(", "));
         return Err(PyValueError::new_err(format!(
             "expected the columns {shown} of `{name}`, not [{found}]"
         )));
@@ -244,7 +244,7 @@ fn of_named(
         .py()
         .import(intern!(given.py(), "numpy"))?
         .getattr(intern!(given.py(), "asarray"))?;
-    let columns = relation
+    let columns = predicate
         .columns
         .iter()
         .map(|column| asarray.call1((given.get_item(&column.name)?,)));
@@ -253,15 +253,20 @@ fn of_named(
         Some(column) => column.len()?,
         None => 0,
     };
-    of_columns(relation, &columns, rows, target)
+    of_columns(predicate, &columns, rows, target)
 }
 
-fn of_columns(relation: &Relation, columns: &[Bound<'_, PyAny>], rows: usize, target: &Target<'_>) -> PyResult<Words> {
-    let arity = relation.arity();
-    let arrays = relation.columns.iter().zip(columns).map(|(column, array)| {
+fn of_columns(
+    predicate: &Predicate,
+    columns: &[Bound<'_, PyAny>],
+    rows: usize,
+    target: &Target<'_>,
+) -> PyResult<Words> {
+    let arity = predicate.arity();
+    let arrays = predicate.columns.iter().zip(columns).map(|(column, array)| {
         let array = array.cast::<PyUntypedArray>()?;
         if array.shape() != [rows] {
-            let (expects, shape) = (expects(relation, column), array.getattr(intern!(array.py(), "shape"))?);
+            let (expects, shape) = (expects(predicate, column), array.getattr(intern!(array.py(), "shape"))?);
             return Err(PyValueError::new_err(format!(
                 "{expects}: expected an array of shape ({rows},), not {shape}"
             )));
@@ -280,7 +285,7 @@ fn of_columns(relation: &Relation, columns: &[Bound<'_, PyAny>], rows: usize, ta
             let part = array.get_item(PySlice::new(array.py(), first.cast_signed(), end.cast_signed(), 1))?;
             let into = words[first * arity..end * arity].iter_mut().skip(at).step_by(arity);
             fill(
-                relation,
+                predicate,
                 column,
                 part.cast::<PyUntypedArray>()?,
                 target.symbol,
@@ -294,7 +299,7 @@ fn of_columns(relation: &Relation, columns: &[Bound<'_, PyAny>], rows: usize, ta
 
 /// Converts an array to the words of a column. `into` has them by row.
 fn fill<'a>(
-    relation: &Relation,
+    predicate: &Predicate,
     column: &Column,
     array: &Bound<'_, PyUntypedArray>,
     symbol: &Intern<'_>,
@@ -307,7 +312,7 @@ fn fill<'a>(
                 *into = match word(&value, BaseType::Symbol, symbol)? {
                     Ok(word) => word,
                     Err(_) => {
-                        let message = format!("row {row}: {}, not {}", expects(relation, column), value.repr()?);
+                        let message = format!("row {row}: {}, not {}", expects(predicate, column), value.repr()?);
                         return Err(PyTypeError::new_err(message));
                     }
                 };
@@ -315,22 +320,22 @@ fn fill<'a>(
             Ok(())
         }
         (base @ (BaseType::Number | BaseType::Unsigned), b'i') => convert::<i64>(
-            relation,
+            predicate,
             column,
             (array, "int64"),
             |value| number(base, value.into()),
             into,
         ),
         (base @ (BaseType::Number | BaseType::Unsigned), b'u') => convert::<u64>(
-            relation,
+            predicate,
             column,
             (array, "uint64"),
             |value| number(base, value.into()),
             into,
         ),
-        (BaseType::Float, b'f' | b'i' | b'u') => convert::<f64>(relation, column, (array, "float64"), float, into),
+        (BaseType::Float, b'f' | b'i' | b'u') => convert::<f64>(predicate, column, (array, "float64"), float, into),
         _ => {
-            let message = format!("{}, not values of dtype {}", expects(relation, column), array.dtype());
+            let message = format!("{}, not values of dtype {}", expects(predicate, column), array.dtype());
             Err(PyTypeError::new_err(message))
         }
     }
@@ -338,7 +343,7 @@ fn fill<'a>(
 
 /// Converts an array of numbers to the words of a column, through the widest type of their kind.
 fn convert<'a, T: Element + Copy + std::fmt::Display>(
-    relation: &Relation,
+    predicate: &Predicate,
     column: &Column,
     (array, dtype): (&Bound<'_, PyUntypedArray>, &str),
     word: impl Fn(T) -> Result<Value, Misfit>,
@@ -352,7 +357,7 @@ fn convert<'a, T: Element + Copy + std::fmt::Display>(
         *into = word(value).map_err(|_| {
             PyValueError::new_err(format!(
                 "row {row}: {}; {value} is out of range",
-                expects(relation, column)
+                expects(predicate, column)
             ))
         })?;
     }

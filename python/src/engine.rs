@@ -5,7 +5,7 @@ use crate::{LimitArguments, Shared, Signals, input_error, limits_of, threads_of,
 use logicity::builtin::BuiltinFiles;
 use logicity::datalog;
 use logicity::datalog::explain::{Explainer, ExplanationPrinter};
-use logicity::datalog::{ClauseId, InputPolicy, RelId, Relation, Value, Workspace};
+use logicity::datalog::{ClauseId, InputPolicy, Predicate, PredicateId, Value, Workspace};
 use logicity::datalog::{EvalError, Limits, Program, RowError, StratumStats, Threads};
 use logicity::diag::{Diagnostic, Sources, did_you_mean, to_json};
 use logicity::files::{ReadError, ReadFile as _};
@@ -50,16 +50,16 @@ impl Loaded {
     }
 
     /// Returns the declared predicates.
-    fn relations(&self) -> impl Iterator<Item = (RelId, &Relation)> + Clone {
-        let relations = (0..).map(RelId).zip(&self.program.rules().relations);
-        relations.filter(|(_, relation)| !relation.hidden)
+    fn predicates(&self) -> impl Iterator<Item = (PredicateId, &Predicate)> + Clone {
+        let predicates = (0..).map(PredicateId).zip(&self.program.rules().predicates);
+        predicates.filter(|(_, predicate)| !predicate.hidden)
     }
 
-    fn relation(&self, name: &str) -> PyResult<(RelId, &Relation)> {
-        self.relations()
-            .find(|(_, relation)| relation.name == name)
+    fn predicate(&self, name: &str) -> PyResult<(PredicateId, &Predicate)> {
+        self.predicates()
+            .find(|(_, predicate)| predicate.name == name)
             .ok_or_else(|| {
-                let near = did_you_mean(name, self.relations().map(|(_, relation)| relation.name.as_str()));
+                let near = did_you_mean(name, self.predicates().map(|(_, predicate)| predicate.name.as_str()));
                 let hint = near.map_or_else(String::new, |near| format!("; did you mean `{near}`?"));
                 PyKeyError::new_err(format!("the program declares no predicate `{name}`{hint}"))
             })
@@ -115,34 +115,35 @@ impl PyProgram {
         sources.ids().map(|id| (sources.name(id), sources.text(id))).collect()
     }
 
-    fn relations<'py>(&self, py: Python<'py>) -> PyResult<Bound<'py, PyAny>> {
+    fn predicates<'py>(&self, py: Python<'py>) -> PyResult<Bound<'py, PyAny>> {
         let (rules, sources) = (self.0.program.rules(), &self.0.sources);
-        let relations = self.0.relations().map(|(_, relation)| {
-            let columns = relation.columns.iter();
+        let predicates = self.0.predicates().map(|(_, predicate)| {
+            let columns = predicate.columns.iter();
             let columns = columns.map(|column| {
                 let named = &rules.types[column.ty.0 as usize].name;
                 json!({ "name": column.name, "type": named, "base": column.base.name() })
             });
-            let position = sources.position(relation.span);
+            let position = sources.position(predicate.span);
             json!({
-                "name": relation.name,
+                "name": predicate.name,
                 "columns": columns.collect::<Vec<_>>(),
-                "input": relation.input,
-                "output": relation.output,
-                "derived": relation.derived,
-                "doc": relation.doc,
-                "file": sources.name(relation.span.source),
+                "input": predicate.input,
+                "output": predicate.output,
+                "derived": predicate.derived,
+                "doc": predicate.doc,
+                "file": sources.name(predicate.span.source),
                 "line": position.line,
             })
         });
-        to_python(py, &relations.collect())
+        to_python(py, &predicates.collect())
     }
 
     fn strata(&self) -> Vec<Vec<String>> {
         let rules = self.0.program.rules();
-        let shown = |relation: &RelId| Some(&rules.relations[relation.index()]).filter(|relation| !relation.hidden);
-        let names = (rules.strata.iter()).map(|stratum| stratum.relations.iter().filter_map(shown));
-        let names = names.map(|relations| relations.map(|relation| relation.name.clone()).collect());
+        let shown =
+            |predicate: &PredicateId| Some(&rules.predicates[predicate.index()]).filter(|predicate| !predicate.hidden);
+        let names = (rules.strata.iter()).map(|stratum| stratum.predicates.iter().filter_map(shown));
+        let names = names.map(|predicates| predicates.map(|predicate| predicate.name.clone()).collect());
         names.filter(|names: &Vec<_>| !names.is_empty()).collect()
     }
 
@@ -151,7 +152,7 @@ impl PyProgram {
         let rules = program.rules();
         let printer = ExplanationPrinter::new(rules, &rules.symbols, sources);
         let shown = (rules.clauses.iter().zip((0..).map(ClauseId)))
-            .filter(|(clause, _)| !rules.relations[clause.head.relation.index()].hidden);
+            .filter(|(clause, _)| !rules.predicates[clause.head.predicate.index()].hidden);
         let clauses = shown.map(|(clause, id)| {
             let mut entry = printer.clause_json(id);
             entry["label"] = json!(printer.label(id));
@@ -197,12 +198,12 @@ impl PySession {
         })
     }
 
-    fn insert(&self, relation: &str, rows: &Bound<'_, PyAny>) -> PyResult<usize> {
-        self.change(relation, rows, true)
+    fn insert(&self, predicate: &str, rows: &Bound<'_, PyAny>) -> PyResult<usize> {
+        self.change(predicate, rows, true)
     }
 
-    fn retract(&self, relation: &str, rows: &Bound<'_, PyAny>) -> PyResult<usize> {
-        self.change(relation, rows, false)
+    fn retract(&self, predicate: &str, rows: &Bound<'_, PyAny>) -> PyResult<usize> {
+        self.change(predicate, rows, false)
     }
 
     fn rollback(&self) -> PyResult<()> {
@@ -222,45 +223,45 @@ impl PySession {
         let delta = committed.map_err(|error| input_error(py, &[error.diagnostic(program.rules())], sources))?;
         let changes = PyDict::new(py);
         for change in delta.changes() {
-            let relation = &program.rules().relations[change.relation.index()];
-            if !relation.hidden {
+            let predicate = &program.rules().predicates[change.predicate.index()];
+            if !predicate.hidden {
                 let rows = |rows: &datalog::Rows| PyRows {
                     session: slf.clone().unbind(),
-                    relation: change.relation,
+                    predicate: change.predicate,
                     rows: rows.clone(),
                 };
-                changes.set_item(&relation.name, (rows(&change.added), rows(&change.removed)))?;
+                changes.set_item(&predicate.name, (rows(&change.added), rows(&change.removed)))?;
             }
         }
         Ok(changes)
     }
 
-    fn tuples<'py>(&self, py: Python<'py>, relation: &str) -> PyResult<Bound<'py, PyList>> {
-        let (id, relation) = self.loaded.relation(relation)?;
+    fn tuples<'py>(&self, py: Python<'py>, predicate: &str) -> PyResult<Bound<'py, PyList>> {
+        let (id, predicate) = self.loaded.predicate(predicate)?;
         let tuples = |session: &mut datalog::Session| {
-            columns::tuples(py, &relation.columns, session.encoded_rows(id), session.symbols())
+            columns::tuples(py, &predicate.columns, session.encoded_rows(id), session.symbols())
         };
         self.session.with(tuples)
     }
 
-    fn columns<'py>(&self, py: Python<'py>, relation: &str) -> PyResult<Bound<'py, PyDict>> {
-        let (id, relation) = self.loaded.relation(relation)?;
+    fn columns<'py>(&self, py: Python<'py>, predicate: &str) -> PyResult<Bound<'py, PyDict>> {
+        let (id, predicate) = self.loaded.predicate(predicate)?;
         let arrays = |session: &mut datalog::Session| {
-            columns::arrays(py, &relation.columns, || session.encoded_rows(id), session.symbols())
+            columns::arrays(py, &predicate.columns, || session.encoded_rows(id), session.symbols())
         };
         self.session.with(arrays)
     }
 
-    fn count(&self, relation: &str) -> PyResult<usize> {
-        let (id, _) = self.loaded.relation(relation)?;
+    fn count(&self, predicate: &str) -> PyResult<usize> {
+        let (id, _) = self.loaded.predicate(predicate)?;
         self.session.with(|session| Ok(session.len(id)))
     }
 
-    fn contains(&self, relation: &str, row: &Bound<'_, PyAny>) -> PyResult<bool> {
-        let (id, relation) = self.loaded.relation(relation)?;
+    fn contains(&self, predicate: &str, row: &Bound<'_, PyAny>) -> PyResult<bool> {
+        let (id, predicate) = self.loaded.predicate(predicate)?;
         self.session.with(|session| {
             let symbols = session.symbols();
-            let row = columns::row(relation, row, false, &|text| {
+            let row = columns::row(predicate, row, false, &|text| {
                 Ok(Value(symbols.get(text).map_or(u32::MAX, |symbol| symbol.0)))
             })?;
             let row: Vec<Value> = row.into_iter().flatten().collect();
@@ -278,12 +279,12 @@ impl PySession {
             let failed = |error: EvalError| vec![error.diagnostic(query.rules())];
             let mut answer = session.query(&query, cancel).map_err(failed)?;
             let delta = answer.commit_with(cancel).map_err(failed)?;
-            let relation = query.relation(Workspace::ANSWER).expect("every query has an answer");
-            let rows = delta.of(relation).map(|change| change.added.clone());
-            Ok((query, answer, relation, rows.unwrap_or_default()))
+            let predicate = query.predicate(Workspace::ANSWER).expect("every query has an answer");
+            let rows = delta.of(predicate).map(|change| change.added.clone());
+            Ok((query, answer, predicate, rows.unwrap_or_default()))
         })?;
         let answered = answered.map_err(|faults: Vec<Diagnostic>| input_error(py, &faults, &sources));
-        let (program, answer, relation, rows) = answered?;
+        let (program, answer, predicate, rows) = answered?;
         let loaded = Loaded {
             workspace: Workspace::new(InputPolicy::Fixed),
             sources,
@@ -296,7 +297,7 @@ impl PySession {
         };
         Ok(PyRows {
             session: Py::new(py, session)?,
-            relation,
+            predicate,
             rows,
         })
     }
@@ -310,13 +311,13 @@ impl PySession {
         why_not: bool,
     ) -> PyResult<(String, bool, String, Bound<'py, PyAny>)> {
         let loaded = &*self.loaded;
-        let (relation, pattern) = self.session.with(|session| match row {
+        let (predicate, pattern) = self.session.with(|session| match row {
             Some(row) => {
-                let (id, relation) = loaded.relation(fact)?;
+                let (id, predicate) = loaded.predicate(fact)?;
                 let symbols = session.symbols();
                 Ok((
                     id,
-                    columns::row(relation, row, true, &|text| Ok(Value(symbols.intern(text).0)))?,
+                    columns::row(predicate, row, true, &|text| Ok(Value(symbols.intern(text).0)))?,
                 ))
             }
             None => {
@@ -324,14 +325,14 @@ impl PySession {
                 let question = sources.add("<fact>", fact);
                 let fact = loaded.workspace.fact(&sources, question, session.symbols());
                 let fact = fact.map_err(|faults| input_error(py, &faults, &sources))?;
-                Ok((fact.relation, fact.values))
+                Ok((fact.predicate, fact.values))
             }
         })?;
         let explained = self.session.detached(py, |session, cancel| {
             let mut explainer = Explainer::new_with(session, cancel);
-            let (holds, explanation) = explainer.explain_either(relation, &pattern)?;
+            let (holds, explanation) = explainer.explain_either(predicate, &pattern)?;
             let printer = loaded.printer(session);
-            let fact = printer.row(relation, &pattern);
+            let fact = printer.row(predicate, &pattern);
             let mut text = match (holds, why_not) {
                 (false, false) => format!("{fact} does not hold, because:\n"),
                 (true, true) => format!("{fact} holds, because:\n"),
@@ -353,9 +354,15 @@ impl PySession {
         self.session.with(|session| {
             let printer = ExplanationPrinter::new(rules, session.symbols(), sources);
             let strata = session.work().strata.iter().zip(&rules.strata).map(|(work, stratum)| {
-                let names = stratum.relations.iter().map(|id| &rules.relations[id.index()]);
+                let names = stratum.predicates.iter().map(|id| &rules.predicates[id.index()]);
                 let names: Vec<&str> = names
-                    .map(|relation| if relation.hidden { &relation.doc } else { &relation.name })
+                    .map(|predicate| {
+                        if predicate.hidden {
+                            &predicate.doc
+                        } else {
+                            &predicate.name
+                        }
+                    })
                     .map(String::as_str)
                     .collect();
                 let how = match work {
@@ -373,7 +380,7 @@ impl PySession {
                     })
                 });
                 json!({
-                    "relations": names,
+                    "predicates": names,
                     "how": how,
                     "rounds": done.map_or(0, |work| work.rounds),
                     "rows_scanned": done.map_or(0, |work| work.rows_scanned() + work.given_up),
@@ -392,8 +399,8 @@ impl PySession {
 }
 
 impl PySession {
-    fn change(&self, relation: &str, rows: &Bound<'_, PyAny>, present: bool) -> PyResult<usize> {
-        let (id, relation) = self.loaded.relation(relation)?;
+    fn change(&self, predicate: &str, rows: &Bound<'_, PyAny>, present: bool) -> PyResult<usize> {
+        let (id, predicate) = self.loaded.predicate(predicate)?;
         let (limit, rest) = self.session.with(|session| {
             let rest = session.bytes() - session.symbols().bytes();
             Ok((session.limits().bytes, rest))
@@ -420,10 +427,10 @@ impl PySession {
                     .with(|session| checked(session.bytes().saturating_add(bytes)))
             },
         };
-        let found = columns::rows(relation, rows, &target)?;
+        let found = columns::rows(predicate, rows, &target)?;
         self.session.with(|session| {
-            let width = relation.arity().max(1);
-            let noted = match (present, relation.arity()) {
+            let width = predicate.arity().max(1);
+            let noted = match (present, predicate.arity()) {
                 (true, 1..) => session.insert_all(id, found.words.chunks_exact(width)),
                 (true, 0) => (0..found.rows.min(1)).try_for_each(|_| session.insert(id, ())),
                 (false, 0) => (0..found.rows.min(1)).try_for_each(|_| session.retract(id, ())),
@@ -439,7 +446,7 @@ impl PySession {
 #[pyclass(name = "Rows", module = "logicity._logicity", frozen)]
 pub struct PyRows {
     session: Py<PySession>,
-    relation: RelId,
+    predicate: PredicateId,
     rows: datalog::Rows,
 }
 
@@ -452,14 +459,14 @@ impl PyRows {
     /// Returns the rows in a half-open range of indices.
     fn tuples<'py>(&self, py: Python<'py>, start: usize, stop: usize) -> PyResult<Bound<'py, PyList>> {
         let PySession { loaded, session } = self.session.get();
-        let relation = &loaded.program.rules().relations[self.relation.index()];
+        let predicate = &loaded.program.rules().predicates[self.predicate.index()];
         let rows = self.rows.range(start..stop);
-        session.with(|session| columns::tuples(py, &relation.columns, rows, session.symbols()))
+        session.with(|session| columns::tuples(py, &predicate.columns, rows, session.symbols()))
     }
 
     fn columns<'py>(&self, py: Python<'py>) -> PyResult<Bound<'py, PyDict>> {
         let PySession { loaded, session } = self.session.get();
-        let relation = &loaded.program.rules().relations[self.relation.index()];
-        session.with(|session| columns::arrays(py, &relation.columns, || self.rows.iter(), session.symbols()))
+        let predicate = &loaded.program.rules().predicates[self.predicate.index()];
+        session.with(|session| columns::arrays(py, &predicate.columns, || self.rows.iter(), session.symbols()))
     }
 }

@@ -256,7 +256,7 @@ def test_facts_are_the_inputs_of_the_decisions() -> None:
     # The Datalog engine derives the same actions from these facts.
     session = logicity.Session(logicity.Program.load("rules/easy.dl"))
     for predicate, rows in facts.items():
-        if predicate in session.program.relations:
+        if predicate in session.program.predicates:
             session.insert(predicate, rows)
     session.commit()
     stopped = {name for (name,) in session.rows("Stop")}

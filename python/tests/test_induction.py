@@ -39,7 +39,7 @@ def test_rules_from_demonstrations_solve_the_test_episodes(
     assert path.read_text() == rules.text
     oracle = logicity.evaluate("oracle", "hard", rules=path)
     assert oracle.compliance.value == 1.0
-    assert "Stop" in rules.program().relations
+    assert "Stop" in rules.program().predicates
 
 
 def test_rules_choose_the_action_of_every_example(demonstrations: logicity.Demonstrations) -> None:

@@ -184,10 +184,10 @@ def public_objects() -> list[Any]:
         kind("text", []) for kind in (logicity.InputError, logicity.LimitError, logicity.UnsupportedError)
     ]
     errors.append(logicity.UntrustedError("text"))
-    relation = program.relations["p"]
+    predicate = program.predicates["p"]
     rules = logicity.induce(logicity.demonstrations("easy", 10))
     return [
-        *[program, relation, relation.columns[0], session, change, change.added, session.explain("q(1)")],
+        *[program, predicate, predicate.columns[0], session, change, change.added, session.explain("q(1)")],
         *[city, city.tick(), city.agents[0], city.explain(0), logicity.Inference("easy")],
         *[logicity.Benchmark("easy", "val"), measured, measured.episodes[0], measured.tsr, shown, shown[0], *errors],
         *[rules, rules.clauses[0], logicity.Oracle("rules/easy.dl"), logicity.RulePolicy.from_text(rules.text, "easy")],

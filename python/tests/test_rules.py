@@ -75,16 +75,16 @@ def test_an_invalid_program_raises_all_its_errors() -> None:
     assert (str(again), again.diagnostics) == (str(caught.value), caught.value.diagnostics)
 
 
-def test_a_program_lists_its_relations_and_clauses() -> None:
+def test_a_program_lists_its_predicates_and_clauses() -> None:
     program = Program(PATH + ".decl lonely(x: number)\nlonely(x) :- edge(x2, y), x = 1.\n", "test.dl")
-    path = program.relations["path"]
+    path = program.predicates["path"]
     assert [(column.name, column.type, column.base) for column in path.columns] == [
         ("x", "symbol", "symbol"),
         ("y", "symbol", "symbol"),
     ]
     assert (path.input, path.output, path.derived, path.doc) == (False, True, True, "Where one can go.")
     assert (path.file, path.line) == ("test.dl", 5)
-    assert program.relations["edge"].input
+    assert program.predicates["edge"].input
     assert program.strata == [["path"], ["lonely"]]
     assert [(clause["label"], clause["line"], clause["column"]) for clause in program.clauses] == [
         ("P1", 8, 1),
@@ -101,8 +101,8 @@ def test_programs_are_loaded_from_files_and_built_in_files(tmp_path: Path) -> No
     (tmp_path / "decls.dl").write_text(".decl a(x: number)\n.input a\n")
     (tmp_path / "main.dl").write_text('.include "decls.dl"\n.decl b(x: number)\nb(x) :- a(x).\n')
     program = Program.load(tmp_path / "main.dl")
-    assert list(program.relations) == ["a", "b"]
-    assert "Stop" in Program.load("rules/expert.dl").relations
+    assert list(program.predicates) == ["a", "b"]
+    assert "Stop" in Program.load("rules/expert.dl").predicates
     with pytest.raises(FileNotFoundError, match="nowhere"):
         Program.load("nowhere.dl")
     with pytest.raises(OSError, match="folder"):
@@ -122,7 +122,7 @@ def test_pickled_programs_keep_their_source_text(tmp_path: Path, again: Callable
     program = Program.load(tmp_path / "main.dl")
     (tmp_path / "decls.dl").unlink()
     other = again(program)
-    assert (other.relations, other.clauses) == (program.relations, program.clauses)
+    assert (other.predicates, other.clauses) == (program.predicates, program.clauses)
     held = Session(other)
     held.insert("a", [(1,)])
     assert held.commit()["b"].added == [(1,)]
@@ -384,7 +384,7 @@ def test_commit_statistics_count_rows() -> None:
     held.insert("edge", [(str(n), str(n + 1)) for n in range(50)])
     held.commit()
     (first,) = held.work
-    assert (first["relations"], first["how"]) == (["path"], "recomputed")
+    assert (first["predicates"], first["how"]) == (["path"], "recomputed")
     assert first["rounds"] > 1
     held.insert("edge", [("50", "51")])
     held.commit()

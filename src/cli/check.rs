@@ -12,7 +12,7 @@ use crate::cli::trace::TraceReader;
 use crate::datalog::dense::{self, Unsupported};
 use crate::datalog::diff::{Cut, Equivalence};
 use crate::datalog::explain::ExplanationPrinter;
-use crate::datalog::{Clause, ClauseId, InputPolicy, Program, RelId, Rules};
+use crate::datalog::{Clause, ClauseId, InputPolicy, PredicateId, Program, Rules};
 use crate::diag::{Diagnostic, Sources, to_json};
 use crate::files::ReadFile;
 use crate::sim::{
@@ -260,7 +260,7 @@ impl Report {
         let Some(rules) = self.rules() else { return Ok(()) };
         let path = self.configuration.as_ref().map_or(path, Checked::rules);
         let strata: Vec<String> = strata(rules).iter().map(|names| names.join(", ")).collect();
-        let is_written = |clause: &&Clause| !rules.relations[clause.head.relation.index()].hidden;
+        let is_written = |clause: &&Clause| !rules.predicates[clause.head.predicate.index()].hidden;
         let clauses = rules.clauses.iter().filter(is_written).count();
         writeln!(out, "{}: {}", path.display(), plural(clauses, "clause"))?;
         writeln!(out, "  strata: {}", strata.join(" < "))?;
@@ -291,10 +291,10 @@ fn strata(rules: &Rules) -> Vec<Vec<&str>> {
 fn executors(rules: &Rules) -> Vec<(Vec<&str>, Option<Unsupported>)> {
     let reasons = dense::choose(rules).relational;
     let strata = rules.strata.iter().map(|stratum| {
-        let shown = |relation: &&RelId| !rules.relations[relation.index()].hidden;
-        let shown = stratum.relations.iter().filter(shown);
+        let shown = |predicate: &&PredicateId| !rules.predicates[predicate.index()].hidden;
+        let shown = stratum.predicates.iter().filter(shown);
         shown
-            .map(|relation| rules.relations[relation.index()].name.as_str())
+            .map(|predicate| rules.predicates[predicate.index()].name.as_str())
             .collect::<Vec<_>>()
     });
     strata.zip(reasons).filter(|(names, _)| !names.is_empty()).collect()
@@ -531,7 +531,7 @@ fn print_coverage(
         trace.display()
     )?;
     writeln!(out, "{:>10}{:>8}  clause", "fired", "ticks")?;
-    let head_of = |clause: ClauseId| &rules.relations[rules.clauses[clause.index()].head.relation.index()].name;
+    let head_of = |clause: ClauseId| &rules.predicates[rules.clauses[clause.index()].head.predicate.index()].name;
     let lengths = coverage
         .clauses
         .iter()

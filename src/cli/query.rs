@@ -14,7 +14,7 @@ use crate::cli::values::threads;
 use crate::cli::why;
 use crate::cli::why::Question;
 use crate::datalog::codes;
-use crate::datalog::{ClauseId, Directive, EvalError, InputPolicy, MarkKind, RelId, RowPlace, Rules, rewrite};
+use crate::datalog::{ClauseId, Directive, EvalError, InputPolicy, MarkKind, PredicateId, RowPlace, Rules, rewrite};
 use crate::datalog::{Delta, EvalEvent, Limits, Options, Program, RuleStats, Session, Threads, constraints};
 use crate::diag::{Diagnostic, Sources, listed};
 use crate::files;
@@ -32,18 +32,18 @@ use std::time::{Duration, Instant};
 pub struct Arguments {
     /// Rule file
     rules: PathBuf,
-    /// Folder with a file NAME.facts for each input relation: one row per line, tab-separated, unless options of
+    /// Folder with a file NAME.facts for each input predicate: one row per line, tab-separated, unless options of
     /// `.input` differ [default: .]
     #[arg(short = 'F', long, value_name = "DIR")]
     facts: Option<PathBuf>,
-    /// Folder for a file NAME.csv for each output relation; created if missing; `-` means standard output
+    /// Folder for a file NAME.csv for each output predicate; created if missing; `-` means standard output
     #[arg(short = 'D', long, value_name = "DIR", default_value = ".")]
     output: PathBuf,
     /// Permit outputs outside of that folder: absolute names, `..` and links that lead out. Use it only for rules that
     /// you trust
     #[arg(long)]
     output_anywhere: bool,
-    /// Print the evaluation plan of every clause and exit. With `-F`, plan for the sizes of the relations in the facts;
+    /// Print the evaluation plan of every clause and exit. With `-F`, plan for the sizes of the predicates in the facts;
     /// without, for few rows
     #[arg(long, conflicts_with = "profile")]
     plan: bool,
@@ -155,10 +155,10 @@ fn rewritten(program: Program, sources: &Sources) -> Result<Program, Failure> {
     let rules = program.rules();
     let unfolded = rewrite::unfold(rules);
     if let Some((_, kept)) = &unfolded {
-        let warning = |relation: &RelId| {
-            let relation = &rules.relations[relation.index()];
-            let message = format!("`{}` is inline, but some atoms need its rows", relation.name);
-            (Diagnostic::new(codes::IGNORED, message).at(relation.span, ""))
+        let warning = |predicate: &PredicateId| {
+            let predicate = &rules.predicates[predicate.index()];
+            let message = format!("`{}` is inline, but some atoms need its rows", predicate.name);
+            (Diagnostic::new(codes::IGNORED, message).at(predicate.span, ""))
                 .note("an atom in an aggregate needs them, and one that is negated or has too many alternatives may")
                 .help("remove `inline`")
         };
@@ -247,8 +247,8 @@ pub(super) fn profile(session: &Session, times: &Times, sources: &Sources) -> St
     text
 }
 
-/// Prints a relation with its header between separator lines.
-fn print_relation(
+/// Prints a predicate with its header between separator lines.
+fn print_predicate(
     out: &mut dyn Write,
     name: &str,
     header: &str,
@@ -259,21 +259,21 @@ fn print_relation(
     out.write_all(b"===============\n")
 }
 
-/// Returns the declared relations in source order.
-pub(super) fn relations(program: &Program) -> impl Iterator<Item = (RelId, &crate::datalog::Relation)> {
-    let relations = program.rules().relations.iter().enumerate();
-    relations.map(|(index, relation)| {
-        let id = RelId(u32::try_from(index).expect("fewer than 2^32 relations"));
-        (id, relation)
+/// Returns the declared predicates in source order.
+pub(super) fn predicates(program: &Program) -> impl Iterator<Item = (PredicateId, &crate::datalog::Predicate)> {
+    let predicates = program.rules().predicates.iter().enumerate();
+    predicates.map(|(index, predicate)| {
+        let id = PredicateId(u32::try_from(index).expect("fewer than 2^32 predicates"));
+        (id, predicate)
     })
 }
 
-/// Returns the file of an input relation, or `None` for standard input.
-fn input_path(folder: &Path, relation: &str, directive: &Directive) -> Option<PathBuf> {
+/// Returns the file of an input predicate, or `None` for standard input.
+fn input_path(folder: &Path, predicate: &str, directive: &Directive) -> Option<PathBuf> {
     match &directive.place {
         RowPlace::Usual => {
-            let plain = folder.join(format!("{relation}.facts"));
-            let compressed = folder.join(format!("{relation}.facts.gz"));
+            let plain = folder.join(format!("{predicate}.facts"));
+            let compressed = folder.join(format!("{predicate}.facts.gz"));
             Some(if !plain.exists() && compressed.exists() {
                 compressed
             } else {
@@ -285,21 +285,21 @@ fn input_path(folder: &Path, relation: &str, directive: &Directive) -> Option<Pa
     }
 }
 
-/// Returns the files of all input relations; `-` for standard input.
+/// Returns the files of all input predicates; `-` for standard input.
 fn input_paths(program: &Program, folder: &Path) -> Vec<PathBuf> {
-    let of = |relation: &crate::datalog::Relation| -> Vec<PathBuf> {
-        let inputs = relation
+    let of = |predicate: &crate::datalog::Predicate| -> Vec<PathBuf> {
+        let inputs = predicate
             .directives
             .iter()
             .filter(|directive| directive.kind == MarkKind::Input);
         inputs
-            .map(|directive| input_path(folder, &relation.name, directive).unwrap_or_else(|| "-".into()))
+            .map(|directive| input_path(folder, &predicate.name, directive).unwrap_or_else(|| "-".into()))
             .collect()
     };
-    relations(program).flat_map(|(_, relation)| of(relation)).collect()
+    predicates(program).flat_map(|(_, predicate)| of(predicate)).collect()
 }
 
-/// Reads the facts of every input relation. Reports the faults of all files at once.
+/// Reads the facts of every input predicate. Reports the faults of all files at once.
 pub(super) fn load_inputs(folder: &Path, session: &mut Session, sources: &mut Sources) -> Result<(), Failure> {
     if !folder.is_dir() {
         return Err(Failure::file("read facts from", folder, "no such folder"));
@@ -307,13 +307,13 @@ pub(super) fn load_inputs(folder: &Path, session: &mut Session, sources: &mut So
     let program = session.program().clone();
     refuse_missing(&program, folder)?;
     let mut faults = Vec::new();
-    for (id, relation) in relations(&program) {
-        for directive in relation
+    for (id, predicate) in predicates(&program) {
+        for directive in predicate
             .directives
             .iter()
             .filter(|directive| directive.kind == MarkKind::Input)
         {
-            let path = input_path(folder, &relation.name, directive);
+            let path = input_path(folder, &predicate.name, directive);
             let path = path.unwrap_or_else(|| PathBuf::from("standard input"));
             let input: Result<Box<dyn Read>, ReadError> = match &directive.place {
                 RowPlace::Terminal => Ok(Box::new(io::stdin())),
@@ -321,7 +321,7 @@ pub(super) fn load_inputs(folder: &Path, session: &mut Session, sources: &mut So
                 _ => files::open_regular(&path).and_then(decompressed),
             };
             let unreadable = |error: ReadError| {
-                let (name, path) = (&relation.name, path.display());
+                let (name, path) = (&predicate.name, path.display());
                 Failure::Usage(format!("cannot read the facts of `{name}` from `{path}`: {error}"))
             };
             let input = input.map_err(unreadable)?;

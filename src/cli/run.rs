@@ -220,7 +220,7 @@ fn simulate(
         if arguments.check_constraints {
             let snapshot = simulation.snapshot()?;
             let world = snapshot.world();
-            let known = |relation| world.vocabulary.defines(&world.program, relation);
+            let known = |predicate| world.vocabulary.defines(&world.program, predicate);
             tally.add_broken(constraints::violations_among(snapshot.session(), known), tick);
         }
         if let Some(record) = &mut record {
@@ -490,7 +490,7 @@ fn firings(simulation: &Simulation, tally: &Tally, sources: &Sources, text: &mut
     let rows: Vec<[String; 4]> = (simulation.clauses().iter().zip(&tally.firings))
         .map(|(clause, fired)| {
             let clause = &rules.clauses[clause.index()];
-            let head = rules.relations[clause.head.relation.index()].name.clone();
+            let head = rules.predicates[clause.head.predicate.index()].name.clone();
             [fired.to_string(), head, place(clause), title(clause)]
         })
         .collect();

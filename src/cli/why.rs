@@ -34,9 +34,9 @@ pub fn explain(
     let (question, source) = asked;
     let fact = workspace.fact(sources, source, session.symbols())?;
     let (holds, explanation) =
-        (Explainer::new(session).explain_either(fact.relation, &fact.values)).map_err(Diagnostic::from)?;
+        (Explainer::new(session).explain_either(fact.predicate, &fact.values)).map_err(Diagnostic::from)?;
     let printer = ExplanationPrinter::new(session.program().rules(), session.symbols(), sources).quoting();
-    let shown = printer.row(fact.relation, &fact.values);
+    let shown = printer.row(fact.predicate, &fact.values);
     if as_json {
         let mut line = json!({ "fact": shown, "holds": holds });
         if let Some(explanation) = &explanation {

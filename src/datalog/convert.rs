@@ -1,47 +1,47 @@
-//! Conversion between rows of Rust values and the words of a relation.
+//! Conversion between rows of Rust values and the words of a predicate.
 
 use std::fmt;
 
-use crate::check::{Column, RelId, Relation, Rules};
+use crate::check::{Column, Predicate, PredicateId, Rules};
 use crate::diag::did_you_mean;
 use crate::symbol::{Symbol, Symbols};
 use crate::syntax::functor::BaseType;
 use crate::value::Value;
 
-/// A relation as callers name it: by its name, or by its id, which takes no search.
-pub trait AsRelation: Copy {
+/// A predicate as callers name it: by its name, or by its id, which takes no search.
+pub trait AsPredicate: Copy {
     #[doc(hidden)]
-    fn resolve(self, rules: &Rules) -> Result<(RelId, &Relation), RowError>;
+    fn resolve(self, rules: &Rules) -> Result<(PredicateId, &Predicate), RowError>;
 }
 
-impl AsRelation for RelId {
+impl AsPredicate for PredicateId {
     #[inline]
-    fn resolve(self, rules: &Rules) -> Result<(RelId, &Relation), RowError> {
-        let relation = rules.relations.get(self.index());
-        let unknown = || RowError::UnknownRelation {
-            relation: format!("#{}", self.0),
+    fn resolve(self, rules: &Rules) -> Result<(PredicateId, &Predicate), RowError> {
+        let predicate = rules.predicates.get(self.index());
+        let unknown = || RowError::UnknownPredicate {
+            predicate: format!("#{}", self.0),
             near: None,
         };
-        Ok((self, relation.ok_or_else(unknown)?))
+        Ok((self, predicate.ok_or_else(unknown)?))
     }
 }
 
-impl AsRelation for &str {
-    fn resolve(self, rules: &Rules) -> Result<(RelId, &Relation), RowError> {
-        let Some(id) = rules.relation(self) else {
-            let declared = rules.relations.iter().filter(|relation| !relation.hidden);
-            let near = did_you_mean(self, declared.map(|relation| relation.name.as_str()));
-            return Err(RowError::UnknownRelation {
-                relation: self.to_owned(),
+impl AsPredicate for &str {
+    fn resolve(self, rules: &Rules) -> Result<(PredicateId, &Predicate), RowError> {
+        let Some(id) = rules.predicate(self) else {
+            let declared = rules.predicates.iter().filter(|predicate| !predicate.hidden);
+            let near = did_you_mean(self, declared.map(|predicate| predicate.name.as_str()));
+            return Err(RowError::UnknownPredicate {
+                predicate: self.to_owned(),
                 near: near.map(str::to_owned),
             });
         };
-        Ok((id, &rules.relations[id.index()]))
+        Ok((id, &rules.predicates[id.index()]))
     }
 }
 
-impl AsRelation for &String {
-    fn resolve(self, rules: &Rules) -> Result<(RelId, &Relation), RowError> {
+impl AsPredicate for &String {
+    fn resolve(self, rules: &Rules) -> Result<(PredicateId, &Predicate), RowError> {
         self.as_str().resolve(rules)
     }
 }
@@ -253,17 +253,17 @@ columns! {
 
 /// A row as Rust has it: a tuple of up to 12 values, or an array or a `Vec` of values of one type.
 pub trait FromRow<'s>: Sized {
-    /// Checks that rows of the relation can be read.
+    /// Checks that rows of the predicate can be read.
     #[doc(hidden)]
-    fn check(relation: &Relation) -> Result<(), RowError>;
+    fn check(predicate: &Predicate) -> Result<(), RowError>;
 
     #[doc(hidden)]
     fn from_row(row: &'s [Value], columns: &[Column], symbols: &'s Symbols) -> Self;
 }
 
 impl<'s, T: FromValue<'s>> FromRow<'s> for Vec<T> {
-    fn check(relation: &Relation) -> Result<(), RowError> {
-        (0..relation.arity()).try_for_each(|column| check_column::<T>(relation, column))
+    fn check(predicate: &Predicate) -> Result<(), RowError> {
+        (0..predicate.arity()).try_for_each(|column| check_column::<T>(predicate, column))
     }
 
     fn from_row(row: &'s [Value], columns: &[Column], symbols: &'s Symbols) -> Self {
@@ -275,9 +275,9 @@ impl<'s, T: FromValue<'s>> FromRow<'s> for Vec<T> {
 }
 
 impl<'s, T: FromValue<'s>, const N: usize> FromRow<'s> for [T; N] {
-    fn check(relation: &Relation) -> Result<(), RowError> {
-        check_arity(relation, N)?;
-        Vec::<T>::check(relation)
+    fn check(predicate: &Predicate) -> Result<(), RowError> {
+        check_arity(predicate, N)?;
+        Vec::<T>::check(predicate)
     }
 
     fn from_row(row: &'s [Value], columns: &[Column], symbols: &'s Symbols) -> Self {
@@ -295,9 +295,9 @@ macro_rules! tuples {
             }
 
             impl<'s, $($name: FromValue<'s>),*> FromRow<'s> for ($($name,)*) {
-                fn check(relation: &Relation) -> Result<(), RowError> {
-                    check_arity(relation, [$(stringify!($name)),*].len())?;
-                    $(check_column::<$name>(relation, $at)?;)*
+                fn check(predicate: &Predicate) -> Result<(), RowError> {
+                    check_arity(predicate, [$(stringify!($name)),*].len())?;
+                    $(check_column::<$name>(predicate, $at)?;)*
                     Ok(())
                 }
 
@@ -325,7 +325,7 @@ tuples! {
     (A 0, B 1, C 2, D 3, E 4, F 5, G 6, H 7, I 8, J 9, K 10, L 11)
 }
 
-/// The row of a relation without columns.
+/// The row of a predicate without columns.
 impl IntoRow for () {
     fn values(&self) -> Vec<&dyn ToValue> {
         Vec::new()
@@ -337,12 +337,12 @@ impl IntoRow for () {
     }
 }
 
-fn check_column<'s, T: FromValue<'s>>(relation: &Relation, column: usize) -> Result<(), RowError> {
-    let Column { name, base, .. } = &relation.columns[column];
+fn check_column<'s, T: FromValue<'s>>(predicate: &Predicate, column: usize) -> Result<(), RowError> {
+    let Column { name, base, .. } = &predicate.columns[column];
     match T::reads(*base) {
         true => Ok(()),
         false => Err(RowError::ColumnType {
-            relation: relation.name.clone(),
+            predicate: predicate.name.clone(),
             column: name.clone(),
             base: *base,
             expected: T::NAME,
@@ -350,25 +350,25 @@ fn check_column<'s, T: FromValue<'s>>(relation: &Relation, column: usize) -> Res
     }
 }
 
-fn check_arity(relation: &Relation, found: usize) -> Result<(), RowError> {
-    match relation.arity() == found {
+fn check_arity(predicate: &Predicate, found: usize) -> Result<(), RowError> {
+    match predicate.arity() == found {
         true => Ok(()),
         false => Err(RowError::Arity {
-            relation: relation.name.clone(),
-            expected: relation.arity(),
+            predicate: predicate.name.clone(),
+            expected: predicate.arity(),
             found,
         }),
     }
 }
 
-/// Checks that the words fit the relation. `known` is the number of interned symbols.
+/// Checks that the words fit the predicate. `known` is the number of interned symbols.
 #[inline]
-pub(crate) fn check_words(relation: &Relation, row: &[Value], known: usize) -> Result<(), RowError> {
-    check_arity(relation, row.len())?;
-    let mut columns = row.iter().zip(&relation.columns);
+pub(crate) fn check_words(predicate: &Predicate, row: &[Value], known: usize) -> Result<(), RowError> {
+    check_arity(predicate, row.len())?;
+    let mut columns = row.iter().zip(&predicate.columns);
     if columns.any(|(value, column)| value.0 as usize >= known && column.base == BaseType::Symbol) {
         return Err(RowError::UnknownSymbol {
-            relation: relation.name.clone(),
+            predicate: predicate.name.clone(),
         });
     }
     Ok(())
@@ -376,16 +376,16 @@ pub(crate) fn check_words(relation: &Relation, row: &[Value], known: usize) -> R
 
 /// Adds the words of a row to `words`.
 pub(crate) fn encode(
-    relation: &Relation,
+    predicate: &Predicate,
     row: &impl IntoRow,
     symbol: &dyn Fn(&str) -> Option<Symbol>,
     words: &mut Vec<Value>,
 ) -> Result<(), RowError> {
     let values = row.values();
-    check_arity(relation, values.len())?;
-    for (value, column) in values.into_iter().zip(&relation.columns) {
+    check_arity(predicate, values.len())?;
+    for (value, column) in values.into_iter().zip(&predicate.columns) {
         let word = value.to_value(column.base, symbol).ok_or_else(|| RowError::ValueType {
-            relation: relation.name.clone(),
+            predicate: predicate.name.clone(),
             column: column.name.clone(),
             base: column.base,
             found: value.describe(),
@@ -395,26 +395,26 @@ pub(crate) fn encode(
     Ok(())
 }
 
-/// The reason why a session refuses a row, or a relation as a whole.
+/// The reason why a session refuses a row, or a predicate as a whole.
 #[derive(Clone, Debug, PartialEq, Eq)]
 #[non_exhaustive]
 pub enum RowError {
-    /// The program has no such relation.
-    UnknownRelation {
+    /// The program has no such predicate.
+    UnknownPredicate {
         /// Its name, or `#` and its id.
-        relation: String,
-        /// A relation with a similar name.
+        predicate: String,
+        /// A predicate with a similar name.
         near: Option<String>,
     },
-    /// The relation is derived: clauses with bodies define its rows, and it is no input.
+    /// The predicate is derived: clauses with bodies define its rows, and it is no input.
     Derived {
-        /// The relation's name.
-        relation: String,
+        /// The predicate's name.
+        predicate: String,
     },
     /// The row has the wrong number of values.
     Arity {
-        /// The relation's name.
-        relation: String,
+        /// The predicate's name.
+        predicate: String,
         /// Its number of columns.
         expected: usize,
         /// The number of values in the row.
@@ -422,13 +422,13 @@ pub enum RowError {
     },
     /// A value in a symbol column is no symbol of the session; see [`Session::intern`](crate::Session::intern).
     UnknownSymbol {
-        /// The relation's name.
-        relation: String,
+        /// The predicate's name.
+        predicate: String,
     },
     /// A value does not fit its column.
     ValueType {
-        /// The relation's name.
-        relation: String,
+        /// The predicate's name.
+        predicate: String,
         /// The name of the column.
         column: String,
         /// The base type of the column.
@@ -438,8 +438,8 @@ pub enum RowError {
     },
     /// A column cannot be read as the requested type of Rust.
     ColumnType {
-        /// The relation's name.
-        relation: String,
+        /// The predicate's name.
+        predicate: String,
         /// The name of the column.
         column: String,
         /// The base type of the column.
@@ -452,27 +452,27 @@ pub enum RowError {
 impl fmt::Display for RowError {
     fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
         match self {
-            RowError::UnknownRelation { relation, near } => {
-                write!(f, "the program declares no relation `{relation}`")?;
+            RowError::UnknownPredicate { predicate, near } => {
+                write!(f, "the program declares no predicate `{predicate}`")?;
                 match near {
                     Some(near) => write!(f, "; did you mean `{near}`?"),
                     None => Ok(()),
                 }
             }
-            RowError::Derived { relation } => write!(f, "`{relation}` is derived by rules; its rows cannot be set"),
+            RowError::Derived { predicate } => write!(f, "`{predicate}` is derived by rules; its rows cannot be set"),
             RowError::Arity {
-                relation,
+                predicate,
                 expected,
                 found,
-            } => write!(f, "a row of `{relation}` has {expected} values, not {found}"),
-            RowError::UnknownSymbol { relation } => {
+            } => write!(f, "a row of `{predicate}` has {expected} values, not {found}"),
+            RowError::UnknownSymbol { predicate } => {
                 write!(
                     f,
-                    "a row of `{relation}` has a symbol that the session has not interned"
+                    "a row of `{predicate}` has a symbol that the session has not interned"
                 )
             }
             RowError::ValueType {
-                relation,
+                predicate,
                 column,
                 base,
                 found,
@@ -485,17 +485,17 @@ impl fmt::Display for RowError {
                 };
                 write!(
                     f,
-                    "the column `{column}` of `{relation}` expects {expected}, not {found}"
+                    "the column `{column}` of `{predicate}` expects {expected}, not {found}"
                 )
             }
             RowError::ColumnType {
-                relation,
+                predicate,
                 column,
                 base,
                 expected,
             } => write!(
                 f,
-                "the column `{column}` of `{relation}` has type {}; expected {expected}",
+                "the column `{column}` of `{predicate}` has type {}; expected {expected}",
                 base.name()
             ),
         }

@@ -1,11 +1,11 @@
-//! Relations as text, in Soufflé's conventions.
+//! Predicates as text, in Soufflé's conventions.
 //!
 //! Each line is one row. Tabs separate the values unless a [`RowFormat`] sets another delimiter. A symbol stands as it
-//! is, a number in decimal, a float with up to nine significant digits. The only row of a relation without columns is
+//! is, a number in decimal, a float with up to nine significant digits. The only row of a predicate without columns is
 //! `()`, which an empty line also stands for. This module converts rows from and to text; the caller reads and writes
 //! files.
 
-use crate::check::{Column, RelId, Relation, RowFormat};
+use crate::check::{Column, Predicate, PredicateId, RowFormat};
 use crate::codes;
 use crate::diag::{Diagnostic, Faults, SourceId, Sources, Span};
 use crate::session::Session;
@@ -17,7 +17,7 @@ use std::cmp::Ordering;
 use std::io::{self, Write};
 use std::ops::Range;
 
-/// Inserts the rows of a `.facts` text into a relation and returns the number of rows read.
+/// Inserts the rows of a `.facts` text into a predicate and returns the number of rows read.
 ///
 /// The rows hold from the next commit on.
 ///
@@ -28,8 +28,13 @@ use std::ops::Range;
 ///
 /// # Errors
 /// All faults, as `invalid-fact` diagnostics. In that case the function inserts nothing.
-pub fn load(session: &mut Session, rel: RelId, sources: &Sources, source: SourceId) -> Result<usize, Vec<Diagnostic>> {
-    load_as(session, rel, sources, source, &RowFormat::default())
+pub fn load(
+    session: &mut Session,
+    id: PredicateId,
+    sources: &Sources,
+    source: SourceId,
+) -> Result<usize, Vec<Diagnostic>> {
+    load_as(session, id, sources, source, &RowFormat::default())
 }
 
 /// Loads rows as [`load`] does, in the given format.
@@ -38,16 +43,16 @@ pub fn load(session: &mut Session, rel: RelId, sources: &Sources, source: Source
 /// All faults, as `invalid-fact` diagnostics. In that case the function inserts nothing.
 pub fn load_as(
     session: &mut Session,
-    rel: RelId,
+    id: PredicateId,
     sources: &Sources,
     source: SourceId,
     format: &RowFormat,
 ) -> Result<usize, Vec<Diagnostic>> {
     let program = session.program().clone();
-    let Some(relation) = program.rules().relations.get(rel.index()) else {
+    let Some(predicate) = program.rules().predicates.get(id.index()) else {
         return Err(vec![Diagnostic::new(
             codes::INVALID_FACT,
-            "the program has no such relation",
+            "the program has no such predicate",
         )]);
     };
     let text = sources.text(source);
@@ -57,7 +62,7 @@ pub fn load_as(
     let mut header = format.headers;
     let mut fields = Vec::new();
     let last = format.columns.iter().max();
-    let needed = last.map_or(relation.arity(), |&last| last + 1);
+    let needed = last.map_or(predicate.arity(), |&last| last + 1);
     let mut start = 0;
     // The final line break is optional.
     while start < text.len() {
@@ -78,28 +83,28 @@ pub fn load_as(
             );
             continue;
         }
-        if relation.columns.is_empty() {
+        if predicate.columns.is_empty() {
             if !matches!(&text[whole.clone()], "()" | "") {
-                let message = format!("`{}` has no columns; its only row is `()`", relation.name);
+                let message = format!("`{}` has no columns; its only row is `()`", predicate.name);
                 let fault = Diagnostic::new(codes::INVALID_FACT, message);
                 faults.push(fault.at(span(whole), "expected `()` or an empty line"));
             }
             continue;
         }
         let found = record.values;
-        if !last.map_or(found == relation.arity(), |&last| last < found) {
+        if !last.map_or(found == predicate.arity(), |&last| last < found) {
             let message = if whole.is_empty() {
-                format!("an empty line where a row of `{}` was expected", relation.name)
+                format!("an empty line where a row of `{}` was expected", predicate.name)
             } else if let Some(last) = last {
                 format!("a row of {found} values where value {last} is read, counted from 0")
             } else {
-                let (name, arity) = (&relation.name, relation.arity());
+                let (name, arity) = (&predicate.name, predicate.arity());
                 format!("a row of `{name}` has {arity} values, not {found}")
             };
             let fault = Diagnostic::new(codes::INVALID_FACT, message).at(span(whole), "");
             faults.push(
                 fault
-                    .also(relation.span, "declared here")
+                    .also(predicate.span, "declared here")
                     .help(if format.delimiter == "\t" {
                         "values are separated by single tabs".to_owned()
                     } else {
@@ -108,7 +113,7 @@ pub fn load_as(
             );
             continue;
         }
-        for (index, column) in relation.columns.iter().enumerate() {
+        for (index, column) in predicate.columns.iter().enumerate() {
             let field = fields[format.columns.get(index).copied().unwrap_or(index)].clone();
             if let Some(value) = parse(session, column, &text[field.clone()], format) {
                 rows.push(value);
@@ -119,15 +124,15 @@ pub fn load_as(
                 BaseType::Float => ("floats", "not a decimal number"),
                 _ => ("numbers", "not a 32-bit decimal number"),
             };
-            let message = format!("column `{}` of `{}` holds {what}", column.name, relation.name);
+            let message = format!("column `{}` of `{}` holds {what}", column.name, predicate.name);
             faults.push(Diagnostic::new(codes::INVALID_FACT, message).at(span(field), label));
         }
     }
     let mut faults = faults.finish();
     if faults.is_empty() {
-        let inserted = match relation.arity() {
-            0 => (0..count.min(1)).try_for_each(|_| session.insert(rel, ())),
-            arity => session.insert_all(rel, rows.chunks_exact(arity)),
+        let inserted = match predicate.arity() {
+            0 => (0..count.min(1)).try_for_each(|_| session.insert(id, ())),
+            arity => session.insert_all(id, rows.chunks_exact(arity)),
         };
         if let Err(error) = inserted {
             faults.push(Diagnostic::new(codes::INVALID_FACT, error.to_string()));
@@ -252,35 +257,35 @@ fn parse(session: &mut Session, column: &Column, text: &str, format: &RowFormat)
     }
 }
 
-/// Returns the rows of a relation as text, in the order of [`sorted`].
-pub fn print(session: &Session, rel: RelId) -> String {
+/// Returns the rows of a predicate as text, in the order of [`sorted`].
+pub fn print(session: &Session, id: PredicateId) -> String {
     let mut out = Vec::new();
-    write_rows(session, rel, &RowFormat::default(), &mut out).expect("writing to memory cannot fail");
+    write_rows(session, id, &RowFormat::default(), &mut out).expect("writing to memory cannot fail");
     String::from_utf8(out).expect("texts are written whole")
 }
 
 /// Returns the header line with the column names; empty if the format has no headers.
-pub fn header(relation: &Relation, format: &RowFormat) -> String {
-    let names: Vec<&str> = relation.columns.iter().map(|column| column.name.as_str()).collect();
+pub fn header(predicate: &Predicate, format: &RowFormat) -> String {
+    let names: Vec<&str> = predicate.columns.iter().map(|column| column.name.as_str()).collect();
     match format.headers {
         true => names.join(&format.delimiter) + "\n",
         false => String::new(),
     }
 }
 
-/// Returns the rows of a relation, ordered column by column: numbers by value, symbols by text.
-pub fn sorted(session: &Session, rel: RelId) -> Vec<&[Value]> {
-    let mut rows: Vec<&[Value]> = session.encoded_rows(rel).collect();
-    if let Some(relation) = session.program().rules().relations.get(rel.index()) {
-        rows.sort_by(|a, b| compare(session, relation, a, b));
+/// Returns the rows of a predicate, ordered column by column: numbers by value, symbols by text.
+pub fn sorted(session: &Session, id: PredicateId) -> Vec<&[Value]> {
+    let mut rows: Vec<&[Value]> = session.encoded_rows(id).collect();
+    if let Some(predicate) = session.program().rules().predicates.get(id.index()) {
+        rows.sort_by(|a, b| compare(session, predicate, a, b));
     }
     rows
 }
 
 /// Compares rows column by column: numbers by value, symbols by text.
-fn compare(session: &Session, relation: &Relation, a: &[Value], b: &[Value]) -> Ordering {
+fn compare(session: &Session, predicate: &Predicate, a: &[Value], b: &[Value]) -> Ordering {
     let text = |value: Value| session.symbols().resolve(Symbol(value.0)).unwrap_or_default();
-    let mut columns = relation.columns.iter().zip(a.iter().zip(b));
+    let mut columns = predicate.columns.iter().zip(a.iter().zip(b));
     let order = columns.find_map(|(column, (a, b))| {
         let order = match column.base {
             BaseType::Symbol => text(*a).cmp(text(*b)),
@@ -307,28 +312,28 @@ pub fn print_value(session: &Session, value: Value, base: BaseType) -> String {
     }
 }
 
-/// Writes the rows of a relation in the given format, without the header, in the order of [`sorted`].
+/// Writes the rows of a predicate in the given format, without the header, in the order of [`sorted`].
 ///
 /// Streaming keeps the memory small: a long symbol that occurs in many rows makes the text far larger than the session.
 /// The order takes eight bytes for each row, or nothing if the session holds the rows in that order.
 ///
 /// # Errors
 /// If writing to `out` fails.
-pub fn write_rows(session: &Session, rel: RelId, format: &RowFormat, out: &mut dyn Write) -> io::Result<()> {
-    let Some(relation) = session.program().rules().relations.get(rel.index()) else {
+pub fn write_rows(session: &Session, id: PredicateId, format: &RowFormat, out: &mut dyn Write) -> io::Result<()> {
+    let Some(predicate) = session.program().rules().predicates.get(id.index()) else {
         return Ok(());
     };
     let text = |value: Value| session.symbols().resolve(Symbol(value.0)).unwrap_or_default();
-    let in_order = (session.encoded_rows(rel)).is_sorted_by(|a, b| compare(session, relation, a, b).is_le());
+    let in_order = (session.encoded_rows(id)).is_sorted_by(|a, b| compare(session, predicate, a, b).is_le());
     let mut order: Vec<usize> = Vec::new();
     if !in_order {
-        order.extend(0..session.len(rel));
-        let row = |at: usize| session.row(rel, at);
-        order.sort_unstable_by(|&a, &b| compare(session, relation, row(a), row(b)));
+        order.extend(0..session.len(id));
+        let row = |at: usize| session.row(id, at);
+        order.sort_unstable_by(|&a, &b| compare(session, predicate, row(a), row(b)));
     }
-    for at in 0..session.len(rel) {
-        let row = session.row(rel, order.get(at).copied().unwrap_or(at));
-        for (position, (column, value)) in relation.columns.iter().zip(row).enumerate() {
+    for at in 0..session.len(id) {
+        let row = session.row(id, order.get(at).copied().unwrap_or(at));
+        for (position, (column, value)) in predicate.columns.iter().zip(row).enumerate() {
             if position > 0 {
                 out.write_all(format.delimiter.as_bytes())?;
             }
@@ -340,7 +345,7 @@ pub fn write_rows(session: &Session, rel: RelId, format: &RowFormat, out: &mut d
                 BaseType::Float => out.write_all(print_float(value.as_float()).as_bytes())?,
             }
         }
-        if relation.columns.is_empty() {
+        if predicate.columns.is_empty() {
             out.write_all(b"()")?;
         }
         out.write_all(b"\n")?;

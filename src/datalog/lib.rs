@@ -27,7 +27,7 @@
 //! - [`Session`]: holds facts, commits changes and answers queries. Rows are tuples of Rust values, or slices of
 //!   [`Value`]s, which take no conversion.
 //! - [`diag`]: the errors and warnings of rules, with their places.
-//! - [`facts`]: reads and writes relations as text.
+//! - [`facts`]: reads and writes predicates as text.
 //! - [`explain`]: proves why a fact holds, and shows why another one does not.
 //! - [`diff`]: compares two rule sets, and proves them equivalent or finds a difference.
 //! - [`Workspace`]: edits a program and runs ad hoc queries.
@@ -47,9 +47,9 @@
 //!    and returns warnings. [`Program::new`] plans rules that [`load`] checked.
 //! 2. [`Program::session`] creates an empty [`Session`]. Its first commit also derives what follows from facts in the
 //!    text.
-//! 3. [`Session::insert`] and [`Session::retract`] record changes of base relations. No query sees them yet.
-//! 4. [`Session::commit`] applies the changes and updates the derived relations, or fails and changes nothing.
-//!    The [`Delta`] it returns lists the added and removed rows of every relation, base and derived.
+//! 3. [`Session::insert`] and [`Session::retract`] record changes of base predicates. No query sees them yet.
+//! 4. [`Session::commit`] applies the changes and updates the derived predicates, or fails and changes nothing.
+//!    The [`Delta`] it returns lists the added and removed rows of every predicate, base and derived.
 //!
 //! ```
 //! use logicity_datalog::{Program, StratumStats};
@@ -67,7 +67,7 @@
 //!
 //! session.insert("closed", (1, 2))?;
 //! let delta = session.commit()?;
-//! let open = delta.of(program.relation("open").unwrap()).unwrap();
+//! let open = delta.of(program.predicate("open").unwrap()).unwrap();
 //! assert_eq!(session.decode::<(i64, i64)>("open", &open.removed)?.collect::<Vec<_>>(), [(1, 2)]);
 //!
 //! // A commit without a net change evaluates nothing.
@@ -86,7 +86,7 @@
 //! - *Maintain*: delete and rederive (DRed). The work depends on the change and on the rows that join with it.
 //! - *Recompute*: semi-naive evaluation from scratch.
 //!
-//! If the result of a stratum stays the same, the change stops there. A commit also copies every relation that changes,
+//! If the result of a stratum stays the same, the change stops there. A commit also copies every predicate that changes,
 //! in time proportional to its size.
 //!
 //! [`Session::work`] reports the strata and rules that the last commit evaluated, with the numbers of rows. After every
@@ -141,11 +141,11 @@ mod workspace;
 
 pub use analysis::{constraints, diff};
 pub use check::{
-    Atom, Clause, ClauseId, Column, Comparing, Constraint, DeclaredConstraint, Directive, InputPolicy, Literal, RelId,
-    Relation, RowFormat, RowPlace, Rules, Stratum, Term, Type, TypeId, VarId,
+    Atom, Clause, ClauseId, Column, Comparing, Constraint, DeclaredConstraint, Directive, InputPolicy, Literal,
+    Predicate, PredicateId, RowFormat, RowPlace, Rules, Stratum, Term, Type, TypeId, VarId,
 };
-pub use convert::{AsRelation, FromRow, FromValue, IntoRow, RowError, ToValue};
-pub use eval::delta::{Delta, RelationChange, Rows};
+pub use convert::{AsPredicate, FromRow, FromValue, IntoRow, RowError, ToValue};
+pub use eval::delta::{Delta, PredicateChange, Rows};
 pub use eval::limits::{EvalError, Limits};
 pub use eval::stats::{EvalEvent, EvalStats, RuleStats, Strategy, StratumStats, WorkCounts};
 pub use eval::workers::Threads;

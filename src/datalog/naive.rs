@@ -3,23 +3,27 @@
 //! The evaluator goes through the strata in order. In each stratum it tries every clause on every combination of rows
 //! until it derives nothing new. It shares no code with the real executor and stays unoptimized; tests compare the two.
 
-use crate::check::{Atom, Clause, Literal, RelId, Rules, Term};
+use crate::check::{Atom, Clause, Literal, PredicateId, Rules, Term};
 use crate::symbol::{Symbol, Symbols};
 use crate::syntax::ast::{BaseType, Comparison};
 use crate::value::{Patterns, Value};
 use std::collections::BTreeSet;
 
-/// All rows that hold, indexed by [`RelId`].
+/// All rows that hold, indexed by [`PredicateId`].
 pub type Database = Vec<BTreeSet<Vec<Value>>>;
 
 /// The value of each variable of a clause; `None` while unbound.
 type Binding = Vec<Option<Value>>;
 
 /// Returns the perfect model of the rules and `facts`. `symbols` must contain every symbol of both.
-pub fn evaluate(rules: &Rules, symbols: &Symbols, facts: impl IntoIterator<Item = (RelId, Vec<Value>)>) -> Database {
-    let mut database: Database = vec![BTreeSet::new(); rules.relations.len()];
-    for (relation, row) in facts {
-        database[relation.index()].insert(row);
+pub fn evaluate(
+    rules: &Rules,
+    symbols: &Symbols,
+    facts: impl IntoIterator<Item = (PredicateId, Vec<Value>)>,
+) -> Database {
+    let mut database: Database = vec![BTreeSet::new(); rules.predicates.len()];
+    for (predicate, row) in facts {
+        database[predicate.index()].insert(row);
     }
     for stratum in &rules.strata {
         loop {
@@ -27,7 +31,7 @@ pub fn evaluate(rules: &Rules, symbols: &Symbols, facts: impl IntoIterator<Item 
             for &clause in &stratum.clauses {
                 let clause = &rules.clauses[clause.index()];
                 for row in consequences(rules, clause, symbols, &database) {
-                    changed |= database[clause.head.relation.index()].insert(row);
+                    changed |= database[clause.head.predicate.index()].insert(row);
                 }
             }
             if !changed {
@@ -56,7 +60,7 @@ fn derived(
     // P(x, y): one binding for each row of P that agrees with the bindings so far.
     for literal in &clause.body {
         if let Literal::Positive(atom) | Literal::Guard(atom) = literal {
-            let rows = &database[atom.relation.index()];
+            let rows = &database[atom.predicate.index()];
             bindings = bindings
                 .iter()
                 .flat_map(|known| rows.iter().filter_map(|row| unify(atom, row, known)))
@@ -92,7 +96,7 @@ fn derived(
     bindings.retain(|known| {
         clause.body.iter().all(|literal| match literal {
             Literal::Positive(_) | Literal::Guard(_) => true,
-            Literal::Negative(atom) => !database[atom.relation.index()]
+            Literal::Negative(atom) => !database[atom.predicate.index()]
                 .iter()
                 .any(|row| unify(atom, row, known).is_some()),
             Literal::Compare {
@@ -157,12 +161,12 @@ fn result(rules: &Rules, literal: &Literal, known: &Binding, database: &Database
                 return None;
             }
             let correlated;
-            let rows = match rules.is_correlated(atom.relation) {
+            let rows = match rules.is_correlated(atom.predicate) {
                 true => {
                     correlated = correlated_rows(rules, atom, known, symbols, database);
                     &correlated
                 }
-                false => &database[atom.relation.index()],
+                false => &database[atom.predicate.index()],
             };
             let rows = rows.iter().filter(|row| unify(atom, row, known).is_some());
             op.of(
@@ -187,11 +191,11 @@ fn correlated_rows(
     for clause in rules
         .clauses
         .iter()
-        .filter(|clause| clause.head.relation == atom.relation)
+        .filter(|clause| clause.head.predicate == atom.predicate)
     {
         // +1(x, y) :- P(y), y < x. with the value of x.
         let mut inner = vec![None; clause.variables.len()];
-        let parameters = rules.relations[atom.relation.index()].parameters;
+        let parameters = rules.predicates[atom.predicate.index()].parameters;
         for (term, actual) in clause.head.terms.iter().zip(&atom.terms).take(parameters) {
             learn(term, value(actual, known), &mut inner);
         }

@@ -1,6 +1,6 @@
 //! Plans as text: the order of scans and tests, with their key columns and indexes.
 
-use crate::check::{Clause, ClauseId, RelId};
+use crate::check::{Clause, ClauseId, PredicateId};
 use crate::diag::Sources;
 use crate::plan::Compiled;
 use crate::plan::Plans;
@@ -68,12 +68,12 @@ fn on_one_line(clause: &Clause, sources: &Sources) -> String {
 impl Session {
     /// Returns the plans of all clauses that the last commit recomputed; see [`Program::show_plans`].
     ///
-    /// The text includes the row counts of the relations that the plans read.
+    /// The text includes the row counts of the predicates that the plans read.
     pub fn show_plans(&self, sources: &Sources) -> String {
         let shown = Shown {
             compiled: &self.program.0,
             plans: self.store.plans(),
-            rows: Some(&|relation| self.store.len(relation)),
+            rows: Some(&|predicate| self.store.len(predicate)),
         };
         shown.all(sources)
     }
@@ -83,8 +83,8 @@ impl Session {
 struct Shown<'a> {
     compiled: &'a Compiled,
     plans: &'a Plans,
-    /// The row count of each relation, once there are rows.
-    rows: Option<&'a dyn Fn(RelId) -> usize>,
+    /// The row count of each predicate, once there are rows.
+    rows: Option<&'a dyn Fn(PredicateId) -> usize>,
 }
 
 /// Returns slots with their positions as columns.
@@ -148,7 +148,7 @@ impl Shown<'_> {
             let recursive = if stratum.recursive { " (recursive)" } else { "" };
             out += &format!("stratum {number}: {}{recursive}\n", names.join(", "));
             if let Some(rows) = self.rows {
-                let size = |&input: &RelId| format!("{} {}", self.name(input), rows(input));
+                let size = |&input: &PredicateId| format!("{} {}", self.name(input), rows(input));
                 let sizes: Vec<String> = stratum.inputs.iter().map(size).collect();
                 out += &format!("  over {}\n", sizes.join(", "));
             }
@@ -174,8 +174,8 @@ impl Shown<'_> {
         out
     }
 
-    fn name(&self, relation: RelId) -> &str {
-        &self.compiled.rules.relations[relation.index()].name
+    fn name(&self, predicate: PredicateId) -> &str {
+        &self.compiled.rules.predicates[predicate.index()].name
     }
 
     fn show_steps(&self, out: &mut String, clause: &Clause, plan: &Plan) {
@@ -193,9 +193,9 @@ impl Shown<'_> {
                 *out += &one_match_note(position, enough, plan.steps.len());
             }
             *out += &format!("      {}\n", self.show_step(step, &value));
-            if let Step::Correlated { relation, plans, .. } = step {
+            if let Step::Correlated { predicate, plans, .. } = step {
                 let mut inner = String::new();
-                for (plan, clause) in plans.iter().zip(self.plans.correlated_clauses(*relation)) {
+                for (plan, clause) in plans.iter().zip(self.plans.correlated_clauses(*predicate)) {
                     self.show_steps(&mut inner, &self.compiled.rules.clauses[clause.index()], plan);
                 }
                 inner.lines().for_each(|line| *out += &format!("  {line}\n"));
@@ -216,7 +216,11 @@ impl Shown<'_> {
             } => {
                 let terms: Vec<(u16, Slot)> = in_order(key).chain(bind.iter().chain(check).copied()).collect();
                 let lookup = self.show_lookup(*source, &terms, key.len(), value);
-                match self.plans.indexes.correlated(self.plans.indexes[source.index].relation) {
+                match self
+                    .plans
+                    .indexes
+                    .correlated(self.plans.indexes[source.index].predicate)
+                {
                     Some(_) => format!("given  {}", lookup.trim_end_matches(", new")),
                     None => format!("scan   {lookup}"),
                 }
@@ -268,12 +272,12 @@ impl Shown<'_> {
                 to,
                 test,
             } => {
-                let rows = self.show_rows(self.plans.indexes[source.index].relation, key, value);
+                let rows = self.show_rows(self.plans.indexes[source.index].predicate, key, value);
                 let (verb, to) = (verb(*test), value(*to, *base));
                 format!("{verb}   {to} = {} : {{ {rows} }}, by group", op.name())
             }
             Step::Correlated {
-                relation,
+                predicate,
                 key,
                 op,
                 base,
@@ -281,7 +285,7 @@ impl Shown<'_> {
                 test,
                 ..
             } => {
-                let rows = self.show_rows(*relation, key, value);
+                let rows = self.show_rows(*predicate, key, value);
                 let (verb, to) = (verb(*test), value(*to, *base));
                 format!("{verb}   {to} = {} : {{ {rows} }}, in place", op.name())
             }
@@ -290,10 +294,10 @@ impl Shown<'_> {
 
     /// Returns what a plan does with each match of its steps.
     fn show_head(&self, plan: &Plan, value: &dyn Fn(Slot, BaseType) -> String) -> String {
-        let relation = &self.compiled.rules.relations[plan.head.index()];
-        let terms = relation.columns.iter().zip(&plan.output);
+        let predicate = &self.compiled.rules.predicates[plan.head.index()];
+        let terms = predicate.columns.iter().zip(&plan.output);
         let terms: Vec<String> = terms.map(|(column, &slot)| value(slot, column.base)).collect();
-        let atom = format!("{}({})", relation.name, terms.join(", "));
+        let atom = format!("{}({})", predicate.name, terms.join(", "));
         let Some(fold) = plan.fold else {
             return format!("derive {atom}");
         };
@@ -307,19 +311,19 @@ impl Shown<'_> {
     }
 
     /// Returns the atom whose leading columns have these slots.
-    fn show_rows(&self, relation: RelId, key: &[Slot], value: &dyn Fn(Slot, BaseType) -> String) -> String {
-        let relation = &self.compiled.rules.relations[relation.index()];
-        let known = relation.columns.iter().zip(key);
+    fn show_rows(&self, predicate: PredicateId, key: &[Slot], value: &dyn Fn(Slot, BaseType) -> String) -> String {
+        let predicate = &self.compiled.rules.predicates[predicate.index()];
+        let known = predicate.columns.iter().zip(key);
         let known = known.map(|(column, &slot)| value(slot, column.base));
-        let rest = std::iter::repeat_n("_".to_owned(), relation.arity() - key.len());
+        let rest = std::iter::repeat_n("_".to_owned(), predicate.arity() - key.len());
         format!(
             "{}({})",
-            relation.name,
+            predicate.name,
             known.chain(rest).collect::<Vec<_>>().join(", ")
         )
     }
 
-    /// Returns the atom with its key columns, its index unless that is the relation's own order, and the version of the
+    /// Returns the atom with its key columns, its index unless that is the predicate's own order, and the version of the
     /// rows.
     fn show_lookup(
         &self,
@@ -329,23 +333,23 @@ impl Shown<'_> {
         value: &dyn Fn(Slot, BaseType) -> String,
     ) -> String {
         let order = &self.plans.indexes[source.index];
-        let relation = &self.compiled.rules.relations[order.relation.index()];
-        let mut atom = vec!["_".to_owned(); relation.arity()];
+        let predicate = &self.compiled.rules.predicates[order.predicate.index()];
+        let mut atom = vec!["_".to_owned(); predicate.arity()];
         for &(column, slot) in terms {
             let column = order.columns[column as usize] as usize;
-            atom[column] = value(slot, relation.columns[column].base);
+            atom[column] = value(slot, predicate.columns[column].base);
         }
         let columns = |range: &[u16]| {
             let names = range
                 .iter()
-                .map(|&column| relation.columns[column as usize].name.as_str());
+                .map(|&column| predicate.columns[column as usize].name.as_str());
             names.collect::<Vec<_>>().join(", ")
         };
-        let mut text = format!("{}({})", relation.name, atom.join(", "));
+        let mut text = format!("{}({})", predicate.name, atom.join(", "));
         if key > 0 {
             text += &format!(" by {}", columns(&order.columns[..key]));
         }
-        if source.index != IndexId(order.relation.0) {
+        if source.index != IndexId(order.predicate.0) {
             text += &format!(", index ({})", columns(&order.columns));
         }
         text += match source.version {

@@ -4,7 +4,7 @@ use std::fmt;
 use std::path::Path;
 use std::sync::Arc;
 
-use crate::check::{InputPolicy, RelId, Rules};
+use crate::check::{InputPolicy, PredicateId, Rules};
 use crate::diag::{Diagnostic, SourceId, Sources, render};
 use crate::files::{ReadError, ReadFile};
 #[cfg(feature = "optimizer")]
@@ -122,14 +122,14 @@ impl Program {
     /// Returns whether sessions aggregate the rows of the predicate and do not store them.
     ///
     /// Such a predicate is the hidden one for the body of an aggregate. A session returns no rows of it and no changes.
-    pub fn is_aggregated(&self, rel: RelId) -> bool {
+    pub fn is_aggregated(&self, id: PredicateId) -> bool {
         let plans = &self.0.plans;
-        plans.indexes.correlated(rel).is_some() || plans.groupings.get(rel.index()).is_some_and(Option::is_some)
+        plans.indexes.correlated(id).is_some() || plans.groupings.get(id.index()).is_some_and(Option::is_some)
     }
 
     /// Returns the predicate with that name, if the program declares it.
-    pub fn relation(&self, name: &str) -> Option<RelId> {
-        self.0.rules.relation(name)
+    pub fn predicate(&self, name: &str) -> Option<PredicateId> {
+        self.0.rules.predicate(name)
     }
 }
 

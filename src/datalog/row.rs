@@ -2,7 +2,7 @@
 //!
 //! A program learns the arities of its predicates at run time, but fast sorting, merging and searching need them at
 //! compile time. So all code on rows is generic over one width `W`: the program's largest arity, rounded up to one of
-//! [`WIDTHS`]. Zeros pad narrower rows; only loaded relations have rows of their own width ([`ByWidth`]). A set of rows
+//! [`WIDTHS`]. Zeros pad narrower rows; only loaded predicates have rows of their own width ([`ByWidth`]). A set of rows
 //! is a sorted slice without duplicates.
 // Decision: docs/decisions/facts.md#d007
 
@@ -197,7 +197,7 @@ impl<'a, const W: usize> Batch<'a, W> {
 
 /// A value for rows of the program's width, or of a narrower one.
 ///
-/// Relations that no clause derives may have few columns in a program with wide relations. Their rows are as narrow as
+/// Predicates that no clause derives may have few columns in a program with wide predicates. Their rows are as narrow as
 /// these columns allow; see [`NARROW`].
 #[derive(Clone, Copy, Debug)]
 pub(crate) enum ByWidth<Own, Two, Four, Eight> {

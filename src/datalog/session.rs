@@ -3,8 +3,8 @@
 use std::fmt;
 
 use crate::cancel::Cancel;
-use crate::check::{ClauseId, Literal, RelId, Relation, Term};
-use crate::convert::{AsRelation, FromRow, IntoRow, RowError, check_words, encode};
+use crate::check::{ClauseId, Literal, Predicate, PredicateId, Term};
+use crate::convert::{AsPredicate, FromRow, IntoRow, RowError, check_words, encode};
 use crate::eval::delta::{Delta, Rows};
 use crate::eval::exec::{self, CommitOptions, Store};
 use crate::eval::limits::{EvalError, Limits};
@@ -20,7 +20,7 @@ use crate::value::Value;
 /// Facts and everything that the rules derive from them.
 ///
 /// [`insert`](Session::insert) and [`retract`](Session::retract) record pending changes, which no query sees.
-/// [`commit`](Session::commit) applies all of them at once and updates the derived relations. Every query answers as of
+/// [`commit`](Session::commit) applies all of them at once and updates the derived predicates. Every query answers as of
 /// the last commit.
 pub struct Session {
     pub(super) program: Program,
@@ -33,20 +33,20 @@ pub struct Session {
 }
 
 impl Program {
-    /// Returns the relation if the caller may set its rows, and the one that stores them.
-    fn base(&self, relation: impl AsRelation) -> Result<(&Relation, RelId), RowError> {
-        let (id, relation) = relation.resolve(self.rules())?;
-        if relation.derived && relation.edb.is_none() {
+    /// Returns the predicate if the caller may set its rows, and the one that stores them.
+    fn base(&self, predicate: impl AsPredicate) -> Result<(&Predicate, PredicateId), RowError> {
+        let (id, predicate) = predicate.resolve(self.rules())?;
+        if predicate.derived && predicate.edb.is_none() {
             return Err(RowError::Derived {
-                relation: relation.name.clone(),
+                predicate: predicate.name.clone(),
             });
         }
-        Ok((relation, relation.edb.unwrap_or(id)))
+        Ok((predicate, predicate.edb.unwrap_or(id)))
     }
 
     /// Creates a session without inserted facts.
     ///
-    /// Every relation is empty until the first commit, even one with facts in the source.
+    /// Every predicate is empty until the first commit, even one with facts in the source.
     pub fn session(&self) -> Session {
         Session {
             store: exec::store(&self.0),
@@ -116,7 +116,7 @@ impl Session {
 
     /// Marks a row to hold from the next commit on. The last change of a row before the commit wins.
     ///
-    /// The relation is a name or an id, the row a tuple, an array or a slice of Rust values; see [`IntoRow`]. Ids and
+    /// The predicate is a name or an id, the row a tuple, an array or a slice of Rust values; see [`IntoRow`]. Ids and
     /// rows of [`Value`]s are fastest.
     ///
     /// ```
@@ -128,29 +128,29 @@ impl Session {
     /// let error = session.insert("age", (36, "Ada")).unwrap_err();
     /// assert_eq!(error.to_string(), "the column `person` of `age` expects a symbol, not 36");
     /// let error = session.insert("aeg", ("Ada", 36)).unwrap_err();
-    /// assert_eq!(error.to_string(), "the program declares no relation `aeg`; did you mean `age`?");
+    /// assert_eq!(error.to_string(), "the program declares no predicate `aeg`; did you mean `age`?");
     /// # Ok::<(), Box<dyn std::error::Error>>(())
     /// ```
     ///
     /// # Errors
-    /// If the program has no such relation, the row does not fit it, or rules alone define it.
-    pub fn insert(&mut self, relation: impl AsRelation, row: impl IntoRow) -> Result<(), RowError> {
-        self.change(relation, &row, true)
+    /// If the program has no such predicate, the row does not fit it, or rules alone define it.
+    pub fn insert(&mut self, predicate: impl AsPredicate, row: impl IntoRow) -> Result<(), RowError> {
+        self.change(predicate, &row, true)
     }
 
     /// Records a change of a row.
-    fn change(&mut self, relation: impl AsRelation, row: &impl IntoRow, holds: bool) -> Result<(), RowError> {
-        let (relation, to) = self.program.base(relation)?;
+    fn change(&mut self, predicate: impl AsPredicate, row: &impl IntoRow, holds: bool) -> Result<(), RowError> {
+        let (predicate, to) = self.program.base(predicate)?;
         let mut encoded = Vec::new();
         let words = match row.words() {
             Some(words) => words,
             None => {
                 let symbol = |text: &str| Some(self.symbols.intern(text));
-                encode(relation, row, &symbol, &mut encoded)?;
+                encode(predicate, row, &symbol, &mut encoded)?;
                 &encoded
             }
         };
-        check_words(relation, words, self.symbols.len())?;
+        check_words(predicate, words, self.symbols.len())?;
         self.store.change(to, words, holds);
         Ok(())
     }
@@ -171,16 +171,16 @@ impl Session {
     /// If one of the rows is invalid. In that case the call changes nothing.
     pub fn insert_all(
         &mut self,
-        relation: impl AsRelation,
+        predicate: impl AsPredicate,
         rows: impl IntoIterator<Item = impl IntoRow>,
     ) -> Result<(), RowError> {
         /// Words per call of the store.
         const PART: usize = 1 << 12;
-        let (relation, to) = self.program.base(relation)?;
-        let arity = relation.arity();
+        let (predicate, to) = self.program.base(predicate)?;
+        let arity = predicate.arity();
         let symbol = |text: &str| Some(self.symbols.intern(text));
         let mut encoded = Vec::new();
-        let symbolic = relation.columns.iter().any(|column| column.base == BaseType::Symbol);
+        let symbolic = predicate.columns.iter().any(|column| column.base == BaseType::Symbol);
         let before = self.store.pending(to);
         let mut words: Vec<Value> = Vec::with_capacity(PART);
         let rows = rows.into_iter();
@@ -188,11 +188,11 @@ impl Session {
         for row in rows {
             let row = match row.words() {
                 Some(words) if !symbolic && words.len() == arity => Ok(words),
-                Some(words) => check_words(relation, words, self.symbols.len()).map(|()| words),
+                Some(words) => check_words(predicate, words, self.symbols.len()).map(|()| words),
                 None => {
                     encoded.clear();
-                    encode(relation, &row, &symbol, &mut encoded)
-                        .and_then(|()| check_words(relation, &encoded, self.symbols.len()))
+                    encode(predicate, &row, &symbol, &mut encoded)
+                        .and_then(|()| check_words(predicate, &encoded, self.symbols.len()))
                         .map(|()| encoded.as_slice())
                 }
             };
@@ -224,8 +224,8 @@ impl Session {
     ///
     /// # Errors
     /// As [`insert`](Session::insert).
-    pub fn retract(&mut self, relation: impl AsRelation, row: impl IntoRow) -> Result<(), RowError> {
-        self.change(relation, &row, false)
+    pub fn retract(&mut self, predicate: impl AsPredicate, row: impl IntoRow) -> Result<(), RowError> {
+        self.change(predicate, &row, false)
     }
 
     /// Discards the changes since the last commit.
@@ -235,7 +235,7 @@ impl Session {
 
     /// Applies the pending changes, derives what follows and returns the difference.
     ///
-    /// The [`Delta`] lists, for every relation, exactly the rows that became true and those that became false.
+    /// The [`Delta`] lists, for every predicate, exactly the rows that became true and those that became false.
     ///
     /// # Errors
     /// If the evaluation exceeds a limit. In that case the session stays as before the call, with the same changes
@@ -287,7 +287,7 @@ impl Session {
         }
     }
 
-    /// Returns whether the row holds. A row that does not fit the relation does not.
+    /// Returns whether the row holds. A row that does not fit the predicate does not.
     ///
     /// ```
     /// # use logicity_datalog::Program;
@@ -298,22 +298,22 @@ impl Session {
     /// assert!(!session.contains("capital", ("Lyon", "France")));
     /// # Ok::<(), Box<dyn std::error::Error>>(())
     /// ```
-    pub fn contains(&self, relation: impl AsRelation, row: impl IntoRow) -> bool {
-        let Some((rel, relation)) = self.stored(relation) else {
+    pub fn contains(&self, predicate: impl AsPredicate, row: impl IntoRow) -> bool {
+        let Some((id, predicate)) = self.stored(predicate) else {
             return false;
         };
         if let Some(words) = row.words() {
-            return words.len() == relation.arity() && self.store.contains(rel, words);
+            return words.len() == predicate.arity() && self.store.contains(id, words);
         }
         let mut words = Vec::new();
-        let encoded = encode(relation, &row, &|text| self.symbols.get(text), &mut words);
-        encoded.is_ok() && self.store.contains(rel, &words)
+        let encoded = encode(predicate, &row, &|text| self.symbols.get(text), &mut words);
+        encoded.is_ok() && self.store.contains(id, &words)
     }
 
-    /// Returns the aggregate over the rows of a relation that begin with `key`, if that relation [is
+    /// Returns the aggregate over the rows of a predicate that begin with `key`, if that predicate [is
     /// aggregated](Program::is_aggregated).
-    pub(crate) fn group(&self, rel: RelId, key: &[Value], op: AggregateOp) -> Option<Value> {
-        self.store.group(rel, key, op)
+    pub(crate) fn group(&self, id: PredicateId, key: &[Value], op: AggregateOp) -> Option<Value> {
+        self.store.group(id, key, op)
     }
 
     /// Returns the value of a correlated aggregate for these parameters, and the number of rows scanned. It stops after
@@ -345,22 +345,22 @@ impl Session {
     /// ```
     ///
     /// # Errors
-    /// If the program has no such relation, or its columns have other types.
+    /// If the program has no such predicate, or its columns have other types.
     pub fn rows<'s, T: FromRow<'s>>(
         &'s self,
-        relation: impl AsRelation,
+        predicate: impl AsPredicate,
     ) -> Result<impl ExactSizeIterator<Item = T>, RowError> {
-        let (rel, relation) = relation.resolve(self.program.rules())?;
-        T::check(relation)?;
-        let row = move |position| T::from_row(self.row(rel, position), &relation.columns, &self.symbols);
-        Ok((0..self.len(rel)).map(row))
+        let (id, predicate) = predicate.resolve(self.program.rules())?;
+        T::check(predicate)?;
+        let row = move |position| T::from_row(self.row(id, position), &predicate.columns, &self.symbols);
+        Ok((0..self.len(id)).map(row))
     }
 
     /// Returns the rows that hold as words, in the order of their words. For symbols this is the order of interning. A
-    /// relation that [is aggregated](Program::is_aggregated) has none.
-    pub fn encoded_rows(&self, rel: RelId) -> impl Iterator<Item = &[Value]> {
-        let arity = self.stored(rel).map_or(0, |(_, relation)| relation.arity());
-        (0..self.len(rel)).map(move |position| &self.store.row(rel, position)[..arity])
+    /// predicate that [is aggregated](Program::is_aggregated) has none.
+    pub fn encoded_rows(&self, id: PredicateId) -> impl Iterator<Item = &[Value]> {
+        let arity = self.stored(id).map_or(0, |(_, predicate)| predicate.arity());
+        (0..self.len(id)).map(move |position| &self.store.row(id, position)[..arity])
     }
 
     /// Returns rows of a [`Delta`] as Rust values, as [`rows`](Session::rows) does.
@@ -380,39 +380,39 @@ impl Session {
     /// As [`rows`](Session::rows).
     pub fn decode<'s, T: FromRow<'s>>(
         &'s self,
-        relation: impl AsRelation,
+        predicate: impl AsPredicate,
         rows: &'s Rows,
     ) -> Result<impl Iterator<Item = T>, RowError> {
-        let (_, relation) = relation.resolve(self.program.rules())?;
-        T::check(relation)?;
-        let columns = &relation.columns;
+        let (_, predicate) = predicate.resolve(self.program.rules())?;
+        T::check(predicate)?;
+        let columns = &predicate.columns;
         Ok(rows.iter().map(move |row| T::from_row(row, columns, &self.symbols)))
     }
 
     /// Returns the row at a position below [`Session::len`].
-    pub(crate) fn row(&self, rel: RelId, position: usize) -> &[Value] {
-        &self.store.row(rel, position)[..self.stored(rel).map_or(0, |(_, relation)| relation.arity())]
+    pub(crate) fn row(&self, id: PredicateId, position: usize) -> &[Value] {
+        &self.store.row(id, position)[..self.stored(id).map_or(0, |(_, predicate)| predicate.arity())]
     }
 
-    /// Returns the number of rows that hold; 0 for a relation that the program does not have.
-    pub fn len(&self, relation: impl AsRelation) -> usize {
-        self.stored(relation).map_or(0, |(rel, _)| self.store.len(rel))
+    /// Returns the number of rows that hold; 0 for a predicate that the program does not have.
+    pub fn len(&self, predicate: impl AsPredicate) -> usize {
+        self.stored(predicate).map_or(0, |(id, _)| self.store.len(id))
     }
 
-    /// Returns whether no row of the relation holds.
-    pub fn is_empty(&self, relation: impl AsRelation) -> bool {
-        self.len(relation) == 0
+    /// Returns whether no row of the predicate holds.
+    pub fn is_empty(&self, predicate: impl AsPredicate) -> bool {
+        self.len(predicate) == 0
     }
 
-    /// Returns a relation whose rows are stored.
-    fn stored(&self, relation: impl AsRelation) -> Option<(RelId, &Relation)> {
-        let (rel, relation) = relation.resolve(self.program.rules()).ok()?;
-        (!self.program.is_aggregated(rel)).then_some((rel, relation))
+    /// Returns a predicate whose rows are stored.
+    fn stored(&self, predicate: impl AsPredicate) -> Option<(PredicateId, &Predicate)> {
+        let (id, predicate) = predicate.resolve(self.program.rules()).ok()?;
+        (!self.program.is_aggregated(id)).then_some((id, predicate))
     }
 
     /// Returns the distinct rows that one clause derives from the current facts, sorted.
     ///
-    /// For a fact of the source this is the fact itself. Several clauses may derive the same row. For a relation
+    /// For a fact of the source this is the fact itself. Several clauses may derive the same row. For a predicate
     /// that [is aggregated](Program::is_aggregated) the result is empty.
     pub fn fired(&self, clause: ClauseId) -> Vec<Vec<Value>> {
         if clause.index() < self.program.rules().clauses.len() {
@@ -460,13 +460,17 @@ impl Session {
         });
         let rules = query.rules();
         let atoms = || (rules.clauses.iter()).flat_map(|clause| clause.body.iter().filter_map(Literal::atom));
-        for (rel, relation) in (0..).map(RelId).zip(&rules.relations).filter(|(_, relation)| relation.input) {
-            let reading: Vec<_> = atoms().filter(|atom| atom.relation == rel).collect();
+        for (id, predicate) in (0..)
+            .map(PredicateId)
+            .zip(&rules.predicates)
+            .filter(|(_, predicate)| predicate.input)
+        {
+            let reading: Vec<_> = atoms().filter(|atom| atom.predicate == id).collect();
             let matches = |row: &[Value], terms: &[Term]| {
                 (terms.iter().zip(row)).all(|(term, value)| !matches!(term, Term::Constant(wanted) if wanted != value))
             };
             let read = |row: &&[Value]| reading.iter().any(|atom| matches(row, &atom.terms));
-            let length = if reading.is_empty() { 0 } else { self.len(rel) };
+            let length = if reading.is_empty() { 0 } else { self.len(id) };
             for start in (0..length).step_by(PART) {
                 if cancel.requested() {
                     return Err(EvalError::Cancelled { clause: ClauseId(0) });
@@ -475,8 +479,9 @@ impl Session {
                     return Err(EvalError::TooManyInputs { limit });
                 }
                 let part = start..length.min(start + PART);
-                let rows = part.map(|position| &self.store.row(rel, position)[..relation.arity()]);
-                (session.insert_all(rel, rows.filter(read))).expect("an input of the query has the columns of the relation");
+                let rows = part.map(|position| &self.store.row(id, position)[..predicate.arity()]);
+                (session.insert_all(id, rows.filter(read)))
+                    .expect("an input of the query has the columns of the predicate");
             }
         }
         Ok(session)
@@ -490,9 +495,9 @@ impl Session {
 
 impl fmt::Debug for Session {
     fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
-        let relations = self.program.rules().relations.iter().zip(0..);
+        let predicates = self.program.rules().predicates.iter().zip(0..);
         f.debug_map()
-            .entries(relations.map(|(relation, rel)| (&relation.name, self.len(RelId(rel)))))
+            .entries(predicates.map(|(predicate, id)| (&predicate.name, self.len(PredicateId(id)))))
             .finish()
     }
 }

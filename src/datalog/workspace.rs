@@ -17,7 +17,7 @@ use crate::symbol::{Symbol, Symbols};
 
 use crate::check::clause;
 use crate::check::witness::{renamed, renamed_term};
-use crate::check::{self as rules, Comparing, RelId, Rules};
+use crate::check::{self as rules, Comparing, PredicateId, Rules};
 use crate::check::{InputPolicy, check, inline, names};
 use crate::syntax::ast::BaseType;
 use crate::syntax::ast::{Atom, Clause, ColumnDecl, Decl, Item, Literal, Mark, MarkKind, Name, Place, Term, TermKind};
@@ -83,13 +83,13 @@ pub struct Workspace {
 #[derive(Clone, Debug, PartialEq, Eq)]
 pub struct FactPattern {
     /// The predicate.
-    pub relation: RelId,
+    pub predicate: PredicateId,
     /// The values by column; `None` for `_`.
     pub values: Vec<Option<Value>>,
 }
 
 /// A predicate and one of its rows.
-pub type FactRow = (RelId, Vec<Value>);
+pub type FactRow = (PredicateId, Vec<Value>);
 
 impl Workspace {
     /// The name of the answer predicate in the rules that [`Workspace::ask`] returns.
@@ -232,11 +232,14 @@ impl Workspace {
         let Some(rules) = loaded.rules else {
             return Err(loaded.diagnostics);
         };
-        let answer = rules.relation(ANSWER);
-        let clause = rules.clauses.iter().find(|clause| Some(clause.head.relation) == answer);
+        let answer = rules.predicate(ANSWER);
+        let clause = rules
+            .clauses
+            .iter()
+            .find(|clause| Some(clause.head.predicate) == answer);
         match clause.map(|clause| clause.body.as_slice()) {
             Some([rules::Literal::Positive(atom)]) => Ok(FactPattern {
-                relation: atom.relation,
+                predicate: atom.predicate,
                 values: constants(atom, &rules, symbols).collect(),
             }),
             _ => {
@@ -281,7 +284,7 @@ impl Workspace {
         };
         let row = |clause: &rules::Clause| {
             let row: Option<Vec<Value>> = constants(&clause.head, &rules, symbols).collect();
-            Some((clause.head.relation, row?))
+            Some((clause.head.predicate, row?))
         };
         Ok(rules.clauses.iter().map(row).collect())
     }
@@ -430,7 +433,7 @@ fn constants<'r>(
     rules: &'r rules::Rules,
     symbols: &'r Symbols,
 ) -> impl Iterator<Item = Option<Value>> + 'r {
-    let columns = &rules.relations[atom.relation.index()].columns;
+    let columns = &rules.predicates[atom.predicate.index()].columns;
     atom.terms.iter().zip(columns).map(|(term, column)| match *term {
         rules::Term::Constant(value) => Some(moved(value, column.base, &rules.symbols, symbols)),
         rules::Term::Variable(_) | rules::Term::Wildcard => None,

@@ -105,11 +105,11 @@ impl Header {
     ) -> Result<[i64; 4], Diagnostic> {
         let mut nodes = [-1; 4];
         for (node, action) in nodes.iter_mut().zip(Action::ALL) {
-            let Some(relation) = replay.world().vocabulary.action(action) else {
+            let Some(predicate) = replay.world().vocabulary.action(action) else {
                 continue;
             };
             let asked: [Option<Value>; 1] = [Some(replay.value(agent))];
-            if let (_, Some(explanation)) = explainer.explain_either(relation, &asked)? {
+            if let (_, Some(explanation)) = explainer.explain_either(predicate, &asked)? {
                 *node = i64::from(self.proofs.add(printer, &explanation));
             }
         }

@@ -239,7 +239,7 @@ fn write_key(node: &Node, numbers: &[Option<u32>], key: &mut Vec<u32>) {
     };
     match node {
         Node::Fact(fact) => {
-            key.extend([0, fact.relation.0]);
+            key.extend([0, fact.predicate.0]);
             key.extend(fact.row.iter().map(|value| value.0));
             match &fact.origin {
                 Origin::Input => key.push(0),
@@ -252,7 +252,7 @@ fn write_key(node: &Node, numbers: &[Option<u32>], key: &mut Vec<u32>) {
             }
         }
         Node::Absence(absence) => {
-            key.extend([1, absence.relation.0]);
+            key.extend([1, absence.predicate.0]);
             write_pattern(&absence.pattern, key);
             match &absence.reason {
                 AbsenceReason::NotAFact => key.push(0),

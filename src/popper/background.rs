@@ -1,7 +1,7 @@
 //! Background knowledge: facts, and what follows from function-free rules.
 
 use crate::datalog::codes;
-use crate::datalog::{Limits, Program, RelId, Value, quoted};
+use crate::datalog::{Limits, PredicateId, Program, Value, quoted};
 use crate::diag::{self, Diagnostic, Faults, SourceId, Sources, Span, did_you_mean};
 use crate::files::ReadError;
 use crate::popper::prolog::{Clause, Directives, Kind, Literal, Term, parse, unsupported};
@@ -129,15 +129,15 @@ impl Background {
         let mut session = program.session();
         session.set_limits(limits);
         let names: Vec<Value> = self.constants.iter().map(|text| session.intern(text)).collect();
-        let relation = |name: String| program.relation(&name).expect("the program declares it");
+        let predicate = |name: String| program.predicate(&name).expect("the program declares it");
         let inserted = self.rows.values().enumerate().try_for_each(|(index, rows)| {
-            let given = relation(format!("f{index}"));
+            let given = predicate(format!("f{index}"));
             let values = |row: &[u32]| -> Vec<Value> { row.iter().map(|&constant| names[constant as usize]).collect() };
             rows.iter().try_for_each(|row| session.insert(given, values(row)))
         });
         let ranks = ranks(&self.constants);
         let inserted = inserted.and_then(|()| {
-            let rank = relation("rank".to_owned());
+            let rank = predicate("rank".to_owned());
             let mut rows = ranks.into_iter();
             rows.try_for_each(|(constant, place)| session.insert(rank, [names[constant], Value::number(place)]))
         });
@@ -147,11 +147,11 @@ impl Background {
         if let Err(error) = session.commit() {
             return report(error.diagnostic(program.rules()));
         }
-        let derived: Vec<RelId> = (0..self.rows.len())
-            .map(|index| relation(format!("p{index}")))
+        let derived: Vec<PredicateId> = (0..self.rows.len())
+            .map(|index| predicate(format!("p{index}")))
             .collect();
-        for (rows, rel) in self.rows.values_mut().zip(derived) {
-            for row in session.encoded_rows(rel) {
+        for (rows, id) in self.rows.values_mut().zip(derived) {
+            for row in session.encoded_rows(id) {
                 let text = |value: &Value| session.symbols().resolve(Symbol(value.0)).unwrap_or_default();
                 let numbers = row
                     .iter()

@@ -116,7 +116,7 @@ fn variables(literal: &Literal) -> String {
     names.join(", ")
 }
 
-/// Adds the declaration of a relation.
+/// Adds the declaration of a predicate.
 fn declare(text: &mut String, name: &str, arity: usize) {
     let columns: Vec<String> = (0..arity).map(|at| format!("a{at}: symbol")).collect();
     let _ = writeln!(text, ".decl {name}({})", columns.join(", "));

@@ -26,7 +26,7 @@ pub use tick::ground::{Facts, MAX_ENTITIES, ground};
 pub(crate) use tick::ground_state::GroundState;
 pub use tick::simulation::{AgentTick, Batch, Phase, Settings, Simulation, Snapshot, TickReport};
 pub(crate) use tick::simulation::{run_polled, start_threads, threads_of};
-pub use tick::vocabulary::{Actions, Predicate, Vocabulary};
+pub use tick::vocabulary::{Actions, BasePredicate, Vocabulary};
 pub use tick::width::Width;
 #[cfg(feature = "cli")]
 pub(crate) use tick::width::in_words;

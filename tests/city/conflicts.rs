@@ -5,7 +5,7 @@ use crate::shipped_world::{MODES, world};
 use crate::written_program::program;
 use logicity::city::{Action, Split};
 use logicity::datalog::diff::{Cut, Difference, Equivalence, Options, diff};
-use logicity::datalog::{BaseType, Column, RelId, Value};
+use logicity::datalog::{BaseType, Column, PredicateId, Value};
 use logicity::datalog::{Program, constraints};
 use logicity::diag::{Sources, render};
 use logicity::files::read_text;
@@ -38,20 +38,20 @@ fn holds(program: &Program, scene: &Difference, actions: [Action; 2]) -> bool {
         .flat_map(|x| scene.entities.iter().map(|y| vec![x.clone(), y.clone()]));
     let sees = [("Sees".to_owned(), pairs.collect::<Vec<_>>())];
     for (name, rows) in scene.facts.iter().chain(sees.iter().filter(|_| !given("Sees"))) {
-        let rel = program.relation(name).unwrap();
-        let columns = program.rules().relations[rel.index()].columns.clone();
+        let id = program.predicate(name).unwrap();
+        let columns = program.rules().predicates[id.index()].columns.clone();
         for row in rows {
             let value = |(text, column): (&String, &Column)| match column.base {
                 BaseType::Symbol => session.intern(text),
                 _ => Value::number(text.parse().unwrap()),
             };
             let row: Vec<Value> = row.iter().zip(&columns).map(value).collect();
-            session.insert(rel, &row).unwrap();
+            session.insert(id, &row).unwrap();
         }
     }
     session.commit().unwrap();
     let ego = session.intern(&scene.entities[0]);
-    let action = |action: Action| program.relation(action.name()).unwrap();
+    let action = |action: Action| program.predicate(action.name()).unwrap();
     constraints::violations(&session).is_empty()
         && actions.iter().all(|&wanted| session.contains(action(wanted), [ego]))
 }
@@ -263,23 +263,23 @@ fn the_search_agrees_with_brute_force() {
             let text = rules(&format!("Stop(X) :- {a}. Slow(X) :- {b}."));
             let found = matches!(finding(&text, [Action::Slow, Action::Stop]), Finding::Together { .. });
             let program = program(&text);
-            let relation = |name: &str| program.relation(name).unwrap();
+            let predicate = |name: &str| program.predicate(name).unwrap();
             let exists = (0..256_u32).any(|bits| {
                 let mut session = program.session();
                 let names = ["e0", "e1"].map(|name| session.intern(name));
-                let insert = |session: &mut logicity::datalog::Session, rel: RelId, row: &[Value]| {
-                    session.insert(rel, row).unwrap();
+                let insert = |session: &mut logicity::datalog::Session, id: PredicateId, row: &[Value]| {
+                    session.insert(id, row).unwrap();
                 };
                 for (at, &x) in names.iter().enumerate() {
                     let kind = if bits >> at & 1 == 1 { "IsCar" } else { "IsPedestrian" };
-                    insert(&mut session, relation(kind), &[x]);
+                    insert(&mut session, predicate(kind), &[x]);
                     if bits >> (2 + at) & 1 == 1 {
-                        insert(&mut session, relation("IsBus"), &[x]);
+                        insert(&mut session, predicate("IsBus"), &[x]);
                     }
                     for (other, &y) in names.iter().enumerate() {
-                        insert(&mut session, relation("Sees"), &[x, y]);
+                        insert(&mut session, predicate("Sees"), &[x, y]);
                         if bits >> (4 + 2 * at + other) & 1 == 1 {
-                            insert(&mut session, relation("HigherPri"), &[x, y]);
+                            insert(&mut session, predicate("HigherPri"), &[x, y]);
                         }
                     }
                 }
@@ -287,7 +287,7 @@ fn the_search_agrees_with_brute_force() {
                 constraints::violations(&session).is_empty()
                     && ["Stop", "Slow"]
                         .iter()
-                        .all(|action| session.contains(relation(action), &names[..1]))
+                        .all(|action| session.contains(predicate(action), &names[..1]))
             });
             assert!(!exists || found, "{a} / {b}");
         }
@@ -489,7 +489,7 @@ fn slow_every_mode_keeps_the_constraints_of_the_vocabulary() {
             for _ in 0..25 {
                 city.tick(&[]).unwrap();
                 let snapshot = city.snapshot().unwrap();
-                let known = |relation| world.vocabulary.defines(&world.program, relation);
+                let known = |predicate| world.vocabulary.defines(&world.program, predicate);
                 let broken = constraints::violations_among(snapshot.session(), known);
                 assert!(broken.is_empty(), "{mode}: {broken:?}");
             }

@@ -29,28 +29,28 @@ fn slow_every_decision_of_an_expert_run_is_explained() {
         for (position, agent) in report.agents.iter().enumerate() {
             let mut held = Vec::new();
             for action in Action::ALL {
-                let relation = snapshot.world().vocabulary.action(action).unwrap();
+                let predicate = snapshot.world().vocabulary.action(action).unwrap();
                 let row = [snapshot.value(position)];
-                let explanation = match explainer.explain(relation, &row).unwrap() {
+                let explanation = match explainer.explain(predicate, &row).unwrap() {
                     Some(proof) => {
                         held.push(action);
                         proofs += 1;
                         let leaves = proof.nodes().iter().filter_map(|node| match node {
                             Node::Fact(fact) if fact.origin == Origin::Input => {
-                                assert!(rules.relations[fact.relation.index()].input);
-                                Some((fact.relation, fact.row.clone()))
+                                assert!(rules.predicates[fact.predicate.index()].input);
+                                Some((fact.predicate, fact.row.clone()))
                             }
                             _ => None,
                         });
                         let derived = naive::evaluate(rules, session.symbols(), leaves);
-                        assert!(derived[relation.index()].contains(&row[..]));
+                        assert!(derived[predicate.index()].contains(&row[..]));
                         proof
                     }
                     None => {
                         absences += 1;
                         let wanted = [Some(row[0])];
                         explainer
-                            .explain_absence(relation, &wanted)
+                            .explain_absence(predicate, &wanted)
                             .unwrap()
                             .expect("it does not hold")
                     }

@@ -5,7 +5,7 @@
 
 use crate::popper_tasks::{TARGETS, Texts, family, pieces, trains};
 use logicity::cancel::Cancel;
-use logicity::datalog::{Limits, Program, RelId};
+use logicity::datalog::{Limits, PredicateId, Program};
 use logicity::diag::{Diagnostic, Sources, render};
 use logicity::files::read_text;
 use logicity::induce::{ActionRules, Atom, Body, LITERAL_COST, Link, Literal, Settings, VARIABLE_NAMES};
@@ -63,11 +63,11 @@ fn derived(task: &Task, rules: &ActionRules) -> BTreeSet<Vec<String>> {
     let program = program.unwrap_or_else(|| panic!("{}", render(&diagnostics, &sources, false)));
     let mut session = program.session();
     session.commit().unwrap();
-    let relations = &program.rules().relations;
-    let (_, target) = relations
+    let predicates = &program.rules().predicates;
+    let (_, target) = predicates
         .iter()
-        .zip((0..).map(RelId))
-        .find(|(relation, _)| relation.output)
+        .zip((0..).map(PredicateId))
+        .find(|(predicate, _)| predicate.output)
         .unwrap();
     let names = session.symbols();
     let text = |value: &logicity::datalog::Value| names.resolve(logicity::symbol::Symbol(value.0)).unwrap().to_owned();

@@ -108,7 +108,7 @@ impl Plain {
 
     fn is_true(&self, rules: &Rules, literal: &Literal, values: &[usize], given: &Actions) -> bool {
         let atom = literal.atom().expect("rules of the city");
-        let name = &rules.relations[atom.relation.index()].name;
+        let name = &rules.predicates[atom.predicate.index()].name;
         let term = |term: &Term| match term {
             Term::Variable(variable) => values[variable.index()],
             other => panic!("{other:?}"),
@@ -122,18 +122,18 @@ impl Plain {
     }
 
     /// The actions derived for the ego before the default. Evaluates the strata in order, each to its fixpoint, so that
-    /// negation reads complete relations.
+    /// negation reads complete predicates.
     fn derived(&self, rules: &Rules) -> Actions {
         let mut derived = Actions::new();
         for stratum in &rules.strata {
             loop {
                 let fires = |clause: &&ClauseId| self.holds(rules, clause.index(), &derived);
-                let head = |clause: &ClauseId| rules.clauses[clause.index()].head.relation.index();
+                let head = |clause: &ClauseId| rules.clauses[clause.index()].head.predicate.index();
                 let names = stratum
                     .clauses
                     .iter()
                     .filter(fires)
-                    .map(|clause| &rules.relations[head(clause)].name);
+                    .map(|clause| &rules.predicates[head(clause)].name);
                 let actions = |name| {
                     Action::ALL
                         .iter()
@@ -340,7 +340,7 @@ fn slow_violations_of_random_clauses_agree_with_the_definitions() {
         let rules = once.world().program.rules();
         let actions = |clause: &ClauseId| {
             let body = rules.clauses[clause.index()].body.iter();
-            let name = |literal: &Literal| Some(rules.relations[literal.atom()?.relation.index()].name.clone());
+            let name = |literal: &Literal| Some(rules.predicates[literal.atom()?.predicate.index()].name.clone());
             body.filter_map(name)
                 .filter(|name| Action::ALL.iter().any(|action| action.name() == name))
                 .count()

@@ -9,7 +9,7 @@ use logicity_datalog::codes;
 use logicity_datalog::diag::{self, Diagnostic, MAX_FAULTS, Sources, render, to_json};
 use logicity_datalog::explain::{Explainer, ExplanationPrinter};
 use logicity_datalog::files::{BUILTIN_FOLDER, ReadError, ReadFile, normalize};
-use logicity_datalog::{Atom, BaseType, Clause, Column, Literal, RelId, RowFormat, Rules, Value};
+use logicity_datalog::{Atom, BaseType, Clause, Column, Literal, PredicateId, RowFormat, Rules, Value};
 use logicity_datalog::{Limits, Options, Program, Session, diff, facts};
 use std::path::Path;
 use std::sync::LazyLock;
@@ -117,7 +117,7 @@ pub fn query(bytes: &[u8]) {
     }
 }
 
-/// The number of rows to explain in a relation, and the steps for each.
+/// The number of rows to explain in a predicate, and the steps for each.
 const EXPLAINED_MAX: usize = 3;
 const EXPLAIN_STEPS: u64 = 20_000;
 
@@ -132,10 +132,10 @@ fn explain(program: &Program, script: &[Batch], sources: &Sources) {
     let printer = ExplanationPrinter::new(rules, session.symbols(), sources);
     let mut explainer = Explainer::new(&session);
     explainer.set_limit(EXPLAIN_STEPS);
-    for (relation, rel) in rules.relations.iter().zip((0..).map(RelId)) {
-        let nothing = explainer.explain_absence(rel, &vec![None; relation.arity()]);
-        let rows = session.encoded_rows(rel).take(EXPLAINED_MAX);
-        let proofs = rows.map(|row| explainer.explain(rel, row)).chain([nothing]);
+    for (predicate, id) in rules.predicates.iter().zip((0..).map(PredicateId)) {
+        let nothing = explainer.explain_absence(id, &vec![None; predicate.arity()]);
+        let rows = session.encoded_rows(id).take(EXPLAINED_MAX);
+        let proofs = rows.map(|row| explainer.explain(id, row)).chain([nothing]);
         for explanation in proofs.filter_map(Result::ok).flatten() {
             assert!(!printer.tree(&explanation).is_empty());
             assert!(printer.json(&explanation).is_object());
@@ -144,10 +144,10 @@ fn explain(program: &Program, script: &[Batch], sources: &Sources) {
 }
 
 fn note(session: &mut Session, batch: &Batch) {
-    for (present, rel, row) in batch {
+    for (present, id, row) in batch {
         let noted = match present {
-            true => session.insert(*rel, row),
-            false => session.retract(*rel, row),
+            true => session.insert(*id, row),
+            false => session.retract(*id, row),
         };
         noted.expect("a row that fits");
     }
@@ -166,7 +166,7 @@ pub fn rows(bytes: &[u8]) {
         columns: Vec::new(),
     };
     let program = &*ROWS;
-    let p = program.relation("p").expect("declared");
+    let p = program.predicate("p").expect("declared");
     let mut sources = Sources::new();
     let source = sources.add("p.facts", String::from_utf8_lossy(bytes));
     let mut session = program.session();
@@ -194,7 +194,7 @@ pub fn rows(bytes: &[u8]) {
     }
 }
 
-/// One relation with a column of each type. Shared, since loading it takes longer than reading a few rows.
+/// One predicate with a column of each type. Shared, since loading it takes longer than reading a few rows.
 static ROWS: LazyLock<Program> = LazyLock::new(|| {
     let mut sources = Sources::new();
     let declarations = ".decl p(x: symbol, n: number, u: unsigned, f: float, y: symbol)\n.input p\n";
@@ -204,10 +204,10 @@ static ROWS: LazyLock<Program> = LazyLock::new(|| {
 });
 
 /// The content of a file with the rows.
-fn written(session: &Session, relation: RelId, format: &RowFormat) -> String {
-    let declared = &session.program().rules().relations[relation.index()];
+fn written(session: &Session, predicate: PredicateId, format: &RowFormat) -> String {
+    let declared = &session.program().rules().predicates[predicate.index()];
     let mut out = facts::header(declared, format).into_bytes();
-    facts::write_rows(session, relation, format, &mut out).expect("writing to memory cannot fail");
+    facts::write_rows(session, predicate, format, &mut out).expect("writing to memory cannot fail");
     String::from_utf8(out).expect("texts are written whole")
 }
 
@@ -245,7 +245,7 @@ fn batches(rules: &Rules, text: &str) -> Vec<Batch> {
         match (verb, rest.split_once(": ")) {
             ("insert" | "retract", Some((name, rows))) => {
                 let rows = rows.split(" | ").filter_map(|row| row_of(rules, name, row));
-                last.extend(rows.map(|(rel, row)| (verb == "insert", rel, row)));
+                last.extend(rows.map(|(id, row)| (verb == "insert", id, row)));
             }
             ("expect", _) if !last.is_empty() => batches.push(Batch::new()),
             _ => {}
@@ -254,18 +254,18 @@ fn batches(rules: &Rules, text: &str) -> Vec<Batch> {
     batches
 }
 
-fn row_of(rules: &Rules, name: &str, row: &str) -> Option<(RelId, Vec<Value>)> {
-    let rel = rules.relation(name)?;
-    let relation = &rules.relations[rel.index()];
-    let rel = relation.edb.or((!relation.derived).then_some(rel))?;
+fn row_of(rules: &Rules, name: &str, row: &str) -> Option<(PredicateId, Vec<Value>)> {
+    let id = rules.predicate(name)?;
+    let predicate = &rules.predicates[id.index()];
+    let id = predicate.edb.or((!predicate.derived).then_some(id))?;
     let texts: Vec<&str> = row.split(", ").filter(|_| row != "()").collect();
     let value = |(column, text): (&Column, &str)| match column.base {
         BaseType::Symbol => Some(Value(rules.symbols.intern(text).0)),
         base => datalog::parse_value(base, text),
     };
-    let row: Option<Vec<Value>> = relation.columns.iter().zip(texts.iter().copied()).map(value).collect();
-    row.filter(|row| row.len() == texts.len() && row.len() == relation.arity())
-        .map(|row| (rel, row))
+    let row: Option<Vec<Value>> = predicate.columns.iter().zip(texts.iter().copied()).map(value).collect();
+    row.filter(|row| row.len() == texts.len() && row.len() == predicate.arity())
+        .map(|row| (id, row))
 }
 
 /// The limits of a program that is compared with `naive`.
@@ -281,7 +281,7 @@ const COMBINATIONS_MAX: usize = 20_000;
 /// Whether `naive` ends soon after every batch, and after the last batch is undone.
 fn ends_soon(program: &Program, script: &[Batch]) -> bool {
     let rules = program.rules();
-    let undo = |(present, rel, row): &(bool, RelId, Vec<Value>)| (!present, *rel, row.clone());
+    let undo = |(present, id, row): &(bool, PredicateId, Vec<Value>)| (!present, *id, row.clone());
     let undone: Option<Batch> = script.last().map(|batch| batch.iter().map(undo).collect());
     let mut session = program.session();
     session.set_limits(LIMITS);
@@ -295,7 +295,7 @@ fn ends_soon(program: &Program, script: &[Batch]) -> bool {
 /// The number of combinations of rows for the atoms of a clause.
 fn combinations(clause: &Clause, session: &Session) -> usize {
     let atoms = clause.body.iter().filter_map(positive);
-    let sizes = atoms.map(|atom| session.len(atom.relation).max(1));
+    let sizes = atoms.map(|atom| session.len(atom.predicate).max(1));
     sizes.fold(1, usize::saturating_mul)
 }
 

@@ -5,7 +5,7 @@ use crate::rule_files::RuleFiles;
 use logicity_datalog as datalog;
 use logicity_datalog::diag::{Diagnostic, Severity, Sources, render};
 use logicity_datalog::symbol::{Symbol, Symbols};
-use logicity_datalog::{BaseType, InputPolicy, RelId, Rules, Value};
+use logicity_datalog::{BaseType, InputPolicy, PredicateId, Rules, Value};
 use logicity_datalog::{Options, Program, Strategy, constraints, facts, naive};
 use std::collections::{BTreeMap, BTreeSet};
 use std::fs;
@@ -16,12 +16,12 @@ use std::path::{Path, PathBuf};
 enum Step {
     Change {
         present: bool,
-        relation: String,
+        predicate: String,
         rows: Vec<String>,
     },
     Expect {
         line: usize,
-        relation: String,
+        predicate: String,
         rows: Vec<String>,
     },
 }
@@ -50,21 +50,21 @@ fn read_script(text: &str) -> Script {
         if !["expect", "insert", "retract"].contains(&verb) {
             continue;
         }
-        let (relation, rows) = rest.split_once(':').expect("a relation and a colon");
+        let (predicate, rows) = rest.split_once(':').expect("a predicate and a colon");
         let rows: Vec<String> = match rows.strip_prefix(' ') {
             Some(rows) => rows.split(" | ").map(str::to_owned).collect(),
             None => Vec::new(),
         };
-        let relation = relation.to_owned();
+        let predicate = predicate.to_owned();
         script.steps.push(match verb {
             "expect" => Step::Expect {
                 line: number,
-                relation,
+                predicate,
                 rows,
             },
             verb => Step::Change {
                 present: verb == "insert",
-                relation,
+                predicate,
                 rows,
             },
         });
@@ -75,7 +75,7 @@ fn read_script(text: &str) -> Script {
 /// The facts that hold, as rows of text.
 type Facts = BTreeMap<String, BTreeSet<String>>;
 
-/// The answer to a query: the rows of a relation as text, sorted.
+/// The answer to a query: the rows of a predicate as text, sorted.
 type Answer = Vec<String>;
 
 /// A mode of evaluation.
@@ -114,8 +114,8 @@ impl Mode {
     }
 }
 
-fn parse_row(rules: &Rules, symbols: &Symbols, relation: RelId, row: &str) -> Vec<Value> {
-    let columns = &rules.relations[relation.index()].columns;
+fn parse_row(rules: &Rules, symbols: &Symbols, predicate: PredicateId, row: &str) -> Vec<Value> {
+    let columns = &rules.predicates[predicate.index()].columns;
     if columns.is_empty() {
         return Vec::new();
     }
@@ -132,11 +132,11 @@ fn parse_row(rules: &Rules, symbols: &Symbols, relation: RelId, row: &str) -> Ve
 fn change(facts: &mut Facts, step: &Step) {
     if let Step::Change {
         present,
-        relation,
+        predicate,
         rows,
     } = step
     {
-        let known = facts.entry(relation.clone()).or_default();
+        let known = facts.entry(predicate.clone()).or_default();
         for row in rows {
             if *present {
                 known.insert(row.clone())
@@ -147,8 +147,8 @@ fn change(facts: &mut Facts, step: &Step) {
     }
 }
 
-fn find(rules: &Rules, name: &str) -> RelId {
-    rules.relation(name).unwrap_or_else(|| panic!("no relation {name}"))
+fn find(rules: &Rules, name: &str) -> PredicateId {
+    rules.predicate(name).unwrap_or_else(|| panic!("no predicate {name}"))
 }
 
 fn by_naive(rules: &Rules, steps: &[Step]) -> Vec<Answer> {
@@ -156,19 +156,19 @@ fn by_naive(rules: &Rules, steps: &[Step]) -> Vec<Answer> {
     let mut answers = Vec::new();
     for step in steps {
         change(&mut facts, step);
-        let Step::Expect { relation, .. } = step else { continue };
+        let Step::Expect { predicate, .. } = step else { continue };
         let symbols = rules.symbols.clone();
-        let rows: Vec<(RelId, Vec<Value>)> = (facts.iter())
+        let rows: Vec<(PredicateId, Vec<Value>)> = (facts.iter())
             .flat_map(|(name, rows)| {
-                let relation = find(rules, name);
+                let predicate = find(rules, name);
                 rows.iter()
-                    .map(|row| (relation, parse_row(rules, &symbols, relation, row)))
+                    .map(|row| (predicate, parse_row(rules, &symbols, predicate, row)))
                     .collect::<Vec<_>>()
             })
             .collect();
         let database = naive::evaluate(rules, &symbols, rows);
-        let id = find(rules, relation);
-        let columns = &rules.relations[id.index()].columns;
+        let id = find(rules, predicate);
+        let columns = &rules.predicates[id.index()].columns;
         let mut answer: Answer = (database[id.index()].iter())
             .map(|row| {
                 let shown = columns.iter().zip(row).map(|(column, value)| match column.base {
@@ -186,8 +186,8 @@ fn by_naive(rules: &Rules, steps: &[Step]) -> Vec<Answer> {
     answers
 }
 
-fn ask(session: &logicity_datalog::Session, relation: &str) -> Answer {
-    let text = facts::print(session, find(session.program().rules(), relation));
+fn ask(session: &logicity_datalog::Session, predicate: &str) -> Answer {
+    let text = facts::print(session, find(session.program().rules(), predicate));
     let rows = text.lines().map(|row| {
         if row == "()" {
             String::new()
@@ -206,17 +206,17 @@ fn from_scratch(program: &Program, steps: &[Step]) -> Vec<Answer> {
     let mut answers = Vec::new();
     for step in steps {
         change(&mut facts, step);
-        let Step::Expect { relation, .. } = step else { continue };
+        let Step::Expect { predicate, .. } = step else { continue };
         let mut session = program.session();
         for (name, rows) in &facts {
-            let relation = find(rules, name);
+            let predicate = find(rules, name);
             for row in rows {
-                let row = parse_row(rules, session.symbols(), relation, row);
-                session.insert(relation, &row).expect("a row that fits");
+                let row = parse_row(rules, session.symbols(), predicate, row);
+                session.insert(predicate, &row).expect("a row that fits");
             }
         }
         session.commit().expect("few rows");
-        answers.push(ask(&session, relation));
+        answers.push(ask(&session, predicate));
     }
     answers
 }
@@ -230,28 +230,28 @@ fn in_one_session(program: &Program, strategy: Strategy, steps: &[Step]) -> Vec<
         match step {
             Step::Change {
                 present,
-                relation,
+                predicate,
                 rows,
             } => {
-                let relation = find(rules, relation);
+                let predicate = find(rules, predicate);
                 for row in rows {
-                    let row = parse_row(rules, session.symbols(), relation, row);
+                    let row = parse_row(rules, session.symbols(), predicate, row);
                     let noted = if *present {
-                        session.insert(relation, &row)
+                        session.insert(predicate, &row)
                     } else {
-                        session.retract(relation, &row)
+                        session.retract(predicate, &row)
                     };
                     noted.expect("a row that fits");
                 }
             }
-            Step::Expect { relation, .. } => {
+            Step::Expect { predicate, .. } => {
                 session.commit().expect("few rows");
                 // Some modes rely on the constraints.
                 assert!(
                     constraints::violations(&session).is_empty(),
                     "facts violate a constraint"
                 );
-                answers.push(ask(&session, relation));
+                answers.push(ask(&session, predicate));
             }
         }
     }
@@ -280,7 +280,7 @@ fn check(path: &Path) -> Result<(), String> {
     for mode in modes() {
         let mut answers = mode.run(&rules, &script.steps).into_iter();
         for step in &script.steps {
-            let Step::Expect { line, relation, rows } = step else {
+            let Step::Expect { line, predicate, rows } = step else {
                 continue;
             };
             let mut expected: Answer = rows.iter().map(|row| row.replace("()", "")).collect();
@@ -288,7 +288,7 @@ fn check(path: &Path) -> Result<(), String> {
             let answer = answers.next().expect("an answer for each query");
             if answer != expected {
                 return Err(format!(
-                    "{mode:?}, line {line}: `{relation}` is {answer:?}, not {expected:?}"
+                    "{mode:?}, line {line}: `{predicate}` is {answer:?}, not {expected:?}"
                 ));
             }
         }

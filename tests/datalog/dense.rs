@@ -3,7 +3,7 @@
 use crate::cases::cases;
 use crate::written_program::program;
 use logicity_datalog::dense::{BitFacts, BitState, Dense, Set, TrackFirings, choose, has};
-use logicity_datalog::{ClauseId, Limits, RelId, Rules, Value};
+use logicity_datalog::{ClauseId, Limits, PredicateId, Rules, Value};
 use logicity_datalog::{Program, naive};
 use proptest::prelude::*;
 use std::collections::BTreeSet;
@@ -17,7 +17,7 @@ const VARIABLES: [&str; 8] = ["x", "y", "z", "w", "a", "b", "c", "d"];
 /// Raw material of a literal, before its predicates and variables are known.
 #[derive(Clone, Debug)]
 struct LiteralGene {
-    relation: usize,
+    predicate: usize,
     terms: [usize; 2],
     form: u8,
 }
@@ -45,8 +45,8 @@ struct Genome {
 /// Programs whose clauses have up to this number of variables and literals, over few or many entities.
 fn genomes(variables: usize, literals: usize, few: Range<usize>) -> impl Strategy<Value = Genome> {
     let terms = [0..variables, 0..variables];
-    let literal = (0..64_usize, terms.clone(), 0..16_u8).prop_map(|(relation, terms, form)| LiteralGene {
-        relation,
+    let literal = (0..64_usize, terms.clone(), 0..16_u8).prop_map(|(declared, terms, form)| LiteralGene {
+        predicate: declared,
         terms,
         form,
     });
@@ -112,10 +112,10 @@ impl Genome {
         let mut bound: BTreeSet<&str> = BTreeSet::new();
         let mut body = Vec::new();
         for gene in &clause.body {
-            let (relation, arity) = &known[gene.relation % known.len()];
+            let (predicate, arity) = &known[gene.predicate % known.len()];
             let terms = gene.terms.map(|term| VARIABLES[term]);
             let terms = &terms[..*arity];
-            let atom = |terms: &[&str]| format!("{relation}({})", terms.join(", "));
+            let atom = |terms: &[&str]| format!("{predicate}({})", terms.join(", "));
             match gene.form {
                 0..=8 => {
                     bound.extend(terms);
@@ -153,7 +153,7 @@ impl Genome {
         format!("{name}({}) :- {}.", head.join(", "), body.join(", "))
     }
 
-    fn facts(&self, rules: &Rules) -> Vec<(RelId, Vec<usize>)> {
+    fn facts(&self, rules: &Rules) -> Vec<(PredicateId, Vec<usize>)> {
         let mut state = self.seed;
         let mut holds = |of: u32| {
             state = state
@@ -165,18 +165,18 @@ impl Genome {
         // Among many entities, relate pairs more rarely, so that some searches fail.
         let crowd = 16 * u32::try_from(self.entities / 4 + 1).unwrap();
         for (name, arity) in BASE {
-            let relation = rules.relation(name).unwrap();
+            let predicate = rules.predicate(name).unwrap();
             for x in 0..self.entities {
                 if arity == 1 {
                     if holds(16) {
-                        facts.push((relation, vec![x]));
+                        facts.push((predicate, vec![x]));
                     }
                     continue;
                 }
                 facts.extend(
                     (0..self.entities)
                         .filter(|_| holds(crowd))
-                        .map(|y| (relation, vec![x, y])),
+                        .map(|y| (predicate, vec![x, y])),
                 );
             }
         }
@@ -193,12 +193,12 @@ const NAIVE_MAX: usize = 8;
 fn expected(
     program: &Program,
     value: &[Value],
-    facts: &[(RelId, Vec<usize>)],
+    facts: &[(PredicateId, Vec<usize>)],
 ) -> Option<(naive::Database, Vec<usize>)> {
     let rules = program.rules();
-    let rows = facts.iter().map(|(relation, row)| {
+    let rows = facts.iter().map(|(predicate, row)| {
         let row: Vec<Value> = row.iter().map(|&entity| value[entity]).collect();
-        (*relation, row)
+        (*predicate, row)
     });
     if value.len() <= NAIVE_MAX {
         let database = naive::evaluate(rules, &rules.symbols, rows);
@@ -211,13 +211,18 @@ fn expected(
         steps: 2_000_000,
         ..Limits::default()
     });
-    for (relation, row) in rows {
-        session.insert(relation, &row).expect("it fits");
+    for (predicate, row) in rows {
+        session.insert(predicate, &row).expect("it fits");
     }
     session.commit().ok()?;
-    let relations = u32::try_from(rules.relations.len()).unwrap();
-    let database = (0..relations)
-        .map(|relation| session.encoded_rows(RelId(relation)).map(<[Value]>::to_vec).collect())
+    let predicates = u32::try_from(rules.predicates.len()).unwrap();
+    let database = (0..predicates)
+        .map(|predicate| {
+            session
+                .encoded_rows(PredicateId(predicate))
+                .map(<[Value]>::to_vec)
+                .collect()
+        })
         .collect();
     let clauses = u32::try_from(rules.clauses.len()).unwrap();
     let fired = (0..clauses).map(|clause| session.fired(ClauseId(clause)).len());
@@ -227,7 +232,7 @@ fn expected(
 /// Runs the dense executor and compares every derived predicate, and the counts of every clause if there are any.
 fn check<const W: usize>(
     program: &Program,
-    facts: &[(RelId, Vec<usize>)],
+    facts: &[(PredicateId, Vec<usize>)],
     entities: usize,
 ) -> Result<(), TestCaseError> {
     let rules = program.rules();
@@ -240,11 +245,11 @@ fn check<const W: usize>(
     let choice = choose(rules);
     prop_assert!(choice.all_dense(), "{:?}", choice);
     for counting in [TrackFirings::Off, TrackFirings::Each] {
-        let steady = |relation: RelId| relation.0.is_multiple_of(2);
+        let steady = |predicate: PredicateId| predicate.0.is_multiple_of(2);
         let dense = Dense::new(rules, &choice, counting, steady);
         let mut given: BitFacts<W> = BitFacts::new(&dense, entities);
-        for (relation, row) in facts {
-            given.insert(&dense, *relation, row);
+        for (predicate, row) in facts {
+            given.insert(&dense, *predicate, row);
         }
         // Facts about other entities from an earlier run are gone.
         let mut bit_state: BitState<W> = BitState::new(&dense, 64 * W);
@@ -267,18 +272,18 @@ fn check<const W: usize>(
             Err(_) if !costly.is_empty() => return Ok(()),
             Err(error) => panic!("no clause is costly, but {error}"),
         }
-        for (relation, expected) in rules
-            .relations
+        for (predicate, expected) in rules
+            .predicates
             .iter()
             .zip(&expected)
             .enumerate()
             .filter(|(_, (r, _))| r.derived)
-            .map(|(index, (_, expected))| (RelId(u32::try_from(index).unwrap()), expected))
+            .map(|(index, (_, expected))| (PredicateId(u32::try_from(index).unwrap()), expected))
         {
-            let name = &rules.relations[relation.index()].name;
-            match rules.relations[relation.index()].arity() {
+            let name = &rules.predicates[predicate.index()].name;
+            match rules.predicates[predicate.index()].arity() {
                 1 => {
-                    let set = bit_state.set(&dense, relation).expect("derived");
+                    let set = bit_state.set(&dense, predicate).expect("derived");
                     for (entity, value) in value.iter().enumerate() {
                         let holds = expected.contains(&vec![*value]);
                         prop_assert_eq!(has(set, entity), holds, "{}({})", name, entity);
@@ -286,7 +291,7 @@ fn check<const W: usize>(
                 }
                 _ => {
                     for x in 0..entities {
-                        let row = bit_state.row(&dense, relation, x).expect("derived");
+                        let row = bit_state.row(&dense, predicate, x).expect("derived");
                         for y in 0..entities {
                             let holds = expected.contains(&vec![value[x], value[y]]);
                             prop_assert_eq!(has(row, y), holds, "{}({}, {})", name, x, y);
@@ -321,13 +326,13 @@ fn check_egos<const W: usize>(
     let egos: Set<W> = [0x5555_5555_5555_5555; W];
     some.set_egos(egos);
     some.run(program, given).expect("few steps");
-    for relation in (0..u32::try_from(rules.relations.len()).unwrap()).map(RelId) {
-        if let (Some(all), Some(some)) = (all.set(program, relation), some.set(program, relation)) {
+    for predicate in (0..u32::try_from(rules.predicates.len()).unwrap()).map(PredicateId) {
+        if let (Some(all), Some(some)) = (all.set(program, predicate), some.set(program, predicate)) {
             let wanted: Set<W> = std::array::from_fn(|word| all[word] & egos[word]);
             prop_assert_eq!(some, &wanted);
         }
         for at in (0..all.count()).step_by(2) {
-            prop_assert_eq!(some.row(program, relation, at), all.row(program, relation, at));
+            prop_assert_eq!(some.row(program, predicate, at), all.row(program, predicate, at));
         }
     }
     Ok(())
@@ -367,15 +372,15 @@ fn steps_over(text: &str, entities: usize, holds: impl Fn(&str, usize, usize) ->
     let rules = program.rules();
     let mut facts = Vec::new();
     for (name, arity) in BASE {
-        let relation = rules.relation(name).unwrap();
+        let predicate = rules.predicate(name).unwrap();
         for x in 0..entities {
             match arity {
-                1 if holds(name, x, x) => facts.push((relation, vec![x])),
+                1 if holds(name, x, x) => facts.push((predicate, vec![x])),
                 1 => {}
                 _ => facts.extend(
                     (0..entities)
                         .filter(|&y| holds(name, x, y))
-                        .map(|y| (relation, vec![x, y])),
+                        .map(|y| (predicate, vec![x, y])),
                 ),
             }
         }
@@ -383,8 +388,8 @@ fn steps_over(text: &str, entities: usize, holds: impl Fn(&str, usize, usize) ->
     check::<1>(&program, &facts, entities).unwrap();
     let dense = Dense::new(rules, &choose(rules), TrackFirings::Off, |_| false);
     let mut given: BitFacts<1> = BitFacts::new(&dense, entities);
-    for (relation, row) in &facts {
-        given.insert(&dense, *relation, row);
+    for (predicate, row) in &facts {
+        given.insert(&dense, *predicate, row);
     }
     let mut state: BitState<1> = BitState::new(&dense, entities);
     given.load(&dense, &mut state);
@@ -453,7 +458,7 @@ fn the_steps_of_a_clique_are_bounded() {
         pairs.extend(names[at + 1..].iter().map(|other| format!("R({one}, {other})")));
     }
     let text = format!("P(x) :- A(x), {}.", pairs.join(", "));
-    // Seven groups without relations inside have no clique of eight.
+    // Seven groups without predicates inside have no clique of eight.
     let groups = |name: &str, x: usize, y: usize| name == "A" || name == "R" && x % 7 != y % 7;
     let (within, steps) = steps_over(&text, 56, groups);
     assert!(!within);

@@ -7,7 +7,7 @@ use logicity_datalog as datalog;
 use logicity_datalog::diag::Sources;
 use logicity_datalog::diff::{Cut, Difference, Equivalence, Options, diff};
 use logicity_datalog::naive;
-use logicity_datalog::{Constraint, InputPolicy, RelId, Rules, Value};
+use logicity_datalog::{Constraint, InputPolicy, PredicateId, Rules, Value};
 use proptest::prelude::*;
 
 fn rules(text: &str) -> Rules {
@@ -309,49 +309,49 @@ fn written(genes: &[(u8, u8, u8, u8)], constraints: u8) -> String {
 }
 
 /// The rows of P, S and T in a scene, whose bits are A, B and R over the first entities.
-fn outputs(rules: &Rules, entities: u32, scene: u32) -> Option<Vec<(RelId, Vec<Vec<Value>>)>> {
+fn outputs(rules: &Rules, entities: u32, scene: u32) -> Option<Vec<(PredicateId, Vec<Vec<Value>>)>> {
     let symbols = rules.symbols.clone();
     let names: Vec<Value> = (0..entities)
         .map(|index| Value(symbols.intern(&format!("e{index}")).0))
         .collect();
-    let relation = |name: &str| rules.relation(name).unwrap();
+    let predicate = |name: &str| rules.predicate(name).unwrap();
     let mut facts = Vec::new();
     let mut bit = 0;
     for name in ["A", "B"] {
         for &x in &names {
-            facts.extend((scene >> bit & 1 == 1).then(|| (relation(name), vec![x])));
+            facts.extend((scene >> bit & 1 == 1).then(|| (predicate(name), vec![x])));
             bit += 1;
         }
     }
     for &x in &names {
         for &y in &names {
-            facts.extend((scene >> bit & 1 == 1).then(|| (relation("R"), vec![x, y])));
+            facts.extend((scene >> bit & 1 == 1).then(|| (predicate("R"), vec![x, y])));
             bit += 1;
         }
     }
-    let holds = |rel: RelId, row: &[Value]| facts.iter().any(|(other, found)| *other == rel && found == row);
+    let holds = |id: PredicateId, row: &[Value]| facts.iter().any(|(other, found)| *other == id && found == row);
     let kept = rules.constraints.iter().all(|constraint| {
-        let in_domain = |rel: &RelId, row: &[Value], test: &dyn Fn(Value) -> bool| {
-            let columns = constraint.domain.iter().filter(|(one, _)| one == rel);
+        let in_domain = |id: &PredicateId, row: &[Value], test: &dyn Fn(Value) -> bool| {
+            let columns = constraint.domain.iter().filter(|(one, _)| one == id);
             columns.into_iter().all(|&(_, column)| test(row[column]))
         };
-        facts.iter().all(|(rel, row)| match constraint.constraint {
+        facts.iter().all(|(id, row)| match constraint.constraint {
             Constraint::Covering(ref cover) => {
-                in_domain(rel, row, &|value| cover.iter().any(|&one| holds(one, &[value])))
+                in_domain(id, row, &|value| cover.iter().any(|&one| holds(one, &[value])))
             }
-            Constraint::Reflexive(a) => in_domain(rel, row, &|value| holds(a, &[value, value])),
-            Constraint::Asymmetric(a) => *rel != a || !holds(a, &[row[1], row[0]]),
-            Constraint::Disjoint(a, b) => *rel != a || !holds(b, row),
-            Constraint::Implies(a, b) => *rel != a || holds(b, row),
-            Constraint::Irreflexive(a) => *rel != a || row[0] != row[1],
-            Constraint::Symmetric(a) => *rel != a || holds(a, &[row[1], row[0]]),
+            Constraint::Reflexive(a) => in_domain(id, row, &|value| holds(a, &[value, value])),
+            Constraint::Asymmetric(a) => *id != a || !holds(a, &[row[1], row[0]]),
+            Constraint::Disjoint(a, b) => *id != a || !holds(b, row),
+            Constraint::Implies(a, b) => *id != a || holds(b, row),
+            Constraint::Irreflexive(a) => *id != a || row[0] != row[1],
+            Constraint::Symmetric(a) => *id != a || holds(a, &[row[1], row[0]]),
         })
     });
     let database = kept.then(|| naive::evaluate(rules, &symbols, facts))?;
     let rows = |name: &str| {
         (
-            relation(name),
-            database[relation(name).index()].iter().cloned().collect(),
+            predicate(name),
+            database[predicate(name).index()].iter().cloned().collect(),
         )
     };
     Some(["P", "S", "T"].map(rows).into())

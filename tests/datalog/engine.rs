@@ -8,7 +8,7 @@ use logicity_datalog as datalog;
 use logicity_datalog::cancel::Cancel;
 use logicity_datalog::codes;
 use logicity_datalog::diag::{self, MAX_FAULTS, Sources};
-use logicity_datalog::{BaseType, ClauseId, InputPolicy, RelId, Rules, Value};
+use logicity_datalog::{BaseType, ClauseId, InputPolicy, PredicateId, Rules, Value};
 use logicity_datalog::{
     EvalError, Limits, Program, RowError, RuleStats, Session, Strategy, StratumStats, Threads, WorkCounts, facts, naive,
 };
@@ -28,16 +28,16 @@ fn check_script(genome: &Genome) -> Result<(), TestCaseError> {
     agrees(&rules, &genome.batches(&rules))
 }
 
-/// Like `check_script` in a program with rows of twelve words, so that base relations have narrow rows until they
+/// Like `check_script` in a program with rows of twelve words, so that base predicates have narrow rows until they
 /// change.
 fn check_narrow(genome: &Genome) -> Result<(), TestCaseError> {
     let mut rules = genome.rules();
     let script = genome.batches(&rules);
-    if let Some(mut wide) = rules.relations.iter().find(|relation| relation.arity() > 0).cloned() {
+    if let Some(mut wide) = rules.predicates.iter().find(|predicate| predicate.arity() > 0).cloned() {
         wide.name = "Wide".to_owned();
         wide.derived = false;
         wide.columns = vec![wide.columns[0].clone(); 12];
-        rules.relations.push(wide);
+        rules.predicates.push(wide);
     }
     agrees(&rules, &script)
 }
@@ -69,11 +69,11 @@ fn check_threads(rules: &Rules, script: &[Batch], limits: Limits) -> Result<(), 
             session
         });
         for batch in script {
-            for (present, rel, row) in batch {
+            for (present, id, row) in batch {
                 for session in &mut sessions {
                     match present {
-                        true => session.insert(*rel, row).unwrap(),
-                        false => session.retract(*rel, row).unwrap(),
+                        true => session.insert(*id, row).unwrap(),
+                        false => session.retract(*id, row).unwrap(),
                     }
                 }
             }
@@ -125,7 +125,7 @@ proptest! {
     }
 }
 
-/// Programs with aggregates over values that only a recursion provides, and changes of their relations.
+/// Programs with aggregates over values that only a recursion provides, and changes of their predicates.
 fn correlated_programs() -> impl proptest::strategy::Strategy<Value = (String, Vec<ChangeGenes>)> {
     use proptest::collection::vec;
     let clause =
@@ -190,7 +190,7 @@ fn a_correlated_aggregate_is_evaluated_once_for_each_binding() {
         A(y, n) :- A(x, n), R(x, y), c = count : { V(v), v > n }, c > 0.";
     let mut session = program(text).session();
     session.commit().unwrap();
-    assert_eq!(session.len(session.program().relation("A").unwrap()), 50);
+    assert_eq!(session.len(session.program().predicate("A").unwrap()), 50);
     let scanned = session.work().rules().map(|rule| rule.rows_scanned);
     // 50 x 50 rows of R, one look at V for n = 500.
     assert!(
@@ -202,7 +202,7 @@ fn a_correlated_aggregate_is_evaluated_once_for_each_binding() {
     let mut session =
         program(&text.replace("V(v) :-", ".input V .decl W(v: number) .input W W(1). V(1). // ")).session();
     session.commit().unwrap();
-    let reached = |session: &Session| session.len(session.program().relation("A").unwrap());
+    let reached = |session: &Session| session.len(session.program().predicate("A").unwrap());
     assert_eq!(reached(&session), 1);
     insert(&mut session, "W", &[&[2]]);
     session.commit().unwrap();
@@ -210,7 +210,7 @@ fn a_correlated_aggregate_is_evaluated_once_for_each_binding() {
     insert(&mut session, "V", &[&[501]]);
     session.commit().unwrap();
     assert_eq!(reached(&session), 50);
-    let v = session.program().relation("V").unwrap();
+    let v = session.program().predicate("V").unwrap();
     session.retract(v, numbers(&[501])).unwrap();
     session.commit().unwrap();
     assert_eq!(reached(&session), 1);
@@ -228,28 +228,24 @@ fn an_aggregate_over_a_join_stores_groups_only() {
         Most(x, n) :- R(x, _), n = max z : { R(x, y), S(y, z) }.",
     );
     let rules = program.rules();
-    let hidden: Vec<RelId> = (0..rules.relations.len() as u32)
-        .map(RelId)
-        .filter(|rel| program.is_aggregated(*rel))
+    let hidden: Vec<PredicateId> = (0..rules.predicates.len() as u32)
+        .map(PredicateId)
+        .filter(|id| program.is_aggregated(*id))
         .collect();
     assert_eq!(hidden.len(), 2);
-    assert!(hidden.iter().all(|rel| rules.relations[rel.index()].hidden));
+    assert!(hidden.iter().all(|id| rules.predicates[id.index()].hidden));
     for threads in [1, 3] {
         let mut session = program.session();
         session.set_threads(eager(threads)).unwrap();
         let pairs = || (0..200).flat_map(|x| (0..20).map(move |y| numbers(&[x % 100, y + x / 100])));
         for name in ["R", "S"] {
-            session.insert_all(program.relation(name).unwrap(), pairs()).unwrap();
+            session.insert_all(program.predicate(name).unwrap(), pairs()).unwrap();
         }
         let delta = session.commit().unwrap();
         // 100 x 21 rows in R; those with y < 21 of 100 in S have 21 each.
         assert_eq!(shown(&session, "Total"), (100 * 21 * 21).to_string());
-        assert_eq!(session.len(program.relation("Most").unwrap()), 100);
-        assert!(
-            hidden
-                .iter()
-                .all(|&rel| session.is_empty(rel) && delta.of(rel).is_none())
-        );
+        assert_eq!(session.len(program.predicate("Most").unwrap()), 100);
+        assert!(hidden.iter().all(|&id| session.is_empty(id) && delta.of(id).is_none()));
         assert!(session.bytes() < 100_000, "{}", session.bytes());
         let work: Vec<&RuleStats> = session.work().rules().collect();
         let counted = work
@@ -259,10 +255,10 @@ fn an_aggregate_over_a_join_stores_groups_only() {
     }
 }
 
-/// A batch of changes: whether the row is inserted, its relation and its values.
+/// A batch of changes: whether the row is inserted, its predicate and its values.
 type ChangeGenes = Vec<(bool, u8, [u8; 2])>;
 
-/// Programs whose aggregates range over joins, and changes of their relations.
+/// Programs whose aggregates range over joins, and changes of their predicates.
 fn aggregating_programs() -> impl proptest::strategy::Strategy<Value = (String, Vec<ChangeGenes>)> {
     use proptest::collection::vec;
     let clause =
@@ -280,7 +276,7 @@ fn aggregating_programs() -> impl proptest::strategy::Strategy<Value = (String, 
     })
 }
 
-/// The relations of [`aggregating_programs`].
+/// The predicates of [`aggregating_programs`].
 const AGGREGATED: &str = ".decl K(k: number)
     .decl R(x: number, y: number)
     .decl S(x: number, y: number)
@@ -365,16 +361,16 @@ fn aggregating_clause(genes: [u8; 6], atoms: &[[u8; 3]]) -> (String, String, Str
 }
 
 fn aggregating_script(program: &Program, changes: &[ChangeGenes]) -> Vec<Batch> {
-    let change = |&(present, relation, values): &(bool, u8, [u8; 2])| {
-        let name = ["K", "R", "R", "S", "S", "F", "T"][relation as usize % 7];
-        let rel = program.relation(name).unwrap();
-        let columns = program.rules().relations[rel.index()].columns.iter();
+    let change = |&(present, predicate, values): &(bool, u8, [u8; 2])| {
+        let name = ["K", "R", "R", "S", "S", "F", "T"][predicate as usize % 7];
+        let id = program.predicate(name).unwrap();
+        let columns = program.rules().predicates[id.index()].columns.iter();
         let value = |(column, gene): (&logicity_datalog::Column, u8)| match column.base {
             BaseType::Symbol => Value(u32::from(gene) % program.rules().symbols.len() as u32),
             BaseType::Float => Value::float([0.1, -2.5, 1e30, -1e30, 3.0][gene as usize % 5]),
             _ => Value::number(i32::from(gene % 5)),
         };
-        (present, rel, columns.zip(values).map(value).collect())
+        (present, id, columns.zip(values).map(value).collect())
     };
     let batch = |changes: &ChangeGenes| changes.iter().map(change).collect();
     changes.iter().map(batch).collect()
@@ -405,22 +401,22 @@ proptest! {
 }
 
 fn insert(session: &mut Session, name: &str, rows: &[&[i32]]) {
-    let rel = session.program().relation(name).unwrap();
-    rows.iter().for_each(|row| session.insert(rel, numbers(row)).unwrap());
+    let id = session.program().predicate(name).unwrap();
+    rows.iter().for_each(|row| session.insert(id, numbers(row)).unwrap());
 }
 
 fn retract(session: &mut Session, name: &str, rows: &[&[i32]]) {
-    let rel = session.program().relation(name).unwrap();
-    rows.iter().for_each(|row| session.retract(rel, numbers(row)).unwrap());
+    let id = session.program().predicate(name).unwrap();
+    rows.iter().for_each(|row| session.retract(id, numbers(row)).unwrap());
 }
 
 fn numbers(row: &[i32]) -> Vec<Value> {
     row.iter().copied().map(Value::number).collect()
 }
 
-/// The relation as `facts` prints it, with spaces and commas for tabs and line ends.
+/// The predicate as `facts` prints it, with spaces and commas for tabs and line ends.
 fn shown(session: &Session, name: &str) -> String {
-    let text = facts::print(session, session.program().relation(name).unwrap());
+    let text = facts::print(session, session.program().predicate(name).unwrap());
     text.trim_end().replace('\t', " ").replace('\n', ", ")
 }
 
@@ -452,9 +448,9 @@ fn transitive_closure_and_its_complement() {
     retract(&mut session, "Edge", &[&[3, 1]]);
     let delta = session.commit().unwrap();
     assert_eq!(shown(&session, "Path"), "1 2, 1 3, 1 4, 2 3, 2 4, 3 4");
-    let path = delta.of(program.relation("Path").unwrap()).unwrap();
+    let path = delta.of(program.predicate("Path").unwrap()).unwrap();
     assert_eq!((path.added.len(), path.removed.len()), (0, 6));
-    assert!(delta.of(program.relation("Sink").unwrap()).is_none());
+    assert!(delta.of(program.predicate("Sink").unwrap()).is_none());
 }
 
 /// While words are dense, a recursion keeps its rows as bits only. Then it derives words beyond the bits.
@@ -466,7 +462,7 @@ fn a_closure_beyond_the_dense_words_keeps_its_rows() {
         Path(x, y) :- Edge(x, y), x < 200, y < 200.
         Path(x, z) :- Path(x, y), Edge(y, z).",
     );
-    let (edge, path) = (program.relation("Edge").unwrap(), program.relation("Path").unwrap());
+    let (edge, path) = (program.predicate("Edge").unwrap(), program.predicate("Path").unwrap());
     // A chain of cycles of 8 nodes with chords, then a long path to nodes with large numbers and back.
     let mut edges: Vec<(i32, i32)> = (199..260).map(|node| (node, node + 1)).collect();
     for node in 0..200 {
@@ -521,15 +517,15 @@ fn points_to_in_rounds_of_many_new_rows() {
     };
     let mut facts = BTreeSet::new();
     for (name, count) in [("AddressOf", 50), ("Assign", 60), ("Load", 15), ("Store", 15)] {
-        let rel = program.relation(name).unwrap();
+        let id = program.predicate(name).unwrap();
         for _ in 0..count {
             let row = [Value(random(50)), Value(random(50))];
-            session.insert(rel, row).unwrap();
-            facts.insert((rel, row.to_vec()));
+            session.insert(id, row).unwrap();
+            facts.insert((id, row.to_vec()));
         }
     }
     session.commit().unwrap();
-    assert!(session.len(program.relation("PointsTo").unwrap()) > 700);
+    assert!(session.len(program.predicate("PointsTo").unwrap()) > 700);
     let expected = naive::evaluate(program.rules(), session.symbols(), facts);
     assert_eq!(database(&session), expected);
 }
@@ -585,10 +581,10 @@ fn long_lists_of_derived_rows_are_those_of_a_search() {
         session.set_threads(eager(threads)).unwrap();
         for (name, pairs) in [("Edge", &edges), ("Skip", &skips)] {
             let rows = pairs.iter().map(|pair| pair.map(Value));
-            session.insert_all(program.relation(name).unwrap(), rows).unwrap();
+            session.insert_all(program.predicate(name).unwrap(), rows).unwrap();
         }
         session.commit().unwrap();
-        let found = session.encoded_rows(program.relation("Path").unwrap());
+        let found = session.encoded_rows(program.predicate("Path").unwrap());
         assert!(found.eq(expected.iter().map(Vec::as_slice)));
         work.push(session.work().clone());
     }
@@ -654,18 +650,18 @@ fn unchanged_strata_are_not_evaluated_again() {
     insert(&mut session, "In", &[&[1, 9]]);
     insert(&mut session, "Out", &[&[5]]);
     session.commit().unwrap();
-    // The relations of the evaluated strata, in the order of the text.
+    // The predicates of the evaluated strata, in the order of the text.
     let evaluated = |session: &Session| {
         let rules = session.program().rules();
-        let mut relations: Vec<RelId> = session
+        let mut predicates: Vec<PredicateId> = session
             .work()
             .evaluated()
-            .flat_map(|stratum| rules.strata[stratum].relations.clone())
+            .flat_map(|stratum| rules.strata[stratum].predicates.clone())
             .collect();
-        relations.sort_unstable();
-        relations
+        predicates.sort_unstable();
+        predicates
             .iter()
-            .map(|relation| rules.relations[relation.index()].name.clone())
+            .map(|predicate| rules.predicates[predicate.index()].name.clone())
             .collect::<Vec<_>>()
     };
     assert_eq!(evaluated(&session), ["Big", "Any", "Far", "Side"]);
@@ -759,7 +755,7 @@ fn only_clauses_that_read_the_change_run_and_only_on_the_change() {
     assert_eq!((stats.delta_rows, stats.rows_scanned, stats.derived), (2, 6, 1));
 }
 
-/// A session after its first commit, with these rows in relations of numbers.
+/// A session after its first commit, with these rows in predicates of numbers.
 fn committed(text: &str, facts: &[(&str, Vec<Vec<i32>>)]) -> Session {
     let mut session = program(text).session();
     for (name, rows) in facts {
@@ -846,7 +842,7 @@ fn joins_follow_the_sizes_of_relations_and_not_the_text() {
         let head = head.replace(": number", "");
         for order in orders(body) {
             let session = committed(&format!("{declared}{head} :- {}.", order.join(", ")), &facts);
-            let found = session.len(session.program().relation("R").unwrap());
+            let found = session.len(session.program().predicate("R").unwrap());
             assert_eq!(found, rows, "{order:?}");
             assert!(
                 rows_scanned(&session) <= most,
@@ -905,7 +901,7 @@ fn cyclic_joins_scan_no_more_rows_than_the_worst_case_bound() {
     ] {
         let text = format!("{declared}R(x, y, z, u) :- {body}.");
         let session = committed(&text, &[("E", edges.clone())]);
-        assert_eq!(session.len(session.program().relation("R").unwrap()), rows);
+        assert_eq!(session.len(session.program().predicate("R").unwrap()), rows);
         let rows_scanned = rows_scanned(&session);
         // A binary join would pair each of 3,000 edges to the hub with 3,000 edges from it.
         assert!(
@@ -969,7 +965,7 @@ fn one_witness_is_enough_if_no_later_literal_needs_it() {
     assert!(rows_scanned(&session) <= 2 + 4, "{}", rows_scanned(&session));
 }
 
-/// Bodies of two to four atoms over three binary relations and four variables, mostly cyclic. The relations are skewed
+/// Bodies of two to four atoms over three binary predicates and four variables, mostly cyclic. The predicates are skewed
 /// and large enough for planning by size.
 #[test]
 fn slow_cyclic_bodies_agree_with_naive() {
@@ -1009,20 +1005,20 @@ fn slow_cyclic_bodies_agree_with_naive() {
         });
         let mut facts = BTreeSet::new();
         for (name, count) in [("R", 400), ("S", 300), ("T", 30)] {
-            let rel = program.relation(name).unwrap();
+            let id = program.predicate(name).unwrap();
             // Larger values are less likely.
             let mut node = || {
                 let most = 1 + random(40);
                 random(most)
             };
-            facts.extend((0..count).map(|_| (rel, vec![Value(node()), Value(node())])));
+            facts.extend((0..count).map(|_| (id, vec![Value(node()), Value(node())])));
         }
         for step in 0..3 {
             let chosen: Vec<_> = facts.iter().filter(|_| step > 0 && random(20) == 0).cloned().collect();
             for session in &mut sessions {
                 match step {
-                    0 => facts.iter().for_each(|(rel, row)| session.insert(*rel, row).unwrap()),
-                    _ => chosen.iter().for_each(|(rel, row)| session.retract(*rel, row).unwrap()),
+                    0 => facts.iter().for_each(|(id, row)| session.insert(*id, row).unwrap()),
+                    _ => chosen.iter().for_each(|(id, row)| session.retract(*id, row).unwrap()),
                 }
                 session.commit().unwrap();
             }
@@ -1057,7 +1053,7 @@ fn a_large_change_is_recomputed_and_a_small_one_maintained() {
     chains.for_each(|row| insert(&mut session, "Edge", &[&row]));
     insert(&mut session, "Mark", &[&[5]]);
     session.commit().unwrap();
-    assert_eq!(session.len(program.relation("Path").unwrap()), 10 * 29 * 30 / 2);
+    assert_eq!(session.len(program.predicate("Path").unwrap()), 10 * 29 * 30 / 2);
 
     let maintained = |session: &Session| {
         let strata = session.work().strata.iter();
@@ -1077,7 +1073,7 @@ fn a_large_change_is_recomputed_and_a_small_one_maintained() {
     let delta = session.commit().unwrap();
     // `Path` loses 29 of 4,350 rows. `Reached` begins with 25 rows.
     assert_eq!(maintained(&session), "mr");
-    assert_eq!(delta.of(program.relation("Path").unwrap()).unwrap().removed.len(), 29);
+    assert_eq!(delta.of(program.predicate("Path").unwrap()).unwrap().removed.len(), 29);
     assert!(session.work().rules().map(|rule| rule.rows_scanned).sum::<u64>() < 1_000);
 
     // All chains become one: maintenance seems cheap, exceeds its budget, and is abandoned.
@@ -1101,7 +1097,7 @@ fn facts_in_the_text_hold_and_cannot_be_retracted() {
         Copy(9).",
     );
     let mut session = program.session();
-    let base = program.relation("Base").unwrap();
+    let base = program.predicate("Base").unwrap();
     assert_eq!(session.len(base), 0);
     insert(&mut session, "Base", &[&[2], &[3]]);
     retract(&mut session, "Base", &[&[1]]);
@@ -1148,12 +1144,12 @@ fn a_failed_commit_changes_nothing() {
     assert_eq!(session.commit(), Err(limit), "the changes stay pending");
     retract(&mut session, "Node", &[&[4]]);
     session.commit().unwrap();
-    assert_eq!(session.len(program.relation("Pair").unwrap()), 9);
+    assert_eq!(session.len(program.predicate("Pair").unwrap()), 9);
     insert(&mut session, "Node", &[&[4]]);
     session.rollback();
     assert!(session.commit().unwrap().is_empty());
 
-    // Rows of an empty relation.
+    // Rows of an empty predicate.
     let mut session = program.session();
     session.set_limits(rows(9));
     insert(&mut session, "Node", &[&[4], &[2], &[1], &[4], &[3]]);
@@ -1163,7 +1159,7 @@ fn a_failed_commit_changes_nothing() {
     retract(&mut session, "Node", &[&[2]]);
     session.commit().unwrap();
     assert_eq!(shown(&session, "Node"), "1, 3, 4");
-    assert_eq!(session.len(program.relation("Pair").unwrap()), 9);
+    assert_eq!(session.len(program.predicate("Pair").unwrap()), 9);
 }
 
 #[test]
@@ -1177,7 +1173,7 @@ fn inserting_rows_together_equals_inserting_them_one_by_one() {
         Copy(y, x) :- Base(x, y), Flag().
         Base(7, 7).",
     );
-    let [base, flag, named] = ["Base", "Flag", "Named"].map(|name| program.relation(name).unwrap());
+    let [base, flag, named] = ["Base", "Flag", "Named"].map(|name| program.predicate(name).unwrap());
     let rows = |from: i32, to: i32| (from..to).map(|n| numbers(&[n * 37 % 1_000, n % 91]));
     let (mut together, mut alone) = (program.session(), program.session());
     for (present, from, to) in [(true, 0, 3_000), (false, 500, 600), (true, 550, 4_000), (false, 0, 300)] {
@@ -1205,10 +1201,13 @@ fn inserting_rows_together_equals_inserting_them_one_by_one() {
     let unknown = together.insert_all(named, [[word], [Value(word.0 + 1)]]);
     assert!(matches!(unknown, Err(RowError::UnknownSymbol { .. })));
     assert!(matches!(
-        together.insert_all(program.relation("Copy").unwrap(), rows(0, 1)),
+        together.insert_all(program.predicate("Copy").unwrap(), rows(0, 1)),
         Err(RowError::Derived { .. })
     ));
-    assert_eq!(together.insert_all(RelId(99), rows(0, 1)), Err(unknown_relation("#99")));
+    assert_eq!(
+        together.insert_all(PredicateId(99), rows(0, 1)),
+        Err(unknown_predicate("#99"))
+    );
     assert!(together.commit().unwrap().is_empty());
 }
 
@@ -1232,7 +1231,7 @@ fn recursion_past_the_limit_fails() {
     ));
     session.set_limits(rows(10_000));
     session.commit().unwrap();
-    assert_eq!(session.len(program.relation("Word").unwrap()), 10_000);
+    assert_eq!(session.len(program.predicate("Word").unwrap()), 10_000);
 }
 
 #[test]
@@ -1254,7 +1253,7 @@ fn endless_derivations_reach_a_limit() {
         session.commit(),
         Err(EvalError::TooManyRows { limit: 1_000, .. })
     ));
-    assert!(session.is_empty(program.relation("Number").unwrap()));
+    assert!(session.is_empty(program.predicate("Number").unwrap()));
     retract(&mut session, "Seed", &[&[1]]);
     assert!(session.commit().unwrap().is_empty());
 }
@@ -1394,14 +1393,14 @@ fn rows_of_an_aggregate_in_place_are_counted_in_bytes() {
     assert!(matches!(session.commit(), Err(EvalError::TooMuchMemory { .. })));
     session.set_limits(Limits::default());
     session.commit().unwrap();
-    assert_eq!(session.len(session.program().relation("N").unwrap()), 3);
+    assert_eq!(session.len(session.program().predicate("N").unwrap()), 3);
 }
 
 #[test]
 fn loaded_relations_take_the_memory_of_their_own_columns() {
     let loaded = |more: &str| {
         let program = program(&format!(".decl Edge(x: number, y: number)\n.input Edge\n{more}"));
-        let edge = program.relation("Edge").unwrap();
+        let edge = program.predicate("Edge").unwrap();
         let mut session = program.session();
         session
             .insert_all(edge, (0..10_000).map(|n| numbers(&[n / 7, n])))
@@ -1453,10 +1452,10 @@ fn wide_rows_indexes_and_texts_are_counted_in_bytes() {
 #[test]
 fn rows_that_do_not_fit_are_errors() {
     let program = program(COPY);
-    let (base, copy) = (program.relation("Base").unwrap(), program.relation("Copy").unwrap());
+    let (base, copy) = (program.predicate("Base").unwrap(), program.predicate("Copy").unwrap());
     let mut session = program.session();
     let arity = |found| RowError::Arity {
-        relation: "Base".into(),
+        predicate: "Base".into(),
         expected: 1,
         found,
     };
@@ -1465,18 +1464,18 @@ fn rows_that_do_not_fit_are_errors() {
     assert_eq!(
         session.insert(copy, numbers(&[1])),
         Err(RowError::Derived {
-            relation: "Copy".into()
+            predicate: "Copy".into()
         })
     );
-    assert_eq!(session.insert(RelId(7), ()), Err(unknown_relation("#7")));
-    assert!(!session.contains(RelId(7), ()) && !session.contains(base, ()));
-    assert_eq!(session.encoded_rows(RelId(7)).count(), 0);
-    assert_eq!((session.len(RelId(7)), session.len("Nothing")), (0, 0));
+    assert_eq!(session.insert(PredicateId(7), ()), Err(unknown_predicate("#7")));
+    assert!(!session.contains(PredicateId(7), ()) && !session.contains(base, ()));
+    assert_eq!(session.encoded_rows(PredicateId(7)).count(), 0);
+    assert_eq!((session.len(PredicateId(7)), session.len("Nothing")), (0, 0));
 }
 
-fn unknown_relation(relation: &str) -> RowError {
-    RowError::UnknownRelation {
-        relation: relation.to_owned(),
+fn unknown_predicate(predicate: &str) -> RowError {
+    RowError::UnknownPredicate {
+        predicate: predicate.to_owned(),
         near: None,
     }
 }
@@ -1495,7 +1494,7 @@ fn rows_are_rust_values() {
         .insert(&"person".to_owned(), (String::from("Alan"), 1912, 8, 1.75_f32))
         .unwrap();
     let mixed = (session.intern("Kurt"), Value::number(-1906), 9_u8, &1.5);
-    session.insert(program.relation("person").unwrap(), mixed).unwrap();
+    session.insert(program.predicate("person").unwrap(), mixed).unwrap();
     session.insert("here", ()).unwrap();
     session.commit().unwrap();
 
@@ -1527,7 +1526,7 @@ fn rows_are_rust_values() {
     session.retract("person", ("Ada", 1815, 7, 1.9)).unwrap();
     session.insert_all("person", [("Emmy", 1882, 10, 1.85)]).unwrap();
     let delta = session.commit().unwrap();
-    let change = delta.of(program.relation("tall").unwrap()).unwrap();
+    let change = delta.of(program.predicate("tall").unwrap()).unwrap();
     assert_eq!(
         session
             .decode::<(&str,)>("tall", &change.added)
@@ -1577,7 +1576,7 @@ fn errors_of_rows_name_relation_column_and_what_was_expected() {
     let unknown = session.retract("persons", ("Ada", 1815, 7, 1.9)).unwrap_err();
     assert_eq!(
         unknown.to_string(),
-        "the program declares no relation `persons`; did you mean `person`?"
+        "the program declares no predicate `persons`; did you mean `person`?"
     );
     let derived = session.insert("tall", ["Ada"]).unwrap_err();
     assert_eq!(
@@ -1655,7 +1654,7 @@ fn rows_may_have_any_number_of_columns_up_to_the_limit() {
         let row: Vec<i32> = (0..arity).collect();
         insert(&mut session, "Base", &[&row]);
         session.commit().unwrap();
-        let turned = program.relation("Turned").unwrap();
+        let turned = program.predicate("Turned").unwrap();
         assert_eq!(session.len(turned), arity as usize);
         let last: Vec<i32> = (0..arity).map(|column| (column + arity - 1) % arity).collect();
         assert!(session.contains(turned, numbers(&last)));
@@ -1673,8 +1672,8 @@ fn programs_too_large_to_plan_are_errors() {
     );
     rules.clauses[0].body.truncate(100);
     assert!(Program::new(rules.clone()).is_ok());
-    let column = rules.relations[0].columns[0].clone();
-    rules.relations[1].columns = vec![column; 33];
+    let column = rules.predicates[0].columns[0].clone();
+    rules.predicates[1].columns = vec![column; 33];
     assert_eq!(
         Program::new(rules.clone()).unwrap_err().code,
         diag::codes::LIMIT_EXCEEDED
@@ -1708,12 +1707,12 @@ fn mixed() -> Session {
     program.session()
 }
 
-/// Loads a text into a relation. Returns the faults as `line:column message`, those without a place as messages.
-fn load(session: &mut Session, relation: &str, text: &str) -> Result<usize, Vec<String>> {
+/// Loads a text into a predicate. Returns the faults as `line:column message`, those without a place as messages.
+fn load(session: &mut Session, predicate: &str, text: &str) -> Result<usize, Vec<String>> {
     let mut sources = Sources::new();
     let source = sources.add("R.facts", text);
-    let rel = session.program().relation(relation).unwrap();
-    facts::load(session, rel, &sources, source).map_err(|faults| {
+    let id = session.program().predicate(predicate).unwrap();
+    facts::load(session, id, &sources, source).map_err(|faults| {
         let place = |fault: &logicity_datalog::diag::Diagnostic| {
             let Some(label) = &fault.primary else {
                 return fault.message.clone();
@@ -1736,7 +1735,7 @@ fn facts_are_read_and_printed_as_text() {
     assert_eq!(load(&mut session, "R", ""), Ok(0));
     assert_eq!(load(&mut session, "Flag", "()\n"), Ok(1));
     session.commit().unwrap();
-    let printed = |name: &str| facts::print(&session, session.program().relation(name).unwrap());
+    let printed = |name: &str| facts::print(&session, session.program().predicate(name).unwrap());
     assert_eq!(printed("Copy"), "\t2147483647\nb\t-1\nb\t9\nzoé\t10\n");
     assert_eq!(printed("Copied"), "()\n");
 }
@@ -1810,7 +1809,7 @@ proptest! {
             D(x) :- U(f, t, s), s != 0, (t <= f; t - f <= 300), x = range(f, t).",
         );
         let mut session = program.session();
-        let find = |name: &str| program.relation(name).unwrap();
+        let find = |name: &str| program.predicate(name).unwrap();
         let narrow = |x: i64| Value(u32::try_from(x & i64::from(u32::MAX)).unwrap());
         let row = |(from, to, step): (i64, i64, i64)| [narrow(from), narrow(to), narrow(step)];
         // As an unsigned number, a negative step is large.
@@ -1857,7 +1856,7 @@ proptest! {
         prop_assert!(loaded.diagnostics.iter().all(|fault| fault.code == codes::EXTENDED_INPUT));
         let rules = loaded.rules.unwrap();
         let program = Program::new(rules.clone()).unwrap();
-        let edge = program.relation("Edge").unwrap();
+        let edge = program.predicate("Edge").unwrap();
         for strategy in [Strategy::Auto, Strategy::Maintain, Strategy::Recompute] {
             let mut session = program.session();
             session.set_strategy(strategy);
@@ -1874,9 +1873,9 @@ proptest! {
                 session.commit().unwrap();
                 let expected = naive::evaluate(&rules, session.symbols(), facts.iter().cloned());
                 for name in ["Edge", "Loose"] {
-                    let rel = program.relation(name).unwrap();
-                    let rows: BTreeSet<Vec<Value>> = session.encoded_rows(rel).map(<[Value]>::to_vec).collect();
-                    prop_assert_eq!(&rows, &expected[rel.index()], "{} by {:?}", name, strategy);
+                    let id = program.predicate(name).unwrap();
+                    let rows: BTreeSet<Vec<Value>> = session.encoded_rows(id).map(<[Value]>::to_vec).collect();
+                    prop_assert_eq!(&rows, &expected[id.index()], "{} by {:?}", name, strategy);
                 }
             }
         }
@@ -1920,20 +1919,20 @@ fn a_commit_can_be_cancelled() {
             let mut session = program(text).session();
             session.set_threads(eager(count)).unwrap();
             session.commit().unwrap();
-            let before = session.encoded_rows(session.program().relation(from).unwrap()).count();
+            let before = session.encoded_rows(session.program().predicate(from).unwrap()).count();
             insert(&mut session, "Seed", &[&[7]]);
             let (cancel, polls) = counted_cancel(2);
             let error = session.commit_with(&cancel).unwrap_err();
             let clause = &session.program().rules().clauses[error.clause().unwrap().index()];
             assert!(matches!(error, EvalError::Cancelled { .. }), "{error}");
             assert_eq!(
-                session.program().rules().relations[clause.head.relation.index()].name,
+                session.program().rules().predicates[clause.head.predicate.index()].name,
                 from
             );
             assert_eq!(polls.load(Relaxed), 3, "not polled again after cancellation");
             // The session is unchanged, and the pending change can be undone.
-            let relation = session.program().relation(from).unwrap();
-            assert_eq!(session.encoded_rows(relation).count(), before);
+            let predicate = session.program().predicate(from).unwrap();
+            assert_eq!(session.encoded_rows(predicate).count(), before);
             session.rollback();
             assert!(session.commit_with(&Cancel::when(|| true)).unwrap().is_empty());
         }

@@ -12,7 +12,7 @@ use logicity_datalog::diag::{Diagnostic, Limit, Sources};
 use logicity_datalog::explain::{
     AbsenceReason, ExplainError, Explainer, ExplanationPrinter, FailureKind, Node, Obstacle, Origin, Premise,
 };
-use logicity_datalog::{ClauseId, Literal, RelId, Rules, Value};
+use logicity_datalog::{ClauseId, Literal, PredicateId, Rules, Value};
 use logicity_datalog::{Limits, Program, Session, naive};
 use proptest::prelude::*;
 use std::collections::{BTreeMap, BTreeSet};
@@ -22,7 +22,7 @@ use std::sync::atomic::{AtomicBool, AtomicU32, Ordering::Relaxed};
 /// The height of every fact: the round that derives it, if each round fires every clause once on the facts of earlier
 /// rounds. Negated atoms read the complete model.
 fn heights(rules: &Rules, session: &Session, model: &naive::Database) -> Vec<BTreeMap<Vec<Value>, u32>> {
-    let count = rules.relations.len();
+    let count = rules.predicates.len();
     let clauses: Vec<_> = rules
         .clauses
         .iter()
@@ -30,7 +30,7 @@ fn heights(rules: &Rules, session: &Session, model: &naive::Database) -> Vec<BTr
             let mut clause = clause.clone();
             for literal in &mut clause.body {
                 if let Literal::Negative(atom) | Literal::Aggregate { atom, .. } = literal {
-                    atom.relation = RelId(atom.relation.0 + count as u32);
+                    atom.predicate = PredicateId(atom.predicate.0 + count as u32);
                 }
             }
             clause
@@ -38,18 +38,18 @@ fn heights(rules: &Rules, session: &Session, model: &naive::Database) -> Vec<BTr
         .collect();
     let mut known: naive::Database = vec![BTreeSet::new(); count];
     let mut heights = vec![BTreeMap::new(); count];
-    for (rel, rows) in model
+    for (id, rows) in model
         .iter()
         .enumerate()
-        .filter(|(rel, _)| !rules.relations[*rel].derived)
+        .filter(|(id, _)| !rules.predicates[*id].derived)
     {
-        heights[rel].extend(rows.iter().map(|row| (row.clone(), 0)));
-        known[rel].clone_from(rows);
+        heights[id].extend(rows.iter().map(|row| (row.clone(), 0)));
+        known[id].clone_from(rows);
     }
     for clause in clauses.iter().filter(|clause| clause.body.is_empty()) {
         for row in naive::consequences(session.program().rules(), clause, session.symbols(), &known) {
-            heights[clause.head.relation.index()].insert(row.clone(), 0);
-            known[clause.head.relation.index()].insert(row);
+            heights[clause.head.predicate.index()].insert(row.clone(), 0);
+            known[clause.head.predicate.index()].insert(row);
         }
     }
     for round in 1.. {
@@ -57,9 +57,9 @@ fn heights(rules: &Rules, session: &Session, model: &naive::Database) -> Vec<BTr
         all.extend(model.iter().cloned());
         for clause in &clauses {
             for row in naive::consequences(session.program().rules(), clause, session.symbols(), &all) {
-                let rel = clause.head.relation.index();
-                if known[rel].insert(row.clone()) {
-                    heights[rel].insert(row, round);
+                let id = clause.head.predicate.index();
+                if known[id].insert(row.clone()) {
+                    heights[id].insert(row, round);
                 }
             }
         }
@@ -71,10 +71,10 @@ fn heights(rules: &Rules, session: &Session, model: &naive::Database) -> Vec<BTr
     heights
 }
 
-/// Every row over the domain, for narrow relations.
-fn domain(rules: &Rules, rel: usize) -> Vec<Vec<Value>> {
+/// Every row over the domain, for narrow predicates.
+fn domain(rules: &Rules, id: usize) -> Vec<Vec<Value>> {
     let mut rows: Vec<Vec<Value>> = vec![Vec::new()];
-    for column in &rules.relations[rel].columns {
+    for column in &rules.predicates[id].columns {
         let values: Vec<Value> = match column.base {
             logicity_datalog::BaseType::Symbol => (0..TEXTS.len() as u32).map(Value).collect(),
             logicity_datalog::BaseType::Unsigned => NUMBERS[..3].iter().map(|n| Value(n.unsigned_abs())).collect(),
@@ -95,11 +95,11 @@ fn check_genome(genome: &Genome) {
     let program = Program::new(rules.clone()).unwrap();
     let mut session = program.session();
     for batch in 0..genome.script.len() {
-        for (present, rel, row) in genome.batch(&rules, batch) {
+        for (present, id, row) in genome.batch(&rules, batch) {
             if present {
-                session.insert(rel, &row).unwrap();
+                session.insert(id, &row).unwrap();
             } else {
-                session.retract(rel, &row).unwrap();
+                session.retract(id, &row).unwrap();
             }
         }
     }
@@ -107,39 +107,42 @@ fn check_genome(genome: &Genome) {
     let model = database(&session);
     let heights = heights(&rules, &session, &model);
     let mut explainer = Explainer::new(&session);
-    for (rel, rows) in model.iter().enumerate() {
+    for (id, rows) in model.iter().enumerate() {
         for row in rows.iter().take(30) {
-            let explanation = explainer.explain(RelId(rel as u32), row).unwrap().expect("it holds");
+            let explanation = explainer
+                .explain(PredicateId(id as u32), row)
+                .unwrap()
+                .expect("it holds");
             let Node::Fact(fact) = &explanation.nodes()[0] else {
                 panic!()
             };
-            assert_eq!((fact.relation.index(), &fact.row), (rel, row));
+            assert_eq!((fact.predicate.index(), &fact.row), (id, row));
             for node in explanation.nodes() {
                 if let Node::Fact(fact) = node {
-                    assert_eq!(fact.height, heights[fact.relation.index()][&fact.row]);
+                    assert_eq!(fact.height, heights[fact.predicate.index()][&fact.row]);
                 }
             }
             check(&session, &model, &explanation);
             // A fresh explainer gives the same explanation.
             if Some(row) == rows.first() || Some(row) == rows.iter().take(30).next_back() {
                 assert_eq!(
-                    session.explain(RelId(rel as u32), row).unwrap().as_ref(),
+                    session.explain(PredicateId(id as u32), row).unwrap().as_ref(),
                     Some(&explanation)
                 );
             }
         }
-        let domain = domain(&rules, rel);
+        let domain = domain(&rules, id);
         for row in &domain {
             let wanted: Vec<Option<Value>> = row.iter().copied().map(Some).collect();
-            let explanation = explainer.explain_absence(RelId(rel as u32), &wanted).unwrap();
+            let explanation = explainer.explain_absence(PredicateId(id as u32), &wanted).unwrap();
             assert_eq!(explanation.is_none(), rows.contains(row));
             if Some(row) == domain.last() {
-                let fresh = session.explain_absence(RelId(rel as u32), &wanted).unwrap();
+                let fresh = session.explain_absence(PredicateId(id as u32), &wanted).unwrap();
                 assert_eq!(fresh, explanation);
             }
             if let Some(explanation) = explanation {
                 check(&session, &model, &explanation);
-                assert!(explainer.explain(RelId(rel as u32), row).unwrap().is_none());
+                assert!(explainer.explain(PredicateId(id as u32), row).unwrap().is_none());
             }
         }
     }
@@ -149,9 +152,9 @@ fn check_genome(genome: &Genome) {
 fn check_matters(genome: &Genome) {
     let rules = genome.rules();
     let mut session = Program::new(rules.clone()).unwrap().session();
-    for (present, rel, row) in genome.batch(&rules, 0).into_iter().filter(|(present, ..)| *present) {
+    for (present, predicate, row) in genome.batch(&rules, 0).into_iter().filter(|(present, ..)| *present) {
         assert!(present);
-        session.insert(rel, &row).unwrap();
+        session.insert(predicate, &row).unwrap();
     }
     session.commit().unwrap();
     let model = database(&session);
@@ -164,7 +167,7 @@ fn check_matters(genome: &Genome) {
             let mut less = clause.clone();
             less.body.remove(literal);
             let derived = naive::consequences(&rules, &less, session.symbols(), &model);
-            assert_eq!(matters, !derived.is_subset(&model[clause.head.relation.index()]));
+            assert_eq!(matters, !derived.is_subset(&model[clause.head.predicate.index()]));
         }
     }
 }
@@ -198,13 +201,13 @@ fn numbers(row: &[i32]) -> Vec<Value> {
     row.iter().copied().map(Value::number).collect()
 }
 
-/// A session with these numbers in these relations.
+/// A session with these numbers in these predicates.
 fn session(text: &str, facts: &[(&str, &[&[i32]])]) -> Session {
     let program = program(text);
     let mut session = program.session();
     for (name, rows) in facts {
-        let rel = program.relation(name).unwrap();
-        rows.iter().for_each(|row| session.insert(rel, numbers(row)).unwrap());
+        let id = program.predicate(name).unwrap();
+        rows.iter().for_each(|row| session.insert(id, numbers(row)).unwrap());
     }
     session.commit().unwrap();
     session
@@ -221,7 +224,7 @@ fn a_long_chain_has_a_proof_of_logarithmic_height() {
     let edges: Vec<Vec<i32>> = (0..64).map(|at| vec![at, at + 1]).collect();
     let edges: Vec<&[i32]> = edges.iter().map(Vec::as_slice).collect();
     let session = session(PATHS, &[("edge", &edges)]);
-    let path = session.program().relation("path").unwrap();
+    let path = session.program().predicate("path").unwrap();
     let proof = session.explain(path, &numbers(&[0, 64])).unwrap().unwrap();
     let Node::Fact(fact) = &proof.nodes()[0] else { panic!() };
     assert_eq!(fact.height, 7);
@@ -247,8 +250,8 @@ fn expressions_and_aggregates_are_leaves_with_their_values() {
     let sources = Sources::new();
     let printer = ExplanationPrinter::new(rules, session.symbols(), &sources);
     let leaves = |name: &str, row: &[i32]| {
-        let rel = session.program().relation(name).unwrap();
-        let proof = session.explain(rel, &numbers(row)).unwrap().unwrap();
+        let id = session.program().predicate(name).unwrap();
+        let proof = session.explain(id, &numbers(row)).unwrap().unwrap();
         check(&session, &model, &proof);
         let Node::Fact(fact) = &proof.nodes()[0] else { panic!() };
         let Origin::Derived(derivation) = &fact.origin else {
@@ -266,9 +269,9 @@ fn expressions_and_aggregates_are_leaves_with_their_values() {
         ("next", [1, 9], Some(Value::number(4))),
         ("degree", [1, 9], Some(Value::number(3))),
     ] {
-        let rel = session.program().relation(name).unwrap();
+        let id = session.program().predicate(name).unwrap();
         let wanted: Vec<Option<Value>> = numbers(&row).into_iter().map(Some).collect();
-        let absence = session.explain_absence(rel, &wanted).unwrap().unwrap();
+        let absence = session.explain_absence(id, &wanted).unwrap().unwrap();
         check(&session, &model, &absence);
         let Node::Absence(explained) = &absence.nodes()[0] else {
             panic!()
@@ -283,10 +286,10 @@ fn expressions_and_aggregates_are_leaves_with_their_values() {
     }
     // The same for an aggregate that is evaluated in place.
     assert_eq!(leaves("reach", &[2, 3]), "3 = count : { edge(1, w), w >= 0 }");
-    let reach = session.program().relation("reach").unwrap();
+    let reach = session.program().predicate("reach").unwrap();
     let absence = session.explain_absence(reach, &numbers(&[2, 2]).into_iter().map(Some).collect::<Vec<_>>());
     check(&session, &model, &absence.unwrap().unwrap());
-    let inverse = session.program().relation("inverse").unwrap();
+    let inverse = session.program().predicate("inverse").unwrap();
     let absence = session.explain_absence(inverse, &[Some(Value::number(2))]);
     check(&session, &model, &absence.unwrap().unwrap());
 }
@@ -299,7 +302,7 @@ fn a_proof_may_be_deep() {
     let edges: Vec<Vec<i32>> = (0..5_000).map(|at| vec![at, at + 1]).collect();
     let edges: Vec<&[i32]> = edges.iter().map(Vec::as_slice).collect();
     let session = session(text, &[("edge", &edges), ("start", &[&[0]])]);
-    let reach = session.program().relation("reach").unwrap();
+    let reach = session.program().predicate("reach").unwrap();
     let proof = session.explain(reach, &numbers(&[5_000])).unwrap().unwrap();
     // The start, 5,000 edges, and 5,001 rows of `reach`.
     assert_eq!(proof.nodes().len(), 10_002);
@@ -310,7 +313,7 @@ fn a_search_beyond_its_limit_is_reported_and_leaves_no_partial_result() {
     let edges: Vec<Vec<i32>> = (0..40).map(|at| vec![at, at + 1]).collect();
     let edges: Vec<&[i32]> = edges.iter().map(Vec::as_slice).collect();
     let session = session(PATHS, &[("edge", &edges)]);
-    let path = session.program().relation("path").unwrap();
+    let path = session.program().predicate("path").unwrap();
     let expected = session.explain(path, &numbers(&[0, 40])).unwrap();
     let mut explainer = Explainer::new(&session);
     for limit in [0, 1, 10, 100, 1_000, 5_000] {
@@ -328,7 +331,7 @@ fn a_question_can_be_cancelled_and_repeated() {
     let edges: Vec<Vec<i32>> = (0..60).map(|at| vec![at, at + 1]).collect();
     let edges: Vec<&[i32]> = edges.iter().map(Vec::as_slice).collect();
     let session = session(PATHS, &[("edge", &edges)]);
-    let path = session.program().relation("path").unwrap();
+    let path = session.program().predicate("path").unwrap();
     let polls = Arc::new(AtomicU32::new(0));
     let cancelled = Arc::new(AtomicBool::new(true));
     let cancel = {
@@ -353,10 +356,10 @@ fn a_question_can_be_cancelled_and_repeated() {
 #[test]
 fn invalid_questions_have_no_answer() {
     let session = session(PATHS, &[("edge", &[&[1, 2]])]);
-    let path = session.program().relation("path").unwrap();
-    assert!(session.explain(RelId(9), &[]).unwrap().is_none());
+    let path = session.program().predicate("path").unwrap();
+    assert!(session.explain(PredicateId(9), &[]).unwrap().is_none());
     assert!(session.explain(path, &numbers(&[1])).unwrap().is_none());
-    assert!(session.explain_absence(RelId(9), &[]).unwrap().is_none());
+    assert!(session.explain_absence(PredicateId(9), &[]).unwrap().is_none());
     assert!(session.explain_absence(path, &[None]).unwrap().is_none());
     assert!(session.explain_absence(path, &[None, None]).unwrap().is_none());
     assert!(Explainer::new(&session).matters(ClauseId(9), 0).unwrap().is_none());
@@ -371,15 +374,15 @@ fn explained(text: &str, facts: &[(&str, &[&[i32]])], name: &str, row: &[i32]) -
     let program = Program::new(rules).unwrap();
     let mut session = program.session();
     for (name, rows) in facts {
-        let rel = program.relation(name).unwrap();
-        rows.iter().for_each(|row| session.insert(rel, numbers(row)).unwrap());
+        let id = program.predicate(name).unwrap();
+        rows.iter().for_each(|row| session.insert(id, numbers(row)).unwrap());
     }
     session.commit().unwrap();
-    let rel = program.relation(name).unwrap();
+    let id = program.predicate(name).unwrap();
     let wanted: Vec<Option<Value>> = numbers(row).into_iter().map(Some).collect();
-    let explanation = match session.explain(rel, &numbers(row)).unwrap() {
+    let explanation = match session.explain(id, &numbers(row)).unwrap() {
         Some(proof) => proof,
-        None => session.explain_absence(rel, &wanted).unwrap().unwrap(),
+        None => session.explain_absence(id, &wanted).unwrap().unwrap(),
     };
     let printer = ExplanationPrinter::new(program.rules(), session.symbols(), &sources);
     let json = printer.json(&explanation);
@@ -599,7 +602,7 @@ fn aggregates_in_explanations_stay_within_the_memory_limit() {
         A(0).
         A(n + c) :- A(n), n < 1, c = count : { V(v), V(w), v > n, w > v }.",
     );
-    let a = program.relation("A").unwrap();
+    let a = program.predicate("A").unwrap();
     let row = [Value::number(99 * 98 / 2)];
     let mut session = program.session();
     session.commit().unwrap();

@@ -49,9 +49,9 @@ fn strata(rules: &Rules) -> Vec<Vec<&str>> {
     (rules.strata.iter())
         .map(|stratum| {
             stratum
-                .relations
+                .predicates
                 .iter()
-                .map(|id| rules.relations[id.index()].name.as_str())
+                .map(|id| rules.predicates[id.index()].name.as_str())
                 .collect()
         })
         .collect()
@@ -729,7 +729,7 @@ fn clause_lines(rules: &Rules) -> Vec<String> {
         .map(|clause| {
             let atom = |atom: &Atom| {
                 let terms: Vec<String> = atom.terms.iter().map(|term| format!("{term:?}")).collect();
-                format!("{}({})", rules.relations[atom.relation.index()].name, terms.join(","))
+                format!("{}({})", rules.predicates[atom.predicate.index()].name, terms.join(","))
             };
             let mut body: Vec<String> = (clause.body.iter())
                 .map(|literal| match literal {
@@ -807,7 +807,11 @@ fn written(rules: &Rules, clause: &Clause) -> String {
     };
     let atom = |atom: &Atom| {
         let terms: Vec<String> = atom.terms.iter().map(term).collect();
-        format!("{}({})", rules.relations[atom.relation.index()].name, terms.join(", "))
+        format!(
+            "{}({})",
+            rules.predicates[atom.predicate.index()].name,
+            terms.join(", ")
+        )
     };
     let body: Vec<String> = (clause.body.iter())
         .map(|literal| match literal {
@@ -1448,7 +1452,7 @@ fn an_aggregate_follows_equations_in_any_order() {
 
 // --- redundant clauses
 
-/// A small database: the rows of each relation.
+/// A small database: the rows of each predicate.
 type Database = Vec<BTreeSet<Vec<u32>>>;
 
 /// The rows that a clause derives, by trying every assignment of {0, 1, 2} to its variables.
@@ -1463,7 +1467,7 @@ fn derived(clause: &Clause, database: &Database) -> BTreeSet<Vec<u32>> {
             Term::Wildcard => None,
         };
         let holds = |atom: &Atom| {
-            database[atom.relation.index()].iter().any(|row| {
+            database[atom.predicate.index()].iter().any(|row| {
                 row.iter()
                     .zip(&atom.terms)
                     .all(|(cell, term)| value(term).is_none_or(|value| value == *cell))
@@ -1559,13 +1563,13 @@ proptest! {
                     let set = (0..9).filter(move |at| bits >> at & 1 == 1);
                     set.map(|at| vec![at / 3, at % 3]).collect()
                 };
-                let mut database: Database = vec![BTreeSet::new(); rules.relations.len()];
+                let mut database: Database = vec![BTreeSet::new(); rules.predicates.len()];
                 database[0] = (0..3).filter(|at| a >> at & 1 == 1).map(|at| vec![at]).collect();
                 database[1] = pairs(*b);
                 database[2] = pairs(*v);
-                let is_hidden = |clause: &&Clause| rules.relations[clause.head.relation.index()].hidden;
+                let is_hidden = |clause: &&Clause| rules.predicates[clause.head.predicate.index()].hidden;
                 for clause in rules.clauses.iter().filter(is_hidden) {
-                    database[clause.head.relation.index()] = derived(clause, &database);
+                    database[clause.head.predicate.index()] = derived(clause, &database);
                 }
                 let (redundant, other) = (derived(redundant, &database), derived(other, &database));
                 prop_assert!(redundant.is_subset(&other), "{}\n{:?}", text, diagnostic);
@@ -1579,10 +1583,10 @@ proptest! {
 
 /// The invariants of [`Rules`].
 fn check_constraints(rules: &Rules) {
-    let mut stratum_of = vec![None; rules.relations.len()];
+    let mut stratum_of = vec![None; rules.predicates.len()];
     for (number, stratum) in rules.strata.iter().enumerate() {
-        assert!(!stratum.relations.is_empty() && !stratum.clauses.is_empty());
-        for id in &stratum.relations {
+        assert!(!stratum.predicates.is_empty() && !stratum.clauses.is_empty());
+        for id in &stratum.predicates {
             assert_eq!(
                 stratum_of[id.index()].replace(number),
                 None,
@@ -1591,32 +1595,32 @@ fn check_constraints(rules: &Rules) {
         }
     }
     let hidden_from = rules
-        .relations
+        .predicates
         .iter()
-        .position(|relation| relation.hidden)
-        .unwrap_or(rules.relations.len());
-    for (index, relation) in rules.relations.iter().enumerate() {
-        assert_eq!(relation.hidden, index >= hidden_from, "hidden predicates come last");
-        assert_eq!(relation.hidden, relation.name.starts_with('+'));
-        assert_eq!(relation.edb.is_some(), relation.input && relation.derived);
+        .position(|predicate| predicate.hidden)
+        .unwrap_or(rules.predicates.len());
+    for (index, predicate) in rules.predicates.iter().enumerate() {
+        assert_eq!(predicate.hidden, index >= hidden_from, "hidden predicates come last");
+        assert_eq!(predicate.hidden, predicate.name.starts_with('+'));
+        assert_eq!(predicate.edb.is_some(), predicate.input && predicate.derived);
         let heads = || {
             rules
                 .clauses
                 .iter()
-                .filter(|clause| clause.head.relation.index() == index)
+                .filter(|clause| clause.head.predicate.index() == index)
         };
-        assert_eq!(relation.derived, heads().any(|clause| !clause.body.is_empty()));
+        assert_eq!(predicate.derived, heads().any(|clause| !clause.body.is_empty()));
         assert_eq!(
             stratum_of[index].is_some(),
             heads().next().is_some(),
             "a stratum holds predicates with clauses"
         );
-        for column in &relation.columns {
+        for column in &predicate.columns {
             assert_eq!(column.base, rules.types[column.ty.0 as usize].base);
         }
     }
     for (index, clause) in rules.clauses.iter().enumerate() {
-        let home = stratum_of[clause.head.relation.index()].expect("checked above");
+        let home = stratum_of[clause.head.predicate.index()].expect("checked above");
         let stratum = &rules.strata[home];
         assert_eq!(stratum.clauses.iter().filter(|id| id.index() == index).count(), 1);
         let mut bound = vec![false; clause.variables.len()];
@@ -1626,7 +1630,7 @@ fn check_constraints(rules: &Rules) {
                 used[id.index()] = true;
             }
         };
-        let fits = |atom: &Atom| assert_eq!(atom.terms.len(), rules.relations[atom.relation.index()].arity());
+        let fits = |atom: &Atom| assert_eq!(atom.terms.len(), rules.predicates[atom.predicate.index()].arity());
         fits(&clause.head);
         assert!(!clause.head.terms.contains(&Term::Wildcard));
         clause.head.terms.iter().for_each(&mut mark);
@@ -1635,8 +1639,8 @@ fn check_constraints(rules: &Rules) {
                 Literal::Positive(atom) | Literal::Guard(atom) => {
                     fits(atom);
                     atom.terms.iter().for_each(&mut mark);
-                    assert!(stratum_of[atom.relation.index()].is_none_or(|other| other <= home));
-                    assert!(stratum_of[atom.relation.index()] != Some(home) || stratum.recursive);
+                    assert!(stratum_of[atom.predicate.index()].is_none_or(|other| other <= home));
+                    assert!(stratum_of[atom.predicate.index()] != Some(home) || stratum.recursive);
                     for term in &atom.terms {
                         if let Term::Variable(id) = term {
                             bound[id.index()] = true;
@@ -1646,7 +1650,7 @@ fn check_constraints(rules: &Rules) {
                 Literal::Negative(atom) => {
                     fits(atom);
                     atom.terms.iter().for_each(&mut mark);
-                    assert!(stratum_of[atom.relation.index()].is_none_or(|other| other < home));
+                    assert!(stratum_of[atom.predicate.index()].is_none_or(|other| other < home));
                 }
                 Literal::Compare { left, right, .. } => {
                     [left, right].into_iter().for_each(&mut mark);
@@ -1660,7 +1664,7 @@ fn check_constraints(rules: &Rules) {
                     fits(atom);
                     literal.terms().for_each(&mut mark);
                     assert!(column.is_none_or(|column| column < atom.terms.len()));
-                    assert!(stratum_of[atom.relation.index()].is_none_or(|other| other < home));
+                    assert!(stratum_of[atom.predicate.index()].is_none_or(|other| other < home));
                 }
             }
         }

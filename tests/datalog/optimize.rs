@@ -7,7 +7,7 @@ use crate::rule_files::RuleFiles;
 use logicity_datalog as datalog;
 use logicity_datalog::codes;
 use logicity_datalog::diag::{Diagnostic, Sources, render};
-use logicity_datalog::{ClauseId, Constraint, DeclaredConstraint, RelId, Rules, Value};
+use logicity_datalog::{ClauseId, Constraint, DeclaredConstraint, PredicateId, Rules, Value};
 use logicity_datalog::{Options, Program, Session, constraints, naive, optimize};
 use proptest::prelude::*;
 use std::collections::BTreeSet;
@@ -21,31 +21,36 @@ fn rules(text: &str) -> (Sources, Rules) {
     (sources, rules)
 }
 
-fn holds(constraint: &DeclaredConstraint, facts: &BTreeSet<(RelId, Vec<Value>)>, rel: RelId, row: &[Value]) -> bool {
-    let has = |rel: RelId, row: &[Value]| facts.contains(&(rel, row.to_vec()));
-    let columns = constraint.domain.iter().filter(|(one, _)| *one == rel);
+fn holds(
+    constraint: &DeclaredConstraint,
+    facts: &BTreeSet<(PredicateId, Vec<Value>)>,
+    id: PredicateId,
+    row: &[Value],
+) -> bool {
+    let has = |id: PredicateId, row: &[Value]| facts.contains(&(id, row.to_vec()));
+    let columns = constraint.domain.iter().filter(|(one, _)| *one == id);
     let mut values = columns.map(|&(_, column)| row[column]);
     match constraint.constraint {
         Constraint::Covering(ref cover) => values.all(|value| cover.iter().any(|&one| has(one, &[value]))),
         Constraint::Reflexive(a) => values.all(|value| has(a, &[value, value])),
-        Constraint::Asymmetric(a) => rel != a || !has(a, &[row[1], row[0]]),
-        Constraint::Disjoint(a, b) => rel != a || !has(b, row),
-        Constraint::Implies(a, b) => rel != a || has(b, row),
-        Constraint::Irreflexive(a) => rel != a || row[0] != row[1],
-        Constraint::Symmetric(a) => rel != a || has(a, &[row[1], row[0]]),
+        Constraint::Asymmetric(a) => id != a || !has(a, &[row[1], row[0]]),
+        Constraint::Disjoint(a, b) => id != a || !has(b, row),
+        Constraint::Implies(a, b) => id != a || has(b, row),
+        Constraint::Irreflexive(a) => id != a || row[0] != row[1],
+        Constraint::Symmetric(a) => id != a || has(a, &[row[1], row[0]]),
     }
 }
 
 /// The largest subset of the facts that satisfies the constraints.
-fn kept(rules: &Rules, mut facts: BTreeSet<(RelId, Vec<Value>)>) -> BTreeSet<(RelId, Vec<Value>)> {
+fn kept(rules: &Rules, mut facts: BTreeSet<(PredicateId, Vec<Value>)>) -> BTreeSet<(PredicateId, Vec<Value>)> {
     loop {
         let bad: Vec<_> = facts
             .iter()
-            .filter(|(rel, row)| {
+            .filter(|(id, row)| {
                 !rules
                     .constraints
                     .iter()
-                    .all(|constraint| holds(constraint, &facts, *rel, row))
+                    .all(|constraint| holds(constraint, &facts, *id, row))
             })
             .cloned()
             .collect();
@@ -61,15 +66,15 @@ type Answer = (naive::Database, Vec<Vec<Vec<Value>>>);
 
 fn answer(session: &Session) -> Answer {
     let rules = session.program().rules();
-    let rows = |rel: u32| session.encoded_rows(RelId(rel)).map(<[Value]>::to_vec).collect();
+    let rows = |id: u32| session.encoded_rows(PredicateId(id)).map(<[Value]>::to_vec).collect();
     let fired = |clause: u32| session.fired(ClauseId(clause));
     (
-        (0..rules.relations.len() as u32).map(rows).collect(),
+        (0..rules.predicates.len() as u32).map(rows).collect(),
         (0..rules.clauses.len() as u32).map(fired).collect(),
     )
 }
 
-fn check(rules: &Rules, facts: &BTreeSet<(RelId, Vec<Value>)>, constraints: bool) -> Result<(), TestCaseError> {
+fn check(rules: &Rules, facts: &BTreeSet<(PredicateId, Vec<Value>)>, constraints: bool) -> Result<(), TestCaseError> {
     let modes = [
         Options {
             optimize: false,
@@ -88,9 +93,9 @@ fn check(rules: &Rules, facts: &BTreeSet<(RelId, Vec<Value>)>, constraints: bool
         let mut session = Program::with(rules.clone(), options).unwrap().session();
         // Two batches, to test maintenance, too.
         for part in [0, 1] {
-            for (number, (rel, row)) in facts.iter().enumerate() {
+            for (number, (id, row)) in facts.iter().enumerate() {
                 if number % 2 == part {
-                    session.insert(*rel, row).unwrap();
+                    session.insert(*id, row).unwrap();
                 }
             }
             if part == 1 || !constraints {
@@ -204,11 +209,11 @@ proptest! {
             .unwrap());
         // Symmetric facts come in pairs and reflexive ones with loops, so that some remain.
         let loops = rules.constraints.iter().any(|one| matches!(one.constraint, Constraint::Reflexive(_)));
-        let loops = names.into_iter().filter(|_| loops).map(|name| (rules.relation("R").unwrap(), vec![name; 2]));
-        let facts: BTreeSet<(RelId, Vec<Value>)> = facts.iter().flat_map(|&(rel, x, y)| {
-            let relation = rules.relation(["A", "B", "C", "R", "S"][rel as usize]).unwrap();
+        let loops = names.into_iter().filter(|_| loops).map(|name| (rules.predicate("R").unwrap(), vec![name; 2]));
+        let facts: BTreeSet<(PredicateId, Vec<Value>)> = facts.iter().flat_map(|&(id, x, y)| {
+            let predicate = rules.predicate(["A", "B", "C", "R", "S"][id as usize]).unwrap();
             let (x, y) = (names[x as usize], names[y as usize]);
-            if rel < 3 { vec![(relation, vec![x])] } else { vec![(relation, vec![x, y]), (relation, vec![y, x])] }
+            if id < 3 { vec![(predicate, vec![x])] } else { vec![(predicate, vec![x, y]), (predicate, vec![y, x])] }
         }).chain(loops).collect();
         check(&rules, &kept(&rules, facts), true)?;
     }
@@ -221,8 +226,8 @@ proptest! {
         for genome in [genome, recursive] {
             let rules = genome.rules();
             let mut facts = BTreeSet::new();
-            for (present, rel, row) in genome.batch(&rules, 0) {
-                if present { facts.insert((rel, row)); } else { facts.remove(&(rel, row)); }
+            for (present, id, row) in genome.batch(&rules, 0) {
+                if present { facts.insert((id, row)); } else { facts.remove(&(id, row)); }
             }
             check(&rules, &facts, false)?;
         }
@@ -238,15 +243,15 @@ fn with(rules: &Rules, optimize: bool) -> Program {
 
 /// Inserts the facts of a city of 1,000 agents that each see some others. Also returns one in a hundred of the binary
 /// facts.
-fn insert_city(session: &mut Session) -> Vec<(RelId, Vec<Value>)> {
+fn insert_city(session: &mut Session) -> Vec<(PredicateId, Vec<Value>)> {
     let program = session.program().clone();
     let inputs = program
         .rules()
-        .relations
+        .predicates
         .iter()
-        .zip((0..).map(RelId))
-        .filter(|(relation, _)| relation.input);
-    let (unary, binary): (Vec<_>, Vec<_>) = inputs.partition(|(relation, _)| relation.arity() == 1);
+        .zip((0..).map(PredicateId))
+        .filter(|(predicate, _)| predicate.input);
+    let (unary, binary): (Vec<_>, Vec<_>) = inputs.partition(|(predicate, _)| predicate.arity() == 1);
     let agents: Vec<Value> = (0..1000).map(|agent| session.intern(&format!("a{agent}"))).collect();
     let mut state = 3_u64;
     let mut random = |below: u64| {
@@ -257,18 +262,18 @@ fn insert_city(session: &mut Session) -> Vec<(RelId, Vec<Value>)> {
     };
     let mut moving = Vec::new();
     for (position, &x) in agents.iter().enumerate() {
-        for &(_, rel) in &unary {
+        for &(_, id) in &unary {
             if random(4) == 0 {
-                session.insert(rel, [x]).unwrap();
+                session.insert(id, [x]).unwrap();
             }
         }
         for _ in 0..14 {
             let y = agents[(position + random(60) as usize) % agents.len()];
-            for (relation, rel) in &binary {
-                if relation.name == "Sees" || random(6) == 0 {
-                    session.insert(*rel, [x, y]).unwrap();
+            for (predicate, id) in &binary {
+                if predicate.name == "Sees" || random(6) == 0 {
+                    session.insert(*id, [x, y]).unwrap();
                     if random(100) == 0 {
-                        moving.push((*rel, vec![x, y]));
+                        moving.push((*id, vec![x, y]));
                     }
                 }
             }
@@ -298,10 +303,10 @@ fn simplified_rules_scan_no_more_rows() {
             let moving = insert_city(&mut session);
             let mut counts = Vec::new();
             for step in 0..3 {
-                for (rel, row) in moving.iter().filter(|_| step > 0) {
+                for (id, row) in moving.iter().filter(|_| step > 0) {
                     match step {
-                        1 => session.retract(*rel, row).unwrap(),
-                        _ => session.insert(*rel, row).unwrap(),
+                        1 => session.retract(*id, row).unwrap(),
+                        _ => session.insert(*id, row).unwrap(),
                     }
                 }
                 session.commit().unwrap();
@@ -336,7 +341,7 @@ fn pairs_of_comparisons_are_simplified() {
         }
     }
     let (_, rules) = rules(&text);
-    let number = rules.relation("N").unwrap();
+    let number = rules.predicate("N").unwrap();
     let facts = [0, 1, 2].map(|value| (number, vec![Value::number(value)])).into();
     check(&rules, &facts, true).unwrap();
 }
@@ -407,10 +412,10 @@ fn contradictions_are_reported_and_never_evaluated() {
     let mut session = program.session();
     let me = session.intern("me");
     for name in ["IsBus", "IsCar"] {
-        session.insert(program.relation(name).unwrap(), [me]).unwrap();
+        session.insert(program.predicate(name).unwrap(), [me]).unwrap();
     }
     session.commit().unwrap();
-    assert!(session.is_empty(program.relation("Slow").unwrap()));
+    assert!(session.is_empty(program.predicate("Slow").unwrap()));
 }
 
 #[test]
@@ -435,7 +440,7 @@ fn clauses_that_others_cover_under_the_constraints_are_reported_and_not_run() {
         .unwrap();
         let mut session = program.session();
         let [x, y] = ["x", "y"].map(|name| session.intern(name));
-        let mut insert = |name: &str, row: &[Value]| session.insert(program.relation(name).unwrap(), row).unwrap();
+        let mut insert = |name: &str, row: &[Value]| session.insert(program.predicate(name).unwrap(), row).unwrap();
         for (name, rows) in [("IsAtInter", vec![x]), ("IsCar", vec![y]), ("IsBus", vec![y])] {
             insert(name, &rows);
         }
@@ -444,10 +449,10 @@ fn clauses_that_others_cover_under_the_constraints_are_reported_and_not_run() {
             insert("Sees", &row);
         }
         session.commit().unwrap();
-        assert_eq!(session.len(program.relation("Stop").unwrap()), 1);
+        assert_eq!(session.len(program.predicate("Stop").unwrap()), 1);
         let clauses = session.program().rules().clauses.iter().zip(0..);
-        let stop = program.relation("Stop").unwrap();
-        let fired = clauses.filter(|(clause, _)| clause.head.relation == stop);
+        let stop = program.predicate("Stop").unwrap();
+        let fired = clauses.filter(|(clause, _)| clause.head.predicate == stop);
         assert_eq!(
             fired
                 .map(|(_, id)| session.fired(ClauseId(id)).len())

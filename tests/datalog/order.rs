@@ -3,7 +3,7 @@
 use crate::cases::cases;
 use crate::rule_files::RuleFiles;
 use logicity_datalog::diag::{Severity, Sources};
-use logicity_datalog::{Program, RelId, Value, load, naive};
+use logicity_datalog::{PredicateId, Program, Value, load, naive};
 use proptest::prelude::*;
 use std::collections::BTreeSet;
 use std::fmt::Write;
@@ -70,10 +70,10 @@ fn text(drawn: &Drawn, rank: impl Fn(usize, usize) -> u64) -> String {
     text
 }
 
-/// The codes and messages of errors, and the rows of each relation.
+/// The codes and messages of errors, and the rows of each predicate.
 type Verdict = (Vec<(&'static str, String)>, Option<Vec<Vec<String>>>);
 
-/// Returns the set of messages, and the rows of all relations, if there is no error.
+/// Returns the set of messages, and the rows of all predicates, if there is no error.
 fn verdict(text: &str) -> Verdict {
     let mut sources = Sources::new();
     let entry = sources.add("a.dl", text);
@@ -93,12 +93,12 @@ fn verdict(text: &str) -> Verdict {
         session.commit().expect("the recursion is bounded");
         let shown: Vec<_> = ["r", "q"]
             .into_iter()
-            .map(|name| program.rules().relation(name).unwrap())
+            .map(|name| program.rules().predicate(name).unwrap())
             .collect();
         let naive = naive::evaluate(program.rules(), &program.rules().symbols, []);
-        let rows = |relation: RelId| {
-            let rows: BTreeSet<Vec<Value>> = session.encoded_rows(relation).map(<[Value]>::to_vec).collect();
-            assert_eq!(rows, naive[relation.index()], "{text}");
+        let rows = |predicate: PredicateId| {
+            let rows: BTreeSet<Vec<Value>> = session.encoded_rows(predicate).map(<[Value]>::to_vec).collect();
+            assert_eq!(rows, naive[predicate.index()], "{text}");
             rows.iter().map(|row| format!("{row:?}")).collect()
         };
         shown.into_iter().map(rows).collect()
@@ -167,8 +167,8 @@ fn what_binds_may_stand_last() {
         let program = Program::new(loaded.rules.expect("there is no error")).expect("the rules are small");
         let mut session = program.session();
         session.commit().expect("the recursion is bounded");
-        let relation = program.rules().relation("a").unwrap();
-        let mut rows: Vec<String> = (session.encoded_rows(relation))
+        let predicate = program.rules().predicate("a").unwrap();
+        let mut rows: Vec<String> = (session.encoded_rows(predicate))
             .map(|row| {
                 row.iter()
                     .map(|value| value.as_number().to_string())

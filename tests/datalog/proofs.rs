@@ -2,33 +2,33 @@
 //! false.
 
 use logicity_datalog::explain::{AbsenceReason, Explainer, Explanation, FailureKind, Node, Obstacle, Origin, Premise};
-use logicity_datalog::{Atom, ClauseId, Literal, RelId, Rules, Term, Value};
+use logicity_datalog::{Atom, ClauseId, Literal, PredicateId, Rules, Term, Value};
 use logicity_datalog::{Session, naive};
 use std::collections::{BTreeMap, BTreeSet};
 
 /// All rows that hold in a session, also those that it aggregates.
 pub fn database(session: &Session) -> naive::Database {
     let rules = session.program().rules();
-    let mut model: naive::Database = (0..rules.relations.len() as u32)
-        .map(|rel| session.encoded_rows(RelId(rel)).map(<[Value]>::to_vec).collect())
+    let mut model: naive::Database = (0..rules.predicates.len() as u32)
+        .map(|id| session.encoded_rows(PredicateId(id)).map(<[Value]>::to_vec).collect())
         .collect();
     for clause in rules.strata.iter().flat_map(|stratum| &stratum.clauses) {
         let clause = &rules.clauses[clause.index()];
-        if session.program().is_aggregated(clause.head.relation) {
-            model[clause.head.relation.index()] =
+        if session.program().is_aggregated(clause.head.predicate) {
+            model[clause.head.predicate.index()] =
                 naive::consequences(session.program().rules(), clause, session.symbols(), &model);
         }
     }
     model
 }
 
-/// Copies the rows of an aggregated relation, and of those that a correlated one reads.
-fn copy_complete(rules: &Rules, relation: RelId, from: &naive::Database, to: &mut naive::Database) {
-    to[relation.index()] = from[relation.index()].clone();
-    if rules.relations[relation.index()].parameters > 0 {
-        let clauses = rules.clauses.iter().filter(|clause| clause.head.relation == relation);
+/// Copies the rows of an aggregated predicate, and of those that a correlated one reads.
+fn copy_complete(rules: &Rules, predicate: PredicateId, from: &naive::Database, to: &mut naive::Database) {
+    to[predicate.index()] = from[predicate.index()].clone();
+    if rules.predicates[predicate.index()].parameters > 0 {
+        let clauses = rules.clauses.iter().filter(|clause| clause.head.predicate == predicate);
         let atoms = clauses.flat_map(|clause| &clause.body).filter_map(Literal::atom);
-        atoms.for_each(|atom| copy_complete(rules, atom.relation, from, to));
+        atoms.for_each(|atom| copy_complete(rules, atom.predicate, from, to));
     }
 }
 
@@ -59,16 +59,16 @@ pub fn check(session: &Session, model: &naive::Database, explanation: &Explanati
     for node in explanation.nodes() {
         match node {
             Node::Fact(fact) => {
-                assert!(model[fact.relation.index()].contains(&fact.row));
+                assert!(model[fact.predicate.index()].contains(&fact.row));
                 match &fact.origin {
-                    Origin::Input => assert!(!rules.relations[fact.relation.index()].derived),
+                    Origin::Input => assert!(!rules.predicates[fact.predicate.index()].derived),
                     Origin::Source(clause) => assert!(rules.clauses[clause.index()].body.is_empty()),
                     Origin::Derived(derivation) => {
                         let clause = &rules.clauses[derivation.clause.index()];
-                        assert_eq!(clause.head.relation, fact.relation);
+                        assert_eq!(clause.head.predicate, fact.predicate);
                         assert_eq!(clause.body.len(), derivation.premises.len());
                         // Positive atoms read the facts of the proof alone; negated atoms read the complete model.
-                        let mut little: naive::Database = vec![BTreeSet::new(); rules.relations.len()];
+                        let mut little: naive::Database = vec![BTreeSet::new(); rules.predicates.len()];
                         let mut highest = 0;
                         for (literal, premise) in clause.body.iter().zip(&derivation.premises) {
                             match (literal, premise) {
@@ -76,18 +76,18 @@ pub fn check(session: &Session, model: &naive::Database, explanation: &Explanati
                                     let Node::Fact(premise) = explanation.node(*node) else {
                                         panic!()
                                     };
-                                    assert_eq!(premise.relation, atom.relation);
+                                    assert_eq!(premise.predicate, atom.predicate);
                                     assert!(matches(&premise.row, &pattern(atom, &derivation.binding)));
-                                    little[atom.relation.index()].insert(premise.row.clone());
+                                    little[atom.predicate.index()].insert(premise.row.clone());
                                     highest = highest.max(premise.height);
                                 }
                                 (Literal::Negative(atom), Premise::Absence(node)) => {
                                     let Node::Absence(absence) = explanation.node(*node) else {
                                         panic!()
                                     };
-                                    assert_eq!(absence.relation, atom.relation);
+                                    assert_eq!(absence.predicate, atom.predicate);
                                     assert_eq!(absence.pattern, pattern(atom, &derivation.binding));
-                                    little[atom.relation.index()] = model[atom.relation.index()].clone();
+                                    little[atom.predicate.index()] = model[atom.predicate.index()].clone();
                                 }
                                 (Literal::Compare { .. }, Premise::Comparison { .. }) => {}
                                 (Literal::Compute { to, .. }, Premise::Computed { value }) => {
@@ -95,7 +95,7 @@ pub fn check(session: &Session, model: &naive::Database, explanation: &Explanati
                                 }
                                 (Literal::Aggregate { to, atom, .. }, Premise::Computed { value }) => {
                                     assert_eq!(value_of(to, &derivation.binding), Some(*value));
-                                    copy_complete(session.program().rules(), atom.relation, model, &mut little);
+                                    copy_complete(session.program().rules(), atom.predicate, model, &mut little);
                                 }
                                 other => panic!("{other:?}"),
                             }
@@ -109,15 +109,15 @@ pub fn check(session: &Session, model: &naive::Database, explanation: &Explanati
                 }
             }
             Node::Absence(absence) => {
-                let mut rows = model[absence.relation.index()].iter();
+                let mut rows = model[absence.predicate.index()].iter();
                 assert!(!rows.any(|row| matches(row, &absence.pattern)));
                 match &absence.reason {
-                    AbsenceReason::NotAFact => assert!(!rules.relations[absence.relation.index()].derived),
+                    AbsenceReason::NotAFact => assert!(!rules.predicates[absence.predicate.index()].derived),
                     AbsenceReason::NotLookedInto => assert!(explanation.nodes().len() >= Explainer::ABSENCES_MAX),
                     AbsenceReason::NoClause(misses) => {
                         let clauses = (0..rules.clauses.len() as u32).map(ClauseId).filter(|clause| {
                             let clause = &rules.clauses[clause.index()];
-                            clause.head.relation == absence.relation && !clause.body.is_empty()
+                            clause.head.predicate == absence.predicate && !clause.body.is_empty()
                         });
                         assert!(misses.iter().map(|miss| miss.clause).eq(clauses));
                         for miss in misses {
@@ -171,7 +171,7 @@ fn check_miss(
                     panic!()
                 };
                 assert_eq!(absence.pattern, pattern(atom, binding));
-                let mut rows = model[atom.relation.index()].iter();
+                let mut rows = model[atom.predicate.index()].iter();
                 assert!(!rows.any(|row| matches(row, &absence.pattern)));
             }
             (Literal::Positive(atom) | Literal::Guard(atom), FailureKind::AbsentTwice) => {

@@ -4,25 +4,25 @@ use crate::cases::cases;
 use crate::random_program::{Genome, computing_genomes, genomes, recursive_genomes};
 use crate::written_program::program;
 use logicity_datalog::rewrite::{demand, unfold};
-use logicity_datalog::{Program, RelId, Rules, Session, Value, facts, naive};
+use logicity_datalog::{PredicateId, Program, Rules, Session, Value, facts, naive};
 use proptest::prelude::*;
 
 /// Bit i of `outputs`, `inline` and `magic` says whether predicate i has that mark.
 fn check(genome: &Genome, outputs: u32, inline: u32, magic: u32) -> Result<(), TestCaseError> {
     let mut rules = genome.rules();
     let has = |bits: u32, index: usize| bits >> (index % 32) & 1 == 1;
-    for (index, relation) in rules.relations.iter_mut().enumerate() {
-        relation.output = relation.derived && has(outputs, index);
-        relation.inline = has(inline, index);
-        relation.magic = has(magic, index);
+    for (index, predicate) in rules.predicates.iter_mut().enumerate() {
+        predicate.output = predicate.derived && has(outputs, index);
+        predicate.inline = has(inline, index);
+        predicate.magic = has(magic, index);
     }
-    let mut rows: Vec<(RelId, Vec<Value>)> = Vec::new();
+    let mut rows: Vec<(PredicateId, Vec<Value>)> = Vec::new();
     for batch in genome.batches(&rules) {
         rows.extend(
             batch
                 .into_iter()
                 .filter(|(present, ..)| *present)
-                .map(|(_, relation, row)| (relation, row)),
+                .map(|(_, predicate, row)| (predicate, row)),
         );
     }
     let expected = naive::evaluate(&rules, &rules.symbols, rows.iter().cloned());
@@ -32,22 +32,22 @@ fn check(genome: &Genome, outputs: u32, inline: u32, magic: u32) -> Result<(), T
         let Some(rewritten) = rewritten else { continue };
         let specified = naive::evaluate(&rewritten, &rules.symbols, rows.iter().cloned());
         let mut session = Program::new(rewritten).expect("within the limits").session();
-        for (relation, row) in &rows {
-            session.insert(*relation, row).expect("a base relation");
+        for (predicate, row) in &rows {
+            session.insert(*predicate, row).expect("a base predicate");
         }
         session.commit().expect("within the limits");
-        for (index, relation) in rules
-            .relations
+        for (index, predicate) in rules
+            .predicates
             .iter()
             .enumerate()
-            .filter(|(_, relation)| relation.output)
+            .filter(|(_, predicate)| predicate.output)
         {
-            prop_assert_eq!(&specified[index], &expected[index], "{} {}", what, relation.name);
+            prop_assert_eq!(&specified[index], &expected[index], "{} {}", what, predicate.name);
             let found = session
-                .encoded_rows(RelId(index as u32))
+                .encoded_rows(PredicateId(index as u32))
                 .map(<[Value]>::to_vec)
                 .collect();
-            prop_assert_eq!(&expected[index], &found, "{} {}", what, relation.name);
+            prop_assert_eq!(&expected[index], &found, "{} {}", what, predicate.name);
         }
     }
     Ok(())
@@ -89,8 +89,8 @@ fn evaluated(rules: Rules, insert: impl Fn(&mut Session)) -> Session {
 /// All rows of derived predicates.
 fn derived(session: &Session) -> usize {
     let rules = session.program().rules();
-    let all = rules.strata.iter().flat_map(|stratum| &stratum.relations);
-    all.map(|relation| session.len(*relation)).sum()
+    let all = rules.strata.iter().flat_map(|stratum| &stratum.predicates);
+    all.map(|predicate| session.len(*predicate)).sum()
 }
 
 /// Predicates that use each other are not unfolded. The checker refuses them, so the marks come after it.
@@ -100,8 +100,8 @@ fn a_cycle_of_inline_predicates_is_kept() {
         A(x) :- B(x). B(x) :- A(x). C(x) :- A(x). C(x) :- E(x).";
     let mut rules = program(text).rules().clone();
     for name in ["A", "B"] {
-        let relation = rules.relation(name).expect("declared");
-        rules.relations[relation.index()].inline = true;
+        let predicate = rules.predicate(name).expect("declared");
+        rules.predicates[predicate.index()].inline = true;
     }
     let (unfolded, kept) = unfold(&rules).expect("marked predicates");
     assert_eq!((kept.len(), unfolded.clauses.len()), (2, rules.clauses.len()));
@@ -118,7 +118,7 @@ fn an_inline_product_is_not_computed() {
         Joined(x, v) :- Pair(x, y, y, v).
         Never(x, y) :- A(x, y), !Pair(x, y, y, x).";
     let insert = |session: &mut Session| {
-        let a = session.program().relation("A").unwrap();
+        let a = session.program().predicate("A").unwrap();
         for x in 0..100 {
             session.insert(a, [Value::number(x), Value::number(x + 1)]).unwrap();
         }
@@ -126,7 +126,7 @@ fn an_inline_product_is_not_computed() {
     let rewritten = evaluated(rewritten(text), insert);
     let plain = evaluated(program(text).rules().clone(), insert);
     for name in ["Joined", "Never"] {
-        let printed = |session: &Session| facts::print(session, session.program().relation(name).unwrap());
+        let printed = |session: &Session| facts::print(session, session.program().predicate(name).unwrap());
         assert_eq!(printed(&rewritten), printed(&plain));
     }
     assert_eq!((derived(&rewritten), derived(&plain)), (99 + 100, 99 + 100 + 100 * 100));
@@ -148,7 +148,7 @@ fn a_negated_inline_predicate_with_equal_columns_is_unfolded() {
         O(x, y) :- B(x, y), !Q(y, x).
         P(x) :- B(x, _), !One(x).";
     let session = evaluated(rewritten(text), |_| ());
-    let rows = |name| facts::print(&session, session.program().relation(name).unwrap());
+    let rows = |name| facts::print(&session, session.program().predicate(name).unwrap());
     assert_eq!(
         (rows("O"), rows("P")),
         ("1\t2\n3\t4\n4\t3\n".to_owned(), "3\n4\n".to_owned())
@@ -167,7 +167,7 @@ fn an_inline_predicate_in_an_aggregate_is_counted_once() {
         N(n) :- n = 10 + count : { First(x), A(x, y) }.";
     let session = evaluated(rewritten(text), |_| ());
     assert_eq!(
-        facts::print(&session, session.program().relation("N").unwrap()),
+        facts::print(&session, session.program().predicate("N").unwrap()),
         "2\n13\n"
     );
 }
@@ -187,7 +187,7 @@ fn demanded_paths_begin_at_the_constant() {
         From(y) :- Path(90, y).
         Stuck(y) :- Path(90, y), Dead_end(y).";
     let insert = |session: &mut Session| {
-        let edge = session.program().relation("Edge").unwrap();
+        let edge = session.program().predicate("Edge").unwrap();
         for x in 0..100 {
             session.insert(edge, [Value::number(x), Value::number(x + 1)]).unwrap();
         }
@@ -195,7 +195,7 @@ fn demanded_paths_begin_at_the_constant() {
     let rewritten = evaluated(rewritten(text), insert);
     let plain = evaluated(program(text).rules().clone(), insert);
     for name in ["From", "Stuck"] {
-        let printed = |session: &Session| facts::print(session, session.program().relation(name).unwrap());
+        let printed = |session: &Session| facts::print(session, session.program().predicate(name).unwrap());
         assert_eq!(printed(&rewritten), printed(&plain));
     }
     // One demand, ten paths, and the answers; `Dead_end` is needed for one of them.

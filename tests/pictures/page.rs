@@ -391,9 +391,9 @@ fn a_page_shows_the_decisions_of_the_trace_and_why() {
                 Some(heading) => assert_eq!(name("headings", &shown["heading"][agent]), json!(heading)),
             }
             for (action, number) in Action::ALL.into_iter().zip(shown["why"][agent].as_array().unwrap()) {
-                let relation = run.world.vocabulary.action(action).unwrap();
+                let declared = run.world.vocabulary.action(action).unwrap();
                 let (_, explanation) = (Explainer::new(session))
-                    .explain_either(relation, &[Some(replay.value(agent))])
+                    .explain_either(declared, &[Some(replay.value(agent))])
                     .unwrap();
                 let nodes = printer.json(&explanation.unwrap())["nodes"].take().to_string();
                 // A page names files without their folders.
@@ -863,7 +863,7 @@ fn clauses_of_one_line_are_counted_separately() {
         .collect();
     let rules = run.world.program.rules();
     let wanted: Vec<&str> = (run.world.clauses())
-        .map(|clause| &*rules.relations[rules.clauses[clause.index()].head.relation.index()].name)
+        .map(|clause| &*rules.predicates[rules.clauses[clause.index()].head.predicate.index()].name)
         .collect();
     assert_eq!(heads, wanted);
     assert_eq!(heads.iter().filter(|head| **head == "Stop").count(), 2);

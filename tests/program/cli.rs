@@ -2109,7 +2109,7 @@ fn bench_takes_scenes() {
     fails(&output, 1, &["because `Far` depends on itself", "far.dl:4:14"]);
 }
 
-/// Seven groups without relations inside have no clique of eight; to find out takes the dense executor more steps than
+/// Seven groups without predicates inside have no clique of eight; to find out takes the dense executor more steps than
 /// it may take. The relational one begins with the entity that is both car and
 /// pedestrian.
 #[test]

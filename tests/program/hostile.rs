@@ -255,7 +255,7 @@ const REPL: &[Case] = &[
     ),
     ("repl --max-rows -1 < empty.dl", 2, "nonnegative"),
     ("printf '.help\\n' | @ repl > /dev/full", 1, ""),
-    ("printf 'A(1) :- B(\\n.help\\n.quit\\n' | @ repl", 1, ".relations"),
+    ("printf 'A(1) :- B(\\n.help\\n.quit\\n' | @ repl", 1, ".predicates"),
     ("printf '/* .quit\\n.quit\\n' | @ repl", 1, "error"),
 ];
 

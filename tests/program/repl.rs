@@ -267,7 +267,7 @@ fn faults_point_into_the_input_and_change_nothing() {
 fn a_faulty_file_can_be_corrected() {
     let folder = tempfile::tempdir().unwrap();
     fs::write(folder.path().join("g.dl"), ".decl A(x: number)\nA(x) :- B(x).").unwrap();
-    let (out, err, code) = typed_in(folder.path(), &["g.dl"], ".relations\n");
+    let (out, err, code) = typed_in(folder.path(), &["g.dl"], ".predicates\n");
     assert!(
         err.contains("error[unknown-predicate]") && err.contains("g.dl:2:9"),
         "{err}"
@@ -307,7 +307,7 @@ fn questions_may_span_lines_and_end_as_soon_as_they_are_complete() {
 #[test]
 fn a_command_ends_an_incomplete_input() {
     let facts = format!("{GRAPH}Edge(1, 2).\n");
-    for (command, shown) in [(".help\n", ".relations"), ("  .show Edge\n", "1 row"), (".quit\n", "")] {
+    for (command, shown) in [(".help\n", ".predicates"), ("  .show Edge\n", "1 row"), (".quit\n", "")] {
         for open in ["Path(x, y) :- Edge(\n", "Edge(1,\n2\n", "?- Edge(x, y),\n"] {
             let (out, err, code) = typed(&format!("{facts}{open}{command}"));
             assert!(
@@ -372,7 +372,7 @@ fn words_of_other_prompts_are_reported() {
         ("why Path(1, 2)", "explain FACT"),
         (".whynot Path(1, 2).", "why-not FACT"),
         ("exit", ".quit"),
-        (".tables", ".relations"),
+        (".tables", ".predicates"),
     ] {
         let (_, err, code) = typed(&format!("{GRAPH}{input}\n?- Edge(1, 2)\n"));
         assert!(
@@ -439,7 +439,7 @@ fn typed_facts_and_facts_of_a_file_are_retracted_together_or_not_at_all() {
 #[test]
 fn the_prompt_lists_rules_facts_and_plans() {
     let out = good(&format!(
-        "{GRAPH}Edge(1, 2).\n.relations\n.show Path\n.plan\n.plan ?- Path(1, x).\n.profile\n.help\n"
+        "{GRAPH}Edge(1, 2).\n.predicates\n.show Path\n.plan\n.plan ?- Path(1, x).\n.profile\n.help\n"
     ));
     for words in [
         "   1  Path(x: number, y: number)  derived",

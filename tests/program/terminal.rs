@@ -58,7 +58,7 @@ impl Folder {
                 "x.repl",
                 format!(
                     ".load {HOSTILE}\n{HOSTILE}\n.decl A(x: symbol)\nA({quoted}).\nA(\"{HOSTILE}\").\n?- A(x).\n\
-                     .relations\n.A\nexplain A({quoted})\n.facts {HOSTILE}\n"
+                     .predicates\n.A\nexplain A({quoted})\n.facts {HOSTILE}\n"
                 ),
             ),
         ];
@@ -342,7 +342,7 @@ fn data_stays_as_it_is_in_pipes_and_files() {
 fn the_prompt_is_neutral() {
     let folder = Folder::new();
     let row = "a\\u001b]0;owned\\u0007\\u009b2J\\u202e\\u007f!\n";
-    for (input, part) in [("rows.repl", row), ("x.repl", "relation")] {
+    for (input, part) in [("rows.repl", row), ("x.repl", "predicate")] {
         let mut command = folder.command(&words(&["repl", "good.dl", "-F", "."]));
         command.stdin(File::open(folder.path(input)).unwrap());
         let output = command.output().unwrap();

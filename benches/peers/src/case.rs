@@ -34,10 +34,10 @@ impl fmt::Display for Case {
 /// A pair of numbers.
 pub type Pair = (u32, u32);
 
-/// The changes of each relation: pairs, and whether they are inserted or retracted.
+/// The changes of each predicate: pairs, and whether they are inserted or retracted.
 pub type Changes = Vec<(&'static str, Vec<(Pair, bool)>)>;
 
-/// The base facts of a case, by the name of the relation.
+/// The base facts of a case, by the name of the predicate.
 #[derive(Default)]
 pub struct Facts {
     pub unary: Vec<(&'static str, Vec<u32>)>,
@@ -45,16 +45,16 @@ pub struct Facts {
 }
 
 impl Facts {
-    /// The rows of a relation of one column.
+    /// The rows of a predicate of one column.
     pub fn unary(&self, name: &str) -> &[u32] {
         let found = self.unary.iter().find(|(other, _)| *other == name);
-        &found.expect("the case has the relation").1
+        &found.expect("the case has the predicate").1
     }
 
-    /// The rows of a relation of two columns.
+    /// The rows of a predicate of two columns.
     pub fn binary(&self, name: &str) -> &[Pair] {
         let found = self.binary.iter().find(|(other, _)| *other == name);
-        &found.expect("the case has the relation").1
+        &found.expect("the case has the predicate").1
     }
 }
 
@@ -83,7 +83,7 @@ impl Case {
         }
     }
 
-    /// The counted relations, in the order of the program.
+    /// The counted predicates, in the order of the program.
     pub fn derived(self) -> &'static [&'static str] {
         match self {
             Case::Random | Case::Chain => &["Path"],

@@ -8,17 +8,17 @@ use logicity::datalog;
 use logicity::datalog::{BaseType, Program, Session, Value};
 use logicity::diag::{Sources, render};
 
-/// The number of rows of each of the relations.
+/// The number of rows of each of the predicates.
 pub fn counts(text: &str, facts: &Facts, derived: &[&str]) -> Vec<usize> {
     let mut session = load(text, facts);
     session.commit().expect("within the limit");
     lengths(&session, derived)
 }
 
-/// The current number of rows of each of the relations.
-pub fn lengths(session: &Session, relations: &[&str]) -> Vec<usize> {
-    let relation = |name: &&str| session.program().relation(name).expect("the program has the relation");
-    relations.iter().map(|name| session.len(relation(name))).collect()
+/// The current number of rows of each of the predicates.
+pub fn lengths(session: &Session, predicates: &[&str]) -> Vec<usize> {
+    let predicate = |name: &&str| session.program().predicate(name).expect("the program has the predicate");
+    predicates.iter().map(|name| session.len(predicate(name))).collect()
 }
 
 /// A session with the facts inserted and not yet committed.
@@ -31,10 +31,10 @@ pub fn load(text: &str, facts: &Facts) -> Session {
         .unwrap_or_else(|| panic!("{}", render(&loaded.diagnostics, &sources, false)));
     let program = Program::new(rules).expect("the program is small");
     let mut session = program.session();
-    let relation = |name: &str| program.relation(name).expect("the program has the relation");
+    let predicate = |name: &str| program.predicate(name).expect("the program has the predicate");
 
     // In a column of symbols, number n stands for the symbol that is interned as the n-th.
-    let symbolic = |name: &str| program.rules().relations[relation(name).index()].columns[0].base == BaseType::Symbol;
+    let symbolic = |name: &str| program.rules().predicates[predicate(name).index()].columns[0].base == BaseType::Symbol;
     if facts.unary.iter().any(|(name, _)| symbolic(name)) {
         let largest = facts
             .binary
@@ -48,11 +48,11 @@ pub fn load(text: &str, facts: &Facts) -> Session {
     }
     for (name, rows) in &facts.unary {
         let rows = rows.iter().map(|&x| [Value(x)]);
-        session.insert_all(relation(name), rows).expect("a base relation");
+        session.insert_all(predicate(name), rows).expect("a base predicate");
     }
     for (name, rows) in &facts.binary {
         let rows = rows.iter().map(|&(x, y)| [Value(x), Value(y)]);
-        session.insert_all(relation(name), rows).expect("a base relation");
+        session.insert_all(predicate(name), rows).expect("a base predicate");
     }
     session
 }

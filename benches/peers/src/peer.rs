@@ -108,7 +108,7 @@ impl Peer {
     }
 }
 
-/// Writes the program and its facts, one file per relation.
+/// Writes the program and its facts, one file per predicate.
 pub fn write_case(case: Case, folder: &Path) -> std::io::Result<()> {
     std::fs::create_dir_all(folder)?;
     std::fs::write(folder.join("program.dl"), case.program())?;

@@ -60,7 +60,7 @@ pub fn restrict(
     // `diff` reports a predicate that a side lacks, so it gets the name that the user knows.
     for name in &mut predicates {
         let restricted = format!("{name}{GIVEN}");
-        if sides.iter().all(|side| side.relation(&restricted).is_some()) {
+        if sides.iter().all(|side| side.predicate(&restricted).is_some()) {
             *name = restricted;
         }
     }
@@ -83,8 +83,8 @@ fn compared(predicates: &[String], sides: &[Rules; 2]) -> Vec<String> {
     }
     let outputs = sides
         .iter()
-        .flat_map(|rules| rules.relations.iter().filter(|relation| relation.output));
-    let names: BTreeSet<&String> = outputs.map(|relation| &relation.name).collect();
+        .flat_map(|rules| rules.predicates.iter().filter(|predicate| predicate.output));
+    let names: BTreeSet<&String> = outputs.map(|predicate| &predicate.name).collect();
     names.into_iter().cloned().collect()
 }
 
@@ -99,12 +99,14 @@ fn refuse_vacuous(
     for rules in sides {
         for name in predicates {
             let row = format!("{name}{GIVEN}{ROW}");
-            let Some(relation) = rules.relation(&row) else { continue };
+            let Some(predicate) = rules.predicate(&row) else {
+                continue;
+            };
             let mut never = rules.clone();
             for clause in never
                 .clauses
                 .iter_mut()
-                .filter(|clause| clause.head.relation == relation)
+                .filter(|clause| clause.head.predicate == predicate)
             {
                 let (Some(&left), span) = (clause.head.terms.first(), clause.span) else {
                     continue;
@@ -158,14 +160,14 @@ fn restricted(
         conditions: Vec::new(),
     };
     for name in predicates {
-        let Some(relation) = rules.relation(name).map(|id| &rules.relations[id.index()]) else {
+        let Some(predicate) = rules.predicate(name).map(|id| &rules.predicates[id.index()]) else {
             continue;
         };
-        if relation.columns.len() > COLUMNS.len() {
+        if predicate.columns.len() > COLUMNS.len() {
             let message = format!("--given: `{name}` has more than {} columns", COLUMNS.len());
             return Err(Failure::Usage(message));
         }
-        let types = relation
+        let types = predicate
             .columns
             .iter()
             .map(|column| &rules.types[column.ty.0 as usize].name);
@@ -174,7 +176,7 @@ fn restricted(
             .zip(types)
             .map(|(name, ty)| format!("{name}: {ty}"))
             .collect();
-        let row = COLUMNS[..relation.columns.len()].join(", ");
+        let row = COLUMNS[..predicate.columns.len()].join(", ");
         let columns = columns.join(", ");
         overlay.text += &format!(
             ".decl {name}{GIVEN}, {name}{GIVEN}{ANY}, {name}{GIVEN}{ROW}({columns})\n.output {name}{GIVEN}\n.input \
@@ -203,8 +205,8 @@ fn restricted(
         return Err(place.faults(loaded.diagnostics).into());
     };
     for name in predicates {
-        let restricted = checked.relation(&format!("{name}{GIVEN}"));
-        let clauses = (checked.clauses.iter()).filter(|clause| Some(clause.head.relation) == restricted);
+        let restricted = checked.predicate(&format!("{name}{GIVEN}"));
+        let clauses = (checked.clauses.iter()).filter(|clause| Some(clause.head.predicate) == restricted);
         let loose: Vec<Diagnostic> = clauses.flat_map(|clause| loose_variables(clause, name)).collect();
         if !loose.is_empty() {
             return Err(Failure::option(place.faults(loose)));

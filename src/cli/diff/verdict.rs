@@ -140,7 +140,7 @@ fn show_difference(difference: &Difference, names: &[String; 2], rules: &[Rules;
 
 /// Returns a row as an atom in the notation of rules.
 fn atom(rules: &Rules, name: &str, row: &[String]) -> String {
-    let columns = rules.relation(name).map(|id| &rules.relations[id.index()].columns);
+    let columns = rules.predicate(name).map(|id| &rules.predicates[id.index()].columns);
     let values = row.iter().enumerate().map(|(at, text)| {
         match columns.and_then(|columns| columns.get(at)).map(|column| column.base) {
             Some(BaseType::Symbol) => quoted(text),

@@ -6,10 +6,10 @@
 use crate::cli::failure::Failure;
 use crate::cli::inputs::Inputs;
 use crate::cli::outputs::{finish, unwritable};
-use crate::cli::query::{Arguments, print_relation, relations};
+use crate::cli::query::{Arguments, predicates, print_predicate};
 use crate::cli::terminal;
 use crate::datalog::codes;
-use crate::datalog::{Directive, MarkKind, Program, RelId, Relation, RowPlace, Session, facts};
+use crate::datalog::{Directive, MarkKind, Predicate, PredicateId, Program, RowPlace, Session, facts};
 use crate::diag::Diagnostic;
 use crate::files::{FileId, Output, make_folder, normalize, real_path};
 use flate2::Compression;
@@ -26,8 +26,8 @@ const TOGETHER: usize = 64;
 
 /// One `.output` or `.printsize` directive.
 struct Target<'a> {
-    id: RelId,
-    relation: &'a Relation,
+    id: PredicateId,
+    predicate: &'a Predicate,
     directive: &'a Directive,
     /// The file; `None` for standard output.
     path: Option<PathBuf>,
@@ -42,7 +42,7 @@ impl Target<'_> {
 
     /// Returns the fault of two directives that name one file.
     fn clash(&self, first: &Target<'_>) -> Diagnostic {
-        let (one, other) = (&first.relation.name, &self.relation.name);
+        let (one, other) = (&first.predicate.name, &self.predicate.name);
         let message = format!("`{one}` and `{other}` have the same file");
         (Diagnostic::new(codes::INVALID_OUTPUT, message).at(self.directive.span, ""))
             .also(first.directive.span, "also written here")
@@ -53,16 +53,16 @@ impl Target<'_> {
 /// Returns the outputs of a program in source order.
 fn targets<'a>(program: &'a Program, folder: &Path) -> Vec<Target<'a>> {
     let mut found: Vec<Target<'a>> = Vec::new();
-    for (id, relation) in relations(program) {
-        for directive in &relation.directives {
+    for (id, predicate) in predicates(program) {
+        for directive in &predicate.directives {
             let path = match directive.kind {
                 MarkKind::Input => continue,
-                MarkKind::Output => path_of(folder, &relation.name, directive),
+                MarkKind::Output => path_of(folder, &predicate.name, directive),
                 MarkKind::PrintSize => None,
             };
             found.push(Target {
                 id,
-                relation,
+                predicate,
                 directive,
                 path,
             });
@@ -71,15 +71,15 @@ fn targets<'a>(program: &'a Program, folder: &Path) -> Vec<Target<'a>> {
     found
 }
 
-/// Returns the file of an output relation, or `None` for standard output.
-fn path_of(folder: &Path, relation: &str, directive: &Directive) -> Option<PathBuf> {
+/// Returns the file of an output predicate, or `None` for standard output.
+fn path_of(folder: &Path, predicate: &str, directive: &Directive) -> Option<PathBuf> {
     let inside = |name: &str| folder.join(normalize(Path::new(name)));
     match &directive.place {
         _ if folder == Path::new("-") => None,
         RowPlace::Terminal => None,
         RowPlace::Usual => {
             let end = if directive.compress { "csv.gz" } else { "csv" };
-            Some(inside(&format!("{relation}.{end}")))
+            Some(inside(&format!("{predicate}.{end}")))
         }
         RowPlace::File(name) => Some(inside(name)),
     }
@@ -103,7 +103,7 @@ fn files<'a>(targets: &'a [Target<'a>], arguments: &Arguments) -> Result<Vec<&'a
     for (target, path) in files {
         let leads_to = real_path(path).map_err(|error| unwritable(path, &error))?;
         if !arguments.output_anywhere && !leads_to.starts_with(&root) {
-            let name = &target.relation.name;
+            let name = &target.predicate.name;
             let message = format!("`{name}` would be written outside of the folder of results");
             let fault = Diagnostic::new(codes::INVALID_OUTPUT, message).at(target.directive.span, "");
             faults.push(
@@ -150,21 +150,21 @@ fn is_repeated(one: &Target<'_>, other: &Target<'_>) -> bool {
     form(one) == form(other)
 }
 
-/// Writes every output relation to its file, or to `out` if its directive says so or the folder of results is `-`.
-/// Writes the sizes of `.printsize` relations to `out`. Prints the path of each file to standard error.
+/// Writes every output predicate to its file, or to `out` if its directive says so or the folder of results is `-`.
+/// Writes the sizes of `.printsize` predicates to `out`. Prints the path of each file to standard error.
 pub fn write(out: &mut dyn Write, session: &Session, arguments: &Arguments, inputs: &Inputs) -> Result<(), Failure> {
     let to_terminal = arguments.output == Path::new("-");
     let targets = targets(session.program(), &arguments.output);
     for target in targets.iter().filter(|target| target.file().is_none()) {
-        let (id, name) = (target.id, &target.relation.name);
+        let (id, name) = (target.id, &target.predicate.name);
         let mut format = target.directive.format.clone();
         // Soufflé does the same.
         format.headers |= to_terminal;
-        let header = facts::header(target.relation, &format);
+        let header = facts::header(target.predicate, &format);
         let rows = |out: &mut dyn Write| facts::write_rows(session, id, &format, out);
         match &target.path {
             _ if target.directive.kind == MarkKind::PrintSize => writeln!(out, "{name}\t{}", session.len(id))?,
-            None => print_relation(out, name, &header, rows)?,
+            None => print_predicate(out, name, &header, rows)?,
             Some(stream) => {
                 out.flush()?;
                 let mut output = arguments.force.create("query", stream, inputs)?;
@@ -181,7 +181,7 @@ pub fn write(out: &mut dyn Write, session: &Session, arguments: &Arguments, inpu
     Ok(())
 }
 
-/// Writes relations to files, which appear once all are complete. `written` has the files of earlier calls.
+/// Writes predicates to files, which appear once all are complete. `written` has the files of earlier calls.
 fn write_files<'a>(
     targets: &[&'a Target<'a>],
     session: &Session,
@@ -215,10 +215,10 @@ fn write_files<'a>(
     Ok(())
 }
 
-/// Writes a relation with its header.
+/// Writes a predicate with its header.
 fn write_rows(output: &mut Output, target: &Target<'_>, session: &Session) -> io::Result<()> {
     let format = &target.directive.format;
-    let header = facts::header(target.relation, format);
+    let header = facts::header(target.predicate, format);
     if !target.directive.compress {
         output.write_all(header.as_bytes())?;
         return facts::write_rows(session, target.id, format, output);

@@ -1,7 +1,7 @@
 //! Reads files of facts block by block, so that their text is never in memory as a whole.
 
 use crate::cli::failure::Failure;
-use crate::datalog::{EvalError, RelId, RowFormat, Session, facts};
+use crate::datalog::{EvalError, PredicateId, RowFormat, Session, facts};
 use crate::diag::codes;
 use crate::diag::{Diagnostic, MAX_FAULTS, Sources, Span};
 use crate::files::ReadError;
@@ -35,7 +35,7 @@ pub fn decompressed(file: File) -> Result<Box<dyn Read>, ReadError> {
 pub fn load_rows(
     input: impl Read,
     path: &Path,
-    (session, id, format): (&mut Session, RelId, &RowFormat),
+    (session, id, format): (&mut Session, PredicateId, &RowFormat),
     sources: &mut Sources,
     unreadable: impl Fn(ReadError) -> Failure,
 ) -> Result<Vec<Diagnostic>, Failure> {
@@ -150,7 +150,7 @@ impl Faulty {
         text: &str,
         invalid: Option<usize>,
         path: &Path,
-        (session, id, blocks): (&mut Session, RelId, &Blocks<R>),
+        (session, id, blocks): (&mut Session, PredicateId, &Blocks<R>),
         sources: &mut Sources,
     ) {
         let source = sources.add_from(path.display().to_string(), text, blocks.first_line);

@@ -21,9 +21,9 @@ Commands take one line; a full stop at the end is optional:
   retract FACTS      retract facts, or a clause: retract Path(x, y) :- Edge(x, y).
   .load FILE...      add rule files
   .reload            reload all rule files; keep what you typed
-  .facts FOLDER      read NAME.facts for each input relation
-  .relations         list all relations and their sizes
-  .show NAME         print declaration, clauses and rows of a relation
+  .facts FOLDER      read NAME.facts for each input predicate
+  .predicates         list all predicates and their sizes
+  .show NAME         print declaration, clauses and rows of a predicate
   .plan [?- ...]     print the evaluation plan of the clauses or of a question
   .profile           print the work of each clause in the last change or question
   .help              print this help
@@ -36,7 +36,7 @@ pub const DOTTED: &[&str] = &[
     "load",
     "reload",
     "facts",
-    "relations",
+    "predicates",
     "show",
     "plan",
     "profile",
@@ -60,7 +60,8 @@ const OTHER_WORDS: &[(&str, &str)] = &[
     ("q", ".quit"),
     ("h", ".help"),
     ("help", ".help"),
-    ("tables", ".relations"),
+    ("tables", ".predicates"),
+    ("relations", ".predicates"),
     ("schema", ".show NAME"),
     ("ask", "?- BODY"),
     ("query", "?- BODY"),
@@ -84,7 +85,7 @@ pub enum Command {
     Facts(PathBuf),
     Reload,
     Profile,
-    Relations,
+    Predicates,
     Show(String, Span),
     Help,
     Quit,
@@ -205,7 +206,7 @@ pub fn read(sources: &mut Sources, id: SourceId) -> Result<Option<Command>, Fail
         "retract" => typed.wants("a fact or a clause")?,
         "load" => typed.wants("the names of rule files")?,
         "facts" => typed.wants("the name of a folder")?,
-        "show" => typed.wants("the name of a relation")?,
+        "show" => typed.wants("the name of a predicate")?,
         "plan" => {}
         alone => typed.stands_alone(alone)?,
     }
@@ -221,7 +222,7 @@ pub fn read(sources: &mut Sources, id: SourceId) -> Result<Option<Command>, Fail
         "show" => Command::Show(argument.trim_end_matches('.').to_owned(), typed.place()),
         "reload" => Command::Reload,
         "profile" => Command::Profile,
-        "relations" => Command::Relations,
+        "predicates" => Command::Predicates,
         "quit" => Command::Quit,
         _ => Command::Help,
     }))

@@ -16,7 +16,7 @@ use crate::cli::why::Question;
 use crate::cli::{query, terminal};
 use crate::datalog;
 use crate::datalog::codes;
-use crate::datalog::{BaseType, ClauseId, MarkKind, RelId, Value, is_complete};
+use crate::datalog::{BaseType, ClauseId, MarkKind, PredicateId, Value, is_complete};
 use crate::datalog::{Limits, Session, facts};
 use crate::diag::{self, Diagnostic, SourceId, Sources};
 use command::Command;
@@ -28,7 +28,7 @@ use std::time::Duration;
 use table::Column;
 use workbench::{Outcome, Workbench};
 
-/// The maximum number of rows of a relation that a terminal shows.
+/// The maximum number of rows of a predicate that a terminal shows.
 const SHOWN_MAX: usize = 200;
 
 /// The default limit of derived rows. More are probably a mistake, which a low limit reveals early.
@@ -42,7 +42,7 @@ and exits with code 1 if an input is faulty."
 pub struct Arguments {
     /// Rule files to load
     rules: Vec<PathBuf>,
-    /// Folder with a file NAME.facts for each input relation
+    /// Folder with a file NAME.facts for each input predicate
     #[arg(short = 'F', long, value_name = "DIR")]
     facts: Option<PathBuf>,
     #[command(flatten)]
@@ -209,14 +209,14 @@ impl<W: Write> Repl<W> {
                 write!(self.out, "{}", program.show_plans(bench.sources))?;
             }
             Command::Profile => write!(self.out, "{}", self.profile)?,
-            Command::Relations => self.relations(bench)?,
-            Command::Show(name, span) => match bench.session.program().relation(&name) {
-                Some(id) if !bench.session.program().rules().relations[id.index()].hidden => {
-                    self.relation(bench, id)?
+            Command::Predicates => self.predicates(bench)?,
+            Command::Show(name, span) => match bench.session.program().predicate(&name) {
+                Some(id) if !bench.session.program().rules().predicates[id.index()].hidden => {
+                    self.predicate(bench, id)?
                 }
                 _ => {
                     let fault = Diagnostic::new(codes::UNKNOWN_PREDICATE, format!("no predicate `{name}` is declared"));
-                    return Err(fault.at(span, "").help("`.relations` lists them").into());
+                    return Err(fault.at(span, "").help("`.predicates` lists them").into());
                 }
             },
             Command::Help => write!(self.out, "{}", command::HELP)?,
@@ -241,7 +241,7 @@ impl<W: Write> Repl<W> {
             let signed = [('+', change.added), ('-', change.removed)];
             let signed = signed.iter().filter(|(_, count)| *count > 0);
             let signed: Vec<String> = signed.map(|(sign, count)| format!("{sign}{count}")).collect();
-            format!("{} {}", change.relation, signed.join(" "))
+            format!("{} {}", change.predicate, signed.join(" "))
         });
         let changes: Vec<String> = changes.collect();
         if !changes.is_empty() {
@@ -254,18 +254,18 @@ impl<W: Write> Repl<W> {
         let answer = bench.ask(id)?;
         report(&answer.warnings, bench.sources);
         self.profile = query::profile(&answer.session, &answer.times, bench.sources);
-        let relation = &answer.session.program().rules().relations[answer.relation.index()];
-        if relation.columns.is_empty() {
-            writeln!(self.out, "{}", !answer.session.is_empty(answer.relation))?;
+        let predicate = &answer.session.program().rules().predicates[answer.predicate.index()];
+        if predicate.columns.is_empty() {
+            writeln!(self.out, "{}", !answer.session.is_empty(answer.predicate))?;
             return Ok(());
         }
-        self.rows(&answer.session, answer.relation)
+        self.rows(&answer.session, answer.predicate)
     }
 
-    /// Prints the rows of a relation as a table, and their number.
-    fn rows(&mut self, session: &Session, id: RelId) -> Result<(), Failure> {
-        let relation = &session.program().rules().relations[id.index()];
-        let columns: Vec<Column> = (relation.columns.iter())
+    /// Prints the rows of a predicate as a table, and their number.
+    fn rows(&mut self, session: &Session, id: PredicateId) -> Result<(), Failure> {
+        let predicate = &session.program().rules().predicates[id.index()];
+        let columns: Vec<Column> = (predicate.columns.iter())
             .map(|column| Column {
                 title: column.name.clone(),
                 numeric: column.base != BaseType::Symbol,
@@ -274,7 +274,7 @@ impl<W: Write> Repl<W> {
         let sorted = facts::sorted(session, id);
         let cell = |(column, value): (&datalog::Column, &Value)| facts::print_value(session, *value, column.base);
         let rows: Vec<Vec<String>> = (sorted.iter().take(self.rows_max))
-            .map(|row| relation.columns.iter().zip(*row).map(cell).collect())
+            .map(|row| predicate.columns.iter().zip(*row).map(cell).collect())
             .collect();
         if !rows.is_empty() && !columns.is_empty() {
             write!(self.out, "{}", table::draw(&columns, &rows))?;
@@ -292,20 +292,20 @@ impl<W: Write> Repl<W> {
         Ok(())
     }
 
-    fn relations(&mut self, bench: &Workbench<'_>) -> Result<(), Failure> {
+    fn predicates(&mut self, bench: &Workbench<'_>) -> Result<(), Failure> {
         let title = |title: &str, numeric| Column {
             title: title.to_owned(),
             numeric,
         };
-        let columns = [title("rows", true), title("relation", false), title("", false)];
+        let columns = [title("rows", true), title("predicate", false), title("", false)];
         let session = &bench.session;
-        let shown = query::relations(session.program()).filter(|(_, relation)| !relation.hidden);
+        let shown = query::predicates(session.program()).filter(|(_, predicate)| !predicate.hidden);
         let rows: Vec<Vec<String>> = shown
-            .map(|(id, relation)| {
+            .map(|(id, predicate)| {
                 let mut words = Vec::new();
-                words.extend(relation.derived.then_some("derived"));
-                words.extend(relation.input.then_some("input"));
-                words.extend(relation.output.then_some("output"));
+                words.extend(predicate.derived.then_some("derived"));
+                words.extend(predicate.input.then_some("input"));
+                words.extend(predicate.output.then_some("output"));
                 vec![session.len(id).to_string(), signature(session, id), words.join(", ")]
             })
             .collect();
@@ -313,25 +313,25 @@ impl<W: Write> Repl<W> {
         Ok(())
     }
 
-    /// Prints documentation, declaration, directives, clauses and rows of a relation.
-    fn relation(&mut self, bench: &Workbench<'_>, id: RelId) -> Result<(), Failure> {
+    /// Prints documentation, declaration, directives, clauses and rows of a predicate.
+    fn predicate(&mut self, bench: &Workbench<'_>, id: PredicateId) -> Result<(), Failure> {
         let (session, rules) = (&bench.session, bench.session.program().rules());
-        let relation = &rules.relations[id.index()];
-        for line in relation.doc.lines() {
+        let predicate = &rules.predicates[id.index()];
+        for line in predicate.doc.lines() {
             writeln!(self.out, "/// {line}")?;
         }
-        let place = bench.sources.locate(relation.span);
+        let place = bench.sources.locate(predicate.span);
         writeln!(self.out, ".decl {}    {place}", signature(session, id))?;
-        for directive in &relation.directives {
+        for directive in &predicate.directives {
             let word = match directive.kind {
                 MarkKind::Input => "input",
                 MarkKind::Output => "output",
                 MarkKind::PrintSize => "printsize",
             };
-            writeln!(self.out, ".{word} {}", relation.name)?;
+            writeln!(self.out, ".{word} {}", predicate.name)?;
         }
         for (clause, number) in rules.clauses.iter().zip(0..) {
-            if clause.head.relation == id && !clause.body.is_empty() {
+            if clause.head.predicate == id && !clause.body.is_empty() {
                 let shown = session.program().show_clause(ClauseId(number), bench.sources);
                 writeln!(self.out, "{shown}")?;
             }
@@ -341,14 +341,14 @@ impl<W: Write> Repl<W> {
 }
 
 /// Formats a signature, for example `Path(x: number, y: number)`.
-fn signature(session: &Session, id: RelId) -> String {
+fn signature(session: &Session, id: PredicateId) -> String {
     let rules = session.program().rules();
-    let relation = &rules.relations[id.index()];
-    let columns = relation.columns.iter().map(|column| {
+    let predicate = &rules.predicates[id.index()];
+    let columns = predicate.columns.iter().map(|column| {
         let ty = &rules.types[column.ty.0 as usize].name;
         format!("{}: {ty}", column.name)
     });
-    format!("{}({})", relation.name, columns.collect::<Vec<_>>().join(", "))
+    format!("{}({})", predicate.name, columns.collect::<Vec<_>>().join(", "))
 }
 
 /// Returns whether an input may end here. A command is one line.

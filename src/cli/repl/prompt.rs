@@ -153,8 +153,8 @@ impl Terminal {
     /// Returns the next input. `command` gets a command that interrupts it.
     fn next(&mut self, bench: &Workbench<'_>, command: &mut Option<String>) -> Result<Line, Failure> {
         if let Some(words) = self.editor.helper_mut() {
-            let shown = query::relations(bench.session.program()).filter(|(_, relation)| !relation.hidden);
-            words.relations = shown.map(|(_, relation)| relation.name.clone()).collect();
+            let shown = query::predicates(bench.session.program()).filter(|(_, predicate)| !predicate.hidden);
+            words.predicates = shown.map(|(_, predicate)| predicate.name.clone()).collect();
         }
         let mut text = String::new();
         loop {
@@ -216,7 +216,7 @@ fn history_file() -> Option<PathBuf> {
 /// The words for completion.
 #[derive(Default)]
 struct Words {
-    relations: Vec<String>,
+    predicates: Vec<String>,
     files: FilenameCompleter,
 }
 
@@ -230,7 +230,7 @@ impl Words {
         if lead.trim_start() == "." {
             candidates.extend(command::DOTTED.iter().chain(DIRECTIVES));
         } else {
-            candidates.extend(self.relations.iter().map(String::as_str));
+            candidates.extend(self.predicates.iter().map(String::as_str));
             if lead.trim().is_empty() {
                 candidates.extend(command::WORDS);
             }
@@ -282,11 +282,11 @@ mod tests {
     #[test]
     fn completion_knows_commands_directives_and_relations() {
         let words = Words {
-            relations: vec!["Path".to_owned(), "Edge".to_owned(), "explained".to_owned()],
+            predicates: vec!["Path".to_owned(), "Edge".to_owned(), "explained".to_owned()],
             ..Words::default()
         };
         let found = |text: &str| words.candidates(text);
-        let expected = ["reflexive", "relations", "reload"].map(str::to_owned);
+        let expected = ["reflexive", "predicates", "reload"].map(str::to_owned);
         assert_eq!(found(".re"), (1, expected.to_vec()));
         assert_eq!(found(".de"), (1, vec!["decl".to_owned()]));
         assert_eq!(found("expl"), (0, vec!["explain".to_owned(), "explained".to_owned()]));

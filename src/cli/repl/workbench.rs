@@ -18,7 +18,7 @@ use crate::cli::query::Times;
 use crate::config::rule_file;
 use crate::datalog;
 use crate::datalog::codes;
-use crate::datalog::{BaseType, Functor, InputPolicy, RelId, Relation, Rules, Value, Workspace, ast};
+use crate::datalog::{BaseType, Functor, InputPolicy, Predicate, PredicateId, Rules, Value, Workspace, ast};
 use crate::datalog::{Delta, Limits, Loaded, Program, RowError, Session, facts};
 use crate::diag::{Diagnostic, SourceId, Sources, Span};
 use crate::symbol::Symbol;
@@ -47,7 +47,7 @@ struct Made {
 
 /// The numbers of rows that a change added to and removed from a predicate.
 pub struct Changed {
-    pub relation: String,
+    pub predicate: String,
     pub added: usize,
     pub removed: usize,
 }
@@ -65,7 +65,7 @@ pub struct Outcome {
 pub struct Answer {
     pub session: Session,
     pub times: Times,
-    pub relation: RelId,
+    pub predicate: PredicateId,
     pub warnings: Vec<Diagnostic>,
 }
 
@@ -139,11 +139,11 @@ impl<'s> Workbench<'s> {
         if let Some(rows) = rows
             && rows
                 .iter()
-                .all(|(relation, _)| !rules.relations[relation.index()].derived)
+                .all(|(predicate, _)| !rules.predicates[predicate.index()].derived)
         {
             let inserted = rows
                 .iter()
-                .try_for_each(|(relation, row)| self.session.insert(*relation, row));
+                .try_for_each(|(predicate, row)| self.session.insert(*predicate, row));
             return self.commit(inserted.map_err(not_taken));
         }
         let first_new = self.sources.ids().count() - 1;
@@ -181,33 +181,36 @@ impl<'s> Workbench<'s> {
         self.take_out(places)
     }
 
-    fn retract_facts(&mut self, id: SourceId, rows: &[(RelId, Vec<Value>)]) -> Result<Outcome, Failure> {
+    fn retract_facts(&mut self, id: SourceId, rows: &[(PredicateId, Vec<Value>)]) -> Result<Outcome, Failure> {
         let rules = self.session.program().rules();
         let whole = Span::new(id, 0..self.sources.text(id).trim_end().len());
         let mut in_text = HashSet::new();
-        let mut given: Vec<(RelId, &[Value])> = Vec::new();
-        for (relation, row) in rows {
-            let stated = rules.clauses.iter().filter(|clause| clause.head.relation == *relation);
+        let mut given: Vec<(PredicateId, &[Value])> = Vec::new();
+        for (predicate, row) in rows {
+            let stated = rules
+                .clauses
+                .iter()
+                .filter(|clause| clause.head.predicate == *predicate);
             let stated = stated.filter(|clause| constants(clause).as_ref() == Some(row));
             let before = in_text.len();
             in_text.extend(stated.map(|clause| clause.head.span));
             if in_text.len() > before {
                 continue;
             }
-            let Relation { name, derived, .. } = &rules.relations[relation.index()];
+            let Predicate { name, derived, .. } = &rules.predicates[predicate.index()];
             if *derived {
                 let message = format!("rules derive `{name}`, and no source states this fact");
                 let fault = Diagnostic::new(codes::INVALID_FACT, message).at(whole, "");
                 return Err(fault.help("if it holds, `explain` prints its proof").into());
             }
-            if self.session.contains(*relation, row) {
-                given.push((*relation, row));
+            if self.session.contains(*predicate, row) {
+                given.push((*predicate, row));
             } else {
                 let fault = Diagnostic::new(codes::INVALID_FACT, "this fact does not hold");
                 return Err(fault.at(whole, "").into());
             }
         }
-        let retracted = (given.iter()).try_for_each(|&(relation, row)| self.session.retract(relation, row));
+        let retracted = (given.iter()).try_for_each(|&(predicate, row)| self.session.retract(predicate, row));
         let mut outcome = self.commit(retracted.map_err(not_taken))?;
         if in_text.is_empty() {
             return Ok(outcome);
@@ -219,7 +222,7 @@ impl<'s> Workbench<'s> {
                 Ok(outcome)
             }
             Err(failure) => {
-                let back = (given.iter()).try_for_each(|&(relation, row)| self.session.insert(relation, row));
+                let back = (given.iter()).try_for_each(|&(predicate, row)| self.session.insert(predicate, row));
                 self.commit(back.map_err(not_taken))?;
                 Err(failure)
             }
@@ -258,10 +261,10 @@ impl<'s> Workbench<'s> {
         let shown = delta
             .changes()
             .iter()
-            .filter(|change| !rules.relations[change.relation.index()].hidden);
+            .filter(|change| !rules.predicates[change.predicate.index()].hidden);
         shown
             .map(|change| Changed {
-                relation: rules.relations[change.relation.index()].name.clone(),
+                predicate: rules.predicates[change.predicate.index()].name.clone(),
                 added: change.added.len(),
                 removed: change.removed.len(),
             })
@@ -300,27 +303,27 @@ impl<'s> Workbench<'s> {
     fn stated_from_now_on(&self, rules: &Rules) -> Vec<(String, String)> {
         let derived = |name: &str| {
             rules
-                .relation(name)
-                .is_some_and(|id| rules.relations[id.index()].derived)
+                .predicate(name)
+                .is_some_and(|id| rules.predicates[id.index()].derived)
         };
         let old = self.session.program().rules();
         let mut stated = Vec::new();
-        for (id, relation) in query::relations(self.session.program()) {
-            if old.relations[id.index()].derived || !derived(&relation.name) {
+        for (id, declared) in query::predicates(self.session.program()) {
+            if old.predicates[id.index()].derived || !derived(&declared.name) {
                 continue;
             }
             let items = self.given(id).into_iter().map(|row| {
-                let place = ast::Place(relation.span);
+                let place = ast::Place(declared.span);
                 let term = |(column, value): (&datalog::Column, &Value)| ast::Term {
                     kind: self.written(*value, column.base, place),
                     place,
                 };
                 let head = ast::Atom {
                     predicate: ast::Name {
-                        text: relation.name.clone(),
+                        text: declared.name.clone(),
                         place,
                     },
-                    terms: relation.columns.iter().zip(&row).map(term).collect(),
+                    terms: declared.columns.iter().zip(&row).map(term).collect(),
                     place,
                 };
                 ast::Item::Clause(ast::Clause {
@@ -332,7 +335,7 @@ impl<'s> Workbench<'s> {
             });
             let file = ast::File { items: items.collect() };
             if !file.items.is_empty() {
-                stated.push((relation.name.clone(), datalog::print(&file)));
+                stated.push((declared.name.clone(), datalog::print(&file)));
             }
         }
         stated
@@ -361,10 +364,10 @@ impl<'s> Workbench<'s> {
     }
 
     /// Returns the rows of a predicate without rules that no source states.
-    fn given(&self, id: RelId) -> Vec<Vec<Value>> {
+    fn given(&self, id: PredicateId) -> Vec<Vec<Value>> {
         let clauses = &self.session.program().rules().clauses;
         let stated: BTreeSet<Vec<Value>> = (clauses.iter())
-            .filter(|clause| clause.head.relation == id)
+            .filter(|clause| clause.head.predicate == id)
             .filter_map(constants)
             .collect();
         let given = self.session.encoded_rows(id).filter(|row| !stated.contains(*row));
@@ -374,8 +377,8 @@ impl<'s> Workbench<'s> {
     /// Copies the facts to another session. Returns notes about facts that do not fit there.
     fn move_facts(&self, to: &mut Session) -> Vec<String> {
         let mut notes = Vec::new();
-        for (id, relation) in query::relations(self.session.program()) {
-            if relation.derived {
+        for (id, predicate) in query::predicates(self.session.program()) {
+            if predicate.derived {
                 continue;
             }
             let given = self.given(id);
@@ -384,23 +387,23 @@ impl<'s> Workbench<'s> {
             }
             let rules = to.program().rules();
             let bases = |columns: &[datalog::Column]| columns.iter().map(|column| column.base).collect::<Vec<_>>();
-            let place = rules.relation(&relation.name).filter(|id| {
-                let new = &rules.relations[id.index()];
-                bases(&new.columns) == bases(&relation.columns)
+            let place = rules.predicate(&predicate.name).filter(|id| {
+                let new = &rules.predicates[id.index()];
+                bases(&new.columns) == bases(&predicate.columns)
             });
             let Some(place) = place else {
-                let name = &relation.name;
+                let name = &predicate.name;
                 notes.push(format!(
                     "dropped {} facts of `{name}`: its declaration has changed or is gone",
                     given.len()
                 ));
                 continue;
             };
-            if rules.relations[place.index()].derived {
+            if rules.predicates[place.index()].derived {
                 continue; // The source contains them now.
             }
             for mut row in given {
-                for (value, column) in row.iter_mut().zip(&relation.columns) {
+                for (value, column) in row.iter_mut().zip(&predicate.columns) {
                     if column.base == BaseType::Symbol {
                         *value = to.intern(self.text(*value));
                     }
@@ -414,16 +417,16 @@ impl<'s> Workbench<'s> {
     /// Answers a question by evaluating its rules on the rows of the predicates that it names.
     pub fn ask(&self, id: SourceId) -> Result<Answer, Failure> {
         let (program, warnings) = self.compile_question(id)?;
-        let mut session = (self.session.query(&program, &Cancel::never()))
-            .map_err(|error| error.diagnostic(program.rules()))?;
+        let mut session =
+            (self.session.query(&program, &Cancel::never())).map_err(|error| error.diagnostic(program.rules()))?;
         let (_, times) = query::timed_commit(&mut session)?;
-        let relation = program
-            .relation(Workspace::ANSWER)
+        let predicate = program
+            .predicate(Workspace::ANSWER)
             .expect("every question has an answer");
         Ok(Answer {
             session,
             times,
-            relation,
+            predicate,
             warnings,
         })
     }
@@ -477,14 +480,14 @@ fn constants(clause: &datalog::Clause) -> Option<Vec<Value>> {
 /// Compares two sessions: counts for each predicate the rows only in the new and only in the old one. Predicates with
 /// different column types share no rows.
 fn compare(old: &Session, new: &Session) -> Vec<Changed> {
-    let bases = |relation: &Relation| relation.columns.iter().map(|column| column.base).collect::<Vec<_>>();
+    let bases = |predicate: &Predicate| predicate.columns.iter().map(|column| column.base).collect::<Vec<_>>();
     let mut changes = Vec::new();
-    for (id, relation) in query::relations(new.program()).filter(|(_, relation)| !relation.hidden) {
-        let before = old.program().relation(&relation.name);
-        let twin = before.filter(|twin| bases(&old.program().rules().relations[twin.index()]) == bases(relation));
+    for (id, predicate) in query::predicates(new.program()).filter(|(_, predicate)| !predicate.hidden) {
+        let before = old.program().predicate(&predicate.name);
+        let twin = before.filter(|twin| bases(&old.program().rules().predicates[twin.index()]) == bases(predicate));
         let kept = twin.map_or(0, |twin| {
             let texts = |session: &Session, row: &[Value]| -> Vec<String> {
-                let columns = row.iter().zip(&relation.columns);
+                let columns = row.iter().zip(&predicate.columns);
                 columns
                     .map(|(value, column)| facts::print_value(session, *value, column.base))
                     .collect()
@@ -497,7 +500,7 @@ fn compare(old: &Session, new: &Session) -> Vec<Changed> {
         let (added, removed) = (new.len(id) - kept, before.map_or(0, |before| old.len(before)) - kept);
         if added + removed > 0 {
             changes.push(Changed {
-                relation: relation.name.clone(),
+                predicate: predicate.name.clone(),
                 added,
                 removed,
             });

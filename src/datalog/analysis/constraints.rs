@@ -1,6 +1,6 @@
 //! Integrity constraints on the facts of a session.
 
-use crate::check::{Constraint, DeclaredConstraint, RelId};
+use crate::check::{Constraint, DeclaredConstraint, PredicateId};
 use crate::codes;
 use crate::diag::Diagnostic;
 use crate::session::Session;
@@ -18,7 +18,7 @@ pub fn violations(session: &Session) -> Vec<Diagnostic> {
 }
 
 /// Variant of [`violations`] that skips constraints on predicates for which `known` is false.
-pub fn violations_among(session: &Session, known: impl Fn(RelId) -> bool) -> Vec<Diagnostic> {
+pub fn violations_among(session: &Session, known: impl Fn(PredicateId) -> bool) -> Vec<Diagnostic> {
     let mut faults = Vec::new();
     for DeclaredConstraint {
         constraint,
@@ -27,10 +27,10 @@ pub fn violations_among(session: &Session, known: impl Fn(RelId) -> bool) -> Vec
         ..
     } in &session.program().rules().constraints
     {
-        let shown = |relation: RelId, row: &[Value]| shown(session, relation, row);
+        let shown = |predicate: PredicateId, row: &[Value]| shown(session, predicate, row);
         let reversed = |row: &[Value]| -> Vec<Value> { row.iter().rev().copied().collect() };
         let found = match *constraint {
-            _ if !constraint.relations().all(&known) => continue,
+            _ if !constraint.predicates().all(&known) => continue,
             Constraint::Disjoint(a, b) => session
                 .encoded_rows(a)
                 .find(|row| session.contains(b, row))
@@ -39,17 +39,17 @@ pub fn violations_among(session: &Session, known: impl Fn(RelId) -> bool) -> Vec
                 .encoded_rows(a)
                 .find(|row| !session.contains(b, row))
                 .map(|row| format!("{} holds, {} does not", shown(a, row), shown(b, row))),
-            Constraint::Covering(ref relations) => {
-                let covered = |value| relations.iter().any(|&relation| session.contains(relation, [value]));
-                outside(session, domain, covered).map(|(relation, row, value)| {
-                    let options: Vec<String> = relations.iter().map(|&one| shown(one, &[value])).collect();
-                    format!("{} holds, none of {} does", shown(relation, row), options.join(", "))
+            Constraint::Covering(ref predicates) => {
+                let covered = |value| predicates.iter().any(|&predicate| session.contains(predicate, [value]));
+                outside(session, domain, covered).map(|(predicate, row, value)| {
+                    let options: Vec<String> = predicates.iter().map(|&one| shown(one, &[value])).collect();
+                    format!("{} holds, none of {} does", shown(predicate, row), options.join(", "))
                 })
             }
             Constraint::Reflexive(a) => {
-                outside(session, domain, |value| session.contains(a, [value, value])).map(|(relation, row, value)| {
+                outside(session, domain, |value| session.contains(a, [value, value])).map(|(predicate, row, value)| {
                     let own = shown(a, &[value, value]);
-                    format!("{} holds, {own} does not", shown(relation, row))
+                    format!("{} holds, {own} does not", shown(predicate, row))
                 })
             }
             Constraint::Irreflexive(a) => session
@@ -81,15 +81,15 @@ pub fn violations_among(session: &Session, known: impl Fn(RelId) -> bool) -> Vec
 /// Returns the first value of a domain for which the test fails, with a row that contains it.
 fn outside<'s>(
     session: &'s Session,
-    domain: &[(RelId, usize)],
+    domain: &[(PredicateId, usize)],
     holds: impl Fn(Value) -> bool,
-) -> Option<(RelId, &'s [Value], Value)> {
+) -> Option<(PredicateId, &'s [Value], Value)> {
     let mut passed: HashSet<Value> = HashSet::new();
-    for &(relation, column) in domain {
-        for row in session.encoded_rows(relation) {
+    for &(predicate, column) in domain {
+        for row in session.encoded_rows(predicate) {
             let value = row[column];
             if passed.insert(value) && !holds(value) {
-                return Some((relation, row, value));
+                return Some((predicate, row, value));
             }
         }
     }
@@ -97,9 +97,9 @@ fn outside<'s>(
 }
 
 /// Returns a fact in the notation of rules.
-fn shown(session: &Session, relation: RelId, row: &[Value]) -> String {
-    let relation = &session.program().rules().relations[relation.index()];
-    let values = relation
+fn shown(session: &Session, predicate: PredicateId, row: &[Value]) -> String {
+    let predicate = &session.program().rules().predicates[predicate.index()];
+    let values = predicate
         .columns
         .iter()
         .zip(row)
@@ -109,5 +109,5 @@ fn shown(session: &Session, relation: RelId, row: &[Value]) -> String {
             BaseType::Float => print_float(value.as_float()),
             BaseType::Symbol => format!("{:?}", session.symbols().resolve(Symbol(value.0)).unwrap_or_default()),
         });
-    format!("`{}({})`", relation.name, values.collect::<Vec<_>>().join(", "))
+    format!("`{}({})`", predicate.name, values.collect::<Vec<_>>().join(", "))
 }

@@ -15,7 +15,7 @@ use crate::check::body::UnguardedClause;
 use crate::check::clauses::{Checked, Clauses, Known, VariableType, reads_as_constant};
 use crate::check::inline;
 use crate::check::names::Names;
-use crate::check::rules::{Atom, Clause, Literal, RelId, Relation, Term, VarId};
+use crate::check::rules::{Atom, Clause, Literal, Predicate, PredicateId, Term, VarId};
 use crate::check::scope;
 use crate::check::scope::Scope;
 use crate::check::strata;
@@ -64,11 +64,11 @@ pub(crate) fn check(
             _ => {}
         }
     }
-    for index in 0..names.relations.len() {
-        let relation = &names.relations[index];
-        if relation.input && relation.derived && relation.edb.is_none() {
+    for index in 0..names.predicates.len() {
+        let predicate = &names.predicates[index];
+        if predicate.input && predicate.derived && predicate.edb.is_none() {
             split_input(
-                RelId(u32::try_from(index).expect("fewer than 2^32 predicates")),
+                PredicateId(u32::try_from(index).expect("fewer than 2^32 predicates")),
                 names,
                 &mut clauses,
             );
@@ -78,15 +78,15 @@ pub(crate) fn check(
 }
 
 /// A declared predicate and the base types of its columns.
-type Signature = (RelId, Vec<BaseType>);
+type Signature = (PredicateId, Vec<BaseType>);
 
 /// Returns the signatures of the predicates of packed facts, by their positions there.
 fn signatures(packed: &PackedFacts, names: &Names) -> Vec<Option<Signature>> {
     let signature = |name: &String| {
-        let relation = names.find(name)?;
-        let columns = names.signatures[relation.index()].columns.as_ref()?;
+        let predicate = names.find(name)?;
+        let columns = names.signatures[predicate.index()].columns.as_ref()?;
         let bases: Option<Vec<BaseType>> = columns.iter().map(|ty| Some(names.base((*ty)?))).collect();
-        Some((relation, bases?))
+        Some((predicate, bases?))
     };
     packed.names().iter().map(signature).collect()
 }
@@ -106,17 +106,17 @@ fn packed_facts(
         let constants = packed.constants(fact);
         let fitting = signatures[packed.name(fact)].as_ref();
         let fitting = fitting.filter(|(_, bases)| bases.len() == constants.len());
-        let checked = fitting.and_then(|(relation, bases)| {
+        let checked = fitting.and_then(|(predicate, bases)| {
             let terms: Option<Vec<Term>> = (bases.iter().zip(constants))
                 .map(|(&base, constant)| constant_of(base, constant, &out.symbols).map(Term::Constant))
                 .collect();
-            Some((*relation, terms?))
+            Some((*predicate, terms?))
         });
         match checked {
-            Some((relation, terms)) => out.clauses.push(Checked {
+            Some((predicate, terms)) => out.clauses.push(Checked {
                 clause: Clause {
                     head: Atom {
-                        relation,
+                        predicate,
                         terms,
                         span: packed.atom_span(fact),
                     },
@@ -148,7 +148,7 @@ fn constant_of(base: BaseType, constant: Constant<'_>, symbols: &Symbols) -> Opt
 
 /// Returns the component of each declared predicate: those that depend on each other have the same number.
 fn components(items: &[Item], names: &Names) -> Vec<usize> {
-    let mut successors: Vec<Vec<usize>> = vec![Vec::new(); names.relations.len()];
+    let mut successors: Vec<Vec<usize>> = vec![Vec::new(); names.predicates.len()];
     let mut scope = None;
     for item in items {
         let clause = match item {
@@ -160,12 +160,13 @@ fn components(items: &[Item], names: &Names) -> Vec<usize> {
             _ => continue,
         };
         let mut read: Vec<usize> = Vec::new();
-        let mut note = |_: bool, atom: &ast::Atom| read.extend(names.find(&atom.predicate.text).map(RelId::index));
+        let mut note =
+            |_: bool, atom: &ast::Atom| read.extend(names.find(&atom.predicate.text).map(PredicateId::index));
         inline::each_atom(&clause.body, &mut note);
         let terms = clause.heads.iter().flat_map(|head| &head.terms);
         terms.for_each(|term| inline::each_atom_of(term, &mut note));
         if !clause.body.is_empty() {
-            read.extend(scope.map(RelId::index));
+            read.extend(scope.map(PredicateId::index));
         }
         if !read.is_empty() {
             let heads = clause.heads.iter().filter_map(|head| names.find(&head.predicate.text));
@@ -209,19 +210,19 @@ fn check_plan(plan: &ast::Plan, clause: Option<&ast::Clause>, faults: &mut Fault
 }
 
 /// Moves the inserted rows of a predicate that is input and derived to a hidden predicate: `P(x, y) :- +1(x, y).`
-fn split_input(id: RelId, names: &mut Names, out: &mut Clauses) {
-    let edb = RelId(u32::try_from(names.relations.len()).expect("fewer than 2^32 predicates"));
-    let owner = names.relation(id);
+fn split_input(id: PredicateId, names: &mut Names, out: &mut Clauses) {
+    let edb = PredicateId(u32::try_from(names.predicates.len()).expect("fewer than 2^32 predicates"));
+    let owner = names.predicate(id);
     let name = format!("+{}", names.hidden() + 1);
     let doc = format!("the inserted rows of `{}`", owner.name);
-    let mut hidden = Relation::made(name, owner.columns.clone(), doc, owner.span);
+    let mut hidden = Predicate::made(name, owner.columns.clone(), doc, owner.span);
     hidden.derived = false;
     let span = hidden.span;
     let terms: Vec<Term> = (0..hidden.columns.len())
         .map(|column| Term::Variable(VarId(u32::try_from(column).expect("few columns"))))
         .collect();
-    let atom = |relation| Atom {
-        relation,
+    let atom = |predicate| Atom {
+        predicate,
         terms: terms.clone(),
         span,
     };
@@ -234,8 +235,8 @@ fn split_input(id: RelId, names: &mut Names, out: &mut Clauses) {
         span,
     });
     names.signatures.push(names.signatures[id.index()].clone());
-    names.relations.push(hidden);
-    names.relations[id.index()].edb = Some(edb);
+    names.predicates.push(hidden);
+    names.predicates[id.index()].edb = Some(edb);
 }
 
 fn one(clause: &ast::Clause, scopes: &mut scope::Scopes, names: &mut Names, out: &mut Clauses, faults: &mut Faults) {
@@ -264,7 +265,7 @@ fn one(clause: &ast::Clause, scopes: &mut scope::Scopes, names: &mut Names, out:
     if bodies.is_empty() {
         // A body that is `false` derives nothing, but its heads still need name resolution.
         for head in &clause.heads {
-            names.predicate(&head.predicate);
+            names.resolve(&head.predicate);
         }
     }
     let first_edge = out.edges.len();
@@ -370,7 +371,7 @@ fn alternative(
         lone_variables(clause, body, &variables, (&guarded, is_scoped), names, faults);
     }
     let bases = variables.iter().map(|variable| base(variable.ty, names)).collect();
-    let derived = &mut names.relations[head.relation.index()].derived;
+    let derived = &mut names.predicates[head.predicate.index()].derived;
     *derived |= !is_fact;
     out.clauses.push(Checked {
         clause: Clause {

@@ -1,6 +1,6 @@
 //! Checked clauses: the data that the stages of the checker exchange.
 
-use crate::check::rules::{Clause, Literal, RelId, Term, TypeId, VarId};
+use crate::check::rules::{Clause, Literal, PredicateId, Term, TypeId, VarId};
 use crate::diag::Span;
 use crate::symbol::Symbols;
 use crate::syntax::ast::BaseType;
@@ -8,8 +8,8 @@ use crate::syntax::ast::BaseType;
 /// A dependency of a head on a predicate of its body.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Hash)]
 pub(crate) struct Edge {
-    pub from: RelId,
-    pub to: RelId,
+    pub from: PredicateId,
+    pub to: PredicateId,
     pub kind: EdgeKind,
     /// The atom in the body; for a guard, the `.scope`.
     pub span: Span,
@@ -81,7 +81,7 @@ pub(crate) enum VariableType {
 /// The scope in force.
 #[derive(Clone, Copy, Debug)]
 pub(crate) struct Guard {
-    pub relation: RelId,
+    pub predicate: PredicateId,
     pub ego: TypeId,
     pub seen: TypeId,
     /// The place of the `.scope`.

@@ -5,7 +5,7 @@ use crate::codes;
 use crate::diag::{self, Diagnostic, Faults, Span};
 
 use crate::check::names::Names;
-use crate::check::rules::{Constraint, DeclaredConstraint, RelId, TypeId};
+use crate::check::rules::{Constraint, DeclaredConstraint, PredicateId, TypeId};
 use crate::syntax::ast;
 use crate::syntax::ast::{ConstraintKind, Item, Name};
 
@@ -18,11 +18,11 @@ pub(crate) fn check(items: &[Item], names: &mut Names, faults: &mut Faults) -> V
     let mut constraints = Vec::new();
     for item in items {
         let Item::Constraint(constraint) = item else { continue };
-        let found: Vec<Option<RelId>> = (constraint.names.iter())
+        let found: Vec<Option<PredicateId>> = (constraint.names.iter())
             .map(|name| {
                 names
-                    .predicate(name)
-                    .filter(|&relation| usable(relation, name, names, faults))
+                    .resolve(name)
+                    .filter(|&predicate| usable(predicate, name, names, faults))
             })
             .collect();
         let pairs: usize = found.len() * found.len().saturating_sub(1) / 2;
@@ -60,24 +60,24 @@ pub(crate) fn check(items: &[Item], names: &mut Names, faults: &mut Faults) -> V
                 }
             }
             ConstraintKind::Covering => {
-                if let Some((relations, ty)) = cover(&found, constraint, names, faults) {
-                    declare(Constraint::Covering(relations), domain(ty, names));
+                if let Some((predicates, ty)) = cover(&found, constraint, names, faults) {
+                    declare(Constraint::Covering(predicates), domain(ty, names));
                 }
             }
             ConstraintKind::Reflexive
             | ConstraintKind::Irreflexive
             | ConstraintKind::Symmetric
             | ConstraintKind::Asymmetric => {
-                for (relation, name) in found.into_iter().zip(&constraint.names) {
-                    let Some(relation) = relation else { continue };
-                    let Some(ty) = relates(relation, name, constraint, names, faults) else {
+                for (predicate, name) in found.into_iter().zip(&constraint.names) {
+                    let Some(predicate) = predicate else { continue };
+                    let Some(ty) = relates(predicate, name, constraint, names, faults) else {
                         continue;
                     };
                     match constraint.kind {
-                        ConstraintKind::Reflexive => declare(Constraint::Reflexive(relation), domain(ty, names)),
-                        ConstraintKind::Symmetric => declare(Constraint::Symmetric(relation), Vec::new()),
-                        ConstraintKind::Asymmetric => declare(Constraint::Asymmetric(relation), Vec::new()),
-                        _ => declare(Constraint::Irreflexive(relation), Vec::new()),
+                        ConstraintKind::Reflexive => declare(Constraint::Reflexive(predicate), domain(ty, names)),
+                        ConstraintKind::Symmetric => declare(Constraint::Symmetric(predicate), Vec::new()),
+                        ConstraintKind::Asymmetric => declare(Constraint::Asymmetric(predicate), Vec::new()),
+                        _ => declare(Constraint::Irreflexive(predicate), Vec::new()),
                     }
                 }
             }
@@ -87,35 +87,35 @@ pub(crate) fn check(items: &[Item], names: &mut Names, faults: &mut Faults) -> V
 }
 
 /// Returns the columns that hold values of a type; see [`DeclaredConstraint::domain`].
-fn domain(ty: TypeId, names: &Names) -> Vec<(RelId, usize)> {
+fn domain(ty: TypeId, names: &Names) -> Vec<(PredicateId, usize)> {
     let mut domain = Vec::new();
-    for (relation, id) in names.relations.iter().zip((0..).map(RelId)) {
-        if relation.derived || relation.hidden {
+    for (predicate, id) in names.predicates.iter().zip((0..).map(PredicateId)) {
+        if predicate.derived || predicate.hidden {
             continue;
         }
-        let columns = relation.columns.iter().enumerate();
+        let columns = predicate.columns.iter().enumerate();
         let within = columns.filter(|(_, column)| names.is_subtype(column.ty, ty));
         domain.extend(within.map(|(column, _)| (id, column)));
     }
     domain
 }
 
-fn refuse(message: String, at: Span, relation: RelId, names: &Names) -> Diagnostic {
+fn refuse(message: String, at: Span, predicate: PredicateId, names: &Names) -> Diagnostic {
     let fault = Diagnostic::new(codes::INVALID_CONSTRAINT, message)
         .at(at, "")
-        .also(names.relation(relation).span, "declared here");
-    fault.note(format!("the declaration is `{}`", names.signature_text(relation)))
+        .also(names.predicate(predicate).span, "declared here");
+    fault.note(format!("the declaration is `{}`", names.signature_text(predicate)))
 }
 
 /// Returns whether a constraint may name the predicate. Reports derived predicates: their rules determine their rows.
-fn usable(relation: RelId, name: &Name, names: &Names, faults: &mut Faults) -> bool {
-    let signature = &names.signatures[relation.index()];
-    if names.relation(relation).derived && signature.input.is_some() {
+fn usable(predicate: PredicateId, name: &Name, names: &Names, faults: &mut Faults) -> bool {
+    let signature = &names.signatures[predicate.index()];
+    if names.predicate(predicate).derived && signature.input.is_some() {
         return false; // Already reported as a derived input.
     }
-    if names.relation(relation).derived {
+    if names.predicate(predicate).derived {
         let message = format!("`{}` is derived, so its rules determine its rows", name.text);
-        let fault = refuse(message, name.place.0, relation, names);
+        let fault = refuse(message, name.place.0, predicate, names);
         faults.push(fault.help("constraints apply only to predicates without rules"));
         return false;
     }
@@ -124,13 +124,13 @@ fn usable(relation: RelId, name: &Name, names: &Names, faults: &mut Faults) -> b
 
 /// Returns the two predicates if they can have a row in common, and reports them otherwise.
 fn pair(
-    first: Option<RelId>,
-    second: Option<RelId>,
+    first: Option<PredicateId>,
+    second: Option<PredicateId>,
     constraint: &ast::ConstraintDecl,
     name: &Name,
     names: &Names,
     faults: &mut Faults,
-) -> Option<(RelId, RelId)> {
+) -> Option<(PredicateId, PredicateId)> {
     let (first, second) = (first?, second?);
     let kind = constraint.kind.name();
     if first == second {
@@ -138,12 +138,12 @@ fn pair(
         faults.push(refuse(message, name.place.0, second, names));
         return None;
     }
-    let [left, right] = [first, second].map(|relation| &names.relation(relation).columns);
+    let [left, right] = [first, second].map(|predicate| &names.predicate(predicate).columns);
     let fits = left.len() == right.len() && left.iter().zip(right).all(|(a, b)| names.meet(a.ty, b.ty).is_some());
     if !fits {
-        let other = &names.relation(first).name;
+        let other = &names.predicate(first).name;
         let message = format!("`{other}` and `{}` have different columns", name.text);
-        let fault = refuse(message, name.place.0, second, names).also(names.relation(first).span, "the other one");
+        let fault = refuse(message, name.place.0, second, names).also(names.predicate(first).span, "the other one");
         faults.push(fault);
     }
     fits.then_some((first, second))
@@ -152,26 +152,26 @@ fn pair(
 /// Returns the predicates of a covering constraint and the type that they cover. They have one column each, of one
 /// type.
 fn cover(
-    found: &[Option<RelId>],
+    found: &[Option<PredicateId>],
     constraint: &ast::ConstraintDecl,
     names: &Names,
     faults: &mut Faults,
-) -> Option<(Vec<RelId>, TypeId)> {
-    let mut relations: Vec<RelId> = Vec::new();
+) -> Option<(Vec<PredicateId>, TypeId)> {
+    let mut predicates: Vec<PredicateId> = Vec::new();
     let mut covered = None;
-    for (relation, name) in found.iter().zip(&constraint.names) {
-        let relation = (*relation)?;
-        let message = match names.relation(relation).columns.as_slice() {
+    for (predicate, name) in found.iter().zip(&constraint.names) {
+        let predicate = (*predicate)?;
+        let message = match names.predicate(predicate).columns.as_slice() {
             [column] if covered.is_some_and(|ty| ty != column.ty) => {
                 format!(
                     "`{}` covers another type than `{}`",
                     name.text, constraint.names[0].text
                 )
             }
-            [_] if relations.contains(&relation) => format!("`.covering` names `{}` twice", name.text),
+            [_] if predicates.contains(&predicate) => format!("`.covering` names `{}` twice", name.text),
             [column] => {
                 covered = Some(column.ty);
-                relations.push(relation);
+                predicates.push(predicate);
                 continue;
             }
             _ => format!(
@@ -179,22 +179,22 @@ fn cover(
                 name.text
             ),
         };
-        faults.push(refuse(message, name.place.0, relation, names));
+        faults.push(refuse(message, name.place.0, predicate, names));
         return None;
     }
-    Some((relations, covered?))
+    Some((predicates, covered?))
 }
 
 /// Returns the type that the two columns of the predicate share. Reports a predicate that does not have two such
 /// columns.
 fn relates(
-    relation: RelId,
+    predicate: PredicateId,
     name: &Name,
     constraint: &ast::ConstraintDecl,
     names: &Names,
     faults: &mut Faults,
 ) -> Option<TypeId> {
-    let columns = &names.relation(relation).columns;
+    let columns = &names.predicate(predicate).columns;
     let shared = match columns.as_slice() {
         [a, b] => names.meet(a.ty, b.ty),
         _ => None,
@@ -205,7 +205,7 @@ fn relates(
             name.text,
             constraint.kind.name()
         );
-        faults.push(refuse(message, name.place.0, relation, names));
+        faults.push(refuse(message, name.place.0, predicate, names));
     }
     shared
 }

@@ -6,7 +6,7 @@
 //! A(x) :- B(x), B(y), less(x, y + 1).         becomes   A(x) :- B(x), B(y), x < y + 1.
 //! ```
 //!
-//! An inline predicate whose clauses bind all their variables is an ordinary relation. Otherwise it is no finite set of
+//! An inline predicate whose clauses bind all their variables is an ordinary predicate. Otherwise it is no finite set of
 //! rows, and the checker replaces each atom over it by its definition. The replacement works on syntax, before name
 //! resolution.
 

@@ -7,7 +7,7 @@ use crate::diag::{Code, Diagnostic, Faults, Span};
 
 use crate::check::clauses::{Checked, Clauses};
 use crate::check::names::Names;
-use crate::check::rules::{Atom, Clause, Literal, RelId, Relation, Term};
+use crate::check::rules::{Atom, Clause, Literal, Predicate, PredicateId, Term};
 use crate::check::strata;
 use crate::check::subsets::{Budget, Comparing};
 use crate::check::subsumption;
@@ -25,39 +25,39 @@ pub(crate) fn dead(all: &Clauses, names: &Names, faults: &mut Faults) {
         return;
     }
     let filled = filled(all, names);
-    let mut has_clause = vec![false; names.relations.len()];
-    let mut needs_empty: Vec<Vec<usize>> = vec![Vec::new(); names.relations.len()];
+    let mut has_clause = vec![false; names.predicates.len()];
+    let mut needs_empty: Vec<Vec<usize>> = vec![Vec::new(); names.predicates.len()];
     for Checked { clause, .. } in &all.clauses {
-        let head = clause.head.relation.index();
+        let head = clause.head.predicate.index();
         has_clause[head] = true;
         needs_empty[head].extend(
             needed(clause)
-                .map(|atom| atom.relation.index())
+                .map(|atom| atom.predicate.index())
                 .filter(|&id| !filled[id]),
         );
     }
     let (component, _) = strata::components(&needs_empty);
     // The empty predicates, in source order, each with the clauses that need it.
-    let mut causes: indexmap::IndexMap<RelId, Vec<&Clause>> = indexmap::IndexMap::new();
+    let mut causes: indexmap::IndexMap<PredicateId, Vec<&Clause>> = indexmap::IndexMap::new();
     for Checked { clause, .. } in &all.clauses {
-        let empty = |atom: &&Atom| !filled[atom.relation.index()];
+        let empty = |atom: &&Atom| !filled[atom.predicate.index()];
         let missing = needed(clause)
             .filter(empty)
-            .find(|atom| !has_clause[atom.relation.index()]);
+            .find(|atom| !has_clause[atom.predicate.index()]);
         let circular = || {
             needed(clause)
                 .filter(empty)
-                .find(|atom| component[atom.relation.index()] == component[clause.head.relation.index()])
+                .find(|atom| component[atom.predicate.index()] == component[clause.head.predicate.index()])
         };
         if let Some(atom) = missing.or_else(circular) {
-            causes.entry(atom.relation).or_default().push(clause);
+            causes.entry(atom.predicate).or_default().push(clause);
         }
     }
-    for (relation, clauses) in causes {
-        let name = &names.relation(relation).name;
+    for (predicate, clauses) in causes {
+        let name = &names.predicate(predicate).name;
         let place = |clause: &Clause| {
             let written = clause.body.iter().find_map(|literal| match literal {
-                Literal::Positive(atom) if atom.relation == relation => Some(atom.span),
+                Literal::Positive(atom) if atom.predicate == predicate => Some(atom.span),
                 _ => None,
             });
             written.unwrap_or(clause.head.span)
@@ -76,8 +76,8 @@ pub(crate) fn dead(all: &Clauses, names: &Names, faults: &mut Faults) {
         if places.len() > MAX_DEAD_SHOWN {
             fault = fault.note(format!("nor do {} other clauses", places.len() - MAX_DEAD_SHOWN));
         }
-        fault = fault.also(names.relation(relation).span, format!("`{name}` is declared here"));
-        fault = if has_clause[relation.index()] {
+        fault = fault.also(names.predicate(predicate).span, format!("`{name}` is declared here"));
+        fault = if has_clause[predicate.index()] {
             fault.note(format!("every clause for `{name}` needs a row of `{name}` first"))
         } else {
             fault.help(format!("write a clause or a fact for it, or `.input {name}`"))
@@ -101,23 +101,23 @@ fn filled(all: &Clauses, names: &Names) -> Vec<bool> {
         .iter()
         .map(|checked| needed(&checked.clause).count())
         .collect();
-    let mut users: Vec<Vec<usize>> = vec![Vec::new(); names.relations.len()];
+    let mut users: Vec<Vec<usize>> = vec![Vec::new(); names.predicates.len()];
     for (index, Checked { clause, .. }) in all.clauses.iter().enumerate() {
         for atom in needed(clause) {
-            users[atom.relation.index()].push(index);
+            users[atom.predicate.index()].push(index);
         }
     }
     // The clause that uses a hidden predicate with positive atoms fills it; see `range`.
-    let given = |relation: &Relation| relation.input || relation.hidden;
-    let mut filled: Vec<bool> = names.relations.iter().map(given).collect();
+    let given = |predicate: &Predicate| predicate.input || predicate.hidden;
+    let mut filled: Vec<bool> = names.predicates.iter().map(given).collect();
     for (index, Checked { clause, .. }) in all.clauses.iter().enumerate() {
-        filled[clause.head.relation.index()] |= waiting[index] == 0;
+        filled[clause.head.predicate.index()] |= waiting[index] == 0;
     }
     let mut work: Vec<usize> = (0..filled.len()).filter(|&id| filled[id]).collect();
     while let Some(id) = work.pop() {
         for &user in &users[id] {
             waiting[user] -= 1;
-            let head = all.clauses[user].clause.head.relation.index();
+            let head = all.clauses[user].clause.head.predicate.index();
             if waiting[user] == 0 && !filled[head] {
                 filled[head] = true;
                 work.push(head);
@@ -143,14 +143,14 @@ pub(crate) fn redundant(clauses: &[Checked], faults: &mut Faults) -> Comparing {
             faults,
         );
     }
-    let mut by_head: indexmap::IndexMap<RelId, Vec<&Clause>> = indexmap::IndexMap::new();
+    let mut by_head: indexmap::IndexMap<PredicateId, Vec<&Clause>> = indexmap::IndexMap::new();
     for Checked { clause, sound, .. } in clauses {
         let aggregates = (clause.body.iter()).any(|literal| matches!(literal, Literal::Aggregate { .. }));
         if *sound && !aggregates && !clause.body.is_empty() {
             if let Some(fact) = facts.find(&clause.head) {
                 report(codes::SUBSUMED_CLAUSE, clause.span, clauses[fact].clause.span, faults);
             } else {
-                by_head.entry(clause.head.relation).or_default().push(clause);
+                by_head.entry(clause.head.predicate).or_default().push(clause);
             }
         }
     }
@@ -222,13 +222,13 @@ impl<'c> Facts<'c> {
         group.map(|&(_, fact)| fact).find(|&fact| self.row(fact) == row(head))
     }
 
-    fn row(&self, fact: usize) -> (RelId, &[Term]) {
+    fn row(&self, fact: usize) -> (PredicateId, &[Term]) {
         row(&self.clauses[fact].clause.head)
     }
 }
 
-fn row(head: &Atom) -> (RelId, &[Term]) {
-    (head.relation, &head.terms)
+fn row(head: &Atom) -> (PredicateId, &[Term]) {
+    (head.predicate, &head.terms)
 }
 
 fn report(code: Code, span: Span, other: Span, faults: &mut Faults) {

@@ -37,8 +37,8 @@ use crate::syntax::packed::FactRuns;
 use std::borrow::Cow;
 
 pub use rules::{
-    Atom, Clause, ClauseId, Column, Constraint, DeclaredConstraint, Directive, Literal, RelId, Relation, RowFormat,
-    RowPlace, Rules, Stratum, Term, Type, TypeId, VarId,
+    Atom, Clause, ClauseId, Column, Constraint, DeclaredConstraint, Directive, Literal, Predicate, PredicateId,
+    RowFormat, RowPlace, Rules, Stratum, Term, Type, TypeId, VarId,
 };
 #[cfg(feature = "optimizer")]
 pub(crate) use subsets::Budget;
@@ -48,7 +48,7 @@ pub(crate) use subsets::random_clauses;
 
 /// Returns rules with the strata of their clauses, which another component has changed.
 pub(crate) fn restratified(mut rules: Rules) -> Rules {
-    rules.strata = strata::order(&rules.relations, &rules.clauses);
+    rules.strata = strata::order(&rules.predicates, &rules.clauses);
     rules
 }
 
@@ -89,13 +89,13 @@ pub(crate) fn check(
     if faults.failed() {
         return (None, compared);
     }
-    let names::Names { types, relations, .. } = names;
+    let names::Names { types, predicates, .. } = names;
     let mut clauses: Vec<Clause> = checked.clauses.into_iter().map(|clause| clause.clause).collect();
     clauses.extend(checked.hidden);
     let rules = Rules {
-        strata: strata::order(&relations, &clauses),
+        strata: strata::order(&predicates, &clauses),
         types,
-        relations,
+        predicates,
         clauses,
         symbols: checked.symbols,
         constraints,

@@ -33,12 +33,12 @@ pub struct Type {
     pub doc: String,
 }
 
-/// The id of a predicate: its position in [`Rules::relations`].
+/// The id of a predicate: its position in [`Rules::predicates`].
 #[derive(Clone, Copy, Debug, PartialEq, Eq, PartialOrd, Ord, Hash)]
-pub struct RelId(pub u32);
+pub struct PredicateId(pub u32);
 
-impl RelId {
-    /// Returns the position in [`Rules::relations`].
+impl PredicateId {
+    /// Returns the position in [`Rules::predicates`].
     pub fn index(self) -> usize {
         self.0 as usize
     }
@@ -59,7 +59,7 @@ pub struct Column {
 ///
 /// The checker makes hidden ones, whose names begin with `+`, which no source can write.
 #[derive(Clone, Debug)]
-pub struct Relation {
+pub struct Predicate {
     /// The name of the predicate.
     pub name: String,
     /// The columns; may be empty.
@@ -71,7 +71,7 @@ pub struct Relation {
     /// Whether `.input` names it.
     pub input: bool,
     /// The hidden predicate for inserted rows if rules derive further ones. The last of these rules reads it.
-    pub edb: Option<RelId>,
+    pub edb: Option<PredicateId>,
     /// Whether `.output` names it.
     pub output: bool,
     /// Whether `.printsize` names it.
@@ -143,10 +143,10 @@ impl Default for RowFormat {
     }
 }
 
-impl Relation {
+impl Predicate {
     /// Creates a hidden predicate, which clauses made by the checker or planner derive.
     pub(crate) fn made(name: String, columns: Vec<Column>, doc: String, span: Span) -> Self {
-        Relation {
+        Predicate {
             name,
             columns,
             doc,
@@ -207,7 +207,7 @@ impl Term {
 #[derive(Clone, Debug)]
 pub struct Atom {
     /// The predicate.
-    pub relation: RelId,
+    pub predicate: PredicateId,
     /// One term for each column.
     pub terms: Vec<Term>,
     /// The place in the source.
@@ -345,29 +345,29 @@ pub struct Clause {
 #[derive(Clone, Debug, PartialEq, Eq, Hash)]
 pub enum Constraint {
     /// No row is in both predicates. With one predicate twice, that has no rows.
-    Disjoint(RelId, RelId),
+    Disjoint(PredicateId, PredicateId),
     /// Every row of the first predicate is in the second one.
-    Implies(RelId, RelId),
+    Implies(PredicateId, PredicateId),
     /// Every value of the domain is in one of the predicates.
-    Covering(Vec<RelId>),
+    Covering(Vec<PredicateId>),
     /// Every value of the domain is related to itself.
-    Reflexive(RelId),
+    Reflexive(PredicateId),
     /// No row relates a value to itself.
-    Irreflexive(RelId),
+    Irreflexive(PredicateId),
     /// With every row the reversed row holds too.
-    Symmetric(RelId),
+    Symmetric(PredicateId),
     /// A row and its reversed row never both hold, so no row relates a value to itself.
-    Asymmetric(RelId),
+    Asymmetric(PredicateId),
 }
 
 impl Constraint {
     /// Returns the predicates that the constraint names.
-    pub fn relations(&self) -> impl Iterator<Item = RelId> {
-        let (listed, single): (&[RelId], &[RelId]) = match self {
+    pub fn predicates(&self) -> impl Iterator<Item = PredicateId> {
+        let (listed, single): (&[PredicateId], &[PredicateId]) = match self {
             Constraint::Disjoint(a, b) | Constraint::Implies(a, b) => {
                 (std::slice::from_ref(a), std::slice::from_ref(b))
             }
-            Constraint::Covering(relations) => (relations, &[]),
+            Constraint::Covering(predicates) => (predicates, &[]),
             Constraint::Reflexive(a)
             | Constraint::Irreflexive(a)
             | Constraint::Symmetric(a)
@@ -380,7 +380,7 @@ impl Constraint {
     pub fn show(&self, rules: &Rules) -> String {
         let kind = match self {
             Constraint::Disjoint(a, b) if a == b => {
-                return format!("that `{}` has no rows", rules.relations[a.index()].name);
+                return format!("that `{}` has no rows", rules.predicates[a.index()].name);
             }
             Constraint::Disjoint(..) => "disjoint",
             Constraint::Implies(..) => "implies",
@@ -390,8 +390,8 @@ impl Constraint {
             Constraint::Symmetric(_) => "symmetric",
             Constraint::Asymmetric(_) => "asymmetric",
         };
-        let names: Vec<&str> = (self.relations())
-            .map(|relation| rules.relations[relation.index()].name.as_str())
+        let names: Vec<&str> = (self.predicates())
+            .map(|predicate| rules.predicates[predicate.index()].name.as_str())
             .collect();
         format!("`.{kind} {}`", names.join(", "))
     }
@@ -404,7 +404,7 @@ pub struct DeclaredConstraint {
     pub constraint: Constraint,
     /// The columns whose values are the domain of a covering or reflexive constraint: those of visible predicates
     /// without rules that have the type of the constraint's predicates or a subtype of it. Empty for other constraints.
-    pub domain: Vec<(RelId, usize)>,
+    pub domain: Vec<(PredicateId, usize)>,
     /// The place of the directive, or of what the constraint follows from.
     pub span: Span,
     /// Whether the caller inferred the constraint from what is at the place instead of reading a directive.
@@ -427,7 +427,7 @@ impl DeclaredConstraint {
 #[derive(Clone, Debug)]
 pub struct Stratum {
     /// The predicates, each with at least one clause.
-    pub relations: Vec<RelId>,
+    pub predicates: Vec<PredicateId>,
     /// All clauses, including facts, with these heads, in source order.
     pub clauses: Vec<ClauseId>,
     /// Whether a body of the stratum uses a predicate of the stratum.
@@ -440,11 +440,11 @@ pub struct Rules {
     /// The types; the base types come first, in the order of [`BaseType::ALL`].
     pub types: Vec<Type>,
     /// The predicates in the order of declaration, hidden ones last.
-    pub relations: Vec<Relation>,
+    pub predicates: Vec<Predicate>,
     /// The clauses in source order, those of hidden predicates last.
     pub clauses: Vec<Clause>,
     /// The strata: strongly connected components of the predicates with clauses, in topological order. Predicates with
-    /// [parameters](Relation::parameters) are in none.
+    /// [parameters](Predicate::parameters) are in none.
     pub strata: Vec<Stratum>,
     /// The declared integrity constraints, in source order.
     pub constraints: Vec<DeclaredConstraint>,
@@ -454,37 +454,37 @@ pub struct Rules {
 
 impl Rules {
     /// Returns the predicate with that name, if there is one.
-    pub fn relation(&self, name: &str) -> Option<RelId> {
-        let index = self.relations.iter().position(|relation| relation.name == name)?;
-        Some(RelId(u32::try_from(index).expect("fewer than 2^32 predicates")))
+    pub fn predicate(&self, name: &str) -> Option<PredicateId> {
+        let index = self.predicates.iter().position(|predicate| predicate.name == name)?;
+        Some(PredicateId(u32::try_from(index).expect("fewer than 2^32 predicates")))
     }
 
-    /// Returns whether the predicate has [parameters](Relation::parameters).
-    pub(crate) fn is_correlated(&self, relation: RelId) -> bool {
-        let relation = self.relations.get(relation.index());
-        relation.is_some_and(|relation| relation.parameters > 0)
+    /// Returns whether the predicate has [parameters](Predicate::parameters).
+    pub(crate) fn is_correlated(&self, predicate: PredicateId) -> bool {
+        let predicate = self.predicates.get(predicate.index());
+        predicate.is_some_and(|predicate| predicate.parameters > 0)
     }
 
     /// Returns the predicates that the bodies of clauses read, with repetitions, and the
     /// [correlated](Rules::is_correlated) ones, sorted. The former include what the clauses of the latter read.
-    pub(crate) fn read_by(&self, clauses: impl IntoIterator<Item = ClauseId>) -> (Vec<RelId>, Vec<RelId>) {
+    pub(crate) fn read_by(&self, clauses: impl IntoIterator<Item = ClauseId>) -> (Vec<PredicateId>, Vec<PredicateId>) {
         let atoms = |clause: &Clause| {
             let atoms = clause.body.iter().filter_map(Literal::atom);
-            atoms.map(|atom| atom.relation).collect::<Vec<_>>()
+            atoms.map(|atom| atom.predicate).collect::<Vec<_>>()
         };
         let clauses = clauses.into_iter().map(|id| &self.clauses[id.index()]);
-        let mut read: Vec<RelId> = clauses.flat_map(atoms).collect();
+        let mut read: Vec<PredicateId> = clauses.flat_map(atoms).collect();
         let mut correlated = Vec::new();
         let mut position = 0;
-        while let Some(&relation) = read.get(position) {
-            if !self.is_correlated(relation) {
+        while let Some(&predicate) = read.get(position) {
+            if !self.is_correlated(predicate) {
                 position += 1;
                 continue;
             }
             read.remove(position);
-            if !correlated.contains(&relation) {
-                correlated.push(relation);
-                let clauses = self.clauses.iter().filter(|clause| clause.head.relation == relation);
+            if !correlated.contains(&predicate) {
+                correlated.push(predicate);
+                let clauses = self.clauses.iter().filter(|clause| clause.head.predicate == predicate);
                 read.extend(clauses.flat_map(atoms));
             }
         }
@@ -494,24 +494,25 @@ impl Rules {
 
     /// Returns the clauses of each predicate, for many lookups.
     pub(crate) fn clauses_by_head(&self) -> Vec<Vec<&Clause>> {
-        let mut by_head = vec![Vec::new(); self.relations.len()];
+        let mut by_head = vec![Vec::new(); self.predicates.len()];
         for clause in &self.clauses {
-            by_head[clause.head.relation.index()].push(clause);
+            by_head[clause.head.predicate.index()].push(clause);
         }
         by_head
     }
 
     /// Returns whether the clause is a fact that is a row from the start: no clause with a body derives its predicate.
     pub(crate) fn is_row(&self, clause: &Clause) -> bool {
-        clause.body.is_empty() && !self.relations[clause.head.relation.index()].derived
+        clause.body.is_empty() && !self.predicates[clause.head.predicate.index()].derived
     }
 
     /// Returns the columns of base predicates with a type or one of its subtypes, except unions; see
     /// [`DeclaredConstraint::domain`].
-    pub fn columns_of(&self, ty: TypeId) -> Vec<(RelId, usize)> {
+    pub fn columns_of(&self, ty: TypeId) -> Vec<(PredicateId, usize)> {
         let parent = |id: &TypeId| self.types[id.0 as usize].parent;
         let within = |column: &Column| std::iter::successors(Some(column.ty), parent).any(|id| id == ty);
-        let base = (self.relations.iter().zip((0..).map(RelId))).filter(|(known, _)| !known.derived && !known.hidden);
+        let base =
+            (self.predicates.iter().zip((0..).map(PredicateId))).filter(|(known, _)| !known.derived && !known.hidden);
         base.flat_map(|(known, id)| {
             let columns = known.columns.iter().enumerate().filter(|(_, column)| within(column));
             columns.map(move |(column, _)| (id, column))
@@ -520,8 +521,8 @@ impl Rules {
     }
 
     /// Returns all predicates by name, for many lookups.
-    pub fn relations_by_name(&self) -> HashMap<&str, RelId> {
-        let names = self.relations.iter().map(|relation| relation.name.as_str());
-        names.zip((0..).map(RelId)).collect()
+    pub fn predicates_by_name(&self) -> HashMap<&str, PredicateId> {
+        let names = self.predicates.iter().map(|predicate| predicate.name.as_str());
+        names.zip((0..).map(PredicateId)).collect()
     }
 }

@@ -15,7 +15,7 @@ use crate::diag::{Diagnostic, Faults, Span};
 
 use crate::check::clauses::{Clauses, Edge, EdgeKind, Guard, VariableType};
 use crate::check::names::Names;
-use crate::check::rules::{Atom, Clause, Literal, RelId, Term, TypeId, VarId};
+use crate::check::rules::{Atom, Clause, Literal, PredicateId, Term, TypeId, VarId};
 use crate::syntax::ast;
 
 /// A clause to which the scope may add literals.
@@ -35,14 +35,14 @@ pub(crate) struct Scope<'a> {
 pub(crate) struct Scopes {
     current: Option<Guard>,
     /// The hidden predicates by definition, so that equal ones are shared.
-    hidden: IndexMap<Hidden, RelId>,
+    hidden: IndexMap<Hidden, PredicateId>,
 }
 
 /// The definition of a hidden predicate: a negated atom with `_` under a scope, without variable names.
 #[derive(Clone, Debug, PartialEq, Eq, Hash)]
 struct Hidden {
-    guard: RelId,
-    relation: RelId,
+    guard: PredicateId,
+    predicate: PredicateId,
     terms: Vec<Term>,
     /// Whether each term is a `_` in view.
     in_view: Vec<bool>,
@@ -58,14 +58,14 @@ impl Scopes {
     pub fn enter(&mut self, scope: &ast::Scope, names: &mut Names, faults: &mut Faults) {
         self.current = None;
         let Some(name) = &scope.predicate else { return };
-        let Some(relation) = names.predicate(name) else { return };
-        let Some(columns) = &names.signatures[relation.index()].columns else {
+        let Some(predicate) = names.resolve(name) else { return };
+        let Some(columns) = &names.signatures[predicate.index()].columns else {
             return;
         };
         match columns.as_slice() {
             &[Some(ego), Some(seen)] => {
                 self.current = Some(Guard {
-                    relation,
+                    predicate,
                     ego,
                     seen,
                     span: name.place.0,
@@ -75,8 +75,8 @@ impl Scopes {
             _ => {
                 let fault = Diagnostic::new(codes::INVALID_SCOPE, format!("`{}` cannot be a scope", name.text))
                     .at(name.place.0, "a scope has two columns: who sees, and who is seen")
-                    .also(names.relation(relation).span, "declared here")
-                    .note(format!("the declaration is `{}`", names.signature_text(relation)));
+                    .also(names.predicate(predicate).span, "declared here")
+                    .note(format!("the declaration is `{}`", names.signature_text(predicate)));
                 faults.push(fault);
             }
         }
@@ -94,7 +94,7 @@ impl Scopes {
         faults: &mut Faults,
     ) -> bool {
         let Some(guard) = self.current else { return true };
-        if clause.head.relation == guard.relation || clause.body.is_empty() {
+        if clause.head.predicate == guard.predicate || clause.body.is_empty() {
             return true;
         }
         let ego = match clause.head.terms.first() {
@@ -105,7 +105,7 @@ impl Scopes {
             clause.guarded[index] = ego != Some(variable(index)) && fits(*ty, guard.seen, names);
         }
         let in_view = |atom: &Atom, column: usize| {
-            let types = names.signatures[atom.relation.index()]
+            let types = names.signatures[atom.predicate.index()]
                 .columns
                 .as_deref()
                 .unwrap_or_default();
@@ -138,7 +138,7 @@ impl Scopes {
     }
 
     fn refuse(&self, clause: &Scope<'_>, guard: Guard, names: &Names, faults: &mut Faults) {
-        let scope = &names.relation(guard.relation).name;
+        let scope = &names.predicate(guard.predicate).name;
         let ego = names.type_name(guard.ego);
         let fault = Diagnostic::new(
             codes::INVALID_SCOPE,
@@ -165,7 +165,7 @@ impl Scopes {
         names: &mut Names,
         out: &mut Clauses,
     ) {
-        let head = clause.head.relation;
+        let head = clause.head.predicate;
         let mut targets: Vec<VarId> = (0..clause.guarded.len())
             .filter(|&at| clause.guarded[at])
             .map(variable)
@@ -186,7 +186,7 @@ impl Scopes {
                 Literal::Negative(atom) => {
                     out.edges.push(Edge {
                         from: head,
-                        to: guard.relation,
+                        to: guard.predicate,
                         kind: EdgeKind::Negates,
                         span: guard.span,
                     });
@@ -196,14 +196,14 @@ impl Scopes {
             }
         }
         let atom = |target: VarId| Atom {
-            relation: guard.relation,
+            predicate: guard.predicate,
             terms: vec![Term::Variable(ego), Term::Variable(target)],
             span: guard.span,
         };
         for target in targets {
             let guard_atom = atom(target);
             let written = clause.body.iter().any(|literal| match literal {
-                Literal::Positive(atom) => atom.relation == guard.relation && atom.terms == guard_atom.terms,
+                Literal::Positive(atom) => atom.predicate == guard.predicate && atom.terms == guard_atom.terms,
                 _ => false,
             });
             if !written {
@@ -212,7 +212,7 @@ impl Scopes {
         }
         out.edges.push(Edge {
             from: head,
-            to: guard.relation,
+            to: guard.predicate,
             kind: EdgeKind::Needs,
             span: guard.span,
         });
@@ -233,7 +233,7 @@ impl Scopes {
         // New numbering: 0 is the ego, then the other variables of the atom, then the `_`s in view.
         let mut others = vec![ego];
         let mut columns = vec![(guard.ego, variable_names[ego.index()].clone())];
-        let types = names.signatures[atom.relation.index()]
+        let types = names.signatures[atom.predicate.index()]
             .columns
             .clone()
             .unwrap_or_default();
@@ -248,21 +248,21 @@ impl Scopes {
             *term = Term::Variable(variable(position));
         }
         let definition = Hidden {
-            guard: guard.relation,
-            relation: atom.relation,
+            guard: guard.predicate,
+            predicate: atom.predicate,
             terms,
             in_view: in_view.to_vec(),
         };
-        let relation = match self.hidden.get(&definition) {
-            Some(&relation) => relation,
+        let predicate = match self.hidden.get(&definition) {
+            Some(&predicate) => predicate,
             None => {
-                let relation = self.define(&definition, &columns, atom.span, guard, names, out);
-                self.hidden.insert(definition, relation);
-                relation
+                let predicate = self.define(&definition, &columns, atom.span, guard, names, out);
+                self.hidden.insert(definition, predicate);
+                predicate
             }
         };
         Atom {
-            relation,
+            predicate,
             terms: others.into_iter().map(Term::Variable).collect(),
             span: atom.span,
         }
@@ -276,14 +276,14 @@ impl Scopes {
         guard: Guard,
         names: &mut Names,
         out: &mut Clauses,
-    ) -> RelId {
+    ) -> PredicateId {
         let doc = format!(
             "some `{}` in `{}`",
-            names.relation(definition.relation).name,
-            names.relation(guard.relation).name
+            names.predicate(definition.predicate).name,
+            names.predicate(guard.predicate).name
         );
         let hidden = columns.iter().map(|(ty, name)| (name.clone(), *ty)).collect();
-        let relation = names.hide(hidden, doc, span);
+        let predicate = names.hide(hidden, doc, span);
         let mut variables: Vec<String> = columns.iter().map(|(_, name)| name.clone()).collect();
         let mut terms = definition.terms.clone();
         let mut body = Vec::new();
@@ -293,7 +293,7 @@ impl Scopes {
                 variables.push("_".to_owned());
                 *term = fresh;
                 body.push(Literal::Guard(Atom {
-                    relation: guard.relation,
+                    predicate: guard.predicate,
                     terms: vec![Term::Variable(VarId(0)), fresh],
                     span: guard.span,
                 }));
@@ -302,14 +302,14 @@ impl Scopes {
         body.insert(
             0,
             Literal::Positive(Atom {
-                relation: definition.relation,
+                predicate: definition.predicate,
                 terms,
                 span,
             }),
         );
         out.hidden.push(Clause {
             head: Atom {
-                relation,
+                predicate,
                 terms: (0..columns.len()).map(|at| Term::Variable(variable(at))).collect(),
                 span,
             },
@@ -319,7 +319,7 @@ impl Scopes {
             doc: String::new(),
             span,
         });
-        relation
+        predicate
     }
 }
 

@@ -9,7 +9,7 @@ use crate::diag::{Diagnostic, Faults};
 
 use crate::check::clauses::{Edge, EdgeKind};
 use crate::check::names::Names;
-use crate::check::rules::{Clause, ClauseId, RelId, Relation, Stratum};
+use crate::check::rules::{Clause, ClauseId, Predicate, PredicateId, Stratum};
 
 /// Maximum number of cycles reported in one component.
 const MAX_CYCLES: usize = 8;
@@ -20,7 +20,7 @@ const SHOWN_MAX: usize = 16;
 /// Reports cycles through negation or aggregation. For each such atom on a cycle this is the shortest cycle through it,
 /// unless a reported cycle already contains it.
 pub(crate) fn check(edges: &[Edge], names: &Names, faults: &mut Faults) {
-    let count = names.relations.len();
+    let count = names.predicates.len();
     let mut out: Vec<Vec<usize>> = vec![Vec::new(); count];
     for (index, edge) in edges.iter().enumerate() {
         out[edge.from.index()].push(index);
@@ -50,7 +50,7 @@ pub(crate) fn check(edges: &[Edge], names: &Names, faults: &mut Faults) {
         for &step in &back {
             covered[step] = true;
         }
-        let name = |id: RelId| names.relation(id).name.as_str();
+        let name = |id: PredicateId| names.predicate(id).name.as_str();
         let what = match edge.kind {
             EdgeKind::Aggregates => "an aggregate over itself",
             _ => "its own negation",
@@ -98,12 +98,12 @@ pub(crate) fn check(edges: &[Edge], names: &Names, faults: &mut Faults) {
 }
 
 fn through(edge: &Edge, back: &[usize], edges: &[Edge], names: &Names) -> String {
-    let between: Vec<RelId> = std::iter::once(edge.to)
+    let between: Vec<PredicateId> = std::iter::once(edge.to)
         .chain(back.iter().map(|&step| edges[step].to))
         .filter(|&id| id != edge.from)
         .collect();
     let shown = between.iter().take(SHOWN_MAX);
-    let mut shown: Vec<String> = shown.map(|&id| format!("`{}`", names.relation(id).name)).collect();
+    let mut shown: Vec<String> = shown.map(|&id| format!("`{}`", names.predicate(id).name)).collect();
     if between.len() > SHOWN_MAX {
         shown.push(format!("{} others", between.len() - SHOWN_MAX));
     }
@@ -193,31 +193,33 @@ pub(crate) fn components(successors: &[Vec<usize>]) -> (Vec<usize>, usize) {
 
 /// Returns the strata of the predicates with clauses, in topological order. Ties go to the predicate that is declared
 /// first. A predicate with parameters has no stratum: the strata of its readers evaluate it.
-pub(crate) fn order(relations: &[Relation], clauses: &[Clause]) -> Vec<Stratum> {
-    let mut successors: Vec<Vec<usize>> = vec![Vec::new(); relations.len()];
-    let mut defining: Vec<Vec<ClauseId>> = vec![Vec::new(); relations.len()];
+pub(crate) fn order(predicates: &[Predicate], clauses: &[Clause]) -> Vec<Stratum> {
+    let mut successors: Vec<Vec<usize>> = vec![Vec::new(); predicates.len()];
+    let mut defining: Vec<Vec<ClauseId>> = vec![Vec::new(); predicates.len()];
     for (index, clause) in clauses.iter().enumerate() {
-        let head = clause.head.relation.index();
-        if relations[head].parameters == 0 {
+        let head = clause.head.predicate.index();
+        if predicates[head].parameters == 0 {
             defining[head].push(ClauseId(u32::try_from(index).expect("fewer than 2^32 clauses")));
         }
         for literal in &clause.body {
             if let Some(atom) = literal.atom() {
-                successors[head].push(atom.relation.index());
+                successors[head].push(atom.predicate.index());
             }
         }
     }
     let (component, count) = components(&successors);
-    let mut members: Vec<Vec<RelId>> = vec![Vec::new(); count];
-    for relation in 0..relations.len() {
-        members[component[relation]].push(RelId(u32::try_from(relation).expect("fewer than 2^32 predicates")));
+    let mut members: Vec<Vec<PredicateId>> = vec![Vec::new(); count];
+    for predicate in 0..predicates.len() {
+        members[component[predicate]].push(PredicateId(
+            u32::try_from(predicate).expect("fewer than 2^32 predicates"),
+        ));
     }
     let mut waiting = vec![0_usize; count];
     let mut dependants: Vec<Vec<usize>> = vec![Vec::new(); count];
     let mut recursive = vec![false; count];
-    for (relation, list) in successors.iter().enumerate() {
+    for (predicate, list) in successors.iter().enumerate() {
         for &needed in list {
-            let (home, other) = (component[relation], component[needed]);
+            let (home, other) = (component[predicate], component[needed]);
             if home == other {
                 recursive[home] = true;
             } else {
@@ -245,7 +247,7 @@ pub(crate) fn order(relations: &[Relation], clauses: &[Clause]) -> Vec<Stratum> 
         }
         own.sort_unstable();
         strata.push(Stratum {
-            relations: members[stratum].clone(),
+            predicates: members[stratum].clone(),
             clauses: own,
             recursive: recursive[stratum],
         });

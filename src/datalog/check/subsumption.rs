@@ -11,7 +11,7 @@ use std::cmp::Ordering;
 use std::collections::btree_map::Entry;
 use std::collections::{BTreeMap, BTreeSet};
 
-use crate::check::rules::{Clause, Literal, RelId, Term};
+use crate::check::rules::{Clause, Literal, PredicateId, Term};
 use crate::check::subsets::{Budget, Subsets};
 use crate::syntax::ast::{BaseType, Comparison};
 use crate::syntax::functor::Functor;
@@ -42,7 +42,7 @@ pub(crate) const GREATER: u8 = 4;
 pub(crate) enum Fact {
     Atom {
         holds: bool,
-        relation: RelId,
+        predicate: PredicateId,
         args: Vec<Arg>,
     },
     /// A comparison of symbols or whole numbers, with the smaller argument on the left.
@@ -61,17 +61,17 @@ pub(crate) enum Operator {
 /// in this order, so that atoms bind the variables of comparisons and negated atoms.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, PartialOrd, Ord, Hash)]
 enum Kind {
-    Positive(RelId),
+    Positive(PredicateId),
     Opaque(Operator),
     Compare,
-    Negative(RelId),
+    Negative(PredicateId),
 }
 
 impl Fact {
     fn kind(&self) -> Kind {
         match self {
-            Fact::Atom { holds, relation, .. } if *holds => Kind::Positive(*relation),
-            Fact::Atom { relation, .. } => Kind::Negative(*relation),
+            Fact::Atom { holds, predicate, .. } if *holds => Kind::Positive(*predicate),
+            Fact::Atom { predicate, .. } => Kind::Negative(*predicate),
             Fact::Compare { .. } => Kind::Compare,
             Fact::Opaque { operator, .. } => Kind::Opaque(*operator),
         }
@@ -120,12 +120,12 @@ pub(crate) fn facts(clause: &Clause, once_is_any: bool) -> Vec<Fact> {
         Some(match literal {
             Literal::Positive(atom) | Literal::Guard(atom) => Fact::Atom {
                 holds: true,
-                relation: atom.relation,
+                predicate: atom.predicate,
                 args: atom.terms.iter().map(|term| arg(term, true)).collect(),
             },
             Literal::Negative(atom) => Fact::Atom {
                 holds: false,
-                relation: atom.relation,
+                predicate: atom.predicate,
                 args: atom.terms.iter().map(plain).collect(),
             },
             Literal::Compare {
@@ -221,16 +221,16 @@ fn turned(allowed: u8) -> u8 {
 pub(crate) fn covers(known: &Fact, wanted: &Fact) -> bool {
     match (known, wanted) {
         (
-            Fact::Atom { holds, relation, args },
+            Fact::Atom { holds, predicate, args },
             Fact::Atom {
                 holds: h,
-                relation: r,
+                predicate: r,
                 args: wanted,
             },
         ) => {
             let one =
                 |(&known, &wanted): (&Arg, &Arg)| known == wanted || if *holds { wanted } else { known } == Arg::Any;
-            holds == h && relation == r && args.iter().zip(wanted).all(one)
+            holds == h && predicate == r && args.iter().zip(wanted).all(one)
         }
         (
             Fact::Compare { allowed, left, right },
@@ -257,7 +257,7 @@ pub(crate) trait Theory {
     }
 
     /// Returns whether the predicate never relates a value to itself.
-    fn is_irreflexive(&self, _: RelId) -> bool {
+    fn is_irreflexive(&self, _: PredicateId) -> bool {
         false
     }
 }
@@ -333,7 +333,8 @@ impl Pattern {
     fn required(&self, theory: &dyn Theory) -> BTreeSet<Trait> {
         let mut traits = traits(&self.head, &self.general);
         // That a predicate relates no value to itself may hold without a literal.
-        traits.retain(|one| !matches!(one, Trait::Kind(Kind::Negative(relation)) if theory.is_irreflexive(*relation)));
+        traits
+            .retain(|one| !matches!(one, Trait::Kind(Kind::Negative(predicate)) if theory.is_irreflexive(*predicate)));
         traits
     }
 

@@ -1,6 +1,6 @@
 //! Decides which strata the dense executor can evaluate.
 
-use crate::check::{Atom, ClauseId, Literal, RelId, Rules, Stratum, Term};
+use crate::check::{Atom, ClauseId, Literal, PredicateId, Rules, Stratum, Term};
 use crate::dense::body::{DenseBody, PAIR, decompose};
 use crate::dense::program::Dense;
 use crate::diag::Span;
@@ -64,7 +64,7 @@ pub struct Unsupported {
     pub span: Span,
     /// The predicate of the stratum that the clause reads, directly or through others, if the clause is in another
     /// stratum. Relational strata run before dense ones.
-    pub reads: Option<RelId>,
+    pub reads: Option<PredicateId>,
 }
 
 /// A construct that the dense executor does not support.
@@ -72,11 +72,11 @@ pub struct Unsupported {
 #[non_exhaustive]
 pub enum Construct {
     /// The predicate depends on itself.
-    Recursion(RelId),
+    Recursion(PredicateId),
     /// The predicate has no columns, or more than two.
-    Columns(RelId),
+    Columns(PredicateId),
     /// The predicate has a column that does not hold symbols.
-    NotSymbols(RelId),
+    NotSymbols(PredicateId),
     /// A constant.
     Constant,
     /// An expression.
@@ -94,25 +94,25 @@ pub enum Construct {
 impl Unsupported {
     /// Returns the reason as a sentence without a full stop, to follow "because".
     pub fn show(&self, rules: &Rules) -> String {
-        let named = |relation: RelId| {
-            let relation = &rules.relations[relation.index()];
-            match relation.hidden {
-                true => relation.doc.clone(),
-                false => format!("`{}`", relation.name),
+        let named = |predicate: PredicateId| {
+            let predicate = &rules.predicates[predicate.index()];
+            match predicate.hidden {
+                true => predicate.doc.clone(),
+                false => format!("`{}`", predicate.name),
             }
         };
-        let head = named(rules.clauses[self.clause.index()].head.relation);
+        let head = named(rules.clauses[self.clause.index()].head.predicate);
         match self.construct {
-            Construct::Recursion(relation) => format!("{} depends on itself", named(relation)),
-            Construct::Columns(relation) => format!(
+            Construct::Recursion(predicate) => format!("{} depends on itself", named(predicate)),
+            Construct::Columns(predicate) => format!(
                 "a clause of {head} uses {}, which has {} columns, not one or two",
-                named(relation),
-                rules.relations[relation.index()].arity()
+                named(predicate),
+                rules.predicates[predicate.index()].arity()
             ),
-            Construct::NotSymbols(relation) => {
+            Construct::NotSymbols(predicate) => {
                 format!(
                     "a clause of {head} uses {}, which has a column that does not hold symbols",
-                    named(relation)
+                    named(predicate)
                 )
             }
             Construct::Constant => format!("a clause of {head} names a constant"),
@@ -161,10 +161,10 @@ pub fn choose(rules: &Rules) -> Choice {
     let obstacles = rules.strata.iter().map(|stratum| obstacle(rules, stratum));
     let obstacles = obstacles.map(|found| found.map(|one| visible(rules, &aggregates, one)));
     let mut relational: Vec<Option<Unsupported>> = obstacles.collect();
-    let mut home = vec![None; rules.relations.len()];
+    let mut home = vec![None; rules.predicates.len()];
     for (position, stratum) in rules.strata.iter().enumerate() {
-        for relation in &stratum.relations {
-            home[relation.index()] = Some(position);
+        for predicate in &stratum.predicates {
+            home[predicate.index()] = Some(position);
         }
     }
     // A predicate that does not fit is derived by a clause that does not: that one is the root.
@@ -187,12 +187,12 @@ pub fn choose(rules: &Rules) -> Choice {
         let Some(root) = relational[position].clone() else {
             continue;
         };
-        for relation in rules.read_by(rules.strata[position].clauses.iter().copied()).0 {
-            if let Some(read) = home[relation.index()]
+        for predicate in rules.read_by(rules.strata[position].clauses.iter().copied()).0 {
+            if let Some(read) = home[predicate.index()]
                 && read != position
             {
                 relational[read].get_or_insert(Unsupported {
-                    reads: Some(relation),
+                    reads: Some(predicate),
                     ..root.clone()
                 });
             }
@@ -234,11 +234,11 @@ fn obstacle(rules: &Rules, stratum: &Stratum) -> Option<Unsupported> {
         }
     };
     if stratum.recursive {
-        let within = |atom: &&Atom| stratum.relations.contains(&atom.relation);
+        let within = |atom: &&Atom| stratum.predicates.contains(&atom.predicate);
         let step = |&clause: &ClauseId| {
             let mut atoms = rules.clauses[clause.index()].body.iter().filter_map(Literal::atom);
             let atom = atoms.find(within)?;
-            Some(at(clause)((Construct::Recursion(atom.relation), atom.span)))
+            Some(at(clause)((Construct::Recursion(atom.predicate), atom.span)))
         };
         return stratum.clauses.iter().find_map(step);
     }
@@ -265,8 +265,8 @@ fn obstacle(rules: &Rules, stratum: &Stratum) -> Option<Unsupported> {
 /// Returns the reason in the clause that the author wrote: for one in a hidden predicate, the aggregate that the
 /// predicate belongs to.
 fn visible(rules: &Rules, aggregates: &Aggregates, found: Unsupported) -> Unsupported {
-    let head = rules.clauses[found.clause.index()].head.relation;
-    let aggregate = aggregates.get(&head).filter(|_| rules.relations[head.index()].hidden);
+    let head = rules.clauses[found.clause.index()].head.predicate;
+    let aggregate = aggregates.get(&head).filter(|_| rules.predicates[head.index()].hidden);
     match aggregate {
         Some(&(clause, op, span)) => Unsupported {
             construct: Construct::Aggregate(op),
@@ -279,14 +279,14 @@ fn visible(rules: &Rules, aggregates: &Aggregates, found: Unsupported) -> Unsupp
 }
 
 /// The first aggregate over each predicate.
-type Aggregates = HashMap<RelId, (ClauseId, AggregateOp, Span)>;
+type Aggregates = HashMap<PredicateId, (ClauseId, AggregateOp, Span)>;
 
 fn aggregates(rules: &Rules) -> Aggregates {
     let mut found = Aggregates::new();
     for (clause, id) in rules.clauses.iter().zip((0..).map(ClauseId)) {
         for literal in &clause.body {
             if let Literal::Aggregate { op, atom, .. } = literal {
-                found.entry(atom.relation).or_insert((id, *op, atom.span));
+                found.entry(atom.predicate).or_insert((id, *op, atom.span));
             }
         }
     }
@@ -321,12 +321,12 @@ fn obstacle_in(rules: &Rules, literal: &Literal) -> Option<(Construct, Span)> {
 }
 
 fn unfit(rules: &Rules, atom: &Atom) -> Option<(Construct, Span)> {
-    let relation = &rules.relations[atom.relation.index()];
-    if !(1..=2).contains(&relation.arity()) {
-        return Some((Construct::Columns(atom.relation), atom.span));
+    let predicate = &rules.predicates[atom.predicate.index()];
+    if !(1..=2).contains(&predicate.arity()) {
+        return Some((Construct::Columns(atom.predicate), atom.span));
     }
-    if relation.columns.iter().any(|column| column.base != BaseType::Symbol) {
-        return Some((Construct::NotSymbols(atom.relation), atom.span));
+    if predicate.columns.iter().any(|column| column.base != BaseType::Symbol) {
+        return Some((Construct::NotSymbols(atom.predicate), atom.span));
     }
     let constant = atom.terms.iter().any(|term| matches!(term, Term::Constant(_)));
     constant.then_some((Construct::Constant, atom.span))

@@ -1,6 +1,6 @@
 //! The conditions of a clause on its variables, and searches for existential variables.
 
-use crate::check::{Atom, Clause, Literal, RelId, Term};
+use crate::check::{Atom, Clause, Literal, PredicateId, Term};
 use crate::dense::program::Argument;
 use crate::syntax::ast::Comparison;
 use std::collections::{BTreeMap, BTreeSet};
@@ -11,17 +11,17 @@ pub(super) type Var = usize;
 /// A condition on one variable.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, PartialOrd, Ord)]
 pub(super) enum Property {
-    Holds(RelId),
-    Diagonal(RelId),
+    Holds(PredicateId),
+    Diagonal(PredicateId),
     /// The predicate relates some entity to it; it is in this column.
-    Related(RelId, Argument),
+    Related(PredicateId, Argument),
 }
 
 /// A literal over variables.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, PartialOrd, Ord)]
 pub(super) enum Lit {
     Is(Property, Var, bool),
-    Pair(RelId, Var, Var, bool),
+    Pair(PredicateId, Var, Var, bool),
     Same(Var, Var, bool),
 }
 
@@ -29,7 +29,7 @@ impl Lit {
     fn negated(self) -> Lit {
         match self {
             Lit::Is(property, of, holds) => Lit::Is(property, of, !holds),
-            Lit::Pair(relation, left, right, holds) => Lit::Pair(relation, left, right, !holds),
+            Lit::Pair(predicate, left, right, holds) => Lit::Pair(predicate, left, right, !holds),
             Lit::Same(left, right, holds) => Lit::Same(left, right, !holds),
         }
     }
@@ -69,24 +69,24 @@ impl DenseBody {
         }
         for literal in &clause.body {
             match literal {
-                Literal::Positive(Atom { relation, terms, .. }) | Literal::Guard(Atom { relation, terms, .. }) => {
+                Literal::Positive(Atom { predicate, terms, .. }) | Literal::Guard(Atom { predicate, terms, .. }) => {
                     let terms: Vec<Var> = terms.iter().map(|term| number(term, &mut fresh)).collect();
-                    literals.push(about(*relation, &terms, true));
+                    literals.push(about(*predicate, &terms, true));
                 }
-                Literal::Negative(Atom { relation, terms, .. }) => literals.push(match terms.as_slice() {
+                Literal::Negative(Atom { predicate, terms, .. }) => literals.push(match terms.as_slice() {
                     [term, Term::Wildcard] => Lit::Is(
-                        Property::Related(*relation, Argument::First),
+                        Property::Related(*predicate, Argument::First),
                         number(term, &mut fresh),
                         false,
                     ),
                     [Term::Wildcard, term] => Lit::Is(
-                        Property::Related(*relation, Argument::Second),
+                        Property::Related(*predicate, Argument::Second),
                         number(term, &mut fresh),
                         false,
                     ),
                     terms => {
                         let terms: Vec<Var> = terms.iter().map(|term| number(term, &mut fresh)).collect();
-                        about(*relation, &terms, false)
+                        about(*predicate, &terms, false)
                     }
                 }),
                 Literal::Compare { op, left, right, .. } => {
@@ -140,7 +140,7 @@ impl DenseBody {
 
     /// Whether the predicate relates the head's first variable to all others, and no condition quantifies over all
     /// entities.
-    pub fn is_guarded_by(&self, guard: RelId) -> bool {
+    pub fn is_guarded_by(&self, guard: PredicateId) -> bool {
         let asks_all = |literal: &Lit| matches!(literal, Lit::Is(Property::Related(..), ..));
         let guarded = |var| self.literals.contains(&Lit::Pair(guard, 0, var, true));
         (1..self.variables).all(guarded) && !self.literals.iter().any(asks_all)
@@ -157,11 +157,11 @@ impl DenseBody {
     }
 }
 
-fn about(relation: RelId, terms: &[Var], holds: bool) -> Lit {
+fn about(predicate: PredicateId, terms: &[Var], holds: bool) -> Lit {
     match *terms {
-        [of] => Lit::Is(Property::Holds(relation), of, holds),
-        [left, right] if left == right => Lit::Is(Property::Diagonal(relation), left, holds),
-        [left, right] => Lit::Pair(relation, left, right, holds),
+        [of] => Lit::Is(Property::Holds(predicate), of, holds),
+        [left, right] if left == right => Lit::Is(Property::Diagonal(predicate), left, holds),
+        [left, right] => Lit::Pair(predicate, left, right, holds),
         _ => unreachable!("a dense predicate has one or two columns"),
     }
 }
@@ -173,15 +173,15 @@ pub(super) type SearchPlan = Vec<Seek>;
 #[derive(Clone, Debug, Default, PartialEq, Eq, PartialOrd, Ord)]
 pub(super) struct Seek {
     pub properties: Vec<(Property, bool)>,
-    /// (relation, position of the bound variable, whether it holds).
-    pub relations: Vec<(Relates, usize, bool)>,
+    /// (predicate, position of the bound variable, whether it holds).
+    pub predicates: Vec<(Relates, usize, bool)>,
 }
 
-/// A relation between a value and a bound variable.
+/// A predicate between a value and a bound variable.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, PartialOrd, Ord)]
 pub(super) enum Relates {
     /// The predicate relates them; the value is in this column.
-    By(RelId, Argument),
+    By(PredicateId, Argument),
     Same,
 }
 
@@ -196,14 +196,14 @@ impl DenseBody {
     }
 
     /// Returns the conditions that relate `var` to a bound variable; `bound` lists these in binding order.
-    fn relations(&self, var: Var, bound: &[Var]) -> Vec<(Relates, usize, bool)> {
+    fn predicates(&self, var: Var, bound: &[Var]) -> Vec<(Relates, usize, bool)> {
         let place = |of: Var| bound.iter().position(|&bound| bound == of);
         let of = |literal: &Lit| match *literal {
-            Lit::Pair(relation, left, right, holds) if right == var => {
-                Some((Relates::By(relation, Argument::Second), place(left)?, holds))
+            Lit::Pair(predicate, left, right, holds) if right == var => {
+                Some((Relates::By(predicate, Argument::Second), place(left)?, holds))
             }
-            Lit::Pair(relation, left, right, holds) if left == var => {
-                Some((Relates::By(relation, Argument::First), place(right)?, holds))
+            Lit::Pair(predicate, left, right, holds) if left == var => {
+                Some((Relates::By(predicate, Argument::First), place(right)?, holds))
             }
             Lit::Same(left, right, holds) if right == var => Some((Relates::Same, place(left)?, holds)),
             Lit::Same(left, right, holds) if left == var => Some((Relates::Same, place(right)?, holds)),
@@ -214,7 +214,7 @@ impl DenseBody {
 
     /// Returns how to search for a group. The search begins with `first`, if given. It tests `guards` first, since they
     /// leave few values.
-    pub fn search(&self, group: &[Var], first: Option<Var>, guards: &[RelId]) -> SearchPlan {
+    pub fn search(&self, group: &[Var], first: Option<Var>, guards: &[PredicateId]) -> SearchPlan {
         let order = match group.len() {
             0..=PAIR => self.most_known_first(group, first),
             _ => self.last_eliminated_first(group, first),
@@ -222,14 +222,14 @@ impl DenseBody {
         let mut bound: Vec<Var> = vec![0];
         let mut search = Vec::new();
         for next in order {
-            let mut relations = self.relations(next, &bound);
-            relations.sort_by_key(|&(relates, to, holds)| {
-                let guards = matches!(relates, Relates::By(relation, _) if guards.contains(&relation));
+            let mut predicates = self.predicates(next, &bound);
+            predicates.sort_by_key(|&(relates, to, holds)| {
+                let guards = matches!(relates, Relates::By(predicate, _) if guards.contains(&predicate));
                 (!holds, !guards, relates, to)
             });
             search.push(Seek {
                 properties: self.properties(next),
-                relations,
+                predicates,
             });
             bound.push(next);
         }
@@ -242,8 +242,8 @@ impl DenseBody {
         let mut rest = group.to_vec();
         while !rest.is_empty() {
             let known = |&var: &Var| {
-                let relations = self.relations(var, &bound);
-                let holding = relations.iter().filter(|(_, _, holds)| *holds).count();
+                let predicates = self.predicates(var, &bound);
+                let holding = predicates.iter().filter(|(_, _, holds)| *holds).count();
                 (
                     Some(var) == first,
                     holding,
@@ -328,7 +328,7 @@ pub(super) struct Branch {
 pub(super) fn decompose(search: &SearchPlan) -> Vec<Branch> {
     let mut branches: Vec<Branch> = (search.iter())
         .map(|seek| {
-            let bound: BTreeSet<usize> = seek.relations.iter().map(|&(_, to, _)| to).collect();
+            let bound: BTreeSet<usize> = seek.predicates.iter().map(|&(_, to, _)| to).collect();
             Branch {
                 of_head: bound.contains(&0),
                 separator: bound.into_iter().filter(|&to| to != 0).collect(),

@@ -1,6 +1,6 @@
 //! Compiles rules to a list of operations on sets.
 
-use crate::check::{ClauseId, Literal, RelId, Rules};
+use crate::check::{ClauseId, Literal, PredicateId, Rules};
 use crate::dense::analyze::Choice;
 use crate::dense::body::{DenseBody, Lit, PAIR, Property, Relates, SearchPlan, Seek, decompose};
 use crate::dense::program::{
@@ -14,11 +14,11 @@ impl Dense {
     ///
     /// `steady` names inputs that seldom change. Sets that depend on these alone are recomputed only when one of them
     /// changes.
-    pub fn new(rules: &Rules, choice: &Choice, counting: TrackFirings, steady: impl Fn(RelId) -> bool) -> Dense {
+    pub fn new(rules: &Rules, choice: &Choice, counting: TrackFirings, steady: impl Fn(PredicateId) -> bool) -> Dense {
         let strata = || (rules.strata.iter().enumerate()).filter(|(position, _)| choice.is_dense(*position));
-        let mut derived = vec![false; rules.relations.len()];
-        for relation in strata().flat_map(|(_, stratum)| &stratum.relations) {
-            derived[relation.index()] = true;
+        let mut derived = vec![false; rules.predicates.len()];
+        for predicate in strata().flat_map(|(_, stratum)| &stratum.predicates) {
+            derived[predicate.index()] = true;
         }
         let clauses = strata().flat_map(|(_, stratum)| &stratum.clauses);
         let bodies: Vec<(ClauseId, DenseBody)> = clauses
@@ -30,8 +30,8 @@ impl Dense {
         compiler.find_shared(&bodies);
         let mut bodies = bodies.iter().peekable();
         for (_, stratum) in strata() {
-            for &relation in &stratum.relations {
-                compiler.declare(relation);
+            for &predicate in &stratum.predicates {
+                compiler.declare(predicate);
             }
             while let Some((clause, body)) = bodies.next_if(|(clause, _)| stratum.clauses.contains(clause)) {
                 compiler.clause(*clause, body);
@@ -69,10 +69,10 @@ enum Changes {
 struct Compiler<'a> {
     rules: &'a Rules,
     counting: TrackFirings,
-    /// By [`RelId`].
+    /// By [`PredicateId`].
     derived: Vec<bool>,
     /// The predicates of scope guards.
-    guards: Vec<RelId>,
+    guards: Vec<PredicateId>,
     out: Dense,
     known_properties: BTreeMap<Property, Reg>,
     /// The number of uses of each condition.
@@ -92,9 +92,9 @@ struct Compiler<'a> {
 impl<'a> Compiler<'a> {
     fn new(rules: &'a Rules, counting: TrackFirings, derived: Vec<bool>) -> Self {
         let literals = rules.clauses.iter().flat_map(|clause| &clause.body);
-        let mut guards: Vec<RelId> = literals
+        let mut guards: Vec<PredicateId> = literals
             .filter_map(|literal| match literal {
-                Literal::Guard(atom) => Some(atom.relation),
+                Literal::Guard(atom) => Some(atom.predicate),
                 _ => None,
             })
             .collect();
@@ -118,7 +118,7 @@ impl<'a> Compiler<'a> {
                 settling: Vec::new(),
                 ops: Vec::new(),
                 cleared: Vec::new(),
-                homes: vec![Home::Input; rules.relations.len()],
+                homes: vec![Home::Input; rules.predicates.len()],
                 fired: vec![None; rules.clauses.len()],
                 local: true,
                 guards: Vec::new(),
@@ -134,38 +134,38 @@ impl<'a> Compiler<'a> {
     }
 
     fn is_given(&self, property: Property) -> bool {
-        let (Property::Holds(relation) | Property::Diagonal(relation) | Property::Related(relation, _)) = property;
-        !self.derived[relation.index()]
+        let (Property::Holds(predicate) | Property::Diagonal(predicate) | Property::Related(predicate, _)) = property;
+        !self.derived[predicate.index()]
     }
 
     /// Numbers the input sets and determines whether the program is local.
-    fn find_inputs(&mut self, bodies: &[(ClauseId, DenseBody)], steady: impl Fn(RelId) -> bool) {
+    fn find_inputs(&mut self, bodies: &[(ClauseId, DenseBody)], steady: impl Fn(PredicateId) -> bool) {
         let mut given = BTreeSet::new();
         for literal in bodies.iter().flat_map(|(_, body)| &body.literals) {
             if let Lit::Is(property, _, holds) = *literal {
                 *self.uses.entry((property, holds)).or_default() += 1;
             }
-            let (relation, of_head) = match *literal {
-                Lit::Is(Property::Related(relation, axis), var, _) => (relation, var == 0 && axis == Argument::First),
-                Lit::Is(property @ (Property::Holds(relation) | Property::Diagonal(relation)), var, _) => {
+            let (predicate, of_head) = match *literal {
+                Lit::Is(Property::Related(predicate, axis), var, _) => (predicate, var == 0 && axis == Argument::First),
+                Lit::Is(property @ (Property::Holds(predicate) | Property::Diagonal(predicate)), var, _) => {
                     if self.is_given(property) {
-                        given.insert((steady(relation), property));
+                        given.insert((steady(predicate), property));
                     }
-                    (relation, var == 0)
+                    (predicate, var == 0)
                 }
-                Lit::Pair(relation, left, _, _) => (relation, left == 0),
+                Lit::Pair(predicate, left, _, _) => (predicate, left == 0),
                 Lit::Same(..) => continue,
             };
-            self.out.local &= of_head || !self.derived[relation.index()];
+            self.out.local &= of_head || !self.derived[predicate.index()];
         }
-        let guards_all = |guard: &RelId| bodies.iter().all(|(_, body)| body.is_guarded_by(*guard));
+        let guards_all = |guard: &PredicateId| bodies.iter().all(|(_, body)| body.is_guarded_by(*guard));
         self.out.guards = self.guards.iter().copied().filter(guards_all).collect();
         for (steady, property) in given {
             let set = self.set(if steady { Changes::Seldom } else { Changes::Often });
             self.known_properties.insert(property, set);
             self.out.inputs.push(match property {
-                Property::Diagonal(relation) => Input::Diagonal(relation),
-                Property::Holds(relation) | Property::Related(relation, _) => Input::Unary(relation),
+                Property::Diagonal(predicate) => Input::Diagonal(predicate),
+                Property::Holds(predicate) | Property::Related(predicate, _) => Input::Unary(predicate),
             });
             self.out.restless += usize::from(!steady);
         }
@@ -208,8 +208,8 @@ impl<'a> Compiler<'a> {
         self.out.row_lists - 1
     }
 
-    fn declare(&mut self, relation: RelId) {
-        self.out.homes[relation.index()] = match self.rules.relations[relation.index()].arity() {
+    fn declare(&mut self, predicate: PredicateId) {
+        self.out.homes[predicate.index()] = match self.rules.predicates[predicate.index()].arity() {
             1 => {
                 let set = self.cleared(Changes::Within);
                 self.heads.push(set);
@@ -227,7 +227,7 @@ impl<'a> Compiler<'a> {
     }
 
     fn clause(&mut self, id: ClauseId, body: &DenseBody) {
-        let head = self.rules.clauses[id.index()].head.relation;
+        let head = self.rules.clauses[id.index()].head.predicate;
         let mut asked = self.ask(&body.properties(0));
         asked.push(Asked::of(Reg::EGOS));
         let mut own = Vec::new();
@@ -400,26 +400,26 @@ impl<'a> Compiler<'a> {
             return set;
         }
         let set = match property {
-            Property::Holds(relation) => match self.out.homes[relation.index()] {
+            Property::Holds(predicate) => match self.out.homes[predicate.index()] {
                 Home::Set(set) => set,
                 Home::Input | Home::Rows(_) => unreachable!("input sets are numbered before"),
             },
-            Property::Diagonal(relation) => {
-                let Home::Rows(rows) = self.out.homes[relation.index()] else {
+            Property::Diagonal(predicate) => {
+                let Home::Rows(rows) = self.out.homes[predicate.index()] else {
                     unreachable!("input sets are numbered before")
                 };
                 let dst = self.set(Changes::Often);
                 self.out.ops.push(Op::Rare(Rare::Diagonal { dst, rows }));
                 dst
             }
-            Property::Related(relation, axis) => {
+            Property::Related(predicate, axis) => {
                 let other = match axis {
                     Argument::First => Argument::Second,
                     Argument::Second => Argument::First,
                 };
                 let search = vec![Seek {
                     properties: Vec::new(),
-                    relations: vec![(Relates::By(relation, other), 0, true)],
+                    predicates: vec![(Relates::By(predicate, other), 0, true)],
                 }];
                 self.exists(Reg::ALL, Reg::ALL, &search)
             }
@@ -497,7 +497,7 @@ impl<'a> Compiler<'a> {
     fn steps(&mut self, search: &SearchPlan) -> Vec<SearchStep> {
         let step = |seek: &Seek| {
             let asked = self.ask(&seek.properties);
-            let tests = (seek.relations.iter())
+            let tests = (seek.predicates.iter())
                 .map(|&(relates, to, holds)| Test {
                     list: self.place(relates),
                     to,
@@ -513,13 +513,13 @@ impl<'a> Compiler<'a> {
     }
 
     fn place(&mut self, relates: Relates) -> Place {
-        let Relates::By(relation, axis) = relates else {
+        let Relates::By(predicate, axis) = relates else {
             return Place::Same;
         };
-        if let Home::Rows(rows) = self.out.homes[relation.index()] {
+        if let Home::Rows(rows) = self.out.homes[predicate.index()] {
             return Place::Derived(rows, axis);
         }
-        let list = List(relation, axis);
+        let list = List(predicate, axis);
         let known = self.out.lists.iter().position(|&known| known == list);
         Place::Input(known.unwrap_or_else(|| {
             self.out.lists.push(list);

@@ -1,6 +1,6 @@
 //! Facts stored as bits.
 
-use crate::check::RelId;
+use crate::check::PredicateId;
 use crate::dense::program::{Argument, Dense, Input, List, Reg};
 use crate::dense::run::BitState;
 use crate::dense::search::BinaryFacts;
@@ -32,12 +32,12 @@ impl<const W: usize> BitFacts<W> {
     ///
     /// # Panics
     /// If a position is not less than the number of entities.
-    pub fn insert(&mut self, program: &Dense, relation: RelId, row: &[usize]) {
+    pub fn insert(&mut self, program: &Dense, predicate: PredicateId, row: &[usize]) {
         assert!(row.iter().all(|&entity| entity < self.count), "unknown entity");
         for (&input, set) in program.inputs().iter().zip(&mut self.inputs) {
             let holds = match (input, row) {
-                (Input::Unary(read), [_]) => read == relation,
-                (Input::Diagonal(read), [x, y]) => read == relation && x == y,
+                (Input::Unary(read), [_]) => read == predicate,
+                (Input::Diagonal(read), [x, y]) => read == predicate && x == y,
                 _ => false,
             };
             if holds {
@@ -47,8 +47,8 @@ impl<const W: usize> BitFacts<W> {
         if let &[x, y] = row {
             for (position, list) in program.lists().iter().enumerate() {
                 let (at, member) = match *list {
-                    List(read, Argument::Second) if read == relation => (x, y),
-                    List(read, Argument::First) if read == relation => (y, x),
+                    List(read, Argument::Second) if read == predicate => (x, y),
+                    List(read, Argument::First) if read == predicate => (y, x),
                     List(..) => continue,
                 };
                 self.lists[position * W + at / 64][at % 64][member / 64] |= 1 << (member % 64);

@@ -1,6 +1,6 @@
 //! The program of the dense executor: a list of operations on numbered sets.
 
-use crate::check::{ClauseId, RelId};
+use crate::check::{ClauseId, PredicateId};
 
 /// The number of a set in a [`BitState`](super::BitState).
 #[derive(Clone, Copy, Debug, PartialEq, Eq, PartialOrd, Ord)]
@@ -174,15 +174,15 @@ pub enum Argument {
 #[derive(Clone, Copy, Debug, PartialEq, Eq, PartialOrd, Ord, Hash)]
 pub enum Input {
     /// The entities of a one-column predicate.
-    Unary(RelId),
+    Unary(PredicateId),
     /// The entities that a two-column predicate relates to themselves.
-    Diagonal(RelId),
+    Diagonal(PredicateId),
 }
 
 /// An input list, which the caller provides: for each value of one column of the predicate, the values of the named
 /// other column.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, PartialOrd, Ord, Hash)]
-pub struct List(pub RelId, pub Argument);
+pub struct List(pub PredicateId, pub Argument);
 
 /// Whether a run records what each clause derives.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
@@ -211,12 +211,12 @@ pub struct Dense {
     pub(super) ops: Vec<Op>,
     /// The sets that operations only add to; each run clears them.
     pub(super) cleared: Vec<Reg>,
-    /// By [`RelId`]: the location of its facts.
+    /// By [`PredicateId`]: the location of its facts.
     pub(super) homes: Vec<Home>,
     /// By [`ClauseId`]: the location of what it derives, if firings are tracked.
     pub(super) fired: Vec<Option<Fired>>,
     pub(super) local: bool,
-    pub(super) guards: Vec<RelId>,
+    pub(super) guards: Vec<PredicateId>,
 }
 
 /// The location of a predicate's facts.
@@ -266,8 +266,8 @@ impl Dense {
 
     /// Returns whether every clause reads only entities that the predicate relates to its head's first variable. If the
     /// program is also [local](Dense::is_local), a run can omit entities that the predicate relates to no ego.
-    pub fn is_guarded_by(&self, relation: RelId) -> bool {
-        self.guards.contains(&relation)
+    pub fn is_guarded_by(&self, predicate: PredicateId) -> bool {
+        self.guards.contains(&predicate)
     }
 
     #[inline]
@@ -289,15 +289,15 @@ impl Dense {
         range.cut(&self.numbers)
     }
 
-    pub(super) fn set_of(&self, relation: RelId) -> Option<Reg> {
-        match self.homes.get(relation.index()) {
+    pub(super) fn set_of(&self, predicate: PredicateId) -> Option<Reg> {
+        match self.homes.get(predicate.index()) {
             Some(Home::Set(set)) => Some(*set),
             _ => None,
         }
     }
 
-    pub(super) fn rows_of(&self, relation: RelId) -> Option<usize> {
-        match self.homes.get(relation.index()) {
+    pub(super) fn rows_of(&self, predicate: PredicateId) -> Option<usize> {
+        match self.homes.get(predicate.index()) {
             Some(Home::Rows(rows)) => Some(*rows),
             _ => None,
         }

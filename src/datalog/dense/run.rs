@@ -1,6 +1,6 @@
 //! Executes a [`Dense`] program.
 
-use crate::check::{ClauseId, RelId};
+use crate::check::{ClauseId, PredicateId};
 use crate::dense::program::{Any, DemandOp, Dense, Op, Rare, Reg};
 use crate::dense::search::{BinaryFacts, search};
 use crate::dense::sets::{Set, and, first, has, is_empty, members, or, without};
@@ -192,14 +192,14 @@ impl<const W: usize> BitState<W> {
     }
 
     /// Returns the entities for which a one-column predicate holds, or `None` if the program does not derive it.
-    pub fn set(&self, program: &Dense, relation: RelId) -> Option<&Set<W>> {
-        program.set_of(relation).map(|set| &self.sets[set.index()])
+    pub fn set(&self, program: &Dense, predicate: PredicateId) -> Option<&Set<W>> {
+        program.set_of(predicate).map(|set| &self.sets[set.index()])
     }
 
     /// Returns the entities to which a two-column predicate relates entity `at`, or `None` if the program does not
     /// derive it.
-    pub fn row(&self, program: &Dense, relation: RelId, at: usize) -> Option<&Set<W>> {
-        let list = program.rows_of(relation)?;
+    pub fn row(&self, program: &Dense, predicate: PredicateId, at: usize) -> Option<&Set<W>> {
+        let list = program.rows_of(predicate)?;
         (at < self.count).then(|| &self.rows[list * self.count + at])
     }
 

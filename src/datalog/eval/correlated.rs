@@ -1,15 +1,15 @@
 //! The values of correlated aggregates that an evaluation keeps.
 // Decision: docs/decisions/evaluation.md#d012
 
-use crate::check::RelId;
+use crate::check::PredicateId;
 use crate::value::Value;
 use std::collections::HashMap;
 
-/// The values of correlated aggregates, by relation and parameters. What an aggregate reads is complete, so its values
+/// The values of correlated aggregates, by predicate and parameters. What an aggregate reads is complete, so its values
 /// stay valid while a stratum is evaluated.
 #[derive(Debug)]
 pub(crate) struct CorrelatedValues {
-    known: HashMap<RelId, HashMap<Box<[Value]>, Option<Value>>>,
+    known: HashMap<PredicateId, HashMap<Box<[Value]>, Option<Value>>>,
     /// The approximate memory of `known`.
     bytes: u64,
     /// The maximum of `bytes`.
@@ -50,12 +50,12 @@ impl CorrelatedValues {
 
     /// The value for these parameters if it is known. The inner `None` means that the aggregate has no value.
     #[allow(clippy::option_option)]
-    pub(crate) fn get(&self, relation: RelId, parameters: &[Value]) -> Option<Option<Value>> {
-        self.known.get(&relation)?.get(parameters).copied()
+    pub(crate) fn get(&self, predicate: PredicateId, parameters: &[Value]) -> Option<Option<Value>> {
+        self.known.get(&predicate)?.get(parameters).copied()
     }
 
     /// Adds a value. If the memory is full, forgets all others first.
-    pub(crate) fn insert(&mut self, relation: RelId, parameters: &[Value], value: Option<Value>) {
+    pub(crate) fn insert(&mut self, predicate: PredicateId, parameters: &[Value], value: Option<Value>) {
         let bytes = Self::ENTRY_BYTES + size_of_val(parameters) as u64;
         if self.bytes.saturating_add(bytes) > self.bytes_max {
             self.known = HashMap::new();
@@ -63,7 +63,10 @@ impl CorrelatedValues {
         }
         if bytes <= self.bytes_max {
             self.bytes += bytes;
-            self.known.entry(relation).or_default().insert(parameters.into(), value);
+            self.known
+                .entry(predicate)
+                .or_default()
+                .insert(parameters.into(), value);
         }
     }
 }
@@ -76,15 +79,15 @@ mod tests {
     fn known_values_are_limited() {
         let mut values = CorrelatedValues::within(20_000, 5);
         assert_eq!(values.rows_bytes_max, 2_000);
-        let relation = RelId(3);
+        let predicate = PredicateId(3);
         for n in 0..1_000 {
-            values.insert(relation, &[Value(n), Value(1)], Some(Value(n)));
+            values.insert(predicate, &[Value(n), Value(1)], Some(Value(n)));
             assert!(values.bytes <= 10_000);
-            assert_eq!(values.get(relation, &[Value(n), Value(1)]), Some(Some(Value(n))));
+            assert_eq!(values.get(predicate, &[Value(n), Value(1)]), Some(Some(Value(n))));
         }
-        assert_eq!(values.get(relation, &[Value(0), Value(1)]), None);
+        assert_eq!(values.get(predicate, &[Value(0), Value(1)]), None);
         let mut values = CorrelatedValues::within(0, 5);
-        values.insert(relation, &[Value(0)], None);
-        assert_eq!((values.get(relation, &[Value(0)]), values.bytes), (None, 0));
+        values.insert(predicate, &[Value(0)], None);
+        assert_eq!((values.get(predicate, &[Value(0)]), values.bytes), (None, 0));
     }
 }

@@ -1,13 +1,13 @@
-//! The changes of a commit: the rows added and removed, by relation.
+//! The changes of a commit: the rows added and removed, by predicate.
 
 use std::fmt;
 use std::sync::Arc;
 
-use crate::check::RelId;
+use crate::check::PredicateId;
 use crate::row::{Row, RowList};
 use crate::value::Value;
 
-/// Rows of one relation, sorted by their words. Cheap to clone: clones share the rows, also with the session.
+/// Rows of one predicate, sorted by their words. Cheap to clone: clones share the rows, also with the session.
 #[derive(Clone)]
 pub struct Rows {
     arity: usize,
@@ -67,40 +67,40 @@ impl fmt::Debug for Rows {
     }
 }
 
-/// The changes of one relation.
+/// The changes of one predicate.
 #[derive(Clone, Debug, PartialEq, Eq)]
-pub struct RelationChange {
-    /// The relation.
-    pub relation: RelId,
+pub struct PredicateChange {
+    /// The predicate.
+    pub predicate: PredicateId,
     /// The rows that the commit added.
     pub added: Rows,
     /// The rows that the commit removed.
     pub removed: Rows,
 }
 
-/// The changes of a commit in base and derived relations.
+/// The changes of a commit in base and derived predicates.
 #[derive(Clone, Debug, Default, PartialEq, Eq)]
 pub struct Delta {
-    changes: Vec<RelationChange>,
+    changes: Vec<PredicateChange>,
 }
 
 impl Delta {
-    pub(super) fn push(&mut self, relation: RelId, added: Rows, removed: Rows) {
-        self.changes.push(RelationChange {
-            relation,
+    pub(super) fn push(&mut self, predicate: PredicateId, added: Rows, removed: Rows) {
+        self.changes.push(PredicateChange {
+            predicate,
             added,
             removed,
         });
     }
 
-    /// Returns the relations that changed, by id.
-    pub fn changes(&self) -> &[RelationChange] {
+    /// Returns the predicates that changed, by id.
+    pub fn changes(&self) -> &[PredicateChange] {
         &self.changes
     }
 
-    /// Returns the changes of a relation, or `None` if it did not change.
-    pub fn of(&self, rel: RelId) -> Option<&RelationChange> {
-        let position = self.changes.binary_search_by_key(&rel, |change| change.relation).ok()?;
+    /// Returns the changes of a predicate, or `None` if it did not change.
+    pub fn of(&self, id: PredicateId) -> Option<&PredicateChange> {
+        let position = self.changes.binary_search_by_key(&id, |change| change.predicate).ok()?;
         Some(&self.changes[position])
     }
 

@@ -9,7 +9,7 @@
 //! on it.
 
 use crate::check::strata::components;
-use crate::check::{Clause, ClauseId, Literal, RelId, Rules, Term, VarId};
+use crate::check::{Clause, ClauseId, Literal, PredicateId, Rules, Term, VarId};
 use crate::diag::Span;
 use crate::syntax::ast::{BaseType, Comparison};
 use crate::syntax::functor::Functor;
@@ -35,7 +35,7 @@ enum Way {
 const WAYS: [Way; 3] = [Way::Up, Way::Down, Way::Somewhere];
 
 /// A column of a predicate.
-type ColumnNode = (RelId, usize);
+type ColumnNode = (PredicateId, usize);
 
 /// A way in which a clause passes a value on.
 struct Edge {
@@ -51,7 +51,7 @@ pub(crate) fn endless(rules: &Rules, clause: ClauseId) -> Option<Growth> {
     if !stratum.recursive {
         return None;
     }
-    let recursive: BTreeSet<RelId> = stratum.relations.iter().copied().collect();
+    let recursive: BTreeSet<PredicateId> = stratum.predicates.iter().copied().collect();
     for way in WAYS {
         let clauses = stratum.clauses.iter().map(|id| &rules.clauses[id.index()]);
         let edges: Vec<Edge> = clauses.flat_map(|clause| edges(clause, &recursive, way)).collect();
@@ -80,13 +80,13 @@ fn homes(edges: &[Edge]) -> BTreeMap<ColumnNode, usize> {
 }
 
 /// Returns the ways in which the clause passes on values that nothing bounds in this direction.
-fn edges(clause: &Clause, recursive: &BTreeSet<RelId>, way: Way) -> Vec<Edge> {
+fn edges(clause: &Clause, recursive: &BTreeSet<PredicateId>, way: Way) -> Vec<Edge> {
     let mut found = Vec::new();
     for literal in &clause.body {
         let (Literal::Positive(atom) | Literal::Guard(atom)) = literal else {
             continue;
         };
-        if !recursive.contains(&atom.relation) {
+        if !recursive.contains(&atom.predicate) {
             continue;
         }
         for (column, term) in atom.terms.iter().enumerate() {
@@ -110,8 +110,8 @@ fn edges(clause: &Clause, recursive: &BTreeSet<RelId>, way: Way) -> Vec<Edge> {
                     (way, Growth { span, bound })
                 });
                 found.push(Edge {
-                    from: (atom.relation, column),
-                    to: (clause.head.relation, to),
+                    from: (atom.predicate, column),
+                    to: (clause.head.predicate, to),
                     growth,
                 });
             }
@@ -191,11 +191,11 @@ fn grows(functor: Functor, base: BaseType, arguments: &[Term]) -> Option<Way> {
 }
 
 /// Returns whether a literal restricts one of the passed values to finitely many, or bounds it in this direction.
-fn is_bounded(clause: &Clause, recursive: &BTreeSet<RelId>, passed: &Passed, way: Way) -> bool {
+fn is_bounded(clause: &Clause, recursive: &BTreeSet<PredicateId>, passed: &Passed, way: Way) -> bool {
     let is_passed = |term: &Term| term.variable().is_some_and(|id| passed.contains_key(&id));
     clause.body.iter().any(|literal| match literal {
         Literal::Positive(atom) | Literal::Guard(atom) => {
-            !recursive.contains(&atom.relation) && atom.terms.iter().any(is_passed)
+            !recursive.contains(&atom.predicate) && atom.terms.iter().any(is_passed)
         }
         Literal::Negative(atom) => atom.terms.iter().any(is_passed),
         Literal::Compare { op, left, right, .. } => match (is_passed(left), is_passed(right)) {

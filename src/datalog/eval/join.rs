@@ -1,4 +1,4 @@
-//! Runs a plan: a pipelined nested-loop join over sorted rows, without intermediate relations.
+//! Runs a plan: a pipelined nested-loop join over sorted rows, without intermediate predicates.
 // Decision: docs/decisions/evaluation.md#d017
 
 use crate::cancel::Cancel;
@@ -222,7 +222,7 @@ impl<const W: usize> Join<'_, W> {
                     if self.rows_scanned > self.next_poll {
                         self.poll()?;
                     }
-                    // For a relation without columns only the number of rows matters.
+                    // For a predicate without columns only the number of rows matters.
                     let values =
                         ranges().flat_map(|range| (0..range.len()).map(move |at| range.words(at)[*column as usize]));
                     let value = op.of(*base, values, self.symbols);
@@ -523,7 +523,7 @@ impl<const W: usize> Join<'_, W> {
     #[cold]
     fn correlated(&mut self, step: &Step, depth: usize) -> Result<Option<Value>, Abort> {
         let Step::Correlated {
-            relation,
+            predicate,
             plans,
             key,
             op,
@@ -540,7 +540,7 @@ impl<const W: usize> Join<'_, W> {
         }
         let words = self.key(key);
         let parameters = &words[..key.len()];
-        if let Some(value) = self.known.get(*relation, parameters) {
+        if let Some(value) = self.known.get(*predicate, parameters) {
             return Ok(value);
         }
         let mut out = Output::new(usize::MAX);
@@ -591,7 +591,7 @@ impl<const W: usize> Join<'_, W> {
                 op.of(*base, values, self.symbols)
             }
         };
-        self.known.insert(*relation, parameters, value);
+        self.known.insert(*predicate, parameters, value);
         Ok(value)
     }
 

@@ -13,7 +13,7 @@ use std::fmt;
 /// or the number of threads.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub struct Limits {
-    /// Maximum number of rows of all derived relations together. Default: 10^8.
+    /// Maximum number of rows of all derived predicates together. Default: 10^8.
     pub rows: usize,
     /// Maximum number of rows that scans and tests visit. Default: 10^11, which takes some minutes.
     pub steps: u64,
@@ -37,7 +37,7 @@ impl Default for Limits {
 #[derive(Clone, Debug, PartialEq, Eq)]
 #[non_exhaustive]
 pub enum EvalError {
-    /// The derived relations together have more rows than allowed.
+    /// The derived predicates together have more rows than allowed.
     TooManyRows {
         /// The limit.
         limit: usize,

@@ -9,11 +9,11 @@
 //! 3. *Gain*: add the new heads that the clause derives from an added row (of a negated atom: a removed row), with
 //!    all else as it is now. In a recursive stratum, also add what follows from the kept and gained heads.
 //!
-//! The algorithm counts no derivations, so it stores nothing between commits besides the relations. A clause can stop
+//! The algorithm counts no derivations, so it stores nothing between commits besides the predicates. A clause can stop
 //! at the first derivation of a head, and one commit can recompute a stratum that the next maintains.
 // Decision: docs/decisions/facts.md#d025
 
-use crate::check::RelId;
+use crate::check::PredicateId;
 use crate::eval::exec::{Commit, Failure, Meter, Quota, State, specs};
 use crate::eval::join::RowView;
 use crate::eval::output::Output;
@@ -41,16 +41,16 @@ impl<const W: usize> State<W> {
         let (lost, mut rounds) = self.lose(commit, stratum, meter)?;
 
         // In a recursive stratum, a row that may be lost must not support others.
-        let without = |(relation, lost): (&RelId, &Vec<Row<W>>)| {
+        let without = |(predicate, lost): (&PredicateId, &Vec<Row<W>>)| {
             let delta = TableDelta {
                 added: Arc::default(),
                 removed: lost.clone(),
             };
             let needed = stratum.recursive && !lost.is_empty();
-            needed.then(|| self.tables[relation.index()].patched(&specs(plans, *relation), &delta))
+            needed.then(|| self.tables[predicate.index()].patched(&specs(plans, *predicate), &delta))
         };
         let shrunk: Vec<Option<Table<W>>> = members.iter().zip(&lost).map(without).collect();
-        let tables = members.iter().map(|relation| &self.tables[relation.index()]);
+        let tables = members.iter().map(|predicate| &self.tables[predicate.index()]);
         let base: Vec<&Table<W>> = shrunk
             .iter()
             .zip(tables)
@@ -80,8 +80,8 @@ impl<const W: usize> State<W> {
                 .collect()
         };
 
-        let after = |(relation, delta): (&RelId, &TableDelta<W>)| {
-            self.tables[relation.index()].rows.len() + delta.added.len() - delta.removed.len()
+        let after = |(predicate, delta): (&PredicateId, &TableDelta<W>)| {
+            self.tables[predicate.index()].rows.len() + delta.added.len() - delta.removed.len()
         };
         let total: usize = members.iter().zip(&deltas).map(after).sum();
         quota.check_rows(total, stratum, meter)?;
@@ -96,7 +96,7 @@ impl<const W: usize> State<W> {
         meter: &mut Meter<'_>,
     ) -> Result<(ByMember<W>, usize), Failure> {
         let plans = &commit.plans;
-        let before = |spec: &IndexSpec| match &commit.changed[spec.relation.index()] {
+        let before = |spec: &IndexSpec| match &commit.changed[spec.predicate.index()] {
             Some((_, table)) => ByWidth::Own(table.batch(spec)),
             None => self.batch(spec),
         };
@@ -200,9 +200,9 @@ impl<const W: usize> State<W> {
         Ok(outputs.iter_mut().map(Output::take).collect())
     }
 
-    /// The current rows of a relation in the order of an index; for a member, those in `base`.
+    /// The current rows of a predicate in the order of an index; for a member, those in `base`.
     fn now<'a>(&'a self, stratum: &StratumPlan, base: &[&'a Table<W>], spec: &IndexSpec) -> AnyBatch<'a, W> {
-        let member = stratum.members.iter().position(|&member| member == spec.relation);
+        let member = stratum.members.iter().position(|&member| member == spec.predicate);
         member.map_or_else(|| self.batch(spec), |member| ByWidth::Own(base[member].batch(spec)))
     }
 }

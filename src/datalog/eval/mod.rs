@@ -1,12 +1,12 @@
 //! The relational executor: commits, joins, recursion and maintenance.
 //!
-//! - `exec` makes a commit, and replans clauses when the sizes of relations have changed. `join` runs a plan, and
+//! - `exec` makes a commit, and replans clauses when the sizes of predicates have changed. `join` runs a plan, and
 //!   `output` receives the rows that it derives.
 //! - `word_sets` and `correlated` keep what a plan would compute again: lists of rows as bits, values of aggregates.
 //! - `recursion` evaluates a recursive stratum to its fixpoint, and `maintain` updates a stratum incrementally.
-//! - `table` holds a relation and its indexes, `pending` the changes of the next commit, and `seen_bitmap` marks
+//! - `table` holds a predicate and its indexes, `pending` the changes of the next commit, and `seen_bitmap` marks
 //!   derived rows.
-//! - `narrow` holds loaded relations whose rows are narrower than the program's.
+//! - `narrow` holds loaded predicates whose rows are narrower than the program's.
 //! - `groups` aggregates what a plan derives.
 //! - `workers` holds the threads, and `limits` bounds the resources of a commit.
 //! - `delta` and `stats` report what a commit changed and did.

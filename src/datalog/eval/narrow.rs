@@ -1,8 +1,8 @@
-//! Loaded relations with rows narrower than the program's.
+//! Loaded predicates with rows narrower than the program's.
 //!
-//! Facts dominate the memory of many programs, and padding them to the width of the widest relation may multiply it. So
-//! a relation that no clause derives loads its facts into narrow rows, and joins read these. Narrow rows do not change:
-//! the first change after a commit moves the relation to a table of the program's width.
+//! Facts dominate the memory of many programs, and padding them to the width of the widest predicate may multiply it. So
+//! a predicate that no clause derives loads its facts into narrow rows, and joins read these. Narrow rows do not change:
+//! the first change after a commit moves the predicate to a table of the program's width.
 // Decision: docs/decisions/facts.md#d008
 
 use crate::eval::delta::Rows;
@@ -14,7 +14,7 @@ use crate::row::{AnyBatch, ByWidth, NARROW, Row, normalize};
 use crate::value::Value;
 use std::sync::Arc;
 
-/// The rows of a loaded relation.
+/// The rows of a loaded predicate.
 #[derive(Debug)]
 pub(crate) enum NarrowTable {
     Two(Loaded<2>),
@@ -22,7 +22,7 @@ pub(crate) enum NarrowTable {
     Eight(Loaded<8>),
 }
 
-/// A relation with rows of `V` words.
+/// A predicate with rows of `V` words.
 #[derive(Debug)]
 pub(crate) struct Loaded<const V: usize> {
     table: Table<V>,
@@ -31,7 +31,7 @@ pub(crate) struct Loaded<const V: usize> {
     source_facts: Vec<Row<V>>,
 }
 
-/// The parts of a widened relation: rows, pending changes, and facts in the source.
+/// The parts of a widened predicate: rows, pending changes, and facts in the source.
 pub(crate) type Widened<const W: usize> = (Vec<Row<W>>, PendingChanges<W>, Vec<Row<W>>);
 
 macro_rules! each {
@@ -45,7 +45,7 @@ macro_rules! each {
 }
 
 impl NarrowTable {
-    /// Makes an empty table for a relation without rules; `None` if its rows are not narrower than those of `width`.
+    /// Makes an empty table for a predicate without rules; `None` if its rows are not narrower than those of `width`.
     pub(crate) fn new(arity: usize, width: usize, indexes: usize) -> Option<Self> {
         let narrow = NARROW.into_iter().find(|&narrow| narrow >= arity)?;
         match narrow {
@@ -139,7 +139,7 @@ impl NarrowTable {
         each!(self, loaded => &loaded.table.rows[position].0)
     }
 
-    /// Whether the relation contains the row.
+    /// Whether the predicate contains the row.
     pub(crate) fn contains(&self, row: &[Value]) -> bool {
         each!(self, loaded => loaded.table.rows.binary_search(&Row::new(row)).is_ok())
     }
@@ -178,7 +178,7 @@ impl NarrowTable {
         each!(self, loaded => Size::of(&loaded.table.rows, arity))
     }
 
-    /// Returns all that the relation consists of in rows of the program's width.
+    /// Returns all that the predicate consists of in rows of the program's width.
     pub(crate) fn widened<const W: usize>(self) -> Widened<W> {
         each!(self, loaded => {
             (wide(&loaded.table.rows), loaded.pending.widened(), wide(&loaded.source_facts))

@@ -1,4 +1,4 @@
-//! The pending changes of a relation, which the next commit makes.
+//! The pending changes of a predicate, which the next commit makes.
 
 use crate::eval::table::{Table, TableDelta};
 use crate::row::{Row, normalize};
@@ -7,8 +7,8 @@ use std::sync::Arc;
 
 /// Pending insertions and removals, in the order of the calls. The last change of a row counts.
 ///
-/// Most commits only insert, and often into an empty relation. While there is no removal, the insertions are a plain
-/// list that becomes the relation's rows.
+/// Most commits only insert, and often into an empty predicate. While there is no removal, the insertions are a plain
+/// list that becomes the predicate's rows.
 #[derive(Debug, Default)]
 pub(crate) struct PendingChanges<const W: usize> {
     coming: Vec<Row<W>>,

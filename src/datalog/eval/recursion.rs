@@ -5,7 +5,7 @@
 //! number of joins and the row types at compile time.
 // Decision: docs/decisions/evaluation.md#d014
 
-use crate::check::{ClauseId, RelId};
+use crate::check::{ClauseId, PredicateId};
 use crate::eval::exec::{Commit, Failure, Meter, Quota, State};
 use crate::eval::join::RowView;
 use crate::eval::output::Output;
@@ -66,7 +66,7 @@ impl<const W: usize> State<W> {
             // Merging copies rows and indexes. A quarter of the memory is for the bitmaps of known rows.
             let used = 2 * (total + copies) * size_of::<Row<W>>();
             let left = quota.left(used.saturating_add((quota.bytes / 4) as usize), stratum, meter)?;
-            let heads: BTreeSet<RelId> = chosen.iter().map(|(_, _, plan)| plan.head).collect();
+            let heads: BTreeSet<PredicateId> = chosen.iter().map(|(_, _, plan)| plan.head).collect();
             outputs
                 .iter_mut()
                 .for_each(|output| output.set_bytes(left / heads.len().max(1) as u64));
@@ -97,10 +97,10 @@ impl<const W: usize> State<W> {
     ) -> Vec<(ClauseId, usize, &'p Plan)> {
         let held = recursion.hold();
         let shape = |source: Source| {
-            let relation = plans.indexes[source.index].relation;
-            match plans.member[relation.index()] {
+            let predicate = plans.indexes[source.index].predicate;
+            match plans.member[predicate.index()] {
                 Some(member) if source.version != Version::Complete => recursion.shape(&held, member, source.version),
-                _ => self.shape(relation),
+                _ => self.shape(predicate),
             }
         };
         let mut chosen = Vec::new();
@@ -174,7 +174,7 @@ impl<'b, const W: usize> Recursion<'b, W> {
         let rules = &compiled.rules;
         let members = &stratum.members;
         let mut iteration = Iteration::new();
-        let name = |member: &RelId| &rules.relations[member.index()].name;
+        let name = |member: &PredicateId| &rules.predicates[member.index()].name;
         let variables = members.iter().map(|member| iteration.variable(name(member))).collect();
         let clauses = || stratum.clauses.iter().map(|clause| &plans.clauses[clause.index()]);
         let mut forward = vec![base.is_none(); members.len()];
@@ -184,18 +184,18 @@ impl<'b, const W: usize> Recursion<'b, W> {
             .map(|(_, plan)| plan)
             .chain(alternatives);
         for source in all.flat_map(|plan| &plan.steps).flat_map(Step::sources) {
-            let relation = plans.indexes[source.index].relation;
-            if let (Version::Old | Version::All, Some(member)) = (source.version, plans.member[relation.index()]) {
+            let predicate = plans.indexes[source.index].predicate;
+            if let (Version::Old | Version::All, Some(member)) = (source.version, plans.member[predicate.index()]) {
                 forward[member] = false;
             }
         }
         let mut grown: Vec<Grown<W>> = Vec::new();
         let deltas = clauses().flat_map(|clause| &clause.deltas);
         for source in deltas.flat_map(|(_, plan)| &plan.steps).flat_map(Step::sources) {
-            let relation = plans.indexes[source.index].relation;
+            let predicate = plans.indexes[source.index].predicate;
             let known = source.version == Version::Complete || plans.indexes.is_own(source.index);
             let known = known || grown.iter().any(|grown| grown.id == source.index);
-            if let (false, Some(member)) = (known, plans.member[relation.index()]) {
+            if let (false, Some(member)) = (known, plans.member[predicate.index()]) {
                 grown.push(Grown {
                     id: source.index,
                     member,
@@ -283,7 +283,7 @@ impl<'b, const W: usize> Recursion<'b, W> {
         let spec = &plans.indexes[source.index];
         let (with_old, with_new) = (source.version != Version::New, source.version != Version::Old);
         let mut batches: Vec<Batch<'a, W>> = Vec::new();
-        let Some(member) = plans.member[spec.relation.index()] else {
+        let Some(member) = plans.member[spec.predicate.index()] else {
             return RowView::NONE;
         };
         if let (true, Some(base)) = (with_old, self.base) {

@@ -1,4 +1,4 @@
-//! The storage of a relation: its rows, its indexes, and incremental updates of both.
+//! The storage of a predicate: its rows, its indexes, and incremental updates of both.
 // Decision: docs/decisions/facts.md#d026
 
 use crate::plan::steps::IndexSpec;
@@ -35,7 +35,7 @@ impl<const W: usize> TableDelta<W> {
     }
 }
 
-/// A relation's rows and the indexes over them.
+/// A predicate's rows and the indexes over them.
 #[derive(Debug, Default)]
 pub(crate) struct Table<const W: usize> {
     /// Sorted, without repetitions.
@@ -172,7 +172,7 @@ impl<const W: usize> Table<W> {
     }
 }
 
-/// A relation's rows in another order of columns, or only a directory of the primary order.
+/// A predicate's rows in another order of columns, or only a directory of the primary order.
 #[derive(Debug)]
 struct Index<const W: usize> {
     /// Empty for the primary index.
@@ -211,7 +211,7 @@ impl<const W: usize> Index<W> {
         }
     }
 
-    /// Returns the index after a change, or `None` if it is unused. `old` and `new` are the relation's rows in primary
+    /// Returns the index after a change, or `None` if it is unused. `old` and `new` are the predicate's rows in primary
     /// order.
     fn patched(&self, old: &[Row<W>], spec: &IndexSpec, delta: &TableDelta<W>, new: &[Row<W>]) -> Option<Self> {
         let idle = if self.used.load(Relaxed) { 0 } else { self.idle + 1 };
@@ -395,13 +395,13 @@ fn patch_directory<const W: usize>(old: &[u32], delta: &TableDelta<W>, rows: &[R
 #[cfg(test)]
 mod tests {
     use super::*;
-    use crate::check::RelId;
+    use crate::check::PredicateId;
     use crate::row::{merge, normalize};
     use crate::value::Value;
 
     fn spec(columns: &[u16], position: usize) -> IndexSpec {
         IndexSpec {
-            relation: RelId(0),
+            predicate: PredicateId(0),
             columns: columns.to_vec(),
             position,
         }

@@ -290,7 +290,7 @@ fn expected<const W: usize>(plan: &Plan, views: &[RowView<'_, W>]) -> f64 {
 #[cfg(test)]
 mod tests {
     use super::*;
-    use crate::check::RelId;
+    use crate::check::PredicateId;
     use crate::diag::Sources;
     use crate::eval::table::Table;
     use crate::files::ReadError;
@@ -323,14 +323,14 @@ mod tests {
                 .collect();
             normalize(&mut rows);
             let tables = [
-                Table::new(rows, plans.indexes.of(RelId(0)).count()),
-                Table::new(Vec::new(), plans.indexes.of(RelId(1)).count()),
+                Table::new(rows, plans.indexes.of(PredicateId(0)).count()),
+                Table::new(Vec::new(), plans.indexes.of(PredicateId(1)).count()),
             ];
             for (clause, splits) in [(0, true), (1, true), (2, true), (3, false)] {
                 let plan = &plans.clauses[clause].complete;
                 let batch = |source: Source| {
                     let spec = &plans.indexes[source.index];
-                    assert_eq!(spec.relation, RelId(0));
+                    assert_eq!(spec.predicate, PredicateId(0));
                     ByWidth::Own(tables[0].batch(spec))
                 };
                 let view = |step: &Step| RowView::for_step(step, batch);

@@ -38,7 +38,7 @@ fn main() -> Result<(), Box<dyn std::error::Error>> {
 /// Updates everything that the rules derive, and prints the pairs that `path` gained and lost.
 fn commit(session: &mut Session) -> Result<(), Box<dyn std::error::Error>> {
     let delta = session.commit()?;
-    let path = session.program().relation("path").ok_or("no relation `path`")?;
+    let path = session.program().predicate("path").ok_or("no predicate `path`")?;
     let change = delta.of(path).ok_or("`path` did not change")?;
     for (sign, rows) in [("+", &change.added), ("-", &change.removed)] {
         let pairs: Vec<(i64, i64)> = session.decode(path, rows)?.collect();

@@ -1,7 +1,7 @@
 //! Explanations as text for readers and as JSON for programs.
 
 use crate::check::witness::written;
-use crate::check::{Atom, Clause, ClauseId, Literal, RelId, Rules, Term};
+use crate::check::{Atom, Clause, ClauseId, Literal, PredicateId, Rules, Term};
 use crate::diag::Sources;
 use crate::explain::{
     Absence, AbsenceReason, Explanation, Fact, FailureKind, Miss, Node, NodeId, Obstacle, Origin, Premise,
@@ -121,8 +121,8 @@ impl<'a> ExplanationPrinter<'a> {
 
     fn fact_json(&self, fact: &Fact) -> serde_json::Value {
         let pattern: Vec<Option<Value>> = fact.row.iter().copied().map(Some).collect();
-        let holds = self.row(fact.relation, &pattern);
-        if self.is_range(fact.relation) {
+        let holds = self.row(fact.predicate, &pattern);
+        if self.is_range(fact.predicate) {
             return json!({ "holds": holds, "height": fact.height, "by": "range" });
         }
         match &fact.origin {
@@ -154,8 +154,8 @@ impl<'a> ExplanationPrinter<'a> {
     }
 
     fn absence_json(&self, absence: &Absence) -> serde_json::Value {
-        let absent = self.row(absence.relation, &absence.pattern);
-        if self.is_range(absence.relation) {
+        let absent = self.row(absence.predicate, &absence.pattern);
+        if self.is_range(absence.predicate) {
             return json!({ "absent": absent, "because": "range" });
         }
         match &absence.reason {
@@ -214,7 +214,7 @@ impl<'a> ExplanationPrinter<'a> {
     /// Returns a clause as `{"head", "file", "line", "doc"}`.
     pub fn clause_json(&self, clause: ClauseId) -> serde_json::Value {
         let clause = &self.rules.clauses[clause.index()];
-        let head = &self.rules.relations[clause.head.relation.index()];
+        let head = &self.rules.predicates[clause.head.predicate.index()];
         json!({
             "head": if head.hidden { &head.doc } else { &head.name },
             "file": self.sources.name(clause.span.source),
@@ -266,7 +266,7 @@ impl<'a> ExplanationPrinter<'a> {
         for literal in &clause.body {
             match literal {
                 Literal::Positive(atom) | Literal::Negative(atom) | Literal::Guard(atom) => {
-                    let columns = &self.rules.relations[atom.relation.index()].columns;
+                    let columns = &self.rules.predicates[atom.predicate.index()].columns;
                     (atom.terms.iter().zip(columns)).for_each(|(term, column)| see(term, column.base));
                 }
                 Literal::Compare { left, right, base, .. } => {
@@ -286,13 +286,13 @@ impl<'a> ExplanationPrinter<'a> {
                     result_base(*functor, *base).into_iter().for_each(|base| see(to, base));
                 }
                 Literal::Aggregate { to, op, base, atom, .. } => {
-                    let columns = &self.rules.relations[atom.relation.index()].columns;
+                    let columns = &self.rules.predicates[atom.predicate.index()].columns;
                     (atom.terms.iter().zip(columns)).for_each(|(term, column)| see(term, column.base));
                     see(to, aggregate_base(*op, *base));
                 }
             }
         }
-        let columns = &self.rules.relations[clause.head.relation.index()].columns;
+        let columns = &self.rules.predicates[clause.head.predicate.index()].columns;
         (clause.head.terms.iter().zip(columns)).for_each(|(term, column)| see(term, column.base));
         bases
     }
@@ -364,58 +364,58 @@ impl<'a> ExplanationPrinter<'a> {
     }
 
     /// Returns a row or pattern as an atom. Open columns are `_`.
-    pub fn row(&self, relation: RelId, pattern: &[Option<Value>]) -> String {
-        self.row_within(relation, pattern, 0)
+    pub fn row(&self, predicate: PredicateId, pattern: &[Option<Value>]) -> String {
+        self.row_within(predicate, pattern, 0)
     }
 
-    fn row_within(&self, rel: RelId, pattern: &[Option<Value>], depth: usize) -> String {
-        let relation = &self.rules.relations[rel.index()];
-        if relation.hidden && relation.derived {
-            return self.unfold(rel, pattern, depth);
+    fn row_within(&self, id: PredicateId, pattern: &[Option<Value>], depth: usize) -> String {
+        let predicate = &self.rules.predicates[id.index()];
+        if predicate.hidden && predicate.derived {
+            return self.unfold(id, pattern, depth);
         }
-        let columns = relation.columns.iter().zip(pattern);
+        let columns = predicate.columns.iter().zip(pattern);
         let values: Vec<String> = columns
             .map(|(column, value)| value.map_or("_".to_owned(), |value| self.value(value, column.base)))
             .collect();
-        self.named_atom(rel, &values)
+        self.named_atom(id, &values)
     }
 
     /// Returns an atom of a predicate that is not unfolded.
-    fn named_atom(&self, rel: RelId, arguments: &[String]) -> String {
+    fn named_atom(&self, id: PredicateId, arguments: &[String]) -> String {
         let arguments = arguments.join(", ");
-        match self.rules.relations.iter().find(|relation| relation.edb == Some(rel)) {
+        match self.rules.predicates.iter().find(|predicate| predicate.edb == Some(id)) {
             Some(owner) => format!("given {}({arguments})", owner.name),
-            None => format!("{}({arguments})", self.rules.relations[rel.index()].name),
+            None => format!("{}({arguments})", self.rules.predicates[id.index()].name),
         }
     }
 
     /// Returns whether a hidden predicate holds the values of a `range`: no other hidden one is recursive. The printer
     /// does not unfold these.
-    fn is_range(&self, rel: RelId) -> bool {
-        let itself = |literal: &Literal| literal.atom().is_some_and(|atom| atom.relation == rel);
-        let mut clauses = self.rules.clauses.iter().filter(|clause| clause.head.relation == rel);
-        let hidden = self.rules.relations[rel.index()].hidden;
+    fn is_range(&self, id: PredicateId) -> bool {
+        let itself = |literal: &Literal| literal.atom().is_some_and(|atom| atom.predicate == id);
+        let mut clauses = self.rules.clauses.iter().filter(|clause| clause.head.predicate == id);
+        let hidden = self.rules.predicates[id.index()].hidden;
         hidden && clauses.any(|clause| clause.body.iter().any(itself))
     }
 
     /// Returns the definition of a hidden predicate: the bodies of its clauses.
-    fn unfold(&self, rel: RelId, pattern: &[Option<Value>], depth: usize) -> String {
+    fn unfold(&self, id: PredicateId, pattern: &[Option<Value>], depth: usize) -> String {
         const UNFOLD_MAX: usize = 8;
-        let relation = &self.rules.relations[rel.index()];
+        let predicate = &self.rules.predicates[id.index()];
         if depth == UNFOLD_MAX {
-            return relation.doc.clone();
+            return predicate.doc.clone();
         }
         let clauses = self
             .rules
             .clauses
             .iter()
-            .filter(|clause| clause.head.relation == rel && !clause.body.is_empty());
-        if self.is_range(rel) {
-            let columns = relation.columns.iter().zip(pattern);
+            .filter(|clause| clause.head.predicate == id && !clause.body.is_empty());
+        if self.is_range(id) {
+            let columns = predicate.columns.iter().zip(pattern);
             let values: Vec<String> = columns
                 .map(|(column, value)| value.map_or("_".to_owned(), |value| self.value(value, column.base)))
                 .collect();
-            let (value, arguments) = values.split_last().unwrap_or((&relation.doc, &[]));
+            let (value, arguments) = values.split_last().unwrap_or((&predicate.doc, &[]));
             return format!("{value} = {}", applied(Functor::Range, arguments));
         }
         let bodies: Vec<String> = clauses
@@ -479,7 +479,7 @@ impl<'a> ExplanationPrinter<'a> {
                 to, op, atom, column, ..
             } => {
                 let to = self.term(clause, to, self.computed_base(clause, literal), binding);
-                let target = column.map(|column| (column, self.column(atom.relation, column)));
+                let target = column.map(|column| (column, self.column(atom.predicate, column)));
                 let rows = self.aggregated(clause, atom, binding, depth, target);
                 let of = target.map_or(String::new(), |(_, name)| format!(" {name}"));
                 format!("{to} = {}{of} : {{ {rows} }}", op.name())
@@ -488,14 +488,14 @@ impl<'a> ExplanationPrinter<'a> {
     }
 
     /// Returns the name of a column. For a hidden predicate this is the variable in its definition.
-    fn column(&self, rel: RelId, column: usize) -> &str {
+    fn column(&self, id: PredicateId, column: usize) -> &str {
         let mut clauses = self.rules.clauses.iter();
-        match clauses.find(|clause| self.rules.relations[rel.index()].hidden && clause.head.relation == rel) {
+        match clauses.find(|clause| self.rules.predicates[id.index()].hidden && clause.head.predicate == id) {
             Some(clause) => match clause.head.terms[column] {
                 Term::Variable(variable) => written(&clause.variables[variable.index()]),
                 _ => "_",
             },
-            None => &self.rules.relations[rel.index()].columns[column].name,
+            None => &self.rules.predicates[id.index()].columns[column].name,
         }
     }
 
@@ -512,18 +512,18 @@ impl<'a> ExplanationPrinter<'a> {
         depth: usize,
         target: Option<(usize, &str)>,
     ) -> String {
-        let relation = &self.rules.relations[atom.relation.index()];
-        if relation.hidden && relation.derived {
-            return self.unfold(atom.relation, &super::search::pattern(atom, binding), depth);
+        let predicate = &self.rules.predicates[atom.predicate.index()];
+        if predicate.hidden && predicate.derived {
+            return self.unfold(atom.predicate, &super::search::pattern(atom, binding), depth);
         }
-        let columns = relation.columns.iter().zip(&atom.terms);
+        let columns = predicate.columns.iter().zip(&atom.terms);
         let terms: Vec<String> = (columns.enumerate())
             .map(|(index, (column, term))| match target {
                 Some((target, name)) if target == index => name.to_owned(),
                 _ => self.term(clause, term, column.base, binding),
             })
             .collect();
-        self.named_atom(atom.relation, &terms)
+        self.named_atom(atom.predicate, &terms)
     }
 
     fn term(&self, clause: &Clause, term: &Term, base: BaseType, binding: &[Option<Value>]) -> String {
@@ -603,7 +603,7 @@ impl Drawing<'_> {
         match self.explanation.node(id) {
             Node::Fact(fact) => {
                 let pattern: Vec<Option<Value>> = fact.row.iter().copied().map(Some).collect();
-                let mut item = Item::leaf(self.printer.row(fact.relation, &pattern));
+                let mut item = Item::leaf(self.printer.row(fact.predicate, &pattern));
                 match &fact.origin {
                     Origin::Input => {}
                     Origin::Source(clause) => {
@@ -615,7 +615,10 @@ impl Drawing<'_> {
                 item
             }
             Node::Absence(absence) => {
-                let mut item = Item::leaf(format!("Not({})", self.printer.row(absence.relation, &absence.pattern)));
+                let mut item = Item::leaf(format!(
+                    "Not({})",
+                    self.printer.row(absence.predicate, &absence.pattern)
+                ));
                 self.below(id, depth, &mut item);
                 item
             }
@@ -625,15 +628,15 @@ impl Drawing<'_> {
     /// Adds the children of a node, unless the tree already shows them or is too deep.
     fn below(&mut self, id: NodeId, depth: usize, item: &mut Item) {
         let node = self.explanation.node(id);
-        let relation = match node {
+        let predicate = match node {
             Node::Absence(Absence {
                 reason: AbsenceReason::NotAFact,
                 ..
             }) => return,
-            Node::Fact(fact) => fact.relation,
-            Node::Absence(absence) => absence.relation,
+            Node::Fact(fact) => fact.predicate,
+            Node::Absence(absence) => absence.predicate,
         };
-        if self.printer.is_range(relation) {
+        if self.printer.is_range(predicate) {
             return;
         }
         if self.open.contains(&id) {
@@ -658,7 +661,7 @@ impl Drawing<'_> {
             return;
         };
         let clause = &self.printer.rules.clauses[derivation.clause.index()];
-        if !self.printer.rules.relations[fact.relation.index()].hidden {
+        if !self.printer.rules.predicates[fact.predicate.index()].hidden {
             item.text = format!("{}  by {}", item.text, self.printer.title(derivation.clause));
         }
         for (literal, premise) in clause.body.iter().zip(&derivation.premises) {
@@ -680,17 +683,17 @@ impl Drawing<'_> {
     }
 
     fn misses(&mut self, absence: &Absence, depth: usize, item: &mut Item) {
-        let relation = &self.printer.rules.relations[absence.relation.index()];
+        let predicate = &self.printer.rules.predicates[absence.predicate.index()];
         match &absence.reason {
             AbsenceReason::NotAFact => {}
             AbsenceReason::NotLookedInto => item.text.push_str("  (not looked into)"),
-            AbsenceReason::NoClause(misses) if relation.hidden => {
+            AbsenceReason::NoClause(misses) if predicate.hidden => {
                 for miss in misses {
                     item.children.extend(self.failures(miss, depth));
                 }
             }
             AbsenceReason::NoClause(misses) => {
-                item.text = format!("{}: no clause of {} holds", item.text, relation.name);
+                item.text = format!("{}: no clause of {} holds", item.text, predicate.name);
                 let bodies = |miss: &&Miss| matches!(miss.obstacle, Obstacle::Body { .. });
                 let (bodies, heads): (Vec<&Miss>, Vec<&Miss>) = misses.iter().partition(bodies);
                 // The alternatives of a clause follow each other.

@@ -29,7 +29,7 @@ mod search;
 pub use explanation_printer::ExplanationPrinter;
 
 use crate::cancel::Cancel;
-use crate::check::{ClauseId, Literal, RelId};
+use crate::check::{ClauseId, Literal, PredicateId};
 use crate::diag::codes;
 use crate::diag::{Diagnostic, Limit};
 use crate::eval::limits::size;
@@ -86,7 +86,7 @@ pub enum Node {
 #[derive(Clone, Debug, PartialEq, Eq)]
 pub struct Fact {
     /// The predicate.
-    pub relation: RelId,
+    pub predicate: PredicateId,
     /// The values.
     pub row: Vec<Value>,
     /// The height of its shortest proof.
@@ -143,7 +143,7 @@ pub enum Premise {
 #[derive(Clone, Debug, PartialEq, Eq)]
 pub struct Absence {
     /// The predicate.
-    pub relation: RelId,
+    pub predicate: PredicateId,
     /// The pattern: no row of the predicate has these values.
     pub pattern: Pattern,
     /// The reason.
@@ -289,7 +289,7 @@ impl Session {
     /// let mut session = program.session();      // p(x, y) :- e(x, y).   p(x, z) :- p(x, y), e(y, z).
     /// session.insert_all("e", [(1, 2), (2, 3)])?;
     /// session.commit()?;
-    /// let p = program.relation("p").unwrap();
+    /// let p = program.predicate("p").unwrap();
     /// let [a, c] = [1, 3].map(Value::number);
     /// let proof = session.explain(p, &[a, c])?.unwrap();
     /// let Node::Fact(fact) = &proof.nodes()[0] else { unreachable!() };
@@ -301,16 +301,20 @@ impl Session {
     ///
     /// # Errors
     /// If the search exceeds [`Explainer::LIMIT`].
-    pub fn explain(&self, rel: RelId, row: &[Value]) -> Result<Option<Explanation>, ExplainError> {
-        Explainer::new(self).explain(rel, row)
+    pub fn explain(&self, id: PredicateId, row: &[Value]) -> Result<Option<Explanation>, ExplainError> {
+        Explainer::new(self).explain(id, row)
     }
 
     /// Explains why no row matches the pattern, in which `None` matches any value. Returns `None` if some row matches.
     ///
     /// # Errors
     /// If the search exceeds [`Explainer::LIMIT`].
-    pub fn explain_absence(&self, rel: RelId, pattern: &[Option<Value>]) -> Result<Option<Explanation>, ExplainError> {
-        Explainer::new(self).explain_absence(rel, pattern)
+    pub fn explain_absence(
+        &self,
+        id: PredicateId,
+        pattern: &[Option<Value>],
+    ) -> Result<Option<Explanation>, ExplainError> {
+        Explainer::new(self).explain_absence(id, pattern)
     }
 }
 
@@ -358,15 +362,15 @@ impl<'s> Explainer<'s> {
     /// If the search exceeds the limit.
     pub fn explain_either(
         &mut self,
-        rel: RelId,
+        id: PredicateId,
         pattern: &[Option<Value>],
     ) -> Result<(bool, Option<Explanation>), ExplainError> {
         let fits = |row: &&[Value]| {
             (pattern.iter().zip(*row)).all(|(wanted, value)| wanted.is_none_or(|wanted| wanted == *value))
         };
-        match self.search.session.encoded_rows(rel).find(fits) {
-            Some(row) => Ok((true, self.explain(rel, row)?)),
-            None => Ok((false, self.explain_absence(rel, pattern)?)),
+        match self.search.session.encoded_rows(id).find(fits) {
+            Some(row) => Ok((true, self.explain(id, row)?)),
+            None => Ok((false, self.explain_absence(id, pattern)?)),
         }
     }
 
@@ -374,13 +378,13 @@ impl<'s> Explainer<'s> {
     ///
     /// # Errors
     /// If the search exceeds the limit.
-    pub fn explain(&mut self, rel: RelId, row: &[Value]) -> Result<Option<Explanation>, ExplainError> {
+    pub fn explain(&mut self, id: PredicateId, row: &[Value]) -> Result<Option<Explanation>, ExplainError> {
         self.search.refill(self.limit);
-        if !self.search.session.contains(rel, row) {
+        if !self.search.session.contains(id, row) {
             return Ok(None);
         }
         let mut making = Making::default();
-        making.fact(rel, row.to_vec());
+        making.fact(id, row.to_vec());
         making.finish(&mut self.search).map(Some)
     }
 
@@ -390,16 +394,16 @@ impl<'s> Explainer<'s> {
     /// If the search exceeds the limit.
     pub fn explain_absence(
         &mut self,
-        rel: RelId,
+        id: PredicateId,
         pattern: &[Option<Value>],
     ) -> Result<Option<Explanation>, ExplainError> {
         self.search.refill(self.limit);
-        let known = self.search.rules().relations.get(rel.index());
-        if known.is_none_or(|relation| relation.arity() != pattern.len()) || self.search.some_row(rel, pattern)? {
+        let known = self.search.rules().predicates.get(id.index());
+        if known.is_none_or(|predicate| predicate.arity() != pattern.len()) || self.search.some_row(id, pattern)? {
             return Ok(None);
         }
         let mut making = Making::default();
-        making.absence(rel, pattern.to_vec());
+        making.absence(id, pattern.to_vec());
         making.finish(&mut self.search).map(Some)
     }
 
@@ -407,10 +411,10 @@ impl<'s> Explainer<'s> {
     ///
     /// # Errors
     /// If the search exceeds the limit.
-    pub fn derivations(&mut self, rel: RelId, row: &[Value]) -> Result<Vec<(ClauseId, Pattern)>, ExplainError> {
+    pub fn derivations(&mut self, id: PredicateId, row: &[Value]) -> Result<Vec<(ClauseId, Pattern)>, ExplainError> {
         self.search.refill(self.limit);
         let mut found = Vec::new();
-        for clause in self.search.clauses_of(rel) {
+        for clause in self.search.clauses_of(id) {
             let rules = self.search.rules();
             let clause_text = &rules.clauses[clause.index()];
             let mut binding: Binding = vec![None; clause_text.variables.len()];
@@ -456,7 +460,7 @@ impl<'s> Explainer<'s> {
             let head: Option<Vec<Value>> = (clause.head.terms.iter())
                 .map(|term| search::value(term, solution.binding))
                 .collect();
-            new = head.is_some_and(|row| !session.contains(clause.head.relation, &row));
+            new = head.is_some_and(|row| !session.contains(clause.head.predicate, &row));
             !new
         })?;
         Ok(Some(new))
@@ -475,17 +479,17 @@ struct Making {
 
 #[derive(Clone, Debug, PartialEq, Eq, Hash)]
 enum Query {
-    Fact(RelId, Vec<Value>),
-    Absence(RelId, Pattern),
+    Fact(PredicateId, Vec<Value>),
+    Absence(PredicateId, Pattern),
 }
 
 impl Making {
-    fn fact(&mut self, rel: RelId, row: Vec<Value>) -> NodeId {
-        self.ask(Query::Fact(rel, row))
+    fn fact(&mut self, id: PredicateId, row: Vec<Value>) -> NodeId {
+        self.ask(Query::Fact(id, row))
     }
 
-    fn absence(&mut self, rel: RelId, pattern: Pattern) -> NodeId {
-        self.ask(Query::Absence(rel, pattern))
+    fn absence(&mut self, id: PredicateId, pattern: Pattern) -> NodeId {
+        self.ask(Query::Absence(id, pattern))
     }
 
     fn ask(&mut self, query: Query) -> NodeId {
@@ -504,8 +508,8 @@ impl Making {
             search.step()?;
             search.reserve(Explainer::NODE_BYTES)?;
             let node = match self.nodes[id.index()].0.clone() {
-                Query::Fact(relation, row) => Node::Fact(self.explain_fact(search, relation, row)?),
-                Query::Absence(relation, pattern) => Node::Absence(self.explain_absence(search, relation, pattern)?),
+                Query::Fact(predicate, row) => Node::Fact(self.explain_fact(search, predicate, row)?),
+                Query::Absence(predicate, pattern) => Node::Absence(self.explain_absence(search, predicate, pattern)?),
             };
             self.nodes[id.index()].1 = Some(node);
         }
@@ -517,10 +521,10 @@ impl Making {
     fn explain_fact(
         &mut self,
         search: &mut ProofSearch<'_>,
-        relation: RelId,
+        predicate: PredicateId,
         row: Vec<Value>,
     ) -> Result<Fact, ExplainError> {
-        let (height, origin) = search.origin(relation, &row)?;
+        let (height, origin) = search.origin(predicate, &row)?;
         let origin = match origin {
             search::heights::Best::Input => Origin::Input,
             search::heights::Best::Source(clause) => Origin::Source(clause),
@@ -528,10 +532,10 @@ impl Making {
                 let body = &search.rules().clauses[clause.index()].body;
                 let premise = |(literal, row): (&Literal, Option<Vec<Value>>)| match literal {
                     Literal::Positive(atom) | Literal::Guard(atom) => {
-                        Premise::Fact(self.fact(atom.relation, row.unwrap_or_default()))
+                        Premise::Fact(self.fact(atom.predicate, row.unwrap_or_default()))
                     }
                     Literal::Negative(atom) => {
-                        Premise::Absence(self.absence(atom.relation, search::pattern(atom, &binding)))
+                        Premise::Absence(self.absence(atom.predicate, search::pattern(atom, &binding)))
                     }
                     Literal::Compare { left, right, .. } => Premise::Comparison {
                         left: search::value(left, &binding).unwrap_or_default(),
@@ -551,7 +555,7 @@ impl Making {
             }
         };
         Ok(Fact {
-            relation,
+            predicate,
             row,
             height,
             origin,
@@ -561,17 +565,17 @@ impl Making {
     fn explain_absence(
         &mut self,
         search: &mut ProofSearch<'_>,
-        relation: RelId,
+        predicate: PredicateId,
         pattern: Pattern,
     ) -> Result<Absence, ExplainError> {
-        let reason = if !search.rules().relations[relation.index()].derived {
+        let reason = if !search.rules().predicates[predicate.index()].derived {
             AbsenceReason::NotAFact
         } else if self.absences == Explainer::ABSENCES_MAX {
             AbsenceReason::NotLookedInto
         } else {
             self.absences += 1;
             let mut misses = Vec::new();
-            for clause in search.clauses_of(relation) {
+            for clause in search.clauses_of(predicate) {
                 if let Some(obstacle) = self.obstacle(search, clause, &pattern)? {
                     misses.push(Miss { clause, obstacle });
                 }
@@ -579,7 +583,7 @@ impl Making {
             AbsenceReason::NoClause(misses)
         };
         Ok(Absence {
-            relation,
+            predicate,
             pattern,
             reason,
         })
@@ -608,13 +612,13 @@ impl Making {
                     FailureKind::AbsentTwice
                 }
                 Literal::Positive(atom) | Literal::Guard(atom) => {
-                    FailureKind::Absent(self.absence(atom.relation, search::pattern(atom, &binding)))
+                    FailureKind::Absent(self.absence(atom.predicate, search::pattern(atom, &binding)))
                 }
                 Literal::Negative(atom) => {
-                    let Some(row) = search.first_row(atom.relation, &search::pattern(atom, &binding))? else {
+                    let Some(row) = search.first_row(atom.predicate, &search::pattern(atom, &binding))? else {
                         continue;
                     };
-                    FailureKind::Holds(self.fact(atom.relation, row))
+                    FailureKind::Holds(self.fact(atom.predicate, row))
                 }
                 Literal::Compare { left, right, .. } => {
                     match (search::value(left, &binding), search::value(right, &binding)) {

@@ -1,7 +1,7 @@
-//! The cost model: estimates the work of plans from the sizes of relations. Estimates depend on the rows alone, so
+//! The cost model: estimates the work of plans from the sizes of predicates. Estimates depend on the rows alone, so
 //! every run makes the same choices.
 //!
-//! [`Size`] measures the relations that a clause is planned for, and [`Flow`] follows a plan while the planner builds
+//! [`Size`] measures the predicates that a clause is planned for, and [`Flow`] follows a plan while the planner builds
 //! it. The choice between alternative plans in each round of a recursion uses a [`Shape`], which is cheaper to take. It
 //! assumes evenly distributed words: if the words of a column lie between `a` and `b`, a word matches `n / (b - a + 1)`
 //! of `n` rows.
@@ -128,7 +128,7 @@ fn follow(steps: &[Step], found: &dyn Fn(Source, usize) -> f64) -> (f64, f64) {
     (flow, cost)
 }
 
-/// The number of rows of a relation and the distribution of words in its columns, measured on a sample.
+/// The number of rows of a predicate and the distribution of words in its columns, measured on a sample.
 #[derive(Clone, Debug, PartialEq)]
 pub(crate) struct Size {
     pub(crate) rows: usize,

@@ -1,13 +1,13 @@
 //! Aggregates that are computed while their rows are derived, so that no row is stored.
 //!
 //! ```text
-//! A(k, n) :- K(k), n = count : { B(k, x), C(x, y) }.      the checker writes the body as a hidden relation:
+//! A(k, n) :- K(k), n = count : { B(k, x), C(x, y) }.      the checker writes the body as a hidden predicate:
 //!
 //! +1(k, x, y) :- B(k, x), C(x, y).                        evaluation stores one row (k, count) for each k
 //! A(k, n) :- K(k), n = count : { +1(k, _, _) }.           and looks it up
 //! ```
 //!
-//! An aggregate ranges over a set, so this needs a plan that finds each row of the hidden relation once. A row
+//! An aggregate ranges over a set, so this needs a plan that finds each row of the hidden predicate once. A row
 //! determines the rows of the body's atoms if the head has all their variables. A minimum or maximum may find a row
 //! any number of times.
 // Decision: docs/decisions/evaluation.md#d011
@@ -16,24 +16,24 @@ use crate::check::{Clause, Literal, Rules, Term};
 use crate::plan::steps::Grouping;
 use crate::syntax::functor::AggregateOp;
 
-/// By [`RelId`](crate::check::RelId): how the relation is aggregated; `None` if its rows are stored.
+/// By [`PredicateId`](crate::check::PredicateId): how the predicate is aggregated; `None` if its rows are stored.
 pub(crate) fn groupings(rules: &Rules) -> Vec<Option<Grouping>> {
-    // The outer `None` means that no literal reads the relation, the inner one that its rows are needed.
-    let mut read: Vec<Option<Option<Grouping>>> = vec![None; rules.relations.len()];
+    // The outer `None` means that no literal reads the predicate, the inner one that its rows are needed.
+    let mut read: Vec<Option<Option<Grouping>>> = vec![None; rules.predicates.len()];
     for literal in rules.clauses.iter().flat_map(|clause| &clause.body) {
         let Some(atom) = literal.atom() else { continue };
         let grouping = aggregated(literal);
-        let known = &mut read[atom.relation.index()];
+        let known = &mut read[atom.predicate.index()];
         *known = match *known {
             Some(known) if known != grouping => Some(None),
             _ => Some(grouping),
         };
     }
-    let mut definitions: Vec<Vec<&Clause>> = vec![Vec::new(); rules.relations.len()];
+    let mut definitions: Vec<Vec<&Clause>> = vec![Vec::new(); rules.predicates.len()];
     for clause in &rules.clauses {
-        let relation = clause.head.relation.index();
-        if rules.relations[relation].hidden && read[relation].is_some() {
-            definitions[relation].push(clause);
+        let predicate = clause.head.predicate.index();
+        if rules.predicates[predicate].hidden && read[predicate].is_some() {
+            definitions[predicate].push(clause);
         }
     }
     let found = read

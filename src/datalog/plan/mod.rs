@@ -1,6 +1,6 @@
 //! Query plans: the join order of each clause's literals and the indexes that the joins use.
 //!
-//! `steps` defines a plan, `planner` orders the literals, and `estimate` compares orders by the sizes of relations.
+//! `steps` defines a plan, `planner` orders the literals, and `estimate` compares orders by the sizes of predicates.
 //! With the feature `optimizer`, `optimize` simplifies clauses before they are planned.
 
 pub(crate) mod estimate;
@@ -13,7 +13,7 @@ pub(crate) mod steps;
 use std::collections::BTreeMap;
 use std::sync::Arc;
 
-use crate::check::{Clause, ClauseId, Literal, RelId, Relation, Rules, Stratum};
+use crate::check::{Clause, ClauseId, Literal, Predicate, PredicateId, Rules, Stratum};
 use crate::diag::Diagnostic;
 use crate::diag::codes;
 use crate::row::WIDTHS;
@@ -28,47 +28,47 @@ use steps::{Aim, ClausePlans, Grouping, Indexes, Plan, Step, StratumPlan};
 #[derive(Debug)]
 pub(crate) struct Compiled {
     pub(crate) rules: Rules,
-    /// The initial plans, made before any relation has rows.
+    /// The initial plans, made before any predicate has rows.
     pub(crate) plans: Arc<Plans>,
 }
 
 /// The plans of all clauses, the indexes they need, and the layout of the strata.
 #[derive(Clone, Debug)]
 pub(crate) struct Plans {
-    /// The clauses as planned. The optimizer may have simplified them. Facts of relations that no clause with a body
+    /// The clauses as planned. The optimizer may have simplified them. Facts of predicates that no clause with a body
     /// derives are rows from the start, and have no plans.
     sources: Arc<BTreeMap<ClauseId, Clause>>,
     /// By [`ClauseId`]. All facts without plans share one entry, which is never evaluated.
     pub(crate) clauses: Vec<Arc<ClausePlans>>,
-    /// The correlated relations.
-    correlated: Arc<BTreeMap<RelId, Correlated>>,
+    /// The correlated predicates.
+    correlated: Arc<BTreeMap<PredicateId, Correlated>>,
     pub(crate) indexes: Indexes,
-    /// By [`RelId`]: how a hidden relation is aggregated instead of stored; see [`grouping`].
+    /// By [`PredicateId`]: how a hidden predicate is aggregated instead of stored; see [`grouping`].
     pub(crate) groupings: Vec<Option<Grouping>>,
     /// Indexed by position in [`Rules::strata`].
     pub(crate) strata: Vec<StratumPlan>,
-    /// By [`RelId`]: the position of a derived relation among the members of its stratum.
+    /// By [`PredicateId`]: the position of a derived predicate among the members of its stratum.
     pub(crate) member: Vec<Option<usize>>,
     /// The number of words in a stored row, one of [`WIDTHS`].
     pub(crate) width: usize,
 }
 
-/// A correlated relation: the body of an aggregate that is evaluated in place.
+/// A correlated predicate: the body of an aggregate that is evaluated in place.
 #[derive(Clone, Debug)]
 struct Correlated {
     clauses: Vec<ClauseId>,
     /// The number of its parameters.
     parameters: usize,
-    /// The number of literals in its clauses and in those of the correlated relations that they need.
+    /// The number of literals in its clauses and in those of the correlated predicates that they need.
     literals: usize,
 }
 
 impl Plans {
-    /// Plans all clauses. Fails if a clause or a relation exceeds a size limit. Fails for an unsafe clause too, but the
+    /// Plans all clauses. Fails if a clause or a predicate exceeds a size limit. Fails for an unsafe clause too, but the
     /// checker rejects those first.
     pub(crate) fn new(rules: &Rules) -> Result<Plans, Diagnostic> {
         let width_max = WIDTHS[WIDTHS.len() - 1];
-        if let Some(wide) = rules.relations.iter().find(|relation| relation.arity() > width_max) {
+        if let Some(wide) = rules.predicates.iter().find(|predicate| predicate.arity() > width_max) {
             let message = format!(
                 "`{}` has {} columns; the maximum is {width_max}",
                 wide.name,
@@ -77,8 +77,8 @@ impl Plans {
             return Err(Diagnostic::new(codes::LIMIT_EXCEEDED, message).at(wide.span, "declared here"));
         }
         let groupings = groupings(rules);
-        let mut indexes = Indexes::new(rules.relations.iter().map(Relation::arity), &groupings);
-        let arity = (0..rules.relations.len() as u32).map(|relation| indexes.arity(RelId(relation)));
+        let mut indexes = Indexes::new(rules.predicates.iter().map(Predicate::arity), &groupings);
+        let arity = (0..rules.predicates.len() as u32).map(|predicate| indexes.arity(PredicateId(predicate)));
         let arity = arity.max().unwrap_or(0);
         let width = WIDTHS.into_iter().find(|&width| width >= arity).unwrap_or(width_max);
 
@@ -87,11 +87,11 @@ impl Plans {
             .iter()
             .map(|stratum| plan_stratum(rules, stratum, &groupings))
             .collect();
-        let mut member = vec![None; rules.relations.len()];
-        for (position, relation) in strata.iter().flat_map(|stratum| stratum.members.iter().enumerate()) {
-            member[relation.index()] = Some(position);
+        let mut member = vec![None; rules.predicates.len()];
+        for (position, predicate) in strata.iter().flat_map(|stratum| stratum.members.iter().enumerate()) {
+            member[predicate.index()] = Some(position);
         }
-        let mut computed_with: Vec<&[RelId]> = vec![&[]; rules.clauses.len()];
+        let mut computed_with: Vec<&[PredicateId]> = vec![&[]; rules.clauses.len()];
         for stratum in &strata {
             for &clause in &stratum.clauses {
                 computed_with[clause.index()] = &stratum.members;
@@ -99,26 +99,26 @@ impl Plans {
         }
         let correlated = correlated_relations(rules);
         for (
-            &relation,
+            &predicate,
             Correlated {
                 clauses, parameters, ..
             },
         ) in &correlated
         {
-            let grouping = groupings[relation.index()].as_ref();
+            let grouping = groupings[predicate.index()].as_ref();
             let clauses = clauses.iter().map(|clause| &rules.clauses[clause.index()]);
             let plans = clauses.map(|clause| {
                 let order = Order::Clause { large: &[] };
                 plan_correlated(clause, *parameters, grouping, &mut indexes, order)
             });
             let plans = plans.collect::<Result<Vec<Plan>, Diagnostic>>()?;
-            indexes.set_correlated(relation, plans);
+            indexes.set_correlated(predicate, plans);
         }
         let mut clauses = Vec::with_capacity(rules.clauses.len());
         let mut sources = BTreeMap::new();
         let mut fact: Option<Arc<ClausePlans>> = None;
         for ((clause, stratum), id) in rules.clauses.iter().zip(computed_with).zip((0..).map(ClauseId)) {
-            let grouping = groupings[clause.head.relation.index()].as_ref();
+            let grouping = groupings[clause.head.predicate.index()].as_ref();
             let planned = !rules.is_row(clause);
             if let (false, Some(fact)) = (planned, &fact) {
                 clauses.push(Arc::clone(fact));
@@ -128,7 +128,7 @@ impl Plans {
             if literals > CLAUSE_MAX {
                 return Err(too_large(clause, "literals", literals));
             }
-            let plans = Arc::new(match correlated.get(&clause.head.relation) {
+            let plans = Arc::new(match correlated.get(&clause.head.predicate) {
                 Some(Correlated { parameters, .. }) => {
                     let order = Order::Clause { large: &[] };
                     ClausePlans::of(plan_correlated(clause, *parameters, grouping, &mut indexes, order)?)
@@ -154,12 +154,12 @@ impl Plans {
         })
     }
 
-    /// The clauses of a correlated relation, one for each of its plans.
-    pub(crate) fn correlated_clauses(&self, relation: RelId) -> &[ClauseId] {
-        self.correlated.get(&relation).map_or(&[], |known| &known.clauses)
+    /// The clauses of a correlated predicate, one for each of its plans.
+    pub(crate) fn correlated_clauses(&self, predicate: PredicateId) -> &[ClauseId] {
+        self.correlated.get(&predicate).map_or(&[], |known| &known.clauses)
     }
 
-    /// Replans clauses for relations of these sizes.
+    /// Replans clauses for predicates of these sizes.
     ///
     /// [`Aim::Recompute`] replans the non-recursive evaluation from scratch, [`Aim::Maintain`] the maintenance plans.
     /// Replanning may add indexes; existing indexes stay as they are.
@@ -169,7 +169,7 @@ impl Plans {
         for &id in &stratum.clauses {
             let Some(clause) = self.sources.get(&id) else { continue };
             let plans = Arc::make_mut(&mut self.clauses[id.index()]);
-            let grouping = &self.groupings[clause.head.relation.index()];
+            let grouping = &self.groupings[clause.head.predicate.index()];
             // Replanning cannot fail: which variables can be bound does not depend on the order.
             match aim {
                 Aim::Recompute if plans.deltas.is_empty() => {
@@ -190,17 +190,17 @@ impl Plans {
         }
     }
 
-    /// Replans the correlated relations of a stratum, and puts the new plans into those of its clauses.
+    /// Replans the correlated predicates of a stratum, and puts the new plans into those of its clauses.
     fn adapt_correlated(&mut self, stratum: &StratumPlan, sizes: &[Option<Size>]) {
         if stratum.correlated.is_empty() {
             return;
         }
         let indexes = &mut self.indexes;
-        for &relation in &stratum.correlated {
+        for &predicate in &stratum.correlated {
             let Correlated {
                 clauses, parameters, ..
-            } = &self.correlated[&relation];
-            let grouping = self.groupings[relation.index()].as_ref();
+            } = &self.correlated[&predicate];
+            let grouping = self.groupings[predicate.index()].as_ref();
             let clauses = clauses.iter().filter_map(|clause| self.sources.get(clause));
             let plans = clauses.map(|clause| {
                 let order = Order::Sizes(sizes);
@@ -209,7 +209,7 @@ impl Plans {
             let plans: Result<Vec<Plan>, Diagnostic> = plans.collect();
             // Replanning cannot fail, as in `adapt`.
             if let Ok(plans) = plans {
-                indexes.set_correlated(relation, plans);
+                indexes.set_correlated(predicate, plans);
             }
         }
         for &clause in &stratum.clauses {
@@ -222,8 +222,8 @@ impl Plans {
             let deltas = deltas.iter_mut().map(|(_, plan)| plan);
             let plans = deltas.chain(alternatives.iter_mut().flatten()).chain([complete]);
             for step in plans.flat_map(|plan| &mut plan.steps) {
-                if let Step::Correlated { relation, plans, .. } = step
-                    && let Some(new) = indexes.correlated(*relation)
+                if let Step::Correlated { predicate, plans, .. } = step
+                    && let Some(new) = indexes.correlated(*predicate)
                 {
                     *plans = Arc::clone(new);
                 }
@@ -232,24 +232,24 @@ impl Plans {
     }
 }
 
-/// Returns the correlated relations in an order in which each comes after those that it needs.
-fn correlated_relations(rules: &Rules) -> BTreeMap<RelId, Correlated> {
-    let mut correlated: BTreeMap<RelId, Correlated> = BTreeMap::new();
-    let mut clauses_of: BTreeMap<RelId, Vec<(&Clause, ClauseId)>> = BTreeMap::new();
+/// Returns the correlated predicates in an order in which each comes after those that it needs.
+fn correlated_relations(rules: &Rules) -> BTreeMap<PredicateId, Correlated> {
+    let mut correlated: BTreeMap<PredicateId, Correlated> = BTreeMap::new();
+    let mut clauses_of: BTreeMap<PredicateId, Vec<(&Clause, ClauseId)>> = BTreeMap::new();
     for (clause, id) in rules.clauses.iter().zip((0..).map(ClauseId)) {
-        if rules.relations[clause.head.relation.index()].parameters > 0 {
-            clauses_of.entry(clause.head.relation).or_default().push((clause, id));
+        if rules.predicates[clause.head.predicate.index()].parameters > 0 {
+            clauses_of.entry(clause.head.predicate).or_default().push((clause, id));
         }
     }
     // The checker defines the predicate of an inner aggregate before that of the outer one.
-    for (relation, id) in rules.relations.iter().zip((0..).map(RelId)) {
-        if relation.parameters > 0 {
+    for (predicate, id) in rules.predicates.iter().zip((0..).map(PredicateId)) {
+        if predicate.parameters > 0 {
             let clauses = clauses_of.remove(&id).unwrap_or_default();
             let each = clauses.iter().map(|(clause, _)| literals(clause, &correlated));
             let literals = each.fold(0, usize::saturating_add);
             let known = Correlated {
                 clauses: clauses.into_iter().map(|(_, clause)| clause).collect(),
-                parameters: relation.parameters,
+                parameters: predicate.parameters,
                 literals,
             };
             correlated.insert(id, known);
@@ -258,18 +258,18 @@ fn correlated_relations(rules: &Rules) -> BTreeMap<RelId, Correlated> {
     correlated
 }
 
-/// Returns the number of literals in a clause and in the correlated relations that it needs. Evaluation recurses once
+/// Returns the number of literals in a clause and in the correlated predicates that it needs. Evaluation recurses once
 /// per literal.
-fn literals(clause: &Clause, correlated: &BTreeMap<RelId, Correlated>) -> usize {
+fn literals(clause: &Clause, correlated: &BTreeMap<PredicateId, Correlated>) -> usize {
     let atoms = clause.body.iter().filter_map(Literal::atom);
-    let inner = atoms.filter_map(|atom| Some(correlated.get(&atom.relation)?.literals));
+    let inner = atoms.filter_map(|atom| Some(correlated.get(&atom.predicate)?.literals));
     inner.fold(clause.body.len(), usize::saturating_add)
 }
 
 fn plan_stratum(rules: &Rules, stratum: &Stratum, groupings: &[Option<Grouping>]) -> StratumPlan {
-    let derived = |relation: &RelId| rules.relations[relation.index()].derived;
-    let head = |clause: &ClauseId| rules.clauses[clause.index()].head.relation;
-    let members: Vec<RelId> = stratum.relations.iter().copied().filter(derived).collect();
+    let derived = |predicate: &PredicateId| rules.predicates[predicate.index()].derived;
+    let head = |clause: &ClauseId| rules.clauses[clause.index()].head.predicate;
+    let members: Vec<PredicateId> = stratum.predicates.iter().copied().filter(derived).collect();
     let clauses: Vec<ClauseId> = stratum
         .clauses
         .iter()
@@ -278,10 +278,10 @@ fn plan_stratum(rules: &Rules, stratum: &Stratum, groupings: &[Option<Grouping>]
         .collect();
     let (mut inputs, correlated) = rules.read_by(clauses.iter().copied());
     inputs.sort_unstable();
-    // The relations of a stratum are in ascending order.
-    let is_member = |relation: &RelId| members.binary_search(relation).is_ok();
+    // The predicates of a stratum are in ascending order.
+    let is_member = |predicate: &PredicateId| members.binary_search(predicate).is_ok();
     let recursive = inputs.iter().any(is_member);
-    inputs.retain(|relation| !is_member(relation));
+    inputs.retain(|predicate| !is_member(predicate));
     inputs.dedup();
     let small = |clause: &ClauseId| is_maintainable(&rules.clauses[clause.index()]);
     let grouped = members.iter().any(|member| groupings[member.index()].is_some());

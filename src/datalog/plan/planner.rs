@@ -2,11 +2,11 @@
 //!
 //! The planner orders literals greedily: tests first, then the atom that shares bound variables and adds the fewest new
 //! ones. It plans a program once before there are rows. [`crate::eval::adapt`] replans clauses when the sizes
-//! of relations are known. Then the atom with the fewest matching rows comes next. Where several atoms lack only the
+//! of predicates are known. Then the atom with the fewest matching rows comes next. Where several atoms lack only the
 //! same variable, one leapfrog join can bind it.
 // Decision: docs/decisions/evaluation.md#d016
 
-use crate::check::{Atom, Clause, Literal, RelId, Term, VarId};
+use crate::check::{Atom, Clause, Literal, PredicateId, Term, VarId};
 use crate::codes;
 use crate::diag::{self, Diagnostic};
 use crate::plan::estimate::{Flow, Known, Reckoning, Size, cost_of_parts};
@@ -41,17 +41,17 @@ pub(crate) fn is_maintainable(clause: &Clause) -> bool {
     clause.body.len() <= MAINTAINED_LITERALS_MAX && !clause.body.iter().any(aggregates)
 }
 
-/// Makes all plans of a clause. `stratum` holds the relations of the head's stratum in ascending order. `grouping` aggregates the head.
+/// Makes all plans of a clause. `stratum` holds the predicates of the head's stratum in ascending order. `grouping` aggregates the head.
 pub(crate) fn plan_clause(
     clause: &Clause,
-    stratum: &[RelId],
+    stratum: &[PredicateId],
     grouping: Option<&Grouping>,
     indexes: &mut Indexes,
 ) -> Result<ClausePlans, Diagnostic> {
     check_size(clause)?;
     let recursive: Vec<usize> = (0..clause.body.len())
         .filter(|&position| match &clause.body[position] {
-            Literal::Positive(atom) | Literal::Guard(atom) => stratum.binary_search(&atom.relation).is_ok(),
+            Literal::Positive(atom) | Literal::Guard(atom) => stratum.binary_search(&atom.predicate).is_ok(),
             _ => false,
         })
         .collect();
@@ -76,7 +76,7 @@ pub(crate) fn plan_clause(
                 matches!(literal, Literal::Positive(_) | Literal::Guard(_)) && !recursive.contains(&position);
             if finished && clause.body.len() <= ALTERNATIVE_LITERALS_MAX {
                 let other = Planner::new(clause, indexes, order).plan(First::Literal(position), &version)?;
-                // Evaluation must update an index over a growing relation, so an alternative uses none.
+                // Evaluation must update an index over a growing predicate, so an alternative uses none.
                 let mut sources = other.steps.iter().flat_map(Step::sources);
                 let own = |source: Source| source.version == Version::Complete || indexes.is_own(source.index);
                 let cheap = sources.all(own) && !other.searches_new();
@@ -87,11 +87,11 @@ pub(crate) fn plan_clause(
             }
         }
         if let Some(atom) = clause.body[delta].atom() {
-            deltas.push((atom.relation, plan));
+            deltas.push((atom.predicate, plan));
             alternatives.push(others);
         }
     }
-    // In maintenance a recursive relation is already large; in a computation from scratch it begins empty.
+    // In maintenance a recursive predicate is already large; in a computation from scratch it begins empty.
     let (changes, check) = match is_maintainable(clause) && grouping.is_none() {
         true => plan_changes(clause, indexes, Order::Clause { large: stratum })?,
         false => (Vec::new(), None),
@@ -105,7 +105,7 @@ pub(crate) fn plan_clause(
     })
 }
 
-/// Makes the plan of a clause of a correlated relation. It begins with the parameters, which are the first columns of
+/// Makes the plan of a clause of a correlated predicate. It begins with the parameters, which are the first columns of
 /// the head.
 pub(crate) fn plan_correlated(
     clause: &Clause,
@@ -157,7 +157,7 @@ pub(crate) fn plan_changes(
             }
         };
         changes.push(ChangePlan {
-            over: atom.relation,
+            over: atom.predicate,
             negated: matches!(literal, Literal::Negative(_)),
             plan: Planner::new(clause, indexes, order).plan(First::Change(position), &version)?,
         });
@@ -166,7 +166,7 @@ pub(crate) fn plan_changes(
     Ok((changes, Some(check)))
 }
 
-/// Returns the cheapest plan over finished relations of known sizes. It tries the [`STARTS_MAX`] first atoms with the
+/// Returns the cheapest plan over finished predicates of known sizes. It tries the [`STARTS_MAX`] first atoms with the
 /// fewest matching rows.
 pub(crate) fn plan_complete(clause: &Clause, indexes: &mut Indexes, sizes: &[Option<Size>]) -> Option<Plan> {
     let order = Order::Sizes(sizes);
@@ -210,9 +210,9 @@ enum First {
 /// The criterion that orders atoms.
 #[derive(Clone, Copy, Debug)]
 pub(crate) enum Order<'a> {
-    /// By the clause alone. The relations in `large` are probably larger than the others.
-    Clause { large: &'a [RelId] },
-    /// By the sizes of relations. The sizes of all relations in the body are known.
+    /// By the clause alone. The predicates in `large` are probably larger than the others.
+    Clause { large: &'a [PredicateId] },
+    /// By the sizes of predicates. The sizes of all predicates in the body are known.
     Sizes(&'a [Option<Size>]),
 }
 
@@ -319,7 +319,7 @@ impl<'a> Planner<'a> {
                 if matches!(first, First::Change(_)) && fresh.is_none() && known(&self) {
                     fresh = Some(self.steps.len());
                     let key = head.terms.iter().filter_map(|term| self.slot(term)).collect();
-                    let (index, version) = (IndexId(head.relation.0), Version::Complete);
+                    let (index, version) = (IndexId(head.predicate.0), Version::Complete);
                     let source = Source { index, version };
                     self.push(Step::AntiJoin { source, key });
                 }
@@ -337,7 +337,7 @@ impl<'a> Planner<'a> {
         }
         let output: Vec<Slot> = head.terms.iter().filter_map(|term| self.slot(term)).collect();
         let plan = Plan {
-            head: head.relation,
+            head: head.predicate,
             enough: enough(&self.steps, &output),
             output,
             fold: None,
@@ -442,11 +442,11 @@ impl<'a> Planner<'a> {
                     column,
                 } => {
                     let (op, base) = (*op, *base);
-                    if let Some(plans) = self.indexes.correlated(atom.relation).map(Arc::clone) {
+                    if let Some(plans) = self.indexes.correlated(atom.predicate).map(Arc::clone) {
                         let key = atom.terms.iter().filter_map(|term| self.slot(term)).collect();
                         let Some((to, test)) = self.result(to) else { continue };
                         self.push(Step::Correlated {
-                            relation: atom.relation,
+                            predicate: atom.predicate,
                             plans,
                             key,
                             op,
@@ -462,7 +462,7 @@ impl<'a> Planner<'a> {
                     let columns = &self.indexes[source.index].columns;
                     let place = column.and_then(|column| columns.iter().position(|other| *other as usize == column));
                     let column = place.unwrap_or(0) as u16;
-                    self.push(match self.indexes.is_grouped(atom.relation) {
+                    self.push(match self.indexes.is_grouped(atom.predicate) {
                         true => Step::Group {
                             source,
                             key,
@@ -529,7 +529,7 @@ impl<'a> Planner<'a> {
             *term != Term::Wildcard && self.is_bound(term)
         };
         let columns: Vec<u16> = (0..atom.terms.len() as u16).filter(bound).collect();
-        let (index, order) = self.indexes.prefix(atom.relation, [&columns, &[]]);
+        let (index, order) = self.indexes.prefix(atom.predicate, [&columns, &[]]);
         let key = order[..columns.len()]
             .iter()
             .filter_map(|&column| self.slot(&atom.terms[column as usize]))
@@ -541,7 +541,7 @@ impl<'a> Planner<'a> {
     fn rows(&mut self, atom: &Atom) -> (Source, Vec<Slot>) {
         let bound = |&column: &u16| atom.terms[column as usize] != Term::Wildcard;
         let known: Vec<u16> = (0..atom.terms.len() as u16).filter(bound).collect();
-        let (index, order) = self.indexes.prefix(atom.relation, [&known, &[]]);
+        let (index, order) = self.indexes.prefix(atom.predicate, [&known, &[]]);
         let key = (order[..known.len()].iter())
             .filter_map(|&column| self.slot(&atom.terms[column as usize]))
             .collect();
@@ -585,7 +585,7 @@ impl<'a> Planner<'a> {
 
     /// Chooses the next scan or leapfrog join. It prefers atoms that share a bound variable. Then it prefers, in this
     /// order: the fewest matching rows (if sizes are known), the fewest new variables, the most bound columns, and
-    /// relations that are not probably large.
+    /// predicates that are not probably large.
     fn next(&self) -> Option<Next> {
         let cost = |position: usize| {
             let atom = positive(&self.clause.body[position])?;
@@ -594,7 +594,7 @@ impl<'a> Planner<'a> {
                 .filter(|term| **term != Term::Wildcard && self.is_bound(term))
                 .count();
             let (found, large) = match self.order {
-                Order::Clause { large } => (0.0, large.contains(&atom.relation)),
+                Order::Clause { large } => (0.0, large.contains(&atom.predicate)),
                 Order::Sizes(_) => (self.found(atom), false),
             };
             // An atom that matches at most one row may come anywhere.
@@ -637,7 +637,7 @@ impl<'a> Planner<'a> {
                 .filter_map(|&position| positive(&self.clause.body[position]))
         };
         let least = |cost: &dyn Fn(&Atom, &Size) -> f64| {
-            let costs = atoms().filter_map(|atom| Some(cost(atom, sizes[atom.relation.index()].as_ref()?)));
+            let costs = atoms().filter_map(|atom| Some(cost(atom, sizes[atom.predicate.index()].as_ref()?)));
             costs.fold(f64::INFINITY, f64::min)
         };
         let count = lists.len() as f64;
@@ -666,7 +666,7 @@ impl<'a> Planner<'a> {
     fn found(&self, atom: &Atom) -> f64 {
         match self.order {
             Order::Sizes(sizes) => {
-                let size = sizes[atom.relation.index()].as_ref();
+                let size = sizes[atom.predicate.index()].as_ref();
                 size.map_or(0.0, |size| self.flow.found(size, &self.key(atom)))
             }
             Order::Clause { .. } => 0.0,
@@ -676,7 +676,7 @@ impl<'a> Planner<'a> {
     /// Updates the estimate for an atom about to be placed, if sizes are known.
     fn expect(&mut self, atom: &Atom, reckon: impl Fn(&mut Flow, &Size, &[Known])) {
         if let Order::Sizes(sizes) = self.order
-            && let Some(size) = &sizes[atom.relation.index()]
+            && let Some(size) = &sizes[atom.predicate.index()]
         {
             let key = self.key(atom);
             reckon(&mut self.flow, size, &key);
@@ -695,7 +695,7 @@ impl<'a> Planner<'a> {
                 .find(|(_, term)| term.variable() == Some(variable));
             let Some((column, _)) = place else { continue };
             let known: Vec<u16> = self.key(atom).iter().map(|&(column, _)| column).collect();
-            let (index, order) = self.indexes.prefix(atom.relation, [&known, &[column]]);
+            let (index, order) = self.indexes.prefix(atom.predicate, [&known, &[column]]);
             let key = (order[..known.len()].iter())
                 .filter_map(|&column| self.slot(&atom.terms[column as usize]))
                 .collect();
@@ -709,7 +709,7 @@ impl<'a> Planner<'a> {
             let atoms = positions
                 .iter()
                 .filter_map(|&position| positive(&self.clause.body[position]));
-            let sized = atoms.filter_map(|atom| Some((sizes[atom.relation.index()].as_ref()?, self.key(atom))));
+            let sized = atoms.filter_map(|atom| Some((sizes[atom.predicate.index()].as_ref()?, self.key(atom))));
             let sized: Vec<_> = sized.collect();
             self.flow.leapfrog_join(&sized, variable);
         }
@@ -746,14 +746,14 @@ impl<'a> Planner<'a> {
         for &(_, slot) in &binds {
             self.bound[slot as usize] = true;
         }
-        let own = IndexId(atom.relation.0);
+        let own = IndexId(atom.predicate.0);
         let mut distinct = 0;
         let index = if self.repeated && version != Version::New && !keys.is_empty() {
             let known: Vec<u16> = keys.iter().map(|&(column, _)| column).collect();
             let other: Vec<u16> = binds.iter().chain(&checks).map(|&(column, _)| column).collect();
-            let (index, order) = self.indexes.prefix(atom.relation, [&known, &other]);
+            let (index, order) = self.indexes.prefix(atom.predicate, [&known, &other]);
             if let (false, Order::Sizes(sizes)) = (self.indexes.is_own(index), self.order) {
-                let rows = sizes[atom.relation.index()].as_ref().map_or(0, |size| size.rows);
+                let rows = sizes[atom.predicate.index()].as_ref().map_or(0, |size| size.rows);
                 self.ordering += INDEX_ROW * rows as f64;
             }
             for (column, _) in keys.iter_mut().chain(&mut binds).chain(&mut checks) {

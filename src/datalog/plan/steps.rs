@@ -6,12 +6,12 @@
 //!
 //! A clause of a recursive stratum has one delta plan for each body atom over that stratum. The delta plan begins with
 //! the newest rows of that atom. *Alternatives* compute the same result but reach those rows later. In every round
-//! [`super::estimate`] chooses between them by the sizes of relations.
+//! [`super::estimate`] chooses between them by the sizes of predicates.
 //!
 //! For maintenance, each clause has one plan for each body atom, negated ones included, that begins with the changed
 //! rows. One more plan begins with head rows and checks whether the clause derives them.
 
-use crate::check::{ClauseId, RelId};
+use crate::check::{ClauseId, PredicateId};
 use crate::syntax::ast::{BaseType, Comparison};
 use crate::syntax::functor::{AggregateOp, Functor};
 use crate::value::Value;
@@ -31,26 +31,26 @@ impl IndexId {
     }
 }
 
-/// An order of a relation's columns. Each index covers all columns, so that it can be patched when rows are added or
+/// An order of a predicate's columns. Each index covers all columns, so that it can be patched when rows are added or
 /// removed.
 #[derive(Clone, Debug, PartialEq, Eq)]
 pub(crate) struct IndexSpec {
-    pub(crate) relation: RelId,
+    pub(crate) predicate: PredicateId,
     pub(crate) columns: Vec<u16>,
-    /// Position among the relation's indexes; 0 is the primary index, the relation's rows in their stored order.
+    /// Position among the predicate's indexes; 0 is the primary index, the predicate's rows in their stored order.
     pub(crate) position: usize,
 }
 
-/// The indexes that the plans use, without duplicates. The primary indexes come first, by [`RelId`].
+/// The indexes that the plans use, without duplicates. The primary indexes come first, by [`PredicateId`].
 #[derive(Clone, Debug)]
 pub(crate) struct Indexes {
     specs: Vec<IndexSpec>,
-    /// By [`RelId`]: the indexes of a relation, the primary index first.
+    /// By [`PredicateId`]: the indexes of a predicate, the primary index first.
     of: Vec<Vec<IndexId>>,
-    /// By [`RelId`]: whether the rows of the relation are groups, each a key and its aggregate.
+    /// By [`PredicateId`]: whether the rows of the predicate are groups, each a key and its aggregate.
     grouped: Vec<bool>,
-    /// The plans of correlated relations, which other plans contain.
-    correlated: BTreeMap<RelId, Arc<[Plan]>>,
+    /// The plans of correlated predicates, which other plans contain.
+    correlated: BTreeMap<PredicateId, Arc<[Plan]>>,
 }
 
 impl std::ops::Index<IndexId> for Indexes {
@@ -62,10 +62,13 @@ impl std::ops::Index<IndexId> for Indexes {
 }
 
 impl Indexes {
-    /// Creates the primary indexes of relations with these arities and groupings.
+    /// Creates the primary indexes of predicates with these arities and groupings.
     pub(crate) fn new(arities: impl Iterator<Item = usize>, groupings: &[Option<Grouping>]) -> Self {
         let own = |((arity, grouping), number): ((usize, &Option<Grouping>), _)| {
-            own_rows(RelId(number), grouping.map_or(arity, |grouping| grouping.keys + 1))
+            own_rows(
+                PredicateId(number),
+                grouping.map_or(arity, |grouping| grouping.keys + 1),
+            )
         };
         let specs: Vec<IndexSpec> = arities.zip(groupings).zip(0..).map(own).collect();
         Indexes {
@@ -76,47 +79,47 @@ impl Indexes {
         }
     }
 
-    /// The plans of a correlated relation; `None` for any other relation.
-    pub(crate) fn correlated(&self, relation: RelId) -> Option<&Arc<[Plan]>> {
-        self.correlated.get(&relation)
+    /// The plans of a correlated predicate; `None` for any other predicate.
+    pub(crate) fn correlated(&self, predicate: PredicateId) -> Option<&Arc<[Plan]>> {
+        self.correlated.get(&predicate)
     }
 
-    /// The number of correlated relations, and so the maximum number of nested evaluations of them.
+    /// The number of correlated predicates, and so the maximum number of nested evaluations of them.
     pub(crate) fn correlated_len(&self) -> usize {
         self.correlated.len()
     }
 
-    /// Sets the plans of a correlated relation.
-    pub(crate) fn set_correlated(&mut self, relation: RelId, plans: Vec<Plan>) {
-        self.correlated.insert(relation, plans.into());
+    /// Sets the plans of a correlated predicate.
+    pub(crate) fn set_correlated(&mut self, predicate: PredicateId, plans: Vec<Plan>) {
+        self.correlated.insert(predicate, plans.into());
     }
 
-    /// Whether the rows of the relation are groups.
-    pub(crate) fn is_grouped(&self, relation: RelId) -> bool {
-        self.grouped[relation.index()]
+    /// Whether the rows of the predicate are groups.
+    pub(crate) fn is_grouped(&self, predicate: PredicateId) -> bool {
+        self.grouped[predicate.index()]
     }
 
-    /// The number of words in a row of the relation.
-    pub(crate) fn arity(&self, relation: RelId) -> usize {
-        self.specs[relation.index()].columns.len()
+    /// The number of words in a row of the predicate.
+    pub(crate) fn arity(&self, predicate: PredicateId) -> usize {
+        self.specs[predicate.index()].columns.len()
     }
 
-    /// The number of indexes of each relation, by [`RelId`].
+    /// The number of indexes of each predicate, by [`PredicateId`].
     pub(crate) fn counts(&self) -> impl Iterator<Item = usize> {
         self.of.iter().map(Vec::len)
     }
 
-    /// The indexes of a relation, the primary index first.
-    pub(crate) fn of(&self, relation: RelId) -> impl Iterator<Item = &IndexSpec> {
-        self.of[relation.index()].iter().map(|&index| &self[index])
+    /// The indexes of a predicate, the primary index first.
+    pub(crate) fn of(&self, predicate: PredicateId) -> impl Iterator<Item = &IndexSpec> {
+        self.of[predicate.index()].iter().map(|&index| &self[index])
     }
 
-    /// Whether this is a relation's primary index.
+    /// Whether this is a predicate's primary index.
     pub(crate) fn is_own(&self, index: IndexId) -> bool {
         index.index() < self.of.len()
     }
 
-    /// The number of indexes of all relations together.
+    /// The number of indexes of all predicates together.
     pub(crate) fn len(&self) -> usize {
         self.specs.len()
     }
@@ -131,23 +134,23 @@ impl Indexes {
 
     /// Returns an index that begins with the columns of the first group, then those of the second, each in any order.
     /// Creates the index if none exists. The second value is its column order.
-    pub(crate) fn prefix(&mut self, relation: RelId, groups: [&[u16]; 2]) -> (IndexId, Vec<u16>) {
+    pub(crate) fn prefix(&mut self, predicate: PredicateId, groups: [&[u16]; 2]) -> (IndexId, Vec<u16>) {
         let begins = |order: &[u16]| {
             let (first, rest) = order.split_at(groups[0].len());
             let within = |group: &[u16], part: &[u16]| group.iter().all(|column| part.contains(column));
             within(groups[0], first) && within(groups[1], &rest[..groups[1].len()])
         };
-        let known = &mut self.of[relation.index()];
+        let known = &mut self.of[predicate.index()];
         if let Some(&index) = known.iter().find(|index| begins(&self.specs[index.index()].columns)) {
             return (index, self.specs[index.index()].columns.clone());
         }
         let mut columns = groups.concat();
-        let all = self.specs[relation.index()].columns.iter().copied();
+        let all = self.specs[predicate.index()].columns.iter().copied();
         let rest: Vec<u16> = all.filter(|column| !columns.contains(column)).collect();
         columns.extend(rest);
         let index = IndexId(self.specs.len() as u32);
         self.specs.push(IndexSpec {
-            relation,
+            predicate,
             columns: columns.clone(),
             position: known.len(),
         });
@@ -156,19 +159,19 @@ impl Indexes {
     }
 }
 
-/// The specification of a relation's primary index.
-fn own_rows(relation: RelId, arity: usize) -> IndexSpec {
+/// The specification of a predicate's primary index.
+fn own_rows(predicate: PredicateId, arity: usize) -> IndexSpec {
     IndexSpec {
-        relation,
+        predicate,
         columns: (0..arity as u16).collect(),
         position: 0,
     }
 }
 
-/// The subset of a relation's rows that a step reads during semi-naive evaluation.
+/// The subset of a predicate's rows that a step reads during semi-naive evaluation.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub(crate) enum Version {
-    /// The rows of a finished relation.
+    /// The rows of a finished predicate.
     Complete,
     /// Old and new rows.
     All,
@@ -244,13 +247,13 @@ pub(crate) enum Step {
     },
     /// Evaluate a correlated aggregate for the parameters in the key, with `test` as in [`Step::Compute`].
     Correlated {
-        relation: RelId,
-        /// One plan for each clause of the relation. Its first step scans the parameters.
+        predicate: PredicateId,
+        /// One plan for each clause of the predicate. Its first step scans the parameters.
         plans: Arc<[Plan]>,
         key: Vec<Slot>,
         op: AggregateOp,
         base: BaseType,
-        /// The column of the relation that holds the aggregated values; `None` for `count`.
+        /// The column of the predicate that holds the aggregated values; `None` for `count`.
         column: Option<usize>,
         to: Slot,
         test: bool,
@@ -267,7 +270,7 @@ pub(crate) enum Step {
 }
 
 impl Step {
-    /// The source of a step that reads a single relation.
+    /// The source of a step that reads a single predicate.
     #[inline]
     pub(crate) fn source(&self) -> Option<Source> {
         match self {
@@ -334,7 +337,7 @@ impl Step {
     }
 }
 
-/// The aggregation of a hidden relation. Its first columns are the key of a group.
+/// The aggregation of a hidden predicate. Its first columns are the key of a group.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub(crate) struct Grouping {
     /// The number of key columns.
@@ -357,7 +360,7 @@ pub(crate) struct Fold {
 /// A plan that evaluates a clause.
 #[derive(Clone, Debug)]
 pub(crate) struct Plan {
-    pub(crate) head: RelId,
+    pub(crate) head: PredicateId,
     /// Indexed by column of the head: the slot that holds its value. With `fold`, only the columns of the key.
     pub(crate) output: Vec<Slot>,
     /// Aggregates what the plan derives, by the key in `output`; see [`super::grouping`].
@@ -400,13 +403,13 @@ impl Plan {
 /// The plans of a clause.
 #[derive(Clone, Debug)]
 pub(crate) struct ClausePlans {
-    /// The plan over finished relations.
+    /// The plan over finished predicates.
     pub(crate) complete: Plan,
-    /// One plan for each atom over the clause's recursive stratum, with the relation whose new rows the plan begins
+    /// One plan for each atom over the clause's recursive stratum, with the predicate whose new rows the plan begins
     /// with.
-    pub(crate) deltas: Vec<(RelId, Plan)>,
-    /// Indexed by position in `deltas`: equivalent plans that begin with a finished relation and reach the newest rows
-    /// later. They are faster when there are many new rows. Each round chooses a plan by the sizes of relations.
+    pub(crate) deltas: Vec<(PredicateId, Plan)>,
+    /// Indexed by position in `deltas`: equivalent plans that begin with a finished predicate and reach the newest rows
+    /// later. They are faster when there are many new rows. Each round chooses a plan by the sizes of predicates.
     pub(crate) alternatives: Vec<Vec<Plan>>,
     /// One plan for each atom of the body: what the clause derives from added or removed rows of that atom. Empty if
     /// the clause cannot be maintained.
@@ -431,8 +434,8 @@ impl ClausePlans {
 /// A plan that evaluates a clause for changed rows of one atom.
 #[derive(Clone, Debug)]
 pub(crate) struct ChangePlan {
-    /// The relation of the atom.
-    pub(crate) over: RelId,
+    /// The predicate of the atom.
+    pub(crate) over: PredicateId,
     /// Whether the atom is negated. Then removed rows can make the clause derive more.
     pub(crate) negated: bool,
     pub(crate) plan: Plan,
@@ -441,18 +444,18 @@ pub(crate) struct ChangePlan {
 /// The inputs, members and clauses of a stratum.
 #[derive(Clone, Debug)]
 pub(crate) struct StratumPlan {
-    /// The derived relations. Relations that have only facts are not evaluated.
-    pub(crate) members: Vec<RelId>,
-    /// The other relations that occur in bodies, by id, also those in bodies of correlated relations.
-    pub(crate) inputs: Vec<RelId>,
+    /// The derived predicates. Predicates that have only facts are not evaluated.
+    pub(crate) members: Vec<PredicateId>,
+    /// The other predicates that occur in bodies, by id, also those in bodies of correlated predicates.
+    pub(crate) inputs: Vec<PredicateId>,
     /// The clauses of the members.
     pub(crate) clauses: Vec<ClauseId>,
     /// Whether a member occurs in a body.
     pub(crate) recursive: bool,
     /// Whether all clauses have maintenance plans. If not, any change recomputes the stratum.
     pub(crate) maintainable: bool,
-    /// The correlated relations that the clauses evaluate in place, each after those that it needs.
-    pub(crate) correlated: Vec<RelId>,
+    /// The correlated predicates that the clauses evaluate in place, each after those that it needs.
+    pub(crate) correlated: Vec<PredicateId>,
 }
 
 /// The purpose of a plan.

@@ -15,7 +15,7 @@
 //! What a clause negates or aggregates must be complete. So these predicates and all that they depend on stay as they
 //! are, and nothing that is complete depends on a demand: the program stays stratified.
 
-use crate::check::{Atom, Clause, Literal, RelId, Relation, Rules, Term, restratified};
+use crate::check::{Atom, Clause, Literal, Predicate, PredicateId, Rules, Term, restratified};
 use crate::rewrite::is_visible;
 use crate::syntax::ast::Comparison;
 use std::collections::{BTreeMap, BTreeSet};
@@ -29,25 +29,25 @@ type Adornment = Vec<bool>;
 /// Returns the rules with the predicates that are marked `magic` restricted to the rows that the visible ones need.
 /// `None` if none can be restricted.
 pub fn demand(rules: &Rules) -> Option<Rules> {
-    if !rules.relations.iter().any(|relation| relation.magic) {
+    if !rules.predicates.iter().any(|predicate| predicate.magic) {
         return None;
     }
-    restrict(rules, |relation| rules.relations[relation.index()].magic)
+    restrict(rules, |predicate| rules.predicates[predicate.index()].magic)
 }
 
 /// Returns whether marking predicates `magic` would restrict one of them. Returns false for programs with many clauses.
 pub fn would_restrict(rules: &Rules) -> bool {
     const MAX_CLAUSES: usize = 10_000;
     rules.clauses.len() <= MAX_CLAUSES
-        && restrict(rules, |relation| !rules.relations[relation.index()].hidden).is_some()
+        && restrict(rules, |predicate| !rules.predicates[predicate.index()].hidden).is_some()
 }
 
-fn restrict(rules: &Rules, wanted: impl Fn(RelId) -> bool) -> Option<Rules> {
+fn restrict(rules: &Rules, wanted: impl Fn(PredicateId) -> bool) -> Option<Rules> {
     let mut full = complete(rules);
-    for relation in (0..).map(RelId).take(rules.relations.len()) {
+    for predicate in (0..).map(PredicateId).take(rules.predicates.len()) {
         // Rows can be added to a predicate that only facts define: a copy would lack them.
-        let derived = rules.relations[relation.index()].derived;
-        full[relation.index()] |= !derived || !wanted(relation) || is_visible(rules, relation);
+        let derived = rules.predicates[predicate.index()].derived;
+        full[predicate.index()] |= !derived || !wanted(predicate) || is_visible(rules, predicate);
     }
     // Finds out which predicates are needed in full before it makes any clause.
     loop {
@@ -56,8 +56,8 @@ fn restrict(rules: &Rules, wanted: impl Fn(RelId) -> bool) -> Option<Rules> {
         if transformer.in_full.is_empty() {
             return (!transformer.copies.is_empty()).then(|| restratified(transformer.out));
         }
-        for relation in transformer.in_full {
-            full[relation.index()] = true;
+        for predicate in transformer.in_full {
+            full[predicate.index()] = true;
         }
     }
 }
@@ -65,17 +65,17 @@ fn restrict(rules: &Rules, wanted: impl Fn(RelId) -> bool) -> Option<Rules> {
 /// Returns the predicates that must be complete: what clauses negate or aggregate or a guard reads, and all that these
 /// depend on.
 fn complete(rules: &Rules) -> Vec<bool> {
-    let mut complete = vec![false; rules.relations.len()];
+    let mut complete = vec![false; rules.predicates.len()];
     for literal in rules.clauses.iter().flat_map(|clause| &clause.body) {
         if let Literal::Negative(atom) | Literal::Aggregate { atom, .. } | Literal::Guard(atom) = literal {
-            complete[atom.relation.index()] = true;
+            complete[atom.predicate.index()] = true;
         }
     }
     let by_head = rules.clauses_by_head();
-    let mut open: Vec<usize> = (0..complete.len()).filter(|&relation| complete[relation]).collect();
-    while let Some(relation) = open.pop() {
-        let literals = by_head[relation].iter().flat_map(|clause| &clause.body);
-        for read in literals.filter_map(Literal::atom).map(|atom| atom.relation.index()) {
+    let mut open: Vec<usize> = (0..complete.len()).filter(|&predicate| complete[predicate]).collect();
+    while let Some(predicate) = open.pop() {
+        let literals = by_head[predicate].iter().flat_map(|clause| &clause.body);
+        for read in literals.filter_map(Literal::atom).map(|atom| atom.predicate.index()) {
             if !std::mem::replace(&mut complete[read], true) {
                 open.push(read);
             }
@@ -86,14 +86,14 @@ fn complete(rules: &Rules) -> Vec<bool> {
 
 struct Transformer<'a> {
     rules: &'a Rules,
-    /// By [`RelId`]: whether the predicate is computed in full.
+    /// By [`PredicateId`]: whether the predicate is computed in full.
     full: &'a [bool],
     /// The predicates that must be computed in full as well.
-    in_full: BTreeSet<RelId>,
+    in_full: BTreeSet<PredicateId>,
     /// The copy of each predicate for each adornment, and its demand.
-    copies: BTreeMap<(RelId, Adornment), (RelId, RelId)>,
+    copies: BTreeMap<(PredicateId, Adornment), (PredicateId, PredicateId)>,
     /// The copies whose clauses are to be made.
-    waiting: Vec<(RelId, Adornment)>,
+    waiting: Vec<(PredicateId, Adornment)>,
     out: Rules,
 }
 
@@ -115,7 +115,7 @@ impl<'a> Transformer<'a> {
     fn all(&mut self) {
         let needs_complete = complete(self.rules);
         for clause in &self.rules.clauses {
-            let head = clause.head.relation.index();
+            let head = clause.head.predicate.index();
             if needs_complete[head] {
                 self.out.clauses.push(clause.clone());
             } else if self.full[head] {
@@ -123,18 +123,18 @@ impl<'a> Transformer<'a> {
             }
         }
         let by_head = self.rules.clauses_by_head();
-        while let Some((relation, adornment)) = self.waiting.pop() {
-            for clause in &by_head[relation.index()] {
+        while let Some((predicate, adornment)) = self.waiting.pop() {
+            for clause in &by_head[predicate.index()] {
                 self.clause(clause, Some(&adornment));
             }
         }
         // A copy takes the place of the predicate itself, and a demand may consist of facts.
-        let mut derived = vec![false; self.out.relations.len()];
+        let mut derived = vec![false; self.out.predicates.len()];
         for clause in self.out.clauses.iter().filter(|clause| !clause.body.is_empty()) {
-            derived[clause.head.relation.index()] = true;
+            derived[clause.head.predicate.index()] = true;
         }
-        for (relation, derived) in self.out.relations.iter_mut().zip(derived) {
-            relation.derived = derived;
+        for (predicate, derived) in self.out.predicates.iter_mut().zip(derived) {
+            predicate.derived = derived;
         }
     }
 
@@ -145,10 +145,10 @@ impl<'a> Transformer<'a> {
         // The literals that hold where a demand arises.
         let mut before: Vec<Literal> = Vec::new();
         if let Some(adornment) = adornment {
-            let (copy, demand) = self.copies[&(clause.head.relation, adornment.clone())];
-            out.head.relation = copy;
+            let (copy, demand) = self.copies[&(clause.head.predicate, adornment.clone())];
+            out.head.predicate = copy;
             let guard = Atom {
-                relation: demand,
+                predicate: demand,
                 terms: selected(&clause.head.terms, adornment),
                 span: clause.head.span,
             };
@@ -168,21 +168,21 @@ impl<'a> Transformer<'a> {
                 })
                 .max_by_key(|&(at, atom)| {
                     let many = bound_in(atom);
-                    (many > 0, self.full[atom.relation.index()], many, std::cmp::Reverse(at))
+                    (many > 0, self.full[atom.predicate.index()], many, std::cmp::Reverse(at))
                 });
             let Some((at, atom)) = next else { break };
             rest.retain(|&other| other != at);
             let mut atom = atom.clone();
-            if !self.full[atom.relation.index()] {
+            if !self.full[atom.predicate.index()] {
                 let adornment: Adornment = atom.terms.iter().map(|term| is_bound(term, &bound)).collect();
-                if let Some((copy, demand)) = self.copy(atom.relation, &adornment) {
+                if let Some((copy, demand)) = self.copy(atom.predicate, &adornment) {
                     let head = Atom {
-                        relation: demand,
+                        predicate: demand,
                         terms: selected(&atom.terms, &adornment),
                         span: atom.span,
                     };
                     let is_head = |literal: &Literal| match literal {
-                        Literal::Positive(atom) => (atom.relation, &atom.terms) == (head.relation, &head.terms),
+                        Literal::Positive(atom) => (atom.predicate, &atom.terms) == (head.predicate, &head.terms),
                         _ => false,
                     };
                     if !before.iter().any(is_head) {
@@ -195,7 +195,7 @@ impl<'a> Transformer<'a> {
                             span: clause.span,
                         });
                     }
-                    atom.relation = copy;
+                    atom.predicate = copy;
                 }
             }
             bind(&mut bound, &atom.terms);
@@ -206,40 +206,40 @@ impl<'a> Transformer<'a> {
     }
 
     /// Returns the copy of a predicate and its demand; `None` if the predicate is needed in full.
-    fn copy(&mut self, relation: RelId, adornment: &Adornment) -> Option<(RelId, RelId)> {
-        let key = (relation, adornment.clone());
+    fn copy(&mut self, predicate: PredicateId, adornment: &Adornment) -> Option<(PredicateId, PredicateId)> {
+        let key = (predicate, adornment.clone());
         if let Some(&known) = self.copies.get(&key) {
             return Some(known);
         }
-        let others = self.copies.keys().filter(|(of, _)| *of == relation).count();
+        let others = self.copies.keys().filter(|(of, _)| *of == predicate).count();
         if !adornment.contains(&true) || others >= MAX_COPIES {
-            self.in_full.insert(relation);
+            self.in_full.insert(predicate);
             return None;
         }
-        let Relation {
+        let Predicate {
             name, columns, span, ..
-        } = self.rules.relations[relation.index()].clone();
+        } = self.rules.predicates[predicate.index()].clone();
         let letters: String = adornment.iter().map(|&bound| if bound { 'b' } else { 'f' }).collect();
         let wanted = columns
             .iter()
             .zip(adornment)
             .filter(|(_, bound)| **bound)
             .map(|(column, _)| column.clone());
-        let demand = Relation::made(
+        let demand = Predicate::made(
             format!("+demand {name}.{letters}"),
             wanted.collect(),
             format!("the arguments for which `{name}` is needed"),
             span,
         );
-        let copy = Relation::made(
+        let copy = Predicate::made(
             format!("+{name}.{letters}"),
             columns,
             format!("`{name}` as far as it is needed"),
             span,
         );
-        let mut add = |relation: Relation| {
-            self.out.relations.push(relation);
-            RelId(u32::try_from(self.out.relations.len() - 1).expect("fewer than 2^32 predicates"))
+        let mut add = |predicate: Predicate| {
+            self.out.predicates.push(predicate);
+            PredicateId(u32::try_from(self.out.predicates.len() - 1).expect("fewer than 2^32 predicates"))
         };
         let made = (add(copy), add(demand));
         self.copies.insert(key.clone(), made);

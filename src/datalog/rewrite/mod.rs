@@ -11,15 +11,15 @@ mod unfold;
 pub use demand::{demand, would_restrict};
 pub use unfold::unfold;
 
-use crate::check::{RelId, Rules};
+use crate::check::{PredicateId, Rules};
 
 /// Returns whether the rows of a predicate are visible outside of the rules: to `.input`, `.output`, `.printsize` or a
 /// constraint.
-fn is_visible(rules: &Rules, relation: RelId) -> bool {
-    let declared = &rules.relations[relation.index()];
+fn is_visible(rules: &Rules, predicate: PredicateId) -> bool {
+    let declared = &rules.predicates[predicate.index()];
     let named = rules.constraints.iter().any(|declared| {
-        let in_domain = declared.domain.iter().any(|(other, _)| *other == relation);
-        in_domain || declared.constraint.relations().any(|named| named == relation)
+        let in_domain = declared.domain.iter().any(|(other, _)| *other == predicate);
+        in_domain || declared.constraint.predicates().any(|named| named == predicate)
     });
     declared.input || declared.output || declared.printsize || declared.edb.is_some() || named
 }

@@ -12,7 +12,7 @@
 //! make too many clauses or too long ones; then it is computed, too.
 
 use crate::check::strata::components;
-use crate::check::{Atom, Clause, Literal, RelId, Rules, Term, VarId, restratified};
+use crate::check::{Atom, Clause, Literal, PredicateId, Rules, Term, VarId, restratified};
 use crate::rewrite::is_visible;
 use crate::syntax::ast::{BaseType, Comparison};
 use std::collections::HashMap;
@@ -25,13 +25,13 @@ const MAX_LITERALS: usize = 64;
 
 /// Returns the rules with `inline` predicates unfolded, and the predicates that could not be unfolded everywhere.
 /// Returns `None` if there is nothing to unfold.
-pub fn unfold(rules: &Rules) -> Option<(Rules, Vec<RelId>)> {
-    let relations = (0..).map(RelId).take(rules.relations.len());
+pub fn unfold(rules: &Rules) -> Option<(Rules, Vec<PredicateId>)> {
+    let predicates = (0..).map(PredicateId).take(rules.predicates.len());
     // Rows can be added to a predicate that only facts define: its clauses are not its meaning.
-    let inline: Vec<bool> = relations
-        .map(|relation| {
-            let declared = &rules.relations[relation.index()];
-            declared.inline && declared.derived && !is_visible(rules, relation)
+    let inline: Vec<bool> = predicates
+        .map(|predicate| {
+            let declared = &rules.predicates[predicate.index()];
+            declared.inline && declared.derived && !is_visible(rules, predicate)
         })
         .collect();
     if !inline.contains(&true) {
@@ -40,23 +40,23 @@ pub fn unfold(rules: &Rules) -> Option<(Rules, Vec<RelId>)> {
     let mut unfolder = Unfolder {
         by_head: rules.clauses_by_head(),
         rules,
-        meanings: vec![None; rules.relations.len()],
+        meanings: vec![None; rules.predicates.len()],
     };
     // The checker refuses inline predicates that depend on themselves through inline ones only. So in the order of
     // strata, the meaning of a predicate contains no atom that is unfolded later, unless a cycle through others makes
     // them one stratum.
     for stratum in &rules.strata {
-        let members: Vec<RelId> = stratum
-            .relations
+        let members: Vec<PredicateId> = stratum
+            .predicates
             .iter()
             .copied()
             .filter(|id| inline[id.index()])
             .collect();
-        let place: HashMap<RelId, usize> = members.iter().copied().zip(0..).collect();
-        let used = |relation: &RelId| -> Vec<usize> {
-            let clauses = unfolder.by_head[relation.index()].iter();
+        let place: HashMap<PredicateId, usize> = members.iter().copied().zip(0..).collect();
+        let used = |predicate: &PredicateId| -> Vec<usize> {
+            let clauses = unfolder.by_head[predicate.index()].iter();
             let atoms = clauses.flat_map(|clause| &clause.body).filter_map(Literal::atom);
-            atoms.filter_map(|atom| place.get(&atom.relation).copied()).collect()
+            atoms.filter_map(|atom| place.get(&atom.predicate).copied()).collect()
         };
         let used: Vec<Vec<usize>> = members.iter().map(used).collect();
         // A component comes after those that it uses.
@@ -80,16 +80,16 @@ pub fn unfold(rules: &Rules) -> Option<(Rules, Vec<RelId>)> {
         }
     }
     let used = used_by_others(rules, &clauses, &inline);
-    clauses.retain(|clause| !inline[clause.head.relation.index()] || used[clause.head.relation.index()]);
+    clauses.retain(|clause| !inline[clause.head.predicate.index()] || used[clause.head.predicate.index()]);
     let mut out = Rules {
         clauses,
         ..rules.clone()
     };
     let mut kept = Vec::new();
-    for (relation, index) in (0..).map(RelId).zip(0..inline.len()) {
+    for (predicate, index) in (0..).map(PredicateId).zip(0..inline.len()) {
         if inline[index] {
-            out.relations[index].derived &= used[index];
-            kept.extend(used[index].then_some(relation));
+            out.predicates[index].derived &= used[index];
+            kept.extend(used[index].then_some(predicate));
         }
     }
     Some((restratified(out), kept))
@@ -97,18 +97,18 @@ pub fn unfold(rules: &Rules) -> Option<(Rules, Vec<RelId>)> {
 
 /// Returns the inline predicates that a clause of another predicate, or of an inline one in use, still needs.
 fn used_by_others(rules: &Rules, clauses: &[Clause], inline: &[bool]) -> Vec<bool> {
-    let mut used = vec![false; rules.relations.len()];
-    let mut reads: Vec<Vec<RelId>> = vec![Vec::new(); rules.relations.len()];
-    let mut open: Vec<RelId> = Vec::new();
+    let mut used = vec![false; rules.predicates.len()];
+    let mut reads: Vec<Vec<PredicateId>> = vec![Vec::new(); rules.predicates.len()];
+    let mut open: Vec<PredicateId> = Vec::new();
     for clause in clauses {
-        let head = clause.head.relation.index();
-        let atoms = clause.body.iter().filter_map(Literal::atom).map(|atom| atom.relation);
+        let head = clause.head.predicate.index();
+        let atoms = clause.body.iter().filter_map(Literal::atom).map(|atom| atom.predicate);
         let read = if inline[head] { &mut reads[head] } else { &mut open };
-        read.extend(atoms.filter(|relation| inline[relation.index()]));
+        read.extend(atoms.filter(|predicate| inline[predicate.index()]));
     }
-    while let Some(relation) = open.pop() {
-        if !std::mem::replace(&mut used[relation.index()], true) {
-            open.append(&mut reads[relation.index()]);
+    while let Some(predicate) = open.pop() {
+        if !std::mem::replace(&mut used[predicate.index()], true) {
+            open.append(&mut reads[predicate.index()]);
         }
     }
     used
@@ -116,24 +116,24 @@ fn used_by_others(rules: &Rules, clauses: &[Clause], inline: &[bool]) -> Vec<boo
 
 struct Unfolder<'a> {
     rules: &'a Rules,
-    /// By [`RelId`]: the clauses.
+    /// By [`PredicateId`]: the clauses.
     by_head: Vec<Vec<&'a Clause>>,
-    /// By [`RelId`]: the unfolded clauses of a predicate to unfold.
+    /// By [`PredicateId`]: the unfolded clauses of a predicate to unfold.
     meanings: Vec<Option<Vec<Clause>>>,
 }
 
 impl Unfolder<'_> {
     /// Unfolds the clauses of an inline predicate; their bodies replace its atoms from now on.
-    fn define(&mut self, relation: RelId) {
+    fn define(&mut self, predicate: PredicateId) {
         let mut meaning = Vec::new();
-        for clause in &self.by_head[relation.index()] {
+        for clause in &self.by_head[predicate.index()] {
             match self.expand(clause) {
                 Some(clauses) => meaning.extend(clauses),
                 None => return,
             }
         }
         if meaning.len() <= MAX_CLAUSES {
-            self.meanings[relation.index()] = Some(meaning);
+            self.meanings[predicate.index()] = Some(meaning);
         }
     }
 
@@ -159,7 +159,7 @@ impl Unfolder<'_> {
     fn replace(&self, clause: &Clause, at: usize) -> Option<Vec<Clause>> {
         match &clause.body[at] {
             Literal::Positive(atom) => {
-                let meaning = self.meanings[atom.relation.index()].as_ref()?;
+                let meaning = self.meanings[atom.predicate.index()].as_ref()?;
                 Some(
                     meaning
                         .iter()
@@ -168,7 +168,7 @@ impl Unfolder<'_> {
                 )
             }
             Literal::Negative(atom) => {
-                let meaning = self.meanings[atom.relation.index()].as_ref()?;
+                let meaning = self.meanings[atom.predicate.index()].as_ref()?;
                 self.replace_negative(clause, at, atom, meaning)
             }
             _ => None,
@@ -253,7 +253,7 @@ impl Unfolder<'_> {
     fn unify(&self, atom: &Atom, meant: &Clause) -> Option<(Vec<Option<Term>>, Vec<Literal>)> {
         let mut terms: Vec<Option<Term>> = vec![None; meant.variables.len()];
         let mut equalities = Vec::new();
-        let columns = &self.rules.relations[atom.relation.index()].columns;
+        let columns = &self.rules.predicates[atom.predicate.index()].columns;
         for ((&formal, &actual), column) in meant.head.terms.iter().zip(&atom.terms).zip(columns) {
             let known = match formal {
                 _ if actual == Term::Wildcard => continue,
@@ -281,7 +281,7 @@ impl Unfolder<'_> {
         let column = terms
             .position(|term| *term == Term::Variable(of))
             .expect("the head has it");
-        self.rules.relations[clause.head.relation.index()].columns[column].base
+        self.rules.predicates[clause.head.predicate.index()].columns[column].base
     }
 }
 

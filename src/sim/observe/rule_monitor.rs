@@ -13,7 +13,7 @@ use crate::datalog::Program;
 use crate::datalog::dense::{
     Argument, BinaryFacts, BitState, Dense, Input, List, Set, TrackFirings, choose, first, has, members,
 };
-use crate::datalog::{ClauseId, Limits, Literal, RelId, Rules};
+use crate::datalog::{ClauseId, Limits, Literal, PredicateId, Rules};
 use crate::diag::Diagnostic;
 use crate::sim::tick::executor::compile;
 use crate::sim::tick::ground::Facts;
@@ -83,8 +83,8 @@ enum Evaluator {
     Dense(Box<DenseRules>),
     Relational {
         program: Program,
-        /// The relations with their arity: first the predicates of the vocabulary, then the imposed actions.
-        relations: Vec<Option<(RelId, usize)>>,
+        /// The predicates with their arity: first the predicates of the vocabulary, then the imposed actions.
+        predicates: Vec<Option<(PredicateId, usize)>>,
         limits: Limits,
     },
 }
@@ -98,14 +98,14 @@ struct DenseRules {
     lists: Vec<(Option<usize>, Argument)>,
 }
 
-/// Returns the rules with the action predicates of all bodies replaced by input relations, and these relations. They
+/// Returns the rules with the action predicates of all bodies replaced by input predicates, and these predicates. They
 /// come last.
-fn with_actions_given(rules: &Rules, vocabulary: &Vocabulary) -> (Rules, [Option<RelId>; 4]) {
+fn with_actions_given(rules: &Rules, vocabulary: &Vocabulary) -> (Rules, [Option<PredicateId>; 4]) {
     let mut rules = rules.clone();
     let given = Action::ALL.map(|action| {
         let derived = vocabulary.action(action)?;
-        let place = RelId(u32::try_from(rules.relations.len()).expect("fewer than 2^32 predicates"));
-        let relation = datalog::Relation {
+        let place = PredicateId(u32::try_from(rules.predicates.len()).expect("fewer than 2^32 predicates"));
+        let predicate = datalog::Predicate {
             name: format!("+given {}", action.name()),
             doc: format!("the imposed action `{}`", action.name()),
             input: true,
@@ -115,9 +115,9 @@ fn with_actions_given(rules: &Rules, vocabulary: &Vocabulary) -> (Rules, [Option
             derived: false,
             hidden: true,
             directives: Vec::new(),
-            ..rules.relations[derived.index()].clone()
+            ..rules.predicates[derived.index()].clone()
         };
-        rules.relations.push(relation);
+        rules.predicates.push(predicate);
         Some((derived, place))
     });
     for literal in rules.clauses.iter_mut().flat_map(|clause| &mut clause.body) {
@@ -128,8 +128,8 @@ fn with_actions_given(rules: &Rules, vocabulary: &Vocabulary) -> (Rules, [Option
         else {
             continue;
         };
-        if let Some((_, place)) = given.iter().flatten().find(|(action, _)| *action == atom.relation) {
-            atom.relation = *place;
+        if let Some((_, place)) = given.iter().flatten().find(|(action, _)| *action == atom.predicate) {
+            atom.predicate = *place;
         }
     }
     (rules, given.map(|given| given.map(|(_, place)| place)))
@@ -138,18 +138,20 @@ fn with_actions_given(rules: &Rules, vocabulary: &Vocabulary) -> (Rules, [Option
 /// Returns the clauses that demand an action. It excludes the default: a clause of the default action that reads only
 /// the other actions and the ego itself.
 fn constraints(rules: &Rules, vocabulary: &Vocabulary) -> Vec<ActionConstraint> {
-    let sees = vocabulary.predicates[vocabulary.sees].relation;
+    let sees = vocabulary.predicates[vocabulary.sees].id;
     let is_default = |clause: &datalog::Clause| {
         clause.body.iter().all(|literal| match literal {
-            Literal::Negative(atom) => vocabulary.action_of(atom.relation).is_some() && atom.terms == clause.head.terms,
+            Literal::Negative(atom) => {
+                vocabulary.action_of(atom.predicate).is_some() && atom.terms == clause.head.terms
+            }
             Literal::Positive(atom) | Literal::Guard(atom) => {
-                Some(atom.relation) == sees && atom.terms.iter().all(|term| Some(term) == clause.head.terms.first())
+                Some(atom.predicate) == sees && atom.terms.iter().all(|term| Some(term) == clause.head.terms.first())
             }
             _ => false,
         })
     };
     let constraint = |(position, clause): (u32, &datalog::Clause)| {
-        let action = vocabulary.action_of(clause.head.relation)?;
+        let action = vocabulary.action_of(clause.head.predicate)?;
         let default = action == vocabulary.default_action() && is_default(clause);
         (!clause.body.is_empty() && !default).then_some(ActionConstraint {
             clause: ClauseId(position),
@@ -173,13 +175,13 @@ impl Conditions {
             body.retain(|literal| {
                 literal
                     .atom()
-                    .is_none_or(|atom| vocabulary.action_of(atom.relation).is_none())
+                    .is_none_or(|atom| vocabulary.action_of(atom.predicate).is_none())
             });
             let mut asked = [Actions::default(); 2];
             for literal in &clause.body {
                 let Some((atom, action)) = literal
                     .atom()
-                    .and_then(|atom| Some((atom, vocabulary.action_of(atom.relation)?)))
+                    .and_then(|atom| Some((atom, vocabulary.action_of(atom.predicate)?)))
                 else {
                     continue;
                 };
@@ -194,7 +196,7 @@ impl Conditions {
                 asked[holds].insert(action);
             }
             let [given, refused] = asked;
-            match vocabulary.action_of(clause.head.relation) {
+            match vocabulary.action_of(clause.head.predicate) {
                 // The rest of the body must bind the head variable, so it must not be empty.
                 Some(_) if body.is_empty() => return None,
                 Some(action) => clauses.push(Condition {
@@ -272,7 +274,7 @@ impl DenseRules {
     fn new(
         rules: &Rules,
         vocabulary: &Vocabulary,
-        given: [Option<RelId>; 4],
+        given: [Option<PredicateId>; 4],
         counting: TrackFirings,
     ) -> Option<DenseRules> {
         let dense = compile(rules, vocabulary, counting).ok()?;
@@ -280,17 +282,17 @@ impl DenseRules {
         if !choose(rules).costly(rules, Self::ENTITIES, egos).is_empty() {
             return None;
         }
-        let bound = vocabulary.predicates.iter().map(|predicate| predicate.relation);
-        let bound: Vec<Option<RelId>> = bound.chain(given).collect();
-        let place = |relation: RelId| bound.iter().position(|bound| *bound == Some(relation));
+        let bound = vocabulary.predicates.iter().map(|predicate| predicate.id);
+        let bound: Vec<Option<PredicateId>> = bound.chain(given).collect();
+        let place = |predicate: PredicateId| bound.iter().position(|bound| *bound == Some(predicate));
         let input = |input: &Input| match *input {
-            Input::Unary(relation) => place(relation).map(|place| (place, false)),
-            Input::Diagonal(relation) => place(relation).map(|place| (place, true)),
+            Input::Unary(predicate) => place(predicate).map(|place| (place, false)),
+            Input::Diagonal(predicate) => place(predicate).map(|place| (place, true)),
         };
         Some(DenseRules {
             inputs: dense.inputs().iter().map(input).collect(),
             lists: (dense.lists().iter())
-                .map(|&List(relation, axis)| (place(relation), axis))
+                .map(|&List(predicate, axis)| (place(predicate), axis))
                 .collect(),
             dense,
         })
@@ -324,18 +326,20 @@ impl Evaluator {
         program: Program,
         vocabulary: &Vocabulary,
         limits: Limits,
-        given: [Option<RelId>; 4],
+        given: [Option<PredicateId>; 4],
         counting: TrackFirings,
     ) -> Evaluator {
         if let Some(rules) = DenseRules::new(program.rules(), vocabulary, given, counting) {
             return Evaluator::Dense(Box::new(rules));
         }
         let predicates = vocabulary.predicates.iter();
-        let predicates = predicates.map(|predicate| predicate.relation.map(|relation| (relation, predicate.arity)));
-        let given = given.into_iter().map(|relation| relation.map(|relation| (relation, 1)));
+        let predicates = predicates.map(|predicate| predicate.id.map(|id| (id, predicate.arity)));
+        let given = given
+            .into_iter()
+            .map(|predicate| predicate.map(|predicate| (predicate, 1)));
         Evaluator::Relational {
             program,
-            relations: predicates.chain(given).collect(),
+            predicates: predicates.chain(given).collect(),
             limits,
         }
     }
@@ -553,16 +557,16 @@ impl State {
                 State::Relational(state),
                 Evaluator::Relational {
                     program,
-                    relations,
+                    predicates,
                     limits,
                 },
             ) => {
                 let state = state.get_or_insert_with(|| {
                     let names = observed.entities.names();
                     let names = names.iter().map(String::as_str);
-                    Box::new(GroundState::over(program, relations.clone(), *limits, names))
+                    Box::new(GroundState::over(program, predicates.clone(), *limits, names))
                 });
-                let facts = observed.facts(relations.len());
+                let facts = observed.facts(predicates.len());
                 let set = state.set_with(&facts, observed.cancel);
                 set.map_err(|error| error.diagnostic(program.rules()))
             }
@@ -575,8 +579,8 @@ impl State {
         match (self, evaluator) {
             (State::Dense(bit_state), Evaluator::Dense(rules)) => {
                 let holds = |action: &Action| {
-                    let relation = vocabulary.action(*action);
-                    relation.is_some_and(|action| bit_state.set(&rules.dense, action).is_some_and(|set| has(set, 0)))
+                    let predicate = vocabulary.action(*action);
+                    predicate.is_some_and(|action| bit_state.set(&rules.dense, action).is_some_and(|set| has(set, 0)))
                 };
                 Action::ALL.into_iter().filter(holds).collect()
             }

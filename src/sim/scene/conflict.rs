@@ -10,8 +10,8 @@ use crate::city::Action;
 use crate::datalog::diff::{Difference, Equivalence, Options, diff, unsat_core};
 use crate::datalog::naive;
 use crate::datalog::{
-    Atom, BaseType, Clause, ClauseId, DeclaredConstraint, Literal, RelId, Relation, Rules, Stratum, Term, Value, VarId,
-    parse_value,
+    Atom, BaseType, Clause, ClauseId, DeclaredConstraint, Literal, Predicate, PredicateId, Rules, Stratum, Term, Value,
+    VarId, parse_value,
 };
 use crate::diag::Diagnostic;
 use serde_json::{Map, json};
@@ -83,10 +83,10 @@ pub enum Finding {
 /// If [`diff`] rejects the rules.
 pub fn conflicts(rules: &Rules) -> Result<Vec<Overlap>, Vec<Diagnostic>> {
     let action = |action: Action| {
-        let relation = rules.relation(action.name())?;
-        let columns = &rules.relations[relation.index()].columns;
+        let predicate = rules.predicate(action.name())?;
+        let columns = &rules.predicates[predicate.index()].columns;
         let symbol = columns.len() == 1 && columns[0].base == BaseType::Symbol;
-        (symbol && clauses(rules, relation).next().is_some()).then_some(relation)
+        (symbol && clauses(rules, predicate).next().is_some()).then_some(predicate)
     };
     let mut found = Vec::new();
     for (at, first) in Action::ALL.into_iter().enumerate() {
@@ -102,12 +102,12 @@ pub fn conflicts(rules: &Rules) -> Result<Vec<Overlap>, Vec<Diagnostic>> {
     Ok(found)
 }
 
-fn clauses(rules: &Rules, action: RelId) -> impl Iterator<Item = (ClauseId, &Clause)> {
+fn clauses(rules: &Rules, action: PredicateId) -> impl Iterator<Item = (ClauseId, &Clause)> {
     let clauses = (0..).map(ClauseId).zip(&rules.clauses);
-    clauses.filter(move |(_, clause)| clause.head.relation == action)
+    clauses.filter(move |(_, clause)| clause.head.predicate == action)
 }
 
-fn find(rules: &Rules, actions: [RelId; 2]) -> Result<Finding, Vec<Diagnostic>> {
+fn find(rules: &Rules, actions: [PredicateId; 2]) -> Result<Finding, Vec<Diagnostic>> {
     let [one, other] = actions;
     if all_negate(rules, one, other) || all_negate(rules, other, one) {
         return Ok(Finding::Excluded { given: Vec::new() });
@@ -135,32 +135,32 @@ fn find(rules: &Rules, actions: [RelId; 2]) -> Result<Finding, Vec<Diagnostic>> 
 }
 
 /// Returns whether each clause of the action negates the other action for the same agent.
-fn all_negate(rules: &Rules, action: RelId, other: RelId) -> bool {
+fn all_negate(rules: &Rules, action: PredicateId, other: PredicateId) -> bool {
     clauses(rules, action).all(|(_, clause)| {
-        let same = |atom: &Atom| atom.relation == other && atom.terms == clause.head.terms;
+        let same = |atom: &Atom| atom.predicate == other && atom.terms == clause.head.terms;
         (clause.body.iter()).any(|literal| matches!(literal, Literal::Negative(atom) if same(atom)))
     })
 }
 
 /// Returns the rules with `Conflict(X) :- A(X), B(X).`
-fn with_conflict(rules: &Rules, actions: [RelId; 2]) -> Rules {
+fn with_conflict(rules: &Rules, actions: [PredicateId; 2]) -> Rules {
     let mut rules = without_conflict(rules, actions[0]);
-    let relation = RelId(rules.relations.len() as u32 - 1);
-    let declared = &mut rules.relations[relation.index()];
+    let predicate = PredicateId(rules.predicates.len() as u32 - 1);
+    let declared = &mut rules.predicates[predicate.index()];
     declared.derived = true;
     let span = declared.span;
-    let atom = |relation| Atom {
-        relation,
+    let atom = |predicate| Atom {
+        predicate,
         terms: vec![Term::Variable(VarId(0))],
         span,
     };
     rules.strata.push(Stratum {
-        relations: vec![relation],
+        predicates: vec![predicate],
         clauses: vec![ClauseId(rules.clauses.len() as u32)],
         recursive: false,
     });
     rules.clauses.push(Clause {
-        head: atom(relation),
+        head: atom(predicate),
         body: actions.map(|action| Literal::Positive(atom(action))).into(),
         variables: vec!["X".to_owned()],
         variable_spans: vec![span],
@@ -171,30 +171,32 @@ fn with_conflict(rules: &Rules, actions: [RelId; 2]) -> Rules {
 }
 
 /// Returns the rules with `Conflict` declared like the action.
-fn without_conflict(rules: &Rules, action: RelId) -> Rules {
+fn without_conflict(rules: &Rules, action: PredicateId) -> Rules {
     let mut rules = rules.clone();
-    rules.relations.push(Relation {
+    rules.predicates.push(Predicate {
         name: CONFLICT.to_owned(),
         derived: false,
-        ..rules.relations[action.index()].clone()
+        ..rules.predicates[action.index()].clone()
     });
     rules
 }
 
 /// Returns the first clause of each action that derives it for the first entity of the scene.
-fn firing(rules: &Rules, actions: [RelId; 2], scene: &Difference) -> [ClauseId; 2] {
+fn firing(rules: &Rules, actions: [PredicateId; 2], scene: &Difference) -> [ClauseId; 2] {
     let symbols = rules.symbols.clone();
-    let mut rows: Vec<(RelId, Vec<Value>)> = Vec::new();
+    let mut rows: Vec<(PredicateId, Vec<Value>)> = Vec::new();
     for (name, given) in scene.facts.iter().chain(&scopes(scene)) {
-        let Some(relation) = rules.relation(name) else { continue };
-        let columns = &rules.relations[relation.index()].columns;
+        let Some(predicate) = rules.predicate(name) else {
+            continue;
+        };
+        let columns = &rules.predicates[predicate.index()].columns;
         rows.extend(given.iter().map(|row| {
             let value = |(text, base): (&String, BaseType)| match base {
                 BaseType::Symbol => Value(symbols.intern(text).0),
                 base => parse_value(base, text).unwrap_or_default(),
             };
             let bases = columns.iter().map(|column| column.base);
-            (relation, row.iter().zip(bases).map(value).collect())
+            (predicate, row.iter().zip(bases).map(value).collect())
         }));
     }
     let database = naive::evaluate(rules, &symbols, rows);

@@ -1,7 +1,7 @@
 //! The integrity constraints that hold in a city: declared ones that its configuration confirms, and further ones that
 //! follow from the definitions of predicates and from the agents.
 
-use crate::datalog::{Constraint, DeclaredConstraint, Literal, RelId, Rules};
+use crate::datalog::{Constraint, DeclaredConstraint, Literal, PredicateId, Rules};
 use crate::diag::{Diagnostic, Span};
 use crate::predicate::{Definition, Static};
 use crate::sim::codes;
@@ -18,7 +18,7 @@ pub struct CityConstraints {
     /// These, and those that hold because the city has no other agents.
     pub of_agents: Vec<DeclaredConstraint>,
     /// The predicates without rows in the city.
-    pub empty: Vec<RelId>,
+    pub empty: Vec<PredicateId>,
     /// The faults of declared constraints that the configuration contradicts.
     pub faults: Vec<Diagnostic>,
 }
@@ -59,8 +59,8 @@ impl CityTheory {
             self.scenario.name
         );
         let mut fault = Diagnostic::new(codes::CONSTRAINT_MISMATCH, message).at(declared.span, "declared here");
-        for relation in declared.constraint.relations() {
-            if let Some(known) = inputs.find(relation) {
+        for predicate in declared.constraint.predicates() {
+            if let Some(known) = inputs.find(predicate) {
                 let name = &known.config.name;
                 fault = fault.also(name.span, format!("`{}` is defined here", name.value));
             }
@@ -108,20 +108,20 @@ impl CityTheory {
     fn derive_for_one(&self, rules: &Rules, one: Known<'_>, inputs: &KnownInputs<'_>, found: &mut Collector) {
         let (definition, span) = (&one.config.definition, one.config.name.span);
         if self.is_empty(one) {
-            found.constraints.empty.push(one.relation);
-            let no_rows = Constraint::Disjoint(one.relation, one.relation);
+            found.constraints.empty.push(one.predicate);
+            let no_rows = Constraint::Disjoint(one.predicate, one.predicate);
             found.add(no_rows, Vec::new(), self.agents_or(span), true);
         } else if definition.arity() == 2 {
             for constraint in [Constraint::Irreflexive, Constraint::Symmetric, Constraint::Asymmetric] {
-                let constraint = constraint(one.relation);
+                let constraint = constraint(one.predicate);
                 if matches!(self.judge(&constraint, &[], inputs), Verdict::ByDefinition) {
                     found.add(constraint, Vec::new(), span, false);
                 }
             }
         }
         if definition.is_reflexive() {
-            let ty = rules.relations[one.relation.index()].columns[0].ty;
-            found.add(Constraint::Reflexive(one.relation), rules.columns_of(ty), span, false);
+            let ty = rules.predicates[one.predicate.index()].columns[0].ty;
+            found.add(Constraint::Reflexive(one.predicate), rules.columns_of(ty), span, false);
         }
     }
 
@@ -129,8 +129,8 @@ impl CityTheory {
     fn derive_cover(&self, rules: &Rules, read: &[Known<'_>], inputs: &KnownInputs<'_>, found: &mut Collector) {
         let kinds: Vec<&Known<'_>> = read.iter().filter(|one| is_kind(one)).collect();
         let Some(first) = kinds.first() else { return };
-        let cover = Constraint::Covering(kinds.iter().map(|kind| kind.relation).collect());
-        let domain = rules.columns_of(rules.relations[first.relation.index()].columns[0].ty);
+        let cover = Constraint::Covering(kinds.iter().map(|kind| kind.predicate).collect());
+        let domain = rules.columns_of(rules.predicates[first.predicate.index()].columns[0].ty);
         if matches!(self.judge(&cover, &domain, inputs), Verdict::ByDefinition) {
             found.add(cover, domain, first.config.name.span, false);
         }
@@ -140,7 +140,7 @@ impl CityTheory {
     fn derive_for_pairs(&self, same: &[Known<'_>], inputs: &KnownInputs<'_>, found: &mut Collector) {
         for (at, one) in same.iter().enumerate() {
             for other in &same[at + 1..] {
-                let (a, b) = (one.relation, other.relation);
+                let (a, b) = (one.predicate, other.predicate);
                 for (constraint, span) in [
                     (Constraint::Disjoint(a, b), one.config.name.span),
                     (Constraint::Implies(a, b), one.config.name.span),
@@ -180,7 +180,7 @@ impl Collector {
     }
 
     /// Adds a derived constraint, unless it is known.
-    fn add(&mut self, constraint: Constraint, domain: Vec<(RelId, usize)>, span: Span, of_agents: bool) {
+    fn add(&mut self, constraint: Constraint, domain: Vec<(PredicateId, usize)>, span: Span, of_agents: bool) {
         let is_known = match constraint {
             Constraint::Disjoint(a, b) => self.known.contains(&Constraint::Disjoint(b, a)),
             _ => false,
@@ -199,14 +199,14 @@ impl Collector {
 
 /// Returns the inputs that clauses or declared constraints read.
 fn read_inputs<'s>(rules: &Rules, inputs: &KnownInputs<'s>) -> Vec<Known<'s>> {
-    let mut read = vec![false; rules.relations.len()];
+    let mut read = vec![false; rules.predicates.len()];
     let literals = rules.clauses.iter().flat_map(|clause| &clause.body);
-    let atoms = literals.filter_map(Literal::atom).map(|atom| atom.relation);
+    let atoms = literals.filter_map(Literal::atom).map(|atom| atom.predicate);
     let constraints = rules.constraints.iter().map(|declared| &declared.constraint);
-    for relation in atoms.chain(constraints.flat_map(Constraint::relations)) {
-        read[relation.index()] = true;
+    for predicate in atoms.chain(constraints.flat_map(Constraint::predicates)) {
+        read[predicate.index()] = true;
     }
-    let is_read = |known: &&Known<'_>| read[known.relation.index()];
+    let is_read = |known: &&Known<'_>| read[known.predicate.index()];
     inputs.list.iter().filter(is_read).copied().collect()
 }
 

@@ -2,7 +2,7 @@
 
 use crate::city::AgentKind;
 use crate::config::{PredicateConfig, Scenario};
-use crate::datalog::{Literal, RelId, Rules};
+use crate::datalog::{Literal, PredicateId, Rules};
 use crate::diag::{Diagnostic, Span};
 use crate::predicate::{Concept, Definition, Kind, Static};
 use crate::sim::codes;
@@ -15,44 +15,44 @@ const SHOWN_MAX: usize = 6;
 type Label = (Span, String);
 
 /// Warns of the predicates `empty`, with the literals that read them and the clauses that never fire for this reason.
-pub(super) fn empty_predicates(rules: &Rules, scenario: &Scenario, empty: &[RelId]) -> Vec<Diagnostic> {
+pub(super) fn empty_predicates(rules: &Rules, scenario: &Scenario, empty: &[PredicateId]) -> Vec<Diagnostic> {
     let configs = scenario.predicates.iter();
     let configs: HashMap<&str, &PredicateConfig> = configs.map(|config| (config.name.value.as_str(), config)).collect();
     let labels = labels(rules, empty);
-    let warnings = empty.iter().zip(labels).filter_map(|(relation, labels)| {
-        let config = configs.get(rules.relations[relation.index()].name.as_str())?;
+    let warnings = empty.iter().zip(labels).filter_map(|(predicate, labels)| {
+        let config = configs.get(rules.predicates[predicate.index()].name.as_str())?;
         warning(scenario, config, &labels)
     });
     warnings.collect()
 }
 
 /// Returns the labels of each of the predicates `empty`, those of literals that read it first.
-fn labels(rules: &Rules, empty: &[RelId]) -> Vec<Vec<Label>> {
+fn labels(rules: &Rules, empty: &[PredicateId]) -> Vec<Vec<Label>> {
     let mut spread = Spread::new(rules, empty);
-    let is_hidden = |relation: RelId| rules.relations[relation.index()].hidden;
-    let given: BTreeSet<RelId> = empty.iter().copied().collect();
+    let is_hidden = |predicate: PredicateId| rules.predicates[predicate.index()].hidden;
+    let given: BTreeSet<PredicateId> = empty.iter().copied().collect();
     let mut labels: Vec<Vec<Label>> = empty
         .iter()
-        .map(|&relation| direct(rules, spread.readers(relation)))
+        .map(|&predicate| direct(rules, spread.readers(predicate)))
         .collect();
-    while let Some((relation, cause)) = spread.next() {
-        if given.contains(&relation) {
+    while let Some((predicate, cause)) = spread.next() {
+        if given.contains(&predicate) {
             continue;
         }
-        for &(clause, literal) in spread.readers(relation) {
+        for &(clause, literal) in spread.readers(predicate) {
             let clause = &rules.clauses[clause];
             let Literal::Positive(atom) = &clause.body[literal] else {
                 continue;
             };
-            if is_hidden(clause.head.relation) {
+            if is_hidden(clause.head.predicate) {
                 continue;
             }
             labels[cause].push((
                 atom.span,
-                match is_hidden(relation) {
+                match is_hidden(predicate) {
                     true => "so this clause never fires".to_owned(),
                     false => {
-                        let name = &rules.relations[relation.index()].name;
+                        let name = &rules.predicates[predicate.index()].name;
                         format!("nor does this one: `{name}` has no rows")
                     }
                 },
@@ -70,7 +70,7 @@ fn labels(rules: &Rules, empty: &[RelId]) -> Vec<Vec<Label>> {
 fn direct(rules: &Rules, readers: &[(usize, usize)]) -> Vec<Label> {
     let label = |&(clause, literal): &(usize, usize)| {
         let clause = &rules.clauses[clause];
-        let is_hidden = rules.relations[clause.head.relation.index()].hidden;
+        let is_hidden = rules.predicates[clause.head.predicate.index()].hidden;
         let literal = &clause.body[literal];
         let label = match literal {
             Literal::Positive(_) if !is_hidden => "so this clause never fires",
@@ -92,18 +92,18 @@ struct Spread<'r> {
     /// By clause: whether it never fires.
     never: Vec<bool>,
     /// The predicates found empty, each with the position of the given one that is its last cause.
-    open: BTreeSet<(RelId, usize)>,
+    open: BTreeSet<(PredicateId, usize)>,
 }
 
 impl<'r> Spread<'r> {
-    fn new(rules: &'r Rules, empty: &[RelId]) -> Spread<'r> {
-        let mut readers = vec![Vec::new(); rules.relations.len()];
-        let mut firing = vec![0; rules.relations.len()];
+    fn new(rules: &'r Rules, empty: &[PredicateId]) -> Spread<'r> {
+        let mut readers = vec![Vec::new(); rules.predicates.len()];
+        let mut firing = vec![0; rules.predicates.len()];
         for (at, clause) in rules.clauses.iter().enumerate() {
-            firing[clause.head.relation.index()] += 1;
+            firing[clause.head.predicate.index()] += 1;
             for (position, literal) in clause.body.iter().enumerate() {
                 if let Some(atom) = literal.atom() {
-                    readers[atom.relation.index()].push((at, position));
+                    readers[atom.predicate.index()].push((at, position));
                 }
             }
         }
@@ -116,27 +116,27 @@ impl<'r> Spread<'r> {
         }
     }
 
-    fn readers(&self, relation: RelId) -> &[(usize, usize)] {
-        &self.readers[relation.index()]
+    fn readers(&self, predicate: PredicateId) -> &[(usize, usize)] {
+        &self.readers[predicate.index()]
     }
 
     /// Returns the next empty predicate and its cause, and finds those that are empty because of it.
-    fn next(&mut self) -> Option<(RelId, usize)> {
-        let (relation, cause) = self.open.pop_first()?;
-        for &(clause, literal) in &self.readers[relation.index()] {
+    fn next(&mut self) -> Option<(PredicateId, usize)> {
+        let (predicate, cause) = self.open.pop_first()?;
+        for &(clause, literal) in &self.readers[predicate.index()] {
             let (Literal::Positive(_) | Literal::Guard(_)) = self.rules.clauses[clause].body[literal] else {
                 continue;
             };
             if std::mem::replace(&mut self.never[clause], true) {
                 continue;
             }
-            let head = self.rules.clauses[clause].head.relation;
+            let head = self.rules.clauses[clause].head.predicate;
             self.firing[head.index()] -= 1;
-            if self.firing[head.index()] == 0 && !self.rules.relations[head.index()].input {
+            if self.firing[head.index()] == 0 && !self.rules.predicates[head.index()].input {
                 self.open.insert((head, cause));
             }
         }
-        Some((relation, cause))
+        Some((predicate, cause))
     }
 }
 

@@ -510,7 +510,7 @@ impl Inference {
         self.evaluate(&mut state, &scene.facts, cancel)?;
         if self.check_constraints {
             // The rules are not in the caller's sources, so the diagnostic does not point to the declaration.
-            let known = |relation| self.vocabulary.defines(&self.program, relation);
+            let known = |predicate| self.vocabulary.defines(&self.program, predicate);
             let mut broken = constraints::violations_among(state.session(), known).into_iter();
             if let Some(first) = broken.next() {
                 let fault = Diagnostic::new(datalog::codes::CONSTRAINT_VIOLATION, first.message);
@@ -586,8 +586,8 @@ impl Inference {
             return Ok(Err(error));
         }
         let holds = |action: Action, ego: usize| {
-            let relation = self.vocabulary.action(action);
-            relation.is_some_and(|relation| bit_state.set(dense, relation).is_some_and(|set| has(set, ego)))
+            let predicate = self.vocabulary.action(action);
+            predicate.is_some_and(|predicate| bit_state.set(dense, predicate).is_some_and(|set| has(set, ego)))
         };
         let derived = |&ego: &usize| Action::ALL.into_iter().filter(|&action| holds(action, ego)).collect();
         Ok(Ok(scene.egos.iter().map(derived).collect()))

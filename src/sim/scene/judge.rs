@@ -1,7 +1,7 @@
 //! What a configuration says about an integrity constraint.
 
 use crate::city::{AgentKind, Junction};
-use crate::datalog::{Constraint, RelId};
+use crate::datalog::{Constraint, PredicateId};
 use crate::diag::Span;
 use crate::predicate::Definition;
 use crate::sim::scene::theory::{CityTheory, Known, KnownInputs, Profile, holds};
@@ -28,11 +28,11 @@ impl CityTheory {
     pub(super) fn judge(
         &self,
         constraint: &Constraint,
-        domain: &[(RelId, usize)],
+        domain: &[(PredicateId, usize)],
         inputs: &KnownInputs<'_>,
     ) -> Verdict {
-        let find = |relation: RelId| inputs.find(relation);
-        let of = |relation: RelId| find(relation).map(|known| &known.config.definition);
+        let find = |predicate: PredicateId| inputs.find(predicate);
+        let of = |predicate: PredicateId| find(predicate).map(|known| &known.config.definition);
         match *constraint {
             Constraint::Disjoint(a, b) | Constraint::Implies(a, b) => {
                 let implies = matches!(constraint, Constraint::Implies(..));
@@ -45,9 +45,10 @@ impl CityTheory {
                     _ => Verdict::Unknown,
                 }
             }
-            Constraint::Covering(ref relations) => {
-                let definitions: Option<Vec<&Definition>> = relations.iter().map(|&relation| of(relation)).collect();
-                let is_agent = |(relation, _): &(RelId, usize)| of(*relation).is_some_and(Definition::is_reflexive);
+            Constraint::Covering(ref predicates) => {
+                let definitions: Option<Vec<&Definition>> = predicates.iter().map(|&predicate| of(predicate)).collect();
+                let is_agent =
+                    |(predicate, _): &(PredicateId, usize)| of(*predicate).is_some_and(Definition::is_reflexive);
                 match definitions {
                     Some(definitions) => self.judge_cover(&definitions, domain.iter().any(is_agent)),
                     None => Verdict::Unknown,

@@ -3,8 +3,8 @@
 use crate::city::{Action, AgentKind, AgentName, AgentSet};
 use crate::datalog::optimize::{self, Lints};
 use crate::datalog::{
-    self, Atom, Clause, ClauseId, Constraint, DeclaredConstraint, Literal, RelId, Relation, Rules, Term, TypeId, Value,
-    VarId,
+    self, Atom, Clause, ClauseId, Constraint, DeclaredConstraint, Literal, Predicate, PredicateId, Rules, Term, TypeId,
+    Value, VarId,
 };
 use crate::diag::{Diagnostic, Faults, MAX_FAULTS, Sources, Span, did_you_mean};
 use crate::sim::codes;
@@ -114,16 +114,16 @@ fn unused_outputs(rules: &Rules) -> Vec<Diagnostic> {
         .clauses
         .iter()
         .flat_map(|clause| clause.body.iter().filter_map(Literal::atom));
-    let read: BTreeSet<RelId> = atoms.map(|atom| atom.relation).collect();
+    let read: BTreeSet<PredicateId> = atoms.map(|atom| atom.predicate).collect();
     let actions = || Action::ALL.iter().map(|action| action.name());
-    let relations = rules.relations.iter().zip((0..).map(RelId));
-    let unused = relations.filter(|(relation, id)| {
-        relation.output && !relation.hidden && !read.contains(id) && actions().all(|action| action != relation.name)
+    let predicates = rules.predicates.iter().zip((0..).map(PredicateId));
+    let unused = predicates.filter(|(predicate, id)| {
+        predicate.output && !predicate.hidden && !read.contains(id) && actions().all(|action| action != predicate.name)
     });
-    let warn = |(relation, _): (&Relation, _)| {
-        let name = &relation.name;
+    let warn = |(predicate, _): (&Predicate, _)| {
+        let name = &predicate.name;
         let message = format!("`.output {name}` has no effect in a city: it is not an action, and no clause reads it");
-        let fault = Diagnostic::new(codes::UNUSED_OUTPUT, message).at(relation.span, "declared here");
+        let fault = Diagnostic::new(codes::UNUSED_OUTPUT, message).at(predicate.span, "declared here");
         match did_you_mean(name, actions()) {
             Some(near) => fault.help(format!("did you mean `{near}`?")),
             None => {
@@ -136,8 +136,8 @@ fn unused_outputs(rules: &Rules) -> Vec<Diagnostic> {
 
 /// Returns one warning for each constant that stands for an agent, but names none of these agent sets.
 pub fn agent_lints<'s>(rules: &Rules, sets: impl Iterator<Item = &'s AgentSet>) -> Vec<Diagnostic> {
-    let action = Action::ALL.iter().find_map(|action| rules.relation(action.name()));
-    let Some([agent]) = action.map(|action| rules.relations[action.index()].columns.as_slice()) else {
+    let action = Action::ALL.iter().find_map(|action| rules.predicate(action.name()));
+    let Some([agent]) = action.map(|action| rules.predicates[action.index()].columns.as_slice()) else {
         return Vec::new();
     };
     let agents = Agents::new(sets);
@@ -230,7 +230,7 @@ fn agent_constants<'r>(
 ) -> impl Iterator<Item = (Span, Value)> + 'r {
     let atoms = clause.body.iter().filter_map(Literal::atom);
     std::iter::once(&clause.head).chain(atoms).flat_map(move |atom| {
-        let columns = &rules.relations[atom.relation.index()].columns;
+        let columns = &rules.predicates[atom.predicate.index()].columns;
         let terms = atom.terms.iter().zip(columns);
         terms.filter_map(move |(term, column)| match term {
             Term::Constant(value) if column.ty == agent => Some((atom.span, *value)),
@@ -265,52 +265,52 @@ pub fn conflict_lints(overlaps: &[Overlap], rules: &Rules, precedence: &[Action]
 }
 
 /// Returns the action predicates with a clause other than the default: one whose body is more than negated actions.
-fn decided_actions(rules: &Rules) -> Vec<RelId> {
-    let actions: Vec<RelId> = (Action::ALL.into_iter())
-        .filter_map(|action| rules.relation(action.name()))
-        .filter(|relation| rules.relations[relation.index()].columns.len() == 1)
+fn decided_actions(rules: &Rules) -> Vec<PredicateId> {
+    let actions: Vec<PredicateId> = (Action::ALL.into_iter())
+        .filter_map(|action| rules.predicate(action.name()))
+        .filter(|predicate| rules.predicates[predicate.index()].columns.len() == 1)
         .collect();
     let own_view = |atom: &Atom| matches!(atom.terms.as_slice(), [one, other] if one == other);
     let is_default = |clause: &Clause| {
         clause.body.iter().all(|literal| match literal {
-            Literal::Negative(atom) => actions.contains(&atom.relation),
+            Literal::Negative(atom) => actions.contains(&atom.predicate),
             Literal::Positive(atom) | Literal::Guard(atom) => own_view(atom),
             _ => false,
         })
     };
-    let decided = |action: &RelId| {
-        let mut clauses = rules.clauses.iter().filter(|clause| clause.head.relation == *action);
+    let decided = |action: &PredicateId| {
+        let mut clauses = rules.clauses.iter().filter(|clause| clause.head.predicate == *action);
         clauses.any(|clause| !is_default(clause))
     };
     actions.iter().copied().filter(decided).collect()
 }
 
 /// Warns if no clause for an action depends on a predicate that announces collisions.
-fn no_collision_clause(rules: &Rules, collisions: &[&str], actions: &[RelId]) -> Option<Diagnostic> {
+fn no_collision_clause(rules: &Rules, collisions: &[&str], actions: &[PredicateId]) -> Option<Diagnostic> {
     let known = |name: &&str| {
         rules
-            .relation(name)
-            .is_some_and(|known| rules.relations[known.index()].input)
+            .predicate(name)
+            .is_some_and(|known| rules.predicates[known.index()].input)
     };
     let collision = *collisions.iter().find(|name| known(name))?;
-    let mut reads: BTreeMap<RelId, BTreeSet<RelId>> = BTreeMap::new();
+    let mut reads: BTreeMap<PredicateId, BTreeSet<PredicateId>> = BTreeMap::new();
     for clause in &rules.clauses {
         let atoms = clause.body.iter().filter_map(Literal::atom);
-        let read = reads.entry(clause.head.relation).or_default();
-        read.extend(atoms.map(|atom| atom.relation));
+        let read = reads.entry(clause.head.predicate).or_default();
+        read.extend(atoms.map(|atom| atom.predicate));
     }
     let (mut open, mut seen) = (actions.to_vec(), BTreeSet::new());
-    while let Some(relation) = open.pop() {
-        if seen.insert(relation) {
-            open.extend(reads.get(&relation).into_iter().flatten());
+    while let Some(predicate) = open.pop() {
+        if seen.insert(predicate) {
+            open.extend(reads.get(&predicate).into_iter().flatten());
         }
     }
-    let is_read = |name: &&str| rules.relation(name).is_some_and(|relation| seen.contains(&relation));
+    let is_read = |name: &&str| rules.predicate(name).is_some_and(|predicate| seen.contains(&predicate));
     if collisions.iter().any(is_read) {
         return None;
     }
     let mut clauses = rules.clauses.iter();
-    let first = clauses.find(|clause| actions.contains(&clause.head.relation))?;
+    let first = clauses.find(|clause| actions.contains(&clause.head.predicate))?;
     let message = format!("no clause for an action reads `{collision}`, so cars drive through others");
     let fault = Diagnostic::new(codes::NO_COLLISION_CLAUSE, message).at(first.head.span, "these rules decide actions");
     Some(fault.help(format!("add `Stop(X) :- {collision}(X, Y).`")))

@@ -2,7 +2,7 @@
 
 use crate::city::{AgentKind, AgentSet, CityMap, Junction};
 use crate::config::{PredicateConfig, Scenario};
-use crate::datalog::{BaseType, RelId, Rules};
+use crate::datalog::{BaseType, PredicateId, Rules};
 use crate::diag::{Diagnostic, Span};
 use crate::predicate::{Concept, Definition, Local, Situations, Together};
 use std::collections::{BTreeSet, HashMap, HashSet};
@@ -35,7 +35,7 @@ pub(super) struct Profile {
 /// An input of the rules that the configuration defines.
 #[derive(Clone, Copy)]
 pub(super) struct Known<'s> {
-    pub relation: RelId,
+    pub predicate: PredicateId,
     /// Its position in the configuration.
     pub position: usize,
     pub config: &'s PredicateConfig,
@@ -46,34 +46,34 @@ pub(super) struct KnownInputs<'s> {
     /// In the order of the configuration.
     pub list: Vec<Known<'s>>,
     /// The positions in the list.
-    by_relation: HashMap<RelId, usize>,
+    by_predicate: HashMap<PredicateId, usize>,
 }
 
 impl<'s> KnownInputs<'s> {
     pub fn new(scenario: &'s Scenario, rules: &Rules) -> KnownInputs<'s> {
-        let mut has_facts = vec![false; rules.relations.len()];
+        let mut has_facts = vec![false; rules.predicates.len()];
         for clause in &rules.clauses {
-            has_facts[clause.head.relation.index()] = true;
+            has_facts[clause.head.predicate.index()] = true;
         }
-        let by_name = rules.relations_by_name();
+        let by_name = rules.predicates_by_name();
         let known = scenario.predicates.iter().enumerate().filter_map(|(position, config)| {
-            let relation = *by_name.get(config.name.value.as_str())?;
-            let declared = &rules.relations[relation.index()];
+            let predicate = *by_name.get(config.name.value.as_str())?;
+            let declared = &rules.predicates[predicate.index()];
             let fits = declared.arity() == config.definition.arity()
                 && declared.columns.iter().all(|column| column.base == BaseType::Symbol);
-            (declared.input && fits && !has_facts[relation.index()]).then_some(Known {
-                relation,
+            (declared.input && fits && !has_facts[predicate.index()]).then_some(Known {
+                predicate,
                 position,
                 config,
             })
         });
         let list: Vec<Known<'_>> = known.collect();
-        let by_relation = list.iter().map(|known| known.relation).zip(0..).collect();
-        KnownInputs { list, by_relation }
+        let by_predicate = list.iter().map(|known| known.predicate).zip(0..).collect();
+        KnownInputs { list, by_predicate }
     }
 
-    pub fn find(&self, relation: RelId) -> Option<Known<'s>> {
-        self.by_relation.get(&relation).map(|&at| self.list[at])
+    pub fn find(&self, predicate: PredicateId) -> Option<Known<'s>> {
+        self.by_predicate.get(&predicate).map(|&at| self.list[at])
     }
 }
 

@@ -4,7 +4,7 @@ use crate::city::Action;
 use crate::config::Scenario;
 use crate::datalog::codes;
 use crate::datalog::explain::{ExplainError, Explainer, Explanation, ExplanationPrinter};
-use crate::datalog::{BaseType, RelId, Rules, Session, Term, Value, is_name, parse_value};
+use crate::datalog::{BaseType, PredicateId, Rules, Session, Term, Value, is_name, parse_value};
 use crate::diag::{Diagnostic, SourceId, Sources, Span, did_you_mean, listed};
 use crate::symbol::Symbol;
 use serde_json::json;
@@ -13,7 +13,7 @@ use serde_json::json;
 #[derive(Clone, Debug, PartialEq, Eq)]
 pub struct AskedFact {
     /// The predicate.
-    pub relation: RelId,
+    pub predicate: PredicateId,
     /// One value for each column.
     pub pattern: Vec<Option<Value>>,
 }
@@ -47,12 +47,12 @@ impl AskedFact {
         let written = Written::read(sources, question).map_err(|fault| vec![fault])?;
         let (name, span) = &written.name;
         let found = rules
-            .relation(name)
-            .filter(|relation| !rules.relations[relation.index()].hidden);
-        let Some(relation) = found else {
+            .predicate(name)
+            .filter(|predicate| !rules.predicates[predicate.index()].hidden);
+        let Some(predicate) = found else {
             return Err(vec![unknown_predicate(rules, scenario, name, *span)]);
         };
-        let declared = &rules.relations[relation.index()];
+        let declared = &rules.predicates[predicate.index()];
         let columns = &declared.columns;
         let Some(values) = &written.values else {
             let takes_agent = columns.first().is_some_and(|column| column.base == BaseType::Symbol);
@@ -72,7 +72,7 @@ impl AskedFact {
             };
             let mut pattern = vec![None; columns.len()];
             pattern.iter_mut().take(1).for_each(|value| *value = first);
-            return Ok(AskedFact { relation, pattern });
+            return Ok(AskedFact { predicate, pattern });
         };
         if values.len() != columns.len() {
             let plural = |count: usize, word: &str| format!("{count} {word}{}", if count == 1 { "" } else { "s" });
@@ -87,9 +87,9 @@ impl AskedFact {
             let fault = Diagnostic::new(codes::ARITY_MISMATCH, message).at(written.whole, "");
             return Err(vec![fault.also(declared.span, "declared here")]);
         }
-        let agent = Action::ALL.iter().find_map(|action| rules.relation(action.name()));
+        let agent = Action::ALL.iter().find_map(|action| rules.predicate(action.name()));
         let agent = agent
-            .and_then(|action| rules.relations[action.index()].columns.first())
+            .and_then(|action| rules.predicates[action.index()].columns.first())
             .map(|column| column.ty);
         let mut faults = Vec::new();
         let mut pattern = Vec::new();
@@ -116,7 +116,7 @@ impl AskedFact {
             });
         }
         match faults.is_empty() {
-            true => Ok(AskedFact { relation, pattern }),
+            true => Ok(AskedFact { predicate, pattern }),
             false => Err(faults),
         }
     }
@@ -126,7 +126,7 @@ impl AskedFact {
     /// # Errors
     /// If the search exceeds the limit of the explainer.
     pub fn explain(self, explainer: &mut Explainer<'_>) -> Result<FactAccount, ExplainError> {
-        let (holds, explanation) = explainer.explain_either(self.relation, &self.pattern)?;
+        let (holds, explanation) = explainer.explain_either(self.predicate, &self.pattern)?;
         Ok(FactAccount {
             asked: self,
             holds,
@@ -142,7 +142,7 @@ impl FactAccount {
 
     /// Returns the fact as text.
     pub fn fact(&self, session: &Session, sources: &Sources) -> String {
-        FactAccount::printer(session, sources).row(self.asked.relation, &self.asked.pattern)
+        FactAccount::printer(session, sources).row(self.asked.predicate, &self.asked.pattern)
     }
 
     /// Returns the explanation as text: whether the fact holds, and a tree.
@@ -177,8 +177,8 @@ fn unknown_predicate(rules: &Rules, scenario: &Scenario, name: &str, span: Span)
             scenario.name
         ));
     }
-    let visible = rules.relations.iter().filter(|relation| !relation.hidden);
-    match did_you_mean(name, visible.map(|relation| relation.name.as_str())) {
+    let visible = rules.predicates.iter().filter(|predicate| !predicate.hidden);
+    match did_you_mean(name, visible.map(|predicate| predicate.name.as_str())) {
         Some(near) => fault.did_you_mean(near, &[span]),
         None => fault,
     }

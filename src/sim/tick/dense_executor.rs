@@ -3,7 +3,7 @@
 use crate::city::Action;
 use crate::city::{Agent, Cell, CityMap};
 use crate::datalog::dense::{Set, TooManySteps, TrackFirings, has, members};
-use crate::datalog::{ClauseId, RelId};
+use crate::datalog::{ClauseId, PredicateId};
 use crate::diag::Diagnostic;
 use crate::diag::codes;
 use crate::sim::tick::chance::Draws;
@@ -97,7 +97,7 @@ impl Decisions {
 #[derive(Clone, Debug)]
 struct Reading {
     grounder: Grounder,
-    actions: Vec<(Action, RelId)>,
+    actions: Vec<(Action, PredicateId)>,
     /// The counted clauses, each with whether its head is an action.
     clauses: Vec<(ClauseId, bool)>,
 }
@@ -114,8 +114,8 @@ impl Reading {
     /// Adds the decisions of a window for its `egos` to `out`, and the firings of its clauses to `firings`.
     fn read<const W: usize>(&self, window: &Window<W>, egos: &Set<W>, out: &Decisions, firings: &mut [usize]) {
         let dense = &self.grounder.dense;
-        for &(action, relation) in &self.actions {
-            if let Some(set) = window.bit_state.set(dense, relation) {
+        for &(action, predicate) in &self.actions {
+            if let Some(set) = window.bit_state.set(dense, predicate) {
                 debug_assert!(members(set).all(|entity| has(egos, entity)));
                 for entity in members(set) {
                     out.add(window.bodies[entity].agent as usize, action);
@@ -196,7 +196,7 @@ impl DenseExecutor {
         };
         let plan = world.plan(counting)?;
         let dense = &plan.dense;
-        let sees = world.vocabulary.predicates[world.vocabulary.sees].relation;
+        let sees = world.vocabulary.predicates[world.vocabulary.sees].id;
         let in_tiles = dense.is_local() && sees.is_some_and(|sees| dense.is_guarded_by(sees));
         let width = Width::of(agents.len());
         if width.is_none() && !in_tiles {
@@ -207,9 +207,9 @@ impl DenseExecutor {
 
         let vocabulary: &Vocabulary = &world.vocabulary;
         let action = |action: &Action| Some((*action, vocabulary.action(*action)?));
-        let actions: Vec<(Action, RelId)> = Action::ALL.iter().filter_map(action).collect();
+        let actions: Vec<(Action, PredicateId)> = Action::ALL.iter().filter_map(action).collect();
         let of_action = |clause: &ClauseId| {
-            let head = rules.clauses[clause.index()].head.relation;
+            let head = rules.clauses[clause.index()].head.predicate;
             actions.iter().any(|(_, action)| *action == head)
         };
         let mut reading = Reading {

@@ -12,9 +12,9 @@ pub enum Executor {
     /// Dense if it can evaluate the rules for this number of agents, otherwise relational.
     #[default]
     Auto,
-    /// Evaluates relations as bit words.
+    /// Evaluates predicates as bit words.
     Dense,
-    /// Evaluates relations as sorted lists of rows, updated incrementally.
+    /// Evaluates predicates as sorted lists of rows, updated incrementally.
     Relational,
 }
 
@@ -95,9 +95,9 @@ pub(crate) fn compile(rules: &Rules, vocabulary: &Vocabulary, counting: TrackFir
         }
         return Err(reason.help().into_iter().fold(fault, Diagnostic::help));
     }
-    let steady = |relation| {
+    let steady = |declared| {
         let mut predicates = vocabulary.predicates.iter();
-        predicates.any(|predicate| predicate.relation == Some(relation) && predicate.definition.is_static())
+        predicates.any(|predicate| predicate.id == Some(declared) && predicate.definition.is_static())
     };
     Ok(Dense::new(rules, &choice, counting, steady))
 }

@@ -35,9 +35,9 @@ impl Facts {
     pub fn to_bits<const W: usize>(&self, vocabulary: &Vocabulary, dense: &Dense, count: usize) -> BitFacts<W> {
         let mut bits = BitFacts::new(dense, count);
         for (predicate, rows) in vocabulary.predicates.iter().zip(&self.rows) {
-            if let Some(relation) = predicate.relation {
+            if let Some(declared) = predicate.id {
                 for row in rows {
-                    bits.insert(dense, relation, &row.map(|entity| entity as usize)[..predicate.arity]);
+                    bits.insert(dense, declared, &row.map(|entity| entity as usize)[..predicate.arity]);
                 }
             }
         }

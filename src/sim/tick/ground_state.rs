@@ -2,7 +2,7 @@
 
 use crate::cancel::Cancel;
 use crate::city::Action;
-use crate::datalog::{EvalError, Limits, Program, RelId, Session, Value};
+use crate::datalog::{EvalError, Limits, PredicateId, Program, Session, Value};
 use crate::sim::tick::ground::Facts;
 use crate::sim::tick::vocabulary::{Actions, Vocabulary};
 use std::collections::HashMap;
@@ -12,7 +12,7 @@ pub struct GroundState {
     session: Session,
     entities: Vec<Value>,
     positions: HashMap<Value, usize>,
-    relations: Vec<Option<(RelId, usize)>>,
+    predicates: Vec<Option<(PredicateId, usize)>>,
     facts: Facts,
     /// The limits of each evaluation, whose memory the facts share.
     limits: Limits,
@@ -27,14 +27,14 @@ impl GroundState {
         names: impl Iterator<Item = &'n str>,
     ) -> Self {
         let predicates = vocabulary.predicates.iter();
-        let relations = predicates.map(|predicate| predicate.relation.map(|relation| (relation, predicate.arity)));
-        GroundState::over(program, relations.collect(), limits, names)
+        let predicates = predicates.map(|predicate| predicate.id.map(|declared| (declared, predicate.arity)));
+        GroundState::over(program, predicates.collect(), limits, names)
     }
 
-    /// Variant of [`new`](Self::new) for the given relations, with one or two columns each.
+    /// Variant of [`new`](Self::new) for the given predicates, with one or two columns each.
     pub(crate) fn over<'n>(
         program: &Program,
-        relations: Vec<Option<(RelId, usize)>>,
+        predicates: Vec<Option<(PredicateId, usize)>>,
         limits: Limits,
         names: impl Iterator<Item = &'n str>,
     ) -> Self {
@@ -49,9 +49,9 @@ impl GroundState {
                 .collect(),
             entities,
             facts: Facts {
-                rows: vec![Vec::new(); relations.len()],
+                rows: vec![Vec::new(); predicates.len()],
             },
-            relations,
+            predicates,
             limits,
         }
     }
@@ -80,21 +80,21 @@ impl GroundState {
         if held + 2 * facts.bytes() > limit {
             return Err(EvalError::TooManyInputs { limit });
         }
-        for (index, relation) in self.relations.iter().enumerate() {
-            let Some((relation, arity)) = *relation else { continue };
+        for (index, predicate) in self.predicates.iter().enumerate() {
+            let Some((predicate, arity)) = *predicate else { continue };
             let (old, new) = (&self.facts.rows[index], &facts.rows[index]);
             let row = |row: &[u32; 2]| row.map(|entity| self.entities[entity as usize]);
             for removed in old.iter().filter(|row| new.binary_search(row).is_err()) {
                 let row = row(removed);
                 self.session
-                    .retract(relation, &row[..arity])
-                    .expect("bound relations fit");
+                    .retract(predicate, &row[..arity])
+                    .expect("bound predicates fit");
             }
             for added in new.iter().filter(|row| old.binary_search(row).is_err()) {
                 let row = row(added);
                 self.session
-                    .insert(relation, &row[..arity])
-                    .expect("bound relations fit");
+                    .insert(predicate, &row[..arity])
+                    .expect("bound predicates fit");
             }
         }
         self.session.set_limits(Limits {
@@ -116,8 +116,8 @@ impl GroundState {
     /// Returns the derived actions of an entity.
     pub fn derived(&self, vocabulary: &Vocabulary, entity: usize) -> Actions {
         let holds = |action: &Action| {
-            let relation = vocabulary.action(*action);
-            relation.is_some_and(|relation| self.session.contains(relation, [self.entities[entity]]))
+            let predicate = vocabulary.action(*action);
+            predicate.is_some_and(|predicate| self.session.contains(predicate, [self.entities[entity]]))
         };
         Action::ALL.into_iter().filter(holds).collect()
     }

@@ -5,7 +5,7 @@ use crate::city::Action;
 use crate::config::{ActionsConfig, PredicateConfig, Scenario};
 use crate::datalog::Program;
 use crate::datalog::codes;
-use crate::datalog::{BaseType, Literal, RelId, Relation};
+use crate::datalog::{BaseType, Literal, Predicate, PredicateId};
 use crate::diag::{Diagnostic, did_you_mean};
 use crate::predicate::{Definition, Sees};
 
@@ -60,33 +60,33 @@ impl FromIterator<Action> for Actions {
 
 /// A base predicate.
 #[derive(Clone, Debug)]
-pub struct Predicate {
+pub struct BasePredicate {
     /// The name in the rules.
     pub name: String,
     /// The computation of its facts.
     pub definition: Definition,
     /// The number of columns, 1 or 2.
     pub arity: usize,
-    /// The relation in the program; `None` if the rules do not declare it as input.
-    pub relation: Option<RelId>,
+    /// The id in the program; `None` if the rules do not declare it as input.
+    pub id: Option<PredicateId>,
 }
 
 /// The base predicates and actions of a scenario, bound to a program.
 #[derive(Clone, Debug)]
 pub struct Vocabulary {
     /// The base predicates in the order of the scenario.
-    pub predicates: Vec<Predicate>,
+    pub predicates: Vec<BasePredicate>,
     /// The position of `Sees` in `predicates`.
     pub sees: usize,
-    /// The relation of each action, in the order of [`Action::ALL`]; `None` if the rules do not declare it.
-    actions: [Option<RelId>; 4],
+    /// The predicate of each action, in the order of [`Action::ALL`]; `None` if the rules do not declare it.
+    actions: [Option<PredicateId>; 4],
     /// The action to take, indexed by the bits of the derived actions.
     decisions: [Action; 16],
     default: Action,
 }
 
 impl Vocabulary {
-    /// Binds the predicates of a scenario to the relations of a program.
+    /// Binds the predicates of a scenario to the predicates of a program.
     ///
     /// # Errors
     /// `rule-mismatch` if the configuration lacks an input that a rule reads, a predicate has another number of columns
@@ -97,10 +97,10 @@ impl Vocabulary {
         let mut predicates = Vec::new();
         for PredicateConfig { name, definition } in &scenario.predicates {
             let arity = definition.arity();
-            let relation = program.relation(&name.value).filter(|&relation| {
-                let relation = &rules.relations[relation.index()];
-                relation.input
-                    && fits(relation, arity, &mut faults, || {
+            let id = program.predicate(&name.value).filter(|&id| {
+                let declared = &rules.predicates[id.index()];
+                declared.input
+                    && fits(declared, arity, &mut faults, || {
                         Diagnostic::new(
                             codes::RULE_MISMATCH,
                             format!(
@@ -111,11 +111,11 @@ impl Vocabulary {
                         .also(name.span, "defined here")
                     })
             });
-            predicates.push(Predicate {
+            predicates.push(BasePredicate {
                 name: name.value.clone(),
                 definition: definition.clone(),
                 arity,
-                relation,
+                id,
             });
         }
         let sees = predicates
@@ -127,8 +127,8 @@ impl Vocabulary {
         faults.extend(unfilled(scenario, program));
 
         let actions = Action::ALL.map(|action| {
-            program.relation(action.name()).filter(|&relation| {
-                fits(&rules.relations[relation.index()], 1, &mut faults, || {
+            program.predicate(action.name()).filter(|&id| {
+                fits(&rules.predicates[id.index()], 1, &mut faults, || {
                     Diagnostic::new(
                         codes::RULE_MISMATCH,
                         format!("the action `{}` must be a predicate over one agent", action.name()),
@@ -161,23 +161,23 @@ impl Vocabulary {
 
     /// Returns whether the rules declare the predicate at this position as input.
     pub fn is_read(&self, predicate: usize) -> bool {
-        self.predicates[predicate].relation.is_some()
+        self.predicates[predicate].id.is_some()
     }
 
-    /// Returns whether the facts of a relation are known: the configuration defines it, or it is not an input.
-    pub fn defines(&self, program: &Program, relation: RelId) -> bool {
-        let mut defined = self.predicates.iter().filter_map(|predicate| predicate.relation);
-        !program.rules().relations[relation.index()].input || defined.any(|one| one == relation)
+    /// Returns whether the facts of a predicate are known: the configuration defines it, or it is not an input.
+    pub fn defines(&self, program: &Program, predicate: PredicateId) -> bool {
+        let mut defined = self.predicates.iter().filter_map(|base| base.id);
+        !program.rules().predicates[predicate.index()].input || defined.any(|one| one == predicate)
     }
 
-    /// Returns the relation of an action, if the rules declare it.
-    pub fn action(&self, action: Action) -> Option<RelId> {
+    /// Returns the predicate of an action, if the rules declare it.
+    pub fn action(&self, action: Action) -> Option<PredicateId> {
         self.actions[action as usize]
     }
 
-    /// Returns the action that a relation represents.
-    pub fn action_of(&self, relation: RelId) -> Option<Action> {
-        (Action::ALL.into_iter()).find(|&action| self.action(action) == Some(relation))
+    /// Returns the action that a predicate represents.
+    pub fn action_of(&self, predicate: PredicateId) -> Option<Action> {
+        (Action::ALL.into_iter()).find(|&action| self.action(action) == Some(predicate))
     }
 
     /// Returns the action to take: the derived one of highest priority, otherwise the default of the scenario.
@@ -207,64 +207,64 @@ fn decisions(config: &ActionsConfig) -> [Action; 16] {
     })
 }
 
-/// Returns whether a relation has `arity` columns of symbols. Otherwise it adds a diagnostic to `faults`.
-fn fits(relation: &Relation, arity: usize, faults: &mut Vec<Diagnostic>, fault: impl FnOnce() -> Diagnostic) -> bool {
-    let symbols = relation.columns.iter().all(|column| column.base == BaseType::Symbol);
-    if relation.arity() == arity && symbols {
+/// Returns whether a predicate has `arity` columns of symbols. Otherwise it adds a diagnostic to `faults`.
+fn fits(predicate: &Predicate, arity: usize, faults: &mut Vec<Diagnostic>, fault: impl FnOnce() -> Diagnostic) -> bool {
+    let symbols = predicate.columns.iter().all(|column| column.base == BaseType::Symbol);
+    if predicate.arity() == arity && symbols {
         return true;
     }
     let plural = if arity == 1 { "column" } else { "columns" };
     faults.push(
         fault()
-            .at(relation.span, format!("declared with {} here", describe(relation)))
+            .at(predicate.span, format!("declared with {} here", describe(predicate)))
             .help(format!("declare it with {arity} {plural} of type agent")),
     );
     false
 }
 
-fn describe(relation: &Relation) -> String {
-    let columns: Vec<&str> = relation.columns.iter().map(|column| column.base.name()).collect();
+fn describe(predicate: &Predicate) -> String {
+    let columns: Vec<&str> = predicate.columns.iter().map(|column| column.base.name()).collect();
     format!("({})", columns.join(", "))
 }
 
-/// Returns one diagnostic for all relations in `unknown`.
-fn undefined(scenario: &Scenario, unknown: &[&Relation], predicates: &[Predicate]) -> Option<Diagnostic> {
+/// Returns one diagnostic for all predicates in `unknown`.
+fn undefined(scenario: &Scenario, unknown: &[&Predicate], predicates: &[BasePredicate]) -> Option<Diagnostic> {
     let (first, rest) = unknown.split_first()?;
-    let names: Vec<String> = unknown.iter().map(|relation| format!("`{}`", relation.name)).collect();
+    let names: Vec<String> = unknown.iter().map(|declared| format!("`{}`", declared.name)).collect();
     let message = format!(
         "the rules read {}, which the configuration `{}` does not define",
         names.join(", "),
         scenario.name
     );
     let mut fault = Diagnostic::new(codes::RULE_MISMATCH, message).at(first.span, "declared as input here");
-    for relation in rest {
-        fault = fault.also(relation.span, "and here");
+    for declared in rest {
+        fault = fault.also(declared.span, "and here");
     }
     fault = fault.also(scenario.rules.span, "these rules");
     let known = || predicates.iter().map(|predicate| predicate.name.as_str());
-    for relation in unknown {
-        if let Some(near) = did_you_mean(&relation.name, known()) {
-            fault = fault.help(format!("did you mean `{near}` by `{}`?", relation.name));
+    for declared in unknown {
+        if let Some(near) = did_you_mean(&declared.name, known()) {
+            fault = fault.help(format!("did you mean `{near}` by `{}`?", declared.name));
         }
     }
     Some(fault.help("define the missing predicates under `predicates` in the configuration, or derive them by rules"))
 }
 
-/// Returns a diagnostic for each relation that shares a predicate's name but is neither input nor derived.
+/// Returns a diagnostic for each predicate that shares a predicate's name but is neither input nor derived.
 fn unfilled(scenario: &Scenario, program: &Program) -> Vec<Diagnostic> {
     let rules = program.rules();
     let mut faults = Vec::new();
     for PredicateConfig { name, .. } in &scenario.predicates {
-        let Some(relation) = program.relation(&name.value) else {
+        let Some(predicate) = program.predicate(&name.value) else {
             continue;
         };
-        let filled = rules.clauses.iter().any(|clause| clause.head.relation == relation);
-        let relation = &rules.relations[relation.index()];
-        if !relation.input && !filled {
+        let filled = rules.clauses.iter().any(|clause| clause.head.predicate == predicate);
+        let predicate = &rules.predicates[predicate.index()];
+        if !predicate.input && !filled {
             let message = format!("`{}` is never filled: it is declared, but not as input", name.value);
             faults.push(
                 Diagnostic::new(codes::RULE_MISMATCH, message)
-                    .at(relation.span, "declared here")
+                    .at(predicate.span, "declared here")
                     .also(name.span, "the configuration computes it")
                     .help(format!("write `.input {}` after the declaration", name.value)),
             );
@@ -273,21 +273,21 @@ fn unfilled(scenario: &Scenario, program: &Program) -> Vec<Diagnostic> {
     faults
 }
 
-/// Returns the input relations that a body reads and the configuration does not define, in declaration order.
-fn unknown_inputs<'a>(program: &'a Program, predicates: &[Predicate]) -> Vec<&'a Relation> {
+/// Returns the input predicates that a body reads and the configuration does not define, in declaration order.
+fn unknown_inputs<'a>(program: &'a Program, predicates: &[BasePredicate]) -> Vec<&'a Predicate> {
     let rules = program.rules();
-    let mut read = vec![false; rules.relations.len()];
+    let mut read = vec![false; rules.predicates.len()];
     for clause in &rules.clauses {
         for atom in clause.body.iter().filter_map(Literal::atom) {
-            read[atom.relation.index()] = true;
+            read[atom.predicate.index()] = true;
         }
     }
     rules
-        .relations
+        .predicates
         .iter()
         .zip(read)
-        .filter(|(relation, read)| *read && relation.input)
-        .map(|(relation, _)| relation)
-        .filter(|relation| predicates.iter().all(|predicate| predicate.name != relation.name))
+        .filter(|(declared, read)| *read && declared.input)
+        .map(|(declared, _)| declared)
+        .filter(|declared| predicates.iter().all(|predicate| predicate.name != declared.name))
         .collect()
 }

@@ -155,17 +155,17 @@ impl Plan {
         view: u32,
         agents: impl Iterator<Item = (AgentKind, &'a Arc<[String]>)>,
     ) -> Self {
-        // A relation outside the vocabulary has no facts: binding rejects all others.
-        let find = |relation| {
+        // A predicate outside the vocabulary has no facts: binding rejects all others.
+        let find = |wanted| {
             let mut predicates = vocabulary.predicates.iter();
-            let position = predicates.position(|predicate| predicate.relation == Some(relation))?;
+            let position = predicates.position(|predicate| predicate.id == Some(wanted))?;
             Some((position, &vocabulary.predicates[position].definition))
         };
         let views = Views::new(view);
         let (mut fixed, mut local, mut always) = (Vec::new(), Vec::new(), Vec::new());
         for (input, requested) in dense.inputs().iter().enumerate() {
-            let (Input::Unary(relation) | Input::Diagonal(relation)) = *requested;
-            match find(relation) {
+            let (Input::Unary(wanted) | Input::Diagonal(wanted)) = *requested;
+            match find(wanted) {
                 Some((_, Definition::Static(predicate))) => fixed.push((input, predicate.clone())),
                 Some((_, Definition::Local(predicate))) => local.push((input, predicate.table())),
                 Some((_, Definition::Pair(pair))) if pair.is_reflexive() => always.push(input),
@@ -173,8 +173,8 @@ impl Plan {
             }
         }
         let lists: Vec<Requested> = (dense.lists().iter())
-            .map(|&List(relation, axis)| {
-                let predicate = find(relation).and_then(|(position, definition)| match definition {
+            .map(|&List(wanted, axis)| {
+                let predicate = find(wanted).and_then(|(position, definition)| match definition {
                     Definition::Pair(pair) => Some((position, pair)),
                     Definition::Static(_) | Definition::Local(_) => None,
                 });

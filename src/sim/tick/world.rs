@@ -113,11 +113,11 @@ impl World {
             || (0..rules.clauses.len()).map(|index| ClauseId(u32::try_from(index).expect("fewer than 2^32 clauses")));
         let is_visible_rule = |clause: &ClauseId| {
             let clause = &rules.clauses[clause.index()];
-            !clause.body.is_empty() && !rules.relations[clause.head.relation.index()].hidden
+            !clause.body.is_empty() && !rules.predicates[clause.head.predicate.index()].hidden
         };
         let is_action_fact = |clause: &ClauseId| {
             let clause = &rules.clauses[clause.index()];
-            clause.body.is_empty() && self.vocabulary.action_of(clause.head.relation).is_some()
+            clause.body.is_empty() && self.vocabulary.action_of(clause.head.predicate).is_some()
         };
         all().filter(is_visible_rule).chain(all().filter(is_action_fact))
     }
@@ -126,7 +126,7 @@ impl World {
     pub fn clause_actions(&self) -> impl Iterator<Item = (ClauseId, Option<Action>)> + '_ {
         let rules = self.program.rules();
         self.clauses().map(|clause| {
-            let head = rules.clauses[clause.index()].head.relation;
+            let head = rules.clauses[clause.index()].head.predicate;
             (clause, self.vocabulary.action_of(head))
         })
     }

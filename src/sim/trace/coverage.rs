@@ -37,7 +37,7 @@ impl Coverage {
     pub fn new(rules: &Rules) -> Self {
         let clauses = rules.clauses.iter().zip(0..);
         let counted = clauses
-            .filter(|(clause, _)| !clause.body.is_empty() && !rules.relations[clause.head.relation.index()].hidden);
+            .filter(|(clause, _)| !clause.body.is_empty() && !rules.predicates[clause.head.predicate.index()].hidden);
         Coverage {
             states: 0,
             clauses: counted

@@ -75,7 +75,7 @@ fn symbols(rules: &Rules, clause: &Clause) -> BTreeSet<usize> {
     let mut found = BTreeSet::new();
     for literal in &clause.body {
         if let Literal::Positive(atom) | Literal::Guard(atom) = literal {
-            let columns = &rules.relations[atom.relation.index()].columns;
+            let columns = &rules.predicates[atom.predicate.index()].columns;
             for (term, column) in atom.terms.iter().zip(columns) {
                 if let (Term::Variable(variable), BaseType::Symbol) = (term, column.base) {
                     found.insert(variable.index());

@@ -90,7 +90,7 @@ impl<'a> Decision<'a> {
         let mut actions = match why_not {
             Some(action) => vec![action],
             None if self.derived.is_empty() => match vocabulary.action(by_rules) {
-                Some(relation) if self.session.contains(relation, [self.value]) => vec![by_rules],
+                Some(predicate) if self.session.contains(predicate, [self.value]) => vec![by_rules],
                 _ => Action::ALL.to_vec(),
             },
             None => self.derived.iter().collect(),
@@ -100,7 +100,7 @@ impl<'a> Decision<'a> {
         let mut explanations = Vec::new();
         for action in actions {
             let explanation = match vocabulary.action(action) {
-                Some(relation) => explainer.explain_either(relation, &[Some(self.value)])?.1,
+                Some(predicate) => explainer.explain_either(predicate, &[Some(self.value)])?.1,
                 None => None,
             };
             explanations.push((action, explanation));

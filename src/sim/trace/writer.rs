@@ -65,7 +65,7 @@ impl<W: Write> TraceWriter<W> {
                 let clause = &rules.clauses[clause.index()];
                 let position = sources.position(clause.span);
                 json!({
-                    "head": rules.relations[clause.head.relation.index()].name,
+                    "head": rules.predicates[clause.head.predicate.index()].name,
                     "file": file_name(clause.span.source),
                     "line": position.line,
                     "doc": clause.doc,

@@ -18,7 +18,7 @@ pub use steps::{Step, Steps};
 pub use text::{Origin, broken_constraints, only_action, report_json, rule_file};
 
 use crate::city::Action;
-use crate::datalog::{self, Constraint, RelId};
+use crate::datalog::{self, Constraint, PredicateId};
 use crate::diag::{self, Diagnostic, listed};
 use crate::induce::{Constraints, ENTITIES_MAX, Examples, Predicate, Settings, State, Vocabulary, tuples};
 use crate::sim::{self, Facts, OBSERVED_MAX, World};
@@ -42,9 +42,9 @@ impl InductionTask {
     /// not matter.
     pub fn new(world: Arc<World>, order: &[Action]) -> InductionTask {
         let known = &world.vocabulary;
-        let symmetric = |predicate: &sim::Predicate| {
+        let symmetric = |predicate: &sim::BasePredicate| {
             (world.program.rules().constraints.iter()).any(|declared| match declared.constraint {
-                Constraint::Symmetric(relation) => Some(relation) == predicate.relation,
+                Constraint::Symmetric(declared) => Some(declared) == predicate.id,
                 _ => false,
             })
         };
@@ -85,17 +85,17 @@ impl InductionTask {
     pub fn constraints(&self) -> Constraints {
         let mut constraints = Constraints::default();
         let known = &self.world.vocabulary;
-        let relations: Vec<Option<RelId>> = observed(known).map(|(_, predicate)| predicate.relation).collect();
-        let position = |relation: RelId| relations.iter().position(|known| *known == Some(relation));
-        let has_all = |domain: &[(RelId, usize)]| {
+        let predicates: Vec<Option<PredicateId>> = observed(known).map(|(_, predicate)| predicate.id).collect();
+        let position = |declared: PredicateId| predicates.iter().position(|known| *known == Some(declared));
+        let has_all = |domain: &[(PredicateId, usize)]| {
             known.predicates[known.sees]
-                .relation
+                .id
                 .is_some_and(|sees| domain.contains(&(sees, 1)))
         };
         for declared in &self.world.program.rules().constraints {
             match &declared.constraint {
                 Constraint::Disjoint(one, other) => {
-                    let pair = [one, other].map(|relation| position(*relation));
+                    let pair = [one, other].map(|declared| position(*declared));
                     if let [Some(one), Some(other)] = pair {
                         constraints.disjoint.push(vec![one, other]);
                     }
@@ -191,11 +191,11 @@ impl InductionTask {
     /// Returns a sentence about the derived predicates of the rules, which clauses cannot use, if there are any.
     fn unused_predicates(&self) -> Option<String> {
         let actions = Action::ALL.map(Action::name);
-        let relations = self.world.program.rules().relations.iter();
-        let derived = relations.filter(|relation| relation.derived && !relation.input && !relation.hidden);
+        let predicates = self.world.program.rules().predicates.iter();
+        let derived = predicates.filter(|declared| declared.derived && !declared.input && !declared.hidden);
         let names: Vec<String> = derived
-            .filter(|relation| !actions.contains(&relation.name.as_str()))
-            .map(|relation| format!("`{}`", relation.name))
+            .filter(|declared| !actions.contains(&declared.name.as_str()))
+            .map(|declared| format!("`{}`", declared.name))
             .collect();
         (!names.is_empty()).then(|| {
             format!(
@@ -212,7 +212,7 @@ impl InductionTask {
     /// `rule-mismatch` if `known` lacks a predicate of the task.
     pub fn translator(&self, known: &sim::Vocabulary) -> Result<Translator<'_>, Diagnostic> {
         let columns = self.vocabulary.predicates().iter().map(|predicate| {
-            let named = |of: &sim::Predicate| of.name == predicate.name && of.arity == predicate.arity;
+            let named = |of: &sim::BasePredicate| of.name == predicate.name && of.arity == predicate.arity;
             known.predicates.iter().position(named).ok_or_else(|| {
                 let message = format!("the examples have no facts of the predicate `{}`", predicate.name);
                 Diagnostic::new(datalog::codes::RULE_MISMATCH, message)
@@ -298,7 +298,7 @@ impl InductionTask {
         for (_, predicate) in known.predicates.iter().enumerate().filter(|(at, _)| *at != known.sees) {
             let (values, after) = rest.split_at(entities.pow(predicate.arity as u32));
             rest = after;
-            if predicate.relation.is_none() {
+            if predicate.id.is_none() {
                 continue;
             }
             for (at, _) in values.iter().enumerate().filter(|(_, value)| **value > 0.5) {
@@ -317,9 +317,9 @@ impl InductionTask {
 }
 
 /// Returns the predicates that clauses may use, with their positions: those that the rules declare, except `Sees`.
-fn observed(known: &sim::Vocabulary) -> impl Iterator<Item = (usize, &sim::Predicate)> {
+fn observed(known: &sim::Vocabulary) -> impl Iterator<Item = (usize, &sim::BasePredicate)> {
     let declared =
-        |(position, predicate): &(usize, &sim::Predicate)| *position != known.sees && predicate.relation.is_some();
+        |(position, predicate): &(usize, &sim::BasePredicate)| *position != known.sees && predicate.id.is_some();
     known.predicates.iter().enumerate().filter(declared)
 }
 

@@ -251,8 +251,9 @@ impl QuestionSet {
 pub fn askable(world: &World) -> Vec<Action> {
     let clauses = &world.program.rules().clauses;
     let asked = |action: &Action| {
-        let relation = world.vocabulary.action(*action);
-        let derived = relation.is_some_and(|relation| clauses.iter().any(|clause| clause.head.relation == relation));
+        let predicate = world.vocabulary.action(*action);
+        let derived =
+            predicate.is_some_and(|predicate| clauses.iter().any(|clause| clause.head.predicate == predicate));
         derived || *action == world.vocabulary.default_action()
     };
     Action::ALL.into_iter().filter(asked).collect()
@@ -260,7 +261,7 @@ pub fn askable(world: &World) -> Vec<Action> {
 
 /// Returns the clauses that derive the answer from the facts of a question, in source order.
 fn deriving(world: &World, question: &Question) -> Result<Vec<ClauseId>, Diagnostic> {
-    let Some(relation) = world.vocabulary.action(question.answer) else {
+    let Some(predicate) = world.vocabulary.action(question.answer) else {
         return Ok(Vec::new());
     };
     let names: Vec<String> = (0..question.entities).map(wording::entity).collect();
@@ -271,7 +272,7 @@ fn deriving(world: &World, question: &Question) -> Result<Vec<ClauseId>, Diagnos
         names.iter().map(String::as_str),
     );
     (state.set(&question.facts)).map_err(|error| error.diagnostic(world.program.rules()))?;
-    let found = Explainer::new(state.session()).derivations(relation, &[state.value(question.ego)]);
+    let found = Explainer::new(state.session()).derivations(predicate, &[state.value(question.ego)]);
     let found = found.map_err(Diagnostic::from)?;
     let mut clauses: Vec<ClauseId> = found.into_iter().map(|(clause, _)| clause).collect();
     clauses.dedup();

@@ -12,7 +12,7 @@
 //! predicates that the checker generates (hidden predicates), up to [`DEPTH_MAX`] levels deep.
 
 use crate::datalog::explain::ExplanationPrinter;
-use crate::datalog::{Atom, BaseType, Clause, ClauseId, Comparison, Literal, RelId, Rules, Term, VarId};
+use crate::datalog::{Atom, BaseType, Clause, ClauseId, Comparison, Literal, PredicateId, Rules, Term, VarId};
 use crate::diag::Sources;
 use crate::predicate::Definition;
 use crate::sim::World;
@@ -87,18 +87,18 @@ impl<'a> Writer<'a> {
 
     /// Returns the visible clauses on which an action depends, in source order.
     fn used(&self) -> Vec<ClauseId> {
-        let head = |clause: ClauseId| self.rules.clauses[clause.index()].head.relation;
-        let mut open: Vec<RelId> = of_actions(self.world).map(head).collect();
-        let mut known: BTreeSet<RelId> = open.iter().copied().collect();
-        while let Some(relation) = open.pop() {
+        let head = |clause: ClauseId| self.rules.clauses[clause.index()].head.predicate;
+        let mut open: Vec<PredicateId> = of_actions(self.world).map(head).collect();
+        let mut known: BTreeSet<PredicateId> = open.iter().copied().collect();
+        while let Some(predicate) = open.pop() {
             let clauses = self
                 .rules
                 .clauses
                 .iter()
-                .filter(|clause| clause.head.relation == relation);
+                .filter(|clause| clause.head.predicate == predicate);
             for atom in clauses.flat_map(|clause| &clause.body).filter_map(Literal::atom) {
-                if known.insert(atom.relation) {
-                    open.push(atom.relation);
+                if known.insert(atom.predicate) {
+                    open.push(atom.predicate);
                 }
             }
         }
@@ -198,7 +198,7 @@ impl<'a> Writer<'a> {
     fn guard(&self, atom: &Atom, ego: &str) -> String {
         match self.definition(atom) {
             Some(definition) => format!(" that {ego} {}", definition.phrase().verb),
-            None => format!(" with {}({ego}, _)", self.rules.relations[atom.relation.index()].name),
+            None => format!(" with {}({ego}, _)", self.rules.predicates[atom.predicate.index()].name),
         }
     }
 
@@ -221,9 +221,9 @@ impl<'a> Writer<'a> {
     }
 
     fn fact(&self, scope: &Scope<'_>, literal: &Literal, atom: &Atom, negative: bool, depth: usize) -> String {
-        let relation = &self.rules.relations[atom.relation.index()];
-        if relation.hidden {
-            return match depth < DEPTH_MAX && relation.derived {
+        let predicate = &self.rules.predicates[atom.predicate.index()];
+        if predicate.hidden {
+            return match depth < DEPTH_MAX && predicate.derived {
                 true => self.hidden(scope, literal, atom, negative, depth),
                 false => self.notation(scope, literal),
             };
@@ -248,11 +248,11 @@ impl<'a> Writer<'a> {
             self.rules
                 .clauses
                 .iter()
-                .filter(|clause| clause.head.relation == atom.relation)
+                .filter(|clause| clause.head.predicate == atom.predicate)
         };
         let is_recursive = clauses()
             .flat_map(|clause| &clause.body)
-            .any(|literal| literal.atom().is_some_and(|inner| inner.relation == atom.relation));
+            .any(|literal| literal.atom().is_some_and(|inner| inner.predicate == atom.predicate));
         let is_plain = |clause: &Clause| clause.head.terms.iter().all(|term| term.variable().is_some());
         if is_recursive || clauses().next().is_none() || !clauses().all(is_plain) {
             return self.notation(scope, literal);
@@ -308,12 +308,12 @@ impl<'a> Writer<'a> {
     /// Returns an atom as rules have it.
     fn atom(&self, scope: &Scope<'_>, atom: &Atom) -> String {
         let terms: Vec<String> = (0..atom.terms.len()).map(|at| self.term(scope, atom, at)).collect();
-        let name = &self.rules.relations[atom.relation.index()].name;
+        let name = &self.rules.predicates[atom.predicate.index()].name;
         format!("{name}({})", terms.join(", "))
     }
 
     fn term(&self, scope: &Scope<'_>, atom: &Atom, at: usize) -> String {
-        let base = self.rules.relations[atom.relation.index()].columns[at].base;
+        let base = self.rules.predicates[atom.predicate.index()].columns[at].base;
         self.value(scope, &atom.terms[at], base)
     }
 
@@ -337,7 +337,7 @@ impl<'a> Writer<'a> {
 
     /// Returns the action that an atom requires.
     fn action(&self, atom: &Atom) -> Option<&'static str> {
-        let action = self.world.vocabulary.action_of(atom.relation)?;
+        let action = self.world.vocabulary.action_of(atom.predicate)?;
         Some(action.name())
     }
 
@@ -346,7 +346,7 @@ impl<'a> Writer<'a> {
         let predicates = &self.world.vocabulary.predicates;
         let found = predicates
             .iter()
-            .find(|predicate| predicate.relation == Some(atom.relation))?;
+            .find(|predicate| predicate.id == Some(atom.predicate))?;
         Some(&found.definition)
     }
 }

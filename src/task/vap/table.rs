@@ -393,7 +393,7 @@ fn truths(vocabulary: &Vocabulary, frames: &[Frame], arity: usize) -> Vec<(Strin
         .iter()
         .enumerate()
         .filter(|(_, predicate)| predicate.arity == arity);
-    let column = |(index, predicate): (usize, &crate::sim::Predicate)| {
+    let column = |(index, predicate): (usize, &crate::sim::BasePredicate)| {
         let mut holds = Vec::new();
         for frame in frames {
             let (begin, count) = (holds.len(), frame.agents.len());

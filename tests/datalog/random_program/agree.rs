@@ -1,22 +1,22 @@
 //! Compares a session with the specification on any program and any script of changes.
 
 use super::Batch;
-use logicity_datalog::{ClauseId, Literal, RelId, Rules, Value};
+use logicity_datalog::{ClauseId, Literal, PredicateId, Rules, Value};
 use logicity_datalog::{Options, Program, Session, Strategy, StratumStats, naive};
 use proptest::prelude::*;
 use std::collections::BTreeSet;
 
 /// All rows of a session.
 pub fn database(session: &Session) -> naive::Database {
-    let relations = session.program().rules().relations.len();
-    (0..relations as u32)
-        .map(|rel| session.encoded_rows(RelId(rel)).map(<[Value]>::to_vec).collect())
+    let predicates = session.program().rules().predicates.len();
+    (0..predicates as u32)
+        .map(|id| session.encoded_rows(PredicateId(id)).map(<[Value]>::to_vec).collect())
         .collect()
 }
 
 /// The model without the rows that a session aggregates.
 fn stored(session: &Session, model: &naive::Database) -> naive::Database {
-    let rows = |(rel, rows): (u32, &BTreeSet<Vec<Value>>)| match session.program().is_aggregated(RelId(rel)) {
+    let rows = |(id, rows): (u32, &BTreeSet<Vec<Value>>)| match session.program().is_aggregated(PredicateId(id)) {
         true => BTreeSet::new(),
         false => rows.clone(),
     };
@@ -40,13 +40,13 @@ pub fn agrees(rules: &Rules, script: &[Batch]) -> Result<(), TestCaseError> {
 
 /// The model after every batch.
 fn states(rules: &Rules, script: &[Batch]) -> Vec<naive::Database> {
-    let mut facts: BTreeSet<(RelId, Vec<Value>)> = BTreeSet::new();
+    let mut facts: BTreeSet<(PredicateId, Vec<Value>)> = BTreeSet::new();
     let state = |batch: &Batch| {
-        for (present, rel, row) in batch {
+        for (present, id, row) in batch {
             if *present {
-                facts.insert((*rel, row.clone()));
+                facts.insert((*id, row.clone()));
             } else {
-                facts.remove(&(*rel, row.clone()));
+                facts.remove(&(*id, row.clone()));
             }
         }
         naive::evaluate(rules, &rules.symbols, facts.iter().cloned())
@@ -66,12 +66,12 @@ fn agrees_with(
         session.set_strategy(strategy);
         (strategy, session)
     });
-    let nothing = vec![BTreeSet::new(); rules.relations.len()];
+    let nothing = vec![BTreeSet::new(); rules.predicates.len()];
     let mut before = &nothing;
     for (batch, after) in script.iter().zip(states) {
         for (strategy, session) in &mut sessions {
-            for (present, rel, row) in batch {
-                set(session, *rel, row, *present);
+            for (present, id, row) in batch {
+                set(session, *id, row, *present);
             }
             check_commit(session, before, after)?;
             let first = std::ptr::eq(before, &nothing);
@@ -85,29 +85,29 @@ fn agrees_with(
         return Ok(());
     };
     for (_, session) in &mut sessions {
-        let known: Vec<bool> = batch.iter().map(|(_, rel, row)| session.contains(*rel, row)).collect();
-        for (_, rel, row) in batch {
-            set(session, *rel, row, true);
+        let known: Vec<bool> = batch.iter().map(|(_, id, row)| session.contains(*id, row)).collect();
+        for (_, id, row) in batch {
+            set(session, *id, row, true);
         }
-        for ((_, rel, row), known) in batch.iter().zip(&known) {
-            set(session, *rel, row, *known);
+        for ((_, id, row), known) in batch.iter().zip(&known) {
+            set(session, *id, row, *known);
         }
         prop_assert!(session.commit().unwrap().is_empty());
         prop_assert_eq!(session.work().evaluated().count(), 0);
 
-        for ((_, rel, row), known) in batch.iter().zip(&known) {
-            set(session, *rel, row, !*known);
+        for ((_, id, row), known) in batch.iter().zip(&known) {
+            set(session, *id, row, !*known);
         }
         let there = session.commit().unwrap();
-        for ((_, rel, row), known) in batch.iter().zip(&known) {
-            set(session, *rel, row, *known);
+        for ((_, id, row), known) in batch.iter().zip(&known) {
+            set(session, *id, row, *known);
         }
         let back = session.commit().unwrap();
         prop_assert_eq!(there.changes().len(), back.changes().len());
         for (there, back) in there.changes().iter().zip(back.changes()) {
             prop_assert_eq!(
-                (there.relation, &there.added, &there.removed),
-                (back.relation, &back.removed, &back.added)
+                (there.predicate, &there.added, &there.removed),
+                (back.predicate, &back.removed, &back.added)
             );
         }
         prop_assert_eq!(database(session), stored(session, before));
@@ -115,11 +115,11 @@ fn agrees_with(
     Ok(())
 }
 
-fn set(session: &mut Session, rel: RelId, row: &[Value], present: bool) {
+fn set(session: &mut Session, id: PredicateId, row: &[Value], present: bool) {
     let noted = if present {
-        session.insert(rel, row)
+        session.insert(id, row)
     } else {
-        session.retract(rel, row)
+        session.retract(id, row)
     };
     noted.expect("a row that fits");
 }
@@ -128,14 +128,14 @@ fn set(session: &mut Session, rel: RelId, row: &[Value], present: bool) {
 fn check_commit(session: &mut Session, before: &naive::Database, after: &naive::Database) -> Result<(), TestCaseError> {
     let delta = session.commit().unwrap();
     prop_assert_eq!(database(session), stored(session, after));
-    for (rel, (before, after)) in before.iter().zip(after).enumerate() {
-        if session.program().is_aggregated(RelId(rel as u32)) {
-            prop_assert!(delta.of(RelId(rel as u32)).is_none());
+    for (id, (before, after)) in before.iter().zip(after).enumerate() {
+        if session.program().is_aggregated(PredicateId(id as u32)) {
+            prop_assert!(delta.of(PredicateId(id as u32)).is_none());
             continue;
         }
-        let rows = session.encoded_rows(RelId(rel as u32));
+        let rows = session.encoded_rows(PredicateId(id as u32));
         prop_assert!(rows.is_sorted());
-        let change = delta.of(RelId(rel as u32));
+        let change = delta.of(PredicateId(id as u32));
         prop_assert_eq!(change.is_some(), before != after);
         if let Some(change) = change {
             prop_assert!(change.added.iter().eq(after.difference(before)));
@@ -144,7 +144,7 @@ fn check_commit(session: &mut Session, before: &naive::Database, after: &naive::
     }
     let program = session.program().clone();
     for (clause, position) in program.rules().clauses.iter().zip(0..) {
-        if program.is_aggregated(clause.head.relation) {
+        if program.is_aggregated(clause.head.predicate) {
             continue;
         }
         let fired = session.fired(ClauseId(position));
@@ -170,16 +170,16 @@ fn check_work(
     let rules = session.program().rules();
     prop_assert_eq!(session.work().strata.len(), rules.strata.len());
     for (stratum, work) in rules.strata.iter().zip(&session.work().strata) {
-        let changed = |clause: ClauseId| input_changed(rules, clause, &stratum.relations, before, after);
+        let changed = |clause: ClauseId| input_changed(rules, clause, &stratum.predicates, before, after);
         let any = stratum.clauses.iter().any(|clause| changed(*clause));
         let (evaluated, due) = (*work != StratumStats::Skipped, first || any);
         // The optimizer may find that a clause does not depend on the change, and an aggregate may stay the same.
-        let aggregated = |rel: &RelId| session.program().is_aggregated(*rel);
+        let aggregated = |id: &PredicateId| session.program().is_aggregated(*id);
         let mut bodies = stratum
             .clauses
             .iter()
             .flat_map(|clause| &rules.clauses[clause.index()].body);
-        let reads = bodies.any(|literal| literal.atom().is_some_and(|atom| aggregated(&atom.relation)));
+        let reads = bodies.any(|literal| literal.atom().is_some_and(|atom| aggregated(&atom.predicate)));
         prop_assert!(evaluated == due || ((optimize || reads) && due));
         match work {
             StratumStats::Skipped => {}
@@ -198,7 +198,7 @@ fn check_work(
                     let mut body = rules.clauses[clause.index()].body.iter();
                     body.any(|literal| matches!(literal, Literal::Aggregate { .. }))
                 });
-                let aggregates = aggregates || stratum.relations.iter().any(aggregated);
+                let aggregates = aggregates || stratum.predicates.iter().any(aggregated);
                 prop_assert!(first || strategy != Strategy::Maintain || aggregates);
             }
         }
@@ -206,23 +206,23 @@ fn check_work(
     Ok(())
 }
 
-/// Whether the clause reads a changed relation outside of its stratum.
+/// Whether the clause reads a changed predicate outside of its stratum.
 fn input_changed(
     rules: &Rules,
     clause: ClauseId,
-    own: &[RelId],
+    own: &[PredicateId],
     before: &naive::Database,
     after: &naive::Database,
 ) -> bool {
     let mut atoms = rules.clauses[clause.index()].body.iter().filter_map(Literal::atom);
     atoms.any(|atom| {
         // An aggregate in place reads what the clauses of its hidden predicate read.
-        if rules.relations[atom.relation.index()].parameters > 0 {
+        if rules.predicates[atom.predicate.index()].parameters > 0 {
             let ids = (0..).map(ClauseId).zip(&rules.clauses);
-            let mut inner = ids.filter(|(_, clause)| clause.head.relation == atom.relation);
+            let mut inner = ids.filter(|(_, clause)| clause.head.predicate == atom.predicate);
             return inner.any(|(inner, _)| input_changed(rules, inner, own, before, after));
         }
-        let own = own.contains(&atom.relation) && rules.relations[atom.relation.index()].derived;
-        !own && before[atom.relation.index()] != after[atom.relation.index()]
+        let own = own.contains(&atom.predicate) && rules.predicates[atom.predicate.index()].derived;
+        !own && before[atom.predicate.index()] != after[atom.predicate.index()]
     })
 }

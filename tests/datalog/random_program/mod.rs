@@ -10,7 +10,7 @@ pub mod agree;
 use logicity_datalog::diag::{Sources, Span};
 use logicity_datalog::symbol::Symbols;
 use logicity_datalog::{
-    AggregateOp, Atom, BaseType, Clause, ClauseId, Column, Comparison, Functor, Literal, RelId, Relation, Rules,
+    AggregateOp, Atom, BaseType, Clause, ClauseId, Column, Comparison, Functor, Literal, Predicate, PredicateId, Rules,
     Stratum, Term, Type, TypeId, Value, VarId,
 };
 use proptest::collection::vec;
@@ -34,30 +34,30 @@ const FLOAT_CONSTANTS: [f32; 6] = [0.0, -0.0, 0.5, -2.5, f32::INFINITY, f32::NAN
 #[derive(Clone, Debug)]
 pub struct LiteralGene {
     kind: u8,
-    relation: u8,
+    predicate: u8,
     terms: [u8; 5],
 }
 
 /// Raw material of a clause.
 #[derive(Clone, Debug)]
 pub struct ClauseGene {
-    relation: u8,
+    predicate: u8,
     head: [u8; 5],
     body: Vec<LiteralGene>,
 }
 
-/// A change of a base fact: whether it is inserted, relation, values.
+/// A change of a base fact: whether it is inserted, predicate, values.
 pub type ChangeGene = (bool, u8, [u8; 5]);
 
 /// Changes of one commit: true inserts the row, false retracts it.
-pub type Batch = Vec<(bool, RelId, Vec<Value>)>;
+pub type Batch = Vec<(bool, PredicateId, Vec<Value>)>;
 
 /// Raw material of a program and its script of changes.
 #[derive(Clone, Debug)]
 pub struct Genome {
-    /// Column bases of the base relations.
+    /// Column bases of the base predicates.
     base: Vec<Vec<bool>>,
-    /// For each stratum, the column bases of its relations, and its clauses.
+    /// For each stratum, the column bases of its predicates, and its clauses.
     strata: Vec<(Vec<Vec<bool>>, Vec<ClauseGene>)>,
     /// Batches of changes.
     pub script: Vec<Vec<ChangeGene>>,
@@ -67,15 +67,15 @@ pub struct Genome {
 pub fn genomes(batches: std::ops::Range<usize>) -> impl Strategy<Value = Genome> {
     let columns = || prop_oneof![8 => vec(prop::bool::weighted(0.3), 0..=3), 1 => vec(any::<bool>(), 4..=5)];
     let literal = || {
-        (any::<u8>(), any::<u8>(), any::<[u8; 5]>()).prop_map(|(kind, relation, terms)| LiteralGene {
+        (any::<u8>(), any::<u8>(), any::<[u8; 5]>()).prop_map(|(kind, predicate, terms)| LiteralGene {
             kind,
-            relation,
+            predicate,
             terms,
         })
     };
     let clause = || {
-        (any::<u8>(), any::<[u8; 5]>(), vec(literal(), 0..6)).prop_map(|(relation, head, body)| ClauseGene {
-            relation,
+        (any::<u8>(), any::<[u8; 5]>(), vec(literal(), 0..6)).prop_map(|(predicate, head, body)| ClauseGene {
+            predicate,
             head,
             body,
         })
@@ -99,11 +99,11 @@ pub fn recursive_genomes(batches: std::ops::Range<usize>) -> impl Strategy<Value
     let terms = || prop::array::uniform5(0..192u8);
     let literal = || {
         (prop_oneof![20 => 0..150u8, 1 => 150..=255u8], any::<u8>(), terms())
-            .prop_map(|(kind, relation, terms)| LiteralGene { kind, relation, terms })
+            .prop_map(|(kind, predicate, terms)| LiteralGene { kind, predicate, terms })
     };
     let clause = || {
-        (any::<u8>(), terms(), vec(literal(), 1..4)).prop_map(|(relation, head, body)| ClauseGene {
-            relation,
+        (any::<u8>(), terms(), vec(literal(), 1..4)).prop_map(|(predicate, head, body)| ClauseGene {
+            predicate,
             head,
             body,
         })
@@ -116,14 +116,17 @@ pub fn recursive_genomes(batches: std::ops::Range<usize>) -> impl Strategy<Value
     (pairs(1..=2), vec(stratum, 1..=2), script).prop_map(|(base, strata, script)| Genome { base, strata, script })
 }
 
-/// Programs whose literals mostly compute, aggregate or compare, with floats, too, over relations of numbers.
+/// Programs whose literals mostly compute, aggregate or compare, with floats, too, over predicates of numbers.
 pub fn computing_genomes(batches: std::ops::Range<usize>) -> impl Strategy<Value = Genome> {
     let columns = || vec(prop::bool::weighted(0.8), 1..=2);
     let kind = prop_oneof![2 => 0..130u8, 1 => 150..190u8, 5 => 225..233u8, 1 => 233..241u8, 3 => 241..=255u8];
-    let literal =
-        (kind, any::<u8>(), any::<[u8; 5]>()).prop_map(|(kind, relation, terms)| LiteralGene { kind, relation, terms });
-    let clause = (any::<u8>(), any::<[u8; 5]>(), vec(literal, 2..7)).prop_map(|(relation, head, body)| ClauseGene {
-        relation,
+    let literal = (kind, any::<u8>(), any::<[u8; 5]>()).prop_map(|(kind, predicate, terms)| LiteralGene {
+        kind,
+        predicate,
+        terms,
+    });
+    let clause = (any::<u8>(), any::<[u8; 5]>(), vec(literal, 2..7)).prop_map(|(predicate, head, body)| ClauseGene {
+        predicate,
         head,
         body,
     });
@@ -162,7 +165,7 @@ impl Genome {
     pub fn read(bytes: &[u8]) -> Genome {
         let mut numbers = Numbers(bytes.iter());
         let pairs = numbers.next() % 2 == 1;
-        let relations = |numbers: &mut Numbers<'_>| {
+        let predicates = |numbers: &mut Numbers<'_>| {
             let columns = |numbers: &mut Numbers<'_>| match pairs {
                 true => vec![true; 2],
                 false => numbers.list(0..=5, |numbers| numbers.next() % 3 == 0),
@@ -172,11 +175,11 @@ impl Genome {
         let term = |numbers: &mut Numbers<'_>| if pairs { numbers.next() % 192 } else { numbers.next() };
         let literal = |numbers: &mut Numbers<'_>| LiteralGene {
             kind: numbers.next(),
-            relation: numbers.next(),
+            predicate: numbers.next(),
             terms: numbers.array(term),
         };
         let clause = |numbers: &mut Numbers<'_>| ClauseGene {
-            relation: numbers.next(),
+            predicate: numbers.next(),
             head: numbers.array(term),
             body: numbers.list(0..=5, literal),
         };
@@ -185,8 +188,8 @@ impl Genome {
             (kind % 4 != 3, kind / 4, numbers.array(Numbers::next))
         };
         Genome {
-            base: relations(&mut numbers),
-            strata: numbers.list(1..=3, |numbers| (relations(numbers), numbers.list(1..=5, clause))),
+            base: predicates(&mut numbers),
+            strata: numbers.list(1..=3, |numbers| (predicates(numbers), numbers.list(1..=5, clause))),
             script: numbers.list(1..=4, |numbers| numbers.list(0..=24, change)),
         }
     }
@@ -206,7 +209,7 @@ impl Genome {
                     doc: String::new(),
                 })
                 .into(),
-            relations: Vec::new(),
+            predicates: Vec::new(),
             clauses: Vec::new(),
             strata: Vec::new(),
             constraints: Vec::new(),
@@ -215,32 +218,32 @@ impl Genome {
         for columns in &self.base {
             declare(&mut rules, columns, span);
         }
-        for (relations, clauses) in &self.strata {
-            let first = rules.relations.len();
-            for columns in relations {
+        for (predicates, clauses) in &self.strata {
+            let first = rules.predicates.len();
+            for columns in predicates {
                 declare(&mut rules, columns, span);
             }
             let mut stratum = Stratum {
-                relations: (first..rules.relations.len()).map(rel).collect(),
+                predicates: (first..rules.predicates.len()).map(id).collect(),
                 clauses: Vec::new(),
                 recursive: false,
             };
             for gene in clauses {
                 let clause = clause(gene, &rules, first, span);
                 stratum.recursive |= clause.body.iter().any(|literal| match literal {
-                    Literal::Positive(atom) | Literal::Guard(atom) => stratum.relations.contains(&atom.relation),
+                    Literal::Positive(atom) | Literal::Guard(atom) => stratum.predicates.contains(&atom.predicate),
                     _ => false,
                 });
-                rules.relations[clause.head.relation.index()].derived |= !clause.body.is_empty();
+                rules.predicates[clause.head.predicate.index()].derived |= !clause.body.is_empty();
                 stratum.clauses.push(ClauseId(rules.clauses.len() as u32));
                 rules.clauses.push(clause);
             }
-            stratum.relations.retain(|relation| {
+            stratum.predicates.retain(|predicate| {
                 let mut heads = stratum
                     .clauses
                     .iter()
-                    .map(|clause| rules.clauses[clause.index()].head.relation);
-                heads.any(|head| head == *relation)
+                    .map(|clause| rules.clauses[clause.index()].head.predicate);
+                heads.any(|head| head == *predicate)
             });
             rules.strata.push(stratum);
         }
@@ -252,19 +255,19 @@ impl Genome {
         (0..self.script.len()).map(|batch| self.batch(rules, batch)).collect()
     }
 
-    /// A batch as rows of base relations.
+    /// A batch as rows of base predicates.
     pub fn batch(&self, rules: &Rules, batch: usize) -> Batch {
-        let base: Vec<RelId> = (0..rules.relations.len()).map(rel).collect();
-        let base: Vec<RelId> = base
+        let base: Vec<PredicateId> = (0..rules.predicates.len()).map(id).collect();
+        let base: Vec<PredicateId> = base
             .into_iter()
-            .filter(|base| !rules.relations[base.index()].derived)
+            .filter(|base| !rules.predicates[base.index()].derived)
             .collect();
-        let change = |(present, relation, values): &ChangeGene| {
-            let relation = base[*relation as usize % base.len()];
-            let columns = rules.relations[relation.index()].columns.iter();
+        let change = |(present, predicate, values): &ChangeGene| {
+            let predicate = base[*predicate as usize % base.len()];
+            let columns = rules.predicates[predicate.index()].columns.iter();
             (
                 *present,
-                relation,
+                predicate,
                 columns
                     .zip(values)
                     .map(|(column, &gene)| constant(column.base, gene))
@@ -275,8 +278,8 @@ impl Genome {
     }
 }
 
-fn rel(position: usize) -> RelId {
-    RelId(position as u32)
+fn id(position: usize) -> PredicateId {
+    PredicateId(position as u32)
 }
 
 fn declare(rules: &mut Rules, columns: &[bool], span: Span) {
@@ -285,8 +288,8 @@ fn declare(rules: &mut Rules, columns: &[bool], span: Span) {
         ty: TypeId(u32::from(number)),
         base: if number { BaseType::Number } else { BaseType::Symbol },
     };
-    rules.relations.push(Relation {
-        name: format!("r{}", rules.relations.len()),
+    rules.predicates.push(Predicate {
+        name: format!("r{}", rules.predicates.len()),
         columns: columns.iter().enumerate().map(column).collect(),
         doc: String::new(),
         span,
@@ -348,20 +351,20 @@ fn float_term(gene: u8, bound: &[bool; VARIABLES + FLOATS.len()]) -> Term {
     }
 }
 
-/// A clause whose head is a relation from `first` on. Earlier relations may be negated.
+/// A clause whose head is a predicate from `first` on. Earlier predicates may be negated.
 fn clause(gene: &ClauseGene, rules: &Rules, first: usize, span: Span) -> Clause {
     let mut bound = [false; VARIABLES + FLOATS.len()];
-    let atom = |relation: usize, terms: Vec<Term>| Atom {
-        relation: rel(relation),
+    let atom = |predicate: usize, terms: Vec<Term>| Atom {
+        predicate: id(predicate),
         terms,
         span,
     };
-    let columns = |relation: usize| rules.relations[relation].columns.iter();
+    let columns = |predicate: usize| rules.predicates[predicate].columns.iter();
     let positive = |gene: &LiteralGene| {
-        let relation = gene.relation as usize % rules.relations.len();
+        let predicate = gene.predicate as usize % rules.predicates.len();
         atom(
-            relation,
-            columns(relation)
+            predicate,
+            columns(predicate)
                 .zip(gene.terms)
                 .map(|(column, gene)| term(column.base, gene))
                 .collect(),
@@ -386,12 +389,15 @@ fn clause(gene: &ClauseGene, rules: &Rules, first: usize, span: Span) -> Clause 
             0..130 => Literal::Positive(positive(literal)),
             130..150 => Literal::Guard(positive(literal)),
             150..190 => {
-                let relation = literal.relation as usize % first;
+                let predicate = literal.predicate as usize % first;
                 let term = |(column, gene): (&Column, u8)| match term(column.base, gene) {
                     Term::Wildcard => Term::Wildcard,
                     _ => bound_term(column.base, gene, &bound),
                 };
-                Literal::Negative(atom(relation, columns(relation).zip(literal.terms).map(term).collect()))
+                Literal::Negative(atom(
+                    predicate,
+                    columns(predicate).zip(literal.terms).map(term).collect(),
+                ))
             }
             190..225 => {
                 // An equality that may bind its left-hand side.
@@ -410,7 +416,7 @@ fn clause(gene: &ClauseGene, rules: &Rules, first: usize, span: Span) -> Clause 
                     span,
                 }
             }
-            225..233 if literal.relation % 2 == 1 => {
+            225..233 if literal.predicate % 2 == 1 => {
                 // A float from a number or from floats, or a test of one.
                 let float = |gene: u8| float_term(gene, &bound);
                 let to = Term::Variable(VarId(FLOATS[literal.terms[3] as usize % 2] as u32));
@@ -446,7 +452,7 @@ fn clause(gene: &ClauseGene, rules: &Rules, first: usize, span: Span) -> Clause 
                     (Functor::Not, BaseType::Number),
                     (Functor::Length, BaseType::Symbol),
                     (Functor::ToNumber, BaseType::Symbol),
-                ][literal.relation as usize / 2 % 6];
+                ][literal.predicate as usize / 2 % 6];
                 let count = if matches!(functor, Functor::Min | Functor::Max | Functor::And) {
                     2
                 } else {
@@ -472,15 +478,15 @@ fn clause(gene: &ClauseGene, rules: &Rules, first: usize, span: Span) -> Clause 
             }
             233..241 => {
                 use AggregateOp::*;
-                let relation = literal.relation as usize % first;
+                let predicate = literal.predicate as usize % first;
                 let term = |(column, gene): (&Column, u8)| match gene % 2 {
                     0 => Term::Wildcard,
                     _ => bound_term(column.base, gene, &bound),
                 };
-                let terms = columns(relation).zip(literal.terms).map(term).collect();
+                let terms = columns(predicate).zip(literal.terms).map(term).collect();
                 let op = [Count, Min, Max, Sum][literal.terms[4] as usize % 4];
                 let fits = |column: &Column| column.base == BaseType::Number;
-                let column = columns(relation).position(fits);
+                let column = columns(predicate).position(fits);
                 let op = if column.is_none() { Count } else { op };
                 // A sum within a recursion would derive new values without end.
                 let op = if op == Sum { Min } else { op };
@@ -490,7 +496,7 @@ fn clause(gene: &ClauseGene, rules: &Rules, first: usize, span: Span) -> Clause 
                     to: Term::Variable(VarId(to as u32)),
                     op,
                     base: BaseType::Number,
-                    atom: atom(relation, terms),
+                    atom: atom(predicate, terms),
                     column: column.filter(|_| op != Count),
                 }
             }
@@ -517,14 +523,14 @@ fn clause(gene: &ClauseGene, rules: &Rules, first: usize, span: Span) -> Clause 
             }
         });
     }
-    let relation = first + gene.relation as usize % (rules.relations.len() - first);
-    let terms = columns(relation)
+    let predicate = first + gene.predicate as usize % (rules.predicates.len() - first);
+    let terms = columns(predicate)
         .zip(gene.head)
         .map(|(column, gene)| bound_term(column.base, gene, &bound))
         .collect();
     // Variables without an occurrence would be unbound.
     Clause {
-        head: atom(relation, terms),
+        head: atom(predicate, terms),
         body,
         variables: (0..VARIABLES + FLOATS.len())
             .map(|variable| format!("v{variable}"))

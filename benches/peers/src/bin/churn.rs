@@ -63,7 +63,7 @@ fn strategy(text: &str) -> Result<Strategy, &'static str> {
     }
 }
 
-/// The pairs of every binary relation, and their next change.
+/// The pairs of every binary predicate, and their next change.
 struct City {
     agents: u32,
     below: Box<dyn FnMut(u32) -> u32 + Send + Sync>,
@@ -132,8 +132,8 @@ fn measure(agents: u32, percent: f64, ticks: usize, strategy: Strategy, peers: b
     let mut session = engine::load(Case::City.program(), &city.facts);
     session.set_strategy(strategy);
     session.commit().expect("within the limit");
-    let relations: Vec<_> = (city.facts.binary.iter())
-        .map(|(name, _)| session.program().relation(name).expect("the program has the relation"))
+    let predicates: Vec<_> = (city.facts.binary.iter())
+        .map(|(name, _)| session.program().predicate(name).expect("the program has the predicate"))
         .collect();
     let (times, strata) = timely::execute_directly(move |worker| {
         let mut dataflow = peers.then(|| differential::City::new(worker, &city.facts));
@@ -143,15 +143,15 @@ fn measure(agents: u32, percent: f64, ticks: usize, strategy: Strategy, peers: b
         for tick in 0..ticks + 10 {
             let changes = city.change(percent);
             let start = ThreadTime::now();
-            for ((_, pairs), &relation) in changes.iter().zip(&relations) {
+            for ((_, pairs), &predicate) in changes.iter().zip(&predicates) {
                 for &((x, y), present) in pairs {
                     let row = [Value(x), Value(y)];
                     let noted = if present {
-                        session.insert(relation, &row)
+                        session.insert(predicate, &row)
                     } else {
-                        session.retract(relation, &row)
+                        session.retract(predicate, &row)
                     };
-                    noted.expect("a base relation of two columns");
+                    noted.expect("a base predicate of two columns");
                 }
             }
             let delta = session.commit().expect("within the limit");

@@ -80,10 +80,10 @@ def _oracle(questions: Sequence[Question], config: str, path: Path) -> dict[str,
     for question in questions:
         scene, rules = _scene(question), []
         action = _action(inference, scene)
-        if question.labels and action in program.relations:
+        if question.labels and action in program.predicates:
             session = Session(program)
             for name, rows in scene["facts"].items():
-                if name in program.relations:
+                if name in program.predicates:
                     session.insert(name, [(row,) if isinstance(row, str) else tuple(row) for row in rows])
             session.commit()
             if (proof := session.explain(action, [scene["ego"]])).holds:

@@ -12,7 +12,7 @@
 
 use crate::analysis::diff::Cut;
 use crate::analysis::diff::pair::{Individual, Output, Pair, Side};
-use crate::check::{Atom, Clause, Literal, RelId, Term, VarId};
+use crate::check::{Atom, Clause, Literal, PredicateId, Term, VarId};
 use crate::syntax::ast::{BaseType, Comparison};
 use crate::value::Value;
 use indexmap::IndexSet;
@@ -50,12 +50,12 @@ enum Root {
     Constant(Value),
 }
 
-type RootFact = (RelId, Vec<Root>);
+type RootFact = (PredicateId, Vec<Root>);
 
 /// Cache of [`Side::cost`].
 #[derive(Default)]
 struct Costs {
-    known: HashMap<(RelId, bool), usize>,
+    known: HashMap<(PredicateId, bool), usize>,
     /// Whether a chain of predicates exceeded `DEPTH_MAX`.
     too_deep: bool,
 }
@@ -85,23 +85,23 @@ fn entities(
     let arity = output.columns.len();
     let mut total = arity;
     let mut kept: BTreeSet<(&str, Vec<SharedRoot>)> = BTreeSet::new();
-    for (side, relation) in sides.into_iter().zip(output.ids) {
+    for (side, predicate) in sides.into_iter().zip(output.ids) {
         let mut costs = Costs::default();
-        let mut facts: IndexSet<RootFact> = [(relation, (0..arity).map(Root::Column).collect())].into();
+        let mut facts: IndexSet<RootFact> = [(predicate, (0..arity).map(Root::Column).collect())].into();
         let mut at = 0;
-        while let Some((relation, row)) = facts.get_index(at).cloned() {
+        while let Some((predicate, row)) = facts.get_index(at).cloned() {
             at += 1;
             *literals_left = literals_left.checked_sub(1)?;
-            let witnesses = side.witnesses(relation, &row, &mut facts, &mut costs);
+            let witnesses = side.witnesses(predicate, &row, &mut facts, &mut costs);
             if facts.len() > FACTS_OF_OUTPUT_MAX || costs.too_deep {
                 *literals_left = 0;
             }
             let witnesses = witnesses?;
-            let name = side.rules.relations[relation.index()].name.as_str();
-            let known = equal.contains(name) && kept.contains(&(name, side.shared(relation, &row)));
+            let name = side.rules.predicates[predicate.index()].name.as_str();
+            let known = equal.contains(name) && kept.contains(&(name, side.shared(predicate, &row)));
             if !known {
                 total = total.checked_add(witnesses)?;
-                kept.insert((name, side.shared(relation, &row)));
+                kept.insert((name, side.shared(predicate, &row)));
             }
         }
     }
@@ -109,8 +109,8 @@ fn entities(
 }
 
 impl Side<'_> {
-    fn shared(&self, relation: RelId, row: &[Root]) -> Vec<SharedRoot> {
-        let columns = &self.rules.relations[relation.index()].columns;
+    fn shared(&self, predicate: PredicateId, row: &[Root]) -> Vec<SharedRoot> {
+        let columns = &self.rules.predicates[predicate.index()].columns;
         let one = |(root, column): (&Root, &crate::check::Column)| match *root {
             Root::Column(column) => SharedRoot::Column(column),
             Root::Constant(value) => SharedRoot::Constant(self.individual(value, column.base)),
@@ -122,21 +122,21 @@ impl Side<'_> {
     /// `facts`, without counting their witnesses.
     fn witnesses(
         &self,
-        relation: RelId,
+        predicate: PredicateId,
         row: &[Root],
         facts: &mut IndexSet<RootFact>,
         costs: &mut Costs,
     ) -> Option<usize> {
         let (mut most, mut failing) = (0, 0_usize);
-        for clause in self.derivations(relation)? {
+        for clause in self.derivations(predicate)? {
             let (locals, local) = self.split(clause, row, facts)?;
             let (some, none) = self.wildcards(clause)?;
             let mut needed = locals.checked_add(some)?;
             failing = failing.checked_add(none)?;
             for (positive, atom) in local {
-                needed = needed.checked_add(self.cost(atom.relation, positive, 0, costs)?)?;
+                needed = needed.checked_add(self.cost(atom.predicate, positive, 0, costs)?)?;
                 // If the fact does not hold, this literal may be the failing one, for any values.
-                if self.cost(atom.relation, !positive, 0, costs)? > 0 {
+                if self.cost(atom.predicate, !positive, 0, costs)? > 0 {
                     return None;
                 }
             }
@@ -146,8 +146,8 @@ impl Side<'_> {
     }
 
     /// Returns the number of witnesses that any fact of the predicate needs to hold, or to fail.
-    fn cost(&self, relation: RelId, holds: bool, depth: usize, costs: &mut Costs) -> Option<usize> {
-        if let Some(&known) = costs.known.get(&(relation, holds)) {
+    fn cost(&self, predicate: PredicateId, holds: bool, depth: usize, costs: &mut Costs) -> Option<usize> {
+        if let Some(&known) = costs.known.get(&(predicate, holds)) {
             return Some(known);
         }
         if depth > DEPTH_MAX {
@@ -155,7 +155,7 @@ impl Side<'_> {
             return None;
         }
         let mut total = 0_usize;
-        for clause in self.derivations(relation)? {
+        for clause in self.derivations(predicate)? {
             self.plain(clause)?;
             let head: Vec<VarId> = clause.head.terms.iter().filter_map(Term::variable).collect();
             let locals: BTreeSet<VarId> = clause
@@ -168,8 +168,8 @@ impl Side<'_> {
             let mut sum = locals.len() + some;
             let mut worst = 0;
             for (positive, atom) in self.derived_atoms(clause) {
-                sum = sum.checked_add(self.cost(atom.relation, positive, depth + 1, costs)?)?;
-                worst = worst.max(self.cost(atom.relation, !positive, depth + 1, costs)?);
+                sum = sum.checked_add(self.cost(atom.predicate, positive, depth + 1, costs)?)?;
+                worst = worst.max(self.cost(atom.predicate, !positive, depth + 1, costs)?);
             }
             total = match (holds, locals.is_empty()) {
                 (true, _) => total.max(sum),
@@ -178,28 +178,28 @@ impl Side<'_> {
                 (false, false) => return None,
             };
         }
-        costs.known.insert((relation, holds), total);
+        costs.known.insert((predicate, holds), total);
         Some(total)
     }
 
     /// Returns the clauses of a derived predicate, none for others; `None` if it is recursive or has columns other than
     /// symbols.
-    fn derivations(&self, relation: RelId) -> Option<Vec<&Clause>> {
-        let declared = &self.rules.relations[relation.index()];
+    fn derivations(&self, predicate: PredicateId) -> Option<Vec<&Clause>> {
+        let declared = &self.rules.predicates[predicate.index()];
         if declared.columns.iter().any(|column| column.base != BaseType::Symbol) {
             return None;
         }
         if !declared.derived {
             return Some(Vec::new());
         }
-        let stratum = self.stratum[relation.index()]?;
-        (!self.rules.strata[stratum].recursive).then(|| self.clauses[relation.index()].clone())
+        let stratum = self.stratum[predicate.index()]?;
+        (!self.rules.strata[stratum].recursive).then(|| self.clauses[predicate.index()].clone())
     }
 
     /// Returns `Some` if the clause does not depend on an order of values.
     fn plain(&self, clause: &Clause) -> Option<()> {
         let numbers = |atom: &Atom| {
-            let columns = &self.rules.relations[atom.relation.index()].columns;
+            let columns = &self.rules.predicates[atom.predicate.index()].columns;
             columns.iter().any(|column| column.base != BaseType::Symbol)
         };
         let plain = clause.body.iter().all(|literal| match literal {
@@ -246,7 +246,7 @@ impl Side<'_> {
     }
 
     fn is_derived(&self, atom: &Atom) -> bool {
-        self.rules.relations[atom.relation.index()].derived
+        self.rules.predicates[atom.predicate.index()].derived
     }
 
     /// Returns the number of variables outside the head, and the derived atoms that contain some of them. Adds the
@@ -279,7 +279,7 @@ impl Side<'_> {
                 .collect();
             match roots {
                 Some(roots) => {
-                    facts.insert((atom.relation, roots));
+                    facts.insert((atom.predicate, roots));
                     if facts.len() > FACTS_OF_OUTPUT_MAX {
                         return None;
                     }

@@ -7,7 +7,7 @@
 //! texts; then there is no proof, but no wrong one either.
 
 use crate::analysis::diff::pair::{Pair, Side};
-use crate::check::{Atom, Clause, Literal, RelId, Term, VarId};
+use crate::check::{Atom, Clause, Literal, PredicateId, Term, VarId};
 use crate::symbol::Symbol;
 use crate::syntax::ast::BaseType;
 use crate::value::Value;
@@ -19,7 +19,7 @@ use std::hash::{Hash, Hasher};
 pub(super) fn same_clauses(pair: &Pair<'_>) -> bool {
     // Both sides share the numbers of definitions.
     let mut numbers = HashMap::new();
-    let mut open: Vec<[RelId; 2]> = pair.outputs.iter().map(|output| output.ids).collect();
+    let mut open: Vec<[PredicateId; 2]> = pair.outputs.iter().map(|output| output.ids).collect();
     let mut forms = [Forms::new(&pair.sides[0]), Forms::new(&pair.sides[1])];
     let mut seen = BTreeSet::new();
     while let Some([left, right]) = open.pop() {
@@ -42,45 +42,45 @@ pub(super) fn same_clauses(pair: &Pair<'_>) -> bool {
 struct Forms<'a> {
     side: &'a Side<'a>,
     /// The numbers of the definitions of hidden predicates.
-    hidden: HashMap<RelId, usize>,
+    hidden: HashMap<PredicateId, usize>,
     /// The hidden predicates whose definitions are being computed, each for the one before.
-    stack: Vec<RelId>,
+    stack: Vec<PredicateId>,
     /// The lowest position in the stack to which the definition being computed refers.
     lowest: usize,
     /// The predicates whose rows inserted facts make up, by the hidden predicate for these.
-    edb: HashMap<RelId, RelId>,
+    edb: HashMap<PredicateId, PredicateId>,
     /// The predicates that the definitions computed last name.
-    read: BTreeMap<&'a str, RelId>,
+    read: BTreeMap<&'a str, PredicateId>,
 }
 
 impl<'a> Forms<'a> {
     fn new(side: &'a Side<'a>) -> Forms<'a> {
-        let relations = side.rules.relations.iter().zip((0..).map(RelId));
+        let predicates = side.rules.predicates.iter().zip((0..).map(PredicateId));
         Forms {
             side,
             hidden: HashMap::new(),
             stack: Vec::new(),
             lowest: usize::MAX,
-            edb: relations
-                .filter_map(|(relation, id)| Some((relation.edb?, id)))
+            edb: predicates
+                .filter_map(|(predicate, id)| Some((predicate.edb?, id)))
                 .collect(),
             read: BTreeMap::new(),
         }
     }
 
     /// Returns the columns and clauses of a predicate as text.
-    fn definition(&mut self, relation: RelId, numbers: &mut HashMap<String, usize>) -> String {
+    fn definition(&mut self, predicate: PredicateId, numbers: &mut HashMap<String, usize>) -> String {
         let side = self.side;
-        let declared = &side.rules.relations[relation.index()];
+        let declared = &side.rules.predicates[predicate.index()];
         let columns: Vec<&str> = declared.columns.iter().map(|column| column.base.name()).collect();
-        let clauses = side.clauses[relation.index()].iter();
+        let clauses = side.clauses[predicate.index()].iter();
         let mut clauses: Vec<String> = clauses.map(|clause| self.clause(clause, numbers)).collect();
         clauses.sort_unstable();
         clauses.dedup();
         format!(
             "({}) input {:?} parameters {}\n{}",
             columns.join(", "),
-            side.base[relation.index()],
+            side.base[predicate.index()],
             declared.parameters,
             clauses.join("\n")
         )
@@ -88,26 +88,26 @@ impl<'a> Forms<'a> {
 
     /// Returns the name of a predicate. For a hidden one this is the number of its definition, or how far it is up the
     /// stack.
-    fn name(&mut self, relation: RelId, numbers: &mut HashMap<String, usize>) -> String {
-        let declared = &self.side.rules.relations[relation.index()];
-        if let Some(of) = self.edb.get(&relation) {
-            return format!("input {}", self.side.rules.relations[of.index()].name);
+    fn name(&mut self, predicate: PredicateId, numbers: &mut HashMap<String, usize>) -> String {
+        let declared = &self.side.rules.predicates[predicate.index()];
+        if let Some(of) = self.edb.get(&predicate) {
+            return format!("input {}", self.side.rules.predicates[of.index()].name);
         }
         if !declared.hidden {
-            self.read.insert(&declared.name, relation);
+            self.read.insert(&declared.name, predicate);
             return declared.name.clone();
         }
-        if let Some(known) = self.hidden.get(&relation) {
+        if let Some(known) = self.hidden.get(&predicate) {
             return format!("#{known}");
         }
         let depth = self.stack.len();
-        if let Some(position) = self.stack.iter().position(|one| *one == relation) {
+        if let Some(position) = self.stack.iter().position(|one| *one == predicate) {
             self.lowest = self.lowest.min(position);
             return format!("^{}", depth - position);
         }
         let lowest = std::mem::replace(&mut self.lowest, usize::MAX);
-        self.stack.push(relation);
-        let definition = self.definition(relation, numbers);
+        self.stack.push(predicate);
+        let definition = self.definition(predicate, numbers);
         self.stack.pop();
         let next = numbers.len();
         let number = *numbers.entry(definition).or_insert(next);
@@ -115,7 +115,7 @@ impl<'a> Forms<'a> {
         match self.lowest < depth {
             true => self.lowest = self.lowest.min(lowest),
             false => {
-                self.hidden.insert(relation, number);
+                self.hidden.insert(predicate, number);
                 self.lowest = lowest;
             }
         }
@@ -152,13 +152,13 @@ impl<'a> Forms<'a> {
 
     fn part(&mut self, literal: &Literal, numbers: &mut HashMap<String, usize>) -> CanonicalLiteral {
         let (text, terms) = match literal {
-            Literal::Positive(atom) => (self.name(atom.relation, numbers), self.atom_terms(atom)),
+            Literal::Positive(atom) => (self.name(atom.predicate, numbers), self.atom_terms(atom)),
             Literal::Guard(atom) => (
-                format!("guard {}", self.name(atom.relation, numbers)),
+                format!("guard {}", self.name(atom.predicate, numbers)),
                 self.atom_terms(atom),
             ),
             Literal::Negative(atom) => (
-                format!("not {}", self.name(atom.relation, numbers)),
+                format!("not {}", self.name(atom.predicate, numbers)),
                 self.atom_terms(atom),
             ),
             Literal::Compare {
@@ -190,14 +190,14 @@ impl<'a> Forms<'a> {
             Literal::Aggregate { to, op, base, atom, .. } => {
                 let mut terms = vec![self.argument(*to, |value| self.constant(value, *base))];
                 terms.extend(self.atom_terms(atom));
-                (format!("{op:?} {base:?} {}", self.name(atom.relation, numbers)), terms)
+                (format!("{op:?} {base:?} {}", self.name(atom.predicate, numbers)), terms)
             }
         };
         CanonicalLiteral { text, terms }
     }
 
     fn atom_terms(&self, atom: &Atom) -> Vec<Argument> {
-        let columns = &self.side.rules.relations[atom.relation.index()].columns;
+        let columns = &self.side.rules.predicates[atom.predicate.index()].columns;
         let terms = atom.terms.iter().zip(columns);
         terms
             .map(|(term, column)| self.argument(*term, |value| self.constant(value, column.base)))

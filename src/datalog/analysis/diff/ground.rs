@@ -6,7 +6,7 @@
 
 use crate::analysis::diff::pair::{Individual, ScopeRows, Side};
 use crate::analysis::diff::sat::{Lit, Outcome, Solver};
-use crate::check::{Atom, Clause, Constraint, DeclaredConstraint, Literal, RelId, Term, VarId};
+use crate::check::{Atom, Clause, Constraint, DeclaredConstraint, Literal, PredicateId, Term, VarId};
 use crate::syntax::ast::{BaseType, Comparison};
 use crate::value::Value;
 use std::collections::{BTreeMap, BTreeSet, HashMap};
@@ -29,7 +29,7 @@ pub(super) struct Circuit<'a> {
     /// The same facts in the order of their first use.
     asked: Vec<BaseFact>,
     /// The derived facts by side, predicate, row and, in a recursive stratum, round. Lookup only, never iterated.
-    derived: HashMap<(usize, RelId, Vec<usize>, usize), Lit>,
+    derived: HashMap<(usize, PredicateId, Vec<usize>, usize), Lit>,
     /// The unrolled recursive strata, by side.
     unrolled: BTreeSet<(usize, usize)>,
     /// The positions of constants among the individuals, by side.
@@ -123,24 +123,24 @@ impl<'a> Circuit<'a> {
     // --- facts
 
     /// Returns the gate for a row of a predicate on one side.
-    pub(super) fn fact(&mut self, side: usize, relation: RelId, row: &[usize]) -> Result<Lit, TooLarge> {
-        self.holds(side, relation, row, None)
+    pub(super) fn fact(&mut self, side: usize, predicate: PredicateId, row: &[usize]) -> Result<Lit, TooLarge> {
+        self.holds(side, predicate, row, None)
     }
 
     /// `round`: the recursive stratum that is being unrolled, and the requested round.
     fn holds(
         &mut self,
         side: usize,
-        relation: RelId,
+        predicate: PredicateId,
         row: &[usize],
         round: Option<(usize, usize)>,
     ) -> Result<Lit, TooLarge> {
         let sides = self.sides;
         let program = sides[side];
-        if !program.rules.relations[relation.index()].derived {
-            return self.base(side, relation, row);
+        if !program.rules.predicates[predicate.index()].derived {
+            return self.base(side, predicate, row);
         }
-        let stratum = program.stratum[relation.index()];
+        let stratum = program.stratum[predicate.index()];
         let recursive = stratum.is_some_and(|stratum| program.rules.strata[stratum].recursive);
         let round_given = matches!((stratum, round), (Some(own), Some((other, _))) if own == other);
         let round = match (stratum, round) {
@@ -151,7 +151,7 @@ impl<'a> Circuit<'a> {
         if round == 0 {
             return Ok(!self.yes);
         }
-        let key = (side, relation, row.to_vec(), round);
+        let key = (side, predicate, row.to_vec(), round);
         if let Some(&known) = self.derived.get(&key) {
             return Ok(known);
         }
@@ -166,7 +166,7 @@ impl<'a> Circuit<'a> {
             return Err(TooLarge);
         }
         let mut ways = Vec::new();
-        for &clause in &program.clauses[relation.index()] {
+        for &clause in &program.clauses[predicate.index()] {
             self.ways(side, clause, row, inner, &mut ways)?;
         }
         self.depth -= 1;
@@ -180,9 +180,9 @@ impl<'a> Circuit<'a> {
         let sides = self.sides;
         let rules = sides[side].rules;
         for round in 1..=rounds {
-            for &relation in &rules.strata[stratum].relations {
+            for &predicate in &rules.strata[stratum].predicates {
                 let mut rows: Vec<Vec<usize>> = vec![Vec::new()];
-                for column in &rules.relations[relation.index()].columns {
+                for column in &rules.predicates[predicate.index()].columns {
                     rows = (rows.iter())
                         .flat_map(|row| {
                             self.of(column.base)
@@ -191,7 +191,7 @@ impl<'a> Circuit<'a> {
                         .collect();
                 }
                 for row in rows {
-                    self.holds(side, relation, &row, Some((stratum, round)))?;
+                    self.holds(side, predicate, &row, Some((stratum, round)))?;
                 }
             }
         }
@@ -203,8 +203,8 @@ impl<'a> Circuit<'a> {
     fn rounds(&self, side: usize, stratum: usize) -> Result<usize, TooLarge> {
         let rules = self.sides[side].rules;
         let mut count = 0_usize;
-        for relation in &rules.strata[stratum].relations {
-            let columns = &rules.relations[relation.index()].columns;
+        for predicate in &rules.strata[stratum].predicates {
+            let columns = &rules.predicates[predicate.index()].columns;
             let rows = columns.iter().fold(1_usize, |rows, column| {
                 rows.saturating_mul(self.of(column.base).count())
             });
@@ -218,12 +218,12 @@ impl<'a> Circuit<'a> {
         (0..individuals.len()).filter(move |&index| individuals[index].base() == base)
     }
 
-    fn base(&mut self, side: usize, relation: RelId, row: &[usize]) -> Result<Lit, TooLarge> {
+    fn base(&mut self, side: usize, predicate: PredicateId, row: &[usize]) -> Result<Lit, TooLarge> {
         let program = self.sides[side];
-        if program.facts.contains(&(relation, row.to_vec())) {
+        if program.facts.contains(&(predicate, row.to_vec())) {
             return Ok(self.yes);
         }
-        let Some(base) = program.base[relation.index()] else {
+        let Some(base) = program.base[predicate.index()] else {
             return Ok(!self.yes);
         };
         let sees = match self.view {
@@ -231,7 +231,7 @@ impl<'a> Circuit<'a> {
             ScopeRows::Selves => row.iter().all(|&entity| entity == row[0]),
             ScopeRows::Free => false,
         };
-        if sees && program.scopes.contains(&relation) {
+        if sees && program.scopes.contains(&predicate) {
             return Ok(self.yes);
         }
         let key = (base, row.to_vec());
@@ -260,7 +260,7 @@ impl<'a> Circuit<'a> {
             return Err(TooLarge);
         }
         let mut bound: Vec<Option<usize>> = vec![None; clause.variables.len()];
-        let columns = &self.sides[side].rules.relations[clause.head.relation.index()].columns;
+        let columns = &self.sides[side].rules.predicates[clause.head.predicate.index()].columns;
         for ((term, column), &value) in clause.head.terms.iter().zip(columns).zip(row) {
             match *term {
                 Term::Variable(variable) => {
@@ -354,7 +354,7 @@ impl<'a> Circuit<'a> {
 
     /// Returns the gate for "some row matches the atom"; `_` matches any value.
     fn some(&mut self, expansion: &Expansion<'a>, atom: &'a Atom) -> Result<Lit, TooLarge> {
-        let columns = &self.sides[expansion.side].rules.relations[atom.relation.index()].columns;
+        let columns = &self.sides[expansion.side].rules.predicates[atom.predicate.index()].columns;
         let mut rows: Vec<Vec<usize>> = vec![Vec::new()];
         for (column, &term) in columns.iter().zip(&atom.terms) {
             let values: Vec<usize> = match term {
@@ -378,7 +378,7 @@ impl<'a> Circuit<'a> {
         }
         let mut lits = Vec::new();
         for row in rows {
-            lits.push(self.holds(expansion.side, atom.relation, &row, expansion.round)?);
+            lits.push(self.holds(expansion.side, atom.predicate, &row, expansion.round)?);
         }
         Ok(self.any(lits))
     }
@@ -415,7 +415,7 @@ impl<'a> Circuit<'a> {
             match literal {
                 Literal::Positive(atom) | Literal::Negative(atom) | Literal::Guard(atom) => {
                     if let Some(column) = atom.terms.iter().position(is) {
-                        return self.sides[side].rules.relations[atom.relation.index()].columns[column].base;
+                        return self.sides[side].rules.predicates[atom.predicate.index()].columns[column].base;
                     }
                 }
                 Literal::Compare { left, right, base, .. } => {
@@ -454,34 +454,35 @@ impl<'a> Circuit<'a> {
     pub(super) fn constraints(&mut self) -> Result<(), TooLarge> {
         let sides = self.sides;
         for (side, program) in sides.into_iter().enumerate() {
-            let mut facts: Vec<&(RelId, Vec<usize>)> = program.facts.iter().collect();
+            let mut facts: Vec<&(PredicateId, Vec<usize>)> = program.facts.iter().collect();
             facts.sort_unstable();
-            for (relation, row) in facts {
-                self.constrain(side, *relation, row)?;
+            for (predicate, row) in facts {
+                self.constrain(side, *predicate, row)?;
             }
             // Every entity sees itself, so all are in the domain of a constraint over the type of a scope.
             if self.view == ScopeRows::Free {
                 continue;
             }
             for (at, DeclaredConstraint { domain, .. }) in program.rules.constraints.iter().enumerate() {
-                if domain.iter().any(|(relation, _)| program.scopes.contains(relation)) {
+                if domain.iter().any(|(predicate, _)| program.scopes.contains(predicate)) {
                     for value in self.of(BaseType::Symbol) {
                         self.within(side, at, value, Vec::new())?;
                     }
                 }
             }
         }
-        let relations: [HashMap<usize, RelId>; 2] = sides.map(|program| {
-            let base = (0..).map(RelId).zip(&program.base);
-            base.filter_map(|(relation, base)| Some(((*base)?, relation))).collect()
+        let predicates: [HashMap<usize, PredicateId>; 2] = sides.map(|program| {
+            let base = (0..).map(PredicateId).zip(&program.base);
+            base.filter_map(|(predicate, base)| Some(((*base)?, predicate)))
+                .collect()
         });
         let mut done = 0;
         let mut queue: Vec<BaseFact> = self.atoms.keys().cloned().collect();
         while let Some((base, row)) = queue.get(done).cloned() {
             done += 1;
-            for (side, relations) in relations.iter().enumerate() {
-                if let Some(&relation) = relations.get(&base) {
-                    self.constrain(side, relation, &row)?;
+            for (side, predicates) in predicates.iter().enumerate() {
+                if let Some(&predicate) = predicates.get(&base) {
+                    self.constrain(side, predicate, &row)?;
                 }
             }
             // The facts added in this step; all earlier ones are in the queue.
@@ -494,23 +495,23 @@ impl<'a> Circuit<'a> {
     }
 
     /// Adds the constraints of one side that concern a fact.
-    fn constrain(&mut self, side: usize, relation: RelId, row: &[usize]) -> Result<(), TooLarge> {
+    fn constrain(&mut self, side: usize, predicate: PredicateId, row: &[usize]) -> Result<(), TooLarge> {
         let program = self.sides[side];
         let reversed: Vec<usize> = row.iter().rev().copied().collect();
-        for &at in &program.constraints[relation.index()] {
+        for &at in &program.constraints[predicate.index()] {
             let DeclaredConstraint { constraint, domain, .. } = &program.rules.constraints[at];
-            let fact = self.base(side, relation, row)?;
+            let fact = self.base(side, predicate, row)?;
             let conclusion = match *constraint {
-                Constraint::Irreflexive(a) | Constraint::Asymmetric(a) if a == relation && row[0] == row[1] => {
+                Constraint::Irreflexive(a) | Constraint::Asymmetric(a) if a == predicate && row[0] == row[1] => {
                     !self.yes
                 }
-                Constraint::Asymmetric(a) if a == relation => !self.base(side, a, &reversed)?,
-                Constraint::Symmetric(a) if a == relation => self.base(side, a, &reversed)?,
-                Constraint::Implies(a, b) if a == relation => self.base(side, b, row)?,
-                Constraint::Disjoint(a, b) if a == relation => !self.base(side, b, row)?,
-                Constraint::Disjoint(a, b) if b == relation => !self.base(side, a, row)?,
+                Constraint::Asymmetric(a) if a == predicate => !self.base(side, a, &reversed)?,
+                Constraint::Symmetric(a) if a == predicate => self.base(side, a, &reversed)?,
+                Constraint::Implies(a, b) if a == predicate => self.base(side, b, row)?,
+                Constraint::Disjoint(a, b) if a == predicate => !self.base(side, b, row)?,
+                Constraint::Disjoint(a, b) if b == predicate => !self.base(side, a, row)?,
                 Constraint::Covering(_) | Constraint::Reflexive(_) => {
-                    for &(_, column) in domain.iter().filter(|(other, _)| *other == relation) {
+                    for &(_, column) in domain.iter().filter(|(other, _)| *other == predicate) {
                         self.within(side, at, row[column], vec![!fact])?;
                     }
                     continue;
@@ -535,12 +536,12 @@ impl<'a> Circuit<'a> {
         let mut clause = unless;
         let rules = self.sides[side].rules;
         match &rules.constraints[constraint].constraint {
-            Constraint::Covering(relations) => {
-                for &relation in relations {
-                    clause.push(self.base(side, relation, &[value])?);
+            Constraint::Covering(predicates) => {
+                for &predicate in predicates {
+                    clause.push(self.base(side, predicate, &[value])?);
                 }
             }
-            Constraint::Reflexive(relation) => clause.push(self.base(side, *relation, &[value, value])?),
+            Constraint::Reflexive(predicate) => clause.push(self.base(side, *predicate, &[value, value])?),
             _ => return Ok(()),
         }
         self.require(side, constraint, clause);

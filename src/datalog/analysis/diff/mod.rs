@@ -24,7 +24,7 @@ mod trial;
 mod unsat_core;
 
 use crate::check::subsumption::within_theory;
-use crate::check::{Literal, RelId, Rules, Term};
+use crate::check::{Literal, PredicateId, Rules, Term};
 use crate::diag::Diagnostic;
 use crate::naive;
 use crate::symbol::{Symbol, Symbols};
@@ -197,7 +197,7 @@ fn models(pair: &Pair<'_>, entities_max: usize, budget: &mut Remaining) -> Vec<M
 /// Returns whether a circuit can represent the rules: without expressions, aggregates, and columns of floats or
 /// unsigned numbers.
 fn has_circuit(rules: &Rules) -> bool {
-    let mut columns = rules.relations.iter().flat_map(|relation| &relation.columns);
+    let mut columns = rules.predicates.iter().flat_map(|predicate| &predicate.columns);
     let wide = |base: BaseType| matches!(base, BaseType::Float | BaseType::Unsigned);
     rules.clauses.iter().all(within_theory) && !columns.any(|column| wide(column.base))
 }
@@ -346,8 +346,8 @@ fn individuals(sides: [&Side<'_>; 2], entities: usize) -> Vec<Individual> {
     let mut constants: BTreeSet<Individual> = BTreeSet::new();
     let mut numbers = false;
     for side in sides {
-        for relation in &side.rules.relations {
-            numbers |= relation.columns.iter().any(|column| column.base == BaseType::Number);
+        for predicate in &side.rules.predicates {
+            numbers |= predicate.columns.iter().any(|column| column.base == BaseType::Number);
         }
         for clause in &side.rules.clauses {
             let mut add = |term: &Term, base| {
@@ -356,7 +356,7 @@ fn individuals(sides: [&Side<'_>; 2], entities: usize) -> Vec<Individual> {
                 }
             };
             let mut atom = |atom: &crate::check::Atom| {
-                let columns = &side.rules.relations[atom.relation.index()].columns;
+                let columns = &side.rules.predicates[atom.predicate.index()].columns;
                 atom.terms
                     .iter()
                     .zip(columns)
@@ -399,20 +399,20 @@ fn individuals(sides: [&Side<'_>; 2], entities: usize) -> Vec<Individual> {
     entities.chain(constants).collect()
 }
 
-fn source_facts(side: &Side<'_>, individuals: &[Individual]) -> HashSet<(RelId, Vec<usize>)> {
+fn source_facts(side: &Side<'_>, individuals: &[Individual]) -> HashSet<(PredicateId, Vec<usize>)> {
     let mut facts = HashSet::new();
     let positions: HashMap<&Individual, usize> = individuals.iter().zip(0..).collect();
     for clause in side.rules.clauses.iter().filter(|clause| clause.body.is_empty()) {
-        let relation = clause.head.relation;
-        let columns = &side.rules.relations[relation.index()].columns;
+        let predicate = clause.head.predicate;
+        let columns = &side.rules.predicates[predicate.index()].columns;
         let row: Option<Vec<usize>> = (clause.head.terms.iter().zip(columns))
             .map(|(term, column)| match term {
                 Term::Constant(value) => positions.get(&side.individual(*value, column.base)).copied(),
                 _ => None,
             })
             .collect();
-        if let (false, Some(row)) = (side.rules.relations[relation.index()].derived, row) {
-            facts.insert((relation, row));
+        if let (false, Some(row)) = (side.rules.predicates[predicate.index()].derived, row) {
+            facts.insert((predicate, row));
         }
     }
     facts
@@ -531,7 +531,7 @@ fn describe(pair: &Pair<'_>, view: ScopeRows, model: &Model) -> Difference {
     if view == ScopeRows::Full {
         for side in sides {
             for scope in &side.scopes {
-                let name = &side.rules.relations[scope.index()].name;
+                let name = &side.rules.predicates[scope.index()].name;
                 if !everybody_sees.contains(name) {
                     everybody_sees.push(name.clone());
                 }
@@ -588,18 +588,18 @@ fn derived_rows(
         Individual::Symbol(text) => Value(symbols.intern(text).0),
         Individual::Number(number) => Value::number(*number),
     };
-    let mut rows: Vec<(RelId, Vec<Value>)> = Vec::new();
+    let mut rows: Vec<(PredicateId, Vec<Value>)> = Vec::new();
     for (predicate, row) in facts {
-        if let Some(relation) = side.rules.relation(&pair.base[*predicate].name) {
-            let relation = side.rules.relations[relation.index()].edb.unwrap_or(relation);
-            rows.push((relation, row.iter().map(|&index| word(index)).collect()));
+        if let Some(declared) = side.rules.predicate(&pair.base[*predicate].name) {
+            let declared = side.rules.predicates[declared.index()].edb.unwrap_or(declared);
+            rows.push((declared, row.iter().map(|&index| word(index)).collect()));
         }
     }
     for name in everybody_sees {
-        if let Some(relation) = side.rules.relation(name) {
+        if let Some(declared) = side.rules.predicate(name) {
             for &x in shown {
                 for &y in shown {
-                    rows.push((relation, vec![word(x), word(y)]));
+                    rows.push((declared, vec![word(x), word(y)]));
                 }
             }
         }

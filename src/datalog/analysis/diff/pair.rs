@@ -1,7 +1,7 @@
 //! Two rule sets, prepared for the search.
 
 use crate::analysis::diff::Options;
-use crate::check::{Clause, Constraint, DeclaredConstraint, Literal, RelId, Relation, Rules};
+use crate::check::{Clause, Constraint, DeclaredConstraint, Literal, Predicate, PredicateId, Rules};
 use crate::codes;
 use crate::diag::{Diagnostic, did_you_mean};
 use crate::symbol::Symbol;
@@ -28,9 +28,9 @@ impl<'a> Pair<'a> {
             .flat_map(|side| side.scopes.iter().filter_map(|scope| side.base[scope.index()]))
             .collect();
         for side in &mut sides {
-            let shared = (side.base.iter().zip((0..).map(RelId)))
+            let shared = (side.base.iter().zip((0..).map(PredicateId)))
                 .filter(|(position, _)| position.is_some_and(|position| scopes.contains(&position)));
-            side.scopes = shared.map(|(_, relation)| relation).collect();
+            side.scopes = shared.map(|(_, predicate)| predicate).collect();
         }
         let open = match options.self_sight {
             true => ScopeRows::Selves,
@@ -65,17 +65,17 @@ pub(super) enum ScopeRows {
 #[derive(Clone)]
 pub(super) struct Side<'a> {
     pub(super) rules: &'a Rules,
-    /// The clauses, including facts, by [`RelId`].
+    /// The clauses, including facts, by [`PredicateId`].
     pub(super) clauses: Vec<Vec<&'a Clause>>,
-    /// The strata, by [`RelId`].
+    /// The strata, by [`PredicateId`].
     pub(super) stratum: Vec<Option<usize>>,
-    /// The positions among the shared base predicates, by [`RelId`].
+    /// The positions among the shared base predicates, by [`PredicateId`].
     pub(super) base: Vec<Option<usize>>,
     /// The facts in the source for predicates without rules; the rows contain positions of individuals.
-    pub(super) facts: HashSet<(RelId, Vec<usize>)>,
+    pub(super) facts: HashSet<(PredicateId, Vec<usize>)>,
     /// The base predicates that serve as guards on either side.
-    pub(super) scopes: BTreeSet<RelId>,
-    /// The positions of the constraints that concern a fact, by [`RelId`].
+    pub(super) scopes: BTreeSet<PredicateId>,
+    /// The positions of the constraints that concern a fact, by [`PredicateId`].
     pub(super) constraints: Vec<Vec<usize>>,
 }
 
@@ -121,7 +121,7 @@ impl Side<'_> {
 pub(super) struct Output {
     pub(super) name: String,
     pub(super) columns: Vec<BaseType>,
-    pub(super) ids: [RelId; 2],
+    pub(super) ids: [PredicateId; 2],
 }
 
 /// A base predicate.
@@ -133,11 +133,13 @@ fn shared_base(left: &Rules, right: &Rules) -> Result<Vec<Base>, Vec<Diagnostic>
     let mut base: Vec<Base> = Vec::new();
     let mut known: HashSet<&str> = HashSet::new();
     let mut faults = Vec::new();
-    let by_name = [left, right].map(Rules::relations_by_name);
+    let by_name = [left, right].map(Rules::predicates_by_name);
     for (rules, other, twins) in [(left, right, &by_name[1]), (right, left, &by_name[0])] {
-        for relation in rules.relations.iter().filter(|relation| relation.input) {
-            let columns: Vec<BaseType> = relation.columns.iter().map(|column| column.base).collect();
-            let twin = twins.get(relation.name.as_str()).map(|id| &other.relations[id.index()]);
+        for predicate in rules.predicates.iter().filter(|predicate| predicate.input) {
+            let columns: Vec<BaseType> = predicate.columns.iter().map(|column| column.base).collect();
+            let twin = twins
+                .get(predicate.name.as_str())
+                .map(|id| &other.predicates[id.index()]);
             if let Some(twin) = twin {
                 let fits = twin
                     .columns
@@ -148,22 +150,22 @@ fn shared_base(left: &Rules, right: &Rules) -> Result<Vec<Base>, Vec<Diagnostic>
                     (true, false) => None,
                     (_, true) => Some(format!(
                         "`{}` is input on one side and derived on the other",
-                        relation.name
+                        predicate.name
                     )),
-                    (false, _) => Some(format!("`{}` has different columns on the two sides", relation.name)),
+                    (false, _) => Some(format!("`{}` has different columns on the two sides", predicate.name)),
                 };
                 if let Some(message) = message {
                     faults.push(
                         Diagnostic::new(codes::RULE_MISMATCH, message)
-                            .at(relation.span, "")
+                            .at(predicate.span, "")
                             .also(twin.span, "the other one"),
                     );
                     continue;
                 }
             }
-            if known.insert(&relation.name) {
+            if known.insert(&predicate.name) {
                 base.push(Base {
-                    name: relation.name.clone(),
+                    name: predicate.name.clone(),
                 });
             }
         }
@@ -177,13 +179,13 @@ pub(super) fn relevant(rules: [&Rules; 2], base: &[Base], outputs: &[Output]) ->
     let positions = positions(base);
     let mut relevant = BTreeSet::new();
     for (side, rules) in rules.into_iter().enumerate() {
-        let mut reads = vec![Vec::new(); rules.relations.len()];
+        let mut reads = vec![Vec::new(); rules.predicates.len()];
         for clause in &rules.clauses {
             let atoms = clause.body.iter().filter_map(Literal::atom);
-            reads[clause.head.relation.index()].extend(atoms.map(|atom| atom.relation));
+            reads[clause.head.predicate.index()].extend(atoms.map(|atom| atom.predicate));
         }
         for DeclaredConstraint { constraint, domain, .. } in &rules.constraints {
-            let mut implied = |premise: RelId, relation: RelId| reads[premise.index()].push(relation);
+            let mut implied = |premise: PredicateId, predicate: PredicateId| reads[premise.index()].push(predicate);
             match *constraint {
                 Constraint::Implies(one, other) => implied(one, other),
                 Constraint::Reflexive(other) => domain.iter().for_each(|&(one, _)| implied(one, other)),
@@ -198,12 +200,12 @@ pub(super) fn relevant(rules: [&Rules; 2], base: &[Base], outputs: &[Output]) ->
                 | Constraint::Asymmetric(_) => {}
             }
         }
-        let mut open: Vec<RelId> = outputs.iter().map(|output| output.ids[side]).collect();
+        let mut open: Vec<PredicateId> = outputs.iter().map(|output| output.ids[side]).collect();
         let mut seen = BTreeSet::new();
-        while let Some(relation) = open.pop() {
-            if seen.insert(relation) {
-                open.extend(&reads[relation.index()]);
-                relevant.extend(positions.get(rules.relations[relation.index()].name.as_str()));
+        while let Some(predicate) = open.pop() {
+            if seen.insert(predicate) {
+                open.extend(&reads[predicate.index()]);
+                relevant.extend(positions.get(rules.predicates[predicate.index()].name.as_str()));
             }
         }
     }
@@ -219,20 +221,20 @@ fn outputs(left: &Rules, right: &Rules, options: &Options) -> Result<Vec<Output>
     let mut names: Vec<&str> = options.predicates.iter().map(String::as_str).collect();
     if names.is_empty() {
         let mut known: HashSet<&str> = HashSet::new();
-        for relation in left
-            .relations
+        for predicate in left
+            .predicates
             .iter()
-            .chain(&right.relations)
-            .filter(|relation| relation.output)
+            .chain(&right.predicates)
+            .filter(|predicate| predicate.output)
         {
-            if known.insert(&relation.name) {
-                names.push(&relation.name);
+            if known.insert(&predicate.name) {
+                names.push(&predicate.name);
             }
         }
     }
     let mut outputs = Vec::new();
     let mut faults = Vec::new();
-    let [in_left, in_right] = [left, right].map(Rules::relations_by_name);
+    let [in_left, in_right] = [left, right].map(Rules::predicates_by_name);
     for name in names {
         let (Some(&a), Some(&b)) = (in_left.get(name), in_right.get(name)) else {
             let side = match (in_left.contains_key(name), in_right.contains_key(name)) {
@@ -250,7 +252,7 @@ fn outputs(left: &Rules, right: &Rules, options: &Options) -> Result<Vec<Output>
             });
             continue;
         };
-        let [x, y] = [(left, a), (right, b)].map(|(rules, id)| &rules.relations[id.index()]);
+        let [x, y] = [(left, a), (right, b)].map(|(rules, id)| &rules.predicates[id.index()]);
         let columns: Vec<BaseType> = x.columns.iter().map(|column| column.base).collect();
         if !y.columns.iter().map(|column| column.base).eq(columns.iter().copied()) {
             let message = format!("`{name}` has different columns on the two sides");
@@ -271,25 +273,25 @@ fn outputs(left: &Rules, right: &Rules, options: &Options) -> Result<Vec<Output>
 }
 
 fn side<'a>(rules: &'a Rules, base: &[Base]) -> Side<'a> {
-    let mut clauses = vec![Vec::new(); rules.relations.len()];
+    let mut clauses = vec![Vec::new(); rules.predicates.len()];
     for clause in &rules.clauses {
-        clauses[clause.head.relation.index()].push(clause);
+        clauses[clause.head.predicate.index()].push(clause);
     }
-    let mut stratum = vec![None; rules.relations.len()];
+    let mut stratum = vec![None; rules.predicates.len()];
     for (position, one) in rules.strata.iter().enumerate() {
-        for relation in &one.relations {
-            stratum[relation.index()] = Some(position);
+        for predicate in &one.predicates {
+            stratum[predicate.index()] = Some(position);
         }
     }
     let positions = positions(base);
-    let position = |relation: &Relation| positions.get(relation.name.as_str()).copied();
-    let mut bases: Vec<Option<usize>> = (rules.relations.iter())
-        .map(|relation| position(relation).filter(|_| !relation.derived))
+    let position = |predicate: &Predicate| positions.get(predicate.name.as_str()).copied();
+    let mut bases: Vec<Option<usize>> = (rules.predicates.iter())
+        .map(|predicate| position(predicate).filter(|_| !predicate.derived))
         .collect();
     // Where rules derive further rows of an input predicate, a hidden one has those of the scene.
-    for relation in &rules.relations {
-        if let Some(edb) = relation.edb {
-            bases[edb.index()] = position(relation);
+    for predicate in &rules.predicates {
+        if let Some(edb) = predicate.edb {
+            bases[edb.index()] = position(predicate);
         }
     }
     let guards = rules
@@ -297,7 +299,7 @@ fn side<'a>(rules: &'a Rules, base: &[Base]) -> Side<'a> {
         .iter()
         .flat_map(|clause| &clause.body)
         .filter_map(|literal| match literal {
-            Literal::Guard(atom) => Some(atom.relation),
+            Literal::Guard(atom) => Some(atom.predicate),
             _ => None,
         });
     Side {
@@ -307,7 +309,7 @@ fn side<'a>(rules: &'a Rules, base: &[Base]) -> Side<'a> {
         base: bases,
         facts: HashSet::new(),
         scopes: guards
-            .filter(|relation| !rules.relations[relation.index()].derived)
+            .filter(|predicate| !rules.predicates[predicate.index()].derived)
             .collect(),
         constraints: constraints_of(rules),
     }
@@ -315,14 +317,16 @@ fn side<'a>(rules: &'a Rules, base: &[Base]) -> Side<'a> {
 
 /// Returns the positions of the constraints that name a predicate or have it in their domain, by predicate.
 fn constraints_of(rules: &Rules) -> Vec<Vec<usize>> {
-    let mut of = vec![Vec::new(); rules.relations.len()];
+    let mut of = vec![Vec::new(); rules.predicates.len()];
     for (at, DeclaredConstraint { constraint, domain, .. }) in rules.constraints.iter().enumerate() {
-        let concerned: BTreeSet<RelId> = domain
+        let concerned: BTreeSet<PredicateId> = domain
             .iter()
-            .map(|&(relation, _)| relation)
-            .chain(constraint.relations())
+            .map(|&(predicate, _)| predicate)
+            .chain(constraint.predicates())
             .collect();
-        concerned.into_iter().for_each(|relation| of[relation.index()].push(at));
+        concerned
+            .into_iter()
+            .for_each(|predicate| of[predicate.index()].push(at));
     }
     of
 }

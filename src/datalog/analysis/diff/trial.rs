@@ -8,7 +8,7 @@
 use crate::analysis::constraints;
 use crate::analysis::diff::pair::{Base, Output, relevant};
 use crate::analysis::diff::{Difference, Equivalence, Model, Options};
-use crate::check::{Constraint, DeclaredConstraint, Literal, RelId, Rules, Term};
+use crate::check::{Constraint, DeclaredConstraint, Literal, PredicateId, Rules, Term};
 use crate::diag::Diagnostic;
 use crate::eval::limits::Limits;
 use crate::program::Program;
@@ -186,18 +186,18 @@ impl<'a> Trial<'a> {
         let declared = |name: &str| {
             let sides = rules.iter();
             sides
-                .filter_map(|rules| rules.relation(name).map(|id| &rules.relations[id.index()]))
+                .filter_map(|rules| rules.predicate(name).map(|id| &rules.predicates[id.index()]))
                 .next()
         };
         let columns = base.iter().map(|base| match declared(&base.name) {
-            Some(relation) => relation.columns.iter().map(|column| column.base).collect(),
+            Some(predicate) => predicate.columns.iter().map(|column| column.base).collect(),
             None => Vec::new(),
         });
         let guards = |base: &Base| {
             rules.iter().any(|rules| {
                 let mut literals = rules.clauses.iter().flat_map(|clause| &clause.body);
-                let scope = rules.relation(&base.name);
-                literals.any(|literal| matches!(literal, Literal::Guard(atom) if Some(atom.relation) == scope))
+                let scope = rules.predicate(&base.name);
+                literals.any(|literal| matches!(literal, Literal::Guard(atom) if Some(atom.predicate) == scope))
             })
         };
         let mut constants = BTreeSet::new();
@@ -430,13 +430,13 @@ impl<'a> Trial<'a> {
         let mut answers = Vec::new();
         for session in &mut self.sessions {
             for ((predicate, row), present) in &changes {
-                let Some(relation) = session.program().relation(&self.base[*predicate].name) else {
+                let Some(declared) = session.program().predicate(&self.base[*predicate].name) else {
                     continue;
                 };
                 let row = words(session, &self.columns[*predicate], row);
                 let outcome = match present {
-                    true => session.insert(relation, &row),
-                    false => session.retract(relation, &row),
+                    true => session.insert(declared, &row),
+                    false => session.retract(declared, &row),
                 };
                 debug_assert!(outcome.is_ok(), "a row of a base predicate");
             }
@@ -453,25 +453,25 @@ impl<'a> Trial<'a> {
         let all = self.complete(facts, entities);
         let derived = rules.map(|rules| {
             let symbols = rules.symbols.clone();
-            let rows: Vec<(RelId, Vec<Value>)> = (all.iter())
+            let rows: Vec<(PredicateId, Vec<Value>)> = (all.iter())
                 .filter_map(|(predicate, row)| {
-                    let relation = rules.relation(&self.base[*predicate].name)?;
-                    let relation = rules.relations[relation.index()].edb.unwrap_or(relation);
+                    let declared = rules.predicate(&self.base[*predicate].name)?;
+                    let declared = rules.predicates[declared.index()].edb.unwrap_or(declared);
                     let columns = self.columns[*predicate].iter().zip(row);
                     let word = |(base, text): (&BaseType, &String)| match base {
                         BaseType::Symbol => Value(symbols.intern(text).0),
                         base => parse_value(*base, text).unwrap_or_default(),
                     };
-                    Some((relation, columns.map(word).collect()))
+                    Some((declared, columns.map(word).collect()))
                 })
                 .collect();
             let database = naive::evaluate(rules, &symbols, rows);
             let mut derived = Vec::new();
             for output in self.outputs {
-                let Some(relation) = rules.relation(&output.name) else {
+                let Some(predicate) = rules.predicate(&output.name) else {
                     continue;
                 };
-                for row in &database[relation.index()] {
+                for row in &database[predicate.index()] {
                     let shown = output.columns.iter().zip(row).map(|(base, value)| match base {
                         BaseType::Symbol => symbols.resolve(Symbol(value.0)).unwrap_or_default().to_owned(),
                         base => print(*base, *value),
@@ -556,8 +556,8 @@ fn print(base: BaseType, value: Value) -> String {
 /// Returns the rows of the outputs as text, because the two sides number their symbols differently.
 fn answer(session: &Session, outputs: &[Output]) -> Vec<BTreeSet<String>> {
     let rows = |output: &Output| {
-        let relation = session.program().relation(&output.name)?;
-        Some(facts::print(session, relation).lines().map(str::to_owned).collect())
+        let predicate = session.program().predicate(&output.name)?;
+        Some(facts::print(session, predicate).lines().map(str::to_owned).collect())
     };
     outputs.iter().map(|output| rows(output).unwrap_or_default()).collect()
 }
@@ -593,7 +593,7 @@ fn named(rules: &Rules, constants: &mut BTreeSet<(BaseType, String)>) {
     for clause in &rules.clauses {
         let atoms = clause.body.iter().filter_map(Literal::atom).chain([&clause.head]);
         for atom in atoms {
-            let columns = &rules.relations[atom.relation.index()].columns;
+            let columns = &rules.predicates[atom.predicate.index()].columns;
             columns
                 .iter()
                 .zip(&atom.terms)
@@ -625,14 +625,14 @@ fn named(rules: &Rules, constants: &mut BTreeSet<(BaseType, String)>) {
 
 /// Adds what the constraints of one side require of facts; see [`Trial`].
 fn requirements(rules: &Rules, base: &[Base], required: &mut [Vec<Requirement>], covers: &mut Vec<Cover>) {
-    let place = |relation: RelId| {
-        let name = &rules.relations[relation.index()].name;
+    let place = |predicate: PredicateId| {
+        let name = &rules.predicates[predicate.index()].name;
         base.iter().position(|base| base.name == *name)
     };
     for DeclaredConstraint { constraint, domain, .. } in &rules.constraints {
         let domain = domain
             .iter()
-            .filter_map(|&(relation, column)| Some((place(relation)?, column)));
+            .filter_map(|&(predicate, column)| Some((place(predicate)?, column)));
         match *constraint {
             Constraint::Implies(one, other) => {
                 if let (Some(one), Some(other)) = (place(one), place(other)) {

@@ -28,7 +28,7 @@ use crate::diag::{Diagnostic, Span};
 use crate::check::body::{Check, Finish, Operand, OperandKind, Pending};
 use crate::check::clauses::{EdgeKind, Known, VariableType, renumber};
 use crate::check::names::Names;
-use crate::check::rules::{Atom, Clause, Literal, RelId, Term, TypeId, VarId};
+use crate::check::rules::{Atom, Clause, Literal, PredicateId, Term, TypeId, VarId};
 use crate::check::scope;
 use crate::syntax::ast::{BaseType, Comparison};
 use crate::syntax::functor::{AggregateOp, Functor};
@@ -191,7 +191,7 @@ impl<'c> Check<'_, 'c> {
     pub fn is_outside(&self, literal: &Literal, finish: &Finish<'_>) -> bool {
         literal
             .atom()
-            .is_none_or(|atom| !self.is_recursive(atom.relation, finish))
+            .is_none_or(|atom| !self.is_recursive(atom.predicate, finish))
     }
 
     /// Returns whether the literals around an aggregate or range bind what it needs, given the variables that they bind.
@@ -316,7 +316,7 @@ impl<'c> Check<'_, 'c> {
 
         // Shared variables first.
         let columns: Vec<VarId> = shared.iter().chain(&own).copied().collect();
-        let relation = self.define(&columns, parameters, inner, head, finish);
+        let predicate = self.define(&columns, parameters, inner, head, finish);
         let term = |id: &VarId| {
             if shared.contains(id) {
                 Term::Variable(*id)
@@ -329,7 +329,7 @@ impl<'c> Check<'_, 'c> {
             op: head.op,
             base,
             atom: Atom {
-                relation,
+                predicate,
                 terms: columns.iter().map(term).collect(),
                 span: head.span,
             },
@@ -347,7 +347,7 @@ impl<'c> Check<'_, 'c> {
         let mut own = BTreeSet::new();
         for literal in inner {
             let Literal::Positive(atom) = literal else { continue };
-            let types = self.names.signatures[atom.relation.index()]
+            let types = self.names.signatures[atom.predicate.index()]
                 .columns
                 .clone()
                 .unwrap_or_default();
@@ -386,9 +386,9 @@ impl<'c> Check<'_, 'c> {
         };
         for literal in added.into_iter().map(|position| &context[position]) {
             if let Some(atom) = literal.atom()
-                && !self.names.relation(atom.relation).hidden
+                && !self.names.predicate(atom.predicate).hidden
             {
-                self.edge(atom.relation, EdgeKind::Aggregates, atom.span);
+                self.edge(atom.predicate, EdgeKind::Aggregates, atom.span);
             }
             inner.push(literal.clone());
         }
@@ -434,7 +434,7 @@ impl<'c> Check<'_, 'c> {
             let (Literal::Positive(atom) | Literal::Negative(atom)) = literal else {
                 continue;
             };
-            let types = self.names.signatures[atom.relation.index()]
+            let types = self.names.signatures[atom.predicate.index()]
                 .columns
                 .clone()
                 .unwrap_or_default();
@@ -482,9 +482,9 @@ impl<'c> Check<'_, 'c> {
                 return Vec::new();
             }
         };
-        self.edge(guard.relation, EdgeKind::Aggregates, guard.span);
+        self.edge(guard.predicate, EdgeKind::Aggregates, guard.span);
         let atom = |target: VarId| Atom {
-            relation: guard.relation,
+            predicate: guard.predicate,
             terms: vec![Term::Variable(ego), Term::Variable(target)],
             span: guard.span,
         };
@@ -497,21 +497,21 @@ impl<'c> Check<'_, 'c> {
 
     /// Returns whether a predicate is mutually recursive with the head of the clause, or reads values that only such
     /// predicates bind.
-    pub fn is_recursive(&self, relation: RelId, finish: &Finish<'_>) -> bool {
-        let (mut todo, mut hidden) = (vec![relation], Vec::new());
-        while let Some(relation) = todo.pop() {
-            if !self.names.relation(relation).hidden {
-                if self.names.components[relation.index()] == self.names.components[finish.head.index()] {
+    pub fn is_recursive(&self, predicate: PredicateId, finish: &Finish<'_>) -> bool {
+        let (mut todo, mut hidden) = (vec![predicate], Vec::new());
+        while let Some(predicate) = todo.pop() {
+            if !self.names.predicate(predicate).hidden {
+                if self.names.components[predicate.index()] == self.names.components[finish.head.index()] {
                     return true;
                 }
-            } else if self.names.relation(relation).parameters > 0 {
+            } else if self.names.predicate(predicate).parameters > 0 {
                 // Only the recursion gives values to the parameters.
                 return true;
-            } else if !hidden.contains(&relation) {
-                hidden.push(relation);
-                let clauses = finish.hidden.iter().filter(|clause| clause.head.relation == relation);
+            } else if !hidden.contains(&predicate) {
+                hidden.push(predicate);
+                let clauses = finish.hidden.iter().filter(|clause| clause.head.predicate == predicate);
                 let atoms = clauses.flat_map(|clause| &clause.body).filter_map(Literal::atom);
-                todo.extend(atoms.map(|atom| atom.relation));
+                todo.extend(atoms.map(|atom| atom.predicate));
             }
         }
         false
@@ -525,7 +525,7 @@ impl<'c> Check<'_, 'c> {
         mut body: Vec<Literal>,
         head: Head,
         finish: &mut Finish<'_>,
-    ) -> RelId {
+    ) -> PredicateId {
         let column = |id: &VarId| {
             let Known { name, ty, .. } = &finish.variables[id.index()];
             let ty = match ty {
@@ -536,13 +536,13 @@ impl<'c> Check<'_, 'c> {
             (name.clone(), ty)
         };
         let doc = format!("the rows of `{}`", head.op.name());
-        let relation = self.names.hide(columns.iter().map(column).collect(), doc, head.span);
-        self.names.relations[relation.index()].parameters = parameters;
+        let predicate = self.names.hide(columns.iter().map(column).collect(), doc, head.span);
+        self.names.predicates[predicate.index()].parameters = parameters;
         let mut terms: Vec<Term> = columns.iter().map(|id| Term::Variable(*id)).collect();
         let variables = renumber(finish.variables.clone(), std::iter::once(&mut terms), &mut body);
         finish.hidden.push(Clause {
             head: Atom {
-                relation,
+                predicate,
                 terms,
                 span: head.span,
             },
@@ -552,7 +552,7 @@ impl<'c> Check<'_, 'c> {
             doc: String::new(),
             span: head.span,
         });
-        relation
+        predicate
     }
 }
 

@@ -18,7 +18,7 @@ use crate::symbol::Symbols;
 use crate::check::InputPolicy;
 use crate::check::clauses::{Clauses, Edge, EdgeKind, Guard, Known, renumber};
 use crate::check::names::Names;
-use crate::check::rules::{Atom, Clause, Literal, RelId, Term, TypeId, VarId};
+use crate::check::rules::{Atom, Clause, Literal, PredicateId, Term, TypeId, VarId};
 use crate::syntax::ast;
 use crate::syntax::ast::TermKind;
 use crate::syntax::ast::{BaseType, Comparison, names_in, names_of};
@@ -46,7 +46,7 @@ pub(crate) struct UnguardedClause {
 /// The state for finishing the literals of a clause.
 pub(crate) struct Finish<'f> {
     /// The predicate of the head.
-    pub head: RelId,
+    pub head: PredicateId,
     /// The scope in force, with the first argument of the head.
     pub scope: Option<(Guard, Option<Term>)>,
     /// The variables of the whole clause; finishing adds more.
@@ -97,7 +97,7 @@ pub(crate) fn check(
         return None;
     }
     if let Some(lowered) = &lowered {
-        check.derivable(lowered.relation, clause, head);
+        check.derivable(lowered.predicate, clause, head);
     }
     check.join_compared(&pending);
     check.infer(lowered.as_ref(), &pending);
@@ -110,7 +110,7 @@ pub(crate) fn check(
     if let (Some(head), true, false) = (&lowered, check.sound, check.lost) {
         let ego = head.terms.first().copied();
         let mut finish = Finish {
-            head: head.relation,
+            head: head.predicate,
             scope: guard.map(|guard| (guard, ego)),
             variables: &mut variables,
             hidden: &mut hidden,
@@ -132,7 +132,7 @@ pub(crate) fn check(
     }
     let (edges, lost, sound) = (check.edges, check.lost, check.sound);
     let mut lowered = lowered?;
-    let from = lowered.relation;
+    let from = lowered.predicate;
     out.edges
         .extend(edges.into_iter().map(|(to, kind, span)| Edge { from, to, kind, span }));
     out.hidden.append(&mut hidden);
@@ -300,7 +300,7 @@ pub(crate) struct Check<'a, 'c> {
     variables: Vec<Variable<'c>>,
     /// Whether each variable is bound; empty until [`Check::bindings`] ends.
     bound: Vec<bool>,
-    edges: Vec<(RelId, EdgeKind, Span)>,
+    edges: Vec<(PredicateId, EdgeKind, Span)>,
     sound: bool,
     /// Whether an atom was unusable.
     lost: bool,
@@ -534,13 +534,13 @@ impl<'c> Check<'_, 'c> {
 
     /// Resolves an atom. If its predicate is unknown or has a different number of columns, excuses its variables.
     fn atom(&mut self, atom: &'c ast::Atom) -> Option<Atom> {
-        let relation = self.names.predicate(&atom.predicate);
-        let fits = relation.is_some_and(|relation| self.arity(relation, atom));
-        let relation = relation.filter(|_| fits);
+        let predicate = self.names.resolve(&atom.predicate);
+        let fits = predicate.is_some_and(|predicate| self.arity(predicate, atom));
+        let predicate = predicate.filter(|_| fits);
         let terms: Vec<Term> = (atom.terms.iter().enumerate())
-            .map(|(column, term)| self.argument(relation.map(|relation| (relation, column)), term))
+            .map(|(column, term)| self.argument(predicate.map(|predicate| (predicate, column)), term))
             .collect();
-        let Some(relation) = relation else {
+        let Some(predicate) = predicate else {
             self.sound = false;
             self.lost = true;
             for term in &terms {
@@ -551,14 +551,14 @@ impl<'c> Check<'_, 'c> {
             return None;
         };
         Some(Atom {
-            relation,
+            predicate,
             terms,
             span: atom.place.0,
         })
     }
 
     /// Returns the argument of an atom. A constant takes the base type of its column.
-    fn argument(&mut self, place: Option<(RelId, usize)>, term: &'c ast::Term) -> Term {
+    fn argument(&mut self, place: Option<(PredicateId, usize)>, term: &'c ast::Term) -> Term {
         if term.kind == TermKind::Wildcard {
             return Term::Wildcard;
         }
@@ -574,8 +574,8 @@ impl<'c> Check<'_, 'c> {
                 (Some((value, BaseType::Unsigned)), "an unsigned number")
             }
         };
-        let Some((relation, ty)) =
-            place.and_then(|(relation, column)| Some((relation, self.column(relation, column)?)))
+        let Some((predicate, ty)) =
+            place.and_then(|(predicate, column)| Some((predicate, self.column(predicate, column)?)))
         else {
             return Term::Constant(Value(0));
         };
@@ -590,8 +590,8 @@ impl<'c> Check<'_, 'c> {
         let message = format!("expected a value of type `{}`, found {found}", self.names.type_name(ty));
         let fault = Diagnostic::new(codes::TYPE_MISMATCH, message)
             .at(term.place.0, found)
-            .also(self.names.relation(relation).span, "declared here")
-            .note(format!("the declaration is `{}`", self.names.signature_text(relation)));
+            .also(self.names.predicate(predicate).span, "declared here")
+            .note(format!("the declaration is `{}`", self.names.signature_text(predicate)));
         self.fault(fault);
         Term::Constant(Value(0))
     }
@@ -626,8 +626,8 @@ impl<'c> Check<'_, 'c> {
         self.variables[id.index()].excused = true;
     }
 
-    fn arity(&mut self, relation: RelId, atom: &ast::Atom) -> bool {
-        let Some(columns) = &self.names.signatures[relation.index()].columns else {
+    fn arity(&mut self, predicate: PredicateId, atom: &ast::Atom) -> bool {
+        let Some(columns) = &self.names.signatures[predicate.index()].columns else {
             return false;
         };
         let (wanted, found) = (columns.len(), atom.terms.len());
@@ -637,15 +637,15 @@ impl<'c> Check<'_, 'c> {
             let message = format!("`{name}` takes {wanted} {}, not {found}", plural(wanted));
             let fault = Diagnostic::new(codes::ARITY_MISMATCH, message)
                 .at(atom.place.0, format!("{found} {} here", plural(found)))
-                .also(self.names.relation(relation).span, "declared here")
-                .note(format!("the declaration is `{}`", self.names.signature_text(relation)));
+                .also(self.names.predicate(predicate).span, "declared here")
+                .note(format!("the declaration is `{}`", self.names.signature_text(predicate)));
             self.fault(fault);
         }
         wanted == found
     }
 
-    fn column(&self, relation: RelId, column: usize) -> Option<TypeId> {
-        let columns = self.names.signatures[relation.index()].columns.as_ref()?;
+    fn column(&self, predicate: PredicateId, column: usize) -> Option<TypeId> {
+        let columns = self.names.signatures[predicate.index()].columns.as_ref()?;
         columns.get(column).copied().flatten()
     }
 
@@ -674,10 +674,10 @@ impl<'c> Check<'_, 'c> {
                     _ => EdgeKind::Aggregates,
                 };
                 let Some(atom) = self.atom(syntax) else { return };
-                self.edges.push((atom.relation, kind, atom.span));
+                self.edges.push((atom.predicate, kind, atom.span));
                 for (column, (term, place)) in atom.terms.iter().zip(&syntax.terms).enumerate() {
                     let Term::Variable(id) = *term else { continue };
-                    let Some(ty) = self.column(atom.relation, column) else {
+                    let Some(ty) = self.column(atom.predicate, column) else {
                         self.excuse(id);
                         continue;
                     };
@@ -741,11 +741,11 @@ impl<'c> Check<'_, 'c> {
     }
 
     /// Reports a rule for an `.input` predicate.
-    fn derivable(&mut self, relation: RelId, clause: &ast::Clause, head: &ast::Atom) {
+    fn derivable(&mut self, predicate: PredicateId, clause: &ast::Clause, head: &ast::Atom) {
         if clause.body.is_empty() {
             return;
         }
-        if let Some(input) = self.names.signatures[relation.index()].input {
+        if let Some(input) = self.names.signatures[predicate.index()].input {
             let name = &head.predicate.text;
             let (code, help) = match self.names.inputs {
                 InputPolicy::Fixed => (
@@ -859,7 +859,7 @@ impl<'c> Check<'_, 'c> {
         self.fault(fault);
     }
 
-    pub fn edge(&mut self, to: RelId, kind: EdgeKind, span: Span) {
+    pub fn edge(&mut self, to: PredicateId, kind: EdgeKind, span: Span) {
         self.edges.push((to, kind, span));
     }
 }

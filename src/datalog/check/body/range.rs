@@ -20,7 +20,7 @@ use crate::check::body::{Check, Finish, Pending};
 use crate::check::clauses::EdgeKind;
 use crate::check::clauses::{Known, VariableType, renumber};
 use crate::check::names::Names;
-use crate::check::rules::{Atom, Clause, Literal, RelId, Term, VarId};
+use crate::check::rules::{Atom, Clause, Literal, PredicateId, Term, VarId};
 use crate::syntax::ast::{BaseType, Comparison};
 use crate::syntax::functor::Functor;
 use crate::value::Value;
@@ -71,9 +71,9 @@ impl<'c> Check<'_, 'c> {
         }
         let (near, context) = relevant(&needed, near, &context)?;
         for atom in context.iter().filter_map(Literal::atom) {
-            if !self.names.relation(atom.relation).hidden {
-                self.edge(atom.relation, EdgeKind::Aggregates, atom.span);
-            } else if self.is_recursive(atom.relation, finish) {
+            if !self.names.predicate(atom.predicate).hidden {
+                self.edge(atom.predicate, EdgeKind::Aggregates, atom.span);
+            } else if self.is_recursive(atom.predicate, finish) {
                 self.edge(finish.head, EdgeKind::Aggregates, atom.span);
             }
         }
@@ -99,7 +99,7 @@ impl<'c> Check<'_, 'c> {
         // Without a step the request has two directions, one of which has no values.
         let step = rest.first().copied().unwrap_or(Term::Wildcard);
         Some(Literal::Positive(Atom {
-            relation: values,
+            predicate: values,
             terms: vec![*from, *until, step, to],
             span,
         }))
@@ -206,15 +206,15 @@ struct Making<'m> {
 }
 
 impl Making<'_> {
-    fn predicate(&mut self, doc: &str, columns: usize) -> RelId {
+    fn predicate(&mut self, doc: &str, columns: usize) -> PredicateId {
         let ty = Names::base_type(self.base);
         let columns = NAMES[..columns].iter().map(|name| ((*name).to_owned(), ty)).collect();
         self.names.hide(columns, doc.to_owned(), self.span)
     }
 
-    fn clause(&mut self, relation: RelId, mut terms: Vec<Term>, mut body: Vec<Literal>, variables: Vec<Known>) {
+    fn clause(&mut self, predicate: PredicateId, mut terms: Vec<Term>, mut body: Vec<Literal>, variables: Vec<Known>) {
         let variables = renumber(variables, std::iter::once(&mut terms), &mut body);
-        let head = self.atom(relation, terms);
+        let head = self.atom(predicate, terms);
         self.hidden.push(Clause {
             head,
             body,
@@ -225,16 +225,16 @@ impl Making<'_> {
         });
     }
 
-    fn atom(&self, relation: RelId, terms: Vec<Term>) -> Atom {
+    fn atom(&self, predicate: PredicateId, terms: Vec<Term>) -> Atom {
         Atom {
-            relation,
+            predicate,
             terms,
             span: self.span,
         }
     }
 
     /// Defines the clauses for the values.
-    fn values(&mut self, asked: RelId, values: RelId, ways: &[Way]) {
+    fn values(&mut self, asked: PredicateId, values: PredicateId, ways: &[Way]) {
         let variables: Vec<Known> = (NAMES.iter())
             .map(|name| Known {
                 name: (*name).to_owned(),
@@ -253,7 +253,7 @@ impl Making<'_> {
 
     /// Returns the possible values and the bodies that derive them. Because numbers wrap around, a value counts only if
     /// it lies beyond the one it was computed from.
-    fn bodies(&self, asked: RelId, values: RelId, way: Way) -> Vec<(Term, Vec<Literal>)> {
+    fn bodies(&self, asked: PredicateId, values: PredicateId, way: Way) -> Vec<(Term, Vec<Literal>)> {
         let (before, after, sign) = match way {
             Way::Up => (Comparison::Less, Comparison::Greater, Comparison::Greater),
             Way::Down => (Comparison::Greater, Comparison::Less, Comparison::Less),

@@ -245,33 +245,33 @@ impl<'c> Check<'_, 'c> {
     fn binder(&self, index: usize, head: &ast::Atom, guard: Option<Guard>, name: &str) -> Option<String> {
         let Variable { negated, compared, .. } = self.variables[index];
         let wanted = negated.map(|(ty, _)| ty).or(compared).or_else(|| {
-            let relation = self.names.find(&head.predicate.text)?;
+            let predicate = self.names.find(&head.predicate.text)?;
             let is_it = |term: &ast::Term| term.kind == TermKind::Variable(name.to_owned());
-            self.column(relation, head.terms.iter().position(is_it)?)
+            self.column(predicate, head.terms.iter().position(is_it)?)
         })?;
         if let (Some(guard), Some(TermKind::Variable(ego))) = (guard, head.terms.first().map(|term| &term.kind)) {
-            let scope = &self.names.relation(guard.relation).name;
+            let scope = &self.names.predicate(guard.predicate).name;
             if *scope != head.predicate.text && self.names.is_subtype(guard.seen, wanted) {
                 return Some(format!("{scope}({ego}, {name})"));
             }
         }
         let mut best: Option<(usize, String)> = None;
-        for (relation, signature) in self.names.relations.iter().zip(&self.names.signatures).take(1000) {
+        for (predicate, signature) in self.names.predicates.iter().zip(&self.names.signatures).take(1000) {
             let columns = signature.columns.as_deref().unwrap_or_default();
             let place = columns
                 .iter()
                 .position(|ty| ty.is_some_and(|ty| self.names.is_subtype(ty, wanted)));
             let Some(place) = place else { continue };
             // Among predicates of equal arity, prefer an input one, which surely has rows.
-            let rank = 2 * columns.len() + usize::from(!relation.input);
-            if relation.name != head.predicate.text
-                && !relation.hidden
+            let rank = 2 * columns.len() + usize::from(!predicate.input);
+            if predicate.name != head.predicate.text
+                && !predicate.hidden
                 && best.as_ref().is_none_or(|(least, _)| rank < *least)
             {
                 let terms: Vec<&str> = (0..columns.len())
                     .map(|at| if at == place { name } else { "_" })
                     .collect();
-                best = Some((rank, format!("{}({})", relation.name, terms.join(", "))));
+                best = Some((rank, format!("{}({})", predicate.name, terms.join(", "))));
             }
         }
         best.map(|(_, text)| text)

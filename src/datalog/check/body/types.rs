@@ -188,7 +188,7 @@ impl<'c> Check<'_, 'c> {
     /// Gives variables without a base type that of their column in the atom.
     fn hint(&mut self, atom: &Atom) {
         for (column, term) in atom.terms.iter().enumerate() {
-            if let (Term::Variable(id), Some(ty)) = (term, self.column(atom.relation, column)) {
+            if let (Term::Variable(id), Some(ty)) = (term, self.column(atom.predicate, column)) {
                 let (base, span) = (self.names.base(ty), self.variables[id.index()].first);
                 let group = self.group(id.index());
                 if self.base_of_variable(*id).is_none() {
@@ -406,7 +406,7 @@ impl<'c> Check<'_, 'c> {
     /// Reports a variable that does not fit its column. A head requires a subtype of the column, a negated atom the
     /// same base type.
     fn fits(&mut self, atom: &Atom, column: usize, span: Span, is_head: bool) {
-        let (Term::Variable(id), Some(wanted)) = (atom.terms[column], self.column(atom.relation, column)) else {
+        let (Term::Variable(id), Some(wanted)) = (atom.terms[column], self.column(atom.predicate, column)) else {
             return;
         };
         let fits = match self.type_of(id) {
@@ -442,7 +442,7 @@ impl<'c> Check<'_, 'c> {
         self.variables[group].excused = true;
         self.fault(fault.note(format!(
             "the declaration is `{}`",
-            self.names.signature_text(atom.relation)
+            self.names.signature_text(atom.predicate)
         )));
     }
 

@@ -8,7 +8,7 @@ use crate::codes;
 use crate::diag::{self, Diagnostic, Faults, Span, did_you_mean};
 
 use crate::check::InputPolicy;
-use crate::check::rules::{Column, Directive, RelId, Relation, RowFormat, RowPlace, Type, TypeId};
+use crate::check::rules::{Column, Directive, Predicate, PredicateId, RowFormat, RowPlace, Type, TypeId};
 use crate::syntax::ast::BaseType;
 use crate::syntax::ast::{Decl, Item, Mark, MarkKind, Name, Pragma};
 
@@ -21,7 +21,7 @@ const MAX_SUGGESTIONS: usize = 30;
 /// Maximum number of uses shown for one unknown name.
 const MAX_USES_SHOWN: usize = 4;
 
-/// The data about a predicate that the checks need besides its [`Relation`].
+/// The data about a predicate that the checks need besides its [`Predicate`].
 #[derive(Clone, Debug)]
 pub(crate) struct Signature {
     /// The column types as far as known; `None` if the columns did not parse.
@@ -33,16 +33,16 @@ pub(crate) struct Signature {
 /// All declared names. The maps serve lookups only and are never iterated.
 pub(crate) struct Names {
     pub types: Vec<Type>,
-    pub relations: Vec<Relation>,
+    pub predicates: Vec<Predicate>,
     pub signatures: Vec<Signature>,
     /// The place of each type's declaration, for labels; `None` for base types.
     type_spans: Vec<Option<Span>>,
     type_by_name: HashMap<String, Option<TypeId>>,
     /// The places of all type declarations, also of aliases.
     declared_types: HashMap<String, Span>,
-    relation_by_name: HashMap<String, RelId>,
+    predicate_by_name: HashMap<String, PredicateId>,
     /// The `.printsize` directive of each predicate.
-    printsizes: HashMap<RelId, Span>,
+    printsizes: HashMap<PredicateId, Span>,
     /// The number of declared predicates. The hidden ones follow them.
     declared: usize,
     unknown: Unknown,
@@ -50,7 +50,7 @@ pub(crate) struct Names {
     complete: bool,
     /// Whether rules may derive `.input` predicates.
     pub inputs: InputPolicy,
-    /// By [`RelId`]: the component of each declared predicate. Predicates of one component depend on each other.
+    /// By [`PredicateId`]: the component of each declared predicate. Predicates of one component depend on each other.
     pub components: Vec<usize>,
 }
 
@@ -64,12 +64,12 @@ struct Unknown {
 pub(crate) fn declare(items: &[Item], complete: bool, inputs: InputPolicy, faults: &mut Faults) -> Names {
     let mut names = Names {
         types: Vec::new(),
-        relations: Vec::new(),
+        predicates: Vec::new(),
         signatures: Vec::new(),
         type_spans: Vec::new(),
         type_by_name: HashMap::new(),
         declared_types: HashMap::new(),
-        relation_by_name: HashMap::new(),
+        predicate_by_name: HashMap::new(),
         printsizes: HashMap::new(),
         declared: 0,
         unknown: Unknown::default(),
@@ -83,7 +83,7 @@ pub(crate) fn declare(items: &[Item], complete: bool, inputs: InputPolicy, fault
             names.declare_predicates(decl, faults);
         }
     }
-    names.declared = names.relations.len();
+    names.declared = names.predicates.len();
     for item in items {
         if let Item::Mark(mark) = item {
             names.mark(mark, faults);
@@ -106,7 +106,7 @@ fn qualified<'i>(items: &'i [Item], qualifier: &str) -> HashSet<&'i str> {
 
 impl Names {
     /// Returns the predicate with that name. Records an unknown name for [`Names::report_unknown`].
-    pub fn predicate(&mut self, name: &Name) -> Option<RelId> {
+    pub fn resolve(&mut self, name: &Name) -> Option<PredicateId> {
         let known = self.find(&name.text);
         if known.is_none() {
             remember(&mut self.unknown.predicates, name);
@@ -115,8 +115,8 @@ impl Names {
     }
 
     /// Returns the predicate with that name, if it is declared.
-    pub fn find(&self, name: &str) -> Option<RelId> {
-        self.relation_by_name.get(name).copied()
+    pub fn find(&self, name: &str) -> Option<PredicateId> {
+        self.predicate_by_name.get(name).copied()
     }
 
     /// Returns whether all declarations are known.
@@ -124,8 +124,8 @@ impl Names {
         self.complete
     }
 
-    pub fn relation(&self, id: RelId) -> &Relation {
-        &self.relations[id.index()]
+    pub fn predicate(&self, id: PredicateId) -> &Predicate {
+        &self.predicates[id.index()]
     }
 
     /// Returns the id of the base type.
@@ -140,12 +140,12 @@ impl Names {
 
     /// Returns the number of hidden predicates.
     pub fn hidden(&self) -> usize {
-        self.relations.len() - self.declared
+        self.predicates.len() - self.declared
     }
 
     /// Adds a hidden predicate with these columns.
-    pub fn hide(&mut self, columns: Vec<(String, TypeId)>, doc: String, span: Span) -> RelId {
-        let relation = RelId(u32::try_from(self.relations.len()).expect("fewer than 2^32 predicates"));
+    pub fn hide(&mut self, columns: Vec<(String, TypeId)>, doc: String, span: Span) -> PredicateId {
+        let predicate = PredicateId(u32::try_from(self.predicates.len()).expect("fewer than 2^32 predicates"));
         self.signatures.push(Signature {
             columns: Some(columns.iter().map(|(_, ty)| Some(*ty)).collect()),
             input: None,
@@ -157,8 +157,8 @@ impl Names {
         };
         let columns = columns.into_iter().map(column).collect();
         let name = format!("+{}", self.hidden() + 1);
-        self.relations.push(Relation::made(name, columns, doc, span));
-        relation
+        self.predicates.push(Predicate::made(name, columns, doc, span));
+        predicate
     }
 
     pub fn type_name(&self, id: TypeId) -> &str {
@@ -196,12 +196,12 @@ impl Names {
     }
 
     /// `P(x: agent, y: agent)`
-    pub fn signature_text(&self, id: RelId) -> String {
-        let relation = self.relation(id);
-        let columns: Vec<String> = (relation.columns.iter())
+    pub fn signature_text(&self, id: PredicateId) -> String {
+        let predicate = self.predicate(id);
+        let columns: Vec<String> = (predicate.columns.iter())
             .map(|column| format!("{}: {}", column.name, self.type_name(column.ty)))
             .collect();
-        format!("{}({})", relation.name, columns.join(", "))
+        format!("{}({})", predicate.name, columns.join(", "))
     }
 
     fn declare_predicates(&mut self, decl: &Decl, faults: &mut Faults) {
@@ -244,18 +244,18 @@ impl Names {
                     .help("give one of them another name");
                 faults.push(fault);
             }
-            if let Some(&earlier) = self.relation_by_name.get(&name.text) {
+            if let Some(&earlier) = self.predicate_by_name.get(&name.text) {
                 let message = format!("the predicate `{}` is declared twice", name.text);
                 let fault = Diagnostic::new(codes::DUPLICATE_DECLARATION, message)
                     .at(span, "declared again here")
-                    .also(self.relation(earlier).span, "first declared here");
+                    .also(self.predicate(earlier).span, "first declared here");
                 faults.push(fault);
                 continue;
             }
-            let id = RelId(u32::try_from(self.relations.len()).expect("fewer than 2^32 predicates"));
+            let id = PredicateId(u32::try_from(self.predicates.len()).expect("fewer than 2^32 predicates"));
             let has = |wanted: &str| decl.qualifiers.iter().any(|word| word.text == wanted);
-            self.relation_by_name.insert(name.text.clone(), id);
-            self.relations.push(Relation {
+            self.predicate_by_name.insert(name.text.clone(), id);
+            self.predicates.push(Predicate {
                 name: name.text.clone(),
                 columns: columns.clone(),
                 doc: decl.doc.clone(),
@@ -299,7 +299,7 @@ impl Names {
                 if name == "*" {
                     all = true;
                 } else if let Some(id) = self.find(name) {
-                    self.relations[id.index()].magic = !excluded.contains(name);
+                    self.predicates[id.index()].magic = !excluded.contains(name);
                 } else if self.complete {
                     let message = format!("`.pragma` names `{name}`, which is not declared");
                     let fault = Diagnostic::new(codes::IGNORED, message).at(pragma.place.0, "");
@@ -307,24 +307,24 @@ impl Names {
                 }
             }
         }
-        for relation in self.relations.iter_mut().filter(|_| all) {
-            relation.magic |= !excluded.contains(relation.name.as_str());
+        for predicate in self.predicates.iter_mut().filter(|_| all) {
+            predicate.magic |= !excluded.contains(predicate.name.as_str());
         }
     }
 
     fn mark(&mut self, mark: &Mark, faults: &mut Faults) {
         let directive = read_options(mark, faults);
         for name in &mark.names {
-            let Some(id) = self.predicate(name) else { continue };
-            let relation = &mut self.relations[id.index()];
+            let Some(id) = self.resolve(name) else { continue };
+            let predicate = &mut self.predicates[id.index()];
             match mark.kind {
                 MarkKind::Input => {
-                    relation.input = true;
+                    predicate.input = true;
                     self.signatures[id.index()].input.get_or_insert(name.place.0);
                 }
-                MarkKind::Output => relation.output = true,
+                MarkKind::Output => predicate.output = true,
                 MarkKind::PrintSize => {
-                    relation.printsize = true;
+                    predicate.printsize = true;
                     if let Some(earlier) = self.printsizes.insert(id, name.place.0) {
                         let message = format!("`{}` has two `.printsize` directives", name.text);
                         let fault = Diagnostic::new(codes::DUPLICATE_DECLARATION, message)
@@ -334,17 +334,17 @@ impl Names {
                     }
                 }
             }
-            let (columns, chosen) = (relation.arity(), directive.format.columns.len());
+            let (columns, chosen) = (predicate.arity(), directive.format.columns.len());
             if let Some(option) = mark.options.iter().find(|option| option.key.text == "columns")
                 && chosen != columns
                 && chosen > 0
             {
-                let message = format!("`columns` names {chosen} columns, `{}` has {columns}", relation.name);
+                let message = format!("`columns` names {chosen} columns, `{}` has {columns}", predicate.name);
                 let fault = Diagnostic::new(codes::ARITY_MISMATCH, message).at(option.place.0, "");
-                faults.push(fault.also(relation.span, "declared here"));
+                faults.push(fault.also(predicate.span, "declared here"));
             }
             let file = mark.options.iter().rfind(|option| option.key.text == "filename");
-            relation.directives.push(Directive {
+            predicate.directives.push(Directive {
                 span: file.map_or(name.place.0, |file| file.place.0),
                 ..directive.clone()
             });
@@ -386,18 +386,18 @@ impl Names {
         for (index, (name, uses)) in unknown.predicates.iter().enumerate() {
             let fault = Diagnostic::new(codes::UNKNOWN_PREDICATE, format!("no predicate `{name}` is declared"));
             let mut fault = with_uses(fault, uses);
-            let candidates = self.relations.iter().map(|relation| relation.name.as_str());
+            let candidates = self.predicates.iter().map(|predicate| predicate.name.as_str());
             let near = suggestion(index, name, candidates);
             fault = match near {
                 Some(near) => {
-                    let span = self.relation_by_name.get(near).map(|&id| self.relation(id).span);
+                    let span = self.predicate_by_name.get(near).map(|&id| self.predicate(id).span);
                     if let Some(span) = span {
                         fault = fault.also(span, format!("`{near}` is declared here"));
                     }
                     fault.did_you_mean(near, uses)
                 }
                 // The vocabulary declares `Sees`.
-                None if self.relation_by_name.contains_key("Sees") => fault.help(format!(
+                None if self.predicate_by_name.contains_key("Sees") => fault.help(format!(
                     "declare it: `.decl {name}(...)`, or include the file that declares it"
                 )),
                 None => fault.help(format!(

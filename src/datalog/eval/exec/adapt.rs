@@ -1,10 +1,10 @@
-//! Adaptive replanning by the sizes of relations.
+//! Adaptive replanning by the sizes of predicates.
 //!
-//! Before there are rows, the planner uses the clause alone. When a stratum is evaluated and the relations that it
+//! Before there are rows, the planner uses the clause alone. When a stratum is evaluated and the predicates that it
 //! reads have grown or shrunk by [`FACTOR`], its clauses are replanned with measured sizes.
 // Decision: docs/decisions/evaluation.md#d015
 
-use crate::check::RelId;
+use crate::check::PredicateId;
 use crate::eval::exec::{Commit, State};
 use crate::plan::estimate::Size;
 use crate::plan::steps::{Aim, StratumPlan};
@@ -27,10 +27,10 @@ impl Basis {
     }
 }
 
-/// Smaller relations count as having this many rows: with fewer rows, every order is cheap.
+/// Smaller predicates count as having this many rows: with fewer rows, every order is cheap.
 const ROWS_MIN: usize = 64;
 
-/// Plans stay in use until a relation grows or shrinks by this factor.
+/// Plans stay in use until a predicate grows or shrinks by this factor.
 const FACTOR: usize = 4;
 
 /// Whether a plan for `planned` rows still suits `now` rows.
@@ -40,28 +40,28 @@ fn is_good(planned: usize, now: usize) -> bool {
 }
 
 impl<const W: usize> State<W> {
-    /// Replans the clauses of a stratum if the sizes of its relations have changed too much.
+    /// Replans the clauses of a stratum if the sizes of its predicates have changed too much.
     pub(crate) fn adapt(&mut self, commit: &mut Commit<'_, W>, (stratum, number): (&StratumPlan, usize), aim: Aim) {
         // The sizes of the members are unknown before a computation from scratch.
-        let members: &[RelId] = if aim == Aim::Maintain { &stratum.members } else { &[] };
-        let relations = || stratum.inputs.iter().chain(members);
-        let rows = |relation: &RelId| match &self.narrow[relation.index()] {
+        let members: &[PredicateId] = if aim == Aim::Maintain { &stratum.members } else { &[] };
+        let predicates = || stratum.inputs.iter().chain(members);
+        let rows = |predicate: &PredicateId| match &self.narrow[predicate.index()] {
             Some(narrow) => narrow.len(),
-            None => self.tables[relation.index()].rows.len(),
+            None => self.tables[predicate.index()].rows.len(),
         };
         let basis = self.bases[number].of(aim);
         let mut planned = basis.iter().copied().chain(std::iter::repeat(0));
-        if relations().all(|relation| is_good(planned.next().unwrap_or(0), rows(relation))) {
+        if predicates().all(|predicate| is_good(planned.next().unwrap_or(0), rows(predicate))) {
             return;
         }
-        *basis = relations().map(rows).collect();
+        *basis = predicates().map(rows).collect();
 
         let mut sizes: Vec<Option<Size>> = vec![None; self.tables.len()];
-        for relation in relations() {
-            let arity = commit.plans.indexes.arity(*relation);
-            sizes[relation.index()] = Some(match &self.narrow[relation.index()] {
+        for predicate in predicates() {
+            let arity = commit.plans.indexes.arity(*predicate);
+            sizes[predicate.index()] = Some(match &self.narrow[predicate.index()] {
                 Some(narrow) => narrow.size(arity),
-                None => Size::of(&self.tables[relation.index()].rows, arity),
+                None => Size::of(&self.tables[predicate.index()].rows, arity),
             });
         }
         Arc::make_mut(&mut commit.plans).adapt(stratum, aim, &sizes);

@@ -1,11 +1,11 @@
-//! Holds the rows of all relations, makes commits and evaluates strata. [`super::recursion`] evaluates the recursive
+//! Holds the rows of all predicates, makes commits and evaluates strata. [`super::recursion`] evaluates the recursive
 //! ones. `meter` bounds and counts the work of a stratum, and `adapt` replans its clauses.
 
 mod adapt;
 mod meter;
 
 use crate::cancel::Cancel;
-use crate::check::{Atom, ClauseId, Literal, RelId, Term};
+use crate::check::{Atom, ClauseId, Literal, PredicateId, Term};
 use crate::eval::correlated::CorrelatedValues;
 use crate::eval::delta::{Delta, Rows};
 use crate::eval::exec::adapt::Basis;
@@ -32,15 +32,15 @@ use std::sync::Arc;
 /// The state that a session keeps between commits, independent of the row width.
 pub(crate) trait Store: Send + Sync {
     /// Records that the next commit inserts a row (`present`) or removes it.
-    fn change(&mut self, relation: RelId, row: &[Value], present: bool);
+    fn change(&mut self, predicate: PredicateId, row: &[Value], present: bool);
     /// Records that the next commit inserts rows of `arity` words each; `arity` is at least 1.
-    fn insert_all(&mut self, relation: RelId, words: &[Value], arity: usize);
+    fn insert_all(&mut self, predicate: PredicateId, words: &[Value], arity: usize);
     /// Reserves memory for `rows` insertions.
-    fn reserve(&mut self, relation: RelId, rows: usize);
-    /// The number of pending changes of a relation.
-    fn pending(&self, relation: RelId) -> usize;
-    /// Drops all but the first `len` pending changes of a relation.
-    fn forget(&mut self, relation: RelId, len: usize);
+    fn reserve(&mut self, predicate: PredicateId, rows: usize);
+    /// The number of pending changes of a predicate.
+    fn pending(&self, predicate: PredicateId) -> usize;
+    /// Drops all but the first `len` pending changes of a predicate.
+    fn forget(&mut self, predicate: PredicateId, len: usize);
     /// Drops the changes recorded since the last commit.
     fn rollback(&mut self);
     /// Makes the pending changes and updates what depends on them. A failed commit changes nothing.
@@ -50,16 +50,16 @@ pub(crate) trait Store: Send + Sync {
         symbols: &Symbols,
         options: CommitOptions<'_>,
     ) -> Result<(Delta, EvalStats), EvalError>;
-    /// Whether the relation contains the row, which has the right arity.
-    fn contains(&self, relation: RelId, row: &[Value]) -> bool;
+    /// Whether the predicate contains the row, which has the right arity.
+    fn contains(&self, predicate: PredicateId, row: &[Value]) -> bool;
     /// The row at a position below `len`, with padding.
-    fn row(&self, relation: RelId, position: usize) -> &[Value];
-    /// The number of rows of the relation.
-    fn len(&self, relation: RelId) -> usize;
+    fn row(&self, predicate: PredicateId, position: usize) -> &[Value];
+    /// The number of rows of the predicate.
+    fn len(&self, predicate: PredicateId) -> usize;
     /// The bytes of the rows, indexes and pending changes.
     fn bytes(&self) -> u64;
-    /// The aggregate of the group with this key in a grouped relation.
-    fn group(&self, relation: RelId, key: &[Value], op: AggregateOp) -> Option<Value>;
+    /// The aggregate of the group with this key in a grouped predicate.
+    fn group(&self, predicate: PredicateId, key: &[Value], op: AggregateOp) -> Option<Value>;
     /// The value of a correlated aggregate for these parameters, and the number of rows scanned. It stops after about
     /// `budget` rows, or if the evaluation takes more than `bytes`.
     fn correlated(
@@ -102,16 +102,16 @@ pub(crate) fn store(compiled: &Compiled) -> Box<dyn Store> {
 }
 
 pub(crate) struct State<const W: usize> {
-    /// By [`RelId`]: the rows as of the last commit.
+    /// By [`PredicateId`]: the rows as of the last commit.
     pub(crate) tables: Vec<Table<W>>,
-    /// By [`RelId`]: a loaded relation with narrow rows. It has nothing in `tables`, `source_facts` and `pending`.
+    /// By [`PredicateId`]: a loaded predicate with narrow rows. It has nothing in `tables`, `source_facts` and `pending`.
     narrow: Vec<Option<NarrowTable>>,
-    /// By [`RelId`]: the facts in the source, for relations that no clause with a body derives. They cannot be
+    /// By [`PredicateId`]: the facts in the source, for predicates that no clause with a body derives. They cannot be
     /// retracted.
     source_facts: Vec<Vec<Row<W>>>,
-    /// By [`RelId`]: the changes that the next commit makes.
+    /// By [`PredicateId`]: the changes that the next commit makes.
     pending: Vec<PendingChanges<W>>,
-    /// The plans in use, made for about the current sizes of the relations.
+    /// The plans in use, made for about the current sizes of the predicates.
     pub(crate) plans: Arc<Plans>,
     /// Indexed by position of the stratum: the sizes that its plans were made for.
     pub(crate) bases: Vec<Basis>,
@@ -140,9 +140,9 @@ pub(crate) struct Commit<'a, const W: usize> {
     pub(crate) plans: Arc<Plans>,
     pub(crate) symbols: &'a Symbols,
     options: CommitOptions<'a>,
-    /// By [`RelId`]: the change of the relation so far, and its table before the commit.
+    /// By [`PredicateId`]: the change of the predicate so far, and its table before the commit.
     pub(crate) changed: Vec<Option<(TableDelta<W>, Table<W>)>>,
-    /// By [`RelId`]: the rows that the first commit loads into a narrow table.
+    /// By [`PredicateId`]: the rows that the first commit loads into a narrow table.
     loaded: Vec<Option<Rows>>,
     /// The bytes of pending changes and, at most, of `changed`.
     kept: u64,
@@ -152,9 +152,9 @@ impl<const W: usize> Commit<'_, W> {
     /// Returns all changes and drops the old tables.
     fn into_delta(self) -> Delta {
         let mut delta = Delta::default();
-        // Skip relations that the optimizer added.
-        let relations = self.compiled.rules.relations.iter().zip((0..).map(RelId));
-        for ((changed, loaded), (relation, id)) in self.changed.into_iter().zip(self.loaded).zip(relations) {
+        // Skip predicates that the optimizer added.
+        let predicates = self.compiled.rules.predicates.iter().zip((0..).map(PredicateId));
+        for ((changed, loaded), (predicate, id)) in self.changed.into_iter().zip(self.loaded).zip(predicates) {
             if let Some(rows) = loaded {
                 delta.push(id, rows, Rows::default());
             }
@@ -162,7 +162,7 @@ impl<const W: usize> Commit<'_, W> {
             if self.plans.indexes.is_grouped(id) {
                 continue;
             }
-            let arity = relation.arity();
+            let arity = predicate.arity();
             delta.push(
                 id,
                 Rows::of(arity, change.added),
@@ -172,9 +172,9 @@ impl<const W: usize> Commit<'_, W> {
         delta
     }
 
-    /// The change of a relation, or `None`.
-    pub(crate) fn delta(&self, relation: RelId) -> Option<&TableDelta<W>> {
-        self.changed[relation.index()].as_ref().map(|(delta, _)| delta)
+    /// The change of a predicate, or `None`.
+    pub(crate) fn delta(&self, predicate: PredicateId) -> Option<&TableDelta<W>> {
+        self.changed[predicate.index()].as_ref().map(|(delta, _)| delta)
     }
 }
 
@@ -182,18 +182,18 @@ impl<const W: usize> State<W> {
     fn new(compiled: &Compiled) -> Self {
         let rules = &compiled.rules;
         let indexes = || compiled.plans.indexes.counts();
-        let narrow = |(count, id): (usize, RelId)| match compiled.plans.member[id.index()] {
+        let narrow = |(count, id): (usize, PredicateId)| match compiled.plans.member[id.index()] {
             None => NarrowTable::new(compiled.plans.indexes.arity(id), W, count),
             Some(_) => None,
         };
-        let mut narrow: Vec<Option<NarrowTable>> = indexes().zip((0..).map(RelId)).map(narrow).collect();
-        let mut source_facts = vec![Vec::new(); rules.relations.len()];
+        let mut narrow: Vec<Option<NarrowTable>> = indexes().zip((0..).map(PredicateId)).map(narrow).collect();
+        let mut source_facts = vec![Vec::new(); rules.predicates.len()];
         for clause in rules.clauses.iter().filter(|clause| rules.is_row(clause)) {
-            let Atom { relation, terms, .. } = &clause.head;
+            let Atom { predicate, terms, .. } = &clause.head;
             let row: Row<W> = constants(terms);
-            match &mut narrow[relation.index()] {
+            match &mut narrow[predicate.index()] {
                 Some(narrow) => narrow.add_source_fact(&row.0[..terms.len()]),
-                None => source_facts[relation.index()].push(row),
+                None => source_facts[predicate.index()].push(row),
             }
         }
         source_facts.iter_mut().for_each(normalize);
@@ -216,13 +216,13 @@ impl<const W: usize> State<W> {
     fn try_commit(&mut self, commit: &mut Commit<'_, W>) -> Result<(EvalStats, Vec<Cost>), EvalError> {
         let limits = commit.options.limits;
         let Compiled { rules, plans, .. } = commit.compiled;
-        for relation in (0..rules.relations.len() as u32).map(RelId) {
-            self.load_narrow(commit, relation)?;
-            let pending = &mut self.pending[relation.index()];
+        for predicate in (0..rules.predicates.len() as u32).map(PredicateId) {
+            self.load_narrow(commit, predicate)?;
+            let pending = &mut self.pending[predicate.index()];
             if pending.is_empty() {
                 continue;
             }
-            let table = &self.tables[relation.index()];
+            let table = &self.tables[predicate.index()];
             // A changed table is copied, with its indexes.
             let copied = if table.rows.is_empty() { 0 } else { 2 * table.bytes() };
             if copied + pending.bytes() > limits.bytes / 16 {
@@ -234,8 +234,8 @@ impl<const W: usize> State<W> {
             let applied = pending.apply(table);
             commit.kept += pending.bytes();
             if let Some((delta, rows)) = applied {
-                let table = table.replaced(&specs(&commit.plans, relation), &delta, rows);
-                self.put(commit, relation, delta, table);
+                let table = table.replaced(&specs(&commit.plans, predicate), &delta, rows);
+                self.put(commit, predicate, delta, table);
             }
         }
 
@@ -269,7 +269,7 @@ impl<const W: usize> State<W> {
             steps += work.work().map_or(0, |work| work.rows_scanned() + work.given_up);
             log.strata.push(work);
             let members = stratum.members.iter();
-            derived += members.map(|&relation| self.len(relation)).sum::<usize>();
+            derived += members.map(|&predicate| self.len(predicate)).sum::<usize>();
         }
         Ok((log, costs))
     }
@@ -293,37 +293,37 @@ impl<const W: usize> State<W> {
     }
 
     /// Loads the pending rows of a narrow table in the first commit.
-    fn load_narrow(&mut self, commit: &mut Commit<'_, W>, relation: RelId) -> Result<(), EvalError> {
+    fn load_narrow(&mut self, commit: &mut Commit<'_, W>, predicate: PredicateId) -> Result<(), EvalError> {
         let limit = commit.options.limits.bytes;
-        let pending = (self.narrow[relation.index()].as_ref()).map_or(0, NarrowTable::pending_bytes);
+        let pending = (self.narrow[predicate.index()].as_ref()).map_or(0, NarrowTable::pending_bytes);
         if pending > limit / 16 {
             let tables = Self::bytes_of(&self.tables, &self.narrow);
             if tables + commit.kept + pending + commit.symbols.bytes() > limit {
                 return Err(EvalError::TooManyInputs { limit });
             }
         }
-        let arity = commit.plans.indexes.arity(relation);
-        let Some(narrow) = self.narrow[relation.index()]
+        let arity = commit.plans.indexes.arity(predicate);
+        let Some(narrow) = self.narrow[predicate.index()]
             .as_mut()
             .filter(|narrow| narrow.pending() > 0)
         else {
             return Ok(());
         };
-        commit.loaded[relation.index()] = narrow.load(arity);
+        commit.loaded[predicate.index()] = narrow.load(arity);
         self.rows += narrow.len();
         commit.kept += narrow.pending_bytes();
         Ok(())
     }
 
     /// Gives a narrow table that changes after the first commit the program's width.
-    fn widen(&mut self, relation: RelId) {
+    fn widen(&mut self, predicate: PredicateId) {
         if self.committed
-            && let Some(narrow) = self.narrow[relation.index()].take()
+            && let Some(narrow) = self.narrow[predicate.index()].take()
         {
             let (rows, pending, source_facts) = narrow.widened();
-            self.tables[relation.index()] = self.tables[relation.index()].reloaded(rows.into());
-            self.pending[relation.index()] = pending;
-            self.source_facts[relation.index()] = source_facts;
+            self.tables[predicate.index()] = self.tables[predicate.index()].reloaded(rows.into());
+            self.pending[predicate.index()] = pending;
+            self.source_facts[predicate.index()] = source_facts;
         }
     }
 
@@ -355,14 +355,14 @@ impl<const W: usize> State<W> {
         missing.dedup();
         let specs = missing.into_iter().map(|index| &plans.indexes[index]);
         specs
-            .map(|spec| match &self.narrow[spec.relation.index()] {
+            .map(|spec| match &self.narrow[spec.predicate.index()] {
                 Some(narrow) => narrow.missing_bytes(spec),
-                None => self.tables[spec.relation.index()].missing_bytes(spec),
+                None => self.tables[spec.predicate.index()].missing_bytes(spec),
             })
             .sum()
     }
 
-    /// Updates the relations of a stratum by the strategy with the lower estimated cost.
+    /// Updates the predicates of a stratum by the strategy with the lower estimated cost.
     fn update(
         &mut self,
         commit: &mut Commit<'_, W>,
@@ -398,11 +398,11 @@ impl<const W: usize> State<W> {
                 let mut meter = Meter::new(budget, symbol_bytes, commit.options, workers);
                 match self.maintain(commit, stratum, quota, &mut meter) {
                     Ok((deltas, rounds)) => {
-                        for (&relation, delta) in stratum.members.iter().zip(deltas) {
+                        for (&predicate, delta) in stratum.members.iter().zip(deltas) {
                             if !delta.is_empty() {
                                 let table =
-                                    self.tables[relation.index()].patched(&specs(&commit.plans, relation), &delta);
-                                self.put(commit, relation, delta, table);
+                                    self.tables[predicate.index()].patched(&specs(&commit.plans, predicate), &delta);
+                                self.put(commit, predicate, delta, table);
                             }
                         }
                         return Ok(StratumStats::Maintained(meter.finish(rounds)));
@@ -449,13 +449,13 @@ impl<const W: usize> State<W> {
             rows_scanned: meter.state.rows_scanned,
             inputs,
         };
-        for (&relation, rows) in stratum.members.iter().zip(results) {
-            let table = &self.tables[relation.index()];
+        for (&predicate, rows) in stratum.members.iter().zip(results) {
+            let table = &self.tables[predicate.index()];
             let rows = Arc::new(rows);
             let delta = TableDelta::between(&table.rows, &rows);
             if !delta.is_empty() {
-                let table = table.replaced(&specs(&commit.plans, relation), &delta, rows);
-                self.put(commit, relation, delta, table);
+                let table = table.replaced(&specs(&commit.plans, predicate), &delta, rows);
+                self.put(commit, predicate, delta, table);
             }
         }
         let mut work = meter.finish(rounds);
@@ -465,7 +465,7 @@ impl<const W: usize> State<W> {
 
     /// Estimates the number of rows that maintaining the stratum scans.
     fn maintenance_cost(commit: &Commit<'_, W>, stratum: &StratumPlan) -> u64 {
-        /// The cost of a changed row: lookups in other relations, and checks of heads that may have lost a derivation.
+        /// The cost of a changed row: lookups in other predicates, and checks of heads that may have lost a derivation.
         const ROW: u64 = 4;
         /// The fixed cost of evaluating a clause.
         const CLAUSE: u64 = 8;
@@ -475,17 +475,17 @@ impl<const W: usize> State<W> {
         deltas.map(|delta| CLAUSE + ROW * delta.len() as u64).sum()
     }
 
-    /// Replaces a relation's table.
-    fn put(&mut self, commit: &mut Commit<'_, W>, relation: RelId, delta: TableDelta<W>, table: Table<W>) {
-        let old = std::mem::replace(&mut self.tables[relation.index()], table);
+    /// Replaces a predicate's table.
+    fn put(&mut self, commit: &mut Commit<'_, W>, predicate: PredicateId, delta: TableDelta<W>, table: Table<W>) {
+        let old = std::mem::replace(&mut self.tables[predicate.index()], table);
         if !old.rows.is_empty() {
             commit.kept += ((old.rows.len() * self.copies_max + delta.len()) * size_of::<Row<W>>()) as u64;
         }
-        self.rows = self.rows + self.len(relation) - old.rows.len();
-        commit.changed[relation.index()] = Some((delta, old));
+        self.rows = self.rows + self.len(predicate) - old.rows.len();
+        commit.changed[predicate.index()] = Some((delta, old));
     }
 
-    /// Computes the stratum's derived relations from scratch. Returns their rows and the number of rounds.
+    /// Computes the stratum's derived predicates from scratch. Returns their rows and the number of rounds.
     fn evaluate(
         &self,
         commit: &Commit<'_, W>,
@@ -541,19 +541,19 @@ impl<const W: usize> State<W> {
         RowView::for_step(step, |source: Source| self.batch(&plans.indexes[source.index]))
     }
 
-    /// The rows of a relation in the order of an index.
+    /// The rows of a predicate in the order of an index.
     pub(crate) fn batch(&self, spec: &IndexSpec) -> AnyBatch<'_, W> {
-        match &self.narrow[spec.relation.index()] {
+        match &self.narrow[spec.predicate.index()] {
             Some(narrow) => narrow.batch(spec),
-            None => ByWidth::Own(self.tables[spec.relation.index()].batch(spec)),
+            None => ByWidth::Own(self.tables[spec.predicate.index()].batch(spec)),
         }
     }
 
-    /// The shape of the rows of a relation.
-    pub(crate) fn shape(&self, relation: RelId) -> Shape<W> {
-        match &self.narrow[relation.index()] {
+    /// The shape of the rows of a predicate.
+    pub(crate) fn shape(&self, predicate: PredicateId) -> Shape<W> {
+        match &self.narrow[predicate.index()] {
             Some(narrow) => narrow.shape(),
-            None => Shape::of(&self.tables[relation.index()].rows),
+            None => Shape::of(&self.tables[predicate.index()].rows),
         }
     }
 }
@@ -567,55 +567,55 @@ fn makes_symbols(plans: &Plans, stratum: &StratumPlan) -> bool {
     let mut inner = stratum
         .correlated
         .iter()
-        .filter_map(|relation| plans.indexes.correlated(*relation));
+        .filter_map(|predicate| plans.indexes.correlated(*predicate));
     let mut clauses = stratum.clauses.iter();
     clauses.any(|clause| makes(&plans.clauses[clause.index()].complete)) || inner.any(|plans| plans.iter().any(makes))
 }
 
-/// The index specifications of a relation.
-pub(crate) fn specs(plans: &Plans, relation: RelId) -> Vec<&IndexSpec> {
-    plans.indexes.of(relation).collect()
+/// The index specifications of a predicate.
+pub(crate) fn specs(plans: &Plans, predicate: PredicateId) -> Vec<&IndexSpec> {
+    plans.indexes.of(predicate).collect()
 }
 
 impl<const W: usize> Store for State<W> {
-    fn change(&mut self, relation: RelId, row: &[Value], present: bool) {
-        self.widen(relation);
-        if let Some(narrow) = &mut self.narrow[relation.index()] {
+    fn change(&mut self, predicate: PredicateId, row: &[Value], present: bool) {
+        self.widen(predicate);
+        if let Some(narrow) = &mut self.narrow[predicate.index()] {
             return narrow.change(row, present);
         }
         let row = Row::new(row);
-        if present || self.source_facts[relation.index()].binary_search(&row).is_err() {
-            self.pending[relation.index()].push(row, present);
+        if present || self.source_facts[predicate.index()].binary_search(&row).is_err() {
+            self.pending[predicate.index()].push(row, present);
         }
     }
 
-    fn insert_all(&mut self, relation: RelId, words: &[Value], arity: usize) {
-        self.widen(relation);
-        match &mut self.narrow[relation.index()] {
+    fn insert_all(&mut self, predicate: PredicateId, words: &[Value], arity: usize) {
+        self.widen(predicate);
+        match &mut self.narrow[predicate.index()] {
             Some(narrow) => narrow.insert_all(words, arity),
-            None => self.pending[relation.index()].extend(words, arity),
+            None => self.pending[predicate.index()].extend(words, arity),
         }
     }
 
-    fn reserve(&mut self, relation: RelId, rows: usize) {
-        self.widen(relation);
-        match &mut self.narrow[relation.index()] {
+    fn reserve(&mut self, predicate: PredicateId, rows: usize) {
+        self.widen(predicate);
+        match &mut self.narrow[predicate.index()] {
             Some(narrow) => narrow.reserve(rows),
-            None => self.pending[relation.index()].reserve(rows),
+            None => self.pending[predicate.index()].reserve(rows),
         }
     }
 
-    fn pending(&self, relation: RelId) -> usize {
-        match &self.narrow[relation.index()] {
+    fn pending(&self, predicate: PredicateId) -> usize {
+        match &self.narrow[predicate.index()] {
             Some(narrow) => narrow.pending(),
-            None => self.pending[relation.index()].len(),
+            None => self.pending[predicate.index()].len(),
         }
     }
 
-    fn forget(&mut self, relation: RelId, len: usize) {
-        match &mut self.narrow[relation.index()] {
+    fn forget(&mut self, predicate: PredicateId, len: usize) {
+        match &mut self.narrow[predicate.index()] {
             Some(narrow) => narrow.forget(len),
-            None => self.pending[relation.index()].truncate(len),
+            None => self.pending[predicate.index()].truncate(len),
         }
     }
 
@@ -685,24 +685,27 @@ impl<const W: usize> Store for State<W> {
         }
     }
 
-    fn contains(&self, relation: RelId, row: &[Value]) -> bool {
-        match &self.narrow[relation.index()] {
+    fn contains(&self, predicate: PredicateId, row: &[Value]) -> bool {
+        match &self.narrow[predicate.index()] {
             Some(narrow) => narrow.contains(row),
-            None => self.tables[relation.index()].rows.binary_search(&Row::new(row)).is_ok(),
+            None => self.tables[predicate.index()]
+                .rows
+                .binary_search(&Row::new(row))
+                .is_ok(),
         }
     }
 
-    fn row(&self, relation: RelId, position: usize) -> &[Value] {
-        match &self.narrow[relation.index()] {
+    fn row(&self, predicate: PredicateId, position: usize) -> &[Value] {
+        match &self.narrow[predicate.index()] {
             Some(narrow) => narrow.row(position),
-            None => &self.tables[relation.index()].rows[position].0,
+            None => &self.tables[predicate.index()].rows[position].0,
         }
     }
 
-    fn len(&self, relation: RelId) -> usize {
-        match &self.narrow[relation.index()] {
+    fn len(&self, predicate: PredicateId) -> usize {
+        match &self.narrow[predicate.index()] {
             Some(narrow) => narrow.len(),
-            None => self.tables[relation.index()].rows.len(),
+            None => self.tables[predicate.index()].rows.len(),
         }
     }
 
@@ -712,8 +715,8 @@ impl<const W: usize> Store for State<W> {
         Self::bytes_of(&self.tables, &self.narrow) + pending.sum::<u64>()
     }
 
-    fn group(&self, relation: RelId, key: &[Value], op: AggregateOp) -> Option<Value> {
-        let rows = Batch::plain(&self.tables[relation.index()].rows);
+    fn group(&self, predicate: PredicateId, key: &[Value], op: AggregateOp) -> Option<Value> {
+        let rows = Batch::plain(&self.tables[predicate.index()].rows);
         groups::lookup(rows.range(key), key.len(), op)
     }
 
@@ -730,17 +733,17 @@ impl<const W: usize> Store for State<W> {
         else {
             return (Ok(None), 0);
         };
-        let Some(plans) = self.plans.indexes.correlated(atom.relation) else {
+        let Some(plans) = self.plans.indexes.correlated(atom.predicate) else {
             return (Ok(None), 0);
         };
         // A plan of one step, which derives the value.
         let to = parameters.len() as Slot;
         let plan = Plan {
-            head: atom.relation,
+            head: atom.predicate,
             output: vec![to],
             fold: None,
             steps: vec![Step::Correlated {
-                relation: atom.relation,
+                predicate: atom.predicate,
                 plans: Arc::clone(plans),
                 key: (0..to).collect(),
                 op: *op,
@@ -777,10 +780,10 @@ impl<const W: usize> Store for State<W> {
             let views: Vec<RowView<'_, W>> = self.complete_views(&self.plans, plan).collect();
             let mut state = JoinState::new(u64::MAX);
             state.correlated = CorrelatedValues::caching(bytes);
-            // This cannot overflow: what a clause derives is in its head's relation, which is within the limit.
+            // This cannot overflow: what a clause derives is in its head's predicate, which is within the limit.
             let _ = join::run(plan, &views, (symbols, &Cancel::never()), &mut state, &mut out);
         }
-        let arity = compiled.rules.relations[plan.head.index()].arity();
+        let arity = compiled.rules.predicates[plan.head.index()].arity();
         out.take().iter().map(|row| row.0[..arity].to_vec()).collect()
     }
 }

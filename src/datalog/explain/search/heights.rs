@@ -1,6 +1,6 @@
 //! Heights of derived facts, and the derivation of minimal height of each.
 
-use crate::check::{Atom, Clause, ClauseId, Literal, RelId, Rules};
+use crate::check::{Atom, Clause, ClauseId, Literal, PredicateId, Rules};
 use crate::explain::ExplainError;
 use crate::explain::search::{Attempt, Binding, ProofSearch, bind_head, unify, value};
 use crate::value::Value;
@@ -9,19 +9,19 @@ use std::collections::{BTreeMap, HashMap};
 /// The known heights.
 pub(super) struct Heights {
     /// The facts of the source, each with the first clause that states it.
-    source: HashMap<(RelId, Vec<Value>), ClauseId>,
-    /// The position of the stratum of each derived relation, by [`RelId`].
+    source: HashMap<(PredicateId, Vec<Value>), ClauseId>,
+    /// The position of the stratum of each derived predicate, by [`PredicateId`].
     stratum: Vec<Option<usize>>,
-    /// The heights of derived facts that some goal rests on, by relation and row position.
-    relevant: HashMap<(RelId, u32), u32>,
+    /// The heights of derived facts that some goal rests on, by predicate and row position.
+    relevant: HashMap<(PredicateId, u32), u32>,
     /// The derivations found so far.
-    best: HashMap<(RelId, Vec<Value>), (u32, Best)>,
+    best: HashMap<(PredicateId, Vec<Value>), (u32, Best)>,
     /// The heights of whole strata, by stratum position. Used where too much is relevant to a goal.
     progress: HashMap<usize, Progress>,
 }
 
-/// Facts, by relation and position, with their heights.
-type Settled = Vec<((RelId, u32), u32)>;
+/// Facts, by predicate and position, with their heights.
+type Settled = Vec<((PredicateId, u32), u32)>;
 
 /// Limits of the backward search from one goal: clause instances, and steps to find them.
 const INSTANCES_MAX: usize = 500_000;
@@ -30,10 +30,10 @@ const RELEVANT_STEPS: u64 = 5_000_000;
 /// A stratum in which the search settles heights in ascending order.
 #[derive(Default)]
 struct Progress {
-    /// The heights by relation and row position.
-    heights: HashMap<RelId, Vec<Height>>,
+    /// The heights by predicate and row position.
+    heights: HashMap<PredicateId, Vec<Height>>,
     /// The facts to settle, by their height so far.
-    queue: BTreeMap<u32, Vec<(RelId, u32)>>,
+    queue: BTreeMap<u32, Vec<(PredicateId, u32)>>,
 }
 
 #[derive(Clone, Copy)]
@@ -57,11 +57,11 @@ pub(in crate::explain) enum Best {
 
 impl Heights {
     pub(super) fn new(rules: &Rules) -> Self {
-        let mut stratum = vec![None; rules.relations.len()];
+        let mut stratum = vec![None; rules.predicates.len()];
         for (position, members) in rules.strata.iter().enumerate() {
-            for relation in &members.relations {
-                if rules.relations[relation.index()].derived {
-                    stratum[relation.index()] = Some(position);
+            for predicate in &members.predicates {
+                if rules.predicates[predicate.index()].derived {
+                    stratum[predicate.index()] = Some(position);
                 }
             }
         }
@@ -70,7 +70,7 @@ impl Heights {
             if clause.body.is_empty() {
                 let row: Option<Vec<Value>> = clause.head.terms.iter().map(|term| value(term, &[])).collect();
                 if let Some(row) = row {
-                    source.entry((clause.head.relation, row)).or_insert(ClauseId(id));
+                    source.entry((clause.head.predicate, row)).or_insert(ClauseId(id));
                 }
             }
         }
@@ -84,14 +84,14 @@ impl Heights {
     }
 
     /// Returns the height of a row, if it is settled.
-    fn of(&self, rel: RelId, position: u32) -> Option<u32> {
-        let Some(stratum) = self.stratum[rel.index()] else {
+    fn of(&self, id: PredicateId, position: u32) -> Option<u32> {
+        let Some(stratum) = self.stratum[id.index()] else {
             return Some(0);
         };
-        if let Some(&height) = self.relevant.get(&(rel, position)) {
+        if let Some(&height) = self.relevant.get(&(id, position)) {
             return Some(height);
         }
-        let height = self.progress.get(&stratum)?.heights.get(&rel)?[position as usize];
+        let height = self.progress.get(&stratum)?.heights.get(&id)?[position as usize];
         height.settled.then_some(height.height)
     }
 }
@@ -107,28 +107,33 @@ fn positive(clause: &Clause) -> impl Iterator<Item = (usize, &Atom)> {
 
 impl ProofSearch<'_> {
     /// Returns the height of a fact that holds, and the derivation that gives it.
-    pub(in crate::explain) fn origin(&mut self, rel: RelId, row: &[Value]) -> Result<(u32, Best), ExplainError> {
-        let fact = (rel, row.to_vec());
+    pub(in crate::explain) fn origin(&mut self, id: PredicateId, row: &[Value]) -> Result<(u32, Best), ExplainError> {
+        let fact = (id, row.to_vec());
         if let Some(&clause) = self.heights.source.get(&fact) {
             return Ok((0, Best::Source(clause)));
         }
-        let Some(stratum) = self.heights.stratum[rel.index()] else {
+        let Some(stratum) = self.heights.stratum[id.index()] else {
             return Ok((0, Best::Input));
         };
         if let Some(found) = self.heights.best.get(&fact) {
             return Ok(found.clone());
         }
-        let found = self.derivation(stratum, rel, row)?;
+        let found = self.derivation(stratum, id, row)?;
         self.heights.best.insert(fact, found.clone());
         Ok(found)
     }
 
     /// Returns the height and derivation of a derived fact that is not in the source.
-    fn derivation(&mut self, stratum: usize, rel: RelId, row: &[Value]) -> Result<(u32, Best), ExplainError> {
+    fn derivation(
+        &mut self,
+        stratum: usize,
+        predicate: PredicateId,
+        row: &[Value],
+    ) -> Result<(u32, Best), ExplainError> {
         let rules = self.rules();
-        let clauses = self.clauses_of(rel);
-        let goal = self.position(rel, row)?.map(|position| (rel, position));
-        let known = goal.is_some_and(|(rel, position)| self.heights.of(rel, position).is_some());
+        let clauses = self.clauses_of(predicate);
+        let goal = self.position(predicate, row)?.map(|position| (predicate, position));
+        let known = goal.is_some_and(|(predicate, position)| self.heights.of(predicate, position).is_some());
         if known || goal.is_some_and(|goal| self.settle_relevant(goal)) {
             // In this case the heights of all premises are known too.
         } else if rules.strata[stratum].recursive {
@@ -150,9 +155,11 @@ impl ProofSearch<'_> {
             // Clauses come in source order, so the first clause of minimal height wins.
             let bar = best.as_ref().map_or(u32::MAX, |(height, ..)| *height);
             let heights = &self.heights;
-            let usable = |rel, position| heights.of(rel, position).is_some_and(|height| height + 1 < bar);
+            let usable = |predicate, position| heights.of(predicate, position).is_some_and(|height| height + 1 < bar);
             self.advance(&mut attempt, &usable, &mut |solution| {
-                let height = 1 + highest(clause, solution.rows, |rel, position| heights.of(rel, position));
+                let height = 1 + highest(clause, solution.rows, |predicate, position| {
+                    heights.of(predicate, position)
+                });
                 let better = best.as_ref().is_none_or(|(least, by, binding, rows)| {
                     (height, id, solution.binding, solution.rows) < (*least, *by, binding, rows)
                 });
@@ -163,13 +170,13 @@ impl ProofSearch<'_> {
             })?;
         }
         let Some((height, clause, binding, rows)) = best else {
-            // Unreachable: a session holds only derived facts in derived relations.
+            // Unreachable: a session holds only derived facts in derived predicates.
             return Ok((0, Best::Input));
         };
         let body = &rules.clauses[clause.index()].body;
         let rows = body.iter().zip(rows).map(|(literal, row)| match (literal, row) {
             (Literal::Positive(atom) | Literal::Guard(atom), Some(position)) => {
-                Some(self.row(atom.relation, position).to_vec())
+                Some(self.row(atom.predicate, position).to_vec())
             }
             _ => None,
         });
@@ -180,7 +187,7 @@ impl ProofSearch<'_> {
     /// Computes the heights of all facts that a derivation of the goal could rest on. First collects all clause
     /// instances backwards from the goal, then computes heights forwards. Returns `false` without a change if that
     /// exceeds its limits.
-    fn settle_relevant(&mut self, goal: (RelId, u32)) -> bool {
+    fn settle_relevant(&mut self, goal: (PredicateId, u32)) -> bool {
         let outer = self.left();
         let inner = RELEVANT_STEPS.min(outer / 2);
         self.set_left(inner);
@@ -195,7 +202,7 @@ impl ProofSearch<'_> {
         }
     }
 
-    fn relevant(&self, goal: (RelId, u32)) -> Result<Option<Settled>, ExplainError> {
+    fn relevant(&self, goal: (PredicateId, u32)) -> Result<Option<Settled>, ExplainError> {
         let rules = self.rules();
         let mut facts = vec![goal];
         let mut ids = HashMap::from([(goal, 0)]);
@@ -205,20 +212,20 @@ impl ProofSearch<'_> {
         let mut users: Vec<Vec<usize>> = vec![Vec::new()];
         let mut queue: BTreeMap<u32, Vec<usize>> = BTreeMap::new();
         let mut next = 0;
-        while let Some(&(rel, position)) = facts.get(next) {
+        while let Some(&(predicate, position)) = facts.get(next) {
             let head = next;
             next += 1;
-            let row = self.row(rel, position);
-            if let Some(height) = self.heights.of(rel, position) {
+            let row = self.row(predicate, position);
+            if let Some(height) = self.heights.of(predicate, position) {
                 queue.entry(height).or_default().push(head);
                 continue;
             }
-            if self.heights.source.contains_key(&(rel, row.to_vec())) {
+            if self.heights.source.contains_key(&(predicate, row.to_vec())) {
                 queue.entry(0).or_default().push(head);
                 continue;
             }
             let pattern: Vec<_> = row.iter().copied().map(Some).collect();
-            for id in self.clauses_of(rel) {
+            for id in self.clauses_of(predicate) {
                 let clause = &rules.clauses[id.index()];
                 let mut binding: Binding = vec![None; clause.variables.len()];
                 if clause.body.is_empty() || bind_head(clause, &pattern, &mut binding).is_err() {
@@ -228,9 +235,9 @@ impl ProofSearch<'_> {
                 self.advance(&mut attempt, &|_, _| true, &mut |solution| {
                     let mut needed: Vec<usize> = Vec::new();
                     for (literal, atom) in positive(clause) {
-                        let derived = self.heights.stratum[atom.relation.index()].is_some();
+                        let derived = self.heights.stratum[atom.predicate.index()].is_some();
                         if let (true, Some(position)) = (derived, solution.rows[literal]) {
-                            let fact = (atom.relation, position);
+                            let fact = (atom.predicate, position);
                             let id = *ids.entry(fact).or_insert_with(|| {
                                 facts.push(fact);
                                 users.push(Vec::new());
@@ -280,13 +287,13 @@ impl ProofSearch<'_> {
         let rules = self.rules();
         let own = clauses
             .first()
-            .and_then(|clause| self.heights.stratum[rules.clauses[clause.index()].head.relation.index()]);
+            .and_then(|clause| self.heights.stratum[rules.clauses[clause.index()].head.predicate.index()]);
         let mut needed = Vec::new();
         let mut todo: Vec<&[ClauseId]> = vec![clauses];
         while let Some(clauses) = todo.pop() {
             for clause in clauses {
                 for (_, atom) in positive(&rules.clauses[clause.index()]) {
-                    if let Some(stratum) = self.heights.stratum[atom.relation.index()]
+                    if let Some(stratum) = self.heights.stratum[atom.predicate.index()]
                         && Some(stratum) != own
                         && !needed.contains(&stratum)
                     {
@@ -301,9 +308,9 @@ impl ProofSearch<'_> {
     }
 
     /// Settles the facts of a stratum in ascending order, up to `goal` or all of them.
-    fn settle(&mut self, stratum: usize, goal: Option<(RelId, u32)>) -> Result<(), ExplainError> {
-        if let Some((rel, position)) = goal
-            && self.heights.of(rel, position).is_some()
+    fn settle(&mut self, stratum: usize, goal: Option<(PredicateId, u32)>) -> Result<(), ExplainError> {
+        if let Some((id, position)) = goal
+            && self.heights.of(id, position).is_some()
         {
             return Ok(());
         }
@@ -316,15 +323,15 @@ impl ProofSearch<'_> {
         while let Some((&height, _)) = progress.queue.first_key_value() {
             let facts = progress.queue.remove(&height).unwrap_or_default();
             let mut last = false;
-            for (rel, position) in facts {
-                let known = &mut progress.heights.entry(rel).or_default()[position as usize];
+            for (id, position) in facts {
+                let known = &mut progress.heights.entry(id).or_default()[position as usize];
                 if known.settled {
                     continue;
                 }
                 known.settled = true;
-                last |= goal == Some((rel, position));
+                last |= goal == Some((id, position));
                 if rules.strata[stratum].recursive {
-                    self.follow(stratum, rel, position, &mut progress)?;
+                    self.follow(stratum, id, position, &mut progress)?;
                 }
             }
             if last {
@@ -343,12 +350,12 @@ impl ProofSearch<'_> {
             height: u32::MAX,
             settled: false,
         };
-        for &rel in &rules.strata[stratum].relations {
-            progress.heights.insert(rel, vec![unknown; self.len(rel)]);
+        for &predicate in &rules.strata[stratum].predicates {
+            progress.heights.insert(predicate, vec![unknown; self.len(predicate)]);
         }
         for &id in &rules.strata[stratum].clauses {
             let clause = &rules.clauses[id.index()];
-            let own = |(_, atom): (usize, &Atom)| progress.heights.contains_key(&atom.relation);
+            let own = |(_, atom): (usize, &Atom)| progress.heights.contains_key(&atom.predicate);
             if !positive(clause).any(own) {
                 let attempt = Attempt::new(
                     clause,
@@ -366,16 +373,21 @@ impl ProofSearch<'_> {
     fn follow(
         &mut self,
         stratum: usize,
-        rel: RelId,
+        predicate: PredicateId,
         position: u32,
         progress: &mut Progress,
     ) -> Result<(), ExplainError> {
         let rules = self.rules();
         for &id in &rules.strata[stratum].clauses {
             let clause = &rules.clauses[id.index()];
-            for (literal, atom) in positive(clause).filter(|(_, atom)| atom.relation == rel) {
+            for (literal, atom) in positive(clause).filter(|(_, atom)| atom.predicate == predicate) {
                 let mut binding: Binding = vec![None; clause.variables.len()];
-                if unify(&atom.terms, self.row(rel, position), &mut binding, &mut Vec::new()) {
+                if unify(
+                    &atom.terms,
+                    self.row(predicate, position),
+                    &mut binding,
+                    &mut Vec::new(),
+                ) {
                     let mut attempt = Attempt::new(clause, &vec![true; clause.body.len()], binding, 0);
                     attempt.pending[literal] = false;
                     attempt.rows[literal] = Some(position);
@@ -392,16 +404,16 @@ impl ProofSearch<'_> {
         let mut lower = Vec::new();
         let mut failed = None;
         {
-            let of = |rel: RelId, position: u32| match progress.heights.get(&rel) {
+            let of = |id: PredicateId, position: u32| match progress.heights.get(&id) {
                 Some(heights) => {
                     let height = heights[position as usize];
                     height.settled.then_some(height.height)
                 }
-                None => self.heights.of(rel, position),
+                None => self.heights.of(id, position),
             };
             self.advance(
                 &mut attempt,
-                &|rel, position| of(rel, position).is_some(),
+                &|id, position| of(id, position).is_some(),
                 &mut |solution| {
                     let head: Option<Vec<Value>> = (clause.head.terms.iter())
                         .map(|term| value(term, solution.binding))
@@ -412,14 +424,14 @@ impl ProofSearch<'_> {
                     } else {
                         1 + highest(clause, solution.rows, of)
                     };
-                    let rel = clause.head.relation;
-                    let position = head.map_or(Ok(None), |row| self.position(rel, &row));
+                    let id = clause.head.predicate;
+                    let position = head.map_or(Ok(None), |row| self.position(id, &row));
                     let position = position.unwrap_or_else(|error| {
                         failed = Some(error);
                         None
                     });
                     if let Some(position) = position {
-                        let known = progress.heights[&rel][position as usize];
+                        let known = progress.heights[&id][position as usize];
                         if !known.settled && height < known.height {
                             lower.push((height, position));
                         }
@@ -431,12 +443,12 @@ impl ProofSearch<'_> {
         if let Some(error) = failed {
             return Err(error);
         }
-        let rel = clause.head.relation;
+        let id = clause.head.predicate;
         for (height, position) in lower {
-            let known = &mut progress.heights.entry(rel).or_default()[position as usize];
+            let known = &mut progress.heights.entry(id).or_default()[position as usize];
             if height < known.height {
                 known.height = height;
-                progress.queue.entry(height).or_default().push((rel, position));
+                progress.queue.entry(height).or_default().push((id, position));
             }
         }
         Ok(())
@@ -444,9 +456,9 @@ impl ProofSearch<'_> {
 }
 
 /// Returns the maximal height among the rows that match positive literals.
-fn highest(clause: &Clause, rows: &[Option<u32>], of: impl Fn(RelId, u32) -> Option<u32>) -> u32 {
+fn highest(clause: &Clause, rows: &[Option<u32>], of: impl Fn(PredicateId, u32) -> Option<u32>) -> u32 {
     positive(clause)
-        .filter_map(|(literal, atom)| of(atom.relation, rows[literal]?))
+        .filter_map(|(literal, atom)| of(atom.predicate, rows[literal]?))
         .max()
         .unwrap_or(0)
 }
@@ -480,7 +492,7 @@ mod tests {
         .expect("no errors");
         let program = Program::new(rules).expect("within limits");
         let mut session = program.session();
-        let edge = program.relation("edge").expect("declared");
+        let edge = program.predicate("edge").expect("declared");
         for [x, y] in [
             [0, 1],
             [1, 2],
@@ -505,15 +517,15 @@ mod tests {
         }
         let mut count = 0;
         for name in ["hop", "path", "round"] {
-            let rel = program.relation(name).expect("declared");
-            for position in 0..u32::try_from(session.len(rel)).expect("few rows") {
+            let id = program.predicate(name).expect("declared");
+            for position in 0..u32::try_from(session.len(id)).expect("few rows") {
                 let mut backwards = ProofSearch::new(&session, &Cancel::never());
                 backwards.refill(1_000_000);
-                assert!(backwards.settle_relevant((rel, position)));
-                let height = forwards.heights.of(rel, position);
+                assert!(backwards.settle_relevant((id, position)));
+                let height = forwards.heights.of(id, position);
                 assert!(height.is_some());
-                assert_eq!(height, backwards.heights.of(rel, position));
-                let (least, _) = forwards.origin(rel, forwards.row(rel, position)).expect("few rows");
+                assert_eq!(height, backwards.heights.of(id, position));
+                let (least, _) = forwards.origin(id, forwards.row(id, position)).expect("few rows");
                 assert_eq!(height, Some(least));
                 count += 1;
             }

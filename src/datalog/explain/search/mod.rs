@@ -4,7 +4,7 @@
 pub(super) mod heights;
 
 use crate::cancel::Cancel;
-use crate::check::{Atom, Clause, ClauseId, Literal, RelId, Rules, Term, VarId};
+use crate::check::{Atom, Clause, ClauseId, Literal, PredicateId, Rules, Term, VarId};
 use crate::eval::correlated::CorrelatedValues;
 use crate::eval::output::Abort;
 use crate::explain::search::heights::Heights;
@@ -29,7 +29,7 @@ type Index = HashMap<Vec<Value>, Rc<[u32]>>;
 const FAILURES_MAX: usize = 3;
 const NEAREST_STEPS: u64 = 200_000;
 
-/// The rows of a relation, with indexes on bound columns that are built on first use.
+/// The rows of a predicate, with indexes on bound columns that are built on first use.
 struct Table<'s> {
     rows: Vec<&'s [Value]>,
     /// The indexes by the bit set of bound columns.
@@ -39,9 +39,9 @@ struct Table<'s> {
 /// A search over a session that counts its steps.
 pub(super) struct ProofSearch<'s> {
     pub(super) session: &'s Session,
-    /// The tables, by [`RelId`].
+    /// The tables, by [`PredicateId`].
     tables: Vec<OnceCell<Table<'s>>>,
-    /// The clauses for each predicate in source order, by [`RelId`].
+    /// The clauses for each predicate in source order, by [`PredicateId`].
     clauses: Vec<Vec<ClauseId>>,
     limit: Cell<u64>,
     left: Cell<u64>,
@@ -61,7 +61,7 @@ pub(super) struct ProofSearch<'s> {
     heights: Heights,
 }
 
-/// Rows of a relation, by position.
+/// Rows of a predicate, by position.
 enum Rows {
     All(u32),
     Some(Rc<[u32]>),
@@ -95,7 +95,7 @@ pub(super) struct Solution<'a> {
 }
 
 /// Determines which rows may match positive literals.
-type Usable<'a> = &'a dyn Fn(RelId, u32) -> bool;
+type Usable<'a> = &'a dyn Fn(PredicateId, u32) -> bool;
 /// Receives every solution; returns whether to continue.
 type Visit<'a> = &'a mut dyn FnMut(Solution<'_>) -> bool;
 
@@ -138,14 +138,14 @@ impl<'s> ProofSearch<'s> {
 
     pub(super) fn new(session: &'s Session, cancel: &Cancel) -> Self {
         let rules = session.program().rules();
-        let mut clauses = vec![Vec::new(); rules.relations.len()];
+        let mut clauses = vec![Vec::new(); rules.predicates.len()];
         for (clause, id) in rules.clauses.iter().zip(0..) {
-            clauses[clause.head.relation.index()].push(ClauseId(id));
+            clauses[clause.head.predicate.index()].push(ClauseId(id));
         }
         let left = session.bytes_left();
         ProofSearch {
             session,
-            tables: (0..rules.relations.len()).map(|_| OnceCell::new()).collect(),
+            tables: (0..rules.predicates.len()).map(|_| OnceCell::new()).collect(),
             clauses,
             limit: Cell::new(0),
             left: Cell::new(0),
@@ -166,8 +166,8 @@ impl<'s> ProofSearch<'s> {
         self.session.program().rules()
     }
 
-    pub(super) fn clauses_of(&self, rel: RelId) -> Vec<ClauseId> {
-        self.clauses[rel.index()].clone()
+    pub(super) fn clauses_of(&self, id: PredicateId) -> Vec<ClauseId> {
+        self.clauses[id.index()].clone()
     }
 
     /// Resets the number of steps available.
@@ -224,37 +224,37 @@ impl<'s> ProofSearch<'s> {
         }
     }
 
-    fn table(&self, rel: RelId) -> &Table<'s> {
-        self.tables[rel.index()].get_or_init(|| Table {
-            rows: self.session.encoded_rows(rel).collect(),
+    fn table(&self, id: PredicateId) -> &Table<'s> {
+        self.tables[id.index()].get_or_init(|| Table {
+            rows: self.session.encoded_rows(id).collect(),
             indexes: RefCell::default(),
         })
     }
 
     /// Returns the row at a position.
-    pub(super) fn row(&self, rel: RelId, position: u32) -> &'s [Value] {
-        self.table(rel).rows[position as usize]
+    pub(super) fn row(&self, id: PredicateId, position: u32) -> &'s [Value] {
+        self.table(id).rows[position as usize]
     }
 
-    pub(super) fn len(&self, rel: RelId) -> usize {
-        self.table(rel).rows.len()
+    pub(super) fn len(&self, id: PredicateId) -> usize {
+        self.table(id).rows.len()
     }
 
     /// Returns the position of a row.
-    pub(super) fn position(&self, rel: RelId, row: &[Value]) -> Result<Option<u32>, ExplainError> {
+    pub(super) fn position(&self, id: PredicateId, row: &[Value]) -> Result<Option<u32>, ExplainError> {
         let pattern: Pattern = row.iter().copied().map(Some).collect();
-        let rows = self.rows(rel, &pattern)?;
+        let rows = self.rows(id, &pattern)?;
         Ok((rows.len() > 0).then(|| rows.get(0)))
     }
 
     /// Returns the rows that match a pattern.
-    fn rows(&self, rel: RelId, pattern: &[Option<Value>]) -> Result<Rows, ExplainError> {
+    fn rows(&self, id: PredicateId, pattern: &[Option<Value>]) -> Result<Rows, ExplainError> {
         /// The memory of a row in an index: its key, its list and their places in a hash table.
         const INDEX_ROW: usize = 128;
-        if self.tables[rel.index()].get().is_none() {
-            self.reserve(self.session.len(rel) * size_of::<&[Value]>())?;
+        if self.tables[id.index()].get().is_none() {
+            self.reserve(self.session.len(id) * size_of::<&[Value]>())?;
         }
-        let table = self.table(rel);
+        let table = self.table(id);
         let bound = |column: &usize| pattern[*column].is_some();
         let columns: Vec<usize> = (0..pattern.len()).filter(bound).collect();
         if columns.is_empty() {
@@ -281,14 +281,18 @@ impl<'s> ProofSearch<'s> {
     }
 
     /// Returns the first row that matches a pattern.
-    pub(super) fn first_row(&self, rel: RelId, pattern: &[Option<Value>]) -> Result<Option<Vec<Value>>, ExplainError> {
+    pub(super) fn first_row(
+        &self,
+        id: PredicateId,
+        pattern: &[Option<Value>],
+    ) -> Result<Option<Vec<Value>>, ExplainError> {
         self.step()?;
-        let rows = self.rows(rel, pattern)?;
-        Ok((rows.len() > 0).then(|| self.row(rel, rows.get(0)).to_vec()))
+        let rows = self.rows(id, pattern)?;
+        Ok((rows.len() > 0).then(|| self.row(id, rows.get(0)).to_vec()))
     }
 
-    pub(super) fn some_row(&self, rel: RelId, pattern: &[Option<Value>]) -> Result<bool, ExplainError> {
-        Ok(self.first_row(rel, pattern)?.is_some())
+    pub(super) fn some_row(&self, id: PredicateId, pattern: &[Option<Value>]) -> Result<bool, ExplainError> {
+        Ok(self.first_row(id, pattern)?.is_some())
     }
 
     /// Calls `visit` with every binding that extends `binding` and satisfies all `pending` literals except `failures`
@@ -345,7 +349,7 @@ impl<'s> ProofSearch<'s> {
             let mut best: Option<(usize, Rows)> = None;
             for (literal, body) in clause.body.iter().enumerate() {
                 if let (true, Literal::Positive(atom) | Literal::Guard(atom)) = (attempt.pending[literal], body) {
-                    let rows = self.rows(atom.relation, &pattern(atom, &attempt.binding))?;
+                    let rows = self.rows(atom.predicate, &pattern(atom, &attempt.binding))?;
                     if best.as_ref().is_none_or(|(_, fewest)| rows.len() < fewest.len()) {
                         best = Some((literal, rows));
                     }
@@ -375,13 +379,13 @@ impl<'s> ProofSearch<'s> {
         for at in 0..rows.len() {
             self.step()?;
             let position = rows.get(at);
-            if !usable(atom.relation, position) {
+            if !usable(atom.predicate, position) {
                 continue;
             }
             let mut bound = Vec::new();
             if unify(
                 &atom.terms,
-                self.row(atom.relation, position),
+                self.row(atom.predicate, position),
                 &mut attempt.binding,
                 &mut bound,
             ) {
@@ -458,10 +462,10 @@ impl<'s> ProofSearch<'s> {
     fn decide(&self, literal: &Literal, binding: &[Option<Value>]) -> Result<Option<bool>, ExplainError> {
         match literal {
             Literal::Positive(atom) | Literal::Guard(atom) if determined(atom, binding) => {
-                self.some_row(atom.relation, &pattern(atom, binding)).map(Some)
+                self.some_row(atom.predicate, &pattern(atom, binding)).map(Some)
             }
             Literal::Negative(atom) if determined(atom, binding) => self
-                .some_row(atom.relation, &pattern(atom, binding))
+                .some_row(atom.predicate, &pattern(atom, binding))
                 .map(|some| Some(!some)),
             Literal::Compare {
                 op, left, right, base, ..
@@ -506,18 +510,18 @@ impl<'s> ProofSearch<'s> {
             Literal::Aggregate {
                 op, base, atom, column, ..
             } if determined(atom, binding) => {
-                if self.rules().is_correlated(atom.relation) {
+                if self.rules().is_correlated(atom.predicate) {
                     return self.correlated(literal, atom, binding).map(Some);
                 }
-                if self.session.program().is_aggregated(atom.relation) {
+                if self.session.program().is_aggregated(atom.predicate) {
                     self.step()?;
                     let key: Vec<Value> = atom.terms.iter().map_while(|term| value(term, binding)).collect();
-                    return Ok(Some(self.session.group(atom.relation, &key, *op)));
+                    return Ok(Some(self.session.group(atom.predicate, &key, *op)));
                 }
-                let rows = self.rows(atom.relation, &pattern(atom, binding))?;
+                let rows = self.rows(atom.predicate, &pattern(atom, binding))?;
                 (0..rows.len()).try_for_each(|_| self.step())?;
                 let values = (0..rows.len()).map(|at| match column {
-                    Some(column) => self.row(atom.relation, rows.get(at))[*column],
+                    Some(column) => self.row(atom.predicate, rows.get(at))[*column],
                     None => Value(0),
                 });
                 Ok(Some(op.of(*base, values, self.session.symbols())))
@@ -535,7 +539,7 @@ impl<'s> ProofSearch<'s> {
     ) -> Result<Option<Value>, ExplainError> {
         self.step()?;
         let parameters: Vec<Value> = atom.terms.iter().map_while(|term| value(term, binding)).collect();
-        if let Some(known) = self.correlated.borrow().get(atom.relation, &parameters) {
+        if let Some(known) = self.correlated.borrow().get(atom.predicate, &parameters) {
             return Ok(known);
         }
         let (found, rows_scanned) =
@@ -545,7 +549,7 @@ impl<'s> ProofSearch<'s> {
             .set(self.cancelled.get() || found == Err(Abort::Cancelled));
         match found {
             Ok(value) => {
-                self.correlated.borrow_mut().insert(atom.relation, &parameters, value);
+                self.correlated.borrow_mut().insert(atom.predicate, &parameters, value);
                 Ok(value)
             }
             Err(Abort::Memory) => Err(self.too_much_memory()),

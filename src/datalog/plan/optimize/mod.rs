@@ -18,7 +18,7 @@ use crate::check::subsumption;
 use crate::check::subsumption::{Fact, NoConstraints, Pattern, Theory, covers, facts, within_theory};
 use crate::check::witness::written;
 use crate::check::{
-    Atom, Budget, Clause, ClauseId, Comparing, Constraint, DeclaredConstraint, Literal, RelId, Rules, Term, VarId,
+    Atom, Budget, Clause, ClauseId, Comparing, Constraint, DeclaredConstraint, Literal, PredicateId, Rules, Term, VarId,
 };
 use crate::codes;
 use crate::diag::{Diagnostic, Sources, Span};
@@ -129,7 +129,7 @@ pub fn lints(rules: &Rules, sources: &Sources) -> Lints {
         | Finding::Contradictory { clause, .. }
         | Finding::Redundant { clause, .. }) = *finding;
         // The reader wrote no such clause: `range(0, 3)` has hidden ones for both directions.
-        if rules.relations[named(clause).head.relation.index()].hidden {
+        if rules.predicates[named(clause).head.predicate.index()].hidden {
             continue;
         }
         let (lint, given) = match *finding {
@@ -257,7 +257,7 @@ fn redundant(
         Literal::Compare { op, left, right, .. } => op == Comparison::Equal && left == right,
         _ => false,
     };
-    if reported || rules.relations[clause.head.relation.index()].hidden {
+    if reported || rules.predicates[clause.head.predicate.index()].hidden {
         return None;
     }
     let redundant = shown_literal(rules, clause, literal);
@@ -409,10 +409,10 @@ fn subsumed(rules: &Rules, theory: &Constraints, findings: &mut Vec<Finding>) ->
         _ => None,
     };
     let never: BTreeSet<ClauseId> = findings.iter().filter_map(contradictory).collect();
-    let mut by_head: BTreeMap<RelId, Vec<ClauseId>> = BTreeMap::new();
+    let mut by_head: BTreeMap<PredicateId, Vec<ClauseId>> = BTreeMap::new();
     for (clause, id) in rules.clauses.iter().zip((0..).map(ClauseId)) {
         if is_known(clause) && !rules.is_row(clause) && !never.contains(&id) {
-            by_head.entry(clause.head.relation).or_default().push(id);
+            by_head.entry(clause.head.predicate).or_default().push(id);
         }
     }
     let mut budget = Budget::new(STEPS_MAX);
@@ -448,13 +448,13 @@ fn unsat_core(rules: &Rules, theory: &Constraints, clause: &Clause, by: &Clause,
         used.extend((0..closure.facts.len()).flat_map(|at| closure.reasons(at)));
     }
     let always = facts(by, true);
-    let relations = always.iter().filter_map(|fact| match fact {
-        Fact::Atom { relation, .. } => Some(*relation),
+    let predicates = always.iter().filter_map(|fact| match fact {
+        Fact::Atom { predicate, .. } => Some(*predicate),
         _ => None,
     });
-    let relations: BTreeSet<RelId> = relations.collect();
+    let predicates: BTreeSet<PredicateId> = predicates.collect();
     let forbids_loops = |one: &&DeclaredConstraint| match one.constraint {
-        Constraint::Irreflexive(relation) | Constraint::Asymmetric(relation) => relations.contains(&relation),
+        Constraint::Irreflexive(predicate) | Constraint::Asymmetric(predicate) => predicates.contains(&predicate),
         _ => false,
     };
     let all = rules.constraints.iter().enumerate();
@@ -499,15 +499,15 @@ fn shown_literal(rules: &Rules, clause: &Clause, index: usize) -> String {
 }
 
 fn shown_atom(rules: &Rules, clause: &Clause, atom: &Atom) -> String {
-    let relation = &rules.relations[atom.relation.index()];
-    if relation.hidden {
-        return relation.doc.clone();
+    let predicate = &rules.predicates[atom.predicate.index()];
+    if predicate.hidden {
+        return predicate.doc.clone();
     }
-    let columns = relation.columns.iter().zip(&atom.terms);
+    let columns = predicate.columns.iter().zip(&atom.terms);
     let terms: Vec<String> = columns
         .map(|(column, term)| shown_term(rules, clause, term, column.base))
         .collect();
-    format!("{}({})", relation.name, terms.join(", "))
+    format!("{}({})", predicate.name, terms.join(", "))
 }
 
 fn shown_term(rules: &Rules, clause: &Clause, term: &Term, base: BaseType) -> String {

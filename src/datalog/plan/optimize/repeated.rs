@@ -59,9 +59,9 @@ pub(super) fn repeated(rules: &Rules) -> (Vec<Vec<Use>>, bool) {
     let mut left = WORDS_MAX;
     let mut parts: BTreeMap<Vec<Word>, Vec<Use>> = BTreeMap::new();
     for (index, clause) in rules.clauses.iter().enumerate() {
-        let hidden = rules.relations[clause.head.relation.index()].hidden;
+        let hidden = rules.predicates[clause.head.predicate.index()].hidden;
         let can = |literal: &Literal| match literal {
-            Literal::Positive(atom) | Literal::Negative(atom) => !rules.relations[atom.relation.index()].hidden,
+            Literal::Positive(atom) | Literal::Negative(atom) => !rules.predicates[atom.predicate.index()].hidden,
             Literal::Compare { .. } => true,
             _ => false,
         };
@@ -237,7 +237,7 @@ fn word(literal: &Literal, names: &mut Names) -> Word {
         Literal::Positive(atom) | Literal::Guard(atom) | Literal::Negative(atom) | Literal::Aggregate { atom, .. } => {
             let positive = !matches!(literal, Literal::Negative(_));
             let terms = atom.terms.iter().flat_map(|one| term(one, positive));
-            [u64::from(!positive), u64::from(atom.relation.0)]
+            [u64::from(!positive), u64::from(atom.predicate.0)]
                 .into_iter()
                 .chain(terms)
                 .collect()

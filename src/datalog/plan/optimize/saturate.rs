@@ -24,7 +24,7 @@ define_language! {
     }
 }
 
-/// Relations between literals, which are given by number.
+/// Predicates between literals, which are given by number.
 pub(super) trait Knowledge {
     /// Whether `b` holds whenever `a` does.
     fn implies(&self, a: usize, b: usize) -> bool;

@@ -1,21 +1,21 @@
 //! Consequences of one literal, with and without the integrity constraints.
 
 use crate::check::subsumption::{Arg, EQUAL, Fact, GREATER, LESS, Theory};
-use crate::check::{Constraint, DeclaredConstraint, RelId};
+use crate::check::{Constraint, DeclaredConstraint, PredicateId};
 use std::collections::BTreeMap;
 
 /// The integrity constraints, indexed by predicate. A number is the position of a constraint in the list that
 /// [`Constraints::new`] took.
 #[derive(Clone, Debug, Default)]
 pub(super) struct Constraints {
-    implied: BTreeMap<RelId, Vec<(RelId, usize)>>,
-    implying: BTreeMap<RelId, Vec<(RelId, usize)>>,
-    disjoint: BTreeMap<RelId, Vec<(RelId, usize)>>,
-    irreflexive: BTreeMap<RelId, usize>,
-    symmetric: BTreeMap<RelId, usize>,
-    asymmetric: BTreeMap<RelId, usize>,
+    implied: BTreeMap<PredicateId, Vec<(PredicateId, usize)>>,
+    implying: BTreeMap<PredicateId, Vec<(PredicateId, usize)>>,
+    disjoint: BTreeMap<PredicateId, Vec<(PredicateId, usize)>>,
+    irreflexive: BTreeMap<PredicateId, usize>,
+    symmetric: BTreeMap<PredicateId, usize>,
+    asymmetric: BTreeMap<PredicateId, usize>,
     /// Indexed by predicate: its columns with the predicates that relate their values to themselves.
-    reflexive: BTreeMap<RelId, Vec<(usize, RelId, usize)>>,
+    reflexive: BTreeMap<PredicateId, Vec<(usize, PredicateId, usize)>>,
 }
 
 /// The maximum number of consequences derived from one literal.
@@ -56,8 +56,8 @@ impl Constraints {
                     theory.asymmetric.entry(a).or_insert(number);
                 }
                 Constraint::Reflexive(a) => {
-                    for &(relation, column) in domain {
-                        theory.reflexive.entry(relation).or_default().push((column, a, number));
+                    for &(predicate, column) in domain {
+                        theory.reflexive.entry(predicate).or_default().push((column, a, number));
                     }
                 }
                 // A disjunction follows from no single literal in this form.
@@ -69,8 +69,8 @@ impl Constraints {
 
     /// Returns the constraint by which the atom never holds, if it relates a term to itself through an irreflexive
     /// predicate.
-    fn forbids_loop(&self, relation: RelId, args: &[Arg]) -> Option<usize> {
-        let irreflexive = self.irreflexive.get(&relation).copied();
+    fn forbids_loop(&self, predicate: PredicateId, args: &[Arg]) -> Option<usize> {
+        let irreflexive = self.irreflexive.get(&predicate).copied();
         irreflexive.filter(|_| args[0] == args[1] && args[0] != Arg::Any)
     }
 
@@ -90,7 +90,7 @@ impl Constraints {
     /// Returns the constraints by which the fact never holds; `None` if it can hold.
     fn never(&self, fact: &Fact) -> Option<Option<usize>> {
         match fact {
-            Fact::Atom { holds, relation, args } if *holds => self.forbids_loop(*relation, args).map(Some),
+            Fact::Atom { holds, predicate, args } if *holds => self.forbids_loop(*predicate, args).map(Some),
             Fact::Compare { allowed, .. } if *allowed == 0 => Some(None),
             _ => None,
         }
@@ -99,7 +99,7 @@ impl Constraints {
     /// Returns the constraints by which the fact always holds; `None` if it can fail.
     pub(super) fn tautology(&self, fact: &Fact) -> Option<Option<usize>> {
         match fact {
-            Fact::Atom { holds, relation, args } if !*holds => self.forbids_loop(*relation, args).map(Some),
+            Fact::Atom { holds, predicate, args } if !*holds => self.forbids_loop(*predicate, args).map(Some),
             Fact::Compare { allowed, .. } if *allowed == LESS | EQUAL | GREATER => Some(None),
             _ => None,
         }
@@ -115,7 +115,7 @@ impl Constraints {
         while let Some(fact) = found.facts.get(at).cloned() {
             let from = at;
             at += 1;
-            let Fact::Atom { holds, relation, args } = fact else {
+            let Fact::Atom { holds, predicate, args } = fact else {
                 continue;
             };
             let mut add = |fact: Fact, constraint: usize| {
@@ -126,39 +126,39 @@ impl Constraints {
             };
             let reversed = || args.iter().rev().copied().collect();
             let others = if holds { &self.implied } else { &self.implying };
-            for &(relation, number) in others.get(&relation).into_iter().flatten() {
+            for &(predicate, number) in others.get(&predicate).into_iter().flatten() {
                 let args = args.clone();
-                add(Fact::Atom { holds, relation, args }, number);
+                add(Fact::Atom { holds, predicate, args }, number);
             }
-            if let Some(&number) = self.symmetric.get(&relation) {
+            if let Some(&number) = self.symmetric.get(&predicate) {
                 let args = reversed();
-                add(Fact::Atom { holds, relation, args }, number);
+                add(Fact::Atom { holds, predicate, args }, number);
             }
-            let reflexive = self.reflexive.get(&relation).filter(|_| holds);
-            for &(column, relation, number) in reflexive.into_iter().flatten() {
+            let reflexive = self.reflexive.get(&predicate).filter(|_| holds);
+            for &(column, predicate, number) in reflexive.into_iter().flatten() {
                 if args[column] != Arg::Any {
                     let args = vec![args[column]; 2];
-                    add(Fact::Atom { holds, relation, args }, number);
+                    add(Fact::Atom { holds, predicate, args }, number);
                 }
             }
             if holds && !args.contains(&Arg::Any) {
-                if let Some(&number) = self.asymmetric.get(&relation) {
+                if let Some(&number) = self.asymmetric.get(&predicate) {
                     let fact = Fact::Atom {
                         holds: false,
-                        relation,
+                        predicate,
                         args: reversed(),
                     };
                     add(fact, number);
                 }
-                for &(relation, number) in self.disjoint.get(&relation).into_iter().flatten() {
+                for &(predicate, number) in self.disjoint.get(&predicate).into_iter().flatten() {
                     let fact = Fact::Atom {
                         holds: false,
-                        relation,
+                        predicate,
                         args: args.clone(),
                     };
                     add(fact, number);
                 }
-                if let Some(&number) = self.irreflexive.get(&relation).filter(|_| args[0] != args[1]) {
+                if let Some(&number) = self.irreflexive.get(&predicate).filter(|_| args[0] != args[1]) {
                     let (left, right) = (args[0].min(args[1]), args[0].max(args[1]));
                     let allowed = LESS | GREATER;
                     add(Fact::Compare { allowed, left, right }, number);
@@ -178,8 +178,8 @@ impl Theory for Constraints {
         self.tautology(fact).is_some()
     }
 
-    fn is_irreflexive(&self, relation: RelId) -> bool {
-        self.irreflexive.contains_key(&relation)
+    fn is_irreflexive(&self, predicate: PredicateId) -> bool {
+        self.irreflexive.contains_key(&predicate)
     }
 }
 
@@ -188,16 +188,16 @@ fn excludes(a: &Fact, b: &Fact) -> bool {
         (
             Fact::Atom {
                 holds: true,
-                relation,
+                predicate,
                 args,
             },
             Fact::Atom {
                 holds: false,
-                relation: r,
+                predicate: r,
                 args: none,
             },
         ) => {
-            relation == r
+            predicate == r
                 && args
                     .iter()
                     .zip(none)
