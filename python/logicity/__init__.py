@@ -76,20 +76,83 @@ _NAMES = {
     "rule_policy": ["RulePolicy"],
     "rules": ["Change", "Column", "Explanation", "Predicate", "Program", "Rows", "Session", "check"],
     "types": [
-        *["Action", "Agent", "Answer", "Clause", "Diagnostic", "EgoAnswer", "Executor", "Heading"],
-        *["Label", "Limits", "RuleStats", "Scene", "Split", "StratumStats", "SymbolicScene"],
+        "Action",
+        "Agent",
+        "Answer",
+        "Clause",
+        "Diagnostic",
+        "EgoAnswer",
+        "Executor",
+        "Heading",
+        "Label",
+        "Limits",
+        "RuleStats",
+        "Scene",
+        "Split",
+        "StratumStats",
+        "SymbolicScene",
     ],
 }
 _HOMES = {name: module for module, names in _NAMES.items() for name in names}
 _MODULES = ("envs", "icons", "learn", "questions", "vap")
 
-__all__ = ["ACTIONS", "Action", "Agent", "AgentInfo", "Answer", "Benchmark", "Change", "Clause", "Column", "Decision"]
-__all__ += ["Demonstrations", "Diagnostic", "ENVIRONMENTS", "EgoAnswer", "EpisodeRecord", "Evaluation", "Executor"]
-__all__ += ["Explanation", "HEADINGS", "Heading", "InducedClause", "InducedRules", "Inference", "InputError"]
-__all__ += ["Interval", "Label", "LimitError", "Limits", "MODES", "Oracle", "Policy", "Predicate", "Program", "REASONS"]
-__all__ += ["Rows", "RulePolicy", "RuleStats", "Scene", "Session", "Simulation", "Split", "StratumStats"]
-__all__ += ["SymbolicScene", "Tick", "Trajectory", "UnsupportedError", "UntrustedError", "__version__", "check"]
-__all__ += ["demonstrations", "evaluate", "induce", "infer", "observation_names", "parallel_env"]
+__all__ = [
+    "ACTIONS",
+    "Action",
+    "Agent",
+    "AgentInfo",
+    "Answer",
+    "Benchmark",
+    "Change",
+    "Clause",
+    "Column",
+    "Decision",
+    "Demonstrations",
+    "Diagnostic",
+    "ENVIRONMENTS",
+    "EgoAnswer",
+    "EpisodeRecord",
+    "Evaluation",
+    "Executor",
+    "Explanation",
+    "HEADINGS",
+    "Heading",
+    "InducedClause",
+    "InducedRules",
+    "Inference",
+    "InputError",
+    "Interval",
+    "Label",
+    "LimitError",
+    "Limits",
+    "MODES",
+    "Oracle",
+    "Policy",
+    "Predicate",
+    "Program",
+    "REASONS",
+    "Rows",
+    "RulePolicy",
+    "RuleStats",
+    "Scene",
+    "Session",
+    "Simulation",
+    "Split",
+    "StratumStats",
+    "SymbolicScene",
+    "Tick",
+    "Trajectory",
+    "UnsupportedError",
+    "UntrustedError",
+    "__version__",
+    "check",
+    "demonstrations",
+    "evaluate",
+    "induce",
+    "infer",
+    "observation_names",
+    "parallel_env",
+]
 
 register_with_gymnasium()
 

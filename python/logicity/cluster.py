@@ -22,7 +22,8 @@ ONE_THREAD = dict.fromkeys(("OMP_NUM_THREADS", "MKL_NUM_THREADS", "OPENBLAS_NUM_
 def connect(address: str, workers: int | None = None) -> ModuleType:
     """Connect to a Ray cluster, and return the module `ray`, whose `shutdown` ends the connection.
 
-    The address `local` starts a new one on this machine, by default with all its CPUs. Each worker has one thread.
+    The address `local` starts a new cluster on this machine with `workers` CPUs, by default all. Each worker has one
+    thread.
 
     Raises:
         ConnectionError: If the cluster does not answer.

@@ -11,7 +11,7 @@ import sys
 import time
 from collections.abc import Callable, Sequence
 from difflib import get_close_matches
-from functools import partial, reduce
+from functools import reduce
 from pathlib import Path
 from typing import Any, NoReturn, cast
 
@@ -464,9 +464,16 @@ def _whole(text: str, least: int, most: int | None = None) -> int:
     return int(text)
 
 
-_positive = partial(_whole, least=1)
-_threads = partial(_whole, least=0)
-_seed = partial(_whole, least=0, most=2**32 - 1)
+def _positive(text: str) -> int:
+    return _whole(text, least=1)
+
+
+def _threads(text: str) -> int:
+    return _whole(text, least=0)
+
+
+def _seed(text: str) -> int:
+    return _whole(text, least=0, most=2**32 - 1)
 
 
 def _seeds(text: str) -> tuple[int, ...]:
@@ -586,7 +593,7 @@ def _experiment(given: argparse.Namespace) -> int:
     from .experiments.cells import finished
     from .experiments.experiment import Selection
     from .experiments.jobs import run
-    from .experiments.kinds import load_experiment
+    from .experiments.registry import load_experiment
     from .experiments.report import Report
     from .experiments.results import submit
     from .learn.faults import merged

@@ -241,8 +241,15 @@ def _table(head: tuple[str, ...], rows: list[_Row]) -> str:
 
 
 def _environments(tasks: dict[str, Any]) -> str:
-    head: tuple[str, ...] = ("id", "agents train / val / test", "horizon (steps)", "`groundings`", "`state`")
-    head += ("recorded train / val / test", "test set")
+    head = (
+        "id",
+        "agents train / val / test",
+        "horizon (steps)",
+        "`groundings`",
+        "`state`",
+        "recorded train / val / test",
+        "test set",
+    )
     rows: list[_Row] = [
         (
             f"`{ENVIRONMENTS[mode]}`",

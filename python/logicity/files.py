@@ -16,8 +16,16 @@ from typing import Any
 from . import _logicity
 from .errors import checked_path
 
-__all__ = ["check_readable", "check_writable", "file_hash", "read_tensors", "read_text", "reserved"]
-__all__ += ["write_json", "write_text"]
+__all__ = [
+    "check_readable",
+    "check_writable",
+    "file_hash",
+    "read_tensors",
+    "read_text",
+    "reserved",
+    "write_json",
+    "write_text",
+]
 
 
 def check_readable(path: str | os.PathLike[str], *, whole: bool = True, named: bool = False) -> None:
@@ -98,7 +106,7 @@ def write_json(
     output: _logicity.OutputFile | None = None,
 ) -> None:
     """Write JSON to a file as `reserved` permits, or to an output file that it has begun."""
-    with nullcontext(output) if output else reserved(path, by=by, overwrite=overwrite) as begun:
+    with nullcontext(output) if output is not None else reserved(path, by=by, overwrite=overwrite) as begun:
         with open(begun.temporary, "w", encoding="utf-8") as out:
             json.dump(value, out, indent=1, allow_nan=False)
             out.write("\n")

@@ -88,8 +88,11 @@ def cut_out(image: Any, tolerance: int = 24) -> Any:
     corners by at most `tolerance`.
 
     Args:
-        image: A `PIL.Image.Image`, as is the result.
+        image: A `PIL.Image.Image`.
         tolerance: The largest difference of a channel, from 0 to 255.
+
+    Returns:
+        A `PIL.Image.Image`.
 
     Raises:
         ValueError: If the whole picture is background.

@@ -115,7 +115,7 @@ class InducedRules:
     def __repr__(self) -> str:
         """Show the numbers of clauses and examples."""
         counts = {"clause": len(self.clauses), "example": self.report["examples"]}
-        shown = " from ".join(f"{count} {name}{'s' * (count != 1)}" for name, count in counts.items())
+        shown = " from ".join(f"{count} {name}{'' if count == 1 else 's'}" for name, count in counts.items())
         return f"<InducedRules: {shown}>"
 
     def __call__(self, observations: ArrayLike) -> NDArray[np.int64]:
@@ -226,8 +226,8 @@ def induce(
     """Learn rules from demonstrations, from questions to an oracle, or from both.
 
     The learner sees the observations and the actions, but no clause of the rules. The same arguments and the same
-    answers give the same rules on any number of threads. Their `report["questions"]` describes the questions and the
-    certificate.
+    answers give the same rules on any number of threads. `report["questions"]` of the result describes the questions
+    and the certificate.
 
     Args:
         demonstrations: `Demonstrations`; a Minari dataset, its name, or its folder; a Parquet table of

@@ -190,6 +190,7 @@ def stored_episodes(dataset: MinariDataset) -> Iterator[StoredEpisode]:
         ValueError: If its files are damaged, have values that are not numbers, or take too much memory.
     """
     with _reading(dataset.id):
+        # Reads only observations and actions: what a file says about other values may take any memory.
         read = _stored_in_hdf5 if dataset.storage.FORMAT == "hdf5" else _stored_in_tables
         yield from read(dataset.storage, [int(index) for index in dataset.episode_indices])
 

@@ -65,25 +65,32 @@ class Trajectory:
         return len(self.actions)
 
 
-@dataclass(frozen=True, eq=False, repr=False)
 class Demonstrations(Sequence[Trajectory]):
     """Trajectories of the oracle.
 
     Attributes:
         mode: The mode, or the path of the configuration file.
+        split: The split of the episodes.
         episodes_hash: SHA-256 of the set of episodes.
         atoms: The atom of each number of an observation. Empty if the observations are of the kind `state`.
         asked: The actions that the rules can require.
         env: The gymnasium spec of the environment.
     """
 
-    mode: str
-    split: str
-    episodes_hash: str
-    atoms: tuple[Atom, ...]
-    asked: tuple[str, ...]
-    env: gymnasium.envs.registration.EnvSpec
-    _trajectories: Sequence[Trajectory]
+    def __init__(
+        self,
+        mode: str,
+        split: str,
+        episodes_hash: str,
+        atoms: tuple[Atom, ...],
+        asked: tuple[str, ...],
+        env: gymnasium.envs.registration.EnvSpec,
+        trajectories: Sequence[Trajectory],
+    ) -> None:
+        """Store the arguments."""
+        self.mode, self.split, self.episodes_hash = mode, split, episodes_hash
+        self.atoms, self.asked, self.env = atoms, asked, env
+        self._trajectories = tuple(trajectories)
 
     def __repr__(self) -> str:
         """Show the mode, the split, and the numbers of trajectories and steps."""
@@ -322,7 +329,7 @@ def demonstrations(
     if observation in get_args(ViewKind):
         raise ValueError(
             f"demonstrations have observations of the kind `groundings` or `state`, not `{observation}`: use "
-            "`groundings`, and map them with `logicity.envs.layout.Views`"
+            "`groundings`, and map them with `logicity.envs.views.Views`"
         )
     checked_kind(observation)
     task = load_task(mode, options.get("rules"), options.get("overrides"))

@@ -29,8 +29,23 @@ from .redaction import Redactor, shown_url
 from .terminal import aligned, neutral
 from .transport import RejectedError, RetryableError, post
 
-__all__ = ["Calibration", "Demonstration", "Endpoint", "Grade", "Question", "Recall", "Reply", "ask", "calibrate"]
-__all__ += ["grade", "load_answers", "load_logprobs", "load_questions", "read_letter", "read_rule"]
+__all__ = [
+    "Calibration",
+    "Demonstration",
+    "Endpoint",
+    "Grade",
+    "Question",
+    "Recall",
+    "Reply",
+    "ask",
+    "calibrate",
+    "grade",
+    "load_answers",
+    "load_logprobs",
+    "load_questions",
+    "read_letter",
+    "read_rule",
+]
 
 LETTERS = "ABCD"
 UNREAD, MISSING = "unread", "missing"

@@ -39,17 +39,25 @@ def is_secret_name(name: str) -> bool:
     return _NAMES.search(name) is not None
 
 
-def masked(settings: Any, named: bool = False, secrets: set[str] | None = None) -> Any:
-    """Return a copy of settings for results: a mark stands in place of each secret, which is added to `secrets`."""
+def _secret_settings(settings: object, named: bool = False) -> Iterable[str]:
+    """Yield the texts in settings whose names say that they are secrets."""
     if isinstance(settings, Mapping):
-        return {name: masked(value, named or is_secret_name(str(name)), secrets) for name, value in settings.items()}
+        for name, value in settings.items():
+            yield from _secret_settings(value, named or is_secret_name(str(name)))
+    elif isinstance(settings, (list, tuple)):
+        for value in settings:
+            yield from _secret_settings(value, named)
+    elif named and isinstance(settings, str) and len(settings) >= SETTING:
+        yield settings
+
+
+def masked(settings: Any, named: bool = False) -> Any:
+    """Return a copy of settings for results: a mark stands in place of each secret."""
+    if isinstance(settings, Mapping):
+        return {name: masked(value, named or is_secret_name(str(name))) for name, value in settings.items()}
     if isinstance(settings, (list, tuple)):
-        return [masked(value, named, secrets) for value in settings]
-    if not named or not isinstance(settings, str) or len(settings) < SETTING:
-        return settings
-    if secrets is not None:
-        secrets.add(settings)
-    return MARK
+        return [masked(value, named) for value in settings]
+    return MARK if named and isinstance(settings, str) and len(settings) >= SETTING else settings
 
 
 def shown_url(url: str) -> str:
@@ -79,7 +87,7 @@ class Redactor:
         query = parse_qsl(urlsplit(url).query)
         secrets = {key} if key else set()
         secrets |= {value for name, value in query if is_secret_name(name) and len(value) >= SETTING}
-        masked(settings, secrets=secrets)
+        secrets |= set(_secret_settings(settings))
         public = known.translate(_LOWER)
         plain = {part for each in secrets for part in _parts(each.translate(_LOWER), PART) if part not in public}
         plain |= {part for each in secrets if len(each) >= PART // 2 for part in _parts(each.encode().hex(), HEX_PART)}

@@ -149,7 +149,7 @@ def rule_policies(
 ) -> list[RulePolicy]:
     """Return the policies of a rule file in several modes, for `logicity evaluate --policy FILE.dl`.
 
-    The default is the mode that the file of a learner's policy names. The exceptions are those of `RulePolicy` and
-    `saved_by`.
+    By default, `modes` is the mode that the file of a learner's policy names. The exceptions are those of `RulePolicy`
+    and `saved_by`.
     """
     return [RulePolicy(path, mode) for mode in ([saved_by(path)["mode"]] if modes is None else modes)]

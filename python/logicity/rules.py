@@ -64,7 +64,8 @@ class Predicate:
     """A declared predicate.
 
     `input` and `output` say whether it is declared `.input` and `.output`, and `derived` whether it is the head of a
-    clause with a body. `doc` is the doc comment. Lines start at 1.
+    clause with a body. `doc` is the doc comment. `file` and `line` (from 1) are the place of the
+    declaration.
     """
 
     name: str
@@ -120,7 +121,8 @@ class Program:
 
     def __repr__(self) -> str:
         """Show the name, and the numbers of predicates and clauses."""
-        return f"<Program {self._program.files()[0][0]}: {len(self.predicates)} predicates, {len(self.clauses)} clauses>"
+        name, _ = self._program.files()[0]
+        return f"<Program {name}: {len(self.predicates)} predicates, {len(self.clauses)} clauses>"
 
     @property
     def predicates(self) -> dict[str, Predicate]:
@@ -200,8 +202,7 @@ class Rows(Sequence[Row]):
     def __reduce__(self) -> NoReturn:
         """Refuse to pickle and to copy."""
         raise TypeError(
-            "Rows cannot be pickled or copied, because they belong to a session: "
-            "use `list(rows)` or `rows.columns()`"
+            "Rows cannot be pickled or copied, because they belong to a session: use `list(rows)` or `rows.columns()`"
         )
 
     def columns(self) -> dict[str, npt.NDArray[Any]]:

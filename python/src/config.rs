@@ -2,9 +2,9 @@
 
 use crate::{input_error, missing_file_error, to_python};
 use logicity::builtin::BuiltinFiles;
-use logicity::config::{Tree, load_tree, missing_file};
+use logicity::config::{self, Tree, load_tree, missing_file};
 use logicity::diag::{self, Diagnostic, Sources};
-use logicity::yaml::codes;
+use logicity::yaml;
 use pyo3::exceptions::{PyBaseException, PyValueError};
 use pyo3::prelude::*;
 use std::path::PathBuf;
@@ -44,7 +44,7 @@ impl PyConfigFile {
     #[expect(clippy::needless_pass_by_value, reason = "converted from Python")]
     fn file_of(&self, path: Vec<String>) -> Option<&str> {
         let path: Vec<&str> = path.iter().map(String::as_str).collect();
-        let place = self.tree.fault(&path, codes::INVALID_VALUE, "").primary?;
+        let place = self.tree.fault(&path, yaml::codes::INVALID_VALUE, "").primary?;
         Some(self.sources.name(place.span.source))
     }
 
@@ -57,10 +57,10 @@ impl PyConfigFile {
         faults: Vec<(String, Vec<String>, String, String)>,
     ) -> PyResult<Bound<'py, PyBaseException>> {
         let read = |(code, path, message, help): (String, Vec<String>, String, String)| {
-            let known = codes::CODES
-                .iter()
-                .chain(diag::codes::CODES)
-                .find(|known| known.name() == code);
+            let mut all = [yaml::codes::CODES, config::codes::CODES, diag::codes::CODES]
+                .into_iter()
+                .flatten();
+            let known = all.find(|known| known.name() == code);
             let code = known.ok_or_else(|| PyValueError::new_err(format!("no diagnostic has the code `{code}`")))?;
             let path: Vec<&str> = path.iter().map(String::as_str).collect();
             let fault = self.tree.fault(&path, *code, message);

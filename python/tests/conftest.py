@@ -78,7 +78,7 @@ import os, signal, sys
 from pathlib import Path
 from logicity.experiments import jobs
 from logicity.experiments.experiment import Selection
-from logicity.experiments.kinds import load_experiment
+from logicity.experiments.registry import load_experiment
 
 def watch(line):
     if not killed:

@@ -26,8 +26,8 @@ from logicity.commands import run as command  # noqa: E402
 from logicity.experiments.cells import finished, prepare, reuse, run_cell  # noqa: E402
 from logicity.experiments.experiment import Selection, read_experiment  # noqa: E402
 from logicity.experiments.jobs import exclusive, run_in_processes  # noqa: E402
-from logicity.experiments.kinds import Loaded, load_experiment, task_named  # noqa: E402
 from logicity.experiments.paper import paper_table  # noqa: E402
+from logicity.experiments.registry import Loaded, load_experiment, task_named  # noqa: E402
 from logicity.experiments.report import Report  # noqa: E402
 from logicity.experiments.results import as_text, check_rows, leaderboard, read_results, submit  # noqa: E402
 from logicity.experiments.spf import SpfExperiment, violation_rates  # noqa: E402

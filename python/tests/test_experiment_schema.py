@@ -11,7 +11,7 @@ from conftest import ROOT, needs
 needs("stable_baselines3", "learn")
 needs("torch", "vap")
 
-from logicity.experiments.kinds import experiment_schema  # noqa: E402
+from logicity.experiments.registry import experiment_schema  # noqa: E402
 
 
 def test_the_schema_is_that_of_the_classes() -> None:

@@ -37,10 +37,10 @@ needs("torch", "learn")
 from logicity.experiments.cells import finished, prepare, run_cell  # noqa: E402
 from logicity.experiments.experiment import Selection  # noqa: E402
 from logicity.experiments.jobs import exclusive  # noqa: E402
-from logicity.experiments.kinds import load_experiment  # noqa: E402
 from logicity.experiments.language.solvers import SOLVERS, features, similarity  # noqa: E402
 from logicity.experiments.language.task import LanguageQuestions, LanguageSettings, graded  # noqa: E402
 from logicity.experiments.paper import paper_table  # noqa: E402
+from logicity.experiments.registry import load_experiment  # noqa: E402
 from logicity.experiments.results import check_rows, read_results  # noqa: E402
 from logicity.experiments.task import Cell  # noqa: E402
 

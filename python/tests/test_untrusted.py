@@ -32,7 +32,7 @@ from logicity.envs.sb3 import make_vec_env  # noqa: E402
 from logicity.experiments import jobs  # noqa: E402
 from logicity.experiments.cells import prepare, reuse, run_cell  # noqa: E402
 from logicity.experiments.experiment import Selection  # noqa: E402
-from logicity.experiments.kinds import load_experiment  # noqa: E402
+from logicity.experiments.registry import load_experiment  # noqa: E402
 from logicity.experiments.results import read_results  # noqa: E402
 from logicity.learn import TrainConfig, load_policy, train  # noqa: E402
 from logicity.learn.run import FolderError  # noqa: E402
@@ -338,7 +338,7 @@ FORBIDDEN = {
     "yaml.load": (),
     "joblib.load": (),
     "torch.load": ("files.py",),
-    "importlib.import_module": (*("experiments/kinds.py", "lazily.py", "learn/registry.py"),),
+    "importlib.import_module": (*("experiments/registry.py", "lazily.py", "learn/registry.py"),),
 }
 
 

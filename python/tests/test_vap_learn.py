@@ -31,8 +31,8 @@ from logicity.commands import run as command  # noqa: E402
 from logicity.experiments.cells import finished, prepare, run_cell  # noqa: E402
 from logicity.experiments.experiment import Selection  # noqa: E402
 from logicity.experiments.jobs import run_in_processes  # noqa: E402
-from logicity.experiments.kinds import Loaded, load_experiment, task_named  # noqa: E402
 from logicity.experiments.paper import paper_table  # noqa: E402
+from logicity.experiments.registry import Loaded, load_experiment, task_named  # noqa: E402
 from logicity.experiments.report import Report  # noqa: E402
 from logicity.experiments.results import as_text, check_rows, leaderboard, read_results, submit  # noqa: E402
 from logicity.experiments.task import Cell  # noqa: E402

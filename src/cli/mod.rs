@@ -12,6 +12,7 @@ mod configuration;
 mod diff;
 mod episodes;
 mod explain;
+mod fact;
 mod failure;
 mod fmt;
 mod icons;
@@ -43,7 +44,6 @@ mod trace;
 mod values;
 mod vap;
 mod view;
-mod why;
 
 use crate::cli::failure::Failure;
 use crate::cli::limits::memory_limit;

@@ -3,6 +3,8 @@
 mod outputs;
 mod rows;
 
+use crate::cli::fact;
+use crate::cli::fact::Question;
 use crate::cli::failure::Failure;
 use crate::cli::inputs::Inputs;
 use crate::cli::limits::LimitOptions;
@@ -11,8 +13,6 @@ use crate::cli::outputs::ForceOption;
 use crate::cli::report::report;
 use crate::cli::terminal;
 use crate::cli::values::threads;
-use crate::cli::why;
-use crate::cli::why::Question;
 use crate::datalog::codes;
 use crate::datalog::{ClauseId, Directive, EvalError, InputPolicy, MarkKind, PredicateId, RowPlace, Rules, rewrite};
 use crate::datalog::{Delta, EvalEvent, Limits, Options, Program, RuleStats, Session, Threads, constraints};
@@ -143,7 +143,7 @@ pub fn run(arguments: &Arguments, sources: &mut Sources) -> Result<(), Failure> 
     let mut out = io::BufWriter::new(terminal::results(question.is_none() || arguments.json));
     if let (Some((fact, name, question)), Some(workspace)) = (question, workspace) {
         let asked = (question, sources.add(format!("<{name}>"), fact));
-        return why::explain(&mut out, asked, &workspace, &session, sources, arguments.json);
+        return fact::explain(&mut out, asked, &workspace, &session, sources, arguments.json);
     }
     outputs::write(&mut out, &session, arguments, &inputs)?;
     out.flush()?;

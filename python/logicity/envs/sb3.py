@@ -175,8 +175,9 @@ def make_vec_env(
         n_envs: The number of environments.
         seed: The seed of the first environment. Environment i gets the seed `seed + i`.
         monitor: Whether to wrap the environments in a `VecMonitor`, which logs episode returns and lengths.
-        arguments: Other parameters of `SPFVectorEnv`, such as `split`, `overrides` or `num_threads`. The exceptions are
-            the same, too.
+        arguments: Other parameters of `SPFVectorEnv`, such as `split`, `overrides` or `num_threads`.
+
+    Raises the exceptions of `SPFVectorEnv`.
     """
     envs = SPFVecEnv(SPFVectorEnv(n_envs, config, autoreset_mode=AutoresetMode.SAME_STEP, **arguments))
     if seed is not None:

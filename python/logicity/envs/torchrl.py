@@ -53,7 +53,9 @@ class SPFTorchRLEnv(EnvBase):
         num_envs, config: As for `SPFVectorEnv`.
         device: The device of the tensors. The environments run on the CPU.
         arguments: Other parameters of `SPFVectorEnv`, except `autoreset_mode` and `copy`: TorchRL resets environments
-            itself. The exceptions are the same, too.
+            itself.
+
+    Raises the exceptions of `SPFVectorEnv`.
     """
 
     def __init__(

@@ -180,7 +180,8 @@ class SPFVectorEnv(BaseEnv, VectorEnv[Any, NDArray[np.int64], NDArray[Any]]):
         columns = self._columns()
         numbers = np.ascontiguousarray(given, np.int64)
         self._core.step(numbers, self._observations, (rewards, terminated, truncated), columns)
-        infos = self._infos(columns, {at: self._core.atoms(at) for at in range(count if self._atoms else 0)})
+        atoms = {at: self._core.atoms(at) for at in range(count)} if self._atoms else {}
+        infos = self._infos(columns, atoms)
         infos |= {f"_{key}": np.ones(count, np.bool_) for key in infos}
         if self.autoreset_mode is AutoresetMode.SAME_STEP and (terminated.any() or truncated.any()):
             self._add_ends(infos)

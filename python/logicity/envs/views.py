@@ -88,8 +88,11 @@ class Views:
         """Return the views of the last observations of episodes, computed in one batch.
 
         Args:
-            final: An array of objects of shape (num_envs,), as is the result. Where no episode ended, it has `None`.
+            final: An array of objects of shape (num_envs,), `None` where no episode ended.
             ended: Where an episode ended, at least once; bool of shape (num_envs,).
+
+        Returns:
+            An array of objects like `final`.
         """
         views = np.empty(len(final), object)
         batch = self(np.stack(list(final[ended])))

@@ -142,9 +142,10 @@ class _VectorViewObservation(_VectorWrapper):
 
 
 class VectorRelationalObservation(_VectorViewObservation):
-    """Variant of `RelationalObservation` for an `SPFVectorEnv`, with the same exceptions.
+    """Variant of `RelationalObservation` for an `SPFVectorEnv`.
 
     Each array has a first axis for the environments. In the autoreset mode SameStep, `final_obs` has dictionaries, too.
+    The exceptions are the same, with `SPFVectorEnv` in place of `SPFEnv`.
     """
 
     _kind = "relational"

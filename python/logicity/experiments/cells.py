@@ -22,7 +22,7 @@ from .._logicity import __version__
 from ..files import check_readable, read_json, write_json
 from ..learn.supervise import end_with_parent
 from ..terminal import print_message
-from .kinds import task_named
+from .registry import task_named
 from .task import Cell, Running
 
 __all__ = ["finished", "inputs", "prepare", "reuse", "run_cell"]

@@ -167,7 +167,7 @@ def run(
 ) -> dict[str, str]:
     """Run cells in processes, or on Ray if an address is given, as the only process that runs the experiment.
 
-    All else is as for `run_in_processes`, `run_on_ray`, and for the folder of another experiment `reuse`.
+    Arguments, result and exceptions are those of `run_in_processes`, `run_on_ray` and, for `other`, `reuse`.
     """
     with exclusive(root):
         if other is not None:
@@ -277,7 +277,14 @@ def _wait(process: subprocess.Popen[str]) -> int:
 
 
 def run_on_ray(
-    cells: Sequence[Cell], root: Path, address: str, jobs: int, say: Say, *, wandb: str | None, trust: bool
+    cells: Sequence[Cell],
+    root: Path,
+    address: str,
+    jobs: int,
+    say: Say,
+    *,
+    wandb: str | None = None,
+    trust: bool = False,
 ) -> dict[str, str]:
     """Run cells on Ray, each as a task with one CPU. If a worker is lost, its cell runs again.
 

@@ -10,11 +10,11 @@ from typing import Any, TypeVar
 
 from ..evaluation import Interval
 from ..files import write_json, write_text
-from ..terminal import first_line
+from ..terminal import aligned, first_line
 from .cells import finished
-from .kinds import Loaded
 from .paper import paper_table
-from .tables import aligned, draw_bars, draw_lines, draw_panels, latex_table, markdown_table
+from .registry import Loaded
+from .tables import draw_bars, draw_lines, draw_panels, latex_table, markdown_table
 from .task import Cell, Task
 
 __all__ = ["Entry", "Report", "detail_table", "grouped", "mean_details", "paper_rows", "shown"]

@@ -14,8 +14,8 @@ from typing import Any
 from ..files import file_hash, read_json, reserved
 from .cells import finished
 from .experiment import name_of
-from .kinds import Loaded, load_experiment
 from .paper import paper_table
+from .registry import Loaded, load_experiment
 from .report import detail_table, grouped, headline_of, mean_details, paper_cells, paper_rows, shown
 from .tables import markdown_table
 from .task import Cell
@@ -180,9 +180,14 @@ def submit(
 def _place_of(row: Row, loaded: Loaded) -> tuple[Any, ...]:
     """Return the place of a row: those of its names in the experiment. Unknown names come last."""
     experiment = loaded.experiment
-    order = (list(experiment.modes), list(experiment.learners), list(experiment.variants))
-    columns = zip(KEY, (*order, list(loaded.task.evaluations(experiment))), strict=False)
-    return (*(names.index(row[key]) if row[key] in names else len(names) for key, names in columns), row["seed"])
+    order: dict[str, list[str]] = {
+        "mode": list(experiment.modes),
+        "learner": list(experiment.learners),
+        "variant": list(experiment.variants),
+        "evaluation": list(loaded.task.evaluations(experiment)),
+    }
+    places = [names.index(row[key]) if row[key] in names else len(names) for key, names in order.items()]
+    return (*places, row["seed"])
 
 
 def _update(

@@ -219,8 +219,14 @@ class SafePathFollowing(Task):
                 f"`{config.mode}` has another content of {', '.join(changed)} than when the experiment began: run the "
                 "same command again"
             )
-        options = {name: getattr(running, name) for name in ("progress", "report", "wandb", "trust")}
-        result = _trained(folder) or train(config, folder, **options)
+        result = _trained(folder) or train(
+            config,
+            folder,
+            progress=running.progress,
+            report=running.report,
+            wandb=running.wandb,
+            trust=running.trust,
+        )
         evaluations = _evaluated(folder, config, spec["evaluations"], load_policy(folder).policy, result["test"])
         if config.start is not None:
             # The path depends on the machine; the hash of the file is in the result.

@@ -9,7 +9,7 @@ from typing import Any
 from ..evaluation import Interval
 from ..files import reserved
 
-__all__ = ["aligned", "draw_bars", "draw_lines", "draw_panels", "escaped", "latex_table", "markdown_table"]
+__all__ = ["draw_bars", "draw_lines", "draw_panels", "escaped", "latex_table", "markdown_table"]
 
 
 def draw_panels(
@@ -84,13 +84,6 @@ def draw_lines(axes: Any, lines: Mapping[str, Sequence[tuple[float, Interval]]],
     axes.set_ylim(-0.02, 1.02)
     if lines:
         axes.legend(fontsize=7)
-
-
-def aligned(lines: Sequence[Sequence[str]]) -> str:
-    """Return a table as text with aligned columns."""
-    widths = [max(len(line[at]) for line in lines) for at in range(len(lines[0]))]
-    rows = ["  ".join(cell.ljust(width) for cell, width in zip(line, widths, strict=True)) for line in lines]
-    return "\n".join(row.rstrip() for row in rows)
 
 
 def markdown_table(lines: Sequence[Sequence[str]]) -> str:

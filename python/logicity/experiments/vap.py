@@ -15,7 +15,7 @@ from pydantic import Field, ValidationError
 
 from .._logicity import __version__
 from ..city import ACTIONS
-from ..errors import missing_extra
+from ..errors import extra
 from ..evaluation import Interval
 from ..files import read_tensors
 from ..learn.faults import Fault, faults
@@ -25,10 +25,8 @@ from .paper import paper_table
 from .statistics import bootstrap_weights
 from .task import Cell, CellKey, Running, Task
 
-try:
+with extra("vap"):
     import torch
-except ImportError as error:
-    raise missing_extra("vap", error) from error
 
 from ..vap.stages import NO_CONCEPTS, VapSettings, VapWork, measure, rules_hash, train_stage
 from ..vap.training import save

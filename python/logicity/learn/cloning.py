@@ -20,6 +20,7 @@ from torch import Tensor, nn
 
 from ..city import ACTIONS
 from ..envs.views import Actions, Observations
+from ..errors import extra
 from ..files import read_tensors
 from .demonstrations import DemonstrationData, Layout, RelationalView, Sampler
 from .learner import LearnedPolicy, Learner, Progress, check_shape, minimize
@@ -182,7 +183,10 @@ class ClonedPolicy(LearnedPolicy):
     def save(self, path: Path) -> None:
         """Write the policy to a file of `torch.save` with plain data."""
         content = {
-            **{"format": FORMAT, "algorithm": self.algorithm, "mode": self.mode, "observation": "groundings"},
+            "format": FORMAT,
+            "algorithm": self.algorithm,
+            "mode": self.mode,
+            "observation": "groundings",
             "settings": self.settings.model_dump(mode="json"),
             "atoms": [[name, list(entities)] for name, entities in self.layout.atoms()],
             "route_length": self.layout.route_length is not None,
@@ -347,7 +351,8 @@ class GnnLearner(CloningLearner):
     @staticmethod
     def new_network(layout: Layout, settings: GnnSettings) -> nn.Module:
         """Create convolutions and a linear layer on the ego."""
-        from .gnn import GraphNetwork
+        with extra("learn"):
+            from .gnn import GraphNetwork
 
         options = settings.model_dump(include={"layers", "reverse", "present_only", "learned_eps"})
         return GraphNetwork(layout, len(ACTIONS), settings.network, **options)

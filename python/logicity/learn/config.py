@@ -11,14 +11,12 @@ from typing import TYPE_CHECKING, Any, cast
 
 from .. import _logicity
 from ..envs.config import EnvConfig
-from ..errors import InputError, did_you_mean, missing_extra
+from ..errors import InputError, did_you_mean, extra
 from ..types import ArrayKind
 
-try:
+with extra("learn"):
     from pydantic import ValidationError, ValidationInfo, field_validator
     from pydantic_core import PydanticCustomError
-except ImportError as error:
-    raise missing_extra("learn", error) from error
 
 from ..modes import ENVIRONMENTS, checked_mode
 from .faults import Fault, contains, faults, inlined, merged, tidy
@@ -232,9 +230,10 @@ def _path_at(value: Any, column: int, start: int = 0) -> list[str]:
 def unused(algorithm: str) -> dict[str, str]:
     """Return the keys that a learner does not use, with the reason."""
     learner = learner_class(algorithm)
-    keys = dict.fromkeys(("overrides", "envs", "episodes"), "it learns from demonstrations, not in environments")
     if learner.interacts:
         keys = {"demonstrations": "it learns in environments, not from demonstrations"}
+    else:
+        keys = dict.fromkeys(("overrides", "envs", "episodes"), "it learns from demonstrations, not in environments")
     return keys if learner.starts else {**keys, "start": "its training cannot start from a policy"}
 
 

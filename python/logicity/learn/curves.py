@@ -8,7 +8,7 @@ from functools import partial
 from pathlib import Path
 from typing import Any
 
-from ..errors import missing_extra
+from ..errors import extra
 
 __all__ = ["Curves"]
 
@@ -32,10 +32,8 @@ class Curves:
         """Store the folder."""
         self._open: Callable[..., Any] | None = None
         if log is not None:
-            try:
+            with extra("learn"):
                 from torch.utils.tensorboard.writer import SummaryWriter
-            except ImportError as error:
-                raise missing_extra("learn", error) from error
             self._open = partial(SummaryWriter, os.fspath(log))
         self._writer: Any = None
         self._sums: dict[str, tuple[float, int]] = {}

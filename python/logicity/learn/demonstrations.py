@@ -30,13 +30,14 @@ def layout_of(mode: str | os.PathLike[str]) -> Layout:
     return Layout.of_description(_logicity.describe(load_task(mode)))
 
 
-def first_demonstrations(mode: str | os.PathLike[str], share: float = 1.0) -> Demonstrations:
-    """Run the oracle on the first recorded training episodes of a mode or of a configuration file.
+def first_demonstrations(mode: str | os.PathLike[str], share: float = 1.0, split: str = "train") -> Demonstrations:
+    """Run the oracle on the first recorded episodes of a mode or of a configuration file.
 
     Args:
         mode: As for `logicity.demonstrations`.
         share: The share of the recorded episodes, 0 < share <= 1. Their number is rounded to the nearest one, and at
             least 1.
+        split: The split of the episodes.
 
     Raises:
         InputError: If the configuration is invalid, or no episodes are recorded.
@@ -45,7 +46,7 @@ def first_demonstrations(mode: str | os.PathLike[str], share: float = 1.0) -> De
     """
     if not 0 < share <= 1:
         raise ValueError(f"the share of the demonstrations must be above 0 and at most 1, not {share}")
-    return demonstrations(mode, max(1, round(share * load_task(mode).recorded("train"))), "train")
+    return demonstrations(mode, max(1, round(share * load_task(mode).recorded(split))), split)
 
 
 @dataclass(frozen=True, eq=False)
@@ -65,9 +66,9 @@ class DemonstrationData:
     trajectories: Tensor
 
     @classmethod
-    def load(cls, mode: str | os.PathLike[str], share: float = 1.0) -> DemonstrationData:
+    def load(cls, mode: str | os.PathLike[str], share: float = 1.0, split: str = "train") -> DemonstrationData:
         """Run the oracle on recorded episodes. The arguments and errors are those of `first_demonstrations`."""
-        chosen = first_demonstrations(mode, share)
+        chosen = first_demonstrations(mode, share, split)
         lengths = torch.tensor([len(trajectory) for trajectory in chosen])
         return cls(
             layout_of(mode),
@@ -167,7 +168,10 @@ class RelationalView(nn.Module):
             self.register_buffer(name, torch.from_numpy(values), persistent=False)
 
     def forward(self, observations: Tensor) -> tuple[Tensor, Tensor, Tensor]:
-        """Return the truth values, (batch, N, U) and (batch, N, N, B), and the mask of entities, bool (batch, N)."""
+        """Return the unary (batch, N, U) and binary (batch, N, N, B) truth values of observations (batch, width).
+
+        Also returns the mask of entities, bool (batch, N).
+        """
         count, batch = self.layout.entities, len(observations)
         unary = observations.index_select(1, self._unary).view(batch, count, -1)
         binary = observations.index_select(1, self._binary).view(batch, count, count, -1)

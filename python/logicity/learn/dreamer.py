@@ -160,7 +160,7 @@ def one_hot_samples(logits: Tensor, generator: torch.Generator | None) -> Tensor
     """Sample one-hot vectors of categorical variables, with straight-through gradients (algorithm 1).
 
     Args:
-        logits: The logits, of shape (..., classes), as the vectors have.
+        logits: The logits, of shape (..., classes). The result has the shape of the logits.
         generator: The source of samples. Without it, the most probable classes are returned.
     """
     probabilities = logits.softmax(-1)
@@ -512,11 +512,15 @@ class Dreamer(TransitionLearner):
             self._actor, self._critic = head(settings, len(ACTIONS)), head(settings, 1)
         self._target = deepcopy(self._critic).requires_grad_(False)
         self._networks = (self._model, self._actor, self._critic, self._target)
-        rates = (settings.model_learning_rate, settings.actor_learning_rate, settings.critic_learning_rate)
+        rates = {
+            "model": (self._model, settings.model_learning_rate),
+            "actor": (self._actor, settings.actor_learning_rate),
+            "critic": (self._critic, settings.critic_learning_rate),
+        }
         # The epsilon and the decoupled weight decay of the paper (appendix D).
         self._optimizers = {
             name: torch.optim.AdamW(module.parameters(), rate, eps=1e-5, weight_decay=1e-6, fused=True)
-            for name, module, rate in zip(("model", "actor", "critic"), self._networks, rates, strict=False)
+            for name, (module, rate) in rates.items()
         }
         observations = torch.from_numpy(self._interaction.observations)
         self._replay = EpisodeReplay(settings.buffer_size, self._interaction.width, observations)

@@ -251,7 +251,7 @@ def grouped(
     Args:
         inputs: The inputs of the network for each distinct observation.
         outputs: Its outputs in the rollouts, of shape (observations, 5).
-        states: The position of each step's observation, of shape (steps,), as the other arguments have.
+        states: The position of each step's observation, of shape (steps,). All other arguments have shape (steps,).
         actions: The actions.
         step_advantages: The advantages.
         returns: The returns.
@@ -338,9 +338,14 @@ class FastPPOPolicy(LearnedPolicy):
     def save(self, path: Path) -> None:
         """Write the policy."""
         content = {
-            **{"algorithm": NAME, "format": FORMAT, "mode": self.mode, "observation": "groundings"},
-            **{"settings": self.settings.model_dump(mode="json"), "slots": torch.from_numpy(self._slots)},
-            **{"width": self._width, "weights": self._network.parameters},
+            "algorithm": NAME,
+            "format": FORMAT,
+            "mode": self.mode,
+            "observation": "groundings",
+            "settings": self.settings.model_dump(mode="json"),
+            "slots": torch.from_numpy(self._slots),
+            "width": self._width,
+            "weights": self._network.parameters,
         }
         torch.save(content, path)
 
@@ -465,9 +470,14 @@ class FastPPO(Learner):
         size = done["rewards"].size
         part = self._settings.minibatches / size
         self._ended += np.bincount(done["endings"].ravel(), minlength=len(self._ended))
-        values = {"reward": done["rewards"].mean(), "distinct": len(batch.counts) / size}
-        values |= {"value_loss": loss.value * part, "entropy": loss.entropy * part}
-        self._curves.add({f"batches/{name}": value for name, value in values.items()})
+        self._curves.add(
+            {
+                "batches/reward": done["rewards"].mean(),
+                "batches/distinct": len(batch.counts) / size,
+                "batches/value_loss": loss.value * part,
+                "batches/entropy": loss.entropy * part,
+            }
+        )
         if self._updates % LOG_EVERY:
             return
         episodes = max(self._ended[1:].sum(), 1)

@@ -6,12 +6,10 @@ import json
 from collections.abc import Callable, Mapping, Sequence
 from typing import TYPE_CHECKING, Any, TypeAlias
 
-from ..errors import missing_extra
+from ..errors import extra
 
-try:
+with extra("learn"):
     from pydantic import ValidationError
-except ImportError as error:
-    raise missing_extra("learn", error) from error
 
 if TYPE_CHECKING:
     from pydantic_core import ErrorDetails

@@ -29,7 +29,7 @@ from pydantic import Field
 
 from ..city import ACTIONS
 from ..envs.layout import Layout
-from ..errors import missing_extra
+from ..errors import extra
 from ..offline import Demonstrations
 from ..rule_policy import RulePolicy
 from ..types import Atom
@@ -136,10 +136,8 @@ class FoldRMLearner(SymbolicLearner):
         Raises:
             ImportError: If the package `foldrm` is not installed.
         """
-        try:
+        with extra("learn"):
             from foldrm.algo import foldrm
-        except ImportError as error:
-            raise missing_extra("learn", error) from error
         settings = cast(FoldRMSettings, self.config.settings)
         observations = np.concatenate([trajectory.observations[:-1] for trajectory in data])
         actions = np.concatenate([trajectory.actions for trajectory in data])
@@ -182,7 +180,9 @@ def rule_file(learned: Sequence[FoldRule], known: Sequence[Pattern], default: st
         default: The action that an ego takes if no rule derives one.
     """
     printer = _Printer(known)
-    classes = [(action, printer.rule("Rule", *parts)) for (_, _, action), *parts, _ in learned]
+    classes = []
+    for (_, _, action), conditions, exceptions, _ in learned:
+        classes.append((action, printer.rule("Rule", conditions, exceptions)))
     lines = ['.include "vocabulary.dl"', *printer.lines]
     for number, (action, name) in enumerate(classes):
         if action != default:

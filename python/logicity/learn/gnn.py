@@ -55,8 +55,10 @@ class GraphNetwork(nn.Module):
         self.convolutions = nn.ModuleList()
         width = len(layout.unary)
         for _ in range(layers):
-            ends = pairwise([width, *widths])
-            perceptron = nn.Sequential(*(layer for pair in ends for layer in (nn.Linear(*pair), nn.ReLU())))
+            parts: list[nn.Module] = []
+            for before, after in pairwise([width, *widths]):
+                parts += [nn.Linear(before, after), nn.ReLU()]
+            perceptron = nn.Sequential(*parts)
             self.convolutions.append(GINEConv(perceptron, train_eps=learned_eps, edge_dim=self.view.edge_width))
             width = widths[-1]
         self.readout = nn.Linear(width + (layout.route_length is not None), outputs)

@@ -231,8 +231,10 @@ class ProgramTemplate:
         both = torch.minimum if conjunction == "min" else torch.mul
         n, parts = exist.shape[1], (len(self.unary), len(self.binary))
         # The predicates of lower layers, with their values (models, predicates, batch, N) and the same with N x N.
-        ones, twos = list[int](), list[int]()
-        one_values, two_values = list[Tensor](), list[Tensor]()
+        ones: list[int] = []
+        twos: list[int] = []
+        one_values: list[Tensor] = []
+        two_values: list[Tensor] = []
 
         def held(slots: Tensor, rows: slice = slice(None), columns: slice = slice(None)) -> Tensor:
             """Return the values of slots for pairs of entities, (models, slots, batch, rows, columns)."""
@@ -550,6 +552,7 @@ class HriPolicy(LearnedPolicy):
 
     def save(self, path: Path) -> None:
         """Write the policy to a file."""
+        # The dictionary has one atom of each predicate, which tells the arity.
         predicates = [(name, len(entities)) for name, entities in dict(self.layout.atoms()).items()]
         models = [(action, len(each.program.layers), list(each.choices)) for action, each in self.models.items()]
         plain = {
@@ -643,7 +646,8 @@ class _ActionTrainer:
         return similarities.masked_fill(self.hidden, -torch.inf)
 
     def _extract(self) -> list[list[int]]:
-        choices: list[list[int]] = self.similarities().detach().argmax(-1).tolist()
+        with torch.no_grad():
+            choices: list[list[int]] = self.similarities().argmax(-1).tolist()
         return choices
 
     def extract(self, examples: Examples) -> None:
@@ -677,7 +681,11 @@ class _ActionTrainer:
         self.best, self.quality = best, Quality(*state["quality"])
 
     def update(self, examples: Examples, progress: float, generator: torch.Generator) -> float:
-        """Run one update after a share `progress` of all, and return the mean cross entropy of the models."""
+        """Run one update after a share `progress` of all.
+
+        Returns:
+            The mean cross entropy of the models, without the regularization.
+        """
         settings = self.settings
         rates = (settings.embedding_rates, settings.rule_rates)
         for group, rate in zip(self.optimizer.param_groups, rates, strict=True):

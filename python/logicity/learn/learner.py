@@ -8,16 +8,14 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any, ClassVar, Literal, TypeAlias
 
 from ..envs.views import Actions, Observations
-from ..errors import missing_extra
+from ..errors import extra
 from ..files import read_tensors
 from .curves import Curves
 from .settings import LearnerSettings
 
-try:
+with extra("learn"):
     import torch
     from torch import Tensor, nn
-except ImportError as error:
-    raise missing_extra("learn", error) from error
 
 if TYPE_CHECKING:
     from ..types import ArrayKind
@@ -51,7 +49,10 @@ def check_shape(observation: Observations, width: int, mode: str) -> None:
 
 
 def minimize(loss: Tensor, optimizer: torch.optim.Optimizer, gradient_clip: float | None = None) -> None:
-    """Take a step along the gradient of a loss, shortened to a norm of `gradient_clip`."""
+    """Run one update of an optimizer on a loss.
+
+    Gradients with a norm above `gradient_clip` are scaled to it; `None` does not clip.
+    """
     optimizer.zero_grad()
     loss.backward()
     if gradient_clip is not None:

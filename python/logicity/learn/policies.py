@@ -9,7 +9,7 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from ..errors import UntrustedError
+from ..errors import UntrustedError, extra
 from ..files import read_json, read_tensors
 from ..rule_policy import saved_by
 from ..terminal import neutral
@@ -71,7 +71,8 @@ def load_policy(path: str | os.PathLike[str], *, trust: bool = False) -> SavedPo
     recorded = _recorded(file)
     saved: dict[str, Any]
     if file.suffix == ".zip":
-        from .stable_baselines import algorithm_of, from_stable_baselines
+        with extra("learn"):
+            from .stable_baselines import algorithm_of, from_stable_baselines
 
         saved = {"algorithm": algorithm_of(file)}
         if not trust:

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import importlib
 
-from ..errors import missing_extra
+from ..errors import extra
 from .learner import Learner
 
 __all__ = ["LEARNERS", "learner_class"]
@@ -40,8 +40,6 @@ def learner_class(name: str) -> type[Learner]:
         KeyError: If the name is unknown.
     """
     module, _, cls = LEARNERS[name].partition(":")
-    try:
+    with extra("learn"):
         learner: type[Learner] = getattr(importlib.import_module(f".{module}", __package__), cls)
-    except ImportError as error:
-        raise missing_extra("learn", error) from error
     return learner

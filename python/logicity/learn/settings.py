@@ -4,12 +4,11 @@ from __future__ import annotations
 
 from typing import Annotated, Any, TypeAlias
 
-from ..errors import missing_extra
+from ..errors import extra
 
-try:
+with extra("learn"):
     from pydantic import BaseModel, ConfigDict, Field, SerializeAsAny, Strict
-except ImportError as error:
-    raise missing_extra("learn", error) from error
+
 from ..types import ArrayKind, EnvOptions, Episodes
 
 __all__ = [

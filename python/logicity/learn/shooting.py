@@ -151,7 +151,10 @@ class WorldModel(nn.Module):
         return rewards, torch.sigmoid(-terminates)
 
     def flips_of(self, states: Tensor) -> Tensor:
-        """Predict which bits of such states change, bool (members, batch, actions, bits): the more probable case."""
+        """Predict which bits change in states of the shape for `outcomes_of`, bool (members, batch, actions, bits).
+
+        A bit changes if the change is more probable than none.
+        """
         logits = self.changes.all_actions(states)
         falls, stays, rises = logits.unflatten(-1, (3, self.bits)).unbind(-2)
         return torch.where(states[:, :, None] > 0, falls, rises) > stays
@@ -313,7 +316,7 @@ def predicted_returns(model: WorldModel, states: Tensor, sequences: Tensor, disc
 def planned_actions(
     model: WorldModel, observations: Bits, settings: ShootingSettings, generator: torch.Generator
 ) -> Actions:
-    """Return the first action of the best random sequence for each observation, of shape (batch, bits).
+    """Return the first action of the best random sequence, int64 (batch,), for observations of shape (batch, bits).
 
     All observations share the sequences, so equal observations get the same action and are evaluated once.
     """
@@ -368,10 +371,12 @@ class Replay:
 
     def __init__(self, capacity: int, bits: int) -> None:
         """Allocate the memory for `capacity` transitions between observations of `bits` bits."""
-        self.observations, self.next_observations = torch.zeros(2, capacity, bits, dtype=torch.uint8)
+        self.observations = torch.zeros(capacity, bits, dtype=torch.uint8)
+        self.next_observations = torch.zeros(capacity, bits, dtype=torch.uint8)
         self.actions = torch.zeros(capacity, dtype=torch.uint8)
         self.rewards = torch.zeros(capacity)
-        self.terminated, self.truncated = torch.zeros(2, capacity, dtype=torch.bool)
+        self.terminated = torch.zeros(capacity, dtype=torch.bool)
+        self.truncated = torch.zeros(capacity, dtype=torch.bool)
         self.added = 0
 
     def __len__(self) -> int:
@@ -453,13 +458,9 @@ class Shooting(TransitionLearner):
 
     def _update_outcomes(self) -> None:
         replay, at = self._replay, self._batch()
-        bits, actions, terminated = (
-            replay.observations[at].float(),
-            replay.actions[at].long(),
-            replay.terminated[at].float(),
-        )
-        outcomes = (replay.rewards[at], terminated, replay.truncated[at])
-        errors, cross_entropy = self._model.outcomes_loss(bits, actions, *outcomes)
+        bits, actions = replay.observations[at].float(), replay.actions[at].long()
+        rewards, terminated, truncated = replay.rewards[at], replay.terminated[at].float(), replay.truncated[at]
+        errors, cross_entropy = self._model.outcomes_loss(bits, actions, rewards, terminated, truncated)
         minimize(errors + cross_entropy, self._outcomes_optimizer)
         members = self._settings.members
         self._curves.add({"loss/rewards": errors.item() / members, "loss/terminations": cross_entropy.item() / members})

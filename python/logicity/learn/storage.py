@@ -9,12 +9,10 @@ from collections.abc import Iterator, Mapping
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, ClassVar
 
-from ..errors import missing_extra
+from ..errors import extra
 
-try:
+with extra("learn"):
     import torch
-except ImportError as error:
-    raise missing_extra("learn", error) from error
 
 from ..files import read_tensors
 from ..terminal import first_line, neutral

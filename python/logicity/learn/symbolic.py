@@ -106,7 +106,7 @@ class SymbolicLearner(Learner):
         saved = saved_by(path)
         found, expected = (saved["algorithm"], saved["mode"]), (self.config.algorithm, self.config.mode)
         if found != expected:
-            texts = ["`{}` for {}".format(*each) for each in (found, expected)]
+            texts = [f"`{algorithm}` for {mode}" for algorithm, mode in (found, expected)]
             raise ValueError(f"{path} has rules of {texts[0]}, not of {texts[1]}")
         self._text = read_text(path)
 

@@ -11,14 +11,13 @@ import math
 from collections.abc import Mapping, Sequence
 from typing import Literal
 
-from ..errors import missing_extra
+from ..errors import extra
 from .data import BINARY, PICTURE_SIDE, UNARY
 
-try:
+with extra("vap"):
+    import pydantic  # noqa: F401  # which the settings need
     import torch
     from torch import Tensor, nn
-except ImportError as error:
-    raise missing_extra("vap", error) from error
 
 from ..learn.settings import Count, StrictModel
 from .crops import as_images

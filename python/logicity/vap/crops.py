@@ -7,13 +7,11 @@ import math
 import numpy as np
 from numpy.typing import NDArray
 
-from ..errors import missing_extra
+from ..errors import extra
 
-try:
+with extra("vap"):
     import torch
     from torch import Tensor, nn
-except ImportError as error:
-    raise missing_extra("vap", error) from error
 
 __all__ = ["CROP_SIDE", "crop_boxes"]
 

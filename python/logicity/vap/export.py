@@ -166,9 +166,16 @@ def _annotations(sample: VapSample) -> Iterator[dict[str, Any]]:
     for entity in np.flatnonzero(~np.isnan(sample.boxes[:, 0])).tolist():
         box, concepts = sample.boxes[entity].tolist(), sample.concepts[entity]
         kind = "Car" if sample.mask[entity] else "Pedestrian"
-        annotation: dict[str, Any] = {"category": concepts or kind.lower(), "type": kind}
-        annotation |= {"bbox": box, "area": box[2] * box[3], "iscrowd": 0}
-        annotation |= {"name": sample.names[entity], "concepts": concepts, "visible": float(sample.visible[entity])}
+        annotation: dict[str, Any] = {
+            "category": concepts or kind.lower(),
+            "type": kind,
+            "bbox": box,
+            "area": box[2] * box[3],
+            "iscrowd": 0,
+            "name": sample.names[entity],
+            "concepts": concepts,
+            "visible": float(sample.visible[entity]),
+        }
         if sample.mask[entity]:
             annotation["action"] = ACTIONS[sample.actions[entity]]
         yield annotation

@@ -23,21 +23,19 @@ from typing import Any, Literal, TypeAlias
 import numpy as np
 from numpy.typing import NDArray
 
-from ..errors import checked_path, checked_threads, missing_extra
+from ..errors import checked_path, checked_threads, extra
 from ..files import check_readable, file_hash, read_json, read_tensors, write_json
 from .data import PICTURE_SIDE, VapDataset, count_in, not_a_manifest
 from .make import Drawing, make_dataset
 
-try:
+with extra("vap"):
     import torch
     from torch import Tensor, nn
     from torch.nn.utils.fusion import fuse_conv_bn_weights
-except ImportError as error:
-    raise missing_extra("vap", error) from error
 
 from .crops import CROP_SIDE, crop_boxes
 
-__all__ = ["Backbone", "DataSpec", "Extractor", "compute_features", "extractor", "load_features", "prepared"]
+__all__ = ["Backbone", "Crops", "DataSpec", "Extractor", "compute_features", "extractor", "load_features", "prepared"]
 
 Kind = Literal["crops", "resnet50"]
 
@@ -99,11 +97,9 @@ class Backbone:
 
     def __init__(self, weights: str | os.PathLike[str] | None = None, device: str = "cpu") -> None:
         """Read the weights."""
-        try:
+        with extra("vap"):
             from torchvision.models.detection.backbone_utils import resnet_fpn_backbone
             from torchvision.ops import MultiScaleRoIAlign
-        except ImportError as error:
-            raise missing_extra("vap", error) from error
         path = weights_file(weights)
         state = _state(path)
         with torch.random.fork_rng(devices=[]):
@@ -536,7 +532,7 @@ class DataSpec:
     weights: str | None = None
 
     @property
-    def name(self) -> str:
+    def world_key(self) -> str:
         """What determines a world, as the beginning of names of folders."""
         # The boxes in the tables depend on the drawing, too.
         drawing = f"difficulty{self.difficulty}-drawing{self.drawing_version}"
@@ -558,13 +554,13 @@ def prepared(spec: DataSpec, root: Path, version: str) -> tuple[VapDataset, Tens
         The tables, and the features of all entities, or `None` without a kind.
     """
     folder = root / hashlib.sha256(version.encode()).hexdigest()[:8]
-    tables = folder / f"{spec.name}-{spec.worlds}"
+    tables = folder / f"{spec.world_key}-{spec.worlds}"
     with _alone(folder / f"{tables.name}.lock"):
         samples = _made(tables, spec, 0, spec.worlds, images=False)
     if spec.kind is None:
         return samples, None
     extract = extractor(spec.kind, spec.weights)
-    features = folder / f"{spec.name}-{extract.kind}-{extract.identity[:8]}"
+    features = folder / f"{spec.world_key}-{extract.kind}-{extract.identity[:8]}"
     features.mkdir(exist_ok=True)
     worlds = _worlds(samples)
     for world in worlds:

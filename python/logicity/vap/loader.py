@@ -11,14 +11,12 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from ..errors import checked_threads, missing_extra
+from ..errors import checked_threads, extra
 from .data import PICTURE_SIDE, VapDataset, VapSample
 
-try:
+with extra("vap"):
     import torch
     import torch.utils.data
-except ImportError as error:
-    raise missing_extra("vap", error) from error
 
 __all__ = ["TorchVapDataset", "padded_batch"]
 
@@ -61,11 +59,12 @@ class TorchVapDataset(torch.utils.data.Dataset[dict[str, Any]]):
         return samples
 
     def _read_pictures(self, indices: Sequence[int], arrays: Sequence[NDArray[np.uint8]]) -> None:
-        # `map` does its work, or raises exceptions, only when its results are consumed.
         if self.threads == 1 or len(arrays) == 1:
-            list(map(self.samples.read_picture, indices, arrays))
+            for index, array in zip(indices, arrays, strict=True):
+                self.samples.read_picture(index, array)
             return
         with ThreadPoolExecutor(self.threads) as pool:
+            # `map` raises exceptions only when its results are consumed.
             list(pool.map(self.samples.read_picture, indices, arrays))
 
 

@@ -5,14 +5,12 @@ from __future__ import annotations
 from typing import Literal
 
 from ..city import ACTIONS
-from ..errors import missing_extra
+from ..errors import extra
 from .data import UNARY
 
-try:
+with extra("vap"):
     import torch
     from torch import Tensor, nn
-except ImportError as error:
-    raise missing_extra("vap", error) from error
 
 from .concepts import RELATIONS, in_view
 

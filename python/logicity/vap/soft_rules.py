@@ -23,15 +23,13 @@ from itertools import count
 from typing import Literal
 
 from ..city import ACTIONS
-from ..errors import missing_extra
+from ..errors import extra
 from ..rules import Program
 from .data import UNARY
 
-try:
+with extra("vap"):
     import torch
     from torch import Tensor
-except ImportError as error:
-    raise missing_extra("vap", error) from error
 
 from .concepts import RELATIONS, in_view
 
@@ -89,7 +87,9 @@ class SoftRules:
             for action in stratum:
                 self.rules[action] = [_rule(text, known) for head, text in clauses if head == action]
             known |= set(stratum)
-        for text in (text for head, text in clauses if head == default):
+        for head, text in clauses:
+            if head != default:
+                continue
             rule = _rule(text, known)
             if not all(each.predicate in ("Sees", *ACTIONS) and len(rule.variables) == 1 for each in rule.body):
                 raise ValueError(f"`{default}` holds if no other action does: `{text}` has no truth degree")
@@ -155,8 +155,7 @@ def _degree(rule: Rule, values: dict[str, Tensor], sees: Tensor, semantics: Sema
     """Return the degree of a body, (B, N): the disjunction over the entities in view of the conjunction of literals."""
     places = {name: at for at, name in enumerate(rule.variables)}
     seen = [BodyLiteral("Sees", (rule.variables[0], name), False) for name in rule.variables[1:]]
-    # A body has at least one literal.
-    total: Tensor = None
+    total: Tensor | None = None
     for literal in (*rule.body, *seen):
         value = sees if literal.predicate == "Sees" else values[literal.predicate]
         value = 1 - value if literal.negated else value
@@ -169,6 +168,7 @@ def _degree(rule: Rule, values: dict[str, Tensor], sees: Tensor, semantics: Sema
             if axis not in axes:
                 value = value.unsqueeze(axis + 1)
         total = value if total is None else _both(total, value, semantics)
+    assert total is not None  # a body has at least one literal
     for _ in rule.variables[1:]:
         total = _any(total, semantics)
     return total

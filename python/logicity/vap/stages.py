@@ -20,7 +20,7 @@ from pydantic_core import PydanticCustomError
 from .. import _logicity
 from .._logicity import __version__
 from ..city import ACTIONS
-from ..errors import missing_extra
+from ..errors import extra
 from ..files import file_hash, read_tensors
 from ..learn.settings import Seed, StrictModel
 from ..rules import Program
@@ -29,11 +29,9 @@ from .data import BINARY, UNARY, symbolic_facts
 from .features import Backbone, DataSpec, Kind, prepared, weights_file
 from .metrics import vap_metrics
 
-try:
+with extra("vap"):
     import torch
     from torch import Tensor
-except ImportError as error:
-    raise missing_extra("vap", error) from error
 
 from .concepts import RELATIONS, ConceptModel, ConceptSettings
 from .reasoners import make_reasoner
@@ -232,8 +230,13 @@ def train_stage(work: VapWork) -> Trained:
         OSError: If a file cannot be read or written.
         ValueError: If the model to start from does not fit.
     """
-    stages = {"concepts": _train_concepts, "reasoning": _train_reasoner, "end-to-end": _train_end_to_end}
-    stages |= {"induction": _induce, "bound": _bound}
+    stages = {
+        "concepts": _train_concepts,
+        "reasoning": _train_reasoner,
+        "end-to-end": _train_end_to_end,
+        "induction": _induce,
+        "bound": _bound,
+    }
     model, history = stages[work.settings.stage](work)
     if not history:
         work.report(1)

@@ -19,16 +19,15 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ..city import ACTIONS
-from ..errors import missing_extra
+from ..errors import extra
 from ..files import read_tensors
 from ..terminal import first_line
 from .data import UNARY, VapDataset
 
-try:
+with extra("vap"):
+    import pydantic  # noqa: F401  # which the settings need
     import torch
     from torch import Tensor, nn
-except ImportError as error:
-    raise missing_extra("vap", error) from error
 
 from ..learn.settings import Count, LearningRate, NonNegative, Share, StrictModel
 from ..learn.storage import restore_optimizer
@@ -115,7 +114,10 @@ class Samples:
         return batch
 
     def subset(self, fraction: float, seed: int) -> Samples:
-        """Return a fraction of the samples, above 0 and at most 1, in their order, but at least one sample."""
+        """Return a random part of the samples, in their order.
+
+        `fraction` is above 0 and at most 1; at least one sample stays. The seed determines the part.
+        """
         count = max(1, round(fraction * len(self)))
         order = torch.randperm(len(self), generator=torch.Generator().manual_seed(seed))
         chosen = order[:count].sort().values
@@ -188,7 +190,7 @@ def reasoning_loss(reasoner: nn.Module, unary: Tensor, binary: Tensor, samples: 
 
 
 def end_to_end_loss(concepts: ConceptModel, reasoner: nn.Module, samples: Samples, power: float) -> Loss:
-    """Return the loss of `reasoning_loss` on the probabilities that a concept model predicts, which is trained, too."""
+    """Variant of `reasoning_loss` on the predictions of a concept model, which is trained as well."""
 
     def logits(chosen: Tensor, generator: torch.Generator) -> Tensor:
         batch = _augmented(samples.batch(chosen), generator)
@@ -268,7 +270,8 @@ def fit(
             if _constants(saved["schedule"]) != _constants(schedule.state_dict()):
                 raise ValueError("its learning rate follows another schedule")
             schedule.load_state_dict(saved["schedule"])
-            names, best = ("loss", "score", "cpu_seconds"), saved["best"]
+            best = saved["best"]
+            names = ("loss", "score", "cpu_seconds")
             history = [{name: float(epoch[name]) for name in names} for epoch in saved["history"]]
             done = len(history)
             if not 0 < done <= settings.epochs or schedule.last_epoch * settings.epochs != done * steps:

@@ -8,11 +8,11 @@ mod prompt;
 mod table;
 mod workbench;
 
+use crate::cli::fact;
+use crate::cli::fact::Question;
 use crate::cli::failure::Failure;
 use crate::cli::limits::LimitOptions;
 use crate::cli::report::{exit, report};
-use crate::cli::why;
-use crate::cli::why::Question;
 use crate::cli::{query, terminal};
 use crate::datalog;
 use crate::datalog::codes;
@@ -227,7 +227,7 @@ impl<W: Write> Repl<W> {
 
     fn why(&mut self, bench: &Workbench<'_>, question: Question, id: SourceId) -> Result<(), Failure> {
         let (workspace, session) = (&bench.workspace, &bench.session);
-        why::explain(&mut self.out, (question, id), workspace, session, bench.sources, false)
+        fact::explain(&mut self.out, (question, id), workspace, session, bench.sources, false)
     }
 
     /// Prints the outcome of a change, for example `Edge +1, Path +3`.

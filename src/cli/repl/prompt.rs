@@ -280,13 +280,13 @@ mod tests {
     use super::*;
 
     #[test]
-    fn completion_knows_commands_directives_and_relations() {
+    fn completion_knows_commands_directives_and_predicates() {
         let words = Words {
             predicates: vec!["Path".to_owned(), "Edge".to_owned(), "explained".to_owned()],
             ..Words::default()
         };
         let found = |text: &str| words.candidates(text);
-        let expected = ["reflexive", "predicates", "reload"].map(str::to_owned);
+        let expected = ["reflexive", "reload"].map(str::to_owned);
         assert_eq!(found(".re"), (1, expected.to_vec()));
         assert_eq!(found(".de"), (1, vec!["decl".to_owned()]));
         assert_eq!(found("expl"), (0, vec!["explain".to_owned(), "explained".to_owned()]));

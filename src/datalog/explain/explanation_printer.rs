@@ -8,7 +8,7 @@ use crate::explain::{
 };
 use crate::symbol::{Symbol, Symbols};
 use crate::syntax::ast::{BaseType, Comparison};
-use crate::syntax::functor::{AggregateOp, Functor};
+use crate::syntax::functor::{AggregateOp, Functor, Shape};
 use crate::syntax::quoted;
 use crate::value::Value;
 use serde_json::{Map, json};
@@ -537,22 +537,18 @@ impl<'a> ExplanationPrinter<'a> {
 
 /// Returns the base type of the argument at a position, given that of the first argument.
 fn argument_base(functor: Functor, base: BaseType, at: usize) -> BaseType {
-    if functor == Functor::Substring && at > 0 {
-        BaseType::Number
-    } else {
-        base
+    match functor.shape() {
+        Shape::Fixed(arguments, _) => arguments.get(at).copied().unwrap_or(base),
+        Shape::Same(_) | Shape::Convert(..) => base,
     }
 }
 
 /// Returns the base type of a functor's value; `None` for a cast, which names its type itself.
 fn result_base(functor: Functor, base: BaseType) -> Option<BaseType> {
-    match functor {
-        Functor::Cast => None,
-        Functor::Length | Functor::Ordinal | Functor::ToNumber => Some(BaseType::Number),
-        Functor::ToSymbol => Some(BaseType::Symbol),
-        Functor::ToFloat => Some(BaseType::Float),
-        Functor::ToUnsigned => Some(BaseType::Unsigned),
-        _ => Some(base),
+    match functor.shape() {
+        _ if functor == Functor::Cast => None,
+        Shape::Same(_) => Some(base),
+        Shape::Fixed(_, result) | Shape::Convert(_, result) => Some(result),
     }
 }
 

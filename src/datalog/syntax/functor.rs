@@ -252,6 +252,11 @@ impl AggregateOp {
         }
     }
 
+    /// Returns the aggregate with this spelling.
+    pub(crate) fn named(name: &str) -> Option<AggregateOp> {
+        AggregateOp::ALL.into_iter().find(|op| op.name() == name)
+    }
+
     /// Returns the base types that the aggregate accepts.
     pub(crate) fn takes(self) -> &'static [BaseType] {
         match self {

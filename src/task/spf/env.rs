@@ -7,7 +7,7 @@ use crate::config::Shaping;
 use crate::diag::Diagnostic;
 use crate::rng::{Purpose, RngExt, Seed};
 use crate::sim::{Actions, Observer, Settings, Simulation};
-use crate::task::spf::shaping::{ShapedStep, shaping};
+use crate::task::spf::reward::{ShapedStep, shaping};
 use crate::task::spf::{Episode, SpfTask};
 use crate::yaml::codes;
 use std::sync::Arc;

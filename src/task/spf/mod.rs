@@ -22,9 +22,9 @@ mod episode;
 mod evaluate;
 mod explain;
 mod metrics;
-mod record;
+mod reward;
 mod rollout;
-mod shaping;
+mod trace;
 mod vector;
 
 pub use env::{ControlMode, ControlledCar, Env, Transition};
@@ -32,13 +32,13 @@ pub use episode::{Episode, EpisodeAgent, EpisodeSet, MapIdentity, OracleRun};
 pub use evaluate::{Baseline, BatchEvaluator, RANDOM_RUNS};
 pub use explain::{describe, explain};
 pub use metrics::{ActionRate, Rate, Score, Summary, summarize};
-pub use record::{Origin, RecordError, record};
 pub use rollout::{DRAWS_MAX, Policy, Rollout, constrained_by_name, make_episodes, reset_demanding, rollout};
+pub use trace::{Origin, RecordError, record};
 pub use vector::{Autoreset, Begin, EpisodeSource, Info, ObservationKind, Outcome, SubEnv, VectorEnv};
 pub use vector::{Ending, Layer, PolicyNetwork, Trajectories};
 
-use crate::city::{Action, AgentSet, Split};
-use crate::config::{CurriculumStage, EntityOrder, Scenario, SpfConfig, ViolationsPer};
+use crate::city::{AgentSet, Split};
+use crate::config::{CurriculumStage, EntityOrder, Scenario, SpfConfig};
 use crate::datalog::explain::ExplanationPrinter;
 use crate::diag::{Diagnostic, Sources, did_you_mean, listed};
 use crate::sim::{Observer, Oracle, World};
@@ -148,29 +148,6 @@ impl SpfTask {
     /// Returns the divisor of priorities in the `state` observation: the greatest possible priority number.
     pub fn priority_scale(&self) -> f32 {
         self.priority_scale
-    }
-
-    /// Returns the reward of a step: the penalties of the violated clauses, by their positions in
-    /// [`Oracle::constraints`], or without a violation the reward of the action on a route of `cells` cells.
-    pub fn reward(&self, action: Action, broken: &[usize], cells: usize) -> f64 {
-        if broken.is_empty() {
-            #[allow(clippy::cast_precision_loss)] // a route has fewer than 2^32 cells
-            return self.config.reward.actions[action as usize] / (4.0 * cells as f64);
-        }
-        let of = |constraint: &usize| self.constraints[*constraint].1;
-        match self.config.reward.violations_per {
-            ViolationsPer::Clause => broken.iter().map(of).sum(),
-            ViolationsPer::Action => {
-                let constraints = self.oracle.constraints();
-                let of_action = |action| {
-                    broken
-                        .iter()
-                        .filter(move |&&constraint| constraints[constraint].action == action)
-                };
-                let worst = |action| of_action(action).map(of).reduce(f64::min);
-                Action::ALL.into_iter().filter_map(worst).sum()
-            }
-        }
     }
 
     /// Returns the number of agents in the next drawn episode of an environment after `begun` others, by the

@@ -235,8 +235,8 @@ class LanguageQuestions(Task):
         run_command("questions", config, *options, *about, *asked)
         questions = load_questions(path)
         if document["endpoint"] is not None:
-            values = json.loads(os.environ.get(ENDPOINT, "null")) or document["endpoint"]
-            _ask(questions, EndpointSettings.model_validate(values), replies, running)
+            given = os.environ.get(ENDPOINT, json.dumps(document["endpoint"]))
+            _ask(questions, EndpointSettings.model_validate_json(given), replies, running)
         elif not replies.exists():
             answers = SOLVERS[settings["solver"]](questions, config, folder / "solved")
             lines = ({"id": each.id, "model": settings["solver"], "answer": answers[each.id]} for each in questions)
@@ -266,14 +266,14 @@ class LanguageQuestions(Task):
         """Return the measures over the questions of all sets, shares with Wilson intervals."""
         replies = [reply for each in evaluations for reply in each["replies"]]
         right = [reply["chosen"] == reply["answer"] for reply in replies]
-        shares: dict[str, list[bool]] = {action: [] for action in ACTIONS}
-        for reply, correct in zip(replies, right, strict=True):
-            shares[ACTIONS[LETTERS.index(reply["answer"])]].append(correct)
+        shares: dict[str, list[bool]] = {}
+        for letter, action in zip(LETTERS, ACTIONS, strict=True):
+            shares[action] = [reply["chosen"] == letter for reply in replies if reply["answer"] == letter]
         shares["overall"] = right
         if any(reply["rule"] is not None for reply in replies):
             shares["rule"] = [bool(reply["derived"]) for reply in replies]
             shares["both"] = [correct and rule for correct, rule in zip(right, shares["rule"], strict=True)]
-        result = {name: Interval.of_share(sum(each), len(each)) for name, each in shares.items() if each}
+        result = {name: Interval.of_share(sum(of), len(of)) for name, of in shares.items() if of or name == "overall"}
         questions = [Question(str(at), "", (), "", {}, reply["answer"]) for at, reply in enumerate(replies)]
         logprobs = {str(at): reply["logprobs"] for at, reply in enumerate(replies) if reply["logprobs"] is not None}
         if (calibration := calibrate(questions, logprobs)) is not None:

@@ -265,7 +265,7 @@ impl Parser<'_> {
                 return Err(self.expected_with("`,` or `.`", Some(help)));
             }
             if comparison(after.kind).is_some() || self.infix(after).is_some() {
-                if AggregateOp::ALL.iter().any(|op| op.name() == self.slice(start)) {
+                if AggregateOp::named(self.slice(start)).is_some() {
                     return Err(self.applied_aggregate(start));
                 }
                 return Err(self.unsupported(

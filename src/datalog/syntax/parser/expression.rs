@@ -89,12 +89,12 @@ impl Parser<'_> {
     /// `max(x, y)`, a function.
     fn is_aggregate(&self) -> bool {
         let next = self.ahead(1);
-        match self.slice(self.token()) {
-            "count" => matches!(next.kind, Kind::Colon | Kind::LBrace),
-            "sum" | "mean" | "min" | "max" if next.kind == Kind::Minus => self.has_body_ahead(),
-            "min" | "max" if next.kind == Kind::LParen => self.has_body_ahead(),
-            "sum" | "mean" | "min" | "max" => self.begins_operand(next),
-            _ => false,
+        match AggregateOp::named(self.slice(self.token())) {
+            Some(AggregateOp::Count) => matches!(next.kind, Kind::Colon | Kind::LBrace),
+            Some(_) if next.kind == Kind::Minus => self.has_body_ahead(),
+            Some(AggregateOp::Min | AggregateOp::Max) if next.kind == Kind::LParen => self.has_body_ahead(),
+            Some(_) => self.begins_operand(next),
+            None => false,
         }
     }
 
@@ -128,11 +128,12 @@ impl Parser<'_> {
                 }
                 kind if comparison(kind).is_some() => return false,
                 Kind::Ident => {
-                    bodies += usize::from(match self.slice(token) {
-                        "count" => next.kind == Kind::Colon,
-                        "sum" | "mean" => next.kind != Kind::Minus && self.begins_operand(next),
-                        "min" | "max" => !matches!(next.kind, Kind::Minus | Kind::LParen) && self.begins_operand(next),
-                        _ => false,
+                    bodies += usize::from(match AggregateOp::named(self.slice(token)) {
+                        Some(AggregateOp::Count) => next.kind == Kind::Colon,
+                        Some(_) if next.kind == Kind::Minus => false,
+                        Some(AggregateOp::Min | AggregateOp::Max) if next.kind == Kind::LParen => false,
+                        Some(_) => self.begins_operand(next),
+                        None => false,
                     });
                 }
                 _ => {}
@@ -235,7 +236,7 @@ impl Parser<'_> {
     /// Reports a name before `(` that is no functor.
     fn unknown_function(&mut self, name: Token) -> Reported {
         let word = self.slice(name);
-        if AggregateOp::ALL.into_iter().any(|op| op.name() == word) {
+        if AggregateOp::named(word).is_some() {
             return self.applied_aggregate(name);
         }
         let help = match word {
@@ -247,7 +248,7 @@ impl Parser<'_> {
 
     /// Returns whether an aggregate of literals in function notation begins here: `count(A(x))`.
     pub(super) fn is_applied_aggregate(&self) -> bool {
-        let is_aggregate = |token| AggregateOp::ALL.into_iter().any(|op| op.name() == self.slice(token));
+        let is_aggregate = |token| AggregateOp::named(self.slice(token)).is_some();
         // In `min(sum (x) : { A(x) }, y)`, the first argument is an aggregate and no atom.
         let is_atom = self.is_atom_ahead(2) && !is_aggregate(self.ahead(2));
         is_aggregate(self.token()) && self.ahead(1).kind == Kind::LParen && is_atom

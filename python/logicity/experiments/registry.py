@@ -151,7 +151,7 @@ def experiment_schema() -> dict[str, Any]:
                 keys[key] = {"$ref": f"#/$defs/{settings}", "description": keys[key]["description"]}
     first, *others = TASKS
     # Without the key, the task is the first one.
-    required: dict[str, Any] = {first: {}, **dict.fromkeys(others, {"required": ["task"]})}
+    required: dict[str, Any] = {first: {}, **{name: {"required": ["task"]} for name in others}}
     help = "The task, which determines the other keys."
     return {
         "$schema": "https://json-schema.org/draft/2020-12/schema",
