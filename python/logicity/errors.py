@@ -109,15 +109,11 @@ def checked_limits(limits: Mapping[str, Any] | None) -> LimitArguments:
     return rows, steps, size
 
 
-def missing_extra(extra: str, error: ImportError) -> ImportError:
-    """Return a copy of an import error whose message names the extra to install."""
-    return type(error)(f"{error}; install the extra `{extra}`: pip install './python[{extra}]'", name=error.name)
-
-
 @contextmanager
 def extra(name: str) -> Iterator[None]:
-    """Name the extra to install if an import fails, as `missing_extra` does."""
+    """Name the extra to install in the message of an import that fails."""
     try:
         yield
     except ImportError as error:
-        raise missing_extra(name, error) from error
+        message = f"{error}; install the extra `{name}`: pip install './python[{name}]'"
+        raise type(error)(message, name=error.name) from error

@@ -61,6 +61,26 @@ for use in (
     assert (done.stdout.splitlines(), done.stderr) == (expected, "")
 
 
+@pytest.mark.parametrize(
+    ("hidden", "module", "extra"),
+    [
+        *[
+            (hidden, f"vap.{name}", "vap")
+            for hidden in ("torch", "pydantic")
+            for name in ("concepts", "training", "stages")
+        ],
+        *[(hidden, "experiments.vap", "vap") for hidden in ("torch", "pydantic")],
+        ("pydantic", "learn.settings", "learn"),
+        ("torch", "learn.nlm", "learn"),
+    ],
+)
+def test_modules_of_an_extra_name_it(hidden: str, module: str, extra: str) -> None:
+    text = f"import sys; sys.modules['{hidden}'] = None; import logicity.{module}"
+    done = subprocess.run([sys.executable, "-c", text], capture_output=True, text=True)
+    assert done.returncode == 1
+    assert f"install the extra `{extra}`: pip install './python[{extra}]'" in done.stderr.splitlines()[-1]
+
+
 def test_the_core_works_without_gymnasium() -> None:
     text = """
 import sys

@@ -11,25 +11,25 @@ from typing import Annotated, Any, ClassVar, Literal, cast
 
 import numpy as np
 from numpy.typing import NDArray
-from pydantic import Field, ValidationError
+
+from ..errors import extra
+
+with extra("vap"):
+    import torch
+    from pydantic import Field, ValidationError
 
 from .._logicity import __version__
 from ..city import ACTIONS
-from ..errors import extra
 from ..evaluation import Interval
 from ..files import read_tensors
 from ..learn.faults import Fault, faults
 from ..learn.storage import weights_hash
+from ..vap.stages import NO_CONCEPTS, VapSettings, VapWork, measure, rules_hash, train_stage
+from ..vap.training import save
 from .experiment import Experiment, Selection, changes_of, first_at, place_of, unknown_in
 from .paper import paper_table
 from .statistics import bootstrap_weights
 from .task import Cell, CellKey, Running, Task
-
-with extra("vap"):
-    import torch
-
-from ..vap.stages import NO_CONCEPTS, VapSettings, VapWork, measure, rules_hash, train_stage
-from ..vap.training import save
 
 __all__ = ["VapExperiment", "VisualActionPrediction", "measures_of_worlds"]
 

@@ -251,7 +251,7 @@ def grouped(
     Args:
         inputs: The inputs of the network for each distinct observation.
         outputs: Its outputs in the rollouts, of shape (observations, 5).
-        states: The position of each step's observation, of shape (steps,). All other arguments have shape (steps,).
+        states: The position of each step's observation, of shape (steps,), like all that follow.
         actions: The actions.
         step_advantages: The advantages.
         returns: The returns.

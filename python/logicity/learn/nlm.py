@@ -14,13 +14,11 @@ from functools import cache
 from itertools import permutations, product
 from typing import Any, NamedTuple
 
-from ..errors import missing_extra
+from ..errors import extra
 
-try:
+with extra("learn"):
     import torch
     from torch import Tensor, nn
-except ImportError as error:
-    raise missing_extra("learn", error) from error
 
 __all__ = ["LogicLayer", "NeuralLogicMachine"]
 

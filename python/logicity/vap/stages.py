@@ -14,26 +14,26 @@ from pathlib import Path
 from typing import Annotated, Any, Literal
 
 import numpy as np
-from pydantic import Field, model_validator
-from pydantic_core import PydanticCustomError
+
+from ..errors import extra
+
+with extra("vap"):
+    import torch
+    from pydantic import Field, model_validator
+    from pydantic_core import PydanticCustomError
+    from torch import Tensor
 
 from .. import _logicity
 from .._logicity import __version__
 from ..city import ACTIONS
-from ..errors import extra
 from ..files import file_hash, read_tensors
 from ..learn.settings import Seed, StrictModel
 from ..rules import Program
 from ..tasks import files_hash
+from .concepts import RELATIONS, ConceptModel, ConceptSettings
 from .data import BINARY, UNARY, symbolic_facts
 from .features import Backbone, DataSpec, Kind, prepared, weights_file
 from .metrics import vap_metrics
-
-with extra("vap"):
-    import torch
-    from torch import Tensor
-
-from .concepts import RELATIONS, ConceptModel, ConceptSettings
 from .reasoners import make_reasoner
 from .soft_rules import SoftRules
 from .training import (
