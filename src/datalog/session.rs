@@ -435,11 +435,12 @@ impl Session {
     /// let mut workspace = Workspace::new(InputPolicy::Fixed);
     /// let rules = sources.add("edges.dl", ".decl edge(x: number, y: number) edge(1, 2). edge(1, 3). edge(2, 3).");
     /// workspace.add(&mut sources, rules, &|_: &std::path::Path| unreachable!());
-    /// let mut session = Program::new(workspace.check().rules.unwrap())?.session();
+    /// let mut session = Program::new(workspace.check().rules.unwrap()).unwrap().session();
     /// session.commit()?;
     ///
     /// let question = sources.add("<query>", "edge(1, x), !edge(2, x)");
-    /// let query = Program::new(workspace.ask(&sources, question, session.symbols().clone()).rules.unwrap())?;
+    /// let query = workspace.ask(&sources, question, session.symbols().clone()).rules.unwrap();
+    /// let query = Program::new(query).unwrap();
     /// let mut answer = session.query(&query, &Cancel::never())?;
     /// answer.commit()?;
     /// let rows: Vec<(i64,)> = answer.rows(Workspace::ANSWER)?.collect();
