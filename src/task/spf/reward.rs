@@ -10,7 +10,8 @@ use crate::task::spf::SpfTask;
 
 impl SpfTask {
     /// Returns the reward of a step: the penalties of the violated clauses, by their positions in
-    /// [`Oracle::constraints`], or without a violation the reward of the action on a route of `cells` cells.
+    /// [`Oracle::constraints`](crate::sim::Oracle::constraints), or without a violation the reward of the action on a
+    /// route of `cells` cells.
     pub fn reward(&self, action: Action, broken: &[usize], cells: usize) -> f64 {
         if broken.is_empty() {
             #[allow(clippy::cast_precision_loss)] // a route has fewer than 2^32 cells
