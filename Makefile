@@ -20,13 +20,9 @@ quick:
 
 format:
 	cargo fmt --all --check
-	cargo fmt --manifest-path tests/fuzz/Cargo.toml --check
-	cargo fmt --manifest-path docs/playground/Cargo.toml --check
 
 lint: format
-	cargo clippy --workspace --all-targets --locked -- -D warnings
-	cargo clippy --manifest-path tests/fuzz/Cargo.toml --target-dir target --no-default-features --locked -- -D warnings
-	cargo clippy --manifest-path docs/playground/Cargo.toml --target-dir target --locked -- -D warnings
+	cargo clippy --workspace --all-targets --features logicity-fuzz/targets --locked -- -D warnings
 
 # Lints and tests the engine alone, without its optimizer, then lints the city without features and with each alone.
 # `make rust` tries the other random cases.
@@ -87,9 +83,12 @@ docs: installed
 links:
 	python3 docs/links.py --external docs/external-links.txt
 
+# Builds the program as for the tests: what `make rust` has compiled need not be compiled again for other features.
+PROGRAM := cargo test --quiet --locked --test program --no-run
+
 # Tests the page of a run in headless Chromium. Without a browser, the last line prints what it skips and exits with 0.
 page: $(VENV)/bin/python
-	cargo build --locked
+	$(PROGRAM)
 	$(VENV)/bin/pip install --quiet --disable-pip-version-check pytest ruff selenium
 	$(VENV)/bin/ruff check --config python/pyproject.toml tests/page_in_browser.py
 	$(VENV)/bin/ruff format --config python/pyproject.toml --check tests/page_in_browser.py
@@ -98,16 +97,15 @@ page: $(VENV)/bin/python
 # Not part of `make test`. Builds target/playground, prints its size, and tests it in headless Chromium. Needs
 # `rustup target add wasm32-unknown-unknown`.
 PLAYGROUND := target/playground
-PLAYGROUND_BUILD := --manifest-path docs/playground/Cargo.toml --target wasm32-unknown-unknown --locked
-PLAYGROUND_BUILD += --target-dir target/playground-build
-WASM := target/playground-build/wasm32-unknown-unknown/release/logicity_playground.wasm
+PLAYGROUND_BUILD := --package logicity-playground --target wasm32-unknown-unknown --locked
+WASM := target/wasm32-unknown-unknown/playground/logicity_playground.wasm
 # The library and the program must have the same version. The program is installed without `--locked`: the lock file in
 # its package may name versions that the registry has withdrawn.
 WASM_BINDGEN_VERSION = $(shell sed -n 's/^wasm-bindgen = "=\(.*\)"/\1/p' docs/playground/Cargo.toml)
 WASM_BINDGEN = target/tools/wasm-bindgen-$(WASM_BINDGEN_VERSION)
 VIEWER := elements data run ground map agent viewer
 playground: $(PLAYGROUND) $(VENV)/bin/python
-	cargo build --locked
+	$(PROGRAM)
 	$(VENV)/bin/pip install --quiet --disable-pip-version-check pytest ruff selenium
 	$(VENV)/bin/ruff check --config python/pyproject.toml tests/playground_in_browser.py
 	$(VENV)/bin/ruff format --config python/pyproject.toml --check tests/playground_in_browser.py
@@ -117,7 +115,7 @@ playground: $(PLAYGROUND) $(VENV)/bin/python
 .PHONY: $(PLAYGROUND)
 $(PLAYGROUND):
 	cargo clippy $(PLAYGROUND_BUILD) -- -D warnings
-	cargo build $(PLAYGROUND_BUILD) --release
+	cargo build $(PLAYGROUND_BUILD) --profile playground
 	test -x $(WASM_BINDGEN)/bin/wasm-bindgen || \
 	    cargo install --quiet wasm-bindgen-cli --version =$(WASM_BINDGEN_VERSION) --root $(WASM_BINDGEN)
 	rm -rf $@
@@ -259,5 +257,5 @@ fuzz-labeled_scenes: SEEDS := tests/fuzz/seeds/labeled_scenes
 $(FUZZ_TARGETS:%=fuzz-%): fuzz-%:
 	mkdir -p tests/fuzz/corpus/$* $(dir $(FUZZ_TABLE))
 	$(PYTHON) tests/fuzz/record.py $(FUZZ_TABLE) $* \
-	    cargo fuzz run --fuzz-dir tests/fuzz --sanitizer none $* tests/fuzz/corpus/$* $(SEEDS) -- \
+	    cargo fuzz run --fuzz-dir tests/fuzz --features link --sanitizer none $* tests/fuzz/corpus/$* $(SEEDS) -- \
 	    -max_total_time=$(FUZZ_SECONDS) -timeout=10 -rss_limit_mb=1024 -print_final_stats=1 $(OPTIONS)

@@ -443,8 +443,6 @@ fn dependencies_are_updated_and_pinned() {
     for (kind, file) in [
         ("cargo", "Cargo.lock"),
         ("cargo", "benches/peers/Cargo.lock"),
-        ("cargo", "docs/playground/Cargo.lock"),
-        ("cargo", "tests/fuzz/Cargo.lock"),
         ("rust-toolchain", "rust-toolchain.toml"),
         ("pip", ".github/requirements/publish.txt"),
         ("pip", "benches/solvers/requirements.txt"),

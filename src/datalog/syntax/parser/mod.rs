@@ -14,6 +14,7 @@ use crate::syntax::lexer;
 use crate::syntax::lexer::{COMMENT, CONJUNCTION, DISJUNCTION, DocLine, IMPLICATION, Kind, Lexed, NEGATION, Token};
 use crate::syntax::packed::PackedFacts;
 use std::collections::HashSet;
+use std::ops::RangeInclusive;
 
 mod clause;
 mod directive;
@@ -181,6 +182,8 @@ struct Parser<'a> {
     nesting: usize,
     /// The words of negation, `Not` and `not`, without those that the source declares as predicates.
     negations: Vec<&'static str>,
+    /// The strings without a closing quote, in order. Each runs from the first token of its line to its own.
+    open_strings: Vec<RangeInclusive<usize>>,
     /// The marks that the qualifiers of the last declaration imply.
     marks: Vec<Item>,
     macros: Macros,
@@ -209,6 +212,21 @@ fn negations(text: &str, tokens: &[Token]) -> Vec<&'static str> {
     ["Not", "not"].into_iter().filter(|name| !declares(name)).collect()
 }
 
+/// Finds the strings without a closing quote, each with the tokens before it on its line.
+fn open_strings(tokens: &[Token]) -> Vec<RangeInclusive<usize>> {
+    let mut found = Vec::new();
+    let mut line = 0;
+    for (at, token) in tokens.iter().enumerate() {
+        if token.first_on_line {
+            line = at;
+        }
+        if token.kind == Kind::OpenString {
+            found.push(line..=at);
+        }
+    }
+    found
+}
+
 impl<'a> Parser<'a> {
     fn new(source: SourceId, text: &'a str, lexed: &'a Lexed, faults: &'a mut Faults) -> Self {
         Parser {
@@ -221,6 +239,7 @@ impl<'a> Parser<'a> {
             starts: Vec::new(),
             nesting: 0,
             negations: negations(text, &lexed.tokens),
+            open_strings: open_strings(&lexed.tokens),
             marks: Vec::new(),
             macros: Macros::default(),
             marked: false,
@@ -406,11 +425,8 @@ impl<'a> Parser<'a> {
     /// Returns whether this line has a string without its closing quote at or after the current token. The lexer has
     /// reported it, and it may be the cause of any fault before it.
     fn is_before_open_string(&self) -> bool {
-        let rest = &self.tokens[self.at..];
-        let length = rest.iter().skip(1).take_while(|token| !token.first_on_line).count() + 1;
-        rest[..length.min(rest.len())]
-            .iter()
-            .any(|token| token.kind == Kind::OpenString)
+        let next = self.open_strings.partition_point(|line| *line.end() < self.at);
+        self.open_strings.get(next).is_some_and(|line| line.contains(&self.at))
     }
 
     /// Reports that no clause or directive can begin at the current token.
