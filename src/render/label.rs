@@ -1,4 +1,4 @@
-//! Short name labels next to agents, without overlaps.
+//! Short name labels next to agents, without overlaps, and frames around marked agents.
 
 use crate::render::class::Facing;
 use crate::render::picture::PixelBox;
@@ -9,12 +9,14 @@ use embedded_graphics::text::Alignment;
 
 pub(super) const PAPER: Rgb = [0xfb, 0xfa, 0xf7];
 pub(super) const TEXT: Rgb = [0x26, 0x2b, 0x33];
+/// The color that marks agents.
+pub(super) const MARK: Rgb = [0xc8, 0x1e, 0xb4];
 
 /// The maximum number of agents with labels. More would be unreadable, and the search for room takes time.
 const MOST: usize = 300;
 
-/// The longest label, in characters.
-const LONGEST: usize = 10;
+/// The usual longest label, in characters.
+pub(super) const LONGEST: usize = 10;
 
 /// Returns the common area of two rectangles, in square pixels.
 pub(super) fn overlap(a: PixelBox, b: PixelBox) -> i32 {
@@ -30,16 +32,16 @@ pub(super) fn contains(outer: PixelBox, inner: PixelBox) -> bool {
 }
 
 /// Returns `C12` for `Car_12`, `P3` for `Pedestrian_3`, else the shortened name.
-fn short(sprite: &Sprite<'_>) -> String {
+fn short(sprite: &Sprite<'_>, longest: usize) -> String {
     let number = sprite
         .name
         .strip_prefix(sprite.kind.name())
         .and_then(|rest| rest.strip_prefix('_'));
     match number {
-        Some(number) if !number.is_empty() && number.len() < LONGEST && number.bytes().all(|b| b.is_ascii_digit()) => {
+        Some(number) if !number.is_empty() && number.len() < longest && number.bytes().all(|b| b.is_ascii_digit()) => {
             format!("{}{number}", &sprite.kind.name()[..1])
         }
-        _ => one_line(sprite.name, LONGEST),
+        _ => one_line(sprite.name, longest),
     }
 }
 
@@ -54,12 +56,12 @@ pub(super) fn one_line(text: &str, most: usize) -> String {
     line
 }
 
-/// Places labels inside `bounds` next to the figure of each sprite. A label avoids figures if possible, and other
-/// labels always: one without room is omitted.
-pub(super) fn place(sprites: &[(Sprite<'_>, PixelBox)], bounds: PixelBox) -> Vec<(String, PixelBox)> {
+/// Places labels of at most `longest` characters inside `bounds` next to the figure of each sprite. A label avoids
+/// figures if possible, and other labels always: one without room is omitted.
+pub(super) fn place(sprites: &[(Sprite<'_>, PixelBox)], bounds: PixelBox, longest: usize) -> Vec<(String, PixelBox)> {
     let mut placed: Vec<(String, PixelBox)> = Vec::new();
     for (sprite, figure) in sprites.iter().take(MOST) {
-        let text = short(sprite);
+        let text = short(sprite, longest);
         if text.is_empty() {
             continue;
         }
@@ -125,5 +127,38 @@ pub(super) fn draw(labels: &[(String, PixelBox)], picture: &mut Picture) {
         picture.fill(*area, PAPER);
         let middle = area.y + area.height.cast_signed() / 2;
         picture.text(text, (area.x + 2, middle), &FONT_6X10, TEXT, Alignment::Left);
+    }
+}
+
+/// Draws a frame around the figure of a marked agent.
+pub(super) fn frame(figure: PixelBox, picture: &mut Picture) {
+    let area = PixelBox {
+        x: figure.x - 3,
+        y: figure.y - 3,
+        width: figure.width + 6,
+        height: figure.height + 6,
+    };
+    border(area, picture);
+}
+
+/// Draws the edge of a rectangle in the color of marked agents, two pixels wide.
+pub(super) fn border(area: PixelBox, picture: &mut Picture) {
+    let PixelBox { x, y, width, height } = area;
+    let (right, bottom) = (x + width.cast_signed() - 2, y + height.cast_signed() - 2);
+    for edge in [
+        PixelBox { height: 2, ..area },
+        PixelBox {
+            y: bottom,
+            height: 2,
+            ..area
+        },
+        PixelBox { width: 2, ..area },
+        PixelBox {
+            x: right,
+            width: 2,
+            ..area
+        },
+    ] {
+        picture.fill(edge, MARK);
     }
 }

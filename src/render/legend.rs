@@ -148,19 +148,18 @@ pub(super) fn draw_static(map: &CityMap, icons: &Icons, fine: bool, picture: &mu
     column.y + BREAK
 }
 
-/// Draws the classes of agents and their counts, above `bottom`.
+/// Draws the classes of agents and their counts, above `bottom`. `labels` are those of cars and of pedestrians.
 pub(super) fn draw_agents(
     agents: &[Sprite<'_>],
+    labels: Option<[&str; 2]>,
     icons: &Icons,
     picture: &mut Picture,
     (left, top): (i32, i32),
     bottom: i32,
 ) {
     let mut column = Column { picture, left, y: top };
-    for (kind, heading, labels) in [
-        (AgentKind::Car, "CARS", "C1, C2, .."),
-        (AgentKind::Pedestrian, "PEDESTRIANS", "P1, P2, .."),
-    ] {
+    let sections = [(AgentKind::Car, "CARS"), (AgentKind::Pedestrian, "PEDESTRIANS")];
+    for (section, (kind, heading)) in sections.into_iter().enumerate() {
         let mut classes: BTreeMap<Class, usize> = BTreeMap::new();
         for agent in agents.iter().filter(|agent| agent.kind == kind) {
             *classes.entry(agent.class()).or_default() += 1;
@@ -170,7 +169,9 @@ pub(super) fn draw_agents(
             continue;
         }
         let right = (left + WIDTH - 8, column.y);
-        (column.picture).text(labels, right, &FONT_6X13, MUTED, Alignment::Right);
+        if let Some(labels) = labels {
+            (column.picture).text(labels[section], right, &FONT_6X13, MUTED, Alignment::Right);
+        }
         column.heading(heading);
         for (position, (class, count)) in classes.iter().enumerate() {
             let left_over = classes.len() - position;

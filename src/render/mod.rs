@@ -1,9 +1,10 @@
 //! Draws the state of a city from above, with every agent as an icon.
 //!
-//! An [`Overview`] shows a whole city to people, with rulers, legend and labels. A [`Renderer`] draws any part of a map
-//! at any scale ([`Viewport`]) and returns the box of each agent; a [`Placement`] returns the boxes without drawing.
-//! [`Icons`] draws single icons, and [`sheet`] shows instances of all classes. A [`GroundPlan`] describes the ground
-//! for drawing at any scale. [`write_png`] encodes a [`Picture`] as PNG, and [`Animation`] a sequence of them as GIF.
+//! An [`Overview`] shows a whole city to people, with rulers, legend and labels; a [`CloseUp`] shows the surroundings
+//! of a few agents. A [`Renderer`] draws any part of a map at any scale ([`Viewport`]) and returns the box of each
+//! agent; a [`Placement`] returns the boxes without drawing. [`Icons`] draws single icons, and [`sheet`] shows instances
+//! of all classes. A [`GroundPlan`] describes the ground for drawing at any scale. [`write_png`] encodes a [`Picture`]
+//! as PNG, and [`Animation`] a sequence of them as GIF.
 //!
 //! Icons are generated, each as a function of seed, class and instance, or come from a [`Pack`]. A [`Difficulty`] from
 //! 0 to 100 percent makes agents harder to recognize; a [`Framing`] then varies the size and the box of an agent. The
@@ -44,6 +45,7 @@
 mod building;
 mod car;
 mod class;
+mod close_up;
 mod clutter;
 mod difficulty;
 mod encode;
@@ -65,6 +67,7 @@ mod view;
 mod weather;
 
 pub use class::{Class, Facing};
+pub use close_up::CloseUp;
 pub use difficulty::{Difficulty, DrawingVersion};
 pub use encode::{Animation, read_png, read_png_into, write_png};
 pub use framing::Framing;

@@ -7,8 +7,8 @@ use crate::render::label;
 use crate::render::label::PAPER;
 use crate::render::legend;
 use crate::render::legend::MUTED;
+use crate::render::picture::Picture;
 use crate::render::picture::PixelBox;
-use crate::render::picture::{Picture, Rgb};
 use crate::render::renderer::Renderer;
 use crate::render::sprite::Sprite;
 use crate::render::view::{Scale, Viewport, ViewportError};
@@ -31,9 +31,6 @@ const ENLARGED: i32 = 1000;
 const MOST: i32 = 1600;
 /// The largest cell, in pixels.
 const LARGEST_CELL: i32 = 12;
-
-/// The color that marks controlled agents.
-const DRIVEN: Rgb = [0xc8, 0x1e, 0xb4];
 
 /// A controlled agent to mark.
 #[derive(Clone, Debug)]
@@ -128,11 +125,12 @@ impl Overview {
                 legend::draw_action(action, (area.x + area.width.cast_signed(), area.y), &mut picture);
             }
         }
-        label::draw(&label::place(&shown, self.area), &mut picture);
+        label::draw(&label::place(&shown, self.area, label::LONGEST), &mut picture);
         let off_map = agents.len() - shown.len();
         legend::draw_status(tick, agents, off_map, &mut picture, self.area.x, STATUS / 2);
         let bottom = picture.height().cast_signed() - MARGIN;
-        legend::draw_agents(agents, self.map.icons(), &mut picture, self.agents, bottom);
+        let labels = Some(["C1, C2, ..", "P1, P2, .."]);
+        legend::draw_agents(agents, labels, self.map.icons(), &mut picture, self.agents, bottom);
         picture
     }
 
@@ -149,17 +147,15 @@ impl Overview {
             })
         };
         for area in way.iter().filter_map(|cell| around(*cell, 1)) {
-            picture.fill(area, DRIVEN);
+            picture.fill(area, label::MARK);
         }
         let goal = way.last().and_then(|goal| around(*goal, 6));
-        let car = self.map.pixel_box(sprite).map(|area| PixelBox {
-            x: area.x + self.area.x - 3,
-            y: area.y + self.area.y - 3,
-            width: area.width + 6,
-            height: area.height + 6,
-        });
-        for area in goal.into_iter().chain(car) {
-            frame(area, picture);
+        if let Some(goal) = goal {
+            label::border(goal, picture);
+        }
+        if let Some(area) = self.map.pixel_box(sprite) {
+            let (x, y) = (area.x + self.area.x, area.y + self.area.y);
+            label::frame(PixelBox { x, y, ..area }, picture);
         }
     }
 
@@ -173,28 +169,6 @@ impl Overview {
         let mut figures: Vec<_> = agents.iter().filter_map(on_picture).collect();
         figures.sort_by_key(|(sprite, _)| sprite.kind == AgentKind::Pedestrian);
         figures
-    }
-}
-
-/// Draws the edge of a rectangle, two pixels wide.
-fn frame(area: PixelBox, picture: &mut Picture) {
-    let PixelBox { x, y, width, height } = area;
-    let (right, bottom) = (x + width.cast_signed() - 2, y + height.cast_signed() - 2);
-    for edge in [
-        PixelBox { height: 2, ..area },
-        PixelBox {
-            y: bottom,
-            height: 2,
-            ..area
-        },
-        PixelBox { width: 2, ..area },
-        PixelBox {
-            x: right,
-            width: 2,
-            ..area
-        },
-    ] {
-        picture.fill(edge, DRIVEN);
     }
 }
 

@@ -2,6 +2,7 @@
 //! balanced.
 
 use logicity::city::Split;
+use logicity::render::read_png;
 use logicity::rng::Seed;
 use logicity::sim::{Settings, Simulation};
 use serde_json::{Value, json};
@@ -80,6 +81,50 @@ fn read(question: &str) -> Value {
             .push(arguments.split(", ").collect());
     }
     let ego = line("Which action does ").strip_suffix(" take next?").unwrap();
+    json!({"entities": entities, "ego": ego, "facts": facts})
+}
+
+/// Parses a question in the words of the paper's figure as a scene. There, `Sees` omits that entities see themselves.
+fn read_paper(question: &str) -> Value {
+    let between = |before: &str, after: &str| {
+        let rest = question
+            .split_once(before)
+            .unwrap_or_else(|| panic!("no `{before}` in:\n{question}"))
+            .1;
+        rest.split_once(after)
+            .unwrap_or_else(|| panic!("no `{after}` in:\n{question}"))
+            .0
+    };
+    let entities: Vec<&str> = between("they are named as follows: ", ". There exist")
+        .split(", ")
+        .collect();
+    assert_eq!(
+        between("In the scene you see a total of ", " entities, "),
+        entities.len().to_string()
+    );
+    let predicates = between("as their attributes and relations: ", ". The truth value");
+    let mut facts: BTreeMap<&str, Vec<Vec<&str>>> = predicates
+        .split("), ")
+        .map(|predicate| (predicate.split_once(" (arity: ").unwrap().0, Vec::new()))
+        .collect();
+    let listed = between("provided, assume the rest are False): ", ". What is the next action");
+    for atom in listed.split_inclusive(')') {
+        let (name, arguments) = atom
+            .trim_start_matches(", ")
+            .trim_end_matches(')')
+            .split_once('(')
+            .unwrap();
+        facts
+            .get_mut(name)
+            .expect("a listed predicate")
+            .push(arguments.split(", ").collect());
+    }
+    let sees = facts.get_mut("Sees").unwrap();
+    assert!(sees.iter().all(|row| row[0] != row[1]), "{question}");
+    sees.extend(entities.iter().map(|entity| vec![*entity, *entity]));
+    let number = |row: &Vec<&str>| -> Vec<usize> { row.iter().map(|name| name[7..].parse().unwrap()).collect() };
+    sees.sort_by_key(number);
+    let ego = between("What is the next action of entity ", "?");
     json!({"entities": entities, "ego": ego, "facts": facts})
 }
 
@@ -203,6 +248,21 @@ fn slow_every_answer_follows_from_the_text() {
             &["--seed", "4", "--count", "200", "--split", "val", "--shots", "10"],
         ),
         ("vap-easy", &["--seed", "5", "--count", "200", "--style", "words"]),
+        (
+            "vap-hard",
+            &[
+                "--seed",
+                "8",
+                "--count",
+                "100",
+                "--style",
+                "paper",
+                "--entities",
+                "city",
+                "--mix",
+                "paper",
+            ],
+        ),
         ("vap-hard", &["--seed", "6", "--style", "words"]),
         (
             "expert",
@@ -224,7 +284,11 @@ fn slow_every_answer_follows_from_the_text() {
         let shown = first["demonstrations"].as_array().unwrap();
         let all = || questions.iter().chain(shown);
         let words = arguments.contains(&"words");
-        let parse = if words { read_sentences } else { read };
+        let parse = match arguments.contains(&"paper") {
+            true => read_paper,
+            false if words => read_sentences,
+            false => read,
+        };
         let scenes: Vec<Value> = all().map(|question| parse(string(&question["question"]))).collect();
         let wanted: Vec<&str> = all().map(|question| string(&question["answer"])).collect();
         assert_eq!(inferred(config, &scenes), wanted, "{config}");
@@ -315,19 +379,21 @@ fn slow_sets_are_balanced_and_without_repetition() {
     }
 }
 
+/// The predicates of type and concepts.
+const STEADY: [&str; 9] = [
+    "IsPedestrian",
+    "IsCar",
+    "IsAmbulance",
+    "IsBus",
+    "IsPolice",
+    "IsTiro",
+    "IsReckless",
+    "IsOld",
+    "IsYoung",
+];
+
 /// The kinds of the entities, independent of their order.
 fn composition(scene: &Value) -> Vec<Vec<String>> {
-    let steady = [
-        "IsPedestrian",
-        "IsCar",
-        "IsAmbulance",
-        "IsBus",
-        "IsPolice",
-        "IsTiro",
-        "IsReckless",
-        "IsOld",
-        "IsYoung",
-    ];
     let is = |entity: &Value, predicate: &str| {
         let rows = scene["facts"][predicate].as_array().unwrap();
         rows.iter().any(|row| row == entity || *row == json!([entity]))
@@ -335,7 +401,7 @@ fn composition(scene: &Value) -> Vec<Vec<String>> {
     let entities = scene["entities"].as_array().unwrap().iter();
     let mut all: Vec<Vec<String>> = entities
         .map(|entity| {
-            steady
+            STEADY
                 .iter()
                 .filter(|name| is(entity, name))
                 .map(|name| (*name).to_owned())
@@ -389,6 +455,165 @@ fn the_small_set_asks_about_tiro_and_reckless_cars() {
     }
 }
 
+/// The predicates of type and concepts of the car of a question.
+fn concepts(question: &Value) -> Vec<String> {
+    let scene = &question["scene"];
+    let carried = STEADY.iter().filter(|name| {
+        let rows = scene["facts"][**name].as_array().unwrap();
+        rows.contains(&scene["ego"])
+    });
+    carried.map(|name| (*name).to_owned()).collect()
+}
+
+/// How many questions the best guess gets right that depends only on the concepts of the car.
+fn best_guess_by_concepts(questions: &[Value]) -> usize {
+    let mut groups: BTreeMap<Vec<String>, Vec<Value>> = BTreeMap::new();
+    for question in questions {
+        groups.entry(concepts(question)).or_default().push(question.clone());
+    }
+    groups
+        .values()
+        .map(|group| shares(group).into_iter().max().unwrap())
+        .sum()
+}
+
+#[test]
+fn the_papers_mix_has_its_proportions() {
+    let paper = questions(&["--mini", "--mix", "paper"]);
+    assert_eq!(shares(&paper), [20, 42, 25, 30]);
+    assert_eq!(shares(&questions(&["--count", "8", "--mix", "paper"])), [1, 3, 2, 2]);
+    // The examples are balanced in every mix, and the same.
+    assert_eq!(paper[0]["demonstrations"], questions(&["--mini"])[0]["demonstrations"]);
+    assert!(
+        string(&paper[0]["id"]).starts_with("vap-hard-test-0-paper-mix-"),
+        "{}",
+        paper[0]["id"]
+    );
+}
+
+#[test]
+fn slow_concepts_do_not_help_to_guess_in_a_mix_by_concept() {
+    // Usually, the words for the driver determine more than half of the answers.
+    let equal = questions(&["--mini"]);
+    assert_eq!(best_guess_by_concepts(&equal), 59);
+    for seed in ["0", "1", "2"] {
+        let mini = questions(&["--mini", "--mix", "by-concept", "--seed", seed]);
+        // Beginners never have to drive fast, and the reckless never slowly.
+        assert_eq!(shares(&mini), [19, 40, 19, 39]);
+        assert_eq!(best_guess_by_concepts(&mini), 40);
+        let all = questions(&["--count", "300", "--mix", "by-concept", "--seed", seed]);
+        assert_eq!(best_guess_by_concepts(&all), shares(&all).into_iter().max().unwrap());
+        let mut sizes: BTreeMap<Vec<String>, usize> = BTreeMap::new();
+        all.iter()
+            .for_each(|question| *sizes.entry(concepts(question)).or_default() += 1);
+        // Six kinds of cars, equally often.
+        assert_eq!(sizes.into_values().collect::<Vec<_>>(), [50; 6]);
+    }
+}
+
+#[test]
+fn the_papers_prompt_has_the_words_of_its_figure() {
+    let questions = questions(&["--count", "4", "--style", "paper", "--entities", "city"]);
+    let question = &questions[0];
+    assert_eq!(
+        question["system"],
+        "You are an expert in First-Order-Logic (FOL) Rule induction, the following question-answers are FOL reasoning \
+         examples. Here are 5 demonstrations:"
+    );
+    assert_eq!(
+        question["closing"],
+        "Now try your best to first identify the FOL rules from the examples above and then answer the following \
+         question. Your answer should strictly end with the format of single letter: 'Answer: _.'"
+    );
+    let text = string(&question["question"]);
+    assert!(
+        text.starts_with(
+            "In the scene you see a total of 14 entities, they are named as follows: Entity_0, Entity_1, Entity_2, \
+             Entity_3, Entity_4, Entity_5, Entity_6, Entity_7, Entity_8, Entity_9, Entity_10, Entity_11, Entity_12, \
+             Entity_13. There exist the following predicates as their attributes and relations: IsPedestrian (arity: \
+             1), IsCar (arity: 1), IsAmbulance (arity: 1), IsBus (arity: 1), IsPolice (arity: 1), IsTiro (arity: 1), \
+             IsReckless (arity: 1), IsOld (arity: 1), IsYoung (arity: 1), IsAtInter (arity: 1), IsInInter (arity: 1), \
+             IsClose (arity: 2), HigherPri (arity: 2), CollidingClose (arity: 2), LeftOf (arity: 2), RightOf (arity: \
+             2), NextTo (arity: 2), Sees (arity: 2). The truth value of these predicates grounded to the entities are \
+             as follows (Only the ones that are True are provided, assume the rest are False): IsPedestrian("
+        ),
+        "{text}"
+    );
+    assert!(
+        text.contains("). What is the next action of entity Entity_") && text.ends_with('?'),
+        "{text}"
+    );
+    assert_eq!(question["version"], 3);
+}
+
+#[test]
+fn slow_pictures_show_the_scene_and_mark_the_car() {
+    let folder = tempfile::tempdir().unwrap();
+    let file = folder.path().join("seen.jsonl");
+    let arguments = [
+        "--count",
+        "12",
+        "--style",
+        "picture",
+        "--seed",
+        "4",
+        "--output",
+        file.to_str().unwrap(),
+    ];
+    let said = text(&arguments);
+    assert!(
+        said.contains("wrote 17 pictures to ") && said.contains("seen-pictures\n"),
+        "{said}"
+    );
+    let seen: Vec<Value> = (fs::read_to_string(&file).unwrap().lines())
+        .map(|line| serde_json::from_str(line).unwrap())
+        .collect();
+    let listed = questions(&["--count", "12", "--seed", "4"]);
+    let pairs = |set: &[Value]| -> Vec<Value> {
+        let shown = set[0]["demonstrations"].as_array().unwrap();
+        set.iter().chain(shown).cloned().collect()
+    };
+    let mut names = BTreeSet::new();
+    for (seen, listed) in pairs(&seen).iter().zip(pairs(&listed)) {
+        // The same questions, in another form.
+        assert_eq!([&seen["scene"], &seen["answer"]], [&listed["scene"], &listed["answer"]]);
+        let name = string(&seen["picture"]);
+        names.insert(name.to_owned());
+        let picture = read_png(&fs::read(folder.path().join(name)).unwrap()).unwrap();
+        let marked = picture
+            .pixels()
+            .as_chunks::<3>()
+            .0
+            .iter()
+            .filter(|rgb| **rgb == [0xc8, 0x1e, 0xb4]);
+        // A frame around a car of 48 pixels, two pixels wide.
+        assert!((200..1000).contains(&marked.count()), "{name}");
+        // The text has only what the picture cannot show, which it would have in sentences, too.
+        let text = string(&seen["question"]);
+        let words: Vec<&str> = text.lines().skip(3).collect();
+        let (ask, told) = words.split_last().unwrap();
+        assert!(ask.starts_with("Which action does Car "), "{text}");
+        let facts = seen["scene"]["facts"].as_object().unwrap();
+        let told: usize = told
+            .iter()
+            .flat_map(|line| line.split_inclusive('.'))
+            .map(|sentence| {
+                let said = [" has priority over ", " is about to run into "];
+                assert!(said.iter().any(|verb| sentence.contains(verb)), "{sentence}");
+                1 + sentence.matches(" and ").count() + sentence.matches(", ").count()
+            })
+            .sum();
+        let rows = |name: &str| facts[name].as_array().unwrap().len();
+        assert_eq!(told, rows("HigherPri") + rows("CollidingClose"), "{text}");
+    }
+    assert_eq!(names.len(), 17);
+    // The same seed gives the same pictures, and the command replaces its own files.
+    let name = folder.path().join(names.first().unwrap());
+    let before = fs::read(&name).unwrap();
+    text(&arguments);
+    assert_eq!(fs::read(&name).unwrap(), before);
+}
+
 #[test]
 fn a_question_names_its_source() {
     let questions = questions(&["expert", "--count", "40"]);
@@ -427,7 +652,11 @@ fn the_same_seed_gives_the_same_bytes() {
     let summary = text(&[&arguments[..], &files].concat());
     assert_eq!(
         summary,
-        format!("wrote {table}\nwrote {shown}\nwrote 60 questions to {file}: Slow 15, Normal 15, Fast 15, Stop 15\n")
+        format!(
+            "wrote {table}\nwrote {shown}\nwrote 60 questions to {file}: Slow 15, Normal 15, Fast 15, Stop 15\nbest guess: 15 \
+             of 60 right with one answer for all cars, {} with one for each concept\n",
+            best_guess_by_concepts(&questions(&arguments))
+        )
     );
     assert_eq!(fs::read_to_string(&file).unwrap(), printed);
 
@@ -475,6 +704,28 @@ fn slow_impossible_requests_are_errors() {
     refused(&["--mini", "--count", "3"], 2, &["--mini"]);
     refused(&["--shots", "3"], 2, &["invalid-value", "Slow, Normal, Fast, Stop"]);
     refused(&["--split", "train"], 2, &["invalid-value", "the same agents"]);
+    refused(
+        &["vap-easy", "--mix", "paper"],
+        2,
+        &["never require Fast", "`--mix equal`"],
+    );
+    refused(
+        &["--style", "paper", "--shots", "0"],
+        2,
+        &["the paper's prompt has solved examples"],
+    );
+    refused(
+        &["--style", "paper", "--prompt", "why"],
+        2,
+        &["does not state the rules"],
+    );
+    refused(&["--style", "picture"], 2, &["name a file with `--output`"]);
+    refused(&["--style", "picture", "-o", "-"], 2, &["name a file with `--output`"]);
+    refused(
+        &["--style", "picture", "-o", "q.jsonl", "--csv", "q.csv"],
+        2,
+        &["a table cannot have pictures"],
+    );
     refused(
         &["--about", "tyro,bus"],
         2,

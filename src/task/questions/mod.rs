@@ -5,6 +5,8 @@
 //! another agent set than the questions.
 // Decision: docs/decisions/tasks.md#d050
 
+#[cfg(feature = "render")]
+mod pictures;
 mod statement;
 mod wording;
 mod words;
@@ -19,7 +21,8 @@ use crate::predicate::Definition;
 use crate::rng::{Purpose, Rng, RngExt, Seed};
 use crate::sim::{Facts, GroundState, MAX_ENTITIES, Settings, Simulation, World};
 use crate::yaml::codes;
-use std::collections::BTreeSet;
+use std::cmp::Reverse;
+use std::collections::{BTreeMap, BTreeSet};
 use std::sync::Arc;
 
 impl Purpose {
@@ -38,6 +41,14 @@ const PER_WORLD: usize = 4;
 
 /// A search ends after this many worlds plus one per question.
 const WORLDS: usize = 200;
+
+/// A set with [`Mix::ByConcept`] has no question about cars with some concepts and an answer that these cars do not
+/// give in this many worlds, because the rules seem to exclude it.
+const CATEGORY_WORLDS: usize = 50;
+
+/// The answers of the paper's small set, in the order of [`Action::ALL`]. The paper prints accuracies only; these are
+/// the only numbers with a sum of 117 that fit them.
+const PAPER_MIX: [usize; 4] = [20, 42, 25, 30];
 
 /// The maximum number of questions of a set.
 pub const QUESTIONS_MAX: u32 = 20_000;
@@ -62,6 +73,8 @@ pub struct Request {
     pub style: Style,
     /// What the instructions state and request.
     pub prompt: Prompt,
+    /// How often each answer is correct.
+    pub mix: Mix,
     /// Restricts questions to cars with one of these concepts, unless empty.
     pub about: Vec<String>,
     /// Seed of the set.
@@ -93,21 +106,53 @@ impl Extent {
 /// The form of the facts in the source of a question.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum Style {
-    /// A list of atoms, as in the paper.
+    /// A list of atoms.
     Atoms,
     /// English sentences about each agent.
     Words,
+    /// The wording and the layout of the paper's prompt.
+    Paper,
+    /// A picture of the scene, and a list of the atoms that it does not determine.
+    Picture,
 }
 
 impl Style {
-    /// Both values.
-    pub const ALL: [Style; 2] = [Style::Atoms, Style::Words];
+    /// All values.
+    pub const ALL: [Style; 4] = [Style::Atoms, Style::Words, Style::Paper, Style::Picture];
 
-    /// Returns the name: `atoms` or `words`.
+    /// Returns the name: `atoms`, `words`, `paper` or `picture`.
     pub const fn name(self) -> &'static str {
         match self {
             Style::Atoms => "atoms",
             Style::Words => "words",
+            Style::Paper => "paper",
+            Style::Picture => "picture",
+        }
+    }
+}
+
+/// How often each answer is correct in a set. Demonstrations are always [`Mix::Equal`].
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub enum Mix {
+    /// All answers equally often, as far as they occur.
+    Equal,
+    /// In the proportions of the paper's small set: Slow 20, Normal 42, Fast 25, Stop 30.
+    Paper,
+    /// All answers equally often among the cars with the same concepts, as far as the rules permit. If they permit some
+    /// answer for all cars, a guess from the concepts of the car is no better than the same answer to every question.
+    ByConcept,
+}
+
+impl Mix {
+    /// All values.
+    pub const ALL: [Mix; 3] = [Mix::Equal, Mix::Paper, Mix::ByConcept];
+
+    /// Returns the name: `equal`, `paper` or `by-concept`.
+    pub const fn name(self) -> &'static str {
+        match self {
+            Mix::Equal => "equal",
+            Mix::Paper => "paper",
+            Mix::ByConcept => "by-concept",
         }
     }
 }
@@ -159,6 +204,8 @@ pub struct Question {
     pub entities: usize,
     /// The entity that decides.
     pub ego: usize,
+    /// The position of each entity among the agents of the city.
+    pub agents: Vec<usize>,
     /// All true facts about the entities.
     pub facts: Facts,
     /// The action that the rules want.
@@ -184,13 +231,13 @@ pub struct Source {
 
 impl QuestionSet {
     /// Draws a set in which all questions differ. No question has the same entities by type and concepts as a
-    /// demonstration. Answers are balanced as far as they occur. Calls `watch` with the number of questions after each
-    /// world.
+    /// demonstration. Calls `watch` with the number of questions so far.
     ///
     /// # Errors
-    /// `invalid-value` for an unknown concept, too few demonstrations for the actions, or equal agents in questions and
-    /// demonstrations. `limit-exceeded` if the search finds too few questions, or no demonstration of an answer. Those
-    /// of [`Simulation::new`].
+    /// `invalid-value` for an unknown concept, too few demonstrations for the actions, equal agents in questions and
+    /// demonstrations, the paper's mix for rules that never derive one of its answers, or the paper's style without
+    /// demonstrations or with another prompt. `limit-exceeded` if the search finds too few questions, or no
+    /// demonstration of an answer. Those of [`Simulation::new`].
     pub fn draw(
         world: &Arc<World>,
         request: Request,
@@ -198,7 +245,7 @@ impl QuestionSet {
     ) -> Result<QuestionSet, Vec<Diagnostic>> {
         check(world, &request)?;
         let mut known = Known::default();
-        let mut shown = QuestionSearch::new(world, &request, request.demonstrations, request.shots);
+        let mut shown = QuestionSearch::new(world, &request, request.demonstrations, (request.shots, Mix::Equal));
         let mut demonstrations = match request.shots {
             0 => Vec::new(),
             _ => shown.run(&[], &mut known, |_| ()).map_err(|fault| vec![fault])?,
@@ -207,7 +254,7 @@ impl QuestionSet {
             .iter()
             .map(|question| composition(world, question))
             .collect();
-        let mut search = QuestionSearch::new(world, &request, request.split, request.count);
+        let mut search = QuestionSearch::new(world, &request, request.split, (request.count, request.mix));
         let mut questions = search
             .run(&request.about, &mut known, &mut watch)
             .map_err(|fault| vec![fault])?;
@@ -244,6 +291,24 @@ impl QuestionSet {
             let answers = self.questions.iter().filter(|question| question.answer == action);
             answers.count()
         })
+    }
+
+    /// Returns how many questions the best guesses get right: the same answer to every question, and an answer that
+    /// depends only on type and concepts of the car.
+    pub fn best_guesses(&self) -> [usize; 2] {
+        let mut by_concepts: BTreeMap<Vec<usize>, [usize; 4]> = BTreeMap::new();
+        for question in &self.questions {
+            let rows = self.predicates.iter().zip(&question.facts.rows).enumerate();
+            let carried = rows.filter(|(_, ((_, definition), rows))| {
+                definition.is_static() && rows.iter().any(|row| row[0] as usize == question.ego)
+            });
+            let answers = by_concepts
+                .entry(carried.map(|(index, _)| index).collect())
+                .or_default();
+            answers[question.answer as usize] += 1;
+        }
+        let most = |answers: [usize; 4]| answers.into_iter().max().unwrap_or(0);
+        [most(self.answers()), by_concepts.into_values().map(most).sum()]
     }
 }
 
@@ -312,6 +377,20 @@ fn check(world: &World, request: &Request) -> Result<(), Vec<Diagnostic>> {
             Diagnostic::new(codes::INVALID_VALUE, message).help("use 0 (`--shots 0`), or at least one per action"),
         );
     }
+    let lacking: Vec<&str> = (Action::ALL.into_iter().map(Action::name))
+        .filter(|action| !actions.contains(action))
+        .collect();
+    if request.mix == Mix::Paper && !lacking.is_empty() {
+        let (name, lacking) = (&scenario.name, lacking.join(" or "));
+        let message =
+            format!("the rules of `{name}` never require {lacking}, but the paper's mix has all four answers");
+        faults.push(Diagnostic::new(codes::INVALID_VALUE, message).help("use another mix: `--mix equal`"));
+    }
+    if request.style == Style::Paper && (request.shots == 0 || request.prompt != Prompt::Examples) {
+        let message = "the paper's prompt has solved examples and does not state the rules";
+        let help = "use another style, or `--prompt examples` with at least one example per action";
+        faults.push(Diagnostic::new(codes::INVALID_VALUE, message).help(help));
+    }
     let agents = |split: Split| {
         let set = scenario.agent_set(split)?;
         let mut agents: Vec<_> = set.agents().map(|agent| (agent.name.kind, agent.concepts)).collect();
@@ -339,6 +418,10 @@ struct Known {
     compositions: BTreeSet<Vec<Vec<usize>>>,
 }
 
+/// What a mix tells apart: the concepts of the car, which are empty unless the mix is [`Mix::ByConcept`], and the
+/// answer.
+type Category = (Vec<String>, Action);
+
 /// A search for questions about the cars of a split.
 struct QuestionSearch<'w> {
     world: &'w Arc<World>,
@@ -346,20 +429,21 @@ struct QuestionSearch<'w> {
     extent: Extent,
     seed: Seed,
     count: usize,
-    /// Indexed by answer.
-    found: [Vec<Question>; 4],
+    mix: Mix,
+    found: BTreeMap<Category, Vec<Question>>,
     worlds: usize,
 }
 
 impl<'w> QuestionSearch<'w> {
-    fn new(world: &'w Arc<World>, request: &Request, split: Split, count: usize) -> QuestionSearch<'w> {
+    fn new(world: &'w Arc<World>, request: &Request, split: Split, (count, mix): (usize, Mix)) -> QuestionSearch<'w> {
         QuestionSearch {
             world,
             split,
             extent: request.entities,
             seed: Seed(request.seed),
             count,
-            found: Default::default(),
+            mix,
+            found: BTreeMap::new(),
             worlds: 0,
         }
     }
@@ -377,29 +461,49 @@ impl<'w> QuestionSearch<'w> {
             return Err(Diagnostic::new(diag::codes::LIMIT_EXCEEDED, message));
         }
         let mut city = Simulation::new(Arc::clone(self.world), self.split, self.seed, Settings::default())?;
-        let asked = askable(self.world);
-        let share = |place: usize| self.count / asked.len() + usize::from(place < self.count % asked.len());
-        let wanted: Vec<(Action, usize)> = asked
-            .iter()
-            .enumerate()
-            .map(|(place, &action)| (action, share(place)))
-            .collect();
-        while self.worlds < WORLDS + self.count
-            && wanted
-                .iter()
-                .any(|&(action, share)| self.found[action as usize].len() < share)
-        {
+        let mut wanted = BTreeMap::new();
+        while self.worlds < WORLDS + self.count {
+            // Later worlds can only add categories to a mix by concept.
+            if self.worlds == 0 || self.mix == Mix::ByConcept && wanted.len() < self.found.len() {
+                wanted = self.wanted();
+            }
+            let sure = (wanted.iter())
+                .map(|(category, &share)| self.available(category).min(share))
+                .sum();
+            watch(sure);
+            if sure == self.count {
+                break;
+            }
             let mut stream = self
                 .seed
                 .stream(Purpose::QUESTION, self.worlds as u64, self.split as u64);
             self.look(&mut city, about, known, &mut stream)?;
             self.worlds += 1;
-            let sure = wanted
-                .iter()
-                .map(|&(action, share)| self.found[action as usize].len().min(share));
-            watch(sure.sum());
         }
         self.choose()
+    }
+
+    /// Returns the number of questions that were found in a category.
+    fn available(&self, category: &Category) -> usize {
+        self.found.get(category).map_or(0, Vec::len)
+    }
+
+    /// Returns the number of questions of each category in the set, if enough can be found. Empty as long as the
+    /// categories are unknown.
+    fn wanted(&self) -> BTreeMap<Category, usize> {
+        let unlimited = |action: Action| ((Vec::new(), action), usize::MAX);
+        match self.mix {
+            Mix::Equal => shares(self.count, &askable(self.world).into_iter().map(unlimited).collect()),
+            Mix::Paper => {
+                let shares = Action::ALL.into_iter().zip(proportional(self.count, PAPER_MIX));
+                shares.map(|(action, share)| ((Vec::new(), action), share)).collect()
+            }
+            Mix::ByConcept if self.worlds < CATEGORY_WORLDS => BTreeMap::new(),
+            Mix::ByConcept => {
+                let found = self.found.keys().map(|category| (category.clone(), usize::MAX));
+                shares(self.count, &found.collect())
+            }
+        }
     }
 
     /// Samples questions from one world.
@@ -413,8 +517,8 @@ impl<'w> QuestionSearch<'w> {
         let seed: u64 = stream.random();
         city.restart_drawn(Seed(seed), |_| ())?;
         let carries = |concepts: &[String]| about.is_empty() || concepts.iter().any(|concept| about.contains(concept));
-        // For each answer, the decisions with the lowest random keys.
-        let mut drawn: [Vec<(u64, Question)>; 4] = Default::default();
+        // For each category, the decisions with the lowest random keys.
+        let mut drawn: BTreeMap<Category, Vec<(u64, Question)>> = BTreeMap::new();
         for tick in 0..TICKS {
             city.tick(&[])?;
             if tick < WARM_UP {
@@ -427,7 +531,12 @@ impl<'w> QuestionSearch<'w> {
                 }
                 let (lot, order): (u64, u64) = (stream.random(), stream.random());
                 let answer = city.report().agents[ego].action;
-                let best = &mut drawn[answer as usize];
+                let mut concepts = Vec::new();
+                if self.mix == Mix::ByConcept {
+                    concepts.extend_from_slice(&agent.concepts);
+                    concepts.sort_unstable();
+                }
+                let best = drawn.entry((concepts, answer)).or_default();
                 let place = best.partition_point(|(other, _)| *other < lot);
                 if place < PER_WORLD {
                     let facts = match &mut facts {
@@ -445,11 +554,11 @@ impl<'w> QuestionSearch<'w> {
                 }
             }
         }
-        for (found, drawn) in self.found.iter_mut().zip(drawn) {
+        for (category, drawn) in drawn {
             for (_, question) in drawn {
                 let composed = known.compositions.contains(&composition(self.world, &question));
                 if !composed && known.questions.insert(unordered(self.world, &question)) {
-                    found.push(question);
+                    self.found.entry(category.clone()).or_default().push(question);
                 }
             }
         }
@@ -488,6 +597,7 @@ impl<'w> QuestionSearch<'w> {
         Question {
             ego: place(agent).expect("every agent sees itself") as usize,
             entities: named.len(),
+            agents: named.iter().map(|&agent| agent as usize).collect(),
             facts,
             answer,
             clauses: Vec::new(),
@@ -495,21 +605,28 @@ impl<'w> QuestionSearch<'w> {
         }
     }
 
-    /// Returns the requested number of questions, with balanced answers as far as possible.
+    /// Returns the requested number of questions, in the requested mix as far as possible.
     fn choose(&mut self) -> Result<Vec<Question>, Diagnostic> {
-        let shares = equal_shares(self.count, self.found.each_ref().map(Vec::len));
-        if shares.iter().sum::<usize>() < self.count {
-            let found: usize = self.found.iter().map(Vec::len).sum();
+        let shares = match self.mix {
+            Mix::Equal | Mix::ByConcept => {
+                let found = (self.found.iter()).map(|(category, found)| (category.clone(), found.len()));
+                shares(self.count, &found.collect())
+            }
+            Mix::Paper => self.wanted(),
+        };
+        let found: usize = (shares.iter())
+            .map(|(category, &share)| self.available(category).min(share))
+            .sum();
+        if found < self.count {
             let (count, worlds, split) = (self.count, self.worlds, self.split.name());
             let message = format!("found only {found} of {count} different questions in {worlds} worlds of `{split}`");
             return Err(Diagnostic::new(diag::codes::LIMIT_EXCEEDED, message)
                 .help("request fewer questions, use another agent set, or name all entities of the city"));
         }
-        let taken = self
-            .found
-            .iter_mut()
-            .zip(shares)
-            .flat_map(|(found, share)| found.drain(..share));
+        let taken = self.found.iter_mut().flat_map(|(category, found)| {
+            let share = shares.get(category).copied().unwrap_or(0);
+            found.drain(..share)
+        });
         let mut questions: Vec<Question> = taken.collect();
         questions.sort_by_cached_key(|question| {
             let Source { world, tick, agent, .. } = question.source;
@@ -522,15 +639,36 @@ impl<'w> QuestionSearch<'w> {
     }
 }
 
-/// Splits `count` into shares that are as equal as the available numbers allow; the first shares get the remainder.
-fn equal_shares(count: usize, available: [usize; 4]) -> [usize; 4] {
-    let mut shares = [0; 4];
+/// Splits `count` into shares of categories that are as equal as the available numbers allow: first those of groups of
+/// cars with the same concepts, then those of the answers in each group. The remainder goes to the answers that most
+/// groups have, then to the first ones. So as long as enough questions are available, an answer that all groups have is
+/// a most frequent one in each of them.
+fn shares(count: usize, available: &BTreeMap<Category, usize>) -> BTreeMap<Category, usize> {
+    let groups_with = |action: Action| available.keys().filter(|(_, other)| *other == action).count();
+    let mut taken: BTreeMap<&[String], usize> = available.keys().map(|(group, _)| (&group[..], 0)).collect();
+    let mut shares: BTreeMap<Category, usize> = available.keys().map(|category| (category.clone(), 0)).collect();
     for _ in 0..count {
-        let next = (0..4).filter(|&place| shares[place] < available[place]);
-        if let Some(place) = next.min_by_key(|&place| shares[place]) {
-            shares[place] += 1;
-        }
+        let free = available.iter().filter(|&(category, &most)| shares[category] < most);
+        let next = free.map(|(category, _)| category).min_by_key(|category| {
+            let (group, action) = *category;
+            let preference = (Reverse(groups_with(*action)), *action);
+            (taken[&group[..]], group, shares[*category], preference)
+        });
+        let Some(next) = next else { break };
+        *shares.get_mut(next).expect("each category has a share") += 1;
+        *taken.get_mut(&next.0[..]).expect("each group has a share") += 1;
     }
+    shares
+}
+
+/// Splits `count` in proportion to weights, by the method of largest remainders; of equal ones, the first.
+fn proportional(count: usize, weights: [usize; 4]) -> [usize; 4] {
+    let total: usize = weights.iter().sum();
+    let mut shares = weights.map(|weight| count * weight / total);
+    let mut order = [0, 1, 2, 3];
+    order.sort_by_key(|&place| Reverse(count * weights[place] % total));
+    let rest = count - shares.iter().sum::<usize>();
+    order[..rest].iter().for_each(|&place| shares[place] += 1);
     shares
 }
 
@@ -599,4 +737,76 @@ fn unordered(world: &World, question: &Question) -> Vec<Vec<[u32; 2]>> {
         rows
     });
     renamed.collect()
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    /// How many questions the same answer to all gets right, and the best answer in each group.
+    fn best_guesses(shares: &BTreeMap<Category, usize>) -> [usize; 2] {
+        let mut groups: BTreeMap<&Vec<String>, usize> = BTreeMap::new();
+        let mut answers = [0; 4];
+        for ((group, action), &share) in shares {
+            let best = groups.entry(group).or_default();
+            *best = share.max(*best);
+            answers[*action as usize] += share;
+        }
+        [answers.into_iter().max().unwrap_or(0), groups.into_values().sum()]
+    }
+
+    #[test]
+    fn shares_are_equal_within_and_among_groups() {
+        let mut random = Seed(1).stream(Purpose::TEST, 0, 0);
+        for _ in 0..500 {
+            let groups: u32 = random.random_range(1..5);
+            let mut available: BTreeMap<Category, usize> = BTreeMap::new();
+            for group in 0..groups {
+                for action in Action::ALL {
+                    // Every group has Stop.
+                    if action == Action::Stop || random.random_range(0..2) == 0 {
+                        available.insert((vec![group.to_string()], action), usize::MAX);
+                    }
+                }
+            }
+            let count: usize = random.random_range(1..200);
+            let found = shares(count, &available);
+            assert_eq!(found.values().sum::<usize>(), count);
+            let [same, by_group] = best_guesses(&found);
+            assert_eq!(same, by_group, "{found:?}");
+            let of = |group: u32| {
+                let own = found.iter().filter(move |((name, _), _)| *name == [group.to_string()]);
+                own.map(|(_, &share)| share)
+            };
+            let sizes = || (0..groups).map(|group| of(group).sum::<usize>());
+            assert!(sizes().max().unwrap() - sizes().min().unwrap() <= 1, "{found:?}");
+            for group in 0..groups {
+                assert!(of(group).max().unwrap() - of(group).min().unwrap() <= 1, "{found:?}");
+            }
+            // With few questions, nothing is left while shares are short.
+            let few: BTreeMap<Category, usize> = (available.keys())
+                .map(|category| (category.clone(), random.random_range(0..30)))
+                .collect();
+            let found = shares(count, &few);
+            assert!(found.iter().all(|(category, &share)| share <= few[category]));
+            let all: usize = few.values().sum();
+            assert_eq!(found.values().sum::<usize>(), count.min(all));
+        }
+    }
+
+    #[test]
+    fn proportional_shares_are_the_nearest_ones() {
+        let mut random = Seed(2).stream(Purpose::TEST, 0, 0);
+        for _ in 0..500 {
+            let weights: [usize; 4] = std::array::from_fn(|_| random.random_range(1..60));
+            let count: usize = random.random_range(1..300);
+            let (found, total) = (proportional(count, weights), weights.iter().sum::<usize>());
+            assert_eq!(found.iter().sum::<usize>(), count);
+            for (share, weight) in found.into_iter().zip(weights) {
+                let exact = count * weight;
+                assert!((share * total).abs_diff(exact) < total, "{count} {weights:?} {found:?}");
+            }
+            assert_eq!(proportional(total, weights), weights);
+        }
+    }
 }

@@ -236,7 +236,9 @@ impl<'a> Writer<'a> {
             };
         }
         match self.definition(atom) {
-            Some(definition) if self.style == Style::Words => self.phrase(scope, atom, definition, negative),
+            Some(definition) if matches!(self.style, Style::Words | Style::Picture) => {
+                self.phrase(scope, atom, definition, negative)
+            }
             _ if negative => format!("not {}", self.atom(scope, atom)),
             _ => self.atom(scope, atom),
         }

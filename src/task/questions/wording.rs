@@ -2,13 +2,20 @@
 
 use crate::city::{Action, Split};
 use crate::diag::Sources;
+use crate::predicate::Definition;
 use crate::sim::World;
-use crate::task::questions::{Prompt, Question, QuestionSet, Request, Style, statement, words};
+use crate::task::questions::{Mix, Prompt, Question, QuestionSet, Request, Style, statement, words};
 use serde_json::{Map, Value, json};
 use std::io::{self, Write};
 
-/// The version of the format. Version 1 had no `version`, `prompt` and `clauses`, and no `scene` of demonstrations.
+/// The versions of the format. Version 1 had no `version`, `prompt` and `clauses`, and no `scene` of demonstrations.
+/// Version 3 is that of questions with `closing` or `picture`, which readers of version 2 would ignore.
 const VERSION: u32 = 2;
+const VERSION_WITH_LAYOUT: u32 = 3;
+
+/// What the paper's prompt says between the demonstrations and the question.
+const CLOSING: &str = "Now try your best to first identify the FOL rules from the examples above and then answer the \
+    following question. Your answer should strictly end with the format of single letter: 'Answer: _.'";
 
 /// The rules that determine the answers.
 #[derive(Clone, Copy, Debug)]
@@ -27,37 +34,40 @@ pub fn letter(action: Action) -> char {
 }
 
 impl QuestionSet {
-    /// Writes one JSON object per line; docs/how-to/ask-language-models.md documents the keys.
+    /// Writes one JSON object per line; docs/how-to/ask-language-models.md documents the keys. `pictures` is the folder
+    /// of the pictures as seen from the file, if the style has any.
     ///
     /// # Errors
     /// Errors of `out`.
-    pub fn write_json(&self, world: &World, rules: RulesFile<'_>, out: &mut impl Write) -> io::Result<()> {
+    pub fn write_json(
+        &self,
+        world: &World,
+        rules: RulesFile<'_>,
+        pictures: &str,
+        out: &mut impl Write,
+    ) -> io::Result<()> {
         let scenario = &world.scenario;
-        let style = match self.request.style {
-            Style::Atoms => "",
-            Style::Words => "-words",
-        };
         let Request {
-            split, seed, prompt, ..
+            seed, prompt, style, ..
         } = &self.request;
-        let variant = match prompt {
-            Prompt::Examples => String::new(),
-            _ => format!("-{}", prompt.name()),
-        };
-        let set = format!("{}-{}-{seed}{style}{variant}", scenario.name, split.name());
+        let set = self.id(&scenario.name);
         let clauses = |question: &Question| -> Value {
             let clauses = question.clauses.iter().copied();
             statement::labels(world, rules.sources, clauses).into()
         };
-        let shown = self.demonstrations.iter().map(|shown| {
-            json!({
+        let shown = self.demonstrations.iter().enumerate().map(|(number, shown)| {
+            let mut line = json!({
                 "question": self.text(shown),
                 "answer": letter(shown.answer),
                 "action": shown.answer.name(),
                 "clauses": clauses(shown),
                 "scene": self.scene(shown),
                 "source": source(shown),
-            })
+            });
+            if *style == Style::Picture {
+                line["picture"] = format!("{pictures}/{}", picture_of_demonstration(&set, number)).into();
+            }
+            line
         });
         let (system, shown) = (self.instructions(world, rules.sources), shown.collect::<Vec<_>>());
         let labels = match prompt {
@@ -80,7 +90,7 @@ impl QuestionSet {
                 from.insert(key.to_owned(), value);
             }
             let mut line = json!({
-                "version": VERSION,
+                "version": if matches!(style, Style::Paper | Style::Picture) { VERSION_WITH_LAYOUT } else { VERSION },
                 "id": format!("{set}-{number}"),
                 "prompt": prompt.name(),
                 "system": system,
@@ -96,9 +106,37 @@ impl QuestionSet {
             if *prompt == Prompt::Why {
                 line["labels"] = labels.clone().into();
             }
+            match style {
+                Style::Paper => line["closing"] = CLOSING.into(),
+                Style::Picture => line["picture"] = format!("{pictures}/{}", picture_of_question(&set, number)).into(),
+                Style::Atoms | Style::Words => {}
+            }
             writeln!(out, "{line}")?;
         }
         Ok(())
+    }
+
+    /// Returns the identifier of the set: the beginning of those of its questions.
+    pub(super) fn id(&self, config: &str) -> String {
+        let Request {
+            split,
+            seed,
+            style,
+            prompt,
+            mix,
+            ..
+        } = &self.request;
+        let mut set = format!("{config}-{}-{seed}", split.name());
+        if *style != Style::Atoms {
+            set += &format!("-{}", style.name());
+        }
+        if *mix != Mix::Equal {
+            set += &format!("-{}-mix", mix.name());
+        }
+        if *prompt != Prompt::Examples {
+            set += &format!("-{}", prompt.name());
+        }
+        set
     }
 
     /// Writes the questions as CSV without a header, in the format of MMLU: question, four options, letter of the
@@ -130,6 +168,13 @@ impl QuestionSet {
     /// Returns the system prompt.
     fn instructions(&self, world: &World, sources: &Sources) -> String {
         let prompt = self.request.prompt;
+        if self.request.style == Style::Paper {
+            return format!(
+                "You are an expert in First-Order-Logic (FOL) Rule induction, the following question-answers are FOL \
+                 reasoning examples. Here are {} demonstrations:",
+                self.demonstrations.len()
+            );
+        }
         let hidden = match prompt {
             Prompt::Examples => " that are not shown to you",
             Prompt::Rules | Prompt::Why => "",
@@ -172,6 +217,8 @@ impl QuestionSet {
         match self.request.style {
             Style::Atoms => self.atoms(question),
             Style::Words => words::text(&self.predicates, question),
+            Style::Paper => self.paper(question),
+            Style::Picture => words::beside_picture(&self.predicates, question),
         }
     }
 
@@ -184,14 +231,7 @@ impl QuestionSet {
             .collect();
         let mut facts = String::new();
         for ((name, definition), rows) in self.predicates.iter().zip(&question.facts.rows) {
-            let atoms = rows.iter().map(|row| {
-                let arguments: Vec<String> = row[..definition.arity()]
-                    .iter()
-                    .map(|&place| entity(place as usize))
-                    .collect();
-                format!("{name}({})", arguments.join(", "))
-            });
-            let atoms: Vec<String> = atoms.collect();
+            let atoms: Vec<String> = rows.iter().map(|row| atom(name, definition, row)).collect();
             if !atoms.is_empty() {
                 facts += &(atoms.join(", ") + "\n");
             }
@@ -202,6 +242,31 @@ impl QuestionSet {
              false):\n{facts}Which action does {} take next?",
             names.join(", "),
             predicates.join(", "),
+            names[question.ego]
+        )
+    }
+
+    /// Returns a question in the words of the paper's figure. As there, the facts omit that each entity sees itself.
+    fn paper(&self, question: &Question) -> String {
+        let names: Vec<String> = (0..question.entities).map(entity).collect();
+        let predicates = self.predicates.iter();
+        let predicates = predicates.map(|(name, definition)| format!("{name} (arity: {})", definition.arity()));
+        let facts = self.predicates.iter().zip(&question.facts.rows);
+        let facts = facts.flat_map(|((name, definition), rows)| {
+            let others = rows
+                .iter()
+                .filter(|row| !(definition.is_reflexive() && row[0] == row[1]));
+            others.map(move |row| atom(name, definition, row))
+        });
+        format!(
+            "In the scene you see a total of {} entities, they are named as follows: {}. There exist the following \
+             predicates as their attributes and relations: {}. The truth value of these predicates grounded to the \
+             entities are as follows (Only the ones that are True are provided, assume the rest are False): {}. What \
+             is the next action of entity {}?",
+            names.len(),
+            names.join(", "),
+            predicates.collect::<Vec<_>>().join(", "),
+            facts.collect::<Vec<_>>().join(", "),
             names[question.ego]
         )
     }
@@ -222,6 +287,22 @@ impl QuestionSet {
             "facts": facts.collect::<Map<_, _>>(),
         })
     }
+}
+
+/// Returns a fact as an atom.
+fn atom(name: &str, definition: &Definition, row: &[u32; 2]) -> String {
+    let arguments = row[..definition.arity()].iter().map(|&place| entity(place as usize));
+    format!("{name}({})", arguments.collect::<Vec<_>>().join(", "))
+}
+
+/// Returns the file name of the picture of a question.
+pub(super) fn picture_of_question(set: &str, number: usize) -> String {
+    format!("{set}-{number}.png")
+}
+
+/// Returns the file name of the picture of a demonstration.
+pub(super) fn picture_of_demonstration(set: &str, number: usize) -> String {
+    format!("{set}-example-{}.png", number + 1)
 }
 
 /// Returns the name of an entity.
