@@ -7,6 +7,8 @@ clauses that derive these actions.
 
 from __future__ import annotations
 
+import base64
+import hashlib
 import json
 import math
 import os
@@ -39,6 +41,7 @@ __all__ = [
     "Reply",
     "ask",
     "calibrate",
+    "fingerprint",
     "grade",
     "load_answers",
     "load_logprobs",
@@ -51,8 +54,9 @@ LETTERS = "ABCD"
 UNREAD, MISSING = "unread", "missing"
 #: The name in place of a rule, for an action that no rule requires.
 NO_RULE = "none"
-#: The versions of files of questions. Version 1 has no clauses, and no scenes of demonstrations.
-VERSIONS = (1, 2)
+#: The versions of files of questions. Version 1 has no clauses, and no scenes of demonstrations. Only version 3 has
+#: pictures and the layout of the paper.
+VERSIONS = (1, 2, 3)
 #: The largest response, in bytes: more text than a model writes. With log-probabilities, each token needs some kB.
 RESPONSE_BYTES = 4 << 20
 RESPONSE_BYTES_WITH_LOGPROBS = 32 << 20
@@ -60,6 +64,9 @@ RESPONSE_BYTES_WITH_LOGPROBS = 32 << 20
 SHOWN = 300
 #: The largest line of a file of questions or answers, in bytes.
 LINE_BYTES = 64 << 20
+#: The largest picture, in bytes, and how its file begins.
+PICTURE_BYTES = 16 << 20
+PNG = b"\x89PNG\r\n\x1a\n"
 #: The largest timeout of a request, in seconds: a day.
 TIMEOUT_MAX = 86_400.0
 
@@ -80,19 +87,22 @@ class Demonstration:
         answer: The letter of the correct action.
         clauses: The labels of the clauses that derive the action, in source order; `None` in a file of version 1.
         scene: The facts, as `infer` takes them; `None` in a file of version 1.
+        picture: The file with the picture of the scene, if the questions have pictures.
     """
 
     text: str
     answer: str
     clauses: tuple[str, ...] | None = None
     scene: Mapping[str, Any] | None = None
+    picture: Path | None = None
 
 
 @dataclass(frozen=True)
 class Question:
     """A question from the output of `logicity questions`.
 
-    `text`, `answer` and `clauses` are as for `Demonstration`, and so is `scene`, which is `None` if the file has none.
+    `text`, `answer`, `clauses` and `picture` are as for `Demonstration`, and so is `scene`, which is `None` if the file
+    has none.
 
     Attributes:
         id: The unique name of the question.
@@ -101,6 +111,7 @@ class Question:
         options: The actions by letter.
         labels: The labels of all rules of actions, if the question requests a rule; otherwise empty.
         source: The configuration, the rules and the decision behind the question.
+        closing: What the paper's prompt says between examples and question. `None` unless the question has its layout.
     """
 
     id: str
@@ -113,21 +124,83 @@ class Question:
     labels: tuple[str, ...] = ()
     scene: Mapping[str, Any] | None = None
     source: Mapping[str, Any] = field(default_factory=dict)
+    picture: Path | None = None
+    closing: str | None = None
 
-    def messages(self) -> list[dict[str, str]]:
-        """Return the messages for a chat model: the instructions, then the examples and the question."""
+    def messages(self) -> list[dict[str, Any]]:
+        """Return the messages for a chat model: the instructions, then the examples and the question.
+
+        A question with a picture has content parts: texts, and pictures as PNG in data URLs. In the layout of the paper
+        everything is one message.
+
+        Raises:
+            OSError: If a picture cannot be read.
+            ValueError: If the file of a picture is not PNG, or too large.
+        """
+        if self.closing is not None:
+            return [{"role": "user", "content": self._as_in_paper(self.closing)}]
         options = "\n".join(f"({letter}) {action}" for letter, action in self.options.items())
-        examples = [
-            f"Example {number}\n{shown.text}\n{options}\n{self.reply(shown.answer, shown.clauses or ())}"
+        parts: list[tuple[str, Demonstration | Question, str]] = [
+            (f"Example {number}", shown, f"\n{self.reply(shown.answer, shown.clauses or ())}")
             for number, shown in enumerate(self.demonstrations, 1)
         ]
-        content = "\n\n".join([*examples, f"Question\n{self.text}\n{options}"])
+        parts.append(("Question", self, ""))
+        content: Any = "\n\n".join(f"{head}\n{each.text}\n{options}{end}" for head, each, end in parts)
+        if any(each.picture is not None for _, each, _ in parts):
+            content = []
+            for head, each, end in parts:
+                content.append({"type": "text", "text": f"{head}\n"})
+                if each.picture is not None:
+                    content.append({"type": "image_url", "image_url": {"url": _data_url(each.picture)}})
+                content.append({"type": "text", "text": f"{each.text}\n{options}{end}\n\n"})
         return [{"role": "system", "content": self.system}, {"role": "user", "content": content}]
+
+    def _as_in_paper(self, closing: str) -> str:
+        """Return the prompt in the layout of the paper's figure."""
+        options = "Option: " + " ".join(f"({letter}) {action}" for letter, action in self.options.items())
+        examples = [f'Question: "{each.text}"\n{options}\nAnswer: {each.answer}' for each in self.demonstrations]
+        return "\n\n".join([self.system, *examples, closing, f'Question: "{self.text}"\n{options}'])
 
     def reply(self, answer: str, clauses: Sequence[str] = ()) -> str:
         """Return a reply in the form that the instructions request: the first of the clauses, and a letter."""
         rule = f"Rule: {clauses[0] if clauses else NO_RULE}\n" if self.labels else ""
         return f"{rule}Answer: {answer}"
+
+
+def _data_url(path: Path) -> str:
+    """Return a file of PNG as a data URL."""
+    check_readable(path)
+    with open(path, "rb") as file:
+        data = file.read(PICTURE_BYTES + 1)
+    if not data.startswith(PNG) or len(data) > PICTURE_BYTES:
+        raise ValueError(f"{path}: expected a PNG picture of at most {PICTURE_BYTES >> 20} MiB")
+    return f"data:image/png;base64,{base64.b64encode(data).decode()}"
+
+
+def fingerprint(scene: Mapping[str, Any]) -> str:
+    """Return a hash of a scene that does not depend on the names and the order of its entities.
+
+    Method: color refinement (1-dimensional Weisfeiler-Leman). Each entity has a class, at first only whether it is the
+    ego. A round divides the classes by the facts about their entities and the classes of the others in these facts.
+    Different scenes that refinement cannot tell apart have the same hash.
+    """
+    classes = {entity: str(entity == scene["ego"]) for entity in scene["entities"]}
+    while True:
+        known = len(set(classes.values()))
+        signs: dict[str, list[tuple[str, int, tuple[str, ...]]]] = {entity: [] for entity in classes}
+        for predicate, rows in scene["facts"].items():
+            for row in rows:
+                arguments = (row,) if isinstance(row, str) else tuple(row)
+                others = tuple(classes[entity] for entity in arguments)
+                for place, entity in enumerate(arguments):
+                    signs[entity].append((predicate, place, others))
+        classes = {entity: _hash([classes[entity], sorted(signs[entity])]) for entity in classes}
+        if len(set(classes.values())) == known:
+            return _hash(sorted(classes.values()))
+
+
+def _hash(value: Any) -> str:
+    return hashlib.sha256(json.dumps(value).encode()).hexdigest()[:16]
 
 
 def _lines(path: str | os.PathLike[str]) -> Iterable[tuple[str, dict[str, Any]]]:
@@ -158,21 +231,23 @@ def load_questions(path: str | os.PathLike[str]) -> list[Question]:
         ValueError: If the file is not an output of `logicity questions`. The message names the line.
     """
     questions: dict[str, Question] = {}
+    folder = Path(path).parent
     for place, line in _lines(path):
         if line.get("version", 1) not in VERSIONS:
             raise ValueError(
                 f"{place}: questions of version {line['version']}; this program reads the versions "
-                f"{' and '.join(map(str, VERSIONS))}: write them again with `logicity questions`"
+                f"{VERSIONS[0]} to {VERSIONS[-1]}: write them again with `logicity questions`"
             )
         try:
             question = Question(
                 id=line["id"],
                 system=_text(line, "system"),
-                demonstrations=tuple(Demonstration(**_solved(shown)) for shown in line["demonstrations"]),
+                demonstrations=tuple(Demonstration(**_solved(shown, folder)) for shown in line["demonstrations"]),
                 options=dict(line["options"]),
                 labels=_labels(line, "labels") or (),
                 source=line.get("source", {}),
-                **_solved(line),
+                closing=_text(line, "closing") if "closing" in line else None,
+                **_solved(line, folder),
             )
         except (KeyError, TypeError, ValueError) as error:
             what = f"the key {error} is missing" if isinstance(error, KeyError) else str(error)
@@ -189,10 +264,25 @@ def load_questions(path: str | os.PathLike[str]) -> list[Question]:
     return list(questions.values())
 
 
-def _solved(line: Mapping[str, Any]) -> dict[str, Any]:
-    """Return what a question and an example have in common."""
-    text, answer = _text(line, "question"), _text(line, "answer")
-    return {"text": text, "answer": answer, "clauses": _labels(line, "clauses"), "scene": line.get("scene")}
+def _solved(line: Mapping[str, Any], folder: Path) -> dict[str, Any]:
+    """Return what a question and an example in a file of a folder have in common."""
+    return {
+        "text": _text(line, "question"),
+        "answer": _text(line, "answer"),
+        "clauses": _labels(line, "clauses"),
+        "scene": line.get("scene"),
+        "picture": _picture(line, folder),
+    }
+
+
+def _picture(line: Mapping[str, Any], folder: Path) -> Path | None:
+    """Return the path of a picture. A file of others must not name any file, since its content goes to a server."""
+    if "picture" not in line:
+        return None
+    name = _text(line, "picture")
+    if not re.fullmatch(r"(?!\.\./)[^/\\\0]+/[^/\\\0]+\.png", name):
+        raise ValueError(f"`picture` is not a PNG file in a folder beside the file: {name!r}")
+    return folder / name
 
 
 def _text(line: Mapping[str, Any], key: str) -> str:
@@ -558,13 +648,13 @@ class Endpoint:
         if not (self.tries >= 1 and 0 <= self.pause < math.inf):
             raise ValueError("`tries` must be positive, and `pause` must be finite and not negative")
 
-    def reply(self, messages: list[dict[str, str]], wait: Wait = _sleep) -> Reply:
+    def reply(self, messages: list[dict[str, Any]], wait: Wait = _sleep) -> Reply:
         """Send messages, such as `Question.messages`, and return the reply of the model.
 
         Raises:
             ConnectionError: If the server rejects the request, or every attempt fails.
         """
-        redact = Redactor(self.key, self.url, self.settings or {}, "\n".join(each["content"] for each in messages))
+        redact = Redactor(self.key, self.url, self.settings or {}, "\n".join(_texts(messages)))
         shown, end = shown_url(self.url), time.monotonic() + self._seconds()
         for attempt in range(1, self.tries + 1):
             try:
@@ -596,7 +686,7 @@ class Endpoint:
         delays = [self._delay(attempt) for attempt in range(1, min(self.tries, 64))]
         return self.tries * self.timeout + sum(delays) + max(self.tries - 64, 0) * self._delay(64)
 
-    def _once(self, messages: list[dict[str, str]], seconds: float) -> Reply:
+    def _once(self, messages: list[dict[str, Any]], seconds: float) -> Reply:
         """Send a request, and return the reply of the model as it is. The exceptions are those of `post`."""
         parts = urllib.parse.urlsplit(self.url)
         path = parts.path.rstrip("/").removesuffix("/chat/completions") + "/chat/completions"
@@ -617,6 +707,13 @@ class Endpoint:
             beginning = text[: 1 << 16].decode(errors="replace")
             raise RetryableError(f"not a reply of a chat endpoint: {beginning}") from None
         return Reply(content or "", _option_logprobs(content or "", choice.get("logprobs")))
+
+
+def _texts(messages: Iterable[Mapping[str, Any]]) -> Iterable[str]:
+    """Yield the texts of messages, without pictures."""
+    for each in messages:
+        content = each["content"]
+        yield from [content] if isinstance(content, str) else [part["text"] for part in content if "text" in part]
 
 
 def _shown(error: Exception, redact: Redactor) -> str:
@@ -695,8 +792,9 @@ def ask(
 
     Raises:
         ConnectionError: As for `Endpoint.reply`. The file keeps the earlier replies.
-        OSError: If the file cannot be read or written, or another process writes it.
-        ValueError: If the file has answers to other questions or from another model, or other content.
+        OSError: If the file cannot be read or written, another process writes it, or a picture cannot be read.
+        ValueError: If the file has answers to other questions or from another model, or other content, or a picture is
+            not PNG.
     """
     known = {question.id for question in questions}
     answers: dict[str, str] = {}

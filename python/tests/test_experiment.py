@@ -31,7 +31,7 @@ from logicity.experiments.registry import Loaded, load_experiment, task_named  #
 from logicity.experiments.report import Report  # noqa: E402
 from logicity.experiments.results import as_text, check_rows, leaderboard, read_results, submit  # noqa: E402
 from logicity.experiments.spf import SpfExperiment, violation_rates  # noqa: E402
-from logicity.experiments.statistics import pooled  # noqa: E402
+from logicity.experiments.statistics import pooled, pooled_shares  # noqa: E402
 from logicity.experiments.tables import escaped, markdown_table  # noqa: E402
 from logicity.experiments.task import Cell  # noqa: E402
 from logicity.learn import LEARNERS, load_policy  # noqa: E402
@@ -363,6 +363,50 @@ def test_intervals_over_seeds_and_episodes_equal_a_slow_bootstrap() -> None:
         assert np.allclose([interval.low, interval.high], np.percentile(means, [2.5, 97.5]))
         assert interval.value == pytest.approx(np.mean([table[name] for table in tables]))
         assert interval.low <= interval.value <= interval.high
+
+
+def test_intervals_over_runs_and_their_clusters_equal_a_slow_bootstrap() -> None:
+    generator = np.random.default_rng(4)
+    runs = []
+    for clusters, p in ((5, 0.2), (8, 0.5), (3, 0.9)):
+        trials = generator.integers(0, 4, size=(clusters, 2))
+        right = generator.binomial(trials, p)
+        runs.append({name: np.stack([right[:, at], trials[:, at]], 1).astype(float) for at, name in enumerate("ab")})
+    fast = pooled_shares(runs)
+    draws = np.random.default_rng(0)
+    picked = draws.integers(3, size=(3, 2000))
+    times = [
+        [draws.multinomial(len(run["a"]), np.full(len(run["a"]), 1 / len(run["a"])), 2000) for run in runs]
+        for _ in picked
+    ]
+    for name, interval in fast.items():
+        shares = []
+        for sample in range(2000):
+            drawn = [
+                cluster
+                for place, of_runs in enumerate(times)
+                for cluster, count in zip(
+                    runs[picked[place, sample]][name], of_runs[picked[place, sample]][sample], strict=True
+                )
+                for _ in range(count)
+            ]
+            right, trials = sum(each[0] for each in drawn), sum(each[1] for each in drawn)
+            if trials:
+                shares.append(right / trials)
+        assert np.allclose([interval.low, interval.high], np.percentile(shares, [2.5, 97.5]))
+        right, trials = sum(run[name].sum(0) for run in runs)
+        assert interval.value == pytest.approx(right / trials)
+        assert interval.low < interval.value < interval.high
+    # The sets differ, so an interval over all questions alike would be too short.
+    whole = Interval.of_share(
+        int(sum(run["a"][:, 0].sum() for run in runs)), int(sum(run["a"][:, 1].sum() for run in runs))
+    )
+    assert fast["a"].high - fast["a"].low > whole.high - whole.low
+
+
+def test_a_share_of_zero_has_an_interval_over_clusters() -> None:
+    runs = [{"none": np.array([[0.0, 3.0]] * 20), "all": np.array([[2.0, 2.0]] * 20), "never": np.zeros((20, 2))}] * 2
+    assert pooled_shares(runs) == {"none": Interval.of_share(0, 40), "all": Interval.of_share(40, 40)}
 
 
 def test_a_rate_of_zero_in_all_runs_has_an_interval() -> None:

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import base64
+import itertools
 import json
 import math
 import random
@@ -27,6 +29,7 @@ from logicity.questions import (
     Reply,
     ask,
     calibrate,
+    fingerprint,
     grade,
     load_logprobs,
     load_questions,
@@ -52,7 +55,18 @@ OPTIONS = dict(zip("ABCD", ACTIONS, strict=True))
 def made_up(count: int, labels: tuple[str, ...] = ()) -> list[Question]:
     clauses = (("VS1", "VS7"), (), ("N",), ("VS7",))
     return [
-        Question(str(n), "Decide.", (), f"Scene {n}?", OPTIONS, "ABCD"[n % 4], clauses[n % 4], labels)
+        Question(
+            str(n),
+            "Decide.",
+            (),
+            f"Scene {n}?",
+            OPTIONS,
+            "ABCD"[n % 4],
+            clauses[n % 4],
+            labels,
+            {"entities": ["E"], "ego": "E", "facts": {f"Is{n}": ["E"]}},
+            {"world": n // 2},
+        )
         for n in range(count)
     ]
 
@@ -76,8 +90,8 @@ def test_files_of_version_1_are_read(tmp_path: Path) -> None:
     assert all(shown.clauses and shown.scene for question in new for shown in question.demonstrations)
     with pytest.raises(ValueError, match="lack scenes: write them again"):
         SOLVERS["nearest"](old, "vap-hard", tmp_path)
-    path.write_text(json.dumps({**lines[0], "version": 3}), encoding="utf-8")
-    with pytest.raises(ValueError, match=r":1: questions of version 3; this program reads the versions 1 and 2"):
+    path.write_text(json.dumps({**lines[0], "version": 4}), encoding="utf-8")
+    with pytest.raises(ValueError, match=r":1: questions of version 4; this program reads the versions 1 to 3"):
         load_questions(path)
 
 
@@ -133,6 +147,100 @@ def test_a_named_rule_must_derive_the_correct_action() -> None:
     silent = grade(questions, {"0": "Answer: A"})
     assert silent.rules is not None and (silent.rules.correct, silent.rules.total, silent.named) == (0, 4, 0)
     assert grade(made_up(4), replies).rules is None
+
+
+# --- the paper's prompt and pictures
+
+
+def test_the_papers_prompt_has_its_layout(tmp_path: Path) -> None:
+    path = tmp_path / "paper.jsonl"
+    options = ["--mini", "--mix", "paper", "--style", "paper", "--entities", "city", "--output", str(path)]
+    assert main(["questions", *options]) == 0
+    questions = load_questions(path)
+    assert [sum(each.answer == letter for each in questions) for letter in "ABCD"] == [20, 42, 25, 30]
+    for question in questions[:3]:
+        (message,) = question.messages()
+        shown = question.demonstrations
+        solved = "\n\n".join(
+            f'Question: "{each.text}"\nOption: (A) Slow (B) Normal (C) Fast (D) Stop\nAnswer: {each.answer}'
+            for each in shown
+        )
+        assert message == {
+            "role": "user",
+            "content": f"{question.system}\n\n{solved}\n\n{question.closing}\n\n"
+            f'Question: "{question.text}"\nOption: (A) Slow (B) Normal (C) Fast (D) Stop',
+        }
+        assert len(shown) == 5 and question.system.endswith("Here are 5 demonstrations:")
+    # The form that the prompt requests.
+    replies = {question.id: f"IsTiro slows.\nAnswer: {question.answer}." for question in questions}
+    assert grade(questions, replies).overall.correct == 117
+
+
+@pytest.fixture(scope="module")
+def pictured(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """A file of questions with pictures."""
+    path = tmp_path_factory.mktemp("pictured") / "seen.jsonl"
+    arguments = ["questions", "--count", "4", "--shots", "4", "--style", "picture", "--output", str(path)]
+    assert main(arguments) == 0
+    return path
+
+
+def test_pictures_go_to_the_endpoint(pictured: Path, serve: Serve, tmp_path: Path) -> None:
+    questions = load_questions(pictured)
+
+    def act(handler: BaseHTTPRequestHandler, number: int, body: dict[str, Any]) -> None:
+        system, user = body["messages"]
+        assert isinstance(system["content"], str)
+        say(handler, f"Answer: {'ABCD'[len(user['content']) % 4]}")
+
+    server = serve(act)
+    asked = [
+        "--questions",
+        str(pictured),
+        "--url",
+        server.url,
+        "--model",
+        "seer",
+        "--output",
+        str(tmp_path / "r.jsonl"),
+    ]
+    assert main(["ask", *asked]) == 0
+    assert len(server.requests) == len(questions) == 4
+    for question, request in zip(questions, server.requests, strict=True):
+        parts = request["messages"][1]["content"]
+        scenes: list[Demonstration | Question] = [*question.demonstrations, question]
+        # For each scene a heading, its picture and its text.
+        assert [part["type"] for part in parts] == ["text", "image_url", "text"] * 5
+        for at, scene in enumerate(scenes):
+            head, picture, text = parts[3 * at : 3 * at + 3]
+            assert head["text"] == (f"Example {at + 1}\n" if at < 4 else "Question\n")
+            start, _, data = picture["image_url"]["url"].partition(",")
+            assert start == "data:image/png;base64" and scene.picture is not None
+            assert base64.b64decode(data, validate=True) == scene.picture.read_bytes()
+            assert text["text"].startswith(scene.text + "\n(A) Slow") and ("Answer: " in text["text"]) == (at < 4)
+            assert "IsAtInter" not in text["text"] and "is at the edge of an intersection." not in text["text"]
+
+
+def test_pictures_that_cannot_be_sent_are_reported(pictured: Path, tmp_path: Path) -> None:
+    line = json.loads(pictured.read_text(encoding="utf-8").splitlines()[0])
+    path = tmp_path / "seen.jsonl"
+    for name in ("../secret/key.png", "/etc/passwd", "passwd.png", "a/b/c.png", "a/key.txt", "a/..", 7, None):
+        path.write_text(json.dumps({**line, "picture": name}), encoding="utf-8")
+        with pytest.raises(
+            ValueError, match=r"seen\.jsonl:1: not a question of `logicity questions`: `picture` is not"
+        ):
+            load_questions(path)
+    path.write_text(json.dumps(line), encoding="utf-8")
+    (question,) = load_questions(path)
+    with pytest.raises(FileNotFoundError, match=r"seen-pictures/vap-hard-test-0-picture-example-1\.png"):
+        question.messages()
+    (tmp_path / "seen-pictures").mkdir()
+    scenes: list[Demonstration | Question] = [*question.demonstrations, question]
+    for shown in scenes:
+        assert shown.picture is not None
+        shown.picture.write_bytes(b"GIF89a")
+    with pytest.raises(ValueError, match=r"example-1\.png: expected a PNG picture of at most 16 MiB"):
+        question.messages()
 
 
 # --- calibration
@@ -294,11 +402,63 @@ def test_rules_from_the_examples_explain_the_examples(tmp_path: Path) -> None:
         SOLVERS["induced"](none, "vap-hard", tmp_path)
 
 
+def fingerprint_of_all_renamings(scene: Mapping[str, Any]) -> str:
+    """The smallest text of a scene under all orders of its entities."""
+    texts = []
+    for order in itertools.permutations(range(len(scene["entities"]))):
+        place = dict(zip(scene["entities"], order, strict=True))
+        rows = [
+            (name, [place[each] for each in ((row,) if isinstance(row, str) else row)])
+            for name, all_rows in scene["facts"].items()
+            for row in all_rows
+        ]
+        texts.append(json.dumps([len(order), place[scene["ego"]], sorted(rows)]))
+    return min(texts)
+
+
+def test_fingerprints_are_equal_exactly_for_renamed_scenes() -> None:
+    draws = random.Random(9)
+    scenes = []
+    for _ in range(300):
+        entities = [f"E{n}" for n in range(draws.randint(1, 4))]
+        pairs = [[one, other] for one in entities for other in entities if one != other]
+        facts = {
+            "IsCar": draws.sample(entities, draws.randint(0, len(entities))),
+            "LeftOf": draws.sample(pairs, min(len(pairs), draws.randint(0, 2))),
+        }
+        scenes.append({"entities": entities, "ego": draws.choice(entities), "facts": facts})
+    exact = [fingerprint_of_all_renamings(scene) for scene in scenes]
+    fast = [fingerprint(scene) for scene in scenes]
+    assert len(set(exact)) < 200 and len(set(zip(exact, fast, strict=True))) == len(set(exact)) == len(set(fast))
+
+
+def test_the_shortcut_is_right_about_slow_and_fast(tmp_path: Path) -> None:
+    """A beginner slows, and the reckless race: 59 of 117 questions, 45 in the paper's mix, 38 in the mix by concept."""
+    for mix, right in (("equal", 59), ("paper", 45), ("by-concept", 38)):
+        path = tmp_path / f"{mix}.jsonl"
+        assert main(["questions", "--mini", "--mix", mix, "--output", str(path)]) == 0
+        questions = load_questions(path)
+        found = grade(questions, SOLVERS["shortcut"](questions, "vap-hard", tmp_path))
+        assert found.overall.correct == right
+        assert found.by_action["Slow"].accuracy.value == found.by_action["Fast"].accuracy.value == 1.0
+        assert found.by_action["Normal"].correct == found.by_action["Stop"].correct == 0
+    # Other cars have no such words.
+    (other,) = [each for each in load_questions(FIXTURE) if each.id.endswith("-0")]
+    assert other.scene is not None
+    facts = {**other.scene["facts"], "IsTiro": [], "IsReckless": []}
+    plain = [replace(other, scene={**other.scene, "facts": facts})]
+    assert SOLVERS["shortcut"](plain, "", tmp_path) == SOLVERS["majority"](plain, "", tmp_path)
+
+
 # --- the experiment
 
 
 def experiment(folder: Path, *options: str) -> int:
-    return main(["experiment", "language", "--quick", "--run", str(folder), "--jobs", "2", *options])
+    return run("language", folder, *options)
+
+
+def run(name: str, folder: Path, *options: str) -> int:
+    return main(["experiment", name, "--quick", "--run", str(folder), "--jobs", "2", *options])
 
 
 def entries(folder: Path) -> dict[tuple[str, str], dict[str, Any]]:
@@ -340,11 +500,13 @@ def asking(serve: Serve, act: Any, folder: Path, count: int = 4) -> Path:
 
 
 def test_solvers_and_a_stub_give_a_table(serve: Serve, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    rows = ", ".join(f"{row}: {{}}" for row in SOLVERS)
+    own = str(write(tmp_path, f"paper: language\nchanges: {{about: [tiro, reckless]}}\nlearners: {{{rows}}}"))
     folder = tmp_path / "run"
     size = ["--set", "count=16"]
-    assert experiment(folder, *size) == 0
+    assert run(own, folder, *size) == 0
     printed = capsys.readouterr().out
-    assert "GPT-4o, the paper's" in printed and "written: " in printed
+    assert "GPT-4o, paper-set, the paper's" in printed and "written: " in printed
     solved = replies(folder)
     assert set(solved) == {(row, prompt) for row in SOLVERS for prompt in ("examples", "rules", "why")}
     # The oracle names the root of a proof by the engine, which is one of the clauses in the file.
@@ -356,7 +518,8 @@ def test_solvers_and_a_stub_give_a_table(serve: Serve, tmp_path: Path, capsys: p
     table = entries(folder)
     assert "both" in table["oracle", "why"]["measures"] and "both" not in table["induced", "why"]["measures"]
     assert table["oracle", "examples"]["measures"]["overall"]["value"] == 1.0
-    assert "| GPT-4o, the paper's | 0.20 | 0.84 | 0.80 | 0.32 | 0.59 |" in (folder / "table.md").read_text("utf-8")
+    paper = "| GPT-4o, paper-set, the paper's | 0.20 | 0.84 | 0.80 | 0.32 | 0.59 |"
+    assert paper in (folder / "table.md").read_text("utf-8")
     assert {"table.tex", "bars.svg"} <= {path.name for path in folder.iterdir()}
 
     # The stub is right about all questions but every fourth, with probability 0.7, and names a wrong rule for N.
@@ -382,17 +545,17 @@ def test_solvers_and_a_stub_give_a_table(serve: Serve, tmp_path: Path, capsys: p
     server = serve(act)
     endpoint = json.dumps({"url": server.url, "model": "scripted", "logprobs": True, "tries": 1})
     stub = [*size, "--set", f"learners.stub.changes.endpoint={endpoint}"]
-    assert experiment(folder, *stub, "--jobs", "1") == 1
+    assert run(own, folder, *stub, "--jobs", "1") == 1
     output = capsys.readouterr()
     assert "closed" in output.out and "stub, examples, seed 0: overall 0.75" in output.err
     stored = sum(len(path.read_text().splitlines()) for path in folder.glob("cells/stub-*/replies.jsonl"))
     assert stored == 20 < len(server.requests)
-    assert experiment(folder, *stub, "--list", "--only", "stub") == 0
+    assert run(own, folder, *stub, "--list", "--only", "stub") == 0
     listed = [line.split()[0] for line in capsys.readouterr().out.splitlines()]
     assert sorted(listed) == ["finished", "not", "not"]
 
     down, before = False, len(server.requests)
-    assert experiment(folder, *stub) == 0
+    assert run(own, folder, *stub) == 0
     assert len(server.requests) == before + 28
     assert {(request["temperature"], request["logprobs"], request["top_logprobs"]) for request in server.requests} == {
         (0, True, 20)
@@ -419,11 +582,11 @@ def test_solvers_and_a_stub_give_a_table(serve: Serve, tmp_path: Path, capsys: p
     files = sorted(path for path in folder.iterdir() if path.is_file() and path.name.startswith(("table", "bars")))
     assert {path.suffix for path in files} >= {".json", ".md", ".tex"}
     first = [path.read_bytes() for path in files]
-    assert experiment(folder, *stub) == 0 and experiment(folder, *stub, "--report") == 0
+    assert run(own, folder, *stub) == 0 and run(own, folder, *stub, "--report") == 0
     assert [path.read_bytes() for path in files] == first and len(server.requests) == before + 28
     # Other settings are other replies.
     more = ["--set", "learners.stub.changes.endpoint.settings.seed=1", "--only", "stub,rules"]
-    assert experiment(folder, *stub, *more) == 0
+    assert run(own, folder, *stub, *more) == 0
     assert len(server.requests) == before + 44 and server.requests[-1]["seed"] == 1
 
 
@@ -434,12 +597,24 @@ def test_rows_of_solvers_are_published(tmp_path: Path, capsys: pytest.CaptureFix
     assert main([*base, "--run", str(root), "--submit", str(results)]) == 0
     assert "oracle, why, seed 0, : overall 1.00, as recorded" in capsys.readouterr().out
     rows = read_results(results, "language")
-    assert [(row["learner"], row["sha256_of"], len(row["samples"])) for row in rows["rows"]] == [
-        ("majority", "replies", 117),
-        ("oracle", "replies", 117),
+    # The other variants have their own prompt.
+    assert [(row["mode"], row["learner"], row["variant"]) for row in rows["rows"]] == [
+        *(
+            ("examples", learner, variant)
+            for learner in ("majority", "oracle")
+            for variant in ("by-concept", "paper-set")
+        ),
+        ("why", "majority", ""),
+        ("why", "oracle", ""),
     ]
+    assert {(row["sha256_of"], len(row["samples"])) for row in rows["rows"]} == {("replies", 117)}
     assert check_rows(rows) == []
-    assert check_rows({**rows, "rows": [{**rows["rows"][0], "hashes": {}}]})[0].endswith("other rules")
+    first = rows["rows"][0]
+    assert check_rows({**rows, "rows": [{**first, "hashes": {}}]})[0].endswith("other rules")
+    wrong = [{**sample, "chosen": "unread"} for sample in first["samples"]]
+    assert any(
+        fault.endswith("another overall") for fault in check_rows({**rows, "rows": [{**first, "samples": wrong}]})
+    )
 
 
 def test_an_interrupted_cell_asks_only_the_rest(serve: Serve, tmp_path: Path) -> None:
@@ -489,7 +664,7 @@ def test_measures_are_those_of_the_questions_of_all_sets(tmp_path: Path) -> None
     runs, asked = list[dict[str, Any]](), list[Question]()
     answers: dict[str, str] = {}
     for first in (0, 10):
-        questions = [replace(each, id=str(first + int(each.id))) for each in made_up(10, LABELS)]
+        questions = made_up(first + 10, LABELS)[first:]
         texts = {each.id: f"Rule: VS1\nAnswer: {'ABCD'[int(each.id) % 3]}" for each in questions}
         path.write_text("".join(json.dumps({"id": name, "answer": each}) + "\n" for name, each in texts.items()))
         runs.append({"replies": graded(questions, path)})
@@ -497,11 +672,38 @@ def test_measures_are_those_of_the_questions_of_all_sets(tmp_path: Path) -> None
         answers |= texts
     slow, fast = grade(asked, answers), task.intervals(runs)
     assert slow.rules is not None and slow.both is not None
-    assert fast["overall"] == slow.overall.accuracy and fast["rule"] == slow.rules.accuracy
-    assert fast["both"] == slow.both.accuracy
-    assert {name: fast[name] for name in slow.by_action} == {
-        name: recall.accuracy for name, recall in slow.by_action.items()
+    shares = {"overall": slow.overall, "rule": slow.rules, "both": slow.both, **slow.by_action}
+    assert {name: interval.value for name, interval in fast.items()} == {
+        name: share.accuracy.value for name, share in shares.items()
     }
+    assert all(0 <= interval.low <= interval.value <= interval.high <= 1 for interval in fast.values())
+    # A question in several sets counts once.
+    assert list(task.remarks(runs)) == []
+    again = [*runs, {"replies": [*runs[0]["replies"][:3], *runs[1]["replies"][:1]]}]
+    assert task.intervals(again)["overall"].value == fast["overall"].value
+    assert list(task.remarks(again)) == [
+        "4 of the 24 questions of a row are also in an earlier of its sets and count once."
+    ]
+
+
+def test_pooled_sets_have_no_question_twice(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    """Small scenes repeat between sets, and the table says how many."""
+    own = write(tmp_path, "modes: [examples]\nseeds: [0, 1, 2]\nlearners: {majority: {}, oracle: {}}")
+    assert main(["experiment", str(own), "--run", str(tmp_path / "run"), "--set", "count=400"]) == 0
+    files = sorted((tmp_path / "run").glob("cells/oracle-*/questions.jsonl"))
+    asked = [fingerprint(each.scene or {}) for file in files for each in load_questions(file)]
+    repeated = len(asked) - len(set(asked))
+    assert len(asked) == 1200 and repeated > 0
+    note = f"{repeated} of the 1200 questions of a row are also in an earlier of its sets and count once.\n"
+    assert capsys.readouterr().out.count(note) == 1
+    replies = [
+        json.loads(file.with_name("measured.json").read_text(encoding="utf-8"))["evaluations"][""] for file in files
+    ]
+    task = LanguageQuestions()
+    counted = {reply["scene"]: reply for each in replies for reply in each["replies"]}
+    share = sum(reply["answer"] == "B" for reply in counted.values()) / len(counted)
+    guess = [{"replies": [{**reply, "chosen": "B"} for reply in each["replies"]]} for each in replies]
+    assert task.intervals(guess)["overall"].value == pytest.approx(share)
 
 
 def settings_of(cell: Cell) -> LanguageSettings:
@@ -512,20 +714,30 @@ def settings_of(cell: Cell) -> LanguageSettings:
 def test_the_shipped_experiment_asks_the_papers_questions() -> None:
     loaded = load_experiment("language")
     cells = loaded.cells(Selection())
-    assert len(cells) == 4 * 3 * 3 and loaded.file.stem == "language" and loaded.experiment.paper == "language"
+    # Each solver and seed with three prompts, and two more variants.
+    assert len(cells) == 5 * 3 * (3 + 2) and loaded.file.stem == "language" and loaded.experiment.paper == "language"
+    assert {(each.mode, each.variant, settings_of(each).mix) for each in cells} == {
+        *((mode, "", "equal") for mode in ("examples", "rules", "why")),
+        ("examples", "by-concept", "by-concept"),
+        ("examples", "paper-set", "paper"),
+    }
     assert {(each.count, each.about, each.shots) for each in map(settings_of, cells)} == {
         (117, ("tiro", "reckless"), 5)
     }
-    (one,) = loaded.cells(Selection(only=[("oracle", "why"), ("oracle", "why")], seeds=(7,)))
-    assert (one.row, one.mode, one.seed) == ("oracle", "why", 7)
+    (one, *more) = loaded.cells(Selection(only=[("oracle", "why"), ("oracle", "why")], seeds=(7,)))
+    assert (one.row, one.mode, one.variant, one.seed) == ("oracle", "why", "", 7)
+    # They have a prompt of their own.
+    assert [cell.variant for cell in more] == ["by-concept", "paper-set"]
     quick = loaded.cells(Selection(quick=True))
     assert {settings_of(cell).count for cell in quick} == {8} and {cell.seed for cell in quick} == {0}
     rows = paper_table("language")["rows"]
-    assert rows["GPT-4o"][""]["examples"] == [0.2, 0.841, 0.8, 0.322, 0.59]
-    # The overall accuracy is between those of the actions.
+    assert rows["GPT-4o"]["paper-set"]["examples"] == [0.2, 0.841, 0.8, 0.322, 0.59]
+    # The paper's figures stand only beside sets with its mix, which is that of their overall accuracy.
     for row in rows.values():
-        *actions, overall = row[""]["examples"]
-        assert len(actions) == 4 and min(actions) < overall < max(actions)
+        assert row.keys() == {"paper-set"}
+        *actions, overall = row["paper-set"]["examples"]
+        mixed = sum(n * share for n, share in zip((20, 42, 25, 30), actions, strict=True)) / 117
+        assert mixed == pytest.approx(overall, abs=0.002)
 
 
 def test_the_documented_tables_are_those_of_the_command(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
@@ -555,6 +767,9 @@ ORACLE = "learners: {oracle: {}}\n"
         ("learners: {gpt: {changes: {endpoint: {url: x, model: y, key: z}}}}", "unknown key `key`"),
         ("changes: {count: 20001}\n" + ORACLE, "`count` must be at most 20000, not `20001`"),
         ("changes: {shots: 101}\n" + ORACLE, "`shots` must be at most 100, not `101`"),
+        ("changes: {mix: fair}\n" + ORACLE, "`mix` must be `equal`, `paper` or `by-concept`, not `fair`"),
+        ("changes: {mix: paper, config: vap-easy}\n" + ORACLE, "the rules never require Fast, but the paper's mix"),
+        ("changes: {style: paper}\n" + ORACLE, "use the mode `examples` with at least one example per action"),
         (
             "changes: {shots: 3}\n" + ORACLE,
             "3 solved examples cannot cover all actions of the rules: Slow, Normal, Fast, Stop",

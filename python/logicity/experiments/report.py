@@ -39,6 +39,7 @@ class Entry:
         measures: The measures with their intervals; empty without a finished run.
         details: More figures, see `Task.details`: their means over the runs that have them.
         paper: The paper's figures by measure, a remark, or `None`.
+        remarks: Sentences on how the runs count, see `Task.remarks`.
         curve: The headline on the validation data by step: means over the runs.
         cpu_hours: The CPU time of all runs.
         missing: Why there is no result; empty if there is one.
@@ -55,6 +56,7 @@ class Entry:
     measures: Mapping[str, Interval]
     details: Mapping[str, float]
     paper: Mapping[str, float] | str | None
+    remarks: tuple[str, ...]
     curve: tuple[tuple[int, float], ...]
     cpu_hours: float
     missing: str
@@ -108,6 +110,7 @@ class Report:
                 measures=task.intervals(evaluations) if runs else {},
                 details=mean_details([task.details(run, name) for run in runs]),
                 paper=task.paper_value(self.experiment.paper, row.paper or first.row, first.variant, first.mode),
+                remarks=tuple(task.remarks(evaluations)),
                 curve=_mean_curve([task.curve(run) for run in runs]) if name == names[0] else (),
                 cpu_hours=sum(run["result"]["cpu_seconds"] for run in runs) / 3600,
                 missing=_why_missing(cells, done, failed),
@@ -178,6 +181,7 @@ class Report:
         if source and any(entry.details for entry in self.entries):
             notes.append(f"The paper's figures: {source}")
         for entry in self.entries:
+            notes += entry.remarks
             if entry.missing:
                 only = " The figures are the paper's." if not entry.seeds and entry.paper is not None else ""
                 notes.append(f"{entry.label}, {Path(entry.mode).stem}: {entry.missing}.{only}")

@@ -310,6 +310,10 @@ def leaderboard(results: Mapping[str, Any], level: int = 2, loaded: Loaded | Non
         details = detail_table({name: mean_details(each) for name, each in columns.items()}, paper)
         parts.append(f"{'#' * level} {loaded.task.details_title}\n\n{markdown_table(details)}")
     notes = sorted({f"- `{row['learner']}`, {row['mode']}: {row['note']}" for row in rows if row["note"]})
+    pooled = grouped((tuple(row[key] for key in KEY if key != "seed"), row) for row in rows).values()
+    evaluations = ([loaded.task.evaluation_of(row) for row in group] for group in pooled)
+    remarks = dict.fromkeys(remark for each in evaluations for remark in loaded.task.remarks(each))
+    notes += (f"- {remark}" for remark in remarks)
     return "\n".join([*parts, _sources(loaded, rows), *(["\n".join(notes) + "\n"] if notes else [])])
 
 

@@ -261,6 +261,10 @@ class Task(ABC):
         """Return measures of an evaluation that published rows have and tables do not show."""
         return {}
 
+    def remarks(self, evaluations: Sequence[Mapping[str, Any]]) -> Iterable[str]:
+        """Return whole sentences on how `intervals` counts the evaluations of the runs of a row."""
+        return ()
+
     def summary(self, measured: Mapping[str, Any]) -> str:
         """Return the headline of the first evaluation as text, such as `TSR 0.75 (test)`."""
         name, evaluation = next(iter(measured["evaluations"].items()))

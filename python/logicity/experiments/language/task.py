@@ -15,6 +15,8 @@ from collections.abc import Iterable, Iterator, Mapping, Sequence
 from pathlib import Path
 from typing import Annotated, Any, ClassVar, Literal
 
+import numpy as np
+from numpy.typing import NDArray
 from pydantic import Field, Strict, ValidationError
 
 from ... import _logicity
@@ -33,6 +35,7 @@ from ...questions import (
     Question,
     ask,
     calibrate,
+    fingerprint,
     key_from,
     load_answers,
     load_logprobs,
@@ -44,13 +47,14 @@ from ...redaction import masked, shown_url
 from ...rules import Program
 from ...tasks import files_hash
 from ..experiment import Experiment, Selection, changes_of, first_at, option_error, place_of, unknown_in
+from ..statistics import pooled_shares
 from ..task import Cell, CellKey, Running, Task
 from .solvers import SOLVERS, run_command
 
 __all__ = ["EndpointSettings", "LanguageExperiment", "LanguageQuestions", "LanguageSettings", "graded"]
 
 #: The version of what determines a cell.
-FORMAT = 1
+FORMAT = 2
 
 #: The settings of a short run.
 QUICK: dict[str, Any] = {"count": 8}
@@ -109,11 +113,14 @@ class LanguageSettings(StrictModel):
     """The concepts of the cars in the questions: each car has at least one of them. Empty for all cars."""
     shots: Annotated[int, Field(strict=True, ge=0, le=100)] = 5
     """The number of solved examples before each question."""
-    style: Literal["atoms", "words"] = "atoms"
-    """The form of the facts: ground atoms, or English sentences."""
+    mix: Literal["equal", "paper", "by-concept"] = "equal"
+    """How often each answer is correct: all equally often, in the proportions of the paper, or equally often among the
+    cars with the same concepts."""
+    style: Literal["atoms", "words", "paper", "picture"] = "atoms"
+    """The form of the facts: ground atoms, English sentences, the paper's prompt, or a picture."""
     entities: Literal["view", "city"] = "view"
     """The entities of a question: those that the car sees, or all of the city."""
-    solver: Literal["majority", "nearest", "induced", "oracle"] | None = None
+    solver: Literal["majority", "shortcut", "nearest", "induced", "oracle"] | None = None
     """The solver of this package that answers. By default the one with the name of the row."""
     endpoint: EndpointSettings | None = None
     """The language model that answers instead of a solver."""
@@ -151,8 +158,9 @@ class LanguageQuestions(Task):
     measured_on = "questions"
     sampled = "replies"
     interval_note = (
-        "Accuracy by correct action, with 95 % Wilson intervals over the questions of all seeds; the intervals do "
-        "not account for differences between the sets. Unread replies count as wrong. rule: the reply names a "
+        "Accuracy by correct action. The 95 % intervals are percentiles of a bootstrap that draws sets and, in each, "
+        "worlds: sets differ in their examples, and questions about one world are alike. Shares of 0 and 1 have Wilson "
+        "intervals over the worlds. Unread replies count as wrong. rule: the reply names a "
         f"clause that derives the action, or `{NO_RULE}` if the action is the default. ECE: expected calibration "
         "error in ten bins. Brier: mean squared distance of the probabilities of the options from the correct one, "
         "0.75 for uniform ones."
@@ -163,12 +171,19 @@ class LanguageQuestions(Task):
 
     def faults(self, experiment: LanguageExperiment, file: Path) -> Iterable[Fault]:
         """Return the errors in settings, where their values are written."""
-        cells = ((row, variant) for row in experiment.learners for variant in experiment.variants)
+        cells = (
+            (row, variant)
+            for row, spec in experiment.learners.items()
+            for variant in spec.variants or experiment.variants
+        )
         return first_at(fault for row, variant in cells for fault in self._cell_faults(experiment, file, row, variant))
 
     def _cell_faults(self, experiment: LanguageExperiment, file: Path, row: str, variant: str) -> Iterator[Fault]:
-        places = experiment.places(row, variant, False)
-        for code, path, message, help in _faults(row, changes_of(places), file):
+        places, spec = experiment.places(row, variant, False), experiment.learners[row]
+        # Unknown names of variants are other faults.
+        own = experiment.variants[variant].mode if variant in experiment.variants else None
+        modes = (own,) if own else spec.modes or experiment.modes
+        for code, path, message, help in _faults(row, changes_of(places), file, modes):
             missing = path[-1:] * (code == "missing-key")
             at = place_of(places, path[: -len(missing) or None]) or ["learners", row]
             yield code, [*at, *missing], message, help
@@ -178,7 +193,7 @@ class LanguageQuestions(Task):
     ) -> LanguageSettings:
         """Return the settings of a cell, with its solver if it has no endpoint."""
         values = changes_of(experiment.places(key.row, key.variant, selection.quick, QUICK), selection.changes)
-        for fault in _faults(key.row, values, file):
+        for fault in _faults(key.row, values, file, (key.mode,)):
             raise option_error(fault)
         settings = LanguageSettings.model_validate(values)
         solver = key.row if settings.endpoint is None and settings.solver is None else settings.solver
@@ -228,7 +243,8 @@ class LanguageQuestions(Task):
         config, settings = document["config"], spec["settings"]
         self.check_unchanged(spec, {"rules": files_hash(config)})
         begun = sum(os.times()[:4])
-        options = [text for key in ("count", "shots", "style", "entities") for text in (f"--{key}", str(settings[key]))]
+        keys = ("count", "shots", "mix", "style", "entities")
+        options = [text for key in keys for text in (f"--{key}", str(settings[key]))]
         about = ["--about", ",".join(settings["about"])] if settings["about"] else []
         path, replies = folder / "questions.jsonl", self.model(folder)
         asked = ["--prompt", spec["prompt"], "--seed", str(spec["seed"]), "--output", str(path), "--force"]
@@ -263,23 +279,24 @@ class LanguageQuestions(Task):
         return "replies", hashlib.sha256(json.dumps(answers).encode()).hexdigest()
 
     def intervals(self, evaluations: Sequence[Mapping[str, Any]]) -> dict[str, Interval]:
-        """Return the measures over the questions of all sets, shares with Wilson intervals."""
-        replies = [reply for each in evaluations for reply in each["replies"]]
-        right = [reply["chosen"] == reply["answer"] for reply in replies]
-        shares: dict[str, list[bool]] = {}
-        for letter, action in zip(LETTERS, ACTIONS, strict=True):
-            shares[action] = [reply["chosen"] == letter for reply in replies if reply["answer"] == letter]
-        shares["overall"] = right
-        if any(reply["rule"] is not None for reply in replies):
-            shares["rule"] = [bool(reply["derived"]) for reply in replies]
-            shares["both"] = [correct and rule for correct, rule in zip(right, shares["rule"], strict=True)]
-        result = {name: Interval.of_share(sum(of), len(of)) for name, of in shares.items() if of or name == "overall"}
+        """Return the measures over the questions of all sets, each question once."""
+        sets = _without_repetition(evaluations)
+        replies = [reply for each in sets for reply in each]
+        named = any(reply.get("rule") is not None for reply in replies)
+        # A set of questions that came before adds none.
+        result = pooled_shares([_by_world(each, named) for each in sets if each])
         questions = [Question(str(at), "", (), "", {}, reply["answer"]) for at, reply in enumerate(replies)]
-        logprobs = {str(at): reply["logprobs"] for at, reply in enumerate(replies) if reply["logprobs"] is not None}
+        logprobs = {str(at): reply["logprobs"] for at, reply in enumerate(replies) if "logprobs" in reply}
         if (calibration := calibrate(questions, logprobs)) is not None:
             for name, value in (("ece", calibration.ece), ("brier", calibration.brier)):
                 result[name] = Interval(value, value, value)
         return result
+
+    def remarks(self, evaluations: Sequence[Mapping[str, Any]]) -> Iterator[str]:
+        """Yield the number of questions that several sets have."""
+        count = sum(len(each["replies"]) for each in evaluations)
+        if repeated := count - sum(map(len, _without_repetition(evaluations))):
+            yield f"{repeated} of the {count} questions of a row are also in an earlier of its sets and count once."
 
     def evaluation_of(self, row: Mapping[str, Any]) -> dict[str, Any]:
         """Return the graded replies."""
@@ -292,25 +309,73 @@ class LanguageQuestions(Task):
         return {"unread": unread / len(replies)} if unread else {}
 
     def row_faults(self, row: Mapping[str, Any], experiment: LanguageExperiment) -> Iterator[str]:
-        """Yield other rules than today's."""
+        """Yield other rules than today's, and measures that do not follow from the samples."""
         if row["hashes"].get("rules") != files_hash(row["settings"]["config"]):
             yield "other rules"
+        measures = self.intervals([self.evaluation_of(row)])
+        if measures.keys() != row["measures"].keys():
+            yield "other measures"
+            return
+        for name, interval in measures.items():
+            recorded = row["measures"][name]
+            if not all(np.isclose(recorded[key], value, rtol=0, atol=1e-6) for key, value in vars(interval).items()):
+                yield f"another {name}"
+
+
+def _without_repetition(evaluations: Sequence[Mapping[str, Any]]) -> list[list[dict[str, Any]]]:
+    """Return the replies of each set, without those to questions that came before."""
+    known: set[str] = set()
+    sets: list[list[dict[str, Any]]] = []
+    for each in evaluations:
+        sets.append([])
+        for reply in each["replies"]:
+            if reply["scene"] not in known:
+                known.add(reply["scene"])
+                sets[-1].append(reply)
+    return sets
+
+
+def _by_world(replies: Sequence[Mapping[str, Any]], named: bool) -> dict[str, NDArray[np.float64]]:
+    """Return the number of right replies and of all replies for each measure by world, (W, 2).
+
+    `named` is whether to measure rules, too.
+    """
+    worlds = list(dict.fromkeys(reply["world"] for reply in replies))
+    names = (*ACTIONS, "overall", *(("rule", "both") if named else ()))
+    tables = {name: np.zeros((len(worlds), 2)) for name in names}
+    for reply in replies:
+        world, right = worlds.index(reply["world"]), reply["chosen"] == reply["answer"]
+        counted = {ACTIONS[LETTERS.index(reply["answer"])]: right, "overall": right}
+        if named:
+            counted |= {"rule": reply["derived"], "both": right and reply["derived"]}
+        for name, success in counted.items():
+            tables[name][world] += (success, 1)
+    return tables
 
 
 def graded(questions: Sequence[Question], path: Path) -> list[dict[str, Any]]:
     """Return the replies in a file as they count.
 
-    Each has the letters of the correct and of the chosen option, or `unread`; if the question requests a rule, the name
-    of the rule, or `None` without one, and whether it derives the action; and the log-probabilities of options.
+    Each has the letters of the correct and of the chosen option, or `unread`, and the world and the fingerprint of the
+    question. If the question requests a rule, it has the name of the rule, or `None` without one, and whether it
+    derives the action. If there are log-probabilities of options, it has them.
     """
     answers, logprobs, replies = load_answers(path), load_logprobs(path), []
     for question in questions:
-        text, rule, derived = answers[question.id], None, None
+        if question.scene is None:
+            raise ValueError(f"the question `{question.id}` has no scene: write it again with `logicity questions`")
+        reply: dict[str, Any] = {
+            "answer": question.answer,
+            "chosen": read_letter(answers[question.id]) or UNREAD,
+            "world": question.source["world"],
+            "scene": fingerprint(question.scene),
+        }
         if question.labels:
-            rule = read_rule(text, question.labels)
-            derived = rule in (question.clauses or (NO_RULE,))
-        reply = {"answer": question.answer, "chosen": read_letter(text) or UNREAD, "rule": rule, "derived": derived}
-        replies.append({**reply, "logprobs": logprobs.get(question.id)})
+            rule = read_rule(answers[question.id], question.labels)
+            reply |= {"rule": rule, "derived": rule in (question.clauses or (NO_RULE,))}
+        if question.id in logprobs:
+            reply["logprobs"] = logprobs[question.id]
+        replies.append(reply)
     return replies
 
 
@@ -327,8 +392,8 @@ def _ask(questions: Sequence[Question], spec: EndpointSettings, path: Path, runn
         raise ValueError(f"{error}\nhelp: remove `{path}`; the same command asks its questions again") from None
 
 
-def _faults(row: str, values: Mapping[str, Any], file: Path) -> Iterator[Fault]:
-    """Yield the errors in the settings of a row, by their paths.
+def _faults(row: str, values: Mapping[str, Any], file: Path, modes: Sequence[str]) -> Iterator[Fault]:
+    """Yield the errors in the settings of a row with some prompts, by their paths.
 
     Raises:
         InputError: If the configuration is invalid.
@@ -358,6 +423,12 @@ def _faults(row: str, values: Mapping[str, Any], file: Path) -> Iterator[Fault]:
     if 0 < settings.shots < len(actions):
         message = f"{settings.shots} solved examples cannot cover all actions of the rules: {', '.join(actions)}"
         yield "invalid-value", ["shots"], message, "use 0, or at least one per action"
+    if settings.mix == "paper" and (lacking := [action for action in ACTIONS if actions and action not in actions]):
+        message = f"the rules never require {' or '.join(lacking)}, but the paper's mix has all four answers"
+        yield "invalid-value", ["mix"], message, "use the mix `equal`"
+    if settings.style == "paper" and (settings.shots == 0 or any(mode != "examples" for mode in modes)):
+        message = "the paper's prompt has solved examples and does not state the rules"
+        yield "invalid-value", ["style"], message, "use the mode `examples` with at least one example per action"
 
 
 def _config_path(config: str, file: Path) -> str:
