@@ -171,8 +171,8 @@ def _add_experiment(parser: argparse.ArgumentParser) -> _Command:
     add = parser.add_argument
     add(
         "experiment",
-        help="spf, transfer, composition, observations, vap, vap-continual, vap-concepts, language, or a YAML file; "
-        "`logicity schema experiment` prints its keys",
+        help="spf, transfer, composition, observations, vap, vap-50, vap-continual, vap-concepts, language, or a YAML "
+        "file; `logicity schema experiment` prints its keys",
     )
     exclusive = parser.add_mutually_exclusive_group()
     exclusive.add_argument("--list", action="store_true", help="list the cells and which are finished, and run none")
@@ -200,11 +200,12 @@ def _add_experiment(parser: argparse.ArgumentParser) -> _Command:
     add("--quick", action="store_true", help="tiny budgets and one seed: a test of every cell")
     add(
         "--only",
-        type=_column,
+        type=_cells,
         action="append",
         default=[],
-        metavar="LEARNER[,MODE]",
-        help="run only the cells of a row, or of a row in one mode (for `language` with one prompt); can be repeated",
+        metavar="LEARNER[,MODE[,VARIANT]]",
+        help="run only the cells of a row, of a row in one mode (for `language` with one prompt), or of one variant "
+        "there; can be repeated",
     )
     add("--seeds", type=_seeds, metavar="LIST", help="replace the seeds, for example 0,1,2")
     add(
@@ -480,11 +481,11 @@ def _seeds(text: str) -> tuple[int, ...]:
     return tuple(dict.fromkeys(_seed(each) for each in text.split(",")))
 
 
-def _column(text: str) -> tuple[str, str | None]:
-    row, comma, mode = text.partition(",")
-    if not row or (comma and not mode):
-        raise argparse.ArgumentTypeError(f"expected LEARNER or LEARNER,MODE, found `{text}`")
-    return row, mode or None
+def _cells(text: str) -> tuple[str, ...]:
+    names = tuple(text.split(",", 2))
+    if not all(names):
+        raise argparse.ArgumentTypeError(f"expected LEARNER, LEARNER,MODE or LEARNER,MODE,VARIANT, found `{text}`")
+    return names
 
 
 def _assignment(text: str) -> dict[str, object]:

@@ -226,6 +226,7 @@ def test_unknown_selections_are_reported(
     for arguments, message in [
         (["--only", "pp0"], "--only: unknown learner `pp0`; did you mean `ppo`?"),
         (["--only", "ppo,eazy"], "--only: `ppo` has no mode `eazy`; did you mean `easy`?"),
+        (["--only", "ppo,easy,x"], "--only: `ppo` has no variant `x`"),
     ]:
         assert command(words, [str(tiny), *run, *arguments]) == 2
         assert message in capsys.readouterr().err
@@ -309,7 +310,7 @@ def test_the_table_shows_the_papers_figures(tiny: Path, tmp_path: Path, capsys: 
     root = tmp_path / "run"
     run_here(cells[:3], root)
     # A result of other settings is not one of these cells.
-    run_here(cells_of(tiny, changes={"steps": 64}, only=[("quick-a2c", None)], seeds=(1,))[1], root)
+    run_here(cells_of(tiny, changes={"steps": 64}, only=[("quick-a2c",)], seeds=(1,))[1], root)
     report = Report(experiment, cells, root, {cells[3].identity: "it failed\nhere"})
     ppo, a2c = report.entries
     assert (ppo.seeds, ppo.missing, a2c.seeds, a2c.missing) == ((0, 1), "", (0,), "it failed (seed 1)")
@@ -461,7 +462,7 @@ def test_an_evaluation_can_use_new_episodes(mode: str, tmp_path: Path) -> None:
     (tmp_path / "own.yaml").write_text("base: configs/easy.yaml\n")
     text = TINY.replace("[easy]", f"[{mode}]")
     text += "evaluations: {agents of training: {split: train, fresh: 5, seed: 7}, agents of test: {}}\n"
-    experiment, cells = cells_of(write(tmp_path, text), only=[("quick-a2c", None)], seeds=(0,))
+    experiment, cells = cells_of(write(tmp_path, text), only=[("quick-a2c",)], seeds=(0,))
     root = tmp_path / "run"
     run_here(cells, root)
     measured = finished(cells[0], root)
@@ -479,7 +480,7 @@ def test_a_training_of_another_experiment_is_reused(
     tiny: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     """The result is that of training again. Other seeds, and cells that have begun, are trained."""
-    selection: dict[str, Any] = {"only": [("quick-a2c", None)]}
+    selection: dict[str, Any] = {"only": [("quick-a2c",)]}
     _, known = cells_of(tiny, **selection, seeds=(0, 2))
     run_here(known, tmp_path / "known")
     with pytest.raises(FileNotFoundError, match="not the folder of an experiment"):
@@ -505,7 +506,7 @@ def test_a_training_of_another_experiment_is_reused(
 
 
 def test_a_cell_runs_only_with_its_version_rules_and_episodes(tiny: Path, tmp_path: Path) -> None:
-    _, cells = cells_of(tiny, only=[("quick-a2c", None)], seeds=(0,))
+    _, cells = cells_of(tiny, only=[("quick-a2c",)], seeds=(0,))
     folder = prepare(cells[0], tmp_path / "run")
     document = json.loads((folder / "cell.json").read_text())
     faulty: list[tuple[dict[str, Any], str]] = [
@@ -632,7 +633,7 @@ def test_a_folder_with_other_files_is_refused(tiny: Path, tmp_path: Path, capsys
 def test_a_cell_that_lost_its_measures_is_not_trained_again(
     tiny: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    _, cells = cells_of(tiny, only=[("quick-a2c", None)], seeds=(0,))
+    _, cells = cells_of(tiny, only=[("quick-a2c",)], seeds=(0,))
     run_here(cells, tmp_path)
     measured = cells[0].folder(tmp_path) / "measured.json"
     before = measured.read_text()
@@ -676,9 +677,10 @@ def test_published_rows_are_evaluated_again(tiny: Path, tmp_path: Path) -> None:
     assert results["rows"][0]["command"] == f"logicity experiment {tiny} --only ppo,easy --seeds 0"
     assert check_rows(results, experiment) == []
     page = leaderboard(results, loaded=experiment)
-    assert "## Easy" in page and "| `ppo` | " in page and "| 0.33 | 0, 1 | 256 |" in page
-    assert "| maxsynth, the paper's | 1.00 | 1.00 | 8.51 | 1.00 |  |  |  |  |" in page
-    assert page.count("the paper's |") == 11, "one of twelve learners has rows"
+    assert "## Easy" in page and "| `ppo` | " in page and "| 0, 1 | 256 |" in page
+    assert "| the paper's | 0.33 | 0.36 | 2.83 |  |  |  |  |" in page
+    assert "| maxsynth, the paper's | 1.00 | 1.00 | 8.51 |  |  |  |  |" in page
+    assert page.count(", the paper's |") == 11, "one of twelve learners has rows"
     results["rows"][1]["hashes"]["rules"] = "0" * 64
     assert check_rows(results, experiment) == ["ppo, test, easy, seed 1: other rules"]
     # A new row replaces the old one, and keeps its note.

@@ -10,6 +10,9 @@ from typing import Any
 import pytest
 from conftest import ROOT
 
+from logicity.experiments.paper import paper_table
+
+AGENTS = ("fixed", "random")
 RESULTS: dict[str, list[dict[str, Any]]] = {
     path.stem: json.loads(path.read_text(encoding="utf-8"))["rows"] for path in (ROOT / "results").glob("*.json")
 }
@@ -107,6 +110,23 @@ def test_the_guide_counts_what_hashes_cover() -> None:
     assert f"in {len(files)} of the {len(rows)} published rows" in text
     assert f"{sum(row['learner'] in timed for row in files)} rows cannot be reproduced by hash" in text
     assert all("torch" in row["versions"] for row in files)
+
+
+def test_recalls_below_the_papers_are_named() -> None:
+    rows, measures = paper_table("vap")["rows"], ("Slow", "Normal", "Fast", "Stop", "aAcc", "wAcc")
+    below: dict[str, list[tuple[str, ...]]] = {}
+    for learner, variant, mode in {(row["learner"], row["variant"], row["mode"]) for row in RESULTS["vap"]}:
+        for measure, paper in zip(measures, rows.get(learner, {}).get(variant, {}).get(mode, ()), strict=False):
+            names = {"learner": learner, "variant": variant, "mode": mode}
+            if paper is not None and float(of("vap", measure, **names)) < paper:
+                below.setdefault(measure, []).append((learner, variant, mode))
+    cells = [(name, agents, mode) for name in ("e2e-gnn", "e2e-nlm") for agents in AGENTS for mode in ("easy", "hard")]
+    assert sorted(below.pop("Stop")) == sorted(cells)
+    assert sorted(below.pop("Fast")) == [("e2e-nlm", agents, "hard") for agents in AGENTS]
+    assert below == {"wAcc": [("e2e-nlm", "fixed", "hard")]}
+    assert "in all eight end-to-end cells, and Fast in the two of `e2e-nlm` in hard mode" in prose(
+        "reference/leaderboard.md"
+    )
 
 
 def test_a_bound_holds() -> None:

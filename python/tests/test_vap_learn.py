@@ -524,8 +524,39 @@ def test_spatial_concepts_reach_a_recall_of_0_9(tmp_path: Path) -> None:
         assert value is not None and value > 0.9, (name, recall[name])
 
 
-def test_training_resumes_to_the_same_weights(samples: Samples, tmp_path: Path) -> None:
-    settings = TrainingSettings(epochs=4, batch=32)
+def test_steps_are_updates_in_equal_parts() -> None:
+    data = torch.arange(10.0).reshape(5, 2)
+
+    def train(**changes: Any) -> tuple[list[list[int]], torch.Tensor, list[float]]:
+        torch.manual_seed(0)
+        model, batches = torch.nn.Linear(2, 1), []
+
+        def loss(chosen: torch.Tensor, _: torch.Generator) -> torch.Tensor:
+            batches.append(chosen.tolist())
+            return model(data[chosen]).square().mean()
+
+        history = fit(model, loss, 5, TrainingSettings(batch=2, **changes), 3, lambda: 0.0)
+        return batches, model.weight.detach(), [each["loss"] for each in history]
+
+    passes, weights, losses = train(epochs=4)
+    same, again, equal = train(epochs=4, steps=12)
+    assert (passes, losses) == (same, equal) and torch.equal(weights, again)
+    # Parts of 2, 3 and 3 updates; each begins with a new order of all samples.
+    batches, _, losses = train(epochs=3, steps=8)
+    assert len(batches) == 8 and len(losses) == 3
+    assert [sorted(sum(batches[2 + 3 * part : 5 + 3 * part], [])) for part in range(2)] == [list(range(5))] * 2
+    # A part can have several passes.
+    batches, _, losses = train(epochs=1, steps=7)
+    assert [sorted(sum(batches[3 * turn : 3 * turn + 3], [])) for turn in range(2)] == [list(range(5))] * 2
+    assert len(batches) == 7 and len(losses) == 1
+    with pytest.raises(ValueError, match="2 steps have no 3 parts"):
+        TrainingSettings(epochs=3, steps=2)
+    assert "steps" not in TrainingSettings().model_dump() and TrainingSettings(steps=10).model_dump()["steps"] == 10
+
+
+@pytest.mark.parametrize("steps", [None, 9])
+def test_training_resumes_to_the_same_weights(steps: int | None, samples: Samples, tmp_path: Path) -> None:
+    settings = TrainingSettings(epochs=4, batch=32, steps=steps)
 
     def train(checkpoint: Path | None, stop_after: int = 99) -> tuple[Any, Any]:
         torch.manual_seed(7)
@@ -613,7 +644,7 @@ def test_the_shipped_experiments_have_cells() -> None:
         places = {cell.identity: at for at, cell in enumerate(cells)}
         assert all(cell.start is None or places[cell.start.identity] < places[cell.identity] for cell in cells)
         assert all(settings_of(cell).training.epochs == 1 for cell in cells_of(file, quick=True)[1])
-    _, cells = cells_of(EXPERIMENTS / "vap-continual.yaml", seeds=(0,), only=[("modular-nlm", None)])
+    _, cells = cells_of(EXPERIMENTS / "vap-continual.yaml", seeds=(0,), only=[("modular-nlm",)])
     last = next(cell for cell in cells if cell.variant == "5 %")
     assert last.start is not None and (last.start.mode, last.start.row) == ("easy", "modular-nlm")
     assert last.start.start is not None and last.start.start.row == "rules"
@@ -721,6 +752,7 @@ def test_unknown_selections_are_reported(
     for arguments, message in [
         (["--only", "rule"], "--only: unknown learner `rule`; did you mean `rules`?"),
         (["--only", "rules,easy"], "--only: `rules` has no mode `easy`"),
+        (["--only", "rules,hard,randon"], "--only: `rules` has no variant `randon`; did you mean `random`?"),
         (["--set", "training.epochs=0"], "--set: settings of `rules`: `training.epochs` must be at least 1, not `0`"),
         (
             ["--set", "stage=end-to-end", "--set", "reasoner=nlm", "--set", "training.epochs=2"],
@@ -734,7 +766,7 @@ def test_unknown_selections_are_reported(
 
 
 def test_a_cell_needs_the_model_that_it_starts_from(tiny: Path, tmp_path: Path) -> None:
-    _, cells = cells_of(tiny, only=[("modular-gnn", None)])
+    _, cells = cells_of(tiny, only=[("modular-gnn",)])
     alone = dataclasses.replace(cells[1], start=None)
     with pytest.raises(ValueError, match="`groundings: predicted` needs the concepts of another row: set its `start`"):
         run_cell(prepare(alone, tmp_path / "run"))
@@ -746,14 +778,14 @@ def test_a_cell_belongs_to_the_weights_of_its_backbone(tiny: Path) -> None:
     identities = set()
     for content in ("a", "b"):
         weights.write_text(content)
-        identities.add(cells_of(tiny, only=[("rules", None)], changes=changes)[1][0].identity)
+        identities.add(cells_of(tiny, only=[("rules",)], changes=changes)[1][0].identity)
         weights = tiny.parent / "other.pth"
         changes["weights"] = str(weights)
     assert len(identities) == 2
 
 
 def test_a_cell_runs_with_the_rules_of_its_experiment(tiny: Path, tmp_path: Path) -> None:
-    _, cells = cells_of(tiny, only=[("rules", None)])
+    _, cells = cells_of(tiny, only=[("rules",)])
     folder = prepare(cells[0], tmp_path / "run")
     document = json.loads((folder / "cell.json").read_text())
     document["spec"]["rules"] = "0" * 64
@@ -766,15 +798,15 @@ def test_a_variant_with_a_mode_has_one_cell(tiny: Path) -> None:
     tiny.write_text(TINY.replace("[hard]", "[easy, hard]").replace("{random: {}}", "{a: {mode: easy}, b: {}}"))
     message = r"`rules, a, easy, seed 0` and `rules, b, easy, seed 0` have the same settings(.|\n)*tiny\.yaml:\d+:"
     with pytest.raises(InputError, match=message):
-        cells_of(tiny, only=[("rules", None)])
+        cells_of(tiny, only=[("rules",)])
     tiny.write_text(tiny.read_text().replace("b: {}", "b: {changes: {fraction: 0.5}}"))
-    cells = cells_of(tiny, only=[("rules", None)])[1]
+    cells = cells_of(tiny, only=[("rules",)])[1]
     assert [(cell.mode, cell.variant) for cell in cells] == [("easy", "a"), ("easy", "b"), ("hard", "b")]
 
 
 def test_rules_are_learned_from_true_concepts(tiny: Path, tmp_path: Path) -> None:
     tiny.write_text(TINY.replace("{concepts: {perception: sides}}", "{stage: induction, groundings: exact}"))
-    _, cells = cells_of(tiny, only=[("rules", None)])
+    _, cells = cells_of(tiny, only=[("rules",)])
     measured = run_cell(prepare(cells[0], tmp_path / "run"))
     assert measured["evaluations"]["threshold"] == measured["evaluations"]["product"]
     assert measured["evaluations"]["threshold"]["a_acc"] > 0.7 and not measured["concepts"]
@@ -783,7 +815,7 @@ def test_rules_are_learned_from_true_concepts(tiny: Path, tmp_path: Path) -> Non
 def test_the_bound_lacks_classes_that_training_does_not_show(tiny: Path, tmp_path: Path) -> None:
     text = TINY.replace("{concepts: {perception: sides}}", "{stage: bound, groundings: exact}")
     tiny.write_text(text.replace("{random: {}}", "{fixed: {changes: {agents: fixed}}, random: {}}"))
-    _, cells = cells_of(tiny, only=[("rules", None)])
+    _, cells = cells_of(tiny, only=[("rules",)])
     found = {}
     for cell in cells:
         measured = run_cell(prepare(cell, tmp_path / "run"))
@@ -845,6 +877,37 @@ def test_the_table_includes_the_papers_figures(undisturbed: tuple[Path, Path], t
     assert (
         not missing.complete and "modular-gnn, random, hard: it failed. The figures are the paper's." in missing.notes()
     )
+
+
+def test_a_selection_can_name_a_variant(tmp_path: Path) -> None:
+    loaded, cells = cells_of(EXPERIMENTS / "vap.yaml", only=[("induced", "hard", "random"), ("bound", "easy")])
+    assert {(cell.row, cell.mode, cell.variant) for cell in cells} == {
+        *(("rules", "hard", "random"), ("induced", "hard", "random")),
+        *(("bound", "easy", "fixed"), ("bound", "easy", "random")),
+    }
+    _, all_cells = cells_of(EXPERIMENTS / "vap.yaml")
+    assert {cell.identity for cell in cells} < {cell.identity for cell in all_cells}
+    # Without a variant, all.
+    _, both = cells_of(EXPERIMENTS / "vap.yaml", only=[("rules", "easy", "random"), ("rules", "easy", "fixed")])
+    _, same = cells_of(EXPERIMENTS / "vap.yaml", only=[("rules", "easy")])
+    assert [cell.identity for cell in both] == [cell.identity for cell in same]
+
+
+def test_the_papers_concepts_stand_only_where_it_measured_them(undisturbed: tuple[Path, Path]) -> None:
+    file, root = undisturbed
+    experiment, cells = cells_of(file)
+    report = Report(experiment, cells, root)
+    assert "the paper's, NLM, random agents" in {cell for line in report.details("hard") for cell in line}
+    assert not report.details("easy")
+    results = json.loads((ROOT / "results" / "vap.json").read_text("utf-8"))
+    page = leaderboard(results)
+    tables = {title.partition(":")[0]: title for title in page.split("## ") if "Recall of" in title}
+    assert {mode: "the paper's, NLM, random agents" in table for mode, table in tables.items()} == {
+        "Easy": False,
+        "Hard": True,
+    }
+    # The paper's recalls of the actions stand below ours.
+    assert "| the paper's | 0.46 | 0.62 | 0.27 | 0.99 | 0.72 | 0.40 |" in page
 
 
 def test_published_rows_are_measured_again(undisturbed: tuple[Path, Path], tmp_path: Path) -> None:
@@ -1020,7 +1083,7 @@ def test_failures_of_cells_are_reported(tiny: Path, tmp_path: Path) -> None:
     tiny.write_text(
         TINY.replace("start: rules, changes: {stage: reasoning", "start: rules, changes: {stage: end-to-end")
     )
-    _, cells = cells_of(tiny, only=[("modular-gnn", None)])
+    _, cells = cells_of(tiny, only=[("modular-gnn",)])
     said: list[str] = []
     failed = run_in_processes(cells, tmp_path / "run", 1, said.append)
     assert failed == {
@@ -1029,6 +1092,6 @@ def test_failures_of_cells_are_reported(tiny: Path, tmp_path: Path) -> None:
     tiny.write_text(
         TINY.replace("stage: reasoning, concepts: {perception: sides", "stage: reasoning, concepts: {width: 2")
     )
-    _, cells = cells_of(tiny, only=[("modular-gnn", None)])
+    _, cells = cells_of(tiny, only=[("modular-gnn",)])
     with pytest.raises(ValueError, match="the part `concepts` of the model to start from has another architecture"):
         run_cell(prepare(cells[1], tmp_path / "run"))

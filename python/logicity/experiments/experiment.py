@@ -65,6 +65,8 @@ class Variant(StrictModel):
 
     changes: dict[str, Any] = Field(default_factory=dict)
     """Changes to the settings, after those of the experiment and the row."""
+    paper: str | None = None
+    """The variant of the paper's table whose figures are shown beside this one. By default that of the same name."""
     mode: str | None = None
     """The mode instead of that of the column."""
     start: str | None = None
@@ -101,6 +103,15 @@ class Experiment(StrictModel):
     x: str = "x"
     """The label of the horizontal axis of the figure over the `x` of variants."""
 
+    def columns(self, row: str) -> tuple[Names, Names]:
+        """Return the modes and the variants of a row."""
+        spec = self.learners[row]
+        return spec.modes or self.modes, spec.variants or tuple(self.variants)
+
+    def of_paper(self, row: str, variant: str) -> tuple[str, str]:
+        """Return the row and the variant of the paper's table that are shown beside a row and a variant."""
+        return self.learners[row].paper or row, self.variants[variant].paper or variant
+
     def places(self, row: str, variant: str, quick: bool, usual: Mapping[str, Any] | None = None) -> list[Place]:
         """Return the changes to the settings of a row and a variant. Later ones override earlier ones.
 
@@ -120,14 +131,14 @@ class Selection:
     """A selection of cells, and changes to them.
 
     Attributes:
-        only: Pairs of a row and a mode, or of a row and `None` for all its modes. Empty for all cells.
+        only: Rows, each with a mode, and with a mode and a variant, or without them for all. Empty for all cells.
         seeds: Seeds that replace those of the experiment.
         changes: Changes to the settings of every cell.
         quick: Whether to use tiny budgets, and only the first seed.
         trust: Whether policies that training configurations name under `start` may run code, as for `train`.
     """
 
-    only: Sequence[tuple[str, str | None]] = ()
+    only: Sequence[tuple[str, ...]] = ()
     seeds: tuple[int, ...] | None = None
     changes: Mapping[str, Any] = field(default_factory=dict)
     quick: bool = False
@@ -139,23 +150,29 @@ class Selection:
             if key in self.changes:
                 raise ValueError(f"--set: each cell has its own `{key}`: {help}")
 
-    def chosen(self, modes: Mapping[str, Sequence[str]]) -> list[tuple[str, str]]:
-        """Return the selected pairs of a row and one of its modes, in the order of the rows.
+    def chosen(self, rows: Mapping[str, tuple[Sequence[str], Sequence[str]]]) -> Iterator[tuple[str, str, list[str]]]:
+        """Yield the selected rows, each with one of its modes and the variants to run in it, in the order of the rows.
+
+        Args:
+            rows: The modes and the variants of each row.
 
         Raises:
-            ValueError: If the selection names an unknown row or mode.
+            ValueError: If the selection names an unknown row, mode or variant.
         """
-        for row, mode in self.only:
-            if row not in modes:
-                raise ValueError(f"--only: unknown learner `{row}`{did_you_mean(row, modes)}")
-            if mode is not None and mode not in modes[row]:
-                raise ValueError(f"--only: `{row}` has no mode `{mode}`{did_you_mean(mode, modes[row])}")
-        return [
-            (row, mode)
-            for row, known in modes.items()
-            for mode in known
-            if not self.only or (row, None) in self.only or (row, mode) in self.only
-        ]
+        for row, *names in self.only:
+            if row not in rows:
+                raise ValueError(f"--only: unknown learner `{row}`{did_you_mean(row, rows)}")
+            for kind, name, known in zip(("mode", "variant"), names, rows[row], strict=False):
+                if name not in known:
+                    raise ValueError(f"--only: `{row}` has no {kind} `{name}`{did_you_mean(name, known)}")
+        for row, (modes, variants) in rows.items():
+            for mode in modes:
+                own = [name for name in variants if self._has(row, mode, name)]
+                if own:
+                    yield row, mode, own
+
+    def _has(self, *names: str) -> bool:
+        return not self.only or any(names[: len(only)] == only for only in self.only)
 
 
 def changes_of(places: Sequence[Place], *more: Mapping[str, Any]) -> dict[str, Any]:
@@ -290,6 +307,11 @@ def experiment_faults(
         if spec.paper is not None and spec.paper not in rows:
             message = f"the paper's table has no row `{spec.paper}`{did_you_mean(spec.paper, rows)}"
             yield "invalid-value", ["learners", row, "paper"], message, ""
+    variants = {variant for values in rows.values() for variant in values}
+    for name, variant in experiment.variants.items():
+        if variant.paper is not None and variant.paper not in variants:
+            message = f"the paper's table has no variant `{variant.paper}`{did_you_mean(variant.paper, variants)}"
+            yield "invalid-value", ["variants", name, "paper"], message, ""
     places = (experiment.places(row, name, True) for row in experiment.learners for name in experiment.variants)
     for prefix, changes in {tuple(path): values for each in places for path, values in each}.items():
         for key in OWN_KEYS.keys() & changes.keys():

@@ -83,15 +83,16 @@ class Loaded:
         Raises:
             FileNotFoundError: If a file that a setting names is missing.
             InputError: If a setting is invalid, or two cells have the same settings.
-            ValueError: If the selection names an unknown row or mode, or its changes are invalid.
+            ValueError: If the selection names an unknown row, mode or variant, or its changes are invalid.
         """
         found: dict[CellKey, Cell] = {}
         learners = self.experiment.learners
-        for row, mode in selection.chosen({row: spec.modes or self.experiment.modes for row, spec in learners.items()}):
+        rows = {row: self.experiment.columns(row) for row in learners}
+        for row, mode, variants in selection.chosen(rows):
             own = learners[row].seeds or self.experiment.seeds
             seeds = selection.seeds or (own[:1] if selection.quick else own)
             for seed in seeds:
-                for variant in learners[row].variants or self.experiment.variants:
+                for variant in variants:
                     self._add(found, CellKey(row, mode, variant, seed), selection, check=seed == seeds[0])
         # A variant that sets a mode has the same cell in each column.
         unique: dict[str, Cell] = {}

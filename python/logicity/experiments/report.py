@@ -96,7 +96,8 @@ class Report:
         first, task = cells[0], self.task
         done = [cell for cell in cells if results[cell.identity] is not None]
         runs = [results[cell.identity] for cell in done]
-        row, variant = self.experiment.learners[first.row], self.experiment.variants[first.variant]
+        variant = self.experiment.variants[first.variant]
+        paper = task.paper_value(self.experiment.paper, *self.experiment.of_paper(first.row, first.variant), first.mode)
         names = list(runs[0]["evaluations"] if runs else first.evaluations or [""])
         several = len(names) > 1 or len(first.evaluations) > 1
         for name in names:
@@ -109,7 +110,7 @@ class Report:
                 seeds=tuple(cell.seed for cell in done),
                 measures=task.intervals(evaluations) if runs else {},
                 details=mean_details([task.details(run, name) for run in runs]),
-                paper=task.paper_value(self.experiment.paper, row.paper or first.row, first.variant, first.mode),
+                paper=paper,
                 remarks=tuple(task.remarks(evaluations)),
                 curve=_mean_curve([task.curve(run) for run in runs]) if name == names[0] else (),
                 cpu_hours=sum(run["result"]["cpu_seconds"] for run in runs) / 3600,
@@ -158,28 +159,23 @@ class Report:
 
     def _named(self) -> set[tuple[str, str]]:
         """Return the rows of the paper's table that rows of the experiment name, with their variants."""
-        return {
-            (spec.paper or row, variant)
-            for row, spec in self.experiment.learners.items()
-            for variant in self.experiment.variants
-        }
+        experiment = self.experiment
+        return {experiment.of_paper(row, name) for row in experiment.learners for name in experiment.variants}
 
-    def details(self) -> list[list[str]]:
-        """Return the table of the details; empty if no entry has any."""
-        paper, _ = self.task.paper_details(self.experiment.paper)
-        columns = {
-            ", ".join((entry.label, Path(entry.mode).stem)): entry.details for entry in self.entries if entry.details
-        }
-        return detail_table(columns, paper)
+    def details(self, mode: str) -> list[list[str]]:
+        """Return the table of the details in a mode, beside the paper's; empty if no entry has any."""
+        columns = {entry.label: entry.details for entry in self.of_mode(mode) if entry.details}
+        return detail_table({**columns, **self.task.paper_details(self.experiment.paper, mode)[0]} if columns else {})
 
     def notes(self) -> list[str]:
         """Return sentences on intervals, missing cells, the paper and the CPU time."""
         notes = [self.task.interval_note]
         if table := paper_table(self.experiment.paper):
             notes.append(f"The paper's figures: {table['source']}. {table['note']}")
-        _, source = self.task.paper_details(self.experiment.paper)
-        if source and any(entry.details for entry in self.entries):
-            notes.append(f"The paper's figures: {source}")
+        for entry in self.entries:
+            _, source = self.task.paper_details(self.experiment.paper, entry.mode)
+            if source and entry.details:
+                notes.append(f"The paper's figures: {source}")
         for entry in self.entries:
             notes += entry.remarks
             if entry.missing:
@@ -200,11 +196,12 @@ class Report:
         return "\n".join([f"# {self.experiment.title}\n", *tables, "## Notes\n", *notes]) + "\n"
 
     def _tables(self) -> Iterator[tuple[str, list[list[str]]]]:
-        """Yield the heading and the table of each mode, and of the details if there are any."""
+        """Yield the heading and the table of each mode, and then of the details of each mode that has any."""
         for mode in self.modes:
             yield self._heading(mode), self.table(mode)
-        if details := self.details():
-            yield self.task.details_title, details
+        for mode in self.modes:
+            if details := self.details(mode):
+                yield f"{self._heading(mode)}: {self.task.details_title}", details
 
     def _heading(self, mode: str) -> str:
         name = self.task.mode_titles.get(mode, Path(mode).stem)
@@ -334,18 +331,13 @@ def mean_details(runs: Sequence[Mapping[str, float]]) -> dict[str, float]:
     return {name: sum(each) / len(each) for name, each in values.items()}
 
 
-def detail_table(columns: Mapping[str, Mapping[str, float]], paper: Mapping[str, float]) -> list[list[str]]:
-    """Return a table of details, with the paper's if there are any. The longer side of the table is that of its rows.
-
-    Args:
-        columns: The details by the name of their entry.
-        paper: The paper's details.
-    """
+def detail_table(columns: Mapping[str, Mapping[str, float]]) -> list[list[str]]:
+    """Return a table of details by their heading. The longer side of the table is that of its rows."""
     if not columns:
         return []
     keys = list(dict.fromkeys(key for values in columns.values() for key in values))
     table = [["", *keys]]
-    for name, values in {**columns, **({"the paper's": paper} if paper else {})}.items():
+    for name, values in columns.items():
         table.append([name, *(f"{values[key]:.3f}" if key in values else "-" for key in keys)])
     return [list(row) for row in zip(*table, strict=True)] if len(keys) >= len(table) - 1 else table
 

@@ -7,6 +7,7 @@ from __future__ import annotations
 
 import json
 import os
+import shlex
 from collections.abc import Iterator, Mapping, Sequence
 from pathlib import Path
 from typing import Any
@@ -16,7 +17,7 @@ from .cells import finished
 from .experiment import name_of
 from .paper import paper_table
 from .registry import Loaded, load_experiment
-from .report import detail_table, grouped, headline_of, mean_details, paper_cells, paper_rows, shown
+from .report import PAPER, detail_table, grouped, mean_details, paper_cells, paper_rows, shown
 from .tables import markdown_table
 from .task import Cell
 
@@ -252,8 +253,10 @@ def _row(
                 f"{interval.value}, not the recorded {old}: delete the folder of the cell and run it again"
             )
     hashed, sha256 = task.hashed(cell, root)
+    modes, variants = loaded.experiment.columns(cell.row)
     # A variant that sets a mode is in every column.
-    column = cell.row if loaded.experiment.variants[cell.variant].mode else f"{cell.row},{cell.mode}"
+    column = modes[0] if loaded.experiment.variants[cell.variant].mode else cell.mode
+    only = shlex.quote(",".join((cell.row, column, *([cell.variant] if len(variants) > 1 else []))))
     best = result.get("best", {}).get("steps")
     return {
         "learner": cell.row,
@@ -263,7 +266,7 @@ def _row(
         "evaluation": name,
         "seed": cell.seed,
         "settings": result["settings"] if "settings" in result else result["config"],
-        "command": f"logicity experiment {name_of(loaded.file)} --only {column} --seeds {cell.seed}",
+        "command": f"logicity experiment {name_of(loaded.file)} --only {only} --seeds {cell.seed}",
         "note": "",
         "versions": result["versions"],
         "hashes": result["hashes"],
@@ -300,15 +303,12 @@ def leaderboard(results: Mapping[str, Any], level: int = 2, loaded: Loaded | Non
         f"{'#' * level} {mode.capitalize()}\n\n{markdown_table(_mode_table(loaded, mode, own))}"
         for mode, own in grouped((row["mode"], row) for row in rows).items()
     ]
-    columns = grouped(
-        (", ".join(filter(None, (row["learner"], row["variant"], row["mode"]))), row["details"])
-        for row in rows
-        if row["details"]
-    )
-    paper, _ = loaded.task.paper_details(loaded.experiment.paper)
-    if columns and paper:
-        details = detail_table({name: mean_details(each) for name, each in columns.items()}, paper)
-        parts.append(f"{'#' * level} {loaded.task.details_title}\n\n{markdown_table(details)}")
+    for mode, own in grouped((row["mode"], row) for row in rows if row["details"]).items():
+        columns = grouped((", ".join(filter(None, (row["learner"], row["variant"]))), row["details"]) for row in own)
+        means = {name: mean_details(each) for name, each in columns.items()}
+        details = detail_table({**means, **loaded.task.paper_details(loaded.experiment.paper, mode)[0]})
+        title = f"{mode.capitalize()}: {loaded.task.details_title}"
+        parts.append(f"{'#' * level} {title}\n\n{markdown_table(details)}")
     notes = sorted({f"- `{row['learner']}`, {row['mode']}: {row['note']}" for row in rows if row["note"]})
     pooled = grouped((tuple(row[key] for key in KEY if key != "seed"), row) for row in rows).values()
     evaluations = ([loaded.task.evaluation_of(row) for row in group] for group in pooled)
@@ -329,35 +329,38 @@ def _mode_table(loaded: Loaded, mode: str, rows: Sequence[Row]) -> list[list[str
     known = {name for measures in pooled.values() for name in measures}
     measures = {name: head for name, head in task.measures.items() if name in known}
     trained = any(row["training"] for row in rows)
-    heads = ["learner", *measures.values(), f"paper: {measures[task.headline]}", "seeds", *["steps"] * trained]
+    heads = ["learner", *measures.values(), "seeds", *["steps"] * trained]
     lines = [[*heads, "CPU min", "command"]]
     for key in ordered:
         group = groups[key]
         name = ", ".join([f"`{key[0]}`", *filter(None, (key[1], key[2] if several else ""))])
-        paper = task.paper_value(table, group[0]["paper"], key[1], mode)
-        figure = headline_of(paper, task.headline)
+        paper = task.paper_value(table, *_of_paper(loaded, group[0]), mode)
         seeds = ", ".join(str(row["seed"]) for row in group)
         command = group[0]["command"].partition(" --seeds")[0] + f" --seeds {seeds.replace(' ', '')}"
         minutes = sum(row["cpu_seconds"] for row in group) / len(group) / 60
-        cells = [name, *(shown(pooled[key].get(each)) for each in measures)]
-        cells += [f"{figure:.2f}" if figure is not None else paper if isinstance(paper, str) else "", seeds]
+        cells = [name, *(shown(pooled[key].get(each)) for each in measures), seeds]
         cells += [f"{group[0]['training']['steps']:,}"] if trained else []
         lines.append([*cells, f"{minutes:.1f}", f"`{command}`"])
-    found = {(group[0]["paper"], variant) for (_, variant, _), group in groups.items()}
-    for label, only in paper_rows(task, table, mode, found):
-        figures = paper_cells(only, measures)
-        head = headline_of(only, task.headline)
-        figures.append(figures[0] if head is None else f"{head:.2f}")
+        if paper is not None:
+            lines.append([PAPER, *paper_cells(paper, measures), *[""] * (len(heads) - len(measures) + 1)])
+    found = {_of_paper(loaded, group[0]) for group in groups.values()}
+    for label, other in paper_rows(task, table, mode, found):
+        figures = paper_cells(other, measures)
         lines.append([label, *figures, *[""] * (len(lines[0]) - len(figures) - 1)])
     return lines
+
+
+def _of_paper(loaded: Loaded, row: Row) -> tuple[str, str]:
+    """Return the row and the variant of the paper's table that are shown beside a row."""
+    return row["paper"], loaded.experiment.variants[row["variant"]].paper or row["variant"]
 
 
 def _sources(loaded: Loaded, rows: Sequence[Row]) -> str:
     """Return sentences on the paper, the versions and the CPU time."""
     paper = paper_table(loaded.experiment.paper)
     sources = [f"The paper's figures: {paper['source']}. {paper['note']}"] if paper else []
-    _, more = loaded.task.paper_details(loaded.experiment.paper)
-    sources += [f"The paper's figures of details: {more}"] if more and any(row["details"] for row in rows) else []
+    details = {loaded.task.paper_details(loaded.experiment.paper, row["mode"])[1] for row in rows if row["details"]}
+    sources += [f"The paper's figures of details: {source}" for source in sorted(details - {""})]
     versions = ", ".join(sorted({row["versions"]["logicity"] for row in rows}))
     # The evaluations of a cell share its training.
     seconds = {tuple(row[key] for key in KEY if key != "evaluation"): row["cpu_seconds"] for row in rows}

@@ -288,6 +288,9 @@ class Task(ABC):
             return values  # type: ignore[no-any-return]
         return {name: value for name, value in zip(self.measures, values, strict=False) if value is not None}
 
-    def paper_details(self, table: str | None) -> tuple[dict[str, float], str]:
-        """Return the paper's figures for the table `details_title`, and where they stand."""
+    def paper_details(self, table: str | None, mode: str) -> tuple[dict[str, dict[str, float]], str]:
+        """Return the paper's figures for the table `details_title` in a mode, by their heading, and where they stand.
+
+        The heading says what the paper measured.
+        """
         return {}, ""

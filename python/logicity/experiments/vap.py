@@ -228,10 +228,14 @@ class VisualActionPrediction(Task):
             if not 0 <= recall <= 1:
                 yield f"an impossible recall of {name}"
 
-    def paper_details(self, table: str | None) -> tuple[dict[str, float], str]:
-        """Return the paper's recalls of concepts if the experiment names a table of the paper."""
+    def paper_details(self, table: str | None, mode: str) -> tuple[dict[str, dict[str, float]], str]:
+        """Return the paper's recalls of concepts in the mode in which it measured them."""
         concepts = paper_table("vap-concepts")
-        return (concepts["concepts"], f"{concepts['source']}. {concepts['note']}") if table else ({}, "")
+        if table is None or mode != concepts["mode"]:
+            return {}, ""
+        return {
+            f"the paper's, {concepts['measured']}": concepts["concepts"]
+        }, f"{concepts['source']}. {concepts['note']}"
 
 
 def measures_of_worlds(runs: Sequence[Sequence[Mapping[str, Any]]]) -> dict[str, Interval]:

@@ -45,9 +45,9 @@ DIRECTIONS = ((-1.0, 0.0), (1.0, 0.0), (0.0, -1.0), (0.0, 1.0))
 class ConceptSettings(StrictModel):
     """The architecture of a `ConceptModel`."""
 
-    perception: Literal["crops", "features", "sides"] = "crops"
-    """What the appearance part sees: `crops` of the boxes, stored `features` of a backbone, or `sides`: the width and
-    the height of the box, with the heading."""
+    perception: Literal["crops", "features", "sides", "centers"] = "crops"
+    """What the appearance part sees: `crops` of the boxes, stored `features` of a backbone, or no pixels: the width and
+    the height of the box with the heading (`sides`), or its center with the heading (`centers`)."""
     spatial: Literal["geometric", "plain"] = "geometric"
     """The spatial parts: perceptrons on Fourier features and on relative positions in the frames of headings; or, as in
     the paper, one of the widths 128 and 128 on concatenated node vectors, with all unary predicates from the appearance
@@ -80,8 +80,10 @@ class ConceptModel(nn.Module):
             self.appearance = CropNetwork(settings.width, classes)
         elif settings.perception == "features":
             self.appearance = feature_network(settings.features, classes)
-        else:
+        elif settings.perception == "sides":
             self.appearance = perceptron(6, (64, 64), classes)
+        else:
+            self.appearance = perceptron(4 * len(POSITION_WAVES) + 4, (128, 128), classes)
         if plain:
             # HigherPri needs priorities, so they are not left out.
             self.pairs = perceptron(18, (128, 128), len(RELATIONS))
@@ -109,7 +111,7 @@ class ConceptModel(nn.Module):
             return logits, self.pairs(_concatenated(nodes))
         types = torch.sigmoid(logits[..., :2])
         own = torch.cat([nodes[..., 4:] if self.settings.priority else nodes[..., 4:8], types], -1)
-        centers = (nodes[..., :2] + nodes[..., 2:4] / 2) * (PICTURE_SIDE / CELL)
+        centers = _centers(nodes)
         places = self.places(torch.cat([waves(centers, POSITION_WAVES), own], -1))
         pairs = self.pairs(_pair_features(centers, nodes[..., 4:8], own))
         priority = nodes[..., 8]
@@ -120,10 +122,12 @@ class ConceptModel(nn.Module):
 
     def _appearance(self, batch: Mapping[str, Tensor]) -> Tensor:
         """Return the logits of the classes, (E, classes)."""
-        if self.settings.perception != "sides":
+        if self.settings.perception in ("crops", "features"):
             return self.appearance(batch[self.settings.perception])
-        # Sides of 48 pixels are 1. The heading says which side is the length.
         nodes = batch["h"][batch["valid"]]
+        if self.settings.perception == "centers":
+            return self.appearance(torch.cat([waves(_centers(nodes), POSITION_WAVES), nodes[:, 4:8]], -1))
+        # Sides of 48 pixels are 1. The heading says which side is the length.
         return self.appearance(torch.cat([nodes[:, 2:4] * (PICTURE_SIDE / 48), nodes[:, 4:8]], -1))
 
 
@@ -167,6 +171,11 @@ def perceptron(inputs: int, widths: Sequence[int], outputs: int) -> nn.Sequentia
     for before, after in zip((inputs, *widths), widths, strict=False):
         layers += [nn.Linear(before, after), nn.ReLU()]
     return nn.Sequential(*layers, nn.Linear(widths[-1], outputs))
+
+
+def _centers(nodes: Tensor) -> Tensor:
+    """Return the centers of boxes from node vectors, in cells: (..., 2)."""
+    return (nodes[..., :2] + nodes[..., 2:4] / 2) * (PICTURE_SIDE / CELL)
 
 
 def waves(values: Tensor, wavelengths: Sequence[float]) -> Tensor:

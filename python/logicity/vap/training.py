@@ -1,6 +1,6 @@
 """Training of the models of Visual Action Prediction. Needs the extra `vap`.
 
-`fit` trains for a number of epochs and writes a checkpoint after each. An interrupted run continues from its last
+`fit` trains for a number of epochs or updates and writes checkpoints. An interrupted run continues from its last
 checkpoint, and ends with the same weights as an uninterrupted one. The order of samples and every random number of an
 epoch follow from the seed and the number of the epoch.
 """
@@ -25,8 +25,9 @@ from ..terminal import first_line
 from .data import UNARY, VapDataset
 
 with extra("vap"):
-    import pydantic  # noqa: F401  # which the settings need
     import torch
+    from pydantic import SerializerFunctionWrapHandler, model_serializer, model_validator
+    from pydantic_core import PydanticCustomError
     from torch import Tensor, nn
 
 from ..learn.settings import Count, LearningRate, NonNegative, Share, StrictModel
@@ -49,7 +50,10 @@ class TrainingSettings(StrictModel):
     """The hyperparameters of training."""
 
     epochs: Count = 10
-    """The number of passes over the samples."""
+    """The number of passes over the samples. After each, the model is validated; the best one is kept."""
+    steps: Count | None = None
+    """The number of updates, however many samples there are, in `epochs` equal parts instead of passes. By default that
+    of the passes."""
     batch: Count = 16
     """The number of pictures of an update."""
     learning_rate: LearningRate = 1e-3
@@ -62,6 +66,25 @@ class TrainingSettings(StrictModel):
     """The exponent p of the class weights. An action with n examples has a weight proportional to n^-p. A true atom of
     a predicate has the weight (false atoms / true atoms)^p, with the ratio limited to 1 to 10,000, and a false atom the
     weight 1. With 0, all examples weigh alike."""
+
+    @model_validator(mode="after")
+    def _enough(self) -> TrainingSettings:
+        if self.steps is not None and self.steps < self.epochs:
+            fault = f"{self.steps} steps have no {self.epochs} parts: set `steps` to at least `epochs`"
+            raise PydanticCustomError("custom", "{message}", {"message": fault, "key": "training.steps"})
+        return self
+
+    @model_serializer(mode="wrap")
+    def _short(self, serialized: SerializerFunctionWrapHandler) -> dict[str, Any]:
+        """Omit the steps by default, as cells and published rows do."""
+        values: dict[str, Any] = serialized(self)
+        return {name: value for name, value in values.items() if name != "steps" or value is not None}
+
+    def updates(self, epoch: int, count: int) -> int:
+        """Return the number of updates before an epoch, for a number of samples."""
+        if self.steps is None:
+            return epoch * -(-count // self.batch)
+        return self.steps * epoch // self.epochs
 
 
 @dataclass
@@ -256,7 +279,7 @@ def fit(
         optimizer = torch.optim.AdamW(network.parameters(), settings.learning_rate, weight_decay=settings.weight_decay)
     else:
         optimizer = torch.optim.Adam(network.parameters(), settings.learning_rate)
-    steps = settings.epochs * -(-count // settings.batch)
+    steps = settings.updates(settings.epochs, count)
     schedule = torch.optim.lr_scheduler.CosineAnnealingLR(optimizer, steps)
     history: list[dict[str, float]] = []
     best = deepcopy(network.state_dict())
@@ -274,7 +297,7 @@ def fit(
             names = ("loss", "score", "cpu_seconds")
             history = [{name: float(epoch[name]) for name in names} for epoch in saved["history"]]
             done = len(history)
-            if not 0 < done <= settings.epochs or schedule.last_epoch * settings.epochs != done * steps:
+            if not 0 < done <= settings.epochs or schedule.last_epoch != settings.updates(done, count):
                 raise ValueError("the number of epochs does not fit")
         except (AttributeError, KeyError, RuntimeError, TypeError, ValueError) as error:
             reason = first_line(str(error), repr(error))
@@ -285,21 +308,26 @@ def fit(
         generator = torch.Generator().manual_seed(seed * 100_003 + epoch)
         torch.manual_seed(seed * 100_003 + epoch)
         begun = time.process_time()
+        order: list[Tensor] = []
         network.train()
-        total = 0.0
-        for chosen in torch.randperm(count, generator=generator).split(settings.batch):
+        total, seen = 0.0, 0
+        for _ in range(settings.updates(epoch, count), settings.updates(epoch + 1, count)):
+            if not order:
+                order = list(torch.randperm(count, generator=generator).split(settings.batch))
+            chosen = order.pop(0)
             value = loss(chosen, generator)
             optimizer.zero_grad()
             value.backward()
             optimizer.step()
             schedule.step()
             total += float(value.detach()) * len(chosen)
+            seen += len(chosen)
         network.eval()
         with torch.no_grad():
             reached = score()
         if not history or reached >= max(each["score"] for each in history):
             best = deepcopy(network.state_dict())
-        history.append({"loss": total / count, "score": reached, "cpu_seconds": time.process_time() - begun})
+        history.append({"loss": total / seen, "score": reached, "cpu_seconds": time.process_time() - begun})
         if checkpoint is not None:
             parts = {"network": network, "optimizer": optimizer, "schedule": schedule}
             states = {name: part.state_dict() for name, part in parts.items()}
