@@ -158,7 +158,13 @@ class Demonstrations(Sequence[Trajectory]):
         )
 
     def to_popper(
-        self, folder: str | os.PathLike[str], *, distinct: bool = False, overwrite: bool = False
+        self,
+        folder: str | os.PathLike[str],
+        *,
+        distinct: bool = False,
+        negated: bool = True,
+        max_vars: int | None = None,
+        overwrite: bool = False,
     ) -> list[Path]:
         """Write files for Popper, an inductive logic programming system, and return the folders of the actions.
 
@@ -167,28 +173,37 @@ class Demonstrations(Sequence[Trajectory]):
         and negative otherwise.
 
         In step 7, the constant `s7_e0` is the ego, and `s7_e1` to `s7_e4` are the other entities in its view. A
-        predicate such as `IsAtInter` becomes `is_at_inter`. Popper does not learn negated literals, so each false
-        observed atom becomes a fact such as `not_is_at_inter`. The facts `sees(s7_e0, s7_e1)` list the entities of a
+        predicate such as `IsAtInter` becomes `is_at_inter`. The facts `sees(s7_e0, s7_e1)` list the entities of a
         step. A learned rule needs them for entities that no other literal connects to the ego.
 
         Args:
             folder: The folder to write, which is created if it does not exist.
             distinct: Whether to write steps with the same observation and action only once. The rules that are
                 consistent with all examples stay the same, but the weights of examples in noisy learning change.
+            negated: Whether each false observed atom becomes a fact such as `not_is_at_inter`. Popper does not learn
+                negated literals otherwise. These predicates double those of a task, and Popper's search grows much
+                faster than their number.
+            max_vars: The maximum number of variables of a rule, at least 1, for the declaration `max_vars`. Popper has
+                6 without it.
             overwrite: Whether to replace files that this function did not write, or that have changed since.
 
         Raises:
             FileExistsError: If a file must not be replaced.
             OSError: If a file cannot be written.
-            ValueError: If the observations are not of the kind `groundings`.
+            ValueError: If the observations are not of the kind `groundings`, or `max_vars` is less than 1.
         """
+        if max_vars is not None and as_integer("max_vars", max_vars) < 1:
+            raise ValueError(f"`max_vars`: expected at least 1, not {max_vars}")
         if not self.atoms:
             raise ValueError('Popper needs atoms: make the demonstrations with `observation="groundings"`')
         path = Path(checked_path("folder", folder))
-        examples = list(self._examples(distinct))
-        facts = [line for step, (observation, _) in enumerate(examples) for line in self._facts(step, observation)]
+        examples = list(self.examples(distinct=distinct))
+        facts = [
+            line for step, (observation, _) in enumerate(examples) for line in self._facts(step, observation, negated)
+        ]
         arities = {name: len(entities) for name, entities in self.atoms}
-        predicates = {"sees": 2, **{name: arity for name, (_, _, arity) in popper_names(arities).items()}}
+        names = popper_names(arities).items()
+        predicates = {"sees": 2} | {name: arity for name, (is_not, _, arity) in names if negated or not is_not}
         # Without this declaration, Prolog raises an error for a query of a predicate without facts.
         facts += [f":- dynamic {name}/{arity}." for name, arity in predicates.items()]
         written = []
@@ -198,6 +213,7 @@ class Demonstrations(Sequence[Trajectory]):
             head = _snake(action)
             taken = [(step, int(done) == number) for step, (_, done) in enumerate(examples)]
             bias = [f"head_pred({head},1).", *(f"body_pred({name},{arity})." for name, arity in predicates.items())]
+            bias += [f"max_vars({max_vars})."] * (max_vars is not None)
             files = {
                 "bk.pl": facts,
                 "exs.pl": [f"{'pos' if positive else 'neg'}({head}(s{step}_e0))." for step, positive in taken],
@@ -206,8 +222,12 @@ class Demonstrations(Sequence[Trajectory]):
             written.append(_write_folder(path / head, files, overwrite))
         return written
 
-    def _examples(self, distinct: bool) -> Iterator[tuple[NDArray[np.float32], int]]:
-        """Yield the observation and the action of every step."""
+    def examples(self, *, distinct: bool = False) -> Iterator[tuple[NDArray[np.float32], int]]:
+        """Yield the observation and the action of every step.
+
+        Args:
+            distinct: Whether to yield steps with the same observation and action only once.
+        """
         seen = set()
         for trajectory in self:
             for observation, action in zip(trajectory.observations[:-1], trajectory.actions, strict=True):
@@ -217,13 +237,13 @@ class Demonstrations(Sequence[Trajectory]):
                 seen.add(key)
                 yield observation, int(action)
 
-    def _facts(self, step: int, observation: NDArray[np.float32]) -> Iterator[str]:
-        """Yield the true and the false atoms over the ego and every entity with a true atom."""
+    def _facts(self, step: int, observation: NDArray[np.float32], negated: bool) -> Iterator[str]:
+        """Yield the true and, if `negated`, the false atoms over the ego and every entity with a true atom."""
         true = observation[: len(self.atoms)] > 0.5
         present = {0}.union(*(entities for (_, entities), holds in zip(self.atoms, true, strict=True) if holds))
         yield from (f"sees(s{step}_e0,s{step}_e{entity})." for entity in sorted(present))
         for (name, entities), holds in zip(self.atoms, true, strict=True):
-            if present.issuperset(entities):
+            if present.issuperset(entities) and (holds or negated):
                 arguments = ",".join(f"s{step}_e{entity}" for entity in entities)
                 yield f"{'' if holds else 'not_'}{_snake(name)}({arguments})."
 

@@ -14,16 +14,18 @@ from conftest import needs, wait_for
 
 needs("stable_baselines3", "learn")
 
-from logicity.learn.programs import run_program  # noqa: E402
+from logicity.learn.programs import Running, run_program  # noqa: E402
 
 pytestmark = pytest.mark.skipif(sys.platform != "linux", reason="reads /proc")
 
-#: A program that starts another one, notes both, and does not end.
+#: A program that starts two others, notes all three, and does not end.
 PROGRAM = """
 import os, subprocess, sys, time
 child = subprocess.Popen(["sleep", "600"])
+# One has a session of its own, and its parent has ended.
+away = subprocess.Popen(["sh", "-c", "sleep 600 & echo $!"], stdout=subprocess.PIPE, text=True, start_new_session=True)
 with open(sys.argv[1], "w") as out:
-    out.write(f"{os.getpid()} {child.pid}")
+    out.write(f"{os.getpid()} {child.pid} {away.stdout.readline()}")
 os.rename(sys.argv[1], sys.argv[1] + ".started")
 time.sleep(600)
 """
@@ -124,5 +126,16 @@ def test_programs_have_an_exit_code_and_their_output() -> None:
     missing = run_program(["/no/such/program"])
     assert missing.code == 127 and missing.log.startswith("cannot run `/no/such/program`: ")
     assert run_program([sys.executable, "-c", "print(input())"]).code == 1  # standard input is empty
-    late = run_program([sys.executable, "-c", "import time; print('begun', flush=True); time.sleep(600)"], timeout=3.0)
-    assert late.code is None and late.output == "begun\n"
+    states: list[Running] = []
+    words = [sys.executable, "-c", "import time; print('begun\\n\\nhal', end='', flush=True); time.sleep(600)"]
+    late = run_program(words, timeout=3.0, watch=states.append)
+    assert late.code is None and late.output == "begun\n\nhal"
+    assert states[-1].line == "begun" and 2.5 < states[-1].seconds < 60
+    assert [state.seconds for state in states] == sorted(state.seconds for state in states)
+
+
+def test_no_process_of_an_ended_program_is_left(tmp_path: Path) -> None:
+    code = PROGRAM.replace("time.sleep(600)\n", "")
+    assert run_program([sys.executable, "-c", code, str(tmp_path / "pids")]).code == 0
+    _, *children = started(tmp_path)
+    wait_for(lambda: not any(map(lives, children)))

@@ -352,22 +352,126 @@ EASY = """
 def test_popper_rules_become_a_policy(tmp_path: Path) -> None:
     check = """
         files = {name: open(os.path.join(task, name)).read() for name in ("bk.pl", "exs.pl", "bias.pl")}
-        assert "head_pred(stop,1)." in files["bias.pl"] and "body_pred(not_is_car,1)." in files["bias.pl"]
+        assert "head_pred(stop,1)." in files["bias.pl"] and "body_pred(is_car,1)." in files["bias.pl"]
         assert "pos(stop(s" in files["exs.pl"] and "neg(stop(s" in files["exs.pl"]
-        assert "not_is_old(s0_e0)." in files["bk.pl"]
+        assert ("not_is_old(s0_e0)." in files["bk.pl"]) == ("body_pred(not_is_car,1)." in files["bias.pl"]) == NEGATED
+        assert ("max_vars(4)." in files["bias.pl"]) == NEGATED
         assert rest == EXPECTED, rest
     """
-    for algorithm, extra in (("popper", []), ("maxsynth", ["--noisy"])):
-        expected = ["--timeout", "300", *extra, "--max-vars", "4"]
-        code = textwrap.dedent(check).replace("EXPECTED", repr(expected)) + textwrap.dedent(EASY)
-        program = fake_popper(tmp_path, code)
-        result = trained(algorithm, share=0.2, program=program, arguments=["--max-vars", "4"])
+    for algorithm, extra, settings in (
+        ("popper", [], {}),
+        ("maxsynth", ["--noisy"], {"negated": True, "max_vars": 4}),
+    ):
+        # By default half of the time is for positive literals.
+        expected = ["--timeout", "300" if settings else "150", *extra, "--max-body", "4"]
+        code = textwrap.dedent(check).replace("EXPECTED", repr(expected)).replace("NEGATED", repr(bool(settings)))
+        program = fake_popper(tmp_path, code + textwrap.dedent(EASY))
+        result = trained(algorithm, share=0.2, program=program, arguments=["--max-body", "4"], **settings)
         policy = result.policy()
         assert "Stop(X) :- Sees(X, X)" not in policy.text
         assert "Stop(X) :- IsAtInter(X), IsAtInter(Y), HigherPri(Y, X)." in policy.text
         observations = random_observations("easy", 200, seed=8)
         assert (policy(observations) == RulePolicy(mode_rules("easy"), "easy")(observations)).all()
         assert Benchmark("easy", "val").evaluate(policy).tsr.value == 1.0
+        (search,) = result.outcome()["searches"]
+        assert search["negated"] == bool(settings)
+        assert (search["optimal"], search["timed_out"], search["failure"]) == (True, False, "")
+        assert search["true_positives"] == search["positive"] > 0 == search["false_positives"] < search["negative"]
+
+
+#: Prints a program after the time limit, with counts that are not true.
+LATE = """
+    print("TIMEOUT OF 150 SECONDS EXCEEDED", file=sys.stderr)
+    print("*" * 10 + " SOLUTION " + "*" * 10)
+    print("Precision:1.00 Recall:1.00 TP:706 FN:0 TN:985 FP:0 Size:3")
+    print("stop(V0):- is_at_inter(V0),sees(V0,V1),is_at_inter(V1).")
+    print("*" * 30)
+"""
+
+
+def test_examples_are_counted_and_negated_literals_follow_where_needed(tmp_path: Path) -> None:
+    by_sign = (
+        'if "not_is_car" not in open(os.path.join(task, "bias.pl")).read():'
+        f"{textwrap.indent(textwrap.dedent(LATE), '    ')}else:{textwrap.indent(textwrap.dedent(EASY), '    ')}"
+    )
+    result = trained("popper", share=0.1, program=fake_popper(tmp_path, by_sign))
+    (search,) = result.outcome()["searches"]
+    assert (search["negated"], search["timed_out"], search["optimal"]) == (True, True, True)
+    assert (search["true_positives"], search["false_positives"]) == (search["positive"], 0)
+    # The same wrong program, with literals that a setting fixes.
+    result = trained("popper", share=0.1, program=fake_popper(tmp_path, LATE), negated=False)
+    (search,) = result.outcome()["searches"]
+    assert (search["negated"], search["timed_out"], search["optimal"]) == (False, True, False)
+    data = logicity.demonstrations("easy", 10)
+    seen = {(observation.tobytes(), int(action)): observation for observation, action in data.examples()}
+    rule = tmp_path / "rule.dl"
+    rule.write_text('.include "vocabulary.dl"\nStop(X) :- IsAtInter(X), IsAtInter(Y).\n')
+    decided = inferred("easy", np.stack(list(seen.values())), rule)
+    stop = ACTIONS.index("Stop")
+    derived = [taken == stop for (_, taken), action in zip(seen, decided, strict=True) if action == stop]
+    counts = {"true_positives": sum(derived), "false_positives": len(derived) - sum(derived)}
+    assert counts["true_positives"] > 0 and counts["false_positives"] > 0
+    assert {name: search[name] for name in counts} == counts
+    assert search["positive"] + search["negative"] == len(seen)
+    text = result.policy().text
+    assert f"1 clauses derive {counts['true_positives']} of {search['positive']} examples" in text
+    assert "; time-out after " in text
+    # The searches are part of a checkpoint.
+    result.save(tmp_path)
+    again = learner("popper", share=0.1)
+    again.restore(tmp_path)
+    assert again.outcome() == result.outcome()
+
+
+def test_a_failing_search_does_not_lose_the_others(tmp_path: Path) -> None:
+    code = """
+        if os.path.basename(task) == "slow":
+            sys.exit("no memory is left")
+        if os.path.basename(task) == "fast":
+            print("TIMEOUT OF 300 SECONDS EXCEEDED")
+        else:
+            print("*" * 10 + " SOLUTION " + "*" * 10, "stop(V0):- is_at_inter(V0),is_old(V0).", "*" * 30, sep="\\n")
+    """
+    result = learner("popper", "expert", share=0.05, program=fake_popper(tmp_path, code), negated=True)
+    said: list[str] = []
+    result.say = said.append
+    result.fit(1, lambda: None)
+    text = result.policy().text
+    assert "Stop(X) :- IsAtInter(X), IsOld(X)." in text
+    by_action = {search["action"]: search for search in result.outcome()["searches"]}
+    assert "exit code 1: no memory is left" in by_action["Slow"]["failure"]
+    assert by_action["Fast"]["timed_out"] and not by_action["Fast"]["clauses"]
+    for part in ("Slow: failed after ", "Fast: time-out: no rules after ", "Stop: 1 clauses derive "):
+        assert sum(part in line for line in said) == 1, said
+        assert f"// {part}" in text
+
+
+def test_a_running_search_says_so(monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> None:
+    needs("torch", "learn")
+    from logicity.learn import popper
+
+    monkeypatch.setattr(popper, "INTERVAL", 0.2)
+    # The program goes on when a line has told what it printed.
+    told = tmp_path / "told"
+    log = f"""
+        print("0.1s Generating partial hypotheses of size: 3", file=sys.stderr, flush=True)
+        while not os.path.exists({str(told)!r}):
+            time.sleep(0.05)
+    """
+    result = learner("popper", share=0.1, program=fake_popper(tmp_path, textwrap.dedent(log) + textwrap.dedent(EASY)))
+    said: list[str] = []
+
+    def say(line: str) -> None:
+        said.append(line)
+        if line.endswith("; 0.1s Generating partial hypotheses of size: 3"):
+            told.touch()
+
+    result.say = say
+    result.fit(1, lambda: None)
+    *running, ended = said
+    assert running and all(line.startswith("popper, Stop, positive literals: ") for line in running)
+    assert all(" of 150 s" in line for line in running)
+    assert "; optimal after " in ended
 
 
 def test_written_tasks_of_popper_have_the_rules_as_solution(tmp_path: Path) -> None:
@@ -384,7 +488,7 @@ def test_written_tasks_of_popper_have_the_rules_as_solution(tmp_path: Path) -> N
     clauses = [line for line in solution.read_text().splitlines() if ":-" in line]
     printed = "\n".join(["*" * 10 + " SOLUTION " + "*" * 10, *clauses, "*" * 30])
     predicates = {name: len(entities) for name, entities in atoms_in("easy")}
-    text = "\n".join(['.include "vocabulary.dl"', *read_output(printed, "Stop", predicates)])
+    text = "\n".join(['.include "vocabulary.dl"', *read_output(printed, "Stop", predicates).clauses])
     policy = RulePolicy.from_text(text, "easy")
     for trajectory in logicity.demonstrations("easy", 40):
         assert policy(trajectory.observations[:-1]).tolist() == trajectory.actions.tolist()
@@ -413,7 +517,7 @@ def test_clauses_of_popper_are_translated(line: str, expected: str) -> None:
     printed = (
         f"*** SOLUTION ***\n********** SOLUTION **********\nPrecision:n/a\n{line}\n{'*' * 30}\nstop(V0):- x(V0).\n"
     )
-    assert read_output(printed, "Stop", predicates) == [expected]
+    assert read_output(printed, "Stop", predicates) == ((expected,), False)
     errors = [
         fault for fault in logicity.check(f'.include "vocabulary.dl"\n{expected}') if fault["severity"] == "error"
     ]
@@ -429,17 +533,20 @@ def test_names_in_popper_files_are_reversible() -> None:
 
 
 @pytest.mark.parametrize(
-    "output",
+    ("output", "message"),
     [
-        "NO SOLUTION\n",
-        "12:00:01 TIMEOUT OF 300 SECONDS EXCEEDED\n",
+        ("NO SOLUTION\n", "popper says that no rules within its limits explain Stop: raise `max_vars`"),
+        (
+            "12:00:01 TIMEOUT OF 300 SECONDS EXCEEDED\n",
+            "time-out: popper found no rules for Stop within 300 seconds: raise `timeout`, or lower `max_vars`",
+        ),
     ],
 )
-def test_no_solution_means_no_rules(output: str, tmp_path: Path) -> None:
-    program = fake_popper(tmp_path, f"print({output!r})")
-    policy = trained("popper", share=0.02, program=program).policy()
-    assert "// popper found no rules within 300 seconds." in policy.text
-    assert policy(np.zeros((1, 85))).tolist() == [1]
+def test_no_solution_is_no_row_of_zeros(output: str, message: str, tmp_path: Path) -> None:
+    result = learner("popper", share=0.02, program=fake_popper(tmp_path, f"print({output!r})"))
+    with pytest.raises(ValueError, match=message):
+        result.fit(1, lambda: None)
+    assert result.steps == 0
 
 
 @pytest.mark.parametrize(
@@ -494,8 +601,9 @@ def test_popper_that_does_not_stop_is_killed(monkeypatch: pytest.MonkeyPatch, tm
         time.sleep(100)
     """
     program = fake_popper(tmp_path, child + textwrap.dedent(log))
-    result = trained("popper", share=0.02, program=program, timeout=0.5)
+    result = trained("popper", share=0.02, program=program, timeout=0.5, negated=False)
     assert "Stop(X) :- IsCar(X)." in result.policy().text
+    assert result.outcome()["searches"][0]["timed_out"]
     program = fake_popper(tmp_path, f"{child}time.sleep(100)")
-    result = trained("popper", share=0.02, program=program, timeout=0.5)
-    assert "// popper found no rules within 0.5 seconds." in result.policy().text
+    with pytest.raises(ValueError, match=r"time-out: popper found no rules for Stop within 0\.5 seconds"):
+        trained("popper", share=0.02, program=program, timeout=0.5, negated=False)

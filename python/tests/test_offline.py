@@ -172,6 +172,19 @@ def test_false_atoms_are_explicit_facts(few: Demonstrations, tmp_path: Path) -> 
     assert len(bias) == 2 + 2 * len({name for name, _ in few.atoms})
 
 
+def test_positive_literals_and_variables_are_a_choice(few: Demonstrations, tmp_path: Path) -> None:
+    (folder,) = few.to_popper(tmp_path / "all", max_vars=2)
+    (positive,) = few.to_popper(tmp_path / "positive", negated=False)
+    both, some = (read_facts(path / "bk.pl") for path in (folder, positive))
+    assert some == {name: rows for name, rows in both.items() if not name.startswith("not_")}
+    assert (folder / "exs.pl").read_text() == (positive / "exs.pl").read_text()
+    declared, fewer = ((path / "bias.pl").read_text().splitlines() for path in (folder, positive))
+    assert "max_vars(2)." in declared
+    assert set(fewer) == {line for line in declared if "not_" not in line and "max_vars" not in line}
+    with pytest.raises(ValueError, match="`max_vars`: expected at least 1, not 0"):
+        few.to_popper(tmp_path, max_vars=0)
+
+
 def test_expert_rules_require_three_actions(tmp_path: Path) -> None:
     written = demonstrations("expert", 4).to_popper(tmp_path, distinct=True)
     assert [folder.name for folder in written] == ["slow", "fast", "stop"]

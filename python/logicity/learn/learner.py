@@ -147,6 +147,8 @@ class Learner(ABC):
             ValueError: If the mode is unknown, or the learner rejects the settings or the observations.
         """
         self.config, self.log = config, log
+        #: Shows a line about a long step to the user. `train` replaces it.
+        self.say: Callable[[str], None] = lambda line: None
         self._curves = Curves(log)
 
     def start_from(self, policy: LearnedPolicy) -> None:
@@ -173,6 +175,10 @@ class Learner(ABC):
     @abstractmethod
     def policy(self) -> LearnedPolicy:
         """Return the current policy. Its actions may change when training continues."""
+
+    def outcome(self) -> dict[str, Any]:
+        """Return what `result.json` says about the training besides its measures, for JSON."""
+        return {}
 
     def state(self) -> dict[str, Any]:
         """Return what `load_state` needs, as plain data: weights, optimizers, buffers, environments, random states."""

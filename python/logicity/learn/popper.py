@@ -3,8 +3,14 @@
 Popper [1] searches for a program that derives all positive examples and no negative one. MaxSynth [2] is Popper's noisy
 mode: it minimizes the description length of the program and of its errors. As in the LogiCity paper (appendix "Detailed
 Baseline Configurations"), each action is a separate task, the time limit is 300 seconds, and other parameters have
-their defaults. Popper has no negated literals, so each false observed atom is a fact of a predicate with `not_` before
-its name (`Demonstrations.to_popper`).
+their defaults.
+
+Popper has no negated literals. For rules with `Not`, each false observed atom is a fact of a predicate with `not_`
+before its name (`Demonstrations.to_popper`). That doubles the predicates of a task, so by default the first search has
+positive literals only, and half of the time limit. A second one follows if the first has no exact program.
+
+After its time limit, Popper prints its best program with counts that it has not tested. So the learner counts the
+examples that a program explains itself.
 
 [1] Cropper, Morel: Learning programs by learning from failures. Machine Learning 110, 2021.
 [2] Hocquette, Niskanen, Jarvisalo, Cropper: Learning MDL logic programs from noisy data. AAAI 2024.
@@ -15,19 +21,26 @@ from __future__ import annotations
 import os
 import re
 import shutil
-from collections.abc import Mapping, Sequence
+import time
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import asdict, dataclass
 from itertools import takewhile
+from pathlib import Path
 from tempfile import TemporaryDirectory
-from typing import Annotated, ClassVar, cast
+from typing import Annotated, Any, ClassVar, Literal, NamedTuple, cast
 
+import numpy as np
 from pydantic import Field
 
+from ..city import ACTIONS
+from ..files import read_json, write_json
 from ..offline import Demonstrations, popper_names
-from .programs import run_program
-from .settings import LearnerSettings, Positive
+from ..rule_policy import RulePolicy
+from .programs import Running, run_program
+from .settings import Count, LearnerSettings, Positive
 from .symbolic import SymbolicLearner, arities, clause
 
-__all__ = ["MaxSynthLearner", "PopperLearner", "PopperSettings", "read_output", "run_popper"]
+__all__ = ["MaxSynthLearner", "Outcome", "PopperLearner", "PopperSettings", "Printed", "read_output", "run_popper"]
 
 #: The names under which installations of Popper are commands.
 COMMANDS = ("popper-ilp", "popper")
@@ -38,10 +51,15 @@ NEEDS = "Popper 5 needs Python >= 3.14 and SWI-Prolog >= 9.2"
 #: Seconds that Popper has to end after its time limit.
 GRACE = 30.0
 
+#: The interval of lines about a running search, in seconds.
+INTERVAL = 10.0
+
 _ATOM = r"\w+\(\s*[A-Z]\w*(?:\s*,\s*[A-Z]\w*)*\s*\)"
 #: A clause as Popper prints it, also behind the time of a line of its log.
 _CLAUSE = re.compile(rf"(?P<head>{_ATOM})\s*:-\s*(?P<body>{_ATOM}(?:\s*,\s*{_ATOM})*)?\s*\.?\s*$")
 _STARS = re.compile(r"\*{20,}\s*$")
+#: What Popper prints when it stops at its time limit, and what `run_popper` adds to the output of a killed one.
+_TIMEOUT = re.compile(r"TIMEOUT")
 
 
 class PopperSettings(LearnerSettings):
@@ -52,45 +70,236 @@ class PopperSettings(LearnerSettings):
     `popper-ilp` or `popper`."""
     timeout: Positive = 300.0
     """The time limit of each action in seconds, that of the paper."""
+    negated: Literal["auto"] | bool = "auto"
+    """Whether rules may have negated literals, whose predicates double those of a task. `auto` searches with positive
+    literals first, for half of the time limit, and with negated ones if that gives no exact program."""
+    max_vars: Count | None = None
+    """The largest number of variables of a rule. By default (null) Popper's, 6. With fewer, the search is much shorter:
+    the rules of easy mode have 2."""
     distinct: bool = True
     """Whether demonstrated steps with the same observation and action are one example."""
     arguments: list[str] = []
     """Further arguments of the command."""
 
 
+class Printed(NamedTuple):
+    """What Popper printed.
+
+    Attributes:
+        clauses: The clauses of its program, in the syntax of rule files.
+        timed_out: Whether it stopped at its time limit, so that there may be a better program.
+    """
+
+    clauses: tuple[str, ...]
+    timed_out: bool
+
+
+@dataclass(frozen=True)
+class Outcome:
+    """What the searches for the rules of an action found.
+
+    Attributes:
+        action: The action.
+        clauses: Its clauses, in the syntax of rule files.
+        negated: Whether the search that found them, or the last one, had negated literals.
+        optimal: Whether Popper has ruled out a better program with these literals.
+        timed_out: Whether a search stopped at the time limit.
+        seconds: The wall time of all searches.
+        positive: The number of examples of the action.
+        true_positives: How many of them the clauses derive, counted here.
+        negative: The number of other examples.
+        false_positives: How many of them the clauses derive.
+        failure: Why a search failed, or an empty text.
+    """
+
+    action: str
+    clauses: tuple[str, ...]
+    negated: bool
+    optimal: bool
+    timed_out: bool
+    seconds: float
+    positive: int
+    true_positives: int
+    negative: int
+    false_positives: int
+    failure: str
+
+    @property
+    def errors(self) -> int:
+        """The number of examples for which the clauses are wrong."""
+        return self.positive - self.true_positives + self.false_positives
+
+    def text(self) -> str:
+        """Say in a line what was found."""
+        if self.failure and not self.clauses:
+            return f"failed after {self.seconds:.0f} s: {self.failure}"
+        if not self.clauses:
+            return f"{'time-out' if self.timed_out else 'no program exists'}: no rules after {self.seconds:.0f} s"
+        ended = "optimal" if self.optimal else "time-out" if self.timed_out else "a further search failed"
+        counts = (
+            f"{self.true_positives} of {self.positive} examples of the action and {self.false_positives} of "
+            f"{self.negative} others"
+        )
+        return f"{len(self.clauses)} clauses derive {counts}; {ended} after {self.seconds:.0f} s"
+
+
 class PopperLearner(SymbolicLearner):
-    """Popper, run once for each action."""
+    """Popper, run for each action."""
 
     settings_class = PopperSettings
     #: The arguments that select the algorithm.
     selection: ClassVar[tuple[str, ...]] = ()
 
+    def __init__(self, config: Any, log: Path | None = None) -> None:
+        """Start without rules."""
+        super().__init__(config, log)
+        self._outcomes: list[dict[str, Any]] = []
+
     def rules(self, data: Demonstrations) -> str:
         """Return the rules that Popper finds. An action for which it finds none has a comment instead.
 
         Raises:
-            ChildProcessError: If Popper fails, or its output is not understood.
+            ChildProcessError: If Popper fails for all actions, or its output is not understood.
             FileNotFoundError: If Popper is not installed.
+            ValueError: If it finds no rule for any action.
         """
         settings = cast(PopperSettings, self.config.settings)
         program = find_popper(settings.program)
+        outcomes = []
+        for action in data.asked:
+            outcome = self._learned(program, data, action)
+            self.say(f"{self.config.algorithm}, {action}: {outcome.text()}")
+            outcomes.append(outcome)
+        if not any(outcome.clauses for outcome in outcomes):
+            _raise_without_rules(self.config.algorithm, outcomes, settings)
+        # Lists, as JSON has them.
+        self._outcomes = [{**asdict(outcome), "clauses": list(outcome.clauses)} for outcome in outcomes]
         lines = ['.include "vocabulary.dl"']
-        with TemporaryDirectory() as folder:
-            tasks = data.to_popper(folder, distinct=settings.distinct)
-            for action, task in zip(data.asked, tasks, strict=True):
-                command = [*program, os.fspath(task), "--timeout", f"{settings.timeout:g}"]
-                command += [*self.selection, *settings.arguments]
-                found = run_popper(command, settings.timeout)
-                clauses = read_output(found, action, arities(data.atoms))
-                lines += ["", f"// {action}"]
-                lines += clauses or [f"// {self.config.algorithm} found no rules within {settings.timeout:g} seconds."]
+        for outcome in outcomes:
+            lines += ["", f"// {outcome.action}: {outcome.text()}.", *outcome.clauses]
         return "\n".join(lines) + "\n"
+
+    def _learned(self, program: Sequence[str], data: Demonstrations, action: str) -> Outcome:
+        """Search for the rules of an action. A failure of a search does not lose what an earlier one found."""
+        settings = cast(PopperSettings, self.config.settings)
+        signs = [False, True] if settings.negated == "auto" else [settings.negated]
+        begun, best = time.monotonic(), None
+        for at, negated in enumerate(signs):
+            left = settings.timeout - (time.monotonic() - begun)
+            limit = left if at == len(signs) - 1 else left / 2
+            found, failure = Printed((), timed_out=False), ""
+            try:
+                found = self._search(program, data, action, negated, max(limit, 1.0))
+            except ChildProcessError as error:
+                failure = str(error)
+            positive, true, negative, false = self._counts(data, action, found.clauses)
+            outcome = Outcome(
+                action=action,
+                clauses=found.clauses,
+                negated=negated,
+                optimal=bool(found.clauses) and not found.timed_out,
+                timed_out=found.timed_out,
+                seconds=round(time.monotonic() - begun, 2),
+                positive=positive,
+                true_positives=true,
+                negative=negative,
+                false_positives=false,
+                failure=failure,
+            )
+            best = outcome if best is None else _better(best, outcome)
+            if best.clauses and best.errors == 0:
+                break
+        assert best is not None
+        return best
+
+    def _search(
+        self, program: Sequence[str], data: Demonstrations, action: str, negated: bool, limit: float
+    ) -> Printed:
+        """Run Popper for an action, with a time limit, and print a line about it every `INTERVAL` seconds."""
+        settings = cast(PopperSettings, self.config.settings)
+        shown = 0.0
+
+        def watch(running: Running) -> None:
+            nonlocal shown
+            if running.seconds - shown >= INTERVAL:
+                shown = running.seconds
+                literals = "with negated literals" if negated else "positive literals"
+                last = f"; {running.line}" if running.line else ""
+                self.say(f"{self.config.algorithm}, {action}, {literals}: {running.seconds:.0f} of {limit:.0f} s{last}")
+
+        with TemporaryDirectory() as folder:
+            tasks = data.to_popper(folder, distinct=settings.distinct, negated=negated, max_vars=settings.max_vars)
+            task = tasks[data.asked.index(action)]
+            command = [*program, os.fspath(task), "--timeout", f"{limit:g}", *self.selection, *settings.arguments]
+            return read_output(run_popper(command, limit, watch), action, arities(data.atoms))
+
+    def _counts(self, data: Demonstrations, action: str, clauses: Sequence[str]) -> tuple[int, int, int, int]:
+        """Count the examples of an action, those that clauses derive, the other examples, and those they derive."""
+        settings = cast(PopperSettings, self.config.settings)
+        examples = list(data.examples(distinct=settings.distinct))
+        number = ACTIONS.index(action)
+        taken = np.array([done for _, done in examples]) == number
+        derived = np.zeros(len(examples), bool)
+        if clauses:
+            # Without rules of other actions, an ego takes the action exactly if a clause holds.
+            policy = RulePolicy.from_text("\n".join(['.include "vocabulary.dl"', *clauses]), self.config.mode)
+            derived = policy(np.stack([observation for observation, _ in examples])) == number
+        counts = (taken, taken & derived, ~taken, ~taken & derived)
+        positive, true, negative, false = (int(each.sum()) for each in counts)
+        return positive, true, negative, false
+
+    def outcome(self) -> dict[str, Any]:
+        """Return the searches of the actions."""
+        return {"searches": self._outcomes} if self._outcomes else {}
+
+    def save(self, folder: Path) -> None:
+        """Write the rules and the searches, if training is over."""
+        super().save(folder)
+        if self._outcomes:
+            write_json(folder / "searches.json", self._outcomes)
+
+    def restore(self, folder: Path) -> None:
+        """Read the rules and the searches."""
+        super().restore(folder)
+        path = folder / "searches.json"
+        self._outcomes = read_json(path) if path.exists() else []
 
 
 class MaxSynthLearner(PopperLearner):
     """MaxSynth: Popper's noisy mode."""
 
     selection: ClassVar[tuple[str, ...]] = ("--noisy",)
+
+
+def _better(first: Outcome, second: Outcome) -> Outcome:
+    """Return the outcome with fewer errors, with what both searches say about the time and failures."""
+    best = second if second.clauses and (not first.clauses or second.errors < first.errors) else first
+    return Outcome(
+        **{
+            **asdict(best),
+            "clauses": best.clauses,
+            "optimal": best.optimal and not second.failure and not second.timed_out,
+            "timed_out": first.timed_out or second.timed_out,
+            "seconds": second.seconds,
+            "failure": first.failure or second.failure,
+        }
+    )
+
+
+def _raise_without_rules(algorithm: str, outcomes: Sequence[Outcome], settings: PopperSettings) -> None:
+    """Raise the error of a learner that found no rule: failed, out of time, or without a program."""
+    if all(outcome.failure for outcome in outcomes):
+        raise ChildProcessError(outcomes[0].failure)
+    late = [outcome.action for outcome in outcomes if outcome.timed_out]
+    if late:
+        raise ValueError(
+            f"time-out: {algorithm} found no rules for {', '.join(late)} within {settings.timeout:g} seconds: raise "
+            "`timeout`, or lower `max_vars`"
+        )
+    names = ", ".join(outcome.action for outcome in outcomes)
+    raise ValueError(
+        f"{algorithm} says that no rules within its limits explain {names}: raise `max_vars`, or set `negated: true`"
+    )
 
 
 def find_popper(program: Sequence[str] = ()) -> list[str]:
@@ -110,16 +319,21 @@ def find_popper(program: Sequence[str] = ()) -> list[str]:
     return [found, *program[1:]]
 
 
-def run_popper(command: Sequence[str], timeout: float) -> str:
+def run_popper(command: Sequence[str], timeout: float, watch: Callable[[Running], None] = lambda running: None) -> str:
     """Run Popper, and return what it printed.
 
     Popper stops at its own time limit and prints its best rules. If it does not within `GRACE` seconds, it is killed
     with all its processes. Then the last hypothesis of its log counts. Only the last 16 MiB of its output count.
 
+    Args:
+        command: The words of the command.
+        timeout: The time limit in seconds.
+        watch: Receives the state of the running program, several times a second.
+
     Raises:
         ChildProcessError: If it fails.
     """
-    ended = run_program(command, timeout + GRACE, {"PYTHONUNBUFFERED": "1"})
+    ended = run_program(command, timeout + GRACE, {"PYTHONUNBUFFERED": "1"}, watch)
     text = f"{ended.log}\n{ended.output}"
     if ended.code is None:
         return f"{text}\nTIMEOUT: killed"
@@ -144,7 +358,7 @@ def _needs() -> str:
     return f"{NEEDS}; found {_last(ended.output)}" if ended.code == 0 else NEEDS
 
 
-def read_output(text: str, action: str, predicates: Mapping[str, int]) -> list[str]:
+def read_output(text: str, action: str, predicates: Mapping[str, int]) -> Printed:
     """Return the clauses in the output of Popper, in the syntax of rule files.
 
     The solution is a block between lines of stars. Without one, the last `New best hypothesis` of the log counts.
@@ -158,7 +372,7 @@ def read_output(text: str, action: str, predicates: Mapping[str, int]) -> list[s
         predicates: The predicates of observations with their arities.
 
     Returns:
-        The clauses; none if Popper says that it found none, or that it ran out of time.
+        The clauses, and whether Popper ran out of time. There are none if it says that it found none.
 
     Raises:
         ChildProcessError: If the output is not understood.
@@ -167,9 +381,10 @@ def read_output(text: str, action: str, predicates: Mapping[str, int]) -> list[s
     starts = [at + 1 for at, line in enumerate(lines) if re.search(r"\*{5,} SOLUTION \*{5,}", line)]
     if not starts:
         starts = [at + 1 for at, line in enumerate(lines) if line.rstrip().endswith("New best hypothesis:")]
+    timed_out = _TIMEOUT.search(text) is not None
     if not starts:
-        if re.search(r"NO SOLUTION|TIMEOUT", text):
-            return []
+        if timed_out or "NO SOLUTION" in text:
+            return Printed((), timed_out)
         raise ChildProcessError(f"the output of Popper has no solution: {_last(text)}; {_needs()}")
     names = popper_names(predicates)
     head = next(iter(popper_names({action: 1})))
@@ -182,7 +397,7 @@ def read_output(text: str, action: str, predicates: Mapping[str, int]) -> list[s
             raise ChildProcessError(f"the output of Popper has a clause that is not understood: {line.strip()[:200]}")
     if not clauses:
         raise ChildProcessError(f"the solution of Popper has no clause: {_last(text)}; {_needs()}")
-    return clauses
+    return Printed(tuple(clauses), timed_out)
 
 
 def _clause(match: re.Match[str], head: str, action: str, names: Mapping[str, tuple[bool, str, int]]) -> str:

@@ -8,14 +8,14 @@ import signal
 import subprocess
 import sys
 import time
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from contextlib import suppress
 from pathlib import Path
 from typing import NamedTuple
 
 from . import supervise
 
-__all__ = ["Ended", "run_program"]
+__all__ = ["Ended", "Running", "run_program"]
 
 #: The number of bytes at the end of the output and of the log that count.
 OUTPUT_BYTES = 16 << 20
@@ -25,6 +25,12 @@ DRAIN = 1.0
 
 #: The interval in seconds in which a program is observed.
 POLL = 0.05
+
+#: Seconds that a supervisor has to end the processes of its program.
+ENDING = 2.0
+
+#: The maximum length of the last line of a running program.
+LINE = 100
 
 
 class Ended(NamedTuple):
@@ -41,7 +47,24 @@ class Ended(NamedTuple):
     log: str
 
 
-def run_program(command: Sequence[str], timeout: float | None = None, environment: Mapping[str, str] = {}) -> Ended:
+class Running(NamedTuple):
+    """A program that runs.
+
+    Attributes:
+        seconds: The time since its start.
+        line: The last whole line that it printed, shortened to `LINE` characters; an empty text if there is none.
+    """
+
+    seconds: float
+    line: str
+
+
+def run_program(
+    command: Sequence[str],
+    timeout: float | None = None,
+    environment: Mapping[str, str] = {},
+    watch: Callable[[Running], None] = lambda running: None,
+) -> Ended:
     """Run a program to its end, without standard input.
 
     No process of it remains, also after an exception such as that of Ctrl-C, and if this process is killed. What a
@@ -51,6 +74,7 @@ def run_program(command: Sequence[str], timeout: float | None = None, environmen
         command: The words of the command.
         timeout: The seconds after which the program is killed.
         environment: Changes to the environment variables.
+        watch: Receives the state of the program every `POLL` seconds or more often.
     """
     # The pipe closes when this process ends, however it ends.
     reader, writer = os.pipe()
@@ -64,19 +88,27 @@ def run_program(command: Sequence[str], timeout: float | None = None, environmen
             start_new_session=True,
         ) as process:
             try:
-                return _observed(process, timeout)
+                return _observed(process, timeout, watch)
             finally:
+                # The supervisor also ends what has left its group.
+                os.close(writer)
+                writer = -1
+                with suppress(subprocess.TimeoutExpired):
+                    process.wait(ENDING)
                 _kill(process)
     finally:
         os.close(reader)
-        os.close(writer)
+        if writer >= 0:
+            os.close(writer)
 
 
-def _observed(process: subprocess.Popen[bytes], timeout: float | None) -> Ended:
+def _observed(process: subprocess.Popen[bytes], timeout: float | None, watch: Callable[[Running], None]) -> Ended:
     """Read the output of a process until it ends or its time is over."""
     assert process.stdout is not None and process.stderr is not None
     output, log = bytearray(), bytearray()
-    end, has_ended = None if timeout is None else time.monotonic() + timeout, False
+    begun = time.monotonic()
+    end, has_ended = None if timeout is None else begun + timeout, False
+    last = ""
     with selectors.DefaultSelector() as pipes:
         pipes.register(process.stdout, selectors.EVENT_READ, output)
         pipes.register(process.stderr, selectors.EVENT_READ, log)
@@ -93,8 +125,16 @@ def _observed(process: subprocess.Popen[bytes], timeout: float | None) -> Ended:
                     del key.data[:-OUTPUT_BYTES]
                 if not chunk:
                     pipes.unregister(key.fileobj)
+                last = _last_line(chunk) or last
+            watch(Running(time.monotonic() - begun, last))
     code = process.returncode if has_ended else None
     return Ended(code, output.decode(errors="replace"), log.decode(errors="replace"))
+
+
+def _last_line(chunk: bytes) -> str:
+    """Return the last line of a chunk that has its end there and is not empty, shortened."""
+    lines = chunk.decode(errors="replace").split("\n")[:-1]
+    return next((line.strip()[:LINE] for line in reversed(lines) if line.strip()), "")
 
 
 def _kill(process: subprocess.Popen[bytes]) -> None:

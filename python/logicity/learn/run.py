@@ -143,6 +143,7 @@ def train(
                 raise ValueError(f"`start`: {start.path}: {error}") from None
         write_json(run / "config.json", config.to_dict())
         display = files.enter_context(_Display(config, learner, progress))
+        learner.say = display.say
         begun = f"resumed after {state.steps:,} of" if checkpoints else "started:"
         display.say(f"{config.algorithm} in {config.mode}, {begun} {config.steps:,} steps; folder {run}")
         files.enter_context(curves)
@@ -549,6 +550,7 @@ def _result(config: TrainConfig, learner: Learner, state: State, measured: Evalu
         "cpu_seconds": round(state.cpu_seconds, 2),
         "minutes": round(state.wall_seconds / 60, 2),
         "best": state.best,
+        **learner.outcome(),
         "test": measured.to_dict(),
         "validations": state.validations,
     }

@@ -1,7 +1,8 @@
 """Runs a program that ends when the process that started it ends, also if that process is killed.
 
-`python supervise.py COMMAND...` runs a command. When its standard input is closed, it kills the command with all
-processes that the command has started. It imports only the standard library, so that it starts quickly.
+`python supervise.py COMMAND...` runs a command. When the command ends, or its own standard input is closed, it kills
+all processes that the command has started. On Linux these include those in other sessions and those whose parent has
+ended. It imports only the standard library, so that it starts quickly.
 """
 
 from __future__ import annotations
@@ -12,6 +13,7 @@ import subprocess
 import sys
 import threading
 from collections.abc import Callable
+from contextlib import suppress
 
 __all__ = ["end_with_parent"]
 
@@ -20,29 +22,74 @@ def end_with_parent(kill: Callable[[], None] = lambda: None) -> None:
     """End this process and those that it started when standard input is closed.
 
     Args:
-        kill: Ends the started processes where there are no process groups. Otherwise this process must lead its group.
+        kill: Ends the started processes that are not in the group of this process, before those of the group. Where
+            there are process groups, this process must lead its own.
     """
 
     def watch() -> None:
         while os.read(0, 1024):
             pass
+        kill()
         if os.name == "posix" and os.getpgrp() == os.getpid():
             os.killpg(0, signal.SIGKILL)
-        kill()
         os._exit(1)
 
     threading.Thread(target=watch, daemon=True).start()
 
 
+def _adopt() -> None:
+    """On Linux, become the parent of all descendants whose own parent ends, so that none can leave this process."""
+    if sys.platform == "linux":
+        import ctypes
+
+        set_child_subreaper = 36
+        ctypes.CDLL(None, use_errno=True).prctl(set_child_subreaper, 1, 0, 0, 0)
+
+
+def _descendants() -> list[int]:
+    """Return the running processes that this one has started, directly or not. None where there is no `/proc`."""
+    parents = {}
+    with suppress(OSError):
+        for name in filter(str.isdigit, os.listdir("/proc")):
+            with suppress(OSError), open(f"/proc/{name}/stat", encoding="utf-8", errors="replace") as file:
+                # The name of the program, in parentheses, can have any character.
+                state, parent = file.read().rpartition(")")[2].split()[:2]
+                if state != "Z":
+                    parents[int(name)] = int(parent)
+    found, newest = [], [os.getpid()]
+    while newest:
+        newest = [child for child, parent in parents.items() if parent in newest]
+        found += newest
+    return found
+
+
+def _end_descendants() -> None:
+    """Kill what this process has started, until nothing is left: a process can start another one meanwhile."""
+    for _ in range(100):
+        left = _descendants()
+        for process in left:
+            with suppress(OSError):
+                os.kill(process, signal.SIGKILL)
+        if not left:
+            break
+
+
 def _main() -> int:
+    _adopt()
     try:
         # The parent's pipe is not the standard input of the program.
         program = subprocess.Popen(sys.argv[1:], stdin=subprocess.DEVNULL)
     except OSError as error:
         os.write(2, f"cannot run `{sys.argv[1]}`: {error.strerror}\n".encode(errors="replace"))
         return 127
-    end_with_parent(program.kill)
+
+    def end() -> None:
+        program.kill()
+        _end_descendants()
+
+    end_with_parent(end)
     code = program.wait()
+    _end_descendants()
     # As in shells, a signal is 128 and its number.
     return code if code >= 0 else 128 - code
 
