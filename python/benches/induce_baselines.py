@@ -8,11 +8,6 @@ the test episodes, and the time is the CPU time of the process. Print a table:
     python python/benches/induce_baselines.py [MODE...]
 
 `cargo bench --bench induce_baselines -- demonstrations` prints the lines of FOIL and of the learner.
-
-`--tables FOLDER` learns the tables that `cargo bench --bench popper -- TASKS FOLDER` writes instead, and prints the
-share of the examples that the rules get right:
-
-    python python/benches/induce_baselines.py --tables FOLDER
 """
 
 from __future__ import annotations
@@ -20,7 +15,6 @@ from __future__ import annotations
 import sys
 import time
 from collections.abc import Iterable
-from pathlib import Path
 from typing import Any
 
 from foldrm import Classifier
@@ -48,26 +42,8 @@ def distinct(rows: Iterable[list[str]]) -> list[list[str]]:
     return [list(row) for row in dict.fromkeys(map(tuple, rows))]
 
 
-def learn_tables(folder: Path) -> None:
-    """Learn each table of a folder, and print a line for it."""
-    print("| task | columns | right | CPU seconds | rules | literals |")
-    print("|---|---|---|---|---|---|")
-    for path in sorted(folder.glob("*.tsv")):
-        names, *rows = [line.split("\t") for line in path.read_text(encoding="utf-8").splitlines()]
-        learner = Classifier(attrs=names[:-1], numeric=[], label="label")
-        begin = time.process_time()
-        learner.fit([list(row) for row in rows])
-        seconds = time.process_time() - begin
-        right = sum(learner.classify(row) == row[-1] for row in rows)
-        counts = f"{len(learner.rules)} | {size(learner.rules)}"
-        print(f"| {path.stem} | {len(names) - 1} | {right / len(rows):.3f} | {seconds:.2f} | {counts} |")
-
-
 def main() -> None:
     """Print a table."""
-    if sys.argv[1:2] == ["--tables"]:
-        learn_tables(Path(sys.argv[2]))
-        return
     print("| mode | learner | accuracy on test steps | CPU seconds | rules | literals |")
     print("|---|---|---|---|---|---|")
     for mode in sys.argv[1:] or MODES:

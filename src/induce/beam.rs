@@ -111,8 +111,8 @@ pub fn beam(
 ) -> Option<(i64, Candidate)> {
     let root = BeamNode {
         chosen: bits::empty(problem.atoms.len()),
-        positive: Rc::new(problem.all(problem.positive).into_owned()),
-        negative: Rc::new(problem.all(problem.negative).into_owned()),
+        positive: Rc::new(problem.all(problem.positive)),
+        negative: Rc::new(problem.all(problem.negative)),
         negative_rows: u64::MAX,
     };
     let prior = {

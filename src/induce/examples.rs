@@ -1,7 +1,7 @@
 //! Labeled states: what an ego sees, and the action it takes.
 
 use crate::induce::bits::{self, Bits};
-use crate::induce::vocabulary::{Assignment, Body, Literal, Vocabulary, tuples};
+use crate::induce::vocabulary::{ARITY_MAX, Assignment, Body, Literal, Vocabulary, tuples};
 use indexmap::IndexMap;
 use indexmap::map::Entry;
 
@@ -110,7 +110,7 @@ impl State {
                 let before = arguments
                     .iter()
                     .fold(0, |index, &argument| index * entities + order[argument]);
-                let first = vocabulary.fact(entities, index, &[0; 3][..predicate.arity]);
+                let first = vocabulary.fact(entities, index, &[0; ARITY_MAX][..predicate.arity]);
                 if bits::contains(&self.facts, first + before) {
                     sorted.insert(vocabulary, index, &arguments);
                 }

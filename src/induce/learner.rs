@@ -54,9 +54,20 @@ pub fn learn_with(
         settings.seeds_per_round > 0 && settings.working_states > 0,
         "no tries or states"
     );
-    let Ok(pool) = threads::start(settings.threads.map_or(0, NonZeroUsize::get)) else {
+    in_pool(settings.threads, cancel, |cancel| {
+        learn_here(examples, settings, progress, cancel)
+    })
+}
+
+/// Works on a pool of threads, `None` for one per core.
+pub(crate) fn in_pool<T: Send>(
+    threads: Option<NonZeroUsize>,
+    cancel: &Cancel,
+    work: impl FnOnce(&Cancel) -> T + Send,
+) -> T {
+    let Ok(pool) = threads::start(threads.map_or(0, NonZeroUsize::get)) else {
         // If no threads can be created, the learner uses those of the caller.
-        return learn_here(examples, settings, progress, cancel);
+        return work(cancel);
     };
     // `cancel` may have an effect on this thread only, so this one polls it, and the threads of the pool poll a flag.
     let requested = Arc::new(AtomicBool::new(cancel.requested()));
@@ -64,7 +75,7 @@ pub fn learn_with(
     let forwarded = Cancel::when(move || flag.load(Ordering::Relaxed));
     let (done, finished) = mpsc::channel();
     thread::scope(|scope| {
-        let work = || pool.install(|| learn_here(examples, settings, progress, &forwarded));
+        let work = || pool.install(|| work(&forwarded));
         scope.spawn(move || done.send(catch_unwind(AssertUnwindSafe(work))));
         let learned = loop {
             match finished.recv_timeout(POLL_INTERVAL) {
@@ -76,7 +87,7 @@ pub fn learn_with(
     })
 }
 
-/// The interval in which [`learn_with`] polls for cancellation.
+/// The interval in which [`in_pool`] polls for cancellation.
 const POLL_INTERVAL: Duration = Duration::from_millis(20);
 
 /// Learns on the threads of the caller.
@@ -265,7 +276,12 @@ impl ClauseSearch<'_> {
 }
 
 /// Returns the cheapest clauses of a pool that cover the positive states, the one that covers the most first.
-fn cheapest_rules(vocabulary: &Vocabulary, pool: &[FoundClause], positive: usize, cancel: &Cancel) -> ActionRules {
+pub(crate) fn cheapest_rules(
+    vocabulary: &Vocabulary,
+    pool: &[FoundClause],
+    positive: usize,
+    cancel: &Cancel,
+) -> ActionRules {
     let columns: Vec<(Vec<u64>, u32)> = pool
         .iter()
         .map(|found| (found.covered.clone(), found.body.cost(vocabulary) + LITERAL_COST))

@@ -14,6 +14,7 @@ mod examples;
 mod learner;
 mod noise;
 mod problem;
+mod relational;
 mod rules;
 mod search;
 mod support;
@@ -26,6 +27,7 @@ pub use constraints::{Constraints, Violation};
 pub use examples::{Contradiction, ENTITIES_MAX, Examples, State, Tally};
 pub use learner::{learn, learn_with};
 pub use noise::NOISE_MAX;
+pub use relational::{Database, derived, learn_relational, undecided};
 pub use rules::{ActionRules, LearnedClause, LearnedRules, Noise, Progress, Settings};
 pub use support::{ClauseSupport, Conflict, Support, support};
 pub use vocabulary::{

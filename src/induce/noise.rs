@@ -21,7 +21,7 @@ const ROUNDS_MAX: usize = 5;
 const BITS: f64 = 0.375;
 
 /// Returns the description length of a wrong action, in the unit of costs times [`SCALE`].
-fn exception(rate: f64, actions: usize) -> i64 {
+pub(crate) fn exception(rate: f64, actions: usize) -> i64 {
     let rate = rate.clamp(f64::MIN_POSITIVE, NOISE_MAX);
     let bits = ((1.0 - rate) * (actions.max(2) - 1) as f64 / rate).log2();
     ((bits / BITS * SCALE as f64).round() as i64).max(1)

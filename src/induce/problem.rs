@@ -7,8 +7,7 @@
 use crate::cancel::Cancel;
 use crate::induce::bits::{self, Bits};
 use crate::induce::examples::State;
-use crate::induce::vocabulary::{Assignment, Atom, Body, Link, Vocabulary, assignments, cost, tuples};
-use std::borrow::Cow;
+use crate::induce::vocabulary::{Assignment, Atom, Body, Vocabulary, assignments, cost, tuples};
 
 /// The facts of a list of states, transposed.
 pub struct Columns {
@@ -99,9 +98,6 @@ pub struct Problem<'a> {
     pub cancel: &'a Cancel,
     entities: usize,
     assignments: Vec<Assignment>,
-    /// With links, the rows of the positive and of the negative states whose true atoms link all variables. No clause
-    /// holds in another row.
-    linked: Option<[Rows; 2]>,
 }
 
 /// The most assignments of entities to the variables of a problem. They have 64 entities and three variables beside that
@@ -135,7 +131,7 @@ impl LabeledColumns {
     }
 
     /// Returns the problem of finding clauses over a number of variables. `None` if there are too many assignments of
-    /// entities to variables for the memory. After cancellation, the rows of the problem are incomplete.
+    /// entities to variables for the memory.
     pub fn problem<'a>(
         &'a self,
         vocabulary: &'a Vocabulary,
@@ -148,7 +144,7 @@ impl LabeledColumns {
         if count > ASSIGNMENTS_MAX || count * (self.positive.words + self.negative.words) > WORDS_MAX {
             return None;
         }
-        let mut problem = Problem {
+        Some(Problem {
             atoms: vocabulary.atoms(variables),
             vocabulary,
             positive: &self.positive,
@@ -157,12 +153,7 @@ impl LabeledColumns {
             cancel,
             entities: self.entities,
             assignments: assignments(vocabulary.egos(), variables, self.entities).collect(),
-            linked: None,
-        };
-        if vocabulary.links().is_some() {
-            problem.linked = Some([&self.positive, &self.negative].map(|columns| problem.link(columns)));
-        }
-        Some(problem)
+        })
     }
 }
 
@@ -179,79 +170,12 @@ impl Problem<'_> {
     pub fn open<'b>(&self, columns: &'b Columns) -> Open<'b> {
         Open {
             columns,
-            rows: self.all(columns).into_owned(),
+            rows: self.all(columns),
         }
     }
 
-    /// Returns all rows of a list of states in which clauses can hold: the assignments whose entities exist and, with
-    /// links, are linked to those of the head.
-    pub fn all(&self, columns: &Columns) -> Cow<'_, Rows> {
-        match &self.linked {
-            Some([positive, _]) if std::ptr::eq(columns, self.positive) => Cow::Borrowed(positive),
-            Some([_, negative]) if std::ptr::eq(columns, self.negative) => Cow::Borrowed(negative),
-            Some(_) => Cow::Owned(self.link(columns)),
-            None => Cow::Owned(self.existing(columns)),
-        }
-    }
-
-    /// Returns the rows in which the true atoms link all variables to those of the head.
-    fn link(&self, columns: &Columns) -> Rows {
-        let existing = self.existing(columns);
-        let (words, links) = (columns.words, self.vocabulary.links().unwrap_or_default());
-        let mut rows = Rows::default();
-        // For each variable, the states in which it is bound.
-        let mut bound: Vec<Vec<u64>> = vec![Vec::new(); self.assignments[0].len()];
-        for (&assignment, states) in existing
-            .assignments
-            .iter()
-            .zip(existing.states.chunks_exact(words.max(1)))
-        {
-            if self.cancel.requested() {
-                break;
-            }
-            for (variable, bound) in bound.iter_mut().enumerate() {
-                bound.clear();
-                bound.extend(
-                    states
-                        .iter()
-                        .map(|word| if variable < self.vocabulary.egos() { *word } else { 0 }),
-                );
-            }
-            let mut changed = true;
-            while std::mem::take(&mut changed) {
-                for atom in &self.atoms {
-                    let column = &columns.facts[self.fact(atom, assignment) * words..][..words];
-                    for word in 0..words {
-                        let of = |variable: &u8| bound[usize::from(*variable)][word];
-                        let inputs = match links[atom.predicate] {
-                            Link::Any => atom.arguments.iter().map(of).fold(0, |any, word| any | word),
-                            Link::Inputs(inputs) => (atom.arguments.iter().enumerate())
-                                .filter(|(at, _)| inputs >> at & 1 == 1)
-                                .fold(states[word], |all, (_, variable)| all & of(variable)),
-                        };
-                        let binds = inputs & column[word];
-                        for &variable in &atom.arguments {
-                            let bound = &mut bound[usize::from(variable)][word];
-                            changed |= binds & !*bound != 0;
-                            *bound |= binds;
-                        }
-                    }
-                }
-            }
-            let begin = rows.states.len();
-            rows.states
-                .extend((0..words).map(|word| bound.iter().fold(u64::MAX, |all, bound| all & bound[word])));
-            if rows.states[begin..].iter().any(|word| *word != 0) {
-                rows.assignments.push(assignment);
-            } else {
-                rows.states.truncate(begin);
-            }
-        }
-        rows
-    }
-
-    /// Returns the rows of the assignments whose entities exist.
-    fn existing(&self, columns: &Columns) -> Rows {
+    /// Returns all rows of a list of states in which clauses can hold: the assignments whose entities exist.
+    pub fn all(&self, columns: &Columns) -> Rows {
         let mut rows = Rows::default();
         for (index, assignment) in self.assignments.iter().enumerate() {
             let begin = rows.states.len();
@@ -354,13 +278,9 @@ impl Problem<'_> {
             return None;
         }
         let first = wanted & wanted.wrapping_neg();
-        let serves = |atom: &Atom| match vocabulary.links() {
-            Some(_) if missing == 0 => set(atom) & !bound != 0 && vocabulary.binds(atom, bound),
-            _ => set(atom) & first != 0,
-        };
         let mut binders = bits::empty(atoms.len());
         for literal in bits::elements(seed) {
-            if !bits::contains(banned, literal) && serves(&atoms[literal]) {
+            if !bits::contains(banned, literal) && set(&atoms[literal]) & first != 0 {
                 bits::insert(&mut binders, literal);
             }
         }
@@ -384,9 +304,9 @@ impl Problem<'_> {
     fn conjunction<'b>(&self, columns: &Columns, literals: impl Iterator<Item = (&'b Atom, bool)>) -> Rows {
         let mut rows = self.all(columns);
         for (atom, is_true) in literals.take_while(|_| !self.cancel.requested()) {
-            rows = Cow::Owned(self.restrict(columns, &rows, atom, is_true));
+            rows = self.restrict(columns, &rows, atom, is_true);
         }
-        rows.into_owned()
+        rows
     }
 
     /// Returns the true atoms of up to `most` of the rows, spread over all.
@@ -451,12 +371,7 @@ impl Problem<'_> {
         for (index, assignment) in self.assignments.iter().enumerate() {
             if assignment.iter().all(exists) && assignment[egos..].is_sorted_by(|a, b| a < b) {
                 let row = self.row(self.positive, state, index as u32);
-                let is_linked = self.vocabulary.links().is_none() || {
-                    let atoms: Vec<&Atom> = bits::elements(&row).map(|atom| &self.atoms[atom]).collect();
-                    let bound = self.vocabulary.bound(atoms.iter().copied());
-                    bound.count_ones() as usize == assignment.len()
-                };
-                if is_linked && !seeds.contains(&row) {
+                if !seeds.contains(&row) {
                     seeds.push(row);
                 }
             }

@@ -3,7 +3,7 @@
 use smallvec::SmallVec;
 
 /// The maximum number of arguments of a predicate.
-pub const ARITY_MAX: usize = 3;
+pub const ARITY_MAX: usize = 6;
 
 /// The maximum number of variables of a clause.
 pub const VARIABLES_MAX: usize = 7;
@@ -40,6 +40,8 @@ pub struct Vocabulary {
     before: Vec<[usize; ARITY_MAX]>,
     /// By arity, the number of predicates.
     total: [usize; ARITY_MAX],
+    /// The largest arity.
+    widest: usize,
     egos: usize,
     guard: Option<String>,
     links: Option<Vec<Link>>,
@@ -68,6 +70,7 @@ impl Vocabulary {
             })
             .collect();
         Vocabulary {
+            widest: predicates.iter().map(|predicate| predicate.arity).max().unwrap_or(0),
             predicates,
             before,
             total,
@@ -139,7 +142,7 @@ impl Vocabulary {
 
     /// Returns the number of possible facts about `entities` entities.
     pub fn facts(&self, entities: usize) -> usize {
-        Self::sum(&self.total, entities)
+        self.sum(&self.total, entities)
     }
 
     /// Returns the number of a fact among all possible facts about `entities` entities: predicate by predicate, the
@@ -147,11 +150,14 @@ impl Vocabulary {
     #[inline]
     pub fn fact(&self, entities: usize, predicate: usize, arguments: &[usize]) -> usize {
         let index = arguments.iter().fold(0, |index, argument| index * entities + argument);
-        Self::sum(&self.before[predicate], entities) + index
+        self.sum(&self.before[predicate], entities) + index
     }
 
-    fn sum(counts: &[usize; ARITY_MAX], entities: usize) -> usize {
-        counts.iter().rev().fold(0, |sum, count| (sum + count) * entities)
+    fn sum(&self, counts: &[usize; ARITY_MAX], entities: usize) -> usize {
+        counts[..self.widest]
+            .iter()
+            .rev()
+            .fold(0, |sum, count| (sum + count) * entities)
     }
 
     /// Returns all atoms over variables, each with distinct variables. An atom of a symmetric predicate occurs once.

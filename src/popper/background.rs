@@ -91,7 +91,9 @@ impl Background {
                 let fault = Diagnostic::new(codes::UNBOUND_VARIABLE, message).at(term.span, "a variable");
                 Err(fault.help("constants begin with a lowercase letter or stand in single quotes"))
             }
-            _ => Err(unsupported(term.span, "a function term")),
+            // The learner only compares constants, so a term without variables can be one.
+            Kind::Compound(..) if term.is_ground() => Ok(self.constants.insert_full(term.to_string()).0 as u32),
+            _ => Err(unsupported(term.span, "a function term with variables")),
         };
         terms.iter().map(&mut number).collect()
     }

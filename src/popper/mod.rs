@@ -1,19 +1,19 @@
 //! Tasks in the format of the learner Popper: background knowledge, examples and a bias, as Prolog text.
 //!
 //! A task has one target predicate, function-free background knowledge and no recursion. The reader evaluates rules of
-//! the background knowledge with the Datalog engine. Each example becomes a [`State`]: its entities are the constants
-//! that a clause about the example can refer to, first those of the example itself, then those that facts link to them.
-//! The number of steps is at most `max_vars` minus the number of arguments. With `direction` declarations, a fact leads
-//! from its inputs to its outputs. Positive examples have the target as their action, negative ones the default.
+//! the background knowledge with the Datalog engine, and indexes all facts in a [`Database`]. A clause can refer to the
+//! constants that facts link to those of an example. With `direction` declarations, a fact leads from its inputs to its
+//! outputs.
 //!
-//! If all predicates have `type` declarations, equal constants of different types are different entities. The bias can
+//! If all predicates have `type` declarations, equal constants of different types are different constants. The bias can
 //! then also require that a clause has one variable of a type, as in
-//! `:- clause(C), #count{V : var_type(C,V,state)} != 1.`: that of the head.
+//! `:- clause(C), #count{V : var_type(C,V,state)} != 1.`: that of the head. A rule such as
+//! `bad_body(p,Vars) :- vars(_,Vars), Vars = (V0,_), V0 != 0.` requires a variable of the head as an argument.
 //!
 //! ```
 //! use logicity::cancel::Cancel;
 //! use logicity::diag::Sources;
-//! use logicity::popper::{Files, Options, read, solve};
+//! use logicity::popper::{Files, Options, read};
 //!
 //! let mut sources = Sources::new();
 //! let files = Files {
@@ -23,8 +23,7 @@
 //! };
 //! let (task, _) = read(&sources, &files, &Options::default());
 //! let task = task.ok_or("the texts are a task")?;
-//! let (examples, _) = task.examples(|_| true);
-//! let solution = solve(&task.vocabulary, &examples, &task.settings(), &Cancel::never());
+//! let solution = task.solve(|_| true, &task.settings(), &|_| (), &Cancel::never());
 //! assert_eq!(task.clauses(&solution.rules), ["old(X, Y) :- parent(X, Z), parent(Z, Y)."]);
 //! # Ok::<(), &str>(())
 //! ```
@@ -33,7 +32,6 @@ mod background;
 mod bias;
 mod print;
 mod prolog;
-mod states;
 mod tokens;
 
 use crate::cancel::Cancel;
@@ -41,7 +39,8 @@ use crate::datalog::Limits;
 use crate::datalog::codes;
 use crate::diag::{self, Diagnostic, Faults, SourceId, Sources, Span};
 use crate::induce::{
-    ActionRules, Examples, LITERAL_COST, Predicate, Settings, State, VARIABLES_MAX, Vocabulary, learn,
+    ActionRules, Body, Database, Literal, Predicate, Progress, Settings, VARIABLES_MAX, Vocabulary, derived,
+    learn_relational, undecided,
 };
 use background::{Background, Key, unknown};
 use bias::Bias;
@@ -49,7 +48,6 @@ use indexmap::map::Entry;
 use indexmap::{IndexMap, IndexSet};
 pub use print::TargetProgram;
 use prolog::{Directives, Kind, Term, parse};
-use states::Network;
 use std::collections::BTreeSet;
 
 /// The maximum number of examples that [`Options::closed_world`] makes.
@@ -74,7 +72,7 @@ pub struct Options {
     pub closed_world: bool,
     /// The maximum number of variables of a clause, if fewer than in the bias.
     pub variables: Option<usize>,
-    /// The limits of evaluating the rules of the background knowledge. The memory of all examples has the same limit.
+    /// The limits of evaluating the rules of the background knowledge.
     pub limits: Limits,
 }
 
@@ -85,10 +83,8 @@ pub struct Case {
     pub arguments: Vec<String>,
     /// Whether the target is true.
     pub is_positive: bool,
-    /// What a clause can refer to.
-    pub state: State,
-    /// The constants of the entities of the state. A constant of several arguments occurs several times.
-    pub entities: Vec<String>,
+    /// The constants of the arguments in the database.
+    head: Vec<u32>,
 }
 
 /// A task.
@@ -96,14 +92,14 @@ pub struct Case {
 pub struct Task {
     /// The target predicate.
     pub target: String,
-    /// The predicates of bodies.
-    pub vocabulary: Vocabulary,
+    /// The facts of the predicates of bodies.
+    pub database: Database,
     /// The examples in the order of the source.
     pub cases: Vec<Case>,
     /// The maximum number of variables of a clause.
     pub variables: usize,
-    /// For each predicate of the vocabulary, its facts.
-    pub facts: Vec<Vec<Vec<String>>>,
+    /// The constants of the database. Those of several types occur several times.
+    constants: Vec<String>,
 }
 
 /// Reads a task. Returns it with all errors and warnings; the task is `None` if any of them is an error.
@@ -216,12 +212,8 @@ fn assemble(
         arity: *arity,
         is_symmetric: false,
     });
-    let links = bias.links();
-    let vocabulary = Vocabulary::new(predicates.collect(), arity, None).linked(links.clone());
-    let text = |constant: u32| background.constants[constant as usize].clone();
-    let texts = |row: &[u32]| -> Vec<String> { row.iter().map(|&constant| text(constant)).collect() };
-    let of = |key: &Key| -> Vec<&[u32]> { background.rows[key].iter().map(|row| &**row).collect() };
-    // The entities: constants with their types.
+    let vocabulary = Vocabulary::new(predicates.collect(), arity, None).linked(bias.links());
+    // The constants of the database: those of the task with their types.
     let mut typed: IndexSet<(u32, Option<&str>)> = IndexSet::new();
     let types = bias.all_types();
     let mut row = |key: &Key, row: &[u32]| -> Vec<u32> {
@@ -232,8 +224,9 @@ fn assemble(
             .map(|place| typed.insert_full(entity(place)).0 as u32)
             .collect()
     };
-    let rows = (bias.body.keys()).map(|key| of(key).into_iter().map(|of_key| row(key, of_key)).collect());
-    let rows: Vec<Vec<Vec<u32>>> = rows.collect();
+    let rows: Vec<Vec<Vec<u32>>> = (bias.body.keys())
+        .map(|key| background.rows[key].iter().map(|of_key| row(key, of_key)).collect())
+        .collect();
     let key = (target, arity);
     let heads: Vec<Vec<u32>> = labels.keys().map(|head| row(&key, head)).collect();
     let variables = bias
@@ -241,44 +234,36 @@ fn assemble(
         .min(options.variables.unwrap_or(VARIABLES_MAX))
         .min(VARIABLES_MAX)
         .max(key.1);
-    let single = bias.single_types();
-    let is_fixed = (typed.iter()).map(|(_, name)| name.is_some_and(|name| single.contains(name)));
-    let network = Network::new(&vocabulary, &links, &rows, is_fixed.collect());
-    let mut cases = Vec::new();
-    let mut bytes = 0;
-    for (head, (arguments, (is_positive, place))) in heads.iter().zip(labels) {
-        // The other examples have the same fault.
-        let (state, entities) = network.state(head, variables, place).map_err(|fault| vec![fault])?;
-        bytes += 8 * vocabulary.facts(state.entities()).div_ceil(64) as u64;
-        if bytes > options.limits.bytes {
-            let message = format!("the examples need more than {} MiB", options.limits.bytes >> 20);
-            let fault =
-                Diagnostic::new(diag::codes::LIMIT_EXCEEDED, message).at(place, "the first example beyond the limit");
-            let help = "declare `direction` for the body predicates, reduce `max_vars`, or raise `--max-memory`";
-            return Err(vec![fault.help(help)]);
-        }
-        cases.push(Case {
-            arguments: texts(&arguments),
-            is_positive,
-            state,
-            entities: entities
-                .into_iter()
-                .map(|entity| text(typed[entity as usize].0))
-                .collect(),
-        });
-    }
-    let facts = bias
-        .body
-        .keys()
-        .map(|key| of(key).into_iter().map(texts).collect())
+    let mut names: IndexSet<Option<&str>> = IndexSet::new();
+    let kinds = typed
+        .iter()
+        .map(|(_, name)| names.insert_full(*name).0 as u32)
         .collect();
-    let target = key.0;
+    let argument_kinds = (bias.body.keys()).map(|key| {
+        let kind = |at: usize| names.insert_full(types.map(|types| types[key][at].as_str())).0 as u32;
+        (0..key.1).map(kind).collect()
+    });
+    let argument_kinds = argument_kinds.collect();
+    let constants = typed
+        .iter()
+        .map(|(constant, _)| background.constants[*constant as usize].clone());
+    let cases = heads
+        .into_iter()
+        .zip(labels)
+        .map(|(head, (arguments, (is_positive, _)))| Case {
+            arguments: arguments
+                .iter()
+                .map(|&constant| background.constants[constant as usize].clone())
+                .collect(),
+            is_positive,
+            head,
+        });
     Ok(Task {
-        target,
-        vocabulary,
-        cases,
+        target: key.0,
+        cases: cases.collect(),
         variables,
-        facts,
+        constants: constants.collect(),
+        database: Database::new(vocabulary, &rows, kinds, argument_kinds, bias.pinned()),
     })
 }
 
@@ -332,24 +317,9 @@ fn close(bias: &Bias, background: &Background, labels: &mut Labels, end: Span) -
 }
 
 impl Task {
-    /// Returns the examples whose positions `keep` selects. No clause can separate positive examples from negative ones
-    /// with the same state, so these count as negative; also returns their number.
-    pub fn examples(&self, keep: impl Fn(usize) -> bool) -> (Examples, usize) {
-        let kept = self.cases.iter().enumerate().filter(|(index, _)| keep(*index));
-        let cases: Vec<(State, bool)> = kept
-            .map(|(_, case)| (case.state.clone().sorted(&self.vocabulary), case.is_positive))
-            .collect();
-        let negative = cases.iter().filter(|(_, is_positive)| !is_positive);
-        let negative: BTreeSet<State> = negative.map(|(state, _)| state.clone()).collect();
-        let actions = vec![self.target.clone(), format!("not {}", self.target)];
-        let mut examples = Examples::new(self.vocabulary.clone(), actions);
-        let mut inseparable = 0;
-        for (state, is_positive) in cases {
-            let is_separable = !negative.contains(&state);
-            inseparable += usize::from(is_positive && !is_separable);
-            examples.push(state, usize::from(!(is_positive && is_separable)));
-        }
-        (examples, inseparable)
+    /// Returns the predicates of bodies.
+    pub fn vocabulary(&self) -> &Vocabulary {
+        self.database.vocabulary()
     }
 
     /// Returns the settings of a search comparable with Popper's: clauses without negative literals.
@@ -360,52 +330,57 @@ impl Task {
             ..Settings::default()
         }
     }
-}
 
-/// What [`solve`] found.
-#[derive(Clone, Debug)]
-pub struct Solution {
-    /// The clauses of the first action.
-    pub rules: ActionRules,
-    /// The number of variables that clauses could have.
-    pub variables: usize,
-    /// Whether the search stopped on cancellation before it tried all numbers of variables.
-    pub is_cut: bool,
-}
-
-/// Learns clauses for the first action, with one more variable in each round. Returns those of least cost among the
-/// rounds that leave the fewest examples uncovered. A single clause ends the search.
-pub fn solve(vocabulary: &Vocabulary, examples: &Examples, settings: &Settings, cancel: &Cancel) -> Solution {
-    let rank = |rules: &ActionRules| {
-        let costs = rules
-            .clauses
-            .iter()
-            .map(|clause| clause.body.cost(vocabulary) + LITERAL_COST);
-        (rules.uncovered, costs.sum::<u32>())
-    };
-    let mut best: Option<Solution> = None;
-    for variables in vocabulary.egos()..=settings.variables.max(vocabulary.egos()) {
-        let settings = Settings {
-            variables,
-            ..settings.clone()
+    /// Learns clauses from the examples whose positions `keep` selects. `progress` receives the state of the learner.
+    ///
+    /// # Panics
+    /// If the settings have fewer variables than the target has arguments, or more than
+    /// [`VARIABLES_MAX`](crate::induce::VARIABLES_MAX).
+    pub fn solve(
+        &self,
+        keep: impl Fn(usize) -> bool,
+        settings: &Settings,
+        progress: &(dyn Fn(Progress) + Sync),
+        cancel: &Cancel,
+    ) -> Solution {
+        let of = |is_positive: bool| -> Vec<Vec<u32>> {
+            let cases = self.cases.iter().enumerate();
+            let kept = cases.filter(|(index, case)| case.is_positive == is_positive && keep(*index));
+            kept.map(|(_, case)| case.head.clone()).collect()
         };
-        let rules = learn(examples, &settings, cancel).actions.swap_remove(0);
-        if cancel.requested() && best.is_some() {
-            break;
-        }
-        let is_single = rules.uncovered == 0 && rules.clauses.len() == 1;
-        if best.as_ref().is_none_or(|best| rank(&rules) < rank(&best.rules)) {
-            best = Some(Solution {
-                rules,
-                variables,
-                is_cut: false,
-            });
-        }
-        if is_single {
-            break;
+        Solution {
+            rules: learn_relational(&self.database, &of(true), &of(false), settings, progress, cancel),
+            is_cut: cancel.requested(),
         }
     }
-    let mut best = best.expect("there is at least one round");
-    best.is_cut = cancel.requested();
-    best
+
+    /// Returns whether a body holds in each example.
+    pub fn holds(&self, body: &Body) -> Vec<bool> {
+        let heads: Vec<Vec<u32>> = self.cases.iter().map(|case| case.head.clone()).collect();
+        derived(&self.database, body, &heads)
+    }
+
+    /// Returns the literals over the variables of a body that hold together with it in all of some examples, given by
+    /// their positions. With `negation`, negated ones are part of them.
+    pub fn undecided(&self, body: &Body, cases: &[usize], negation: bool) -> Vec<Literal> {
+        let heads: Vec<Vec<u32>> = cases.iter().map(|&case| self.cases[case].head.clone()).collect();
+        undecided(&self.database, body, &heads, negation)
+    }
+
+    /// Returns the facts of a predicate.
+    pub fn facts(&self, predicate: usize) -> impl Iterator<Item = Vec<&str>> {
+        let text = |constant: &u32| self.constants[*constant as usize].as_str();
+        self.database
+            .rows(predicate)
+            .map(move |row| row.iter().map(text).collect())
+    }
+}
+
+/// What [`Task::solve`] found.
+#[derive(Clone, Debug)]
+pub struct Solution {
+    /// The clauses of the target.
+    pub rules: ActionRules,
+    /// Whether the search stopped on cancellation.
+    pub is_cut: bool,
 }

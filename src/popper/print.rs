@@ -40,7 +40,7 @@ impl Task {
 
     /// Returns a literal as Prolog.
     pub fn literal(&self, literal: &Literal) -> String {
-        let name = &self.vocabulary.predicates()[literal.atom.predicate].name;
+        let name = &self.vocabulary().predicates()[literal.atom.predicate].name;
         let sign = if literal.is_negated { "\\+ " } else { "" };
         format!("{sign}{name}({})", variables(literal))
     }
@@ -48,9 +48,9 @@ impl Task {
     /// Returns clauses as a program of the Datalog engine. It has the facts of the task, so that it derives the target
     /// without further input. Names that the engine does not accept are changed.
     pub fn program(&self, rules: &ActionRules) -> TargetProgram {
-        let predicates = self.vocabulary.predicates();
+        let predicates = self.vocabulary().predicates();
         let mut taken = BTreeSet::new();
-        let target = free_name(&self.target, self.vocabulary.egos(), &mut taken);
+        let target = free_name(&self.target, self.vocabulary().egos(), &mut taken);
         let names: Vec<String> = (predicates.iter())
             .map(|predicate| free_name(&predicate.name, predicate.arity, &mut taken))
             .collect();
@@ -60,11 +60,11 @@ impl Task {
         let mut declarations = String::new();
         for predicate in used {
             declare(&mut declarations, &names[predicate], predicates[predicate].arity);
-            for row in &self.facts[predicate] {
-                fact(&mut declarations, &names[predicate], row);
+            for row in self.facts(predicate) {
+                fact(&mut declarations, &names[predicate], &row);
             }
         }
-        declare(&mut declarations, &target, self.vocabulary.egos());
+        declare(&mut declarations, &target, self.vocabulary().egos());
         let _ = writeln!(declarations, ".output {target}");
         // Positive literals bind all variables, also those of the head.
         let clause = |body: &Body| {
@@ -83,19 +83,19 @@ impl Task {
 
     /// Returns the variables of the head.
     fn head(&self) -> String {
-        VARIABLE_NAMES[..self.vocabulary.egos()].join(", ")
+        VARIABLE_NAMES[..self.vocabulary().egos()].join(", ")
     }
 
     /// Returns the literals of a body in an order in which a literal follows those that bind its inputs.
     fn ordered<'a>(&self, body: &'a Body) -> Vec<&'a Literal> {
         let (mut left, negated): (Vec<&Literal>, Vec<&Literal>) =
             body.0.iter().partition(|literal| !literal.is_negated);
-        let mut bound = (1_u64 << self.vocabulary.egos()) - 1;
+        let mut bound = (1_u64 << self.vocabulary().egos()) - 1;
         let mut ordered = Vec::new();
         while !left.is_empty() {
             let next = left
                 .iter()
-                .position(|literal| self.vocabulary.binds(&literal.atom, bound));
+                .position(|literal| self.vocabulary().binds(&literal.atom, bound));
             let literal = left.remove(next.unwrap_or(0));
             literal
                 .atom
@@ -123,7 +123,7 @@ fn declare(text: &mut String, name: &str, arity: usize) {
 }
 
 /// Adds a fact.
-fn fact(text: &mut String, name: &str, row: &[String]) {
+fn fact(text: &mut String, name: &str, row: &[&str]) {
     let constants: Vec<String> = row.iter().map(|constant| quoted(constant)).collect();
     let _ = writeln!(text, "{name}({}).", constants.join(", "));
 }

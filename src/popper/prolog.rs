@@ -3,6 +3,7 @@
 use crate::datalog::codes;
 use crate::diag::{self, Diagnostic, Faults, SourceId, Sources, Span};
 use crate::popper::tokens::{Token, is_word, tokens};
+use std::fmt;
 
 /// How deep terms may be nested.
 const DEPTH_MAX: usize = 100;
@@ -61,8 +62,11 @@ pub enum Directives {
 /// The comparisons that rules can use.
 const COMPARISONS: [&str; 10] = ["=", "\\=", "==", "\\==", "<", ">", "=<", ">=", "=:=", "=\\="];
 
+/// The comparisons of answer set programs.
+const COMPARISONS_OF_CONSTRAINTS: [&str; 6] = ["=", "!=", "<", ">", "<=", ">="];
+
 /// Operators with a meaning that function-free rules do not have, and its name.
-const OPERATORS: [(&str, &str); 13] = [
+const OPERATORS: [(&str, &str); 19] = [
     ("is", "arithmetic"),
     ("+", "arithmetic"),
     ("-", "arithmetic"),
@@ -76,6 +80,12 @@ const OPERATORS: [(&str, &str); 13] = [
     ("-->", "a grammar rule"),
     ("=..", "a term constructor"),
     ("^", "a quantifier"),
+    ("#=", "a constraint between integers"),
+    ("#\\=", "a constraint between integers"),
+    ("#<", "a constraint between integers"),
+    ("#>", "a constraint between integers"),
+    ("#=<", "a constraint between integers"),
+    ("#>=", "a constraint between integers"),
 ];
 
 /// Reads the clauses of a text. Reports all faults, and continues after each at the next clause.
@@ -85,6 +95,10 @@ pub fn parse(sources: &Sources, source: SourceId, directives: Directives, faults
         tokens: tokens(text, source),
         at: 0,
         end: Span::new(source, text.len()..text.len()),
+        comparisons: match directives {
+            Directives::Goals => &COMPARISONS,
+            Directives::Constraints => &COMPARISONS_OF_CONSTRAINTS,
+        },
     };
     let mut clauses = Vec::new();
     while parser.at < parser.tokens.len() && !faults.full() {
@@ -108,6 +122,28 @@ fn print_atom(name: &str) -> String {
     }
 }
 
+impl Term {
+    /// Returns whether the term has no variables.
+    pub fn is_ground(&self) -> bool {
+        match &self.kind {
+            Kind::Variable(_) => false,
+            Kind::Constant(_) => true,
+            Kind::Compound(_, terms) | Kind::Tuple(terms) => terms.iter().all(Term::is_ground),
+        }
+    }
+}
+
+impl fmt::Display for Term {
+    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        let list = |terms: &[Term]| terms.iter().map(Term::to_string).collect::<Vec<_>>().join(",");
+        match &self.kind {
+            Kind::Variable(name) | Kind::Constant(name) => f.write_str(name),
+            Kind::Compound(name, terms) => write!(f, "{name}({})", list(terms)),
+            Kind::Tuple(terms) => write!(f, "({},)", list(terms)),
+        }
+    }
+}
+
 fn escape(content: &str) -> String {
     content.replace('\\', "\\\\").replace('\n', "\\n").replace('\t', "\\t")
 }
@@ -117,6 +153,7 @@ struct Parser {
     at: usize,
     /// The end of the text.
     end: Span,
+    comparisons: &'static [&'static str],
 }
 
 impl Parser {
@@ -252,7 +289,7 @@ impl Parser {
         let is_negated = self.takes_name("\\+");
         let left = self.term(0)?;
         if let Some(Token::Name(name, false)) = self.peek()
-            && let Some(operator) = COMPARISONS.iter().find(|operator| *operator == name)
+            && let Some(operator) = self.comparisons.iter().find(|operator| *operator == name)
         {
             self.at += 1;
             let right = self.term(0)?;

@@ -151,17 +151,16 @@ pub fn popper(bytes: &[u8]) {
         let (task, diagnostics) = popper::read(&sources, &files, &options);
         assert_eq!(task.is_none(), diagnostics.iter().any(Diagnostic::is_error));
         draw(&diagnostics, &sources);
-        let Some(task) = task.filter(|task| task.cases.len() <= SMALL && task.vocabulary.predicates().len() <= SMALL)
+        let Some(task) = task.filter(|task| task.cases.len() <= SMALL && task.vocabulary().predicates().len() <= SMALL)
         else {
             continue;
         };
         let settings = Settings {
-            variables: task.variables.min(task.vocabulary.egos() + 1),
+            variables: task.variables.min(task.vocabulary().egos() + 1),
             nodes: 100,
             ..task.settings()
         };
-        let (examples, _) = task.examples(|_| true);
-        let solution = popper::solve(&task.vocabulary, &examples, &settings, &Cancel::never());
+        let solution = task.solve(|_| true, &settings, &|_| (), &Cancel::never());
         let positive = task.cases.iter().filter(|case| case.is_positive).count();
         assert!(solution.rules.uncovered <= positive);
         assert_eq!(task.clauses(&solution.rules).len(), solution.rules.clauses.len());

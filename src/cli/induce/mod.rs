@@ -76,8 +76,9 @@ pub struct Arguments {
     /// Maximum number of steps of the search for one clause; without effect on examples with wrong actions (`--noise`)
     #[arg(long, value_name = "COUNT", value_parser = integer(1..=u32::MAX), default_value_t = Settings::default().nodes)]
     effort: u32,
-    /// Share of examples that may have a wrong action, from 0 to 0.4, or `auto` to estimate it. Without it, two
-    /// examples with the same facts and different actions are an error
+    /// Share of examples that may have a wrong action, from 0 to 0.4, or `auto` to estimate it; with `--popper`, in
+    /// `auto` an exception counts as much as a literal. Without it, two examples with the same facts and different
+    /// actions are an error
     #[arg(long, value_name = "RATE", value_parser = noise, conflicts_with_all = ASK_OPTIONS)]
     noise: Option<Noise>,
     /// Seed of the order in which the learner tries examples

@@ -9,10 +9,11 @@ use crate::cli::report::{plural, report};
 use crate::cli::signals;
 use crate::diag::{SourceId, Sources};
 use crate::files;
-use crate::induce::Settings;
-use crate::popper::{Files, Options, read, solve};
+use crate::induce::{Noise, Progress, Settings};
+use crate::popper::{Files, Options, read};
 use crate::sim::TICK_LIMITS;
 use crate::task::induction::TargetRules;
+use indicatif::{ProgressBar, ProgressStyle};
 use serde_json::json;
 use std::ffi::OsStr;
 use std::io::Write;
@@ -34,9 +35,7 @@ pub struct PopperOptions {
 }
 
 /// The options about a city, which a task in the format of Popper does not have, beside [`ASK_OPTIONS`].
-const CITY_OPTIONS: [&str; 9] = [
-    "data", "config", "rules", "split", "episodes", "test", "page", "order", "noise",
-];
+const CITY_OPTIONS: [&str; 8] = ["data", "config", "rules", "split", "episodes", "test", "page", "order"];
 
 pub fn run(arguments: &Arguments, folder: &Path, sources: &mut Sources) -> Result<(), Failure> {
     let options = &arguments.popper;
@@ -71,15 +70,24 @@ pub fn run(arguments: &Arguments, folder: &Path, sources: &mut Sources) -> Resul
         seed: arguments.seed,
         threads: arguments.threads,
         negation: options.negation,
+        noise: arguments.noise.unwrap_or(Noise::None),
         ..task.settings()
     };
     let cancel = signals::cancel();
-    let (examples, inseparable) = task.examples(|_| true);
     let begun = Instant::now();
-    let solution = solve(&task.vocabulary, &examples, &settings, &cancel);
+    let bar = ProgressBar::new(1);
+    let template = "{bar:30} {msg} {pos} of {len} positive examples";
+    bar.set_style(ProgressStyle::with_template(template).expect("a valid template"));
+    let progress = |progress: Progress| {
+        bar.set_length(progress.states as u64);
+        bar.set_position(progress.covered as u64);
+        bar.set_message(format!("{} clauses found,", progress.clauses));
+    };
+    let solution = task.solve(|_| true, &settings, &progress, &cancel);
+    bar.finish_and_clear();
     let learn_seconds = begun.elapsed().as_secs_f64();
 
-    let rules = TargetRules::new(&task, (&examples, inseparable), &solution, &settings);
+    let rules = TargetRules::new(&task, &solution, &settings);
     let lines = origin(folder, &settings, options);
     let text = match path.extension() == Some(OsStr::new("dl")) {
         true => rules.rule_file(&lines),
@@ -152,12 +160,13 @@ fn origin(folder: &Path, settings: &Settings, options: &PopperOptions) -> [Strin
             files::portable_name(&folder.display().to_string())
         ),
         format!(
-            "At most {} variables, {} per search, seed {}{}{}.",
+            "At most {} variables, {} per search, seed {}{}{}{}.",
             settings.variables,
             plural(settings.nodes as usize, "step"),
             settings.seed,
             if options.negation { ", negated literals" } else { "" },
             if options.closed_world { ", closed world" } else { "" },
+            if settings.noise == Noise::None { "" } else { ", noise" },
         ),
     ]
 }

@@ -1,7 +1,7 @@
 //! Rules learned from a task in the format of Popper: as Prolog, as a rule file and as JSON.
 
 use crate::diag::Diagnostic;
-use crate::induce::{ClauseSupport, Constraints, Examples, LearnedRules, Literal, Settings, Support, support};
+use crate::induce::{ClauseSupport, Noise, Settings};
 use crate::popper::{Solution, Task};
 use crate::task::induction::codes;
 use crate::task::induction::text::{comment, few, listed, plural};
@@ -12,51 +12,51 @@ use serde_json::{Value, json};
 pub struct TargetRules<'a> {
     task: &'a Task,
     solution: &'a Solution,
-    support: Support,
+    support: Vec<ClauseSupport>,
     /// For positive and negative examples, those for which the clauses derive the target, and all.
     counts: [[usize; 2]; 2],
-    /// The number of positive examples that equal a negative one.
-    inseparable: usize,
     /// The first positive example that the clauses do not derive.
     first_uncovered: Option<usize>,
     settings: &'a Settings,
 }
 
 impl TargetRules<'_> {
-    /// Evaluates the solution of a task on its examples: those of [`Task::examples`], with the number of inseparable
-    /// ones.
-    pub fn new<'a>(
-        task: &'a Task,
-        (examples, inseparable): (&Examples, usize),
-        solution: &'a Solution,
-        settings: &'a Settings,
-    ) -> TargetRules<'a> {
-        let learned = LearnedRules {
-            actions: vec![solution.rules.clone()],
-            is_complete: !solution.is_cut,
-            ..LearnedRules::default()
-        };
-        let states: Vec<_> = task.cases.iter().map(|case| &case.state).collect();
+    /// Evaluates the solution of a task on its examples.
+    pub fn new<'a>(task: &'a Task, solution: &'a Solution, settings: &'a Settings) -> TargetRules<'a> {
+        let clauses = &solution.rules.clauses;
+        let holds: Vec<Vec<bool>> = clauses.iter().map(|clause| task.holds(&clause.body)).collect();
         let (mut counts, mut first_uncovered) = ([[0; 2]; 2], None);
-        for (number, (case, action)) in task
-            .cases
-            .iter()
-            .zip(learned.decide(&task.vocabulary, &states))
-            .enumerate()
-        {
+        // For each clause, the positive examples that it alone derives.
+        let mut alone: Vec<Vec<usize>> = vec![Vec::new(); clauses.len()];
+        for (number, case) in task.cases.iter().enumerate() {
+            let deriving: Vec<usize> = (0..clauses.len()).filter(|&clause| holds[clause][number]).collect();
             let [derived, all] = &mut counts[usize::from(!case.is_positive)];
-            *derived += usize::from(action == 0);
+            *derived += usize::from(!deriving.is_empty());
             *all += 1;
-            if case.is_positive && action != 0 {
+            if case.is_positive && deriving.is_empty() {
                 first_uncovered = first_uncovered.or(Some(number));
             }
+            if let ([only], true) = (deriving.as_slice(), case.is_positive) {
+                alone[*only].push(number);
+            }
         }
+        let explained = |holds: &Vec<bool>| {
+            (holds.iter().zip(&task.cases))
+                .filter(|(holds, case)| **holds && case.is_positive)
+                .count()
+        };
+        let support = (clauses.iter().zip(&holds).zip(&alone)).map(|((clause, holds), alone)| ClauseSupport {
+            examples: explained(holds) as u64,
+            alone: alone.len() as u64,
+            first: alone.first().map(|&number| number as u64),
+            undecided: task.undecided(&clause.body, alone, settings.negation),
+            ..ClauseSupport::default()
+        });
         TargetRules {
+            support: support.collect(),
             task,
             solution,
-            support: support(examples, &learned, &Constraints::default()),
             counts,
-            inseparable,
             first_uncovered,
             settings,
         }
@@ -70,8 +70,11 @@ impl TargetRules<'_> {
         )
     }
 
-    /// Returns an error if the clauses do not derive all positive examples.
+    /// Returns an error if the clauses do not derive all positive examples, although none of them may be wrong.
     pub fn shortfall(&self) -> Option<Diagnostic> {
+        if self.settings.noise != Noise::None {
+            return None;
+        }
         let [[derived, all], _] = self.counts;
         let message = format!("the clauses do not derive {} of {all} positive examples", all - derived);
         let first = self.task.example(self.first_uncovered?);
@@ -109,7 +112,7 @@ impl TargetRules<'_> {
             text.push('\n');
             text.push_str(declarations);
         }
-        for (clause, support) in clauses.iter().zip(&self.support.clauses) {
+        for (clause, support) in clauses.iter().zip(&self.support) {
             text.push('\n');
             for line in self.remarks(support) {
                 comment(&mut text, mark, &line);
@@ -122,33 +125,19 @@ impl TargetRules<'_> {
 
     /// Returns sentences about the whole result.
     fn summary(&self) -> Vec<String> {
-        let Solution { rules, is_cut, .. } = self.solution;
-        let states = plural(self.support.states as u64, "distinct state", "distinct states");
-        let mut lines = vec![
-            format!("{} in {states}.", plural(self.support.examples, "example", "examples")),
-            self.outcome(),
-        ];
-        if self.inseparable > 0 {
-            lines.push(format!(
-                "{} the same facts as a negative one, so that no clause can separate them.",
-                plural(
-                    self.inseparable as u64,
-                    "positive example has",
-                    "positive examples have"
-                )
-            ));
-        }
-        if rules.uncovered > 0 {
+        let Solution { rules, is_cut } = self.solution;
+        let mut lines = vec![self.outcome()];
+        if rules.uncovered > 0 && self.settings.noise == Noise::None {
             lines.push(format!(
                 "No clause with at most {} variables separates {} from the negative examples.",
                 self.settings.variables,
-                plural(rules.uncovered as u64, "positive state", "positive states")
+                plural(rules.uncovered as u64, "positive example", "positive examples")
             ));
         }
         if *is_cut {
             lines.push("The learner was interrupted: there may be better clauses.".to_owned());
         }
-        if !rules.clauses.is_empty() {
+        if !rules.clauses.is_empty() && self.settings.noise == Noise::None {
             let is_best = rules.clauses.iter().all(|clause| clause.is_best);
             lines.push(match (rules.is_cheapest, is_best) {
                 (true, true) => "No cheaper set of the clauses found covers the examples.".to_owned(),
@@ -171,8 +160,9 @@ impl TargetRules<'_> {
         };
         let mut lines = vec![first];
         lines.extend(few(support));
-        let undecided: Vec<String> = self
-            .undecided(support)
+        let undecided: Vec<String> = support
+            .undecided
+            .iter()
             .map(|literal| self.task.literal(literal))
             .collect();
         if !undecided.is_empty() {
@@ -186,49 +176,35 @@ impl TargetRules<'_> {
         self.task.example(usize::try_from(number).unwrap_or(usize::MAX))
     }
 
-    /// Returns the literals that clauses of this search could have, and that hold in each state that a clause alone
-    /// explains.
-    fn undecided<'b>(&self, support: &'b ClauseSupport) -> impl Iterator<Item = &'b Literal> {
-        let negation = self.settings.negation;
-        (support.undecided.iter()).filter(move |literal| negation || !literal.is_negated)
-    }
-
     /// Returns the clauses and their support as JSON.
     pub fn report(&self) -> Value {
-        let Solution {
-            rules,
-            variables,
-            is_cut,
-        } = self.solution;
+        let Solution { rules, is_cut } = self.solution;
         let [[positive, positives], [negative, negatives]] = self.counts;
         let clauses = self
             .task
             .clauses(rules)
             .into_iter()
             .zip(&rules.clauses)
-            .zip(&self.support.clauses);
+            .zip(&self.support);
         let clauses = clauses.map(|((text, clause), support)| {
             json!({
                 "clause": text,
                 "examples": support.examples,
-                "states": support.states,
                 "alone": support.alone,
-                "alone_states": support.alone_states,
                 "first": support.first.map(|first| self.example(first)),
                 "is_best": clause.is_best,
-                "undecided": self.undecided(support).map(|literal| self.task.literal(literal)).collect::<Vec<_>>(),
+                "undecided": support.undecided.iter().map(|literal| self.task.literal(literal)).collect::<Vec<_>>(),
             })
         });
         json!({
-            "target": format!("{}/{}", self.task.target, self.task.vocabulary.egos()),
+            "target": format!("{}/{}", self.task.target, self.task.vocabulary().egos()),
             "positive": positives,
             "negative": negatives,
             "true_positives": positive,
             "false_positives": negative,
-            "states": self.support.states,
-            "variables": variables,
+            "variables": self.settings.variables,
             "negation": self.settings.negation,
-            "inseparable": self.inseparable,
+            "noise": self.settings.noise != Noise::None,
             "complete": !is_cut,
             "is_cheapest": rules.is_cheapest,
             "uncovered": rules.uncovered,
