@@ -127,9 +127,9 @@ def test_programs_have_an_exit_code_and_their_output() -> None:
     assert missing.code == 127 and missing.log.startswith("cannot run `/no/such/program`: ")
     assert run_program([sys.executable, "-c", "print(input())"]).code == 1  # standard input is empty
     states: list[Running] = []
-    words = [sys.executable, "-c", "import time; print('begun\\n\\nhal', end='', flush=True); time.sleep(600)"]
+    words = [sys.executable, "-c", "import time; print('begun\\n\\n***\\nhal', end='', flush=True); time.sleep(600)"]
     late = run_program(words, timeout=3.0, watch=states.append)
-    assert late.code is None and late.output == "begun\n\nhal"
+    assert late.code is None and late.output == "begun\n\n***\nhal"
     assert states[-1].line == "begun" and 2.5 < states[-1].seconds < 60
     assert [state.seconds for state in states] == sorted(state.seconds for state in states)
 

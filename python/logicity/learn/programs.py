@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import os
+import re
 import selectors
 import signal
 import subprocess
@@ -52,7 +53,8 @@ class Running(NamedTuple):
 
     Attributes:
         seconds: The time since its start.
-        line: The last whole line that it printed, shortened to `LINE` characters; an empty text if there is none.
+        line: The last whole line with a word that it printed, shortened to `LINE` characters; an empty text if there is
+            none.
     """
 
     seconds: float
@@ -132,9 +134,9 @@ def _observed(process: subprocess.Popen[bytes], timeout: float | None, watch: Ca
 
 
 def _last_line(chunk: bytes) -> str:
-    """Return the last line of a chunk that has its end there and is not empty, shortened."""
+    """Return the last line of a chunk that has its end there and a word of three letters, shortened."""
     lines = chunk.decode(errors="replace").split("\n")[:-1]
-    return next((line.strip()[:LINE] for line in reversed(lines) if line.strip()), "")
+    return next((line.strip()[:LINE] for line in reversed(lines) if re.search("[A-Za-z]{3}", line)), "")
 
 
 def _kill(process: subprocess.Popen[bytes]) -> None:
