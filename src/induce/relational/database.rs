@@ -1,6 +1,7 @@
 //! Facts about constants, indexed for joins, and the evaluation of conjunctions.
 
 use crate::cancel::Cancel;
+use crate::induce::bits::{self, Bits};
 use crate::induce::vocabulary::{ARITY_MAX, Atom, Body, Link, Literal, VARIABLES_MAX, Vocabulary};
 use smallvec::SmallVec;
 
@@ -333,12 +334,7 @@ impl Database {
             steps: 0,
             cancel,
         };
-        let all = if literals.len() == 64 {
-            u64::MAX
-        } else {
-            (1 << literals.len()) - 1
-        };
-        join.holds(all).then_some(join.binding)
+        join.holds(bits::full(literals.len())).then_some(join.binding)
     }
 
     /// Returns the binding of the variables of a head.
@@ -378,17 +374,17 @@ struct Join<'a> {
 
 impl Join<'_> {
     /// Returns whether the literals of a set hold for an extension of the binding, which then is in `binding`.
-    fn holds(&mut self, mut left: u64) -> bool {
+    fn holds(&mut self, mut left: Bits) -> bool {
         self.steps = self.steps.wrapping_add(1);
         if self.steps.is_multiple_of(POLL_STEPS) && self.cancel.requested() {
             return false;
         }
         let (database, literals) = (self.database, self.literals);
         let mut best: Option<(usize, &[u32])> = None;
-        let mut rest = left;
-        while rest != 0 {
-            let at = rest.trailing_zeros() as usize;
-            rest &= rest - 1;
+        for at in 0..literals.len() {
+            if !bits::contains(&left, at) {
+                continue;
+            }
             let (atom, is_positive) = literals[at];
             if atom
                 .arguments
@@ -398,7 +394,7 @@ impl Join<'_> {
                 if database.is_true(atom, &self.binding) != is_positive {
                     return false;
                 }
-                left &= !(1 << at);
+                bits::remove(&mut left, at);
             } else if is_positive
                 && let Some(rows) = shortest(&database.tables[atom.predicate], atom, &self.binding)
                 && best.is_none_or(|(_, least)| rows.len() < least.len())
@@ -406,7 +402,7 @@ impl Join<'_> {
                 best = Some((at, rows));
             }
         }
-        if left == 0 {
+        if bits::count(&left) == 0 {
             return true;
         }
         let all: Vec<u32>;
@@ -414,7 +410,7 @@ impl Join<'_> {
             Some(best) => best,
             // No variable of the positive literals left is bound, as with a predicate that binds from nothing.
             None => {
-                let Some(at) = (0..literals.len()).find(|&at| left >> at & 1 == 1 && literals[at].1) else {
+                let Some(at) = bits::elements(&left).find(|&at| literals[at].1) else {
                     return false;
                 };
                 all = (0..database.tables[literals[at].0.predicate].len() as u32).collect();
@@ -422,6 +418,7 @@ impl Join<'_> {
             }
         };
         let atom = literals[at].0;
+        bits::remove(&mut left, at);
         let before = self.binding;
         for &number in rows {
             let row = database.tables[atom.predicate].row(number);
@@ -429,7 +426,7 @@ impl Join<'_> {
                 for (&variable, &constant) in atom.arguments.iter().zip(row) {
                     self.binding[usize::from(variable)] = constant;
                 }
-                if self.holds(left & !(1 << at)) {
+                if self.holds(left.clone()) {
                     return true;
                 }
                 self.binding = before;

@@ -180,6 +180,34 @@ fn linked_sets(
     sets
 }
 
+/// Each negative example lacks one of the facts of the positive one, so a clause needs them all.
+#[test]
+fn clauses_can_have_more_literals_than_a_word_has_bits() {
+    const LITERALS: u32 = 100;
+    let predicate = |index| Predicate {
+        name: format!("p{index}"),
+        arity: 1,
+        is_symmetric: false,
+    };
+    let vocabulary = Vocabulary::new((0..LITERALS).map(predicate).collect(), 1, None);
+    let vocabulary = vocabulary.linked(vec![Link::Any; LITERALS as usize]);
+    let others = |index| (0..=LITERALS).filter(move |constant| *constant != index + 1);
+    let rows: Vec<Vec<Vec<u32>>> = (0..LITERALS)
+        .map(|index| others(index).map(|constant| vec![constant]).collect())
+        .collect();
+    let one = vec![vec![0]; LITERALS as usize];
+    let pinned = vec![vec![None]; LITERALS as usize];
+    let database = Database::new(vocabulary, &rows, vec![0; LITERALS as usize + 1], one, pinned);
+    let negative: Vec<Vec<u32>> = (1..=LITERALS).map(|constant| vec![constant]).collect();
+    let settings = Settings {
+        variables: 1,
+        ..Settings::default()
+    };
+    let rules = learn_relational(&database, &[vec![0]], &negative, &settings, &|_| (), &Cancel::never());
+    assert_eq!((rules.clauses.len(), rules.uncovered), (1, 0));
+    assert_eq!(rules.clauses[0].body.0.len(), LITERALS as usize);
+}
+
 #[test]
 fn choices_are_the_linked_sets_of_constants() {
     let mut found = 0;
