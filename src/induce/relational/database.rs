@@ -381,11 +381,10 @@ impl Join<'_> {
         }
         let (database, literals) = (self.database, self.literals);
         let mut best: Option<(usize, &[u32])> = None;
-        for at in 0..literals.len() {
+        for (at, &(atom, is_positive)) in literals.iter().enumerate() {
             if !bits::contains(&left, at) {
                 continue;
             }
-            let (atom, is_positive) = literals[at];
             if atom
                 .arguments
                 .iter()
