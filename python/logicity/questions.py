@@ -231,7 +231,7 @@ def load_questions(path: str | os.PathLike[str]) -> list[Question]:
         ValueError: If the file is not an output of `logicity questions`. The message names the line.
     """
     questions: dict[str, Question] = {}
-    folder = Path(path).parent
+    folder = Path(checked_path("path", path)).parent
     for place, line in _lines(path):
         if line.get("version", 1) not in VERSIONS:
             raise ValueError(
