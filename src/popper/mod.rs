@@ -334,8 +334,7 @@ impl Task {
     /// Learns clauses from the examples whose positions `keep` selects. `progress` receives the state of the learner.
     ///
     /// # Panics
-    /// If the settings have fewer variables than the target has arguments, or more than
-    /// [`VARIABLES_MAX`](crate::induce::VARIABLES_MAX).
+    /// If the settings have fewer variables than the target has arguments, or more than [`VARIABLES_MAX`].
     pub fn solve(
         &self,
         keep: impl Fn(usize) -> bool,
