@@ -11,6 +11,7 @@ mod bits;
 mod constraints;
 mod cover;
 mod examples;
+mod hitting_set;
 mod learner;
 mod noise;
 mod problem;

@@ -51,6 +51,14 @@ fn string(value: &Value) -> &str {
     value.as_str().unwrap()
 }
 
+/// Adds an atom such as `, Sees(Entity_1, Entity_2)` to the facts of its predicate.
+fn add_atom<'a>(facts: &mut BTreeMap<&'a str, Vec<Vec<&'a str>>>, atom: &'a str) {
+    let atom = atom.trim_start_matches(", ").trim_end_matches(')');
+    let (name, arguments) = atom.split_once('(').unwrap();
+    let rows = facts.get_mut(name).expect("a listed predicate");
+    rows.push(arguments.split(", ").collect());
+}
+
 /// Parses the text of a question as a scene, as an evaluated model must.
 fn read(question: &str) -> Value {
     let line = |prefix: &str| {
@@ -70,15 +78,7 @@ fn read(question: &str) -> Value {
         .filter(|line| line.ends_with(')'))
         .flat_map(|line| line.split_inclusive(')'))
     {
-        let (name, arguments) = atom
-            .trim_start_matches(", ")
-            .trim_end_matches(')')
-            .split_once('(')
-            .unwrap();
-        facts
-            .get_mut(name)
-            .expect("a listed predicate")
-            .push(arguments.split(", ").collect());
+        add_atom(&mut facts, atom);
     }
     let ego = line("Which action does ").strip_suffix(" take next?").unwrap();
     json!({"entities": entities, "ego": ego, "facts": facts})
@@ -109,15 +109,7 @@ fn read_paper(question: &str) -> Value {
         .collect();
     let listed = between("provided, assume the rest are False): ", ". What is the next action");
     for atom in listed.split_inclusive(')') {
-        let (name, arguments) = atom
-            .trim_start_matches(", ")
-            .trim_end_matches(')')
-            .split_once('(')
-            .unwrap();
-        facts
-            .get_mut(name)
-            .expect("a listed predicate")
-            .push(arguments.split(", ").collect());
+        add_atom(&mut facts, atom);
     }
     let sees = facts.get_mut("Sees").unwrap();
     assert!(sees.iter().all(|row| row[0] != row[1]), "{question}");

@@ -291,20 +291,25 @@ fn print_summary(
     Ok(())
 }
 
+/// Returns the progress bar of a search over examples, here called `examples`.
+fn search_bar(examples: &str) -> ProgressBar {
+    let bar = ProgressBar::new(1);
+    let template = format!("{{bar:30}} {{msg}} {{pos}} of {{len}} {examples}");
+    bar.set_style(ProgressStyle::with_template(&template).expect("a valid template"));
+    bar
+}
+
+/// Shows the progress of a search.
+fn show(bar: &ProgressBar, progress: Progress, action: &str) {
+    bar.set_length(progress.states as u64);
+    bar.set_position(progress.covered as u64);
+    bar.set_message(format!("{action}{} clauses found,", progress.clauses));
+}
+
 /// Learns from examples alone.
 fn learn(task: &InductionTask, examples: &Examples, settings: &Settings, cancel: &Cancel) -> LearnedRules {
-    let bar = ProgressBar::new(1);
-    let template = "{bar:30} {msg} {pos} of {len} states";
-    bar.set_style(ProgressStyle::with_template(template).expect("a valid template"));
-    let progress = |progress: Progress| {
-        bar.set_length(progress.states as u64);
-        bar.set_position(progress.covered as u64);
-        bar.set_message(format!(
-            "{}: {} clauses found,",
-            task.actions()[progress.action].name(),
-            progress.clauses
-        ));
-    };
+    let bar = search_bar("states");
+    let progress = |progress: Progress| show(&bar, progress, &format!("{}: ", task.actions()[progress.action].name()));
     let learned = learn_with(examples, settings, &progress, cancel);
     bar.finish_and_clear();
     learned

@@ -1,8 +1,8 @@
 //! `logicity induce --popper`: learns the target of a task in the format of Popper.
 
 use crate::cli::failure::Failure;
-use crate::cli::induce::Arguments;
 use crate::cli::induce::ask::ASK_OPTIONS;
+use crate::cli::induce::{Arguments, search_bar, show};
 use crate::cli::inputs::{Inputs, unreadable};
 use crate::cli::outputs::{finish, is_stdout, messages, print_others, unwritable};
 use crate::cli::report::{plural, report};
@@ -13,7 +13,6 @@ use crate::induce::{Noise, Progress, Settings};
 use crate::popper::{Files, Options, read};
 use crate::sim::TICK_LIMITS;
 use crate::task::induction::TargetRules;
-use indicatif::{ProgressBar, ProgressStyle};
 use serde_json::json;
 use std::ffi::OsStr;
 use std::io::Write;
@@ -75,14 +74,8 @@ pub fn run(arguments: &Arguments, folder: &Path, sources: &mut Sources) -> Resul
     };
     let cancel = signals::cancel();
     let begun = Instant::now();
-    let bar = ProgressBar::new(1);
-    let template = "{bar:30} {msg} {pos} of {len} positive examples";
-    bar.set_style(ProgressStyle::with_template(template).expect("a valid template"));
-    let progress = |progress: Progress| {
-        bar.set_length(progress.states as u64);
-        bar.set_position(progress.covered as u64);
-        bar.set_message(format!("{} clauses found,", progress.clauses));
-    };
+    let bar = search_bar("positive examples");
+    let progress = |progress: Progress| show(&bar, progress, "");
     let solution = task.solve(|_| true, &settings, &progress, &cancel);
     bar.finish_and_clear();
     let learn_seconds = begun.elapsed().as_secs_f64();

@@ -89,8 +89,8 @@ pub fn derived(database: &Database, body: &Body, heads: &[Vec<u32>]) -> Vec<bool
     (0..heads.len()).map(|case| bits::contains(&covered, case)).collect()
 }
 
-/// Returns the literals over the variables of a body that hold together with it in all of some examples, of which there
-/// is at least one. With `negation`, negated ones are part of them.
+/// Returns the literals over the variables of a body that can join it: with each of them, it still holds in all of the
+/// examples. There are none without an example. With `negation`, negated literals are part of them.
 pub fn undecided(database: &Database, body: &Body, heads: &[Vec<u32>], negation: bool) -> Vec<Literal> {
     let Some(first) = heads.first() else {
         return Vec::new();

@@ -7,14 +7,13 @@
 
 use crate::cancel::Cancel;
 use crate::induce::bits::{self, Bits};
+use crate::induce::hitting_set::{Exclusions, Node, body, shortened};
 use crate::induce::relational::bottom::Bottom;
 use crate::induce::relational::database::{Binding, Database};
 use crate::induce::search::{EXAMPLE, FoundClause};
-use crate::induce::vocabulary::{Atom, Body, LITERAL_COST, Literal, cost};
+use crate::induce::vocabulary::{Atom, Body, LITERAL_COST, cost};
 use smallvec::SmallVec;
-use std::cmp::{Ordering, Reverse};
 use std::collections::BinaryHeap;
-use std::rc::Rc;
 
 /// The negative rows that become known when a clause holds in some.
 const REFUTATIONS: usize = 4;
@@ -41,49 +40,15 @@ pub struct Found {
     pub refuting: Vec<u32>,
 }
 
-struct Node {
-    /// An upper bound of the score of each extension.
-    bound: i64,
-    /// Position in the order of creation, to break ties.
-    number: u32,
-    chosen: Bits,
-    banned: Bits,
-    /// The open examples that the clause covers.
-    covered: Rc<Vec<u32>>,
-    /// The rows in which no chosen literal is false, of the first `compared` ones.
-    open: Vec<u32>,
-    compared: usize,
-}
-
-impl PartialEq for Node {
-    fn eq(&self, other: &Self) -> bool {
-        self.cmp(other) == Ordering::Equal
-    }
-}
-
-impl Eq for Node {}
-
-impl PartialOrd for Node {
-    fn partial_cmp(&self, other: &Self) -> Option<Ordering> {
-        Some(self.cmp(other))
-    }
-}
-
-impl Ord for Node {
-    fn cmp(&self, other: &Self) -> Ordering {
-        self.bound.cmp(&other.bound).then(other.number.cmp(&self.number))
-    }
-}
-
 /// The search for the best clause of a choice.
 pub struct BottomSearch<'a> {
     database: &'a Database,
     bottom: &'a Bottom,
     cases: &'a Cases<'a>,
-    /// A clause with this score or a lower one is of no use.
+    /// The search ignores clauses whose score is not above this one.
     least: i64,
     /// For each known negative row, the literals that are false there.
-    exclusions: Vec<Bits>,
+    exclusions: Exclusions,
     refuting: Vec<u32>,
     cancel: &'a Cancel,
 }
@@ -102,7 +67,7 @@ impl<'a> BottomSearch<'a> {
             bottom,
             cases,
             least,
-            exclusions: Vec::new(),
+            exclusions: Exclusions::default(),
             refuting: Vec::new(),
             cancel,
         }
@@ -125,26 +90,18 @@ impl<'a> BottomSearch<'a> {
         }
         let literals = self.bottom.atoms.len();
         let mut heap = BinaryHeap::new();
-        heap.push(Node {
-            bound: i64::MAX,
-            number: 0,
-            chosen: bits::empty(literals),
-            banned: bits::empty(literals),
-            covered: Rc::new(self.cases.open.to_vec()),
-            open: Vec::new(),
-            compared: 0,
-        });
+        heap.push(Node::root(literals, self.cases.open.to_vec()));
         let mut number = 0;
         while let Some(mut node) = heap.pop() {
             if self.cancel.requested() || node.bound <= self.least {
                 return None;
             }
-            self.compare(&mut node);
+            self.exclusions.compare(&mut node);
             if node.open.is_empty() {
                 if self.is_safe(&node.chosen) && !self.refute(&node.chosen)? {
                     return Some(self.finish(&node.chosen, true));
                 }
-                self.compare(&mut node);
+                self.exclusions.compare(&mut node);
                 if node.open.is_empty() {
                     let binders = self.binders(&node.chosen, &node.banned);
                     self.branch(&mut heap, &node, &binders, &mut number);
@@ -154,20 +111,7 @@ impl<'a> BottomSearch<'a> {
             if number > nodes {
                 return self.complete(node);
             }
-            let choices = |at: u32| -> Bits {
-                let exclusion = &self.exclusions[at as usize];
-                exclusion
-                    .iter()
-                    .zip(&node.banned)
-                    .map(|(exclusion, banned)| exclusion & !banned)
-                    .collect()
-            };
-            let hardest = node
-                .open
-                .iter()
-                .map(|&at| choices(at))
-                .min_by_key(|choices| bits::count(choices));
-            if let Some(choices) = hardest {
+            if let Some(choices) = self.exclusions.hardest(&node) {
                 self.branch(&mut heap, &node, &choices, &mut number);
             }
         }
@@ -180,8 +124,7 @@ impl<'a> BottomSearch<'a> {
         if bits::count(&exclusion) == 0 {
             return None;
         }
-        let is_subset = |small: &Bits, large: &Bits| small.iter().zip(large).all(|(small, large)| small & !large == 0);
-        if !self.exclusions.iter().any(|known| is_subset(known, &exclusion)) {
+        if !self.exclusions.imply(0, &exclusion) {
             self.exclusions.push(exclusion);
         }
         Some(())
@@ -209,27 +152,15 @@ impl<'a> BottomSearch<'a> {
         Some(count > 0)
     }
 
-    /// Finds the rows since the last comparison in which no chosen literal is false.
-    fn compare(&self, node: &mut Node) {
-        for (at, exclusion) in self.exclusions.iter().enumerate().skip(node.compared) {
-            if !bits::intersects(exclusion, &node.chosen) {
-                node.open.push(at as u32);
-            }
-        }
-        node.compared = self.exclusions.len();
-    }
-
     /// Adds a node for each of the literals. Each bans those before it.
-    fn branch(&self, heap: &mut BinaryHeap<Node>, node: &Node, choices: &Bits, number: &mut u32) {
+    fn branch(&self, heap: &mut BinaryHeap<Node<Vec<u32>>>, node: &Node<Vec<u32>>, choices: &Bits, number: &mut u32) {
         let mut banned = node.banned.clone();
         for literal in bits::elements(choices) {
             if self.cancel.requested() {
                 return;
             }
-            let open: Vec<u32> = (node.open.iter().copied())
-                .filter(|&at| !bits::contains(&self.exclusions[at as usize], literal))
-                .collect();
-            if let Some(further) = self.fewest(&open, &banned) {
+            let open = self.exclusions.left(&node.open, literal);
+            if let Some(further) = self.exclusions.fewest(&open, &banned) {
                 *number += 1;
                 let mut chosen = node.chosen.clone();
                 bits::insert(&mut chosen, literal);
@@ -244,7 +175,7 @@ impl<'a> BottomSearch<'a> {
                             number: *number,
                             chosen,
                             banned: banned.clone(),
-                            covered: Rc::new(covered),
+                            covered,
                             open,
                             compared: node.compared,
                         });
@@ -273,29 +204,6 @@ impl<'a> BottomSearch<'a> {
             self.database.witness(&literals, &binding, self.cancel).is_some()
         };
         among.iter().copied().filter(covers).collect()
-    }
-
-    /// Returns a number of literals, none of them banned, that any clause needs to be false in some rows. `None` if no
-    /// clause is.
-    fn fewest(&self, open: &[u32], banned: &[u64]) -> Option<u32> {
-        let (mut seen, mut count) = (Bits::from_slice(banned), 0);
-        for &at in open {
-            let exclusion = &self.exclusions[at as usize];
-            if exclusion
-                .iter()
-                .zip(banned)
-                .all(|(exclusion, banned)| exclusion & !banned == 0)
-            {
-                return None;
-            }
-            let is_apart = (exclusion.iter().zip(&seen).zip(banned))
-                .all(|((exclusion, seen), banned)| exclusion & seen & !banned == 0);
-            if is_apart {
-                count += 1;
-                seen.iter_mut().zip(exclusion).for_each(|(seen, more)| *seen |= more);
-            }
-        }
-        Some(count)
     }
 
     fn cost(&self, chosen: &[u64]) -> u32 {
@@ -355,23 +263,14 @@ impl<'a> BottomSearch<'a> {
     }
 
     /// Completes a clause greedily: the literal that is false in the most rows comes first.
-    fn complete(&mut self, mut node: Node) -> Option<FoundClause> {
+    fn complete(&mut self, mut node: Node<Vec<u32>>) -> Option<FoundClause> {
         while !self.cancel.requested() {
-            while !node.open.is_empty() {
-                let mut gains = vec![0_u32; self.bottom.atoms.len()];
-                for &at in &node.open {
-                    bits::elements(&self.exclusions[at as usize]).for_each(|literal| gains[literal] += 1);
-                }
-                let best = (0..gains.len()).max_by_key(|&literal| (gains[literal], Reverse(literal)))?;
-                bits::insert(&mut node.chosen, best);
-                node.open
-                    .retain(|&at| !bits::contains(&self.exclusions[at as usize], best));
-            }
+            self.exclusions.meet(&mut node, self.bottom.atoms.len())?;
             if !self.is_safe(&node.chosen) {
                 let binders = self.binders(&node.chosen, &bits::empty(self.bottom.atoms.len()));
                 bits::insert(&mut node.chosen, bits::elements(&binders).next()?);
             } else if self.refute(&node.chosen)? {
-                self.compare(&mut node);
+                self.exclusions.compare(&mut node);
             } else {
                 return Some(self.finish(&node.chosen, false)).filter(|found| found.score > self.least);
             }
@@ -381,25 +280,11 @@ impl<'a> BottomSearch<'a> {
 
     /// Drops the literals that the clause does not need, negative ones first.
     fn finish(&mut self, chosen: &Bits, is_best: bool) -> FoundClause {
-        let mut chosen = chosen.clone();
-        let mut order: Vec<usize> = bits::elements(&chosen).collect();
-        order.sort_by_key(|&literal| (bits::contains(&self.bottom.seed, literal), literal));
-        for literal in order {
-            let mut less = chosen.clone();
-            bits::remove(&mut less, literal);
-            let is_false = self
-                .exclusions
-                .iter()
-                .all(|exclusion| bits::intersects(exclusion, &less));
-            if is_false && self.is_safe(&less) && self.refute(&less) == Some(false) {
-                chosen = less;
-            }
-        }
-        let literals = bits::elements(&chosen).map(|at| Literal {
-            is_negated: !bits::contains(&self.bottom.seed, at),
-            atom: self.bottom.atoms[at].clone(),
+        let bottom = self.bottom;
+        let chosen = shortened(chosen, &bottom.seed, |less| {
+            self.exclusions.are_met(less) && self.is_safe(less) && self.refute(less) == Some(false)
         });
-        let body = Body::normalized(literals.collect(), self.database.vocabulary());
+        let body = body(&chosen, &bottom.seed, &bottom.atoms, self.database.vocabulary());
         let counted = self.covered(&chosen, self.cases.open);
         let cost = body.cost(self.database.vocabulary());
         FoundClause {
