@@ -142,10 +142,12 @@ def _exchange(request: urllib.request.Request, connections: _Connections, second
         with opener.open(request, timeout=seconds) as response:
             text: bytes = response.read(most + 1)
     except urllib.error.HTTPError as error:
-        body = ""
-        # The server may not send it.
+        received = b""
+        # The server may not send it all: what came before a timeout is kept.
         with error, suppress(OSError, http.client.HTTPException, ValueError):
-            body = error.read(ERROR_BYTES).decode(errors="replace").strip()
+            while part := error.read1(ERROR_BYTES - len(received)):
+                received += part
+        body = received.decode(errors="replace").strip()
         reason = f"{error.code} {error.reason}" + (f": {body}" if body else "")
         if error.code in (408, 409, 425, 429) or error.code >= 500:
             raise RetryableError(reason, _seconds(error.headers.get("Retry-After"))) from None

@@ -3,7 +3,6 @@ from __future__ import annotations
 import json
 import random
 import threading
-import time
 from http.server import BaseHTTPRequestHandler
 from pathlib import Path
 from typing import Any
@@ -269,7 +268,7 @@ def test_transient_failures_are_retried(serve: Serve, tmp_path: Path) -> None:
                 say(handler, None if number == 8 else "B")
 
     server = serve(act)
-    endpoint = Endpoint(server.url, "stub", timeout=0.5, tries=8, pause=0.01)
+    endpoint = Endpoint(server.url, "stub", timeout=1, tries=8, pause=0.01)
     watched: list[int] = []
     answers = ask(made_up(3), endpoint, tmp_path / "replies.jsonl", watched.append)
     stalled.set()
@@ -310,13 +309,18 @@ def test_invalid_responses_are_retried(response: bytes, message: str, serve: Ser
 
 
 def test_the_body_of_an_error_may_stall(serve: Serve) -> None:
+    ended = threading.Event()
+
     def act(handler: BaseHTTPRequestHandler, number: int, body: dict[str, Any]) -> None:
         handler.wfile.write(b"HTTP/1.1 400 Bad Request\r\nContent-Length: 100\r\n\r\n{")
         handler.wfile.flush()
-        time.sleep(1.0)
+        ended.wait(60)
 
-    with pytest.raises(ConnectionError, match=r"rejects the request: 400 Bad Request: \{$"):
-        Endpoint(serve(act).url, "stub", timeout=0.2).reply([])
+    try:
+        with pytest.raises(ConnectionError, match=r"rejects the request: 400 Bad Request: \{$"):
+            Endpoint(serve(act).url, "stub", timeout=1).reply([])
+    finally:
+        ended.set()
 
 
 def test_the_query_of_a_url_is_kept(serve: Serve) -> None:
