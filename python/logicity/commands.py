@@ -19,7 +19,7 @@ import numpy as np
 
 from . import _logicity
 from .errors import InputError, UntrustedError
-from .evaluation import Benchmark, Evaluation, Interval, Policy, Progress, Shape, model_shape, table
+from .evaluation import Benchmark, Evaluation, Interval, Policy, Progress, Shape, action_table, model_shape, table
 from .files import check_writable, write_json
 from .modes import ENVIRONMENTS, checked_mode
 from .signals import ending_on_signals
@@ -139,6 +139,12 @@ def _add_evaluate(parser: argparse.ArgumentParser) -> _Command:
         help="the kind of observation; default: that of the model, or groundings",
     )
     _add_json(parser, "write the results, with one record per episode")
+    add(
+        "--by-action",
+        action="store_true",
+        help="also print, for each action, the share of steps in which the policy chose it and in which the rules "
+        "required it, and its DSR",
+    )
     add("--traces", type=Path, metavar="FOLDER", help="write one trace per episode into one folder per mode")
     return _evaluate
 
@@ -562,6 +568,8 @@ def _evaluate(given: argparse.Namespace) -> int:
         # An error must not hide the results of the modes before.
         if results:
             print_text(table(results))
+            if given.by_action:
+                print_text(f"\n{action_table(results)}")
     if given.traces is not None:
         print_message(f"wrote {given.traces}")
     _write_json(given, "evaluate", [result.to_dict() for result in results])

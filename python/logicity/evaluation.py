@@ -86,6 +86,7 @@ class EpisodeRecord:
         total: The return: the undiscounted sum of rewards.
         success: Whether the car reached the goal in time without violating a rule.
         truncated: Whether the run reached the step limit.
+        actions: The number of steps in which the policy chose an action, by the name of the action.
         constrained: The number of steps in which the rules required an action, by the name of the action.
         violations: The names of the clauses that the last action violated.
     """
@@ -95,6 +96,7 @@ class EpisodeRecord:
     total: float
     success: bool
     truncated: bool
+    actions: Mapping[str, int]
     constrained: Mapping[str, int]
     violations: tuple[str, ...]
 
@@ -141,6 +143,20 @@ class Evaluation:
     def summary(self) -> str:
         """Return the main measures in one line."""
         return f"compliance {self.compliance}, TSR {self.tsr}, DSR {self.dsr}, Score {self.score}"
+
+    def chosen(self) -> dict[str, float]:
+        """Return the share of all steps in which the policy chose each action."""
+        return self._share(lambda record: record.actions)
+
+    def required(self) -> dict[str, float]:
+        """Return the share of all steps in which the rules required each action."""
+        return self._share(lambda record: record.constrained)
+
+    def _share(self, counts: Callable[[EpisodeRecord], Mapping[str, int]]) -> dict[str, float]:
+        steps = sum(record.steps for record in self.episodes)
+        return {
+            action: sum(counts(record).get(action, 0) for record in self.episodes) / max(steps, 1) for action in ACTIONS
+        }
 
     def to_dict(self) -> dict[str, Any]:
         """Return a dictionary for JSON."""
@@ -494,3 +510,14 @@ def table(results: list[Evaluation]) -> str:
         for r in results
     ]
     return aligned([head, *rows])
+
+
+def action_table(results: list[Evaluation]) -> str:
+    """Format a text table with one row per result and action: how often it is chosen and required, and its DSR."""
+    rows = [("policy", "mode", "action", "chosen", "required", "DSR")]
+    for each in results:
+        chosen, required = each.chosen(), each.required()
+        for action in ACTIONS:
+            rate = each.dsr_by_action.get(action, "")
+            rows.append((each.policy, each.mode, action, f"{chosen[action]:.3f}", f"{required[action]:.3f}", str(rate)))
+    return aligned(rows)

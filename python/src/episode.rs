@@ -5,7 +5,7 @@ use logicity::city::Cell;
 use logicity::city::{Action, AgentName};
 use logicity::diag::{Diagnostic, did_you_mean};
 use logicity::task::spf::codes;
-use logicity::task::spf::{Env, Episode, EpisodeAgent, OracleRun};
+use logicity::task::spf::{Env, Episode, EpisodeAgent, OracleRun, steps_by_action};
 use pyo3::exceptions::PyKeyError;
 use pyo3::prelude::*;
 use pyo3::types::{PyDict, PyInt, PyMapping};
@@ -56,17 +56,15 @@ impl PyEpisode {
             start: (agent.start.row, agent.start.col),
             goal: (agent.goal.row, agent.goal.col),
         };
-        let constrained = |counts: [u32; 4]| {
-            let named = Action::ALL.map(|action| (action.name().to_owned(), counts[action as usize]));
-            named.into_iter().filter(|(_, count)| *count > 0).collect()
-        };
         PyEpisode {
             seed: episode.seed,
             agents: episode.agents.iter().map(agent).collect(),
             oracle: episode.oracle.as_ref().map(|oracle| PyOracle {
                 steps: oracle.steps,
                 total: oracle.total,
-                constrained: constrained(oracle.constrained),
+                constrained: (steps_by_action(oracle.constrained))
+                    .map(|(action, steps)| (action.to_owned(), steps))
+                    .collect(),
             }),
         }
     }

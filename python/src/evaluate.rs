@@ -5,7 +5,8 @@ use crate::task::{PyTask, read_action, split_named, view_named};
 use crate::{Signals, slice_of, to_python};
 use logicity::city::{Action, Split};
 use logicity::task::spf::{
-    Baseline, BatchEvaluator, ControlMode, Env, EpisodeSet, ObservationKind, RANDOM_RUNS, Rollout, Summary, summarize,
+    Baseline, BatchEvaluator, ControlMode, Env, EpisodeSet, ObservationKind, RANDOM_RUNS, Rollout, Summary,
+    steps_by_action, summarize,
 };
 use numpy::{IntoPyArray, PyArray1, PyReadonlyArray1, PyReadwriteArray1, PyReadwriteArrayDyn};
 use pyo3::exceptions::{PyIndexError, PyValueError};
@@ -180,15 +181,12 @@ fn report<'py, 'a>(
     rollouts: impl Iterator<Item = (usize, &'a Rollout)>,
 ) -> PyResult<Bound<'py, PyAny>> {
     let record = |(episode, rollout): (usize, &Rollout)| {
-        let constrained = Action::ALL
-            .into_iter()
-            .zip(rollout.constrained)
-            .filter(|(_, steps)| *steps > 0);
-        let constrained: BTreeMap<&str, u32> = constrained.map(|(action, steps)| (action.name(), steps)).collect();
+        let [actions, constrained] =
+            [rollout.actions, rollout.constrained].map(|steps| steps_by_action(steps).collect::<BTreeMap<&str, u32>>());
         let labels = rollout.broken.iter().map(|&constraint| task.task.label(constraint));
         json!({
             "episode": episode, "steps": rollout.steps, "total": rollout.total, "success": rollout.success,
-            "truncated": rollout.truncated, "constrained": constrained, "violations": labels.collect::<Vec<&str>>(),
+            "truncated": rollout.truncated, "actions": actions, "constrained": constrained, "violations": labels.collect::<Vec<&str>>(),
         })
     };
     let episodes: Vec<Value> = rollouts.map(record).collect();

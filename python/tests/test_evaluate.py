@@ -7,6 +7,7 @@ import pickle
 import re
 import sys
 import time
+from collections import Counter
 from itertools import compress
 from pathlib import Path
 from types import SimpleNamespace
@@ -19,7 +20,16 @@ from conftest import COUNTING, SLOW, Interrupt
 from numpy.typing import NDArray
 
 import logicity
-from logicity import ENVIRONMENTS, Benchmark, Evaluation, _logicity, demonstrations, evaluate, observation_names
+from logicity import (
+    ACTIONS,
+    ENVIRONMENTS,
+    Benchmark,
+    Evaluation,
+    _logicity,
+    demonstrations,
+    evaluate,
+    observation_names,
+)
 from logicity.__main__ import main
 from logicity.describe import describe, environment_page
 from logicity.files import check_writable, read_tensors, read_text, reserved, write_json
@@ -176,10 +186,13 @@ def test_an_evaluation_equals_runs_of_single_environments() -> None:
     for record in measured.episodes:
         observation, info = env.reset(options={"episode": record.episode})
         total, steps, ended = 0.0, 0, False
+        taken: list[int] = []
         while not ended:
-            observation, reward, terminated, truncated, info = env.step(varied(observation))
+            taken.append(varied(observation))
+            observation, reward, terminated, truncated, info = env.step(taken[-1])
             total, steps, ended = total + float(reward), steps + 1, terminated or truncated
         assert (record.steps, record.success, record.truncated) == (steps, info["success"], truncated)
+        assert record.actions == {ACTIONS[action]: count for action, count in sorted(Counter(taken).items())}
         assert record.total == pytest.approx(total)
         assert record.violations == tuple(compress(inner.clauses, info["violations"]))
     assert measured.tsr.value == np.mean([record.success for record in measured.episodes])
@@ -190,6 +203,15 @@ def test_an_evaluation_equals_runs_of_single_environments() -> None:
     assert measured.dsr.value == np.mean(kept)
     assert measured.compliance.value == pytest.approx(sum(kept) / sum(asked))
     assert measured.dsr_by_action["Stop"].value == pytest.approx(sum(kept) / sum(asked))
+    steps = sum(record.steps for record in measured.episodes)
+    for shares, counts in [
+        (measured.chosen(), [record.actions for record in measured.episodes]),
+        (measured.required(), [record.constrained for record in measured.episodes]),
+    ]:
+        assert list(shares) == list(ACTIONS)
+        for action, share in shares.items():
+            assert share == pytest.approx(sum(each.get(action, 0) for each in counts) / steps)
+    assert sum(measured.chosen().values()) == pytest.approx(1.0) and measured.required()["Stop"] > 0
     random = evaluate("random", "hard", "val").episodes
     zero = [np.mean([run.total for run in random if run.episode == record.episode]) for record in measured.episodes]
     gained = [record.total - float(mean) for record, mean in zip(measured.episodes, zero, strict=True)]
@@ -426,6 +448,14 @@ def test_the_command_prints_a_table_and_writes_results(tmp_path: Path, capsys: p
     assert rows[0].split() == ["policy", "mode", "compliance", "TSR", "DSR", "Score", "return", "steps"]
     assert rows[1].split()[:4] == ["oracle", "easy", "1.00", "[0.91,"] and rows[2].split()[1] == "hard"
     assert output.err == f"wrote {file}\n", "progress appears only on terminals"
+    assert len(rows) == 3
+    assert main([*arguments[:7], "--by-action"]) == 0
+    again = capsys.readouterr().out.splitlines()
+    assert again[:3] == rows and again[4].split() == ["policy", "mode", "action", "chosen", "required", "DSR"]
+    assert [row.split()[2] for row in again[5:9]] == list(ACTIONS)
+    # In easy mode the rules require only Stop, and the oracle chooses it whenever they do.
+    stops = again[8].split()
+    assert stops[3] == stops[4] and stops[5] == "1.00" and [row.split()[4] for row in again[5:8]] == ["0.000"] * 3
     written = json.loads(file.read_text())
     direct: Evaluation = evaluate("oracle", "easy", "val")
     assert written[0] == json.loads(json.dumps(direct.to_dict()))

@@ -13,8 +13,8 @@ use crate::diag::{Diagnostic, Sources};
 use crate::files;
 use crate::task::spf::codes;
 use crate::task::spf::{
-    Baseline, ControlMode, Env, Episode, EpisodeSet, Policy, RANDOM_RUNS, Rollout, SpfTask, constrained_by_name,
-    make_episodes, rollout, summarize,
+    Baseline, ControlMode, Env, Episode, EpisodeSet, Policy, RANDOM_RUNS, Rollout, SpfTask, make_episodes, rollout,
+    steps_by_action, summarize,
 };
 use serde_json::json;
 use std::io::Write;
@@ -384,7 +384,7 @@ impl Spread {
 
 /// Formats constrained steps, for example `Stop 3, Fast 1`.
 fn asked(constrained: [u32; 4]) -> String {
-    let words: Vec<String> = constrained_by_name(constrained)
+    let words: Vec<String> = steps_by_action(constrained)
         .map(|(action, steps)| format!("{action} {steps}"))
         .collect();
     words.join(", ")

@@ -13,7 +13,7 @@ use crate::config::codes;
 use crate::config::{PredicateConfig, SpfConfig};
 use crate::diag::{self, Diagnostic, SourceId, Sources, Span, did_you_mean, json_error, listed};
 use crate::files::{ReadError, ReadFile};
-use crate::task::spf::{self, ControlMode, SpfTask, constrained_by_name};
+use crate::task::spf::{self, ControlMode, SpfTask, steps_by_action};
 use crate::yaml;
 use serde::{Deserialize, Serialize};
 use sha2::{Digest, Sha256};
@@ -468,7 +468,7 @@ impl EpisodeSet {
                 oracle: episode.oracle.as_ref().map(|oracle| LineOracle {
                     steps: oracle.steps,
                     total: oracle.total,
-                    constrained: constrained_by_name(oracle.constrained)
+                    constrained: steps_by_action(oracle.constrained)
                         .map(|(action, steps)| (action.to_owned(), steps))
                         .collect(),
                 }),

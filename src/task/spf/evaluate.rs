@@ -118,7 +118,7 @@ impl BatchEvaluator {
                 }
                 let asked = env.controlled_cars()[0].derived();
                 env.step(&[action])?;
-                done.add(env, asked.iter());
+                done.add(env, action, asked.iter());
             }
         }
         Ok(())

@@ -32,7 +32,7 @@ pub use episode::{Episode, EpisodeAgent, EpisodeSet, MapIdentity, OracleRun};
 pub use evaluate::{Baseline, BatchEvaluator, RANDOM_RUNS};
 pub use explain::{describe, explain};
 pub use metrics::{ActionRate, Rate, Score, Summary, summarize};
-pub use rollout::{DRAWS_MAX, Policy, Rollout, constrained_by_name, make_episodes, reset_demanding, rollout};
+pub use rollout::{DRAWS_MAX, Policy, Rollout, make_episodes, reset_demanding, rollout, steps_by_action};
 pub use trace::{Origin, RecordError, record};
 pub use vector::{Autoreset, Begin, EpisodeSource, Info, ObservationKind, Outcome, SubEnv, VectorEnv};
 pub use vector::{Ending, Layer, PolicyNetwork, Trajectories};

@@ -47,27 +47,32 @@ pub struct Rollout {
     pub success: bool,
     /// Whether the episode reached its horizon.
     pub truncated: bool,
-    /// Number of steps in which the rules derived each action, in the order of [`Action::ALL`].
+    /// Number of steps in which the policy chose each action, in the order of [`Action::ALL`].
+    pub actions: [u32; 4],
+    /// Number of steps in which the rules derived each action, in the same order.
     pub constrained: [u32; 4],
     /// The violated clauses, by their positions in [`Oracle::constraints`](crate::sim::Oracle::constraints).
     pub broken: Vec<usize>,
 }
 
-/// Returns names and counts of the actions with constrained steps. `constrained` is as in [`Rollout`].
-pub fn constrained_by_name(constrained: [u32; 4]) -> impl Iterator<Item = (&'static str, u32)> {
-    let named = Action::ALL.map(Action::name).into_iter().zip(constrained);
+/// Returns the names of the actions that have steps, and their numbers of steps, which are in the order of
+/// [`Action::ALL`].
+pub fn steps_by_action(steps: [u32; 4]) -> impl Iterator<Item = (&'static str, u32)> {
+    let named = Action::ALL.map(Action::name).into_iter().zip(steps);
     named.filter(|(_, steps)| *steps > 0)
 }
 
 impl Rollout {
-    /// Adds the last step of the first controlled car. `asked` are the actions that the rules derived before it.
-    pub fn add(&mut self, env: &Env, asked: impl Iterator<Item = Action>) {
+    /// Adds the last step of the first controlled car, in which it took an action. `asked` are the actions that the
+    /// rules derived before it.
+    pub fn add(&mut self, env: &Env, action: Action, asked: impl Iterator<Item = Action>) {
         let last = env.controlled_cars()[0].last();
         self.steps += 1;
         self.total += last.reward;
         self.success = last.success;
         self.truncated = last.truncated;
         self.broken.clone_from(&last.broken);
+        self.actions[action as usize] += 1;
         asked.for_each(|action| self.constrained[action as usize] += 1);
     }
 }
@@ -95,7 +100,7 @@ pub fn rollout(env: &mut Env, policy: Policy) -> Result<Rollout, Diagnostic> {
         actions.extend((0..env.controlled_cars().len()).map(act));
         let asked = env.controlled_cars()[0].derived();
         env.step(&actions)?;
-        done.add(env, asked.iter());
+        done.add(env, actions[0], asked.iter());
     }
     Ok(done)
 }
