@@ -38,7 +38,8 @@ from logicity.experiments.results import as_text, check_rows, leaderboard, read_
 from logicity.experiments.task import Cell  # noqa: E402
 from logicity.experiments.vap import measures_of_worlds  # noqa: E402
 from logicity.files import read_tensors  # noqa: E402
-from logicity.vap.concepts import RELATIONS, ConceptModel, ConceptSettings  # noqa: E402
+from logicity.vap import crops  # noqa: E402
+from logicity.vap.concepts import RELATIONS, ConceptModel, ConceptSettings, CropNetwork  # noqa: E402
 from logicity.vap.crops import crop_boxes  # noqa: E402
 from logicity.vap.features import DataSpec, compute_features, load_features, prepared  # noqa: E402
 from logicity.vap.reasoners import make_reasoner  # noqa: E402
@@ -297,6 +298,14 @@ def test_the_backbone_reads_regions_where_the_boxes_are(tmp_path: Path, monkeypa
     # What the square changes, it changes most in its box.
     changes = np.abs(found.astype(np.float32) - extract(np.zeros_like(image), boxes).astype(np.float32)).sum(1)
     assert changes[0] > 1.5 * changes[1:].max()
+    # A processor computes in bfloat16 or in float32, and the features say in which.
+    has_bfloat16 = crops.has_bfloat16(torch.device("cpu"))
+    monkeypatch.setattr("logicity.vap.features.has_bfloat16", lambda device: not has_bfloat16)
+    another = Backbone(weights)
+    assert another.identity != extract.identity
+    known, differs = found[:3].astype(np.float32), another(image, boxes)[:3] != found[:3]
+    assert differs.any() and np.abs(another(image, boxes)[:3] - known).mean() < 0.03 * np.abs(known).mean()
+    monkeypatch.undo()
     # The same network with separate batch normalizations, in float32.
     with torch.random.fork_rng():
         torch.manual_seed(0)
@@ -485,6 +494,21 @@ def test_only_higher_priority_depends_on_priorities(samples: Samples) -> None:
         changed = {RELATIONS[k] for k in range(len(RELATIONS)) if not torch.equal(binary[..., k], binary_2[..., k])}
         assert changed == (set(RELATIONS) if priority else {RELATIONS[at]})
         assert torch.equal(unary, unary_2) is not priority
+
+
+def test_crops_are_recognized_in_either_precision(monkeypatch: pytest.MonkeyPatch) -> None:
+    torch.manual_seed(0)
+    network = CropNetwork(4, 5).eval()
+    pictures = torch.randint(0, 256, (16, 48, 48, 3), dtype=torch.uint8)
+    seen: list[torch.dtype] = []
+    network.layers[0].register_forward_hook(lambda layer, given, result: seen.append(result.dtype))
+    found = []
+    for has_bfloat16 in (False, True):
+        monkeypatch.setattr("logicity.vap.concepts.has_bfloat16", lambda device, known=has_bfloat16: known)
+        with torch.inference_mode():
+            found.append(network(pictures))
+    assert seen == [torch.float32, torch.bfloat16] and found[1].dtype == torch.float32
+    assert not torch.equal(*found) and torch.allclose(*found, atol=0.02)
 
 
 @pytest.mark.parametrize(

@@ -33,7 +33,7 @@ with extra("vap"):
     from torch import Tensor, nn
     from torch.nn.utils.fusion import fuse_conv_bn_weights
 
-from .crops import CROP_SIDE, crop_boxes
+from .crops import CROP_SIDE, crop_boxes, has_bfloat16
 
 __all__ = ["Backbone", "Crops", "DataSpec", "Extractor", "compute_features", "extractor", "load_features", "prepared"]
 
@@ -76,8 +76,8 @@ class Crops:
 class Backbone:
     """A frozen ResNet50 with a feature pyramid and ROIAlign. Its attributes are those of `Crops`.
 
-    Convolutions contain their batch normalizations and compute in bfloat16, which takes a third of the time and changes
-    features by about 1 %.
+    Convolutions contain their batch normalizations. If the device computes in bfloat16, they do, too, which takes a
+    third of the time and changes features by about 1 %; features in float32 are another kind of features.
 
     Args:
         weights: A file with the weights of torchvision's ResNet50, or of its Faster R-CNN with ResNet50 and a feature
@@ -116,7 +116,6 @@ class Backbone:
         if missing := [name for name in missing if not name.endswith("num_batches_tracked")]:
             raise ValueError(f"{message}: `{min(missing)}` is missing")
         parts = [hashlib.sha256(each.cpu().numpy().tobytes()).hexdigest() for each in network.state_dict().values()]
-        self.identity = hashlib.sha256(json.dumps(["resnet50", "bfloat16 mean max 7", *parts]).encode()).hexdigest()
         _fold_normalizations(network)
         try:
             self._device = torch.device(device)
@@ -124,6 +123,9 @@ class Backbone:
             self._network = network.eval().requires_grad_(False)
         except (AssertionError, RuntimeError) as error:
             raise ValueError(f"device `{device}`: {str(error).splitlines()[0]}") from None
+        self._has_bfloat16 = has_bfloat16(self._device)
+        method = f"{'bfloat16' if self._has_bfloat16 else 'float32'} mean max 7"
+        self.identity = hashlib.sha256(json.dumps(["resnet50", method, *parts]).encode()).hexdigest()
         self._align = MultiScaleRoIAlign(["0", "1", "2", "3"], output_size=7, sampling_ratio=2)
 
     def __call__(self, image: NDArray[np.uint8], boxes: NDArray[np.float32]) -> NDArray[Any]:
@@ -136,7 +138,7 @@ class Backbone:
         with torch.inference_mode():
             pixels = torch.from_numpy(image).to(self._device).permute(2, 0, 1)[None].float() / 255
             mean, deviation = (pixels.new_tensor(each)[:, None, None] for each in (MEAN, DEVIATION))
-            with torch.autocast(self._device.type, torch.bfloat16):
+            with torch.autocast(self._device.type, torch.bfloat16, self._has_bfloat16):
                 maps = self._network((pixels - mean) / deviation)
             maps = {name: each.float() for name, each in maps.items()}
             regions: Tensor = self._align(maps, [corners.to(self._device)], [image.shape[:2]])
