@@ -177,8 +177,8 @@ def _add_experiment(parser: argparse.ArgumentParser) -> _Command:
     add = parser.add_argument
     add(
         "experiment",
-        help="spf, transfer, composition, observations, vap, vap-50, vap-continual, vap-concepts, language, or a YAML "
-        "file; `logicity schema experiment` prints its keys",
+        help="spf, transfer, composition, observations, vap, vap-50, vap-continual, vap-steps, vap-concepts, language, "
+        "or a YAML file; `logicity schema experiment` prints its keys",
     )
     exclusive = parser.add_mutually_exclusive_group()
     exclusive.add_argument("--list", action="store_true", help="list the cells and which are finished, and run none")

@@ -92,7 +92,8 @@ def test_every_mode_of_the_paper_has_a_configuration_for_every_algorithm() -> No
     expert = TrainConfig.load(BASELINES / "ppo-expert.yaml")
     given: Any = expert.settings
     assert (given.batch_size, given.n_steps, given.network) == (64, 2048, (128, 64, 64))
-    assert expert.overrides == {"task": {"reward": {"overtime": -10}}}
+    clauses = dict.fromkeys(("L1", "L2", "L3", "F1", "F2", "F3"), -3)
+    assert expert.overrides == {"task": {"reward": {"overtime": -10, "clauses": clauses}}}
 
 
 def content(path: Path) -> Any:

@@ -658,12 +658,18 @@ def test_a_checkpoint_of_another_training_is_refused(part: str, tmp_path: Path) 
 
 
 def test_the_shipped_experiments_have_cells() -> None:
-    for name, rows in [("vap", 9), ("vap-continual", 5), ("vap-concepts", 2)]:
+    for name, paper, rows in [
+        ("vap", "vap", 9),
+        ("vap-50", "vap", 8),
+        ("vap-continual", "vap-continual", 5),
+        ("vap-steps", "vap-continual", 5),
+        ("vap-concepts", "vap-concepts", 2),
+    ]:
         file = EXPERIMENTS / f"{name}.yaml"
         loaded, cells = cells_of(file)
         experiment = loaded.experiment
         assert len(experiment.learners) == rows
-        assert experiment.paper == name and paper_table(name)["source"].startswith("LogiCity (NeurIPS 2024")
+        assert experiment.paper == paper and paper_table(paper)["source"].startswith("LogiCity (NeurIPS 2024")
         assert len({cell.identity for cell in cells}) == len(cells)
         places = {cell.identity: at for at, cell in enumerate(cells)}
         assert all(cell.start is None or places[cell.start.identity] < places[cell.identity] for cell in cells)
@@ -672,6 +678,13 @@ def test_the_shipped_experiments_have_cells() -> None:
     last = next(cell for cell in cells if cell.variant == "5 %")
     assert last.start is not None and (last.start.mode, last.start.row) == ("easy", "modular-nlm")
     assert last.start.start is not None and last.start.start.row == "rules"
+    # Every share of the pictures has equally many updates.
+    _, cells = cells_of(EXPERIMENTS / "vap-steps.yaml", seeds=(0,))
+    updates = {cell.row: set[int]() for cell in cells}
+    for cell in cells:
+        training = settings_of(cell).training
+        updates[cell.row].add(training.updates(training.epochs, 1000))
+    assert all(len(each) == 1 for each in updates.values()) and len({cell.variant for cell in cells}) == 9
 
 
 def test_the_papers_figures_are_those_of_its_table() -> None:
