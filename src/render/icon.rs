@@ -630,6 +630,7 @@ fn disturb<R: Rng>(pixmap: &mut Pixmap, dice: &mut Dice<R>, noise: f32, version:
 }
 
 /// Box blur: replaces every pixel by the mean of those within `radius`, first along rows, then along columns.
+#[allow(clippy::cast_possible_truncation)] // means of bytes, and at most 2^32 places
 fn blur(pixmap: &mut Pixmap, radius: usize) {
     if radius == 0 {
         return;
@@ -637,29 +638,27 @@ fn blur(pixmap: &mut Pixmap, radius: usize) {
     let (width, height) = (pixmap.width() as usize, pixmap.height() as usize);
     let data = pixmap.data_mut();
     for (lines, step, length, next) in [(height, 4, width, 4 * width), (width, 4 * width, height, 4)] {
-        let mut line = vec![[0_u32; 4]; length];
-        for number in 0..lines {
-            let at = |place: usize| number * next + place * step;
-            for (place, pixel) in line.iter_mut().enumerate() {
-                *pixel = [0, 1, 2, 3].map(|channel| data[at(place) + channel].into());
+        let mut line = vec![0_u8; length];
+        for first in (0..lines).flat_map(|number| number * next..number * next + 4) {
+            for (place, value) in line.iter_mut().enumerate() {
+                *value = data[first + place * step];
             }
-            // The sum of the pixels from `begin` to before `end`.
-            let (mut sum, mut begin, mut end) = ([0_u32; 4], 0, 0);
+            // The sum and the number of the values within `radius`, at first of those before the next value to enter.
+            let ahead = &line[..radius.min(length)];
+            let (mut sum, mut count) = (
+                ahead.iter().map(|&value| u32::from(value)).sum::<u32>(),
+                ahead.len() as u32,
+            );
             for place in 0..length {
-                let entering = end..(place + radius + 1).min(length);
-                let leaving = begin..place.saturating_sub(radius);
-                (begin, end) = (leaving.end, entering.end);
-                #[allow(clippy::cast_possible_truncation)]
-                let count = (end - begin) as u32;
-                for channel in 0..4 {
-                    for pixel in &line[entering.clone()] {
-                        sum[channel] += pixel[channel];
-                    }
-                    for pixel in &line[leaving.clone()] {
-                        sum[channel] -= pixel[channel];
-                    }
-                    data[at(place) + channel] = (sum[channel] / count) as u8;
+                if place + radius < length {
+                    sum += u32::from(line[place + radius]);
+                    count += 1;
                 }
+                if place > radius {
+                    sum -= u32::from(line[place - radius - 1]);
+                    count -= 1;
+                }
+                data[first + place * step] = (sum / count) as u8;
             }
         }
     }
