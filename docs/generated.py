@@ -378,7 +378,17 @@ EXPERIMENT_PARTS = ("spf", "vap", "vap-settings", "language", "language-settings
 
 
 #: The files of `results`.
-RESULTS = ("spf", "transfer", "composition", "observations", "vap", "vap-continual", "vap-concepts", "language")
+RESULTS = (
+    "spf",
+    "transfer",
+    "composition",
+    "observations",
+    "vap",
+    "vap-50",
+    "vap-continual",
+    "vap-concepts",
+    "language",
+)
 
 
 def results(name: str) -> str:
