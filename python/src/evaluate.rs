@@ -186,7 +186,8 @@ fn report<'py, 'a>(
         let labels = rollout.broken.iter().map(|&constraint| task.task.label(constraint));
         json!({
             "episode": episode, "steps": rollout.steps, "total": rollout.total, "success": rollout.success,
-            "truncated": rollout.truncated, "actions": actions, "constrained": constrained, "violations": labels.collect::<Vec<&str>>(),
+            "truncated": rollout.truncated, "actions": actions, "constrained": constrained,
+            "violations": labels.collect::<Vec<&str>>(),
         })
     };
     let episodes: Vec<Value> = rollouts.map(record).collect();
