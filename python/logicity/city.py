@@ -260,9 +260,7 @@ class Simulation:
     @cached_property
     def agents(self) -> tuple[AgentInfo, ...]:
         """The agents, in the order of array rows."""
-        return tuple(
-            AgentInfo(name, kind, tuple(concepts), priority) for name, kind, concepts, priority in self._city.agents()
-        )
+        return tuple(AgentInfo(name, kind, tuple(concepts), rank) for name, kind, concepts, rank in self._city.agents())
 
     @cached_property
     def _index(self) -> dict[str, int]:
@@ -351,21 +349,14 @@ class Simulation:
         return self._city.semantic_map()
 
     def facts(self) -> dict[str, list[tuple[str, ...]]]:
-        """Return the base facts of the last tick by predicate, as tuples of agent names.
-
-        Before the first tick, these are the current facts.
-
-        Raises:
-            LimitError: If there are too many agents for binary facts.
-        """
-        names = [agent.name for agent in self.agents]
-        return {
-            predicate: [tuple(names[agent] for agent in row) for row in rows.tolist()]
-            for predicate, rows in self.fact_indices().items()
-        }
+        """Return the facts of `fact_indices` as tuples of agent names."""
+        names, facts = [agent.name for agent in self.agents], self.fact_indices()
+        return {name: [tuple(names[agent] for agent in row) for row in rows.tolist()] for name, rows in facts.items()}
 
     def fact_indices(self) -> dict[str, npt.NDArray[np.int32]]:
-        """Return the same facts by predicate, as int32 arrays of agent indices, of shape (rows, arity).
+        """Return the base facts of the last tick by predicate, as arrays of agent indices: int32 (rows, arity).
+
+        Before the first tick, these are the current facts.
 
         Raises:
             LimitError: If there are too many agents for binary facts.
@@ -411,14 +402,9 @@ class Simulation:
     def why_not(self, agent: str | int, action: str | int) -> Decision | Explanation:
         """Explain why the rules did not derive an action for an agent in the last tick, or why they did.
 
-        Args:
-            agent: The name or the position of the agent.
-            action: The action, or another fact, as in `explain`.
+        Explains another fact than an action as `explain` does, whose arguments and exceptions this method has.
 
         Raises:
-            InputError: If the fact is invalid.
-            KeyError: If the agent is unknown.
-            LimitError: As for `explain`.
             ValueError: If the number of the action is unknown.
         """
         if isinstance(action, str) and action not in ACTIONS:

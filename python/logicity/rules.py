@@ -35,18 +35,16 @@ def check(text: str, name: str = "<text>") -> list[Diagnostic]:
     """
     path = isinstance(text, str) and re.fullmatch(r"(?!//)[^\n\"():%]+\.(dl|ya?ml)", text.strip())
     if path or isinstance(text, os.PathLike):
-        raise ValueError(
-            f"text: `{os.fspath(text)}` looks like a path: read the file, as in `check(Path(path).read_text(), path)`"
-        )
+        remedy = "read the file, as in `check(Path(path).read_text(), path)`"
+        raise ValueError(f"text: `{os.fspath(text)}` looks like a path: {remedy}")
     return cast(list[Diagnostic], _logicity.check(text, name))
 
 
 def rule_file(rules: str | os.PathLike[str] | None) -> str | None:
     """Return the path of a rule file as a string. Raise `ValueError` if it is source text."""
     if isinstance(rules, str) and ("\n" in rules or ":-" in rules):
-        raise ValueError(
-            "`rules` must be the path of a rule file, not source text: write it to a file (`check` accepts source text)"
-        )
+        remedy = "write it to a file (`check` accepts source text)"
+        raise ValueError(f"`rules` must be the path of a rule file, not source text: {remedy}")
     return None if rules is None else checked_path("rules", rules)
 
 
@@ -174,13 +172,12 @@ class Rows(Sequence[Row]):
     def __getitem__(self, index: slice) -> list[Row]: ...
     def __getitem__(self, index: int | slice) -> Row | list[Row]:
         """Return a row as a tuple, or a list of rows."""
-        if isinstance(index, slice):
-            start, stop, step = index.indices(len(self))
-            if step == 1:
-                return cast(list[Row], self._rows.tuples(start, stop))
-            return cast(list[Row], self._rows.tuples(0, len(self))[index])
-        position = range(len(self))[index]
-        return cast(Row, self._rows.tuples(position, position + 1)[0])
+        chosen = range(len(self))[index]
+        if isinstance(chosen, int):
+            return cast(Row, self._rows.tuples(chosen, chosen + 1)[0])
+        if chosen.step == 1:
+            return cast(list[Row], self._rows.tuples(chosen.start, chosen.stop))
+        return cast(list[Row], self._rows.tuples(0, len(self))[index])
 
     def __iter__(self) -> Iterator[Row]:
         """Iterate over tuples."""
@@ -201,9 +198,8 @@ class Rows(Sequence[Row]):
 
     def __reduce__(self) -> NoReturn:
         """Refuse to pickle and to copy."""
-        raise TypeError(
-            "Rows cannot be pickled or copied, because they belong to a session: use `list(rows)` or `rows.columns()`"
-        )
+        remedy = "use `list(rows)` or `rows.columns()`"
+        raise TypeError(f"Rows cannot be pickled or copied, because they belong to a session: {remedy}")
 
     def columns(self) -> dict[str, npt.NDArray[Any]]:
         """Return one array per column, as `Session.columns` does."""
@@ -251,7 +247,8 @@ class Session:
     the first commit.
 
     Not thread-safe: concurrent use raises `RuntimeError`. Long calls release the GIL, and Ctrl-C cancels them. A
-    session cannot be pickled or copied. Pickle its program and the facts instead.
+    session cannot be pickled or copied. Pickle its program and the facts instead. Methods raise `KeyError` for a
+    predicate that is not declared.
 
     Args:
         program: The program.
@@ -283,10 +280,9 @@ class Session:
 
     def __reduce__(self) -> NoReturn:
         """Refuse to pickle and to copy."""
-        raise TypeError(
-            "a Session cannot be pickled or copied, because its rows and indexes exist only in the memory of the "
-            "engine: pickle its program, and insert the facts into a new session"
-        )
+        why = "its rows and indexes exist only in the memory of the engine"
+        remedy = "pickle its program, and insert the facts into a new session"
+        raise TypeError(f"a Session cannot be pickled or copied, because {why}: {remedy}")
 
     @property
     def program(self) -> Program:
@@ -299,7 +295,7 @@ class Session:
         return f"<Session of {len(predicates)} predicates: {sum(map(self.count, predicates)):,} rows>"
 
     def insert(self, predicate: str, rows: RowsLike) -> int:
-        """Insert rows at the next commit. The last change of each row counts.
+        """Insert rows at the next commit, and return their number. The last change of each row counts.
 
         Args:
             predicate: A predicate that no rule derives, or an `.input` predicate.
@@ -315,11 +311,7 @@ class Session:
                 In arrays, symbols have the dtype `U`, `StringDType`, or `object` with str. Numbers and unsigned numbers
                 have any integer dtype. Floats have any float or integer dtype.
 
-        Returns:
-            The number of rows in `rows`.
-
         Raises:
-            KeyError: If the predicate is not declared.
             LimitError: If the rows would take more memory than `max_bytes`. No row is inserted then.
             TypeError: If a value or dtype does not match its column; bool is not a number.
             ValueError: If a number is out of range, a row or array has the wrong shape, or rules derive the predicate.
@@ -359,9 +351,6 @@ class Session:
 
         The rows are sorted by the unsigned 32-bit words of their values: negative numbers follow positive ones, and
         symbols have the order in which the session interned them.
-
-        Raises:
-            KeyError: If the predicate is not declared.
         """
         return cast(list[Row], self._session.tuples(predicate))
 
@@ -370,28 +359,15 @@ class Session:
 
         The dtype is int32 for numbers, uint32 for unsigned numbers, float32 for floats, and object (str) for symbols.
         The arrays are copies.
-
-        Raises:
-            KeyError: If the predicate is not declared.
         """
         return self._session.columns(predicate)
 
     def count(self, predicate: str) -> int:
-        """Return the number of rows of a predicate.
-
-        Raises:
-            KeyError: If the predicate is not declared.
-        """
+        """Return the number of rows of a predicate."""
         return self._session.count(predicate)
 
     def contains(self, predicate: str, row: Sequence[object]) -> bool:
-        """Return whether a row holds.
-
-        Raises:
-            KeyError: If the predicate is not declared.
-            TypeError: As for `insert`.
-            ValueError: As for `insert`.
-        """
+        """Return whether a row holds. The exceptions are those of `insert`."""
         return self._session.contains(predicate, row)
 
     def query(self, body: str) -> Rows:
@@ -412,10 +388,6 @@ class Session:
         """
         return Rows(self._session.query(body))
 
-    @overload
-    def explain(self, fact: str) -> Explanation: ...
-    @overload
-    def explain(self, fact: str, row: Sequence[object]) -> Explanation: ...
     def explain(self, fact: str, row: Sequence[object] | None = None) -> Explanation:
         """Explain why a fact holds, by a shortest proof from inserted facts and facts of the program.
 
@@ -429,30 +401,14 @@ class Session:
         Raises:
             InputError: If the text is not a fact of the program.
             LimitError: If the search takes too many steps.
-            KeyError: As for `insert`.
-            TypeError: As for `insert`.
-            ValueError: As for `insert`.
+            TypeError, ValueError: As for `insert`.
         """
         return Explanation(*self._session.explain(fact, row, False))
 
-    @overload
-    def why_not(self, fact: str) -> Explanation: ...
-    @overload
-    def why_not(self, fact: str, row: Sequence[object]) -> Explanation: ...
     def why_not(self, fact: str, row: Sequence[object] | None = None) -> Explanation:
         """Explain why a fact does not hold, by the failing literals of each clause under its nearest binding.
 
-        If the fact holds, return the explanation of `explain`.
-
-        Args:
-            fact: As for `explain`.
-            row: As for `explain`.
-
-        Raises:
-            InputError: As for `explain`.
-            KeyError: As for `insert`.
-            TypeError: As for `insert`.
-            ValueError: As for `insert`.
+        If the fact holds, return the explanation of `explain`, whose arguments and exceptions this method has.
         """
         return Explanation(*self._session.explain(fact, row, True))
 
