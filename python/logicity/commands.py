@@ -10,8 +10,9 @@ import os
 import sys
 import time
 from collections.abc import Callable, Sequence
+from contextlib import suppress
 from difflib import get_close_matches
-from functools import reduce
+from functools import partial, reduce
 from pathlib import Path
 from typing import Any, NoReturn, cast
 
@@ -44,10 +45,9 @@ def run(words: tuple[str, ...], arguments: Sequence[str]) -> int:
     try:
         try:
             args = parser.parse_args(arguments)
-        except SystemExit:
+        finally:
             # The end of the process would ignore that the help cannot be written.
             flush()
-            raise
         with ending_on_signals():
             code = command(args)
         flush()
@@ -58,23 +58,14 @@ def run(words: tuple[str, ...], arguments: Sequence[str]) -> int:
         # The reader has closed the pipe. Python flushes standard output again at exit, which must not fail.
         os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
         return 0
-    except (_UsageError, UntrustedError) as error:
-        print_message(f"error: {error}")
-        return 2
-    except InputError as error:
-        # The message begins with `error[CODE]`.
-        print_message(error)
-        return 1
-    except ValueError as error:
-        print_message(f"error: {error}")
-        return 1
-    except (ImportError, OSError) as error:
-        print_message(f"error: {_unusable(error)}")
-        return 2
+    except (_UsageError, ValueError, ImportError, OSError) as error:
+        # The message of an `InputError` begins with `error[CODE]`.
+        print_message(error if isinstance(error, InputError) else f"error: {_described(error)}")
+        return 1 if isinstance(error, ValueError) and not isinstance(error, UntrustedError) else 2
     return code
 
 
-def _unusable(error: ImportError | OSError) -> str:
+def _described(error: Exception) -> str:
     """Describe an error of the system without its number, and a missing file with a similar name from its folder."""
     if not isinstance(error, OSError) or error.filename is None:
         return str(error)
@@ -95,8 +86,9 @@ class _UsageError(Exception):
 class _Parser(argparse.ArgumentParser):
     """A parser whose messages cannot control the terminal: they repeat arguments."""
 
+    add = argparse.ArgumentParser.add_argument
+
     def error(self, message: str) -> NoReturn:
-        """Print a message, and exit."""
         super().error(neutral(message))
 
     def _print_message(self, message: str, file: Any = None) -> None:
@@ -107,231 +99,161 @@ class _Parser(argparse.ArgumentParser):
             super()._print_message(message, file)
 
 
-#: Runs a command with its parsed arguments.
-_Command = Callable[[argparse.Namespace], int]
-
-
-def parser_of(words: tuple[str, ...]) -> tuple[argparse.ArgumentParser, _Command]:
+def parser_of(words: tuple[str, ...]) -> tuple[argparse.ArgumentParser, Callable[[argparse.Namespace], int]]:
     """Return the parser of a command, and the function that runs it. The reference of commands reads the parser."""
     parser = _Parser(prog=" ".join(["logicity", *words]), description=f"{SUMMARIES[words]}.")
-    return parser, _COMMANDS[words](parser)
+    add_arguments, command = _COMMANDS[words]
+    add_arguments(parser)
+    return parser, command
 
 
-def _add_evaluate(parser: argparse.ArgumentParser) -> _Command:
-    add = parser.add_argument
-    add(
-        "--policy",
-        required=True,
-        help="oracle, random, the file of a policy (.pt), a rule file (.dl), the folder of a run of `logicity train`, "
-        "or, with `--trust`, a model of Stable-Baselines3 (.zip)",
+def _add_evaluate(to: _Parser) -> None:
+    help = (
+        "oracle, random, the file of a policy (.pt), a rule file (.dl), the folder of a run of `logicity train`, "
+        "or, with `--trust`, a model of Stable-Baselines3 (.zip)"
     )
-    _add_trust(parser, "the policy")
-    add(
-        "--modes",
-        type=_modes,
-        help=f"all, or any of {','.join(ENVIRONMENTS)}, or configuration files; default: the mode that the run of a "
-        "model records, or all",
+    to.add("--policy", required=True, help=help)
+    _add_trust(to, "the policy")
+    help = (
+        f"all, or any of {','.join(ENVIRONMENTS)}, or configuration files; default: the mode that the run of a "
+        "model records, or all"
     )
-    add("--split", type=str.lower, choices=("train", "val", "test"), default="test", help="default: test")
-    add(
-        "--observation",
-        choices=("groundings", "state"),
-        help="the kind of observation; default: that of the model, or groundings",
+    to.add("--modes", type=_modes, help=help)
+    to.add("--split", type=str.lower, choices=("train", "val", "test"), default="test", help="default: test")
+    help = "the kind of observation; default: that of the model, or groundings"
+    to.add("--observation", choices=("groundings", "state"), help=help)
+    _add_json(to, "write the results, with one record per episode")
+    help = (
+        "also print, for each action, the share of steps in which the policy chose it and in which the rules "
+        "required it, and its DSR"
     )
-    _add_json(parser, "write the results, with one record per episode")
-    add(
-        "--by-action",
-        action="store_true",
-        help="also print, for each action, the share of steps in which the policy chose it and in which the rules "
-        "required it, and its DSR",
+    to.add("--by-action", action="store_true", help=help)
+    to.add("--traces", type=Path, metavar="FOLDER", help="write one trace per episode into one folder per mode")
+
+
+def _add_train(to: _Parser) -> None:
+    to.add("config", type=Path, help="for example configs/baselines/dqn-easy.yaml")
+    to.add("--run", type=Path, metavar="FOLDER", help="folder of the run; default: runs/CONFIG-SEED")
+    to.add("--seed", type=_seed, help="replace the seed of the configuration")
+    _add_wandb(to)
+    _add_trust(to, "the policy that the configuration names under `start`")
+
+
+def _add_trust(to: _Parser, what: str) -> None:
+    help = f"load {what} also if it is a model of Stable-Baselines3, a pickle, which can run any code"
+    to.add("--trust", action="store_true", help=help)
+
+
+def _add_wandb(to: _Parser) -> None:
+    to.add("--wandb", metavar="PROJECT", help="also send the curves to Weights & Biases, if it is installed")
+
+
+def _add_experiment(to: _Parser) -> None:
+    help = (
+        "spf, transfer, composition, observations, vap, vap-50, vap-continual, vap-steps, vap-concepts, language, "
+        "or a YAML file; `logicity schema experiment` prints its keys"
     )
-    add("--traces", type=Path, metavar="FOLDER", help="write one trace per episode into one folder per mode")
-    return _evaluate
-
-
-def _add_train(parser: argparse.ArgumentParser) -> _Command:
-    add = parser.add_argument
-    add("config", type=Path, help="for example configs/baselines/dqn-easy.yaml")
-    add("--run", type=Path, metavar="FOLDER", help="folder of the run; default: runs/CONFIG-SEED")
-    add("--seed", type=_seed, help="replace the seed of the configuration")
-    _add_wandb(parser)
-    _add_trust(parser, "the policy that the configuration names under `start`")
-    return _train
-
-
-def _add_trust(parser: argparse.ArgumentParser, what: str) -> None:
-    parser.add_argument(
-        "--trust",
-        action="store_true",
-        help=f"load {what} also if it is a model of Stable-Baselines3, a pickle, which can run any code",
-    )
-
-
-def _add_wandb(parser: argparse.ArgumentParser) -> None:
-    parser.add_argument(
-        "--wandb", metavar="PROJECT", help="also send the curves to Weights & Biases, if it is installed"
-    )
-
-
-def _add_experiment(parser: argparse.ArgumentParser) -> _Command:
-    add = parser.add_argument
-    add(
-        "experiment",
-        help="spf, transfer, composition, observations, vap, vap-50, vap-continual, vap-steps, vap-concepts, language, "
-        "or a YAML file; `logicity schema experiment` prints its keys",
-    )
-    exclusive = parser.add_mutually_exclusive_group()
+    to.add("experiment", help=help)
+    exclusive = to.add_mutually_exclusive_group()
     exclusive.add_argument("--list", action="store_true", help="list the cells and which are finished, and run none")
     exclusive.add_argument("--report", action="store_true", help="print the table of the finished cells, and run none")
-    exclusive.add_argument(
-        "--submit",
-        type=Path,
-        metavar="RESULTS",
-        help="evaluate the policies of the finished cells again, and write their rows to a file such as "
-        "results/spf.json; run none",
+    help = (
+        "evaluate the policies of the finished cells again, and write their rows to a file such as "
+        "results/spf.json; run none"
     )
-    exclusive.add_argument(
-        "--rehash",
-        type=Path,
-        metavar="RESULTS",
-        help="evaluate the policies of the finished cells again, and write only the hashes of their weights to rows of "
-        "a file such as results/spf.json with the same figures; run none",
+    exclusive.add_argument("--submit", type=Path, metavar="RESULTS", help=help)
+    help = (
+        "evaluate the policies of the finished cells again, and write only the hashes of their weights to rows of "
+        "a file such as results/spf.json with the same figures; run none"
     )
-    exclusive.add_argument(
-        "--reuse",
-        type=Path,
-        metavar="FOLDER",
-        help="copy equal trainings from the folder of another experiment of Safe Path Following, for example runs/spf",
+    exclusive.add_argument("--rehash", type=Path, metavar="RESULTS", help=help)
+    help = "copy equal trainings from the folder of another experiment of Safe Path Following, for example runs/spf"
+    exclusive.add_argument("--reuse", type=Path, metavar="FOLDER", help=help)
+    to.add("--quick", action="store_true", help="tiny budgets and one seed: a test of every cell")
+    help = (
+        "run only the cells of a row, of a row in one mode (for `language` with one prompt), or of one variant "
+        "there; can be repeated"
     )
-    add("--quick", action="store_true", help="tiny budgets and one seed: a test of every cell")
-    add(
-        "--only",
-        type=_cells,
-        action="append",
-        default=[],
-        metavar="LEARNER[,MODE[,VARIANT]]",
-        help="run only the cells of a row, of a row in one mode (for `language` with one prompt), or of one variant "
-        "there; can be repeated",
-    )
-    add("--seeds", type=_seeds, metavar="LIST", help="replace the seeds, for example 0,1,2")
-    add(
-        "--set",
-        type=_assignment,
-        action="append",
-        default=[],
-        metavar="KEY=VALUE",
-        help="change a key of every selected training configuration, for example threads=2, or with `--only dqn` "
+    to.add("--only", type=_cells, action="append", default=[], metavar="LEARNER[,MODE[,VARIANT]]", help=help)
+    to.add("--seeds", type=_seeds, metavar="LIST", help="replace the seeds, for example 0,1,2")
+    help = (
+        "change a key of every selected training configuration, for example threads=2, or with `--only dqn` "
         "settings.gamma=0.9; for `vap` a setting, for example training.epochs=3; for `language` a key of the "
-        "experiment, for example models.NAME.url=http://localhost:8000/v1",
+        "experiment, for example models.NAME.url=http://localhost:8000/v1"
     )
-    add("--jobs", type=_positive, metavar="N", help="processes; default: the number of processors")
+    to.add("--set", type=_assignment, action="append", default=[], metavar="KEY=VALUE", help=help)
+    to.add("--jobs", type=_positive, metavar="N", help="processes; default: the number of processors")
     where = "at ADDRESS, or on a new one on this machine with as many workers as `--jobs`"
-    add("--ray", nargs="?", const="local", metavar="ADDRESS", help=f"run the cells on the Ray cluster {where}")
-    _add_wandb(parser)
-    _add_trust(parser, "a policy that a training configuration names under `start`")
-    add("--run", type=Path, metavar="FOLDER", help="folder of the results; default: runs/EXPERIMENT")
-    return _experiment
+    to.add("--ray", nargs="?", const="local", metavar="ADDRESS", help=f"run the cells on the Ray cluster {where}")
+    _add_wandb(to)
+    _add_trust(to, "a policy that a training configuration names under `start`")
+    to.add("--run", type=Path, metavar="FOLDER", help="folder of the results; default: runs/EXPERIMENT")
 
 
-def _add_ask(parser: argparse.ArgumentParser) -> _Command:
-    add = parser.add_argument
-    add("--questions", type=Path, default=Path("questions.jsonl"), metavar="FILE", help=QUESTIONS)
-    add("--url", required=True, help="for example http://localhost:8000/v1")
-    add("--model", required=True, help="the name of the model on the server")
-    add("-o", "--output", type=Path, required=True, metavar="FILE", help="append the replies to FILE")
-    add("--key-from", metavar="VARIABLE", help="environment variable with the API key; by default no key is sent")
-    add(
-        "--settings",
-        type=_object,
-        default={"temperature": 0},
-        metavar="JSON",
-        help='more fields of the request; default: {"temperature": 0}',
-    )
-    add(
-        "--timeout",
-        type=_positive_float,
-        default=120.0,
-        metavar="SECONDS",
-        help="time for an attempt, from the name of the server to the end of the reply; default: 120",
-    )
-    add("--tries", type=_positive, default=6, help="attempts per request; default: 6")
-    return _ask
+def _add_ask(to: _Parser) -> None:
+    to.add("--questions", type=Path, default=Path("questions.jsonl"), metavar="FILE", help=QUESTIONS)
+    to.add("--url", required=True, help="for example http://localhost:8000/v1")
+    to.add("--model", required=True, help="the name of the model on the server")
+    to.add("-o", "--output", type=Path, required=True, metavar="FILE", help="append the replies to FILE")
+    to.add("--key-from", metavar="VARIABLE", help="environment variable with the API key; by default no key is sent")
+    help = 'more fields of the request; default: {"temperature": 0}'
+    to.add("--settings", type=_object, default={"temperature": 0}, metavar="JSON", help=help)
+    help = "time for an attempt, from the name of the server to the end of the reply; default: 120"
+    to.add("--timeout", type=_positive_float, default=120.0, metavar="SECONDS", help=help)
+    to.add("--tries", type=_positive, default=6, help="attempts per request; default: 6")
 
 
-def _add_grade(parser: argparse.ArgumentParser) -> _Command:
-    add = parser.add_argument
-    add("answers", type=Path, help='JSON lines {"id": .., "answer": ..}; an answer is a letter or a whole reply')
-    add("--questions", type=Path, default=Path("questions.jsonl"), metavar="FILE", help=QUESTIONS)
-    _add_json(parser, "write the measures")
-    return _grade
+def _add_grade(to: _Parser) -> None:
+    to.add("answers", type=Path, help='JSON lines {"id": .., "answer": ..}; an answer is a letter or a whole reply')
+    to.add("--questions", type=Path, default=Path("questions.jsonl"), metavar="FILE", help=QUESTIONS)
+    _add_json(to, "write the measures")
 
 
-def _add_webdataset(parser: argparse.ArgumentParser) -> _Command:
-    add = parser.add_argument
-    add("folder", type=Path, help="the data set")
-    add("out", type=Path, help="the folder to create")
-    add("--shard-size", type=_positive, default=1000, help="samples per file; default: 1000")
-    add("--no-pictures", action="store_true", help="omit pictures; required if the data set has none")
-    return _webdataset
+def _add_webdataset(to: _Parser) -> None:
+    to.add("folder", type=Path, help="the data set")
+    to.add("out", type=Path, help="the folder to create")
+    to.add("--shard-size", type=_positive, default=1000, help="samples per file; default: 1000")
+    to.add("--no-pictures", action="store_true", help="omit pictures; required if the data set has none")
 
 
-def _add_coco(parser: argparse.ArgumentParser) -> _Command:
-    add = parser.add_argument
-    add("folder", type=Path, help="the data set")
-    add("out", type=Path, help="the JSON file to write")
-    add(
-        "--no-pictures",
-        action="store_true",
-        help="accept a data set without pictures; the output still has `file_name`s, and `info.pictures` is false",
-    )
-    _add_force(parser)
-    return _coco
+def _add_coco(to: _Parser) -> None:
+    to.add("folder", type=Path, help="the data set")
+    to.add("out", type=Path, help="the JSON file to write")
+    help = "accept a data set without pictures; the output still has `file_name`s, and `info.pictures` is false"
+    to.add("--no-pictures", action="store_true", help=help)
+    _add_force(to)
 
 
-def _add_baselines(parser: argparse.ArgumentParser) -> _Command:
-    add = parser.add_argument
-    add("--train", type=Path, required=True, metavar="FOLDER", help="the data set to train on")
-    add("--test", type=Path, required=True, metavar="FOLDER", help="the data set to measure on")
-    add("--seed", type=_seed, default=0, help="seed of the network; default: 0")
-    add("--epochs", type=_positive, default=30, help="epochs of the network; default: 30")
-    _add_json(parser, "write the measures")
-    return _baselines
+def _add_baselines(to: _Parser) -> None:
+    to.add("--train", type=Path, required=True, metavar="FOLDER", help="the data set to train on")
+    to.add("--test", type=Path, required=True, metavar="FOLDER", help="the data set to measure on")
+    to.add("--seed", type=_seed, default=0, help="seed of the network; default: 0")
+    to.add("--epochs", type=_positive, default=30, help="epochs of the network; default: 30")
+    _add_json(to, "write the measures")
 
 
-def _add_features(parser: argparse.ArgumentParser) -> _Command:
-    add = parser.add_argument
-    add("folder", type=Path, help="a data set with pictures")
-    add("-o", "--out", type=Path, metavar="FOLDER", help="folder to write; default: FOLDER-BACKBONE")
-    add(
-        "--backbone",
-        choices=["crops", "resnet50"],
-        default="crops",
-        help="crops of the boxes, or region features of a frozen ResNet50 with a feature pyramid; default: crops",
-    )
-    add(
-        "--weights",
-        type=Path,
-        metavar="FILE",
-        help="weights of torchvision's ResNet50 or Faster R-CNN with ResNet50; default: those in torchvision's cache",
-    )
-    add("--device", default="cpu", help="device of PyTorch, for example cuda; default: cpu")
-    add("--threads", type=_threads, default=1, metavar="N", help="number of threads; 0 means one per core; default: 1")
+def _add_features(to: _Parser) -> None:
+    to.add("folder", type=Path, help="a data set with pictures")
+    to.add("-o", "--out", type=Path, metavar="FOLDER", help="folder to write; default: FOLDER-BACKBONE")
+    help = "crops of the boxes, or region features of a frozen ResNet50 with a feature pyramid; default: crops"
+    to.add("--backbone", choices=["crops", "resnet50"], default="crops", help=help)
+    help = "weights of torchvision's ResNet50 or Faster R-CNN with ResNet50; default: those in torchvision's cache"
+    to.add("--weights", type=Path, metavar="FILE", help=help)
+    to.add("--device", default="cpu", help="device of PyTorch, for example cuda; default: cpu")
+    help = "number of threads; 0 means one per core; default: 1"
+    to.add("--threads", type=partial(_whole, least=0), default=1, metavar="N", help=help)
     where = "at ADDRESS, whose machines share FOLDER, or on this machine"
-    add("--ray", nargs="?", const="local", metavar="ADDRESS", help=f"compute the worlds on the Ray cluster {where}")
-    return _features
+    to.add("--ray", nargs="?", const="local", metavar="ADDRESS", help=f"compute the worlds on the Ray cluster {where}")
 
 
-def _add_force(parser: argparse.ArgumentParser) -> None:
-    parser.add_argument(
-        "--force",
-        action="store_true",
-        help="replace output files that this command did not write, or that have changed since",
-    )
+def _add_force(to: _Parser) -> None:
+    help = "replace output files that this command did not write, or that have changed since"
+    to.add("--force", action="store_true", help=help)
 
 
-def _add_json(parser: argparse.ArgumentParser, help: str) -> None:
-    parser.add_argument("--json", type=Path, metavar="FILE", help=help)
-    _add_force(parser)
+def _add_json(to: _Parser, help: str) -> None:
+    to.add("--json", type=Path, metavar="FILE", help=help)
+    _add_force(to)
 
 
 def _check_json(given: argparse.Namespace, by: str) -> None:
@@ -345,20 +267,6 @@ def _write_json(given: argparse.Namespace, by: str, value: object) -> None:
     if given.json is not None:
         write_json(given.json, value, by=by, overwrite=given.force)
         print_message(f"wrote {given.json}")
-
-
-_COMMANDS: dict[tuple[str, ...], Callable[[argparse.ArgumentParser], _Command]] = {
-    ("evaluate",): _add_evaluate,
-    ("train",): _add_train,
-    ("experiment",): _add_experiment,
-    ("ask",): _add_ask,
-    ("grade",): _add_grade,
-    ("describe",): lambda parser: _describe,
-    ("vap", "webdataset"): _add_webdataset,
-    ("vap", "coco"): _add_coco,
-    ("vap", "baselines"): _add_baselines,
-    ("vap", "features"): _add_features,
-}
 
 
 def _modes(text: str) -> list[str]:
@@ -379,14 +287,11 @@ def _named_policy(text: str, trust: bool) -> tuple[Policy, str, str | None, Obse
             raise FileNotFoundError(errno.ENOENT, "no such file", text)
         near = get_close_matches(text, ("oracle", "random"), n=1)
         help = f"\nhelp: did you mean `{near[0]}`?" if near else ""
-        raise _UsageError(
-            f"unknown policy `{text}`: expected oracle, random, the file of a policy, or the folder of a run{help}"
-        )
+        expected = "oracle, random, the file of a policy, or the folder of a run"
+        raise _UsageError(f"unknown policy `{text}`: expected {expected}{help}")
     if path.is_dir() and not any(path.glob("best.*")):
-        raise _UsageError(
-            f"`{text}` is a folder without a file `best.*`, which `logicity train` writes at the end of a run\n"
-            "help: name the file of a policy"
-        )
+        what = "a folder without a file `best.*`, which `logicity train` writes at the end of a run"
+        raise _UsageError(f"`{text}` is {what}\nhelp: name the file of a policy")
     from .learn import load_policy
 
     saved = load_policy(path, trust=trust)
@@ -397,13 +302,11 @@ def _rule_file(text: str) -> Path | None:
     """Return the rule file, possibly a built-in one or the best policy of a run, that `--policy` names, if any."""
     path = Path(text)
     file = path / "best.dl" if path.is_dir() else path
-    if file.suffix != ".dl":
-        return None
-    try:
-        _logicity.read_file(os.fspath(file))
-    except FileNotFoundError:
-        return None
-    return file
+    if file.suffix == ".dl":
+        with suppress(FileNotFoundError):
+            _logicity.read_file(os.fspath(file))
+            return file
+    return None
 
 
 def _check_kind(given: ObservationKind | None, trained: ObservationKind | None, policy: Policy) -> ObservationKind:
@@ -417,10 +320,8 @@ def _check_kind(given: ObservationKind | None, trained: ObservationKind | None, 
     elif expected is None:
         expected = "state" if shape is not None and len(shape) == 2 else "groundings"
     if given not in (None, expected):
-        raise _UsageError(
-            f"--observation: this policy takes observations of the kind `{expected}`, not `{given}`\n"
-            f"help: leave out `--observation {given}`"
-        )
+        what = f"this policy takes observations of the kind `{expected}`, not `{given}`"
+        raise _UsageError(f"--observation: {what}\nhelp: leave out `--observation {given}`")
     return expected
 
 
@@ -451,7 +352,6 @@ def _check_fit(policy: Policy, trained: str | None, benchmarks: Sequence[Benchma
 
 
 def _numbers(shape: Shape) -> str:
-    """Describe the shape of an observation."""
     if isinstance(shape, dict):
         return ", ".join(f"`{name}` of {_numbers(each)}" for name, each in shape.items())
     return f"{shape[0]} numbers" if len(shape) == 1 else f"{' x '.join(map(str, shape))} numbers"
@@ -471,16 +371,8 @@ def _whole(text: str, least: int, most: int | None = None) -> int:
     return int(text)
 
 
-def _positive(text: str) -> int:
-    return _whole(text, least=1)
-
-
-def _threads(text: str) -> int:
-    return _whole(text, least=0)
-
-
-def _seed(text: str) -> int:
-    return _whole(text, least=0, most=2**32 - 1)
+_positive = partial(_whole, least=1)
+_seed = partial(_whole, least=0, most=2**32 - 1)
 
 
 def _seeds(text: str) -> tuple[int, ...]:
@@ -498,23 +390,19 @@ def _assignment(text: str) -> dict[str, object]:
     keys, equals, value = text.partition("=")
     if not keys or not equals:
         raise argparse.ArgumentTypeError(f"expected KEY=VALUE, found `{text}`")
-    try:
-        parsed: object = json.loads(value)
-    except (RecursionError, ValueError):
-        parsed = value
+    parsed: object = value
+    with suppress(RecursionError, ValueError):
+        parsed = json.loads(value)
     for key in reversed(keys.split(".")):
         parsed = {key: parsed}
     return cast("dict[str, object]", parsed)
 
 
 def _positive_float(text: str) -> float:
-    try:
-        value = float(text)
-    except ValueError:
-        value = math.nan
-    if not 0 < value < math.inf:
-        raise argparse.ArgumentTypeError(f"expected a positive number, found `{text}`")
-    return value
+    with suppress(ValueError):
+        if 0 < (value := float(text)) < math.inf:
+            return value
+    raise argparse.ArgumentTypeError(f"expected a positive number, found `{text}`")
 
 
 def _object(text: str) -> dict[str, object]:
@@ -759,3 +647,17 @@ def _features(given: argparse.Namespace) -> int:
     )
     print_text(f"written: {out}, in {time.monotonic() - begun:.0f} s")
     return 0
+
+
+_COMMANDS: dict[tuple[str, ...], tuple[Callable[[_Parser], None], Callable[[argparse.Namespace], int]]] = {
+    ("evaluate",): (_add_evaluate, _evaluate),
+    ("train",): (_add_train, _train),
+    ("experiment",): (_add_experiment, _experiment),
+    ("ask",): (_add_ask, _ask),
+    ("grade",): (_add_grade, _grade),
+    ("describe",): (lambda to: None, _describe),
+    ("vap", "webdataset"): (_add_webdataset, _webdataset),
+    ("vap", "coco"): (_add_coco, _coco),
+    ("vap", "baselines"): (_add_baselines, _baselines),
+    ("vap", "features"): (_add_features, _features),
+}
