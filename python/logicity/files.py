@@ -8,7 +8,7 @@ import os
 import stat
 import zipfile
 from collections.abc import Iterator
-from contextlib import contextmanager, nullcontext, suppress
+from contextlib import contextmanager, suppress
 from pathlib import Path
 from pickle import UnpicklingError
 from typing import Any
@@ -17,14 +17,8 @@ from . import _logicity
 from .errors import checked_path
 
 __all__ = [
-    "check_readable",
-    "check_writable",
-    "file_hash",
-    "read_tensors",
-    "read_text",
-    "reserved",
-    "write_json",
-    "write_text",
+    *("check_readable", "check_writable", "file_hash", "json_text", "read_json", "read_tensors", "read_text"),
+    *("reserved", "write_json", "write_text"),
 ]
 
 
@@ -97,20 +91,14 @@ def check_writable(path: str | os.PathLike[str], *, by: str, overwrite: bool = F
         pass
 
 
-def write_json(
-    path: str | os.PathLike[str],
-    value: Any,
-    *,
-    by: str | None = None,
-    overwrite: bool = False,
-    output: _logicity.OutputFile | None = None,
-) -> None:
-    """Write JSON to a file as `reserved` permits, or to an output file that it has begun."""
-    with nullcontext(output) if output is not None else reserved(path, by=by, overwrite=overwrite) as begun:
-        with open(begun.temporary, "w", encoding="utf-8") as out:
-            json.dump(value, out, indent=1, allow_nan=False)
-            out.write("\n")
-        begun.finish()
+def write_json(path: str | os.PathLike[str], value: Any, *, by: str | None = None, overwrite: bool = False) -> None:
+    """Write a value as `write_text` does, in the form of `json_text`."""
+    write_text(path, json_text(value), by=by, overwrite=overwrite)
+
+
+def json_text(value: Any) -> str:
+    """Return the content of a file of JSON. Raise `ValueError` for numbers that are not finite."""
+    return json.dumps(value, indent=1, allow_nan=False) + "\n"
 
 
 def write_text(path: str | os.PathLike[str], text: str, *, by: str | None = None, overwrite: bool = False) -> None:

@@ -14,7 +14,7 @@ from typing import Any
 from pydantic import BaseModel, ValidationError
 
 from ..errors import did_you_mean
-from ..learn.faults import faults, inlined, merged, tidy
+from ..learn.faults import faults, merged, tidy
 from .experiment import Experiment, Selection, experiment_faults, fault_error, read_experiment, unknown_in
 from .task import Cell, CellKey, Task
 
@@ -170,4 +170,4 @@ def experiment_schema() -> dict[str, Any]:
 def _schema(model: type[BaseModel]) -> dict[str, Any]:
     """Return the schema of a model without definitions."""
     schema = model.model_json_schema()
-    return dict(tidy(inlined({key: schema[key] for key in schema if key != "$defs"}, schema.get("$defs", {}))))
+    return dict(tidy({key: schema[key] for key in schema if key != "$defs"}, schema.get("$defs", {})))

@@ -6,28 +6,25 @@ import json
 import os
 import re
 from collections.abc import Callable, Mapping
+from functools import partial
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, cast
+from typing import Any, cast
 
 from .. import _logicity
 from ..envs.config import EnvConfig
 from ..errors import InputError, did_you_mean, extra
-from ..types import ArrayKind
 
 with extra("learn"):
     from pydantic import ValidationError, ValidationInfo, field_validator
     from pydantic_core import PydanticCustomError
 
 from ..modes import ENVIRONMENTS, checked_mode
-from .faults import Fault, contains, faults, inlined, merged, tidy
+from .faults import Fault, contains, faults, merged, tidy
 from .learner import Learner
 from .registry import LEARNERS, learner_class
 from .settings import LearnerSettings, Training
 
-if TYPE_CHECKING:
-    from ..types import Diagnostic
-
-__all__ = ["TrainConfig", "fault_of_override", "located", "unused"]
+__all__ = ["TrainConfig", "faults_of_overrides", "located", "unused"]
 
 
 class TrainConfig(Training):
@@ -36,18 +33,13 @@ class TrainConfig(Training):
     Keys that the learner does not use are errors.
     """
 
-    @field_validator("algorithm")
+    @field_validator("algorithm", "mode")
     @classmethod
-    def _known_algorithm(cls, name: str) -> str:
-        if name not in LEARNERS:
+    def _known(cls, name: str, info: ValidationInfo) -> str:
+        if info.field_name == "algorithm" and name not in LEARNERS:
             raise _custom(f"unknown learner `{name}`{did_you_mean(name, LEARNERS)}")
-        return name
-
-    @field_validator("mode")
-    @classmethod
-    def _known_mode(cls, name: str) -> str:
         try:
-            return checked_mode(name)
+            return checked_mode(name) if info.field_name == "mode" else name
         except ValueError as error:
             raise _custom(str(error)) from None
 
@@ -63,30 +55,19 @@ class TrainConfig(Training):
             settings = settings.model_dump()
         return expected.model_validate(settings)
 
-    @field_validator("observation")
+    @field_validator("observation", "steps", "overrides", "envs", "episodes", "demonstrations", "start")
     @classmethod
-    def _usable_observation(cls, kind: ArrayKind, info: ValidationInfo) -> ArrayKind:
-        algorithm = info.data.get("algorithm")
-        usable = (kind,) if algorithm is None else learner_class(algorithm).observations
-        if kind not in usable:
-            names = " or ".join(f"`{name}`" for name in usable)
-            raise _custom(f"`{algorithm}` takes observations of the kind {names}, not `{kind}`")
-        return kind
-
-    @field_validator("steps")
-    @classmethod
-    def _possible_steps(cls, steps: int, info: ValidationInfo) -> int:
-        algorithm = info.data.get("algorithm")
-        only = None if algorithm is None else learner_class(algorithm).only_steps
-        if only is not None and steps != only:
-            raise _custom(f"`steps` must be {only} for `{algorithm}`, not `{steps}`")
-        return steps
-
-    @field_validator("overrides", "envs", "episodes", "demonstrations", "start")
-    @classmethod
-    def _used_key(cls, value: Any, info: ValidationInfo) -> Any:
+    def _fits_learner(cls, value: Any, info: ValidationInfo) -> Any:
         algorithm, key = info.data.get("algorithm"), str(info.field_name)
-        if algorithm is not None and value is not None and (reason := unused(algorithm).get(key)):
+        if algorithm is None or value is None:
+            return value
+        learner = learner_class(algorithm)
+        if key == "observation" and value not in learner.observations:
+            names = " or ".join(f"`{name}`" for name in learner.observations)
+            raise _custom(f"`{algorithm}` takes observations of the kind {names}, not `{value}`")
+        if key == "steps" and learner.only_steps not in (None, value):
+            raise _custom(f"`steps` must be {learner.only_steps} for `{algorithm}`, not `{value}`")
+        if reason := unused(algorithm).get(key):
             raise _custom(f"`{algorithm}` does not use the key `{key}`: {reason}")
         return value
 
@@ -97,22 +78,24 @@ class TrainConfig(Training):
 
     def to_dict(self) -> dict[str, Any]:
         """Return the keys that the learner uses, for JSON. `TrainConfig(**config.to_dict())` equals `config`."""
-        left_out = unused(self.algorithm)
-        return {key: value for key, value in self.model_dump(mode="json").items() if key not in left_out}
+        return self.model_dump(mode="json", exclude=set(unused(self.algorithm)))
 
     @classmethod
     def json_schema(cls) -> dict[str, Any]:
         """Return the JSON Schema of YAML files. No key is required, since the file that `base` names may contain it."""
-        keys = {key: tidy(value) for key, value in cls.model_json_schema()["properties"].items()}
+        schema = cls.model_json_schema()
+        keys = tidy(schema["properties"], schema["$defs"])
         keys["algorithm"] = {"enum": list(LEARNERS), "description": keys["algorithm"]["description"]}
         keys["settings"] = {"type": "object", "default": {}, "description": keys["settings"]["description"]}
         learners = {name: learner_class(name) for name in LEARNERS}
+        rule = "Path of a file to start from. Mappings merge key by key; any other value replaces that of the base."
+        base = {"type": "string", "description": rule}
         return {
             "$schema": "https://json-schema.org/draft/2020-12/schema",
             "title": "A training configuration",
             "type": "object",
             "additionalProperties": False,
-            "properties": {"base": {"type": "string", "description": _BASE}, **keys},
+            "properties": {"base": base, **keys},
             "allOf": [
                 {
                     "if": {"properties": {"algorithm": {"const": name}}, "required": ["algorithm"]},
@@ -164,37 +147,34 @@ class TrainConfig(Training):
         for key in ("mode", "start"):
             name = values.get(key)
             if isinstance(name, str) and not (key == "mode" and name in ENVIRONMENTS):
-                values[key] = _named_file(file, key, name, Path(file.file_of([key]) or path).parent)
+                # As in run configurations, a path is relative to its file, or names a built-in file.
+                at = Path(file.file_of([key]) or path).parent / name
+                if at.exists():
+                    values[key] = str(at.resolve())
+                elif key == "start" or (at.suffix and name not in {f"configs/{mode}.yaml" for mode in ENVIRONMENTS}):
+                    raise file.error([("missing-file", [key], f"cannot read `{at}`: no such file", "")])
         values = merged(values, changes or {})
         if seed is not None:
             values["seed"] = seed
         try:
             return cls.model_validate(values)
         except ValidationError as error:
-            wrong = faults(error, _unknown_key(values.get("algorithm")))
+            wrong = faults(error, partial(_unknown_key, values.get("algorithm")))
             changed = [each for each in wrong if contains(changes or {}, each[1])]
             raise (rejected(changed) if rejected is not None and changed else file.error(wrong)) from None
 
 
 def located(path: str | os.PathLike[str], config: TrainConfig, error: ValueError) -> ValueError:
-    """Return an error of a training run with its location in the YAML file.
+    """Return an error of a training run as an `InputError` with its location in the YAML file of the configuration.
 
     The location is the first key that the message names between backticks or before a colon. An error in `overrides` is
-    at the overridden key.
-
-    Args:
-        path: The YAML file.
-        config: The configuration in it.
-        error: The error.
-
-    Returns:
-        An `InputError`, or an error that names the file if the message names no key of the file.
+    at the overridden key. If the message names no key of the file, the error names the file.
     """
     file = _logicity.ConfigFile(path, "configs/baselines")
     if isinstance(error, InputError):
-        known = [fault for each in error.diagnostics if (fault := fault_of_override(config, each)) is not None]
-        # The other errors are in other files, and have a location there.
-        return cast(InputError, file.error(known)) if len(known) == len(error.diagnostics) else error
+        known = faults_of_overrides(config, error)
+        # Other errors are in other files, and have a location there.
+        return error if known is None else cast(InputError, file.error(known))
     message = str(error)
     named = [(quoted or first).split(".") for quoted, first in re.findall(r"`([\w.]+)`|^(\w+)(?=:)", message)]
     key = next((each for each in named if each[0] in TrainConfig.model_fields), None)
@@ -205,14 +185,17 @@ def located(path: str | os.PathLike[str], config: TrainConfig, error: ValueError
     return cast(InputError, file.error([("invalid-value", key, message, "")]))
 
 
-def fault_of_override(config: TrainConfig, fault: Diagnostic) -> Fault | None:
-    """Return an error in `overrides`, or `None` for an error elsewhere."""
-    label = next(iter(fault["labels"]), None)
-    if label is None or label["file"] != "<overrides>":
-        return None
+def faults_of_overrides(config: TrainConfig, error: InputError) -> list[Fault] | None:
+    """Return the faults of an error in `overrides`, or `None` if a fault is elsewhere."""
     document = json.loads(EnvConfig(config.mode, overrides=config.overrides)._as_json({}) or "{}")
-    path = ["overrides", *_path_at(document, label["column"] - 1)]
-    return fault["code"], path, fault["message"], "; ".join([*fault["notes"], *fault["help"]])
+    found: list[Fault] = []
+    for fault in error.diagnostics:
+        label = next(iter(fault["labels"]), None)
+        if label is None or label["file"] != "<overrides>":
+            return None
+        path = ["overrides", *_path_at(document, label["column"] - 1)]
+        found.append((fault["code"], path, fault["message"], "; ".join([*fault["notes"], *fault["help"]])))
+    return found
 
 
 def _path_at(value: Any, column: int, start: int = 0) -> list[str]:
@@ -237,37 +220,13 @@ def unused(algorithm: str) -> dict[str, str]:
     return keys if learner.starts else {**keys, "start": "its training cannot start from a policy"}
 
 
-def _named_file(file: _logicity.ConfigFile, key: str, name: str, folder: Path) -> str:
-    """Return the absolute path of a file that a key names, or the name if it is that of a built-in mode or of no file.
-
-    As in run configurations, a path is relative to the folder of the file that contains it, or names a built-in file.
-    """
-    at = folder / name
-    if at.exists():
-        return str(at.resolve())
-    if key == "start" or (at.suffix and name not in _BUILTIN_MODES):
-        raise file.error([("missing-file", [key], f"cannot read `{at}`: no such file", "")])
-    return name
-
-
-#: The paths of the modes among the built-in files.
-_BUILTIN_MODES = {f"configs/{name}.yaml" for name in ENVIRONMENTS}
-
-
-#: The description of the key `base` in the schema.
-_BASE = "Path of a file to start from. Mappings merge key by key; any other value replaces that of the base."
-
-
 def _settings_schema(name: str, settings: type[LearnerSettings]) -> dict[str, Any]:
-    """Return the schema of the settings of a learner."""
     schema = settings.model_json_schema()
-    # Models within the settings become part of the schema, so it needs no definitions.
-    properties = inlined(schema.get("properties", {}), schema.get("$defs", {}))
     return {
         "title": f"Settings of `{name}`",
         "type": "object",
         "additionalProperties": False,
-        "properties": {key: tidy(value) for key, value in properties.items()},
+        "properties": tidy(schema.get("properties", {}), schema.get("$defs", {})),
     }
 
 
@@ -275,21 +234,16 @@ def _custom(message: str) -> PydanticCustomError:
     return PydanticCustomError("custom", "{message}", {"message": message})
 
 
-def _unknown_key(algorithm: object) -> Callable[[tuple[str, ...]], tuple[str, str]]:
-    """Return a function from the path of an unknown key to its message and help."""
-    settings: list[str] = []
+def _unknown_key(algorithm: object, path: tuple[str, ...]) -> tuple[str, str]:
+    """Return the message and the help for the path of an unknown key."""
     # The settings are checked only for a known learner.
-    if isinstance(algorithm, str) and algorithm in LEARNERS:
-        settings = list(learner_class(algorithm).settings_class.model_fields)
-
-    def unknown(path: tuple[str, ...]) -> tuple[str, str]:
-        name = path[-1]
-        if len(path) == 1:
-            known, message = list(TrainConfig.model_fields), f"unknown key `{name}`"
-            elsewhere = f"`{name}` is a setting of `{algorithm}`: write it under `settings`" * (name in settings)
-        else:
-            known, message = settings, f"`{algorithm}` has no setting `{name}`"
-            elsewhere = f"`{name}` is a key beside `settings`, not in it" * (name in TrainConfig.model_fields)
-        return message, elsewhere or did_you_mean(name, known).removeprefix("; ")
-
-    return unknown
+    is_known = isinstance(algorithm, str) and algorithm in LEARNERS
+    settings = list(learner_class(str(algorithm)).settings_class.model_fields) if is_known else []
+    name = path[-1]
+    if len(path) == 1:
+        known, message = list(TrainConfig.model_fields), f"unknown key `{name}`"
+        elsewhere = f"`{name}` is a setting of `{algorithm}`: write it under `settings`" * (name in settings)
+    else:
+        known, message = settings, f"`{algorithm}` has no setting `{name}`"
+        elsewhere = f"`{name}` is a key beside `settings`, not in it" * (name in TrainConfig.model_fields)
+    return message, elsewhere or did_you_mean(name, known).removeprefix("; ")

@@ -18,9 +18,6 @@ class Curves:
 
     A learner creates its curves anew when a run resumes. The first mean is then over the steps since the resume.
 
-    Args:
-        log: The folder.
-
     Raises:
         ImportError: If there is a folder, and TensorBoard is not installed.
     """

@@ -14,10 +14,13 @@ with extra("learn"):
 if TYPE_CHECKING:
     from pydantic_core import ErrorDetails
 
-__all__ = ["Fault", "contains", "faults", "inlined", "merged", "tidy"]
+__all__ = ["Fault", "contains", "faults", "merged", "tidy"]
 
 #: An error in a YAML file: its code, the path of keys to the value, the message, and the help, which may be empty.
 Fault: TypeAlias = tuple[str, list[str], str, str]
+
+#: Returns the message and the help for the path of an unknown key.
+Unknown: TypeAlias = Callable[[tuple[str, ...]], tuple[str, str]]
 
 
 def contains(values: Mapping[str, Any], path: Sequence[str]) -> bool:
@@ -40,35 +43,24 @@ def merged(values: Mapping[str, Any], changes: Mapping[str, Any]) -> dict[str, A
     return result
 
 
-def inlined(schema: Any, definitions: Mapping[str, Any]) -> Any:
-    """Return a schema with the definitions in place of references to them."""
+def tidy(schema: Any, definitions: Mapping[str, Any]) -> Any:
+    """Return a part of a schema without line breaks, references and the titles that pydantic makes from names.
+
+    The definitions take the place of references to them.
+    """
     if isinstance(schema, dict):
         if "$ref" in schema:
             rest = {key: value for key, value in schema.items() if key != "$ref"}
-            return inlined({**definitions[schema["$ref"].rpartition("/")[2]], **rest}, definitions)
-        return {key: inlined(value, definitions) for key, value in schema.items()}
-    return [inlined(value, definitions) for value in schema] if isinstance(schema, list) else schema
-
-
-def tidy(schema: Any) -> Any:
-    """Return a part of a schema without the titles that pydantic makes from names and without line breaks."""
-    if isinstance(schema, dict):
-        return {key: tidy(value) for key, value in schema.items() if key != "title" or not isinstance(value, str)}
+            return tidy({**definitions[schema["$ref"].rpartition("/")[2]], **rest}, definitions)
+        kept = {key: value for key, value in schema.items() if key != "title" or not isinstance(value, str)}
+        return {key: tidy(value, definitions) for key, value in kept.items()}
     if isinstance(schema, str):
         return " ".join(schema.split())
-    return [tidy(value) for value in schema] if isinstance(schema, list) else schema
+    return [tidy(value, definitions) for value in schema] if isinstance(schema, list) else schema
 
 
-def faults(
-    error: ValidationError, unknown: Callable[[tuple[str, ...]], tuple[str, str]], depth: int = 2
-) -> list[Fault]:
-    """Return all errors.
-
-    Args:
-        error: The errors of pydantic.
-        unknown: Returns the message and the help for the path of an unknown key.
-        depth: The number of keys after which pydantic may append the name of an alternative to a path.
-    """
+def faults(error: ValidationError, unknown: Unknown, depth: int = 2) -> list[Fault]:
+    """Return all errors of pydantic, which may append the name of an alternative to a path after `depth` keys."""
     by_key: dict[tuple[str, ...], list[ErrorDetails]] = {}
     found = error.errors(include_url=False)
     # The paths of values with an error in an element. Pydantic counts only their valid elements.
@@ -76,20 +68,14 @@ def faults(
     for each in found:
         if each["type"] == "too_short" and each["loc"] in faulty:
             continue
-        # For a union, every alternative reports an error and appends its name to the path.
-        where = each["loc"]
-        more = len(where) > depth and (isinstance(where[depth], int) or each["type"] in _AT_KEYS)
+        # The alternatives of a union report errors about the value, not the key, and append their names to the path.
+        where, about_key = each["loc"], each["type"] in ("extra_forbidden", "missing")
+        more = len(where) > depth and (isinstance(where[depth], int) or about_key)
         by_key.setdefault(tuple(map(str, where[: depth + more])), []).append(each)
     return [_fault(path, errors, unknown) for path, errors in by_key.items()]
 
 
-#: The types of errors about a key, not about its value. They have no alternatives.
-_AT_KEYS = ("extra_forbidden", "missing")
-
-
-def _fault(
-    path: tuple[str, ...], errors: Sequence[ErrorDetails], unknown: Callable[[tuple[str, ...]], tuple[str, str]]
-) -> Fault:
+def _fault(path: tuple[str, ...], errors: Sequence[ErrorDetails], unknown: Unknown) -> Fault:
     first, name, kind = errors[0], ".".join(path), errors[0]["type"]
     if kind == "extra_forbidden":
         return "unknown-key", list(path), *unknown(path)
@@ -112,12 +98,9 @@ def _shown(value: object) -> str:
     try:
         float(value)
     except ValueError:
-        return json.dumps(value) if value.lower() in _NOT_STRINGS else value
+        return json.dumps(value) if value.lower() in ("", "~", "null", "true", "false") else value
     return json.dumps(value)
 
-
-#: Words that are no strings in YAML.
-_NOT_STRINGS = ("", "~", "null", "true", "false")
 
 #: What a value must be, by the type of pydantic's error, with the bounds of the error.
 _EXPECTED = {
@@ -143,7 +126,6 @@ _EXPECTED = {
 
 
 def _expected(error: ErrorDetails) -> str:
-    """Describe the values that a key accepts."""
     kind, context = error["type"], error.get("ctx", {})
     if kind == "too_short" and context["field_type"] == "Dictionary":
         return f"a mapping with {context['min_length']} or more keys"

@@ -30,10 +30,7 @@ LEARNERS: dict[str, str] = {
 
 
 def learner_class(name: str) -> type[Learner]:
-    """Return the class of a learner.
-
-    Args:
-        name: A key of `LEARNERS`.
+    """Return the class of the learner with a name in `LEARNERS`.
 
     Raises:
         ImportError: If a package is missing.

@@ -9,7 +9,6 @@ policy is made of rules but is not a rule file, `rules.dl` has the rules.
 from __future__ import annotations
 
 import hashlib
-import json
 import os
 import re
 import shutil
@@ -30,28 +29,20 @@ from .. import _logicity
 from .._logicity import __version__
 from ..errors import InputError, UntrustedError
 from ..evaluation import MEASURES, Benchmark, Evaluation
-from ..files import check_readable, file_hash, read_json, reserved, write_json
+from ..files import check_readable, file_hash, json_text, read_json, reserved, write_json
 from ..tasks import load_task, task_hashes
 from ..terminal import first_line, neutral, print_message
 from . import random_state
-from .config import TrainConfig, fault_of_override
+from .config import TrainConfig, faults_of_overrides
+from .curves import Curves
 from .faults import Fault
 from .learner import Learner
 from .policies import SavedPolicy, load_policy
 
 __all__ = ["FolderError", "check_overrides", "check_start", "train"]
 
-#: The packages whose versions `result.json` records, besides logicity, if they are installed.
-PACKAGES = ("torch", "stable-baselines3", "torch-geometric", "numpy")
-
 #: The memory of an environment without its observation, in bytes: a lower bound.
 ENV_BYTES = 6 * 1024
-
-#: The entries that a failed run may leave in a folder that it did not create.
-_REMAINS = re.compile(r"\..*|tensorboard|wandb")
-
-#: The inputs of a cell of an experiment, which are in the folder before its run.
-_CELL = re.compile(r"cell\.json|log\.txt|start\..*")
 
 
 class FolderError(ValueError):
@@ -80,7 +71,7 @@ def train(
     wandb: str | None = None,
     trust: bool = False,
 ) -> dict[str, Any]:
-    """Train a learner, or resume from the last checkpoint of the same configuration.
+    """Train a learner, or resume from the last checkpoint of the same configuration. Return what `result.json` has.
 
     The learner is validated every `validate_every` steps on the recorded validation episodes. The policy with the
     largest TSR, and of these the largest score, is kept, and measured on the test episodes at the end.
@@ -101,9 +92,6 @@ def train(
         trust: Whether the policy of `start` may run code when it is loaded, as for `load_policy`. Other files of the
             run are data.
 
-    Returns:
-        The content of `result.json`.
-
     Raises:
         ImportError: If a package is missing.
         InputError: If the configuration of the mode or an override is invalid, or no episodes are recorded.
@@ -123,14 +111,16 @@ def train(
         hashes = task_hashes(config.mode)
         if config.start is not None:
             hashes["start"] = file_hash(config.start)
-        _check_hashes(run, state, hashes)
+        different = [name for name in hashes if state.hashes and state.hashes.get(name) != hashes[name]]
+        if different:
+            names = ", ".join(different)
+            raise FolderError(f"{run} has a run with another content of {names}; remove it or choose another folder")
         state.hashes = hashes
         torch.set_num_threads(config.threads)
         # Load the test episodes now: an error in them must not surface after hours of training.
         val, test = (Benchmark(config.mode, split, observation=config.observation) for split in ("val", "test"))
         check_overrides(config)
         log = run / "tensorboard" if tensorboard else None
-        curves = _ValidationCurves(run, config, log, wandb)
         files.enter_context(_enough_memory(config))
         learner = config.learner(config, log)
         files.callback(learner.close)
@@ -142,19 +132,15 @@ def train(
             except ValueError as error:
                 raise ValueError(f"`start`: {start.path}: {error}") from None
         write_json(run / "config.json", config.to_dict())
-        display = files.enter_context(_Display(config, learner, progress))
+        display = _Display(config, learner, progress)
+        files.callback(display.bar.close)
         learner.say = display.say
         begun = f"resumed after {state.steps:,} of" if checkpoints else "started:"
         display.say(f"{config.algorithm} in {config.mode}, {begun} {config.steps:,} steps; folder {run}")
-        files.enter_context(curves)
-        training = _Training(run, learner, state, val, display, curves)
-
-        def progress_and_report() -> None:
-            training.progress()
-            if report is not None:
-                report(learner.steps)
-
-        learner.fit(config.steps, progress_and_report)
+        curves = _ValidationCurves(run, config, log, wandb)
+        files.callback(curves.close)
+        training = _Training(run, learner, state, val, display, curves, report)
+        learner.fit(config.steps, training.progress)
         training.finish()
         suffix = learner.suffix
         shutil.copyfile(_checkpoints(run)[-1] / f"best{suffix}", run / f"best{suffix}")
@@ -164,7 +150,8 @@ def train(
             (run / "rules.dl").write_text(rules, encoding="utf-8")
         result = _result(config, learner, state, test.evaluate(best, name=config.algorithm))
         curves.finish(result)
-        write_json(run / "result.json", result, output=output)
+        Path(output.temporary).write_text(json_text(result))
+        output.finish()
     return result
 
 
@@ -194,18 +181,14 @@ def _claimed(run: Path) -> Iterator[_logicity.OutputFile]:
             stored.unlink(missing_ok=True)
             if missing:
                 shutil.rmtree(run, ignore_errors=True)
-        for folder in missing:
-            try:
-                folder.rmdir()
-            except FileNotFoundError:
-                continue
-            except OSError:
-                break
+        with suppress(OSError):
+            for folder in missing:
+                with suppress(FileNotFoundError):
+                    folder.rmdir()
         raise
 
 
 def _read_json(path: Path, remedy: str) -> dict[str, Any]:
-    """Read a JSON object of a run."""
     try:
         value = read_json(path)
     except FileNotFoundError:
@@ -218,12 +201,10 @@ def _read_json(path: Path, remedy: str) -> dict[str, Any]:
 
 
 def _remedy(checkpoint: Path) -> str:
-    """Return what to do about a damaged checkpoint."""
     return f"remove the folder {checkpoint} to train from the beginning, or choose another folder for the run"
 
 
 def _state(checkpoint: Path) -> State:
-    """Read the progress of a run."""
     path = checkpoint / "state.json"
     values = _read_json(path, _remedy(checkpoint))
     if not values.keys() <= asdict(State()).keys() or not isinstance(values.get("steps"), int):
@@ -235,10 +216,8 @@ def _restore(learner: Learner, checkpoint: Path) -> None:
     """Restore a learner, and check that the best policy of the checkpoint can be loaded."""
     pickled = next((path for path in sorted(checkpoint.iterdir()) if path.suffix in (".pkl", ".zip")), None)
     if pickled is not None:
-        raise FolderError(
-            f"{pickled} is a pickle of an earlier version, which could run any code when it is loaded, so this version "
-            f"does not read it; {_remedy(checkpoint)}"
-        )
+        why = "which could run any code when it is loaded, so this version does not read it"
+        raise FolderError(f"{pickled} is a pickle of an earlier version, {why}; {_remedy(checkpoint)}")
     best = checkpoint / f"best{learner.suffix}"
     try:
         with random_state.keep():
@@ -252,9 +231,8 @@ def _restore(learner: Learner, checkpoint: Path) -> None:
         if damaged is None and isinstance(error, (OSError, MemoryError)):
             raise
         reason = first_line(str(error), type(error).__name__)
-        if damaged is None:
-            raise FolderError(f"cannot resume from {checkpoint}: {reason}; {_remedy(checkpoint)}") from error
-        raise FolderError(f"{damaged} is damaged: {reason}; {_remedy(checkpoint)}") from error
+        what = f"cannot resume from {checkpoint}" if damaged is None else f"{damaged} is damaged"
+        raise FolderError(f"{what}: {reason}; {_remedy(checkpoint)}") from error
 
 
 def _readable(path: Path) -> bool:
@@ -276,51 +254,36 @@ def _check_folder(run: Path, config: TrainConfig, state: State) -> None:
     """Check that a folder has no run and no other files, or a run of this configuration with no more steps."""
     stored = run / "config.json"
     if not stored.exists():
-        expected = [_REMAINS, _CELL] if (run / "cell.json").exists() else [_REMAINS]
-        names = sorted(path.name for path in run.iterdir())
-        foreign = [name for name in names if not any(each.fullmatch(name) for each in expected)]
+        # A failed run may leave some entries, and the inputs of a cell of an experiment are there before its run.
+        cell = r"|cell\.json|log\.txt|start\..*" if (run / "cell.json").exists() else ""
+        expected = re.compile(rf"\..*|tensorboard|wandb{cell}")
+        foreign = sorted(path.name for path in run.iterdir() if not expected.fullmatch(path.name))
         if foreign:
             raise FolderError(f"{run} is not empty (`{foreign[0]}`) and has no run: choose another folder")
         return
     old, new = _read_json(stored, f"remove {run} or choose another folder"), config.to_dict()
-    changed = [name for name in {**old, **new} if name != "steps" and new.get(name) != old.get(name)]
+    changed = [f"`{name}`" for name in {**old, **new} if name != "steps" and new.get(name) != old.get(name)]
     if changed:
-        raise FolderError(
-            f"{run} has a run of another configuration ({', '.join(f'`{name}`' for name in changed)} differ); "
-            "remove it or choose another folder"
-        )
+        what = f"another configuration ({', '.join(changed)} differ)"
+        raise FolderError(f"{run} has a run of {what}; remove it or choose another folder")
     if new["steps"] < state.steps and new["steps"] < old.get("steps", 0):
-        raise FolderError(
-            f"{run} has a run of {state.steps} steps: `steps` can be raised, not lowered to {new['steps']}"
-        )
-
-
-def _check_hashes(run: Path, state: State, hashes: Mapping[str, Any]) -> None:
-    """Check that a run began with the same rules and episodes."""
-    different = [name for name in hashes if state.hashes and state.hashes.get(name) != hashes[name]]
-    if different:
-        raise FolderError(
-            f"{run} has a run with another content of {', '.join(different)}; remove it or choose another folder"
-        )
+        rule = f"`steps` can be raised, not lowered to {new['steps']}"
+        raise FolderError(f"{run} has a run of {state.steps} steps: {rule}")
 
 
 def check_start(config: TrainConfig, *, trust: bool = False) -> SavedPolicy | None:
-    """Return the policy of `start`, if there is one. `trust` is that of `load_policy`.
+    """Return the policy of `start`, if there is one. `trust` and the exceptions are those of `load_policy`.
 
-    Raises:
-        OSError: If the file cannot be read.
-        UntrustedError: As for `load_policy`.
-        ValueError: If the file is not a policy of the learner.
+    A policy of another learner is a `ValueError`.
     """
     if config.start is None:
         return None
     try:
         with random_state.keep():
             saved = load_policy(config.start, trust=trust)
-    except UntrustedError as error:
-        raise UntrustedError(f"`start`: {error}") from None
     except ValueError as error:
-        raise ValueError(f"`start`: {error}") from None
+        kind = UntrustedError if isinstance(error, UntrustedError) else ValueError
+        raise kind(f"`start`: {error}") from None
     if saved.algorithm != config.algorithm:
         raise ValueError(f"`start`: {saved.path} is a policy of `{saved.algorithm}`, not of `{config.algorithm}`")
     return saved
@@ -332,10 +295,8 @@ def _enough_memory(config: TrainConfig) -> Iterator[None]:
     if config.learner.interacts and hasattr(os, "sysconf"):
         needed, total = config.envs * ENV_BYTES, os.sysconf("SC_PAGE_SIZE") * os.sysconf("SC_PHYS_PAGES")
         if needed > total:
-            raise ValueError(
-                f"`envs`: {config.envs} environments need more than {_gib(needed)} of memory, and this machine has "
-                f"{_gib(total)}"
-            )
+            what = f"{config.envs} environments need more than {_gib(needed)} of memory"
+            raise ValueError(f"`envs`: {what}, and this machine has {_gib(total)}")
     try:
         yield
     except (MemoryError, RuntimeError) as error:
@@ -344,22 +305,16 @@ def _enough_memory(config: TrainConfig) -> Iterator[None]:
         if not isinstance(error, MemoryError) and asked is None:
             raise
         reason = f"it asks for {_gib(int(asked[1]))}" if asked else first_line(str(error), "the system has none left")
-        name, value = max(_sizes(config).items(), key=lambda item: item[1])
+        sizes = {"envs": config.envs}
+        for name, setting in config.settings.model_dump().items():
+            numbers = [each for each in (setting if isinstance(setting, tuple) else [setting]) if type(each) is int]
+            sizes |= {f"settings.{name}": max(numbers)} if numbers else {}
+        name, value = max(sizes.items(), key=lambda item: item[1])
         raise ValueError(f"`{name}`: {value} needs too much memory: {reason}") from error
 
 
 def _gib(size: int) -> str:
     return f"{size / 2**30:,.1f} GiB"
-
-
-def _sizes(config: TrainConfig) -> dict[str, int]:
-    """Return the integers of a configuration that may determine its use of memory."""
-    sizes = {"envs": config.envs}
-    for name, value in config.settings.model_dump().items():
-        numbers = [each for each in (value if isinstance(value, tuple) else [value]) if type(each) is int]
-        if numbers:
-            sizes[f"settings.{name}"] = max(numbers)
-    return sizes
 
 
 def check_overrides(config: TrainConfig) -> None:
@@ -382,23 +337,32 @@ def check_overrides(config: TrainConfig) -> None:
             )
 
 
+@dataclass
 class _Training:
     """Validates a learner at intervals, keeps the best policy, and writes checkpoints."""
 
-    def __init__(
-        self, run: Path, learner: Learner, state: State, val: Benchmark, display: _Display, curves: _ValidationCurves
-    ) -> None:
-        """Start from a state."""
-        self._run, self._config, self._learner, self._state = run, learner.config, learner, state
-        self._benchmark, self._display, self._curves = val, display, curves
-        self._cpu_before, self._wall_before = _cpu_seconds() - state.cpu_seconds, time.monotonic() - state.wall_seconds
+    _run: Path
+    _learner: Learner
+    _state: State
+    _benchmark: Benchmark
+    _display: _Display
+    _curves: _ValidationCurves
+    _report: Callable[[int], None] | None
+
+    def __post_init__(self) -> None:
+        self._config, state = self._learner.config, self._state
+        # The CPU time is that of this process and of the processes that it has waited for.
+        self._cpu_before = sum(os.times()[:4]) - state.cpu_seconds
+        self._wall_before = time.monotonic() - state.wall_seconds
 
     def progress(self) -> None:
-        """Show the progress. Validate at the first call at or after each multiple of `validate_every` steps."""
+        """Show and report the steps. Validate at the first call at or after each multiple of `validate_every` steps."""
         steps, every = self._learner.steps, self._config.validate_every
         self._display.update(steps)
         if steps // every > self._state.steps // every:
             self._validate()
+        if self._report is not None:
+            self._report(self._learner.steps)
 
     def finish(self) -> None:
         """Validate the trained learner, unless its last step is validated already."""
@@ -407,13 +371,12 @@ class _Training:
             self._validate()
 
     def _validate(self) -> None:
-        """Validate the learner and write a checkpoint."""
         policy = self._learner.policy()
         with random_state.keep():
             measured = self._benchmark.evaluate(policy, name=self._config.algorithm)
         state = self._state
         state.steps = self._learner.steps
-        state.cpu_seconds = _cpu_seconds() - self._cpu_before
+        state.cpu_seconds = sum(os.times()[:4]) - self._cpu_before
         state.wall_seconds = time.monotonic() - self._wall_before
         point = {"steps": state.steps, "cpu_seconds": round(state.cpu_seconds, 2)}
         measures = measured.to_dict()
@@ -437,15 +400,10 @@ class _Training:
             self._learner.policy().save(temporary / best)
         else:
             shutil.copyfile(old[-1] / best, temporary / best)
-        (temporary / "state.json").write_text(json.dumps(asdict(self._state), indent=1, allow_nan=False) + "\n")
+        (temporary / "state.json").write_text(json_text(asdict(self._state)))
         temporary.rename(self._run / name)
         for folder in old:
             shutil.rmtree(folder)
-
-
-def _cpu_seconds() -> float:
-    """Return the CPU time of this process and of the processes that it has waited for."""
-    return sum(os.times()[:4])
 
 
 def _rank(point: Mapping[str, Any]) -> tuple[float, float]:
@@ -456,38 +414,29 @@ class _ValidationCurves:
     """The measures of validations as training curves, for TensorBoard and Weights & Biases."""
 
     def __init__(self, run: Path, config: TrainConfig, log: Path | None, project: str | None) -> None:
-        """Store the folder of TensorBoard, and import Weights & Biases if a project is given."""
-        self._run, self._config, self._log, self._project, self._wandb = run, config, log, project, None
+        """Start or resume the run of Weights & Biases if a project is given."""
+        self._curves, self._wandb = Curves(log and log / "validation"), None
         if project is not None:
             try:
                 import wandb
             except ImportError as error:
                 raise ImportError("`wandb` needs the package wandb: pip install wandb") from error
-            self._start = wandb.init
+            identity = hashlib.sha256(str(run.resolve()).encode()).hexdigest()[:16]
+            about = {"project": project, "name": run.name, "dir": str(run), "config": config.to_dict()}
+            self._wandb = wandb.init(**about, id=identity, resume="allow")
 
-    def __enter__(self) -> None:
-        """Start or resume the run of Weights & Biases."""
-        if self._project is not None:
-            identity = hashlib.sha256(str(self._run.resolve()).encode()).hexdigest()[:16]
-            about = {"project": self._project, "name": self._run.name, "dir": str(self._run)}
-            self._wandb = self._start(**about, id=identity, resume="allow", config=self._config.to_dict())
-
-    def __exit__(self, *error: object) -> None:
+    def close(self) -> None:
         if self._wandb is not None:
             self._wandb.finish()
 
     def add(self, point: Mapping[str, Any]) -> None:
-        """Append the measures of a validation."""
         values = {f"validation/{name}": point[name]["value"] for name in MEASURES}
         if self._wandb is not None:
             self._wandb.log(values, step=point["steps"])
-        if self._log is not None:
-            from torch.utils.tensorboard.writer import SummaryWriter
-
-            # A run that was interrupted before the checkpoint repeats its last validation.
-            with SummaryWriter(str(self._log / "validation"), purge_step=point["steps"]) as writer:
-                for name, value in values.items():
-                    writer.add_scalar(name, value, point["steps"])
+        self._curves.add(values)
+        self._curves.write(point["steps"])
+        # The point is in the file before the checkpoint is.
+        self._curves.close()
 
     def finish(self, result: Mapping[str, Any]) -> None:
         """Send the measures on the test episodes."""
@@ -502,33 +451,23 @@ class _Display:
     SECONDS = 10.0
 
     def __init__(self, config: TrainConfig, learner: Learner, enabled: bool) -> None:
-        """Start at the number of steps of the learner."""
-        self._total, self._before, self._enabled = config.steps, learner.steps, enabled
+        self._total, self._before = config.steps, learner.steps
         self._begun = self._shown = time.monotonic()
         bar = enabled and sys.stderr is not None and sys.stderr.isatty()
-        self._bar = tqdm(total=self._total, initial=self._before, unit=" steps", dynamic_ncols=True) if bar else None
-
-    def __enter__(self) -> _Display:
-        return self
-
-    def __exit__(self, *error: object) -> None:
-        if self._bar is not None:
-            self._bar.close()
+        self._has_lines = enabled and not bar
+        self.bar = tqdm(total=self._total, initial=self._before, unit=" steps", dynamic_ncols=True, disable=not bar)
 
     def say(self, line: str) -> None:
-        """Print a line."""
-        if self._bar is not None:
-            self._bar.write(neutral(line), file=sys.stderr)
-        elif self._enabled:
+        if self._has_lines:
             print_message(line)
+        elif not self.bar.disable:
+            self.bar.write(neutral(line), file=sys.stderr)
 
     def update(self, steps: int) -> None:
         """Show the number of steps; as a line only if the last line is at least `SECONDS` old."""
-        if self._bar is not None:
-            self._bar.update(steps - self._bar.n)
-            return
+        self.bar.update(steps - self.bar.n)
         now = time.monotonic()
-        if self._enabled and now - self._shown >= self.SECONDS and steps > self._before:
+        if self._has_lines and now - self._shown >= self.SECONDS and steps > self._before:
             self._shown = now
             speed = (steps - self._before) / (now - self._begun)
             left = max(0, self._total - steps) / speed / 60
@@ -541,9 +480,13 @@ def _checkpoints(run: Path) -> list[Path]:
 
 
 def _result(config: TrainConfig, learner: Learner, state: State, measured: Evaluation) -> dict[str, Any]:
+    versions = {"logicity": __version__, "python": sys.version.split()[0]}
+    for name in ("torch", "stable-baselines3", "torch-geometric", "numpy"):
+        with suppress(PackageNotFoundError):
+            versions[name] = version(name)
     return {
         "config": config.to_dict(),
-        "versions": {"logicity": __version__, "python": sys.version.split()[0], **_versions()},
+        "versions": versions,
         "hashes": state.hashes,
         "steps": state.steps,
         "unit": learner.unit,
@@ -554,15 +497,6 @@ def _result(config: TrainConfig, learner: Learner, state: State, measured: Evalu
         "test": measured.to_dict(),
         "validations": state.validations,
     }
-
-
-def _versions() -> dict[str, str]:
-    """Return the versions of the installed packages among `PACKAGES`."""
-    found = {}
-    for name in PACKAGES:
-        with suppress(PackageNotFoundError):
-            found[name] = version(name)
-    return found
 
 
 def config_faults(config: TrainConfig, trust: bool) -> list[Fault]:
@@ -582,8 +516,7 @@ def config_faults(config: TrainConfig, trust: bool) -> list[Fault]:
     try:
         check_overrides(config)
     except InputError as error:
-        known = [fault for each in error.diagnostics if (fault := fault_of_override(config, each)) is not None]
-        if len(known) < len(error.diagnostics):
+        if (known := faults_of_overrides(config, error)) is None:
             raise
         found += known
     except ValueError as error:
