@@ -23,7 +23,7 @@ import re
 import shutil
 import time
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import asdict, dataclass
+from dataclasses import asdict, dataclass, replace
 from itertools import takewhile
 from pathlib import Path
 from tempfile import TemporaryDirectory
@@ -42,9 +42,6 @@ from .symbolic import SymbolicLearner, arities, clause
 
 __all__ = ["MaxSynthLearner", "Outcome", "PopperLearner", "PopperSettings", "Printed", "read_output", "run_popper"]
 
-#: The names under which installations of Popper are commands.
-COMMANDS = ("popper-ilp", "popper")
-
 #: The versions that Popper needs.
 NEEDS = "Popper 5 needs Python >= 3.14 and SWI-Prolog >= 9.2"
 
@@ -56,10 +53,7 @@ INTERVAL = 10.0
 
 _ATOM = r"\w+\(\s*[A-Z]\w*(?:\s*,\s*[A-Z]\w*)*\s*\)"
 #: A clause as Popper prints it, also behind the time of a line of its log.
-_CLAUSE = re.compile(rf"(?P<head>{_ATOM})\s*:-\s*(?P<body>{_ATOM}(?:\s*,\s*{_ATOM})*)?\s*\.?\s*$")
-_STARS = re.compile(r"\*{20,}\s*$")
-#: What Popper prints when it stops at its time limit, and what `run_popper` adds to the output of a killed one.
-_TIMEOUT = re.compile(r"TIMEOUT")
+_CLAUSE = re.compile(rf"{_ATOM}\s*:-\s*(?:{_ATOM}(?:\s*,\s*{_ATOM})*)?\s*\.?\s*$")
 
 
 class PopperSettings(LearnerSettings):
@@ -99,8 +93,7 @@ class Outcome:
     """What the searches for the rules of an action found.
 
     Attributes:
-        action: The action.
-        clauses: Its clauses, in the syntax of rule files.
+        clauses: The clauses of the action, in the syntax of rule files.
         negated: Whether the search that found them, or the last one, had negated literals.
         optimal: Whether Popper has ruled out a better program with these literals.
         timed_out: Whether a search stopped at the time limit.
@@ -136,10 +129,8 @@ class Outcome:
         if not self.clauses:
             return f"{'time-out' if self.timed_out else 'no program exists'}: no rules after {self.seconds:.0f} s"
         ended = "optimal" if self.optimal else "time-out" if self.timed_out else "a further search failed"
-        counts = (
-            f"{self.true_positives} of {self.positive} examples of the action and {self.false_positives} of "
-            f"{self.negative} others"
-        )
+        counts = f"{self.true_positives} of {self.positive} examples of the action"
+        counts += f" and {self.false_positives} of {self.negative} others"
         return f"{len(self.clauses)} clauses derive {counts}; {ended} after {self.seconds:.0f} s"
 
 
@@ -149,11 +140,7 @@ class PopperLearner(SymbolicLearner):
     settings_class = PopperSettings
     #: The arguments that select the algorithm.
     selection: ClassVar[tuple[str, ...]] = ()
-
-    def __init__(self, config: Any, log: Path | None = None) -> None:
-        """Start without rules."""
-        super().__init__(config, log)
-        self._outcomes: list[dict[str, Any]] = []
+    _outcomes: Sequence[dict[str, Any]] = ()
 
     def rules(self, data: Demonstrations) -> str:
         """Return the rules that Popper finds. An action for which it finds none has a comment instead.
@@ -165,13 +152,9 @@ class PopperLearner(SymbolicLearner):
         """
         settings = cast(PopperSettings, self.config.settings)
         program = find_popper(settings.program)
-        outcomes = []
-        for action in data.asked:
-            outcome = self._learned(program, data, action)
-            self.say(f"{self.config.algorithm}, {action}: {outcome.text()}")
-            outcomes.append(outcome)
+        outcomes = [self._learned(program, data, action) for action in data.asked]
         if not any(outcome.clauses for outcome in outcomes):
-            _raise_without_rules(self.config.algorithm, outcomes, settings)
+            raise _no_rules(self.config.algorithm, outcomes, settings.timeout)
         # Lists, as JSON has them.
         self._outcomes = [{**asdict(outcome), "clauses": list(outcome.clauses)} for outcome in outcomes]
         lines = ['.include "vocabulary.dl"']
@@ -192,29 +175,18 @@ class PopperLearner(SymbolicLearner):
                 found = self._search(program, data, action, negated, max(limit, 1.0))
             except ChildProcessError as error:
                 failure = str(error)
-            positive, true, negative, false = self._counts(data, action, found.clauses)
-            outcome = Outcome(
-                action=action,
-                clauses=found.clauses,
-                negated=negated,
-                optimal=bool(found.clauses) and not found.timed_out,
-                timed_out=found.timed_out,
-                seconds=round(time.monotonic() - begun, 2),
-                positive=positive,
-                true_positives=true,
-                negative=negative,
-                false_positives=false,
-                failure=failure,
-            )
+            clauses, timed_out = found
+            is_optimal, counts = bool(clauses) and not timed_out, self._counts(data, action, clauses)
+            seconds = round(time.monotonic() - begun, 2)
+            outcome = Outcome(action, clauses, negated, is_optimal, timed_out, seconds, **counts, failure=failure)
             best = outcome if best is None else _better(best, outcome)
             if best.clauses and best.errors == 0:
                 break
         assert best is not None
+        self.say(f"{self.config.algorithm}, {action}: {best.text()}")
         return best
 
-    def _search(
-        self, program: Sequence[str], data: Demonstrations, action: str, negated: bool, limit: float
-    ) -> Printed:
+    def _search(self, words: Sequence[str], data: Demonstrations, action: str, negated: bool, limit: float) -> Printed:
         """Run Popper for an action, with a time limit, and print a line about it every `INTERVAL` seconds."""
         settings = cast(PopperSettings, self.config.settings)
         shown = 0.0
@@ -230,11 +202,11 @@ class PopperLearner(SymbolicLearner):
         with TemporaryDirectory() as folder:
             tasks = data.to_popper(folder, distinct=settings.distinct, negated=negated, max_vars=settings.max_vars)
             task = tasks[data.asked.index(action)]
-            command = [*program, os.fspath(task), "--timeout", f"{limit:g}", *self.selection, *settings.arguments]
+            command = [*words, os.fspath(task), "--timeout", f"{limit:g}", *self.selection, *settings.arguments]
             return read_output(run_popper(command, limit, watch), action, arities(data.atoms))
 
-    def _counts(self, data: Demonstrations, action: str, clauses: Sequence[str]) -> tuple[int, int, int, int]:
-        """Count the examples of an action, those that clauses derive, the other examples, and those they derive."""
+    def _counts(self, data: Demonstrations, action: str, clauses: Sequence[str]) -> dict[str, int]:
+        """Count the examples of an action and the others, and those of both that clauses derive."""
         settings = cast(PopperSettings, self.config.settings)
         examples = list(data.examples(distinct=settings.distinct))
         number = ACTIONS.index(action)
@@ -244,9 +216,9 @@ class PopperLearner(SymbolicLearner):
             # Without rules of other actions, an ego takes the action exactly if a clause holds.
             policy = RulePolicy.from_text("\n".join(['.include "vocabulary.dl"', *clauses]), self.config.mode)
             derived = policy(np.stack([observation for observation, _ in examples])) == number
-        counts = (taken, taken & derived, ~taken, ~taken & derived)
-        positive, true, negative, false = (int(each.sum()) for each in counts)
-        return positive, true, negative, false
+        parts = {"positive": taken, "true_positives": taken & derived}
+        parts |= {"negative": ~taken, "false_positives": ~taken & derived}
+        return {name: int(part.sum()) for name, part in parts.items()}
 
     def outcome(self) -> dict[str, Any]:
         """Return the searches of the actions."""
@@ -274,32 +246,21 @@ class MaxSynthLearner(PopperLearner):
 def _better(first: Outcome, second: Outcome) -> Outcome:
     """Return the outcome with fewer errors, with what both searches say about the time and failures."""
     best = second if second.clauses and (not first.clauses or second.errors < first.errors) else first
-    return Outcome(
-        **{
-            **asdict(best),
-            "clauses": best.clauses,
-            "optimal": best.optimal and not second.failure and not second.timed_out,
-            "timed_out": first.timed_out or second.timed_out,
-            "seconds": second.seconds,
-            "failure": first.failure or second.failure,
-        }
-    )
+    is_optimal = best.optimal and not second.failure and not second.timed_out
+    timed_out, failure = first.timed_out or second.timed_out, first.failure or second.failure
+    return replace(best, optimal=is_optimal, timed_out=timed_out, seconds=second.seconds, failure=failure)
 
 
-def _raise_without_rules(algorithm: str, outcomes: Sequence[Outcome], settings: PopperSettings) -> None:
-    """Raise the error of a learner that found no rule: failed, out of time, or without a program."""
+def _no_rules(algorithm: str, outcomes: Sequence[Outcome], timeout: float) -> Exception:
+    """Return the error of a learner that found no rule: failed, out of time, or without a program."""
     if all(outcome.failure for outcome in outcomes):
-        raise ChildProcessError(outcomes[0].failure)
-    late = [outcome.action for outcome in outcomes if outcome.timed_out]
+        return ChildProcessError(outcomes[0].failure)
+    late = ", ".join(outcome.action for outcome in outcomes if outcome.timed_out)
     if late:
-        raise ValueError(
-            f"time-out: {algorithm} found no rules for {', '.join(late)} within {settings.timeout:g} seconds: raise "
-            "`timeout`, or lower `max_vars`"
-        )
-    names = ", ".join(outcome.action for outcome in outcomes)
-    raise ValueError(
-        f"{algorithm} says that no rules within its limits explain {names}: raise `max_vars`, or set `negated: true`"
-    )
+        within = f"within {timeout:g} seconds: raise `timeout`, or lower `max_vars`"
+        return ValueError(f"time-out: {algorithm} found no rules for {late} {within}")
+    names, remedy = ", ".join(outcome.action for outcome in outcomes), "raise `max_vars`, or set `negated: true`"
+    return ValueError(f"{algorithm} says that no rules within its limits explain {names}: {remedy}")
 
 
 def find_popper(program: Sequence[str] = ()) -> list[str]:
@@ -308,14 +269,12 @@ def find_popper(program: Sequence[str] = ()) -> list[str]:
     Raises:
         FileNotFoundError: If there is no such command.
     """
-    names = program[:1] or COMMANDS
+    names = program[:1] or ("popper-ilp", "popper")
     found = next((path for name in names if (path := shutil.which(name))), None)
     if found is None:
         listed = " or ".join(f"`{name}`" for name in names)
-        raise FileNotFoundError(
-            f"Popper is not installed: there is no command {listed}; {NEEDS}; "
-            "install it, or name its command under `settings.program`"
-        )
+        remedy = "install it, or name its command under `settings.program`"
+        raise FileNotFoundError(f"Popper is not installed: there is no command {listed}; {NEEDS}; {remedy}")
     return [found, *program[1:]]
 
 
@@ -324,11 +283,7 @@ def run_popper(command: Sequence[str], timeout: float, watch: Callable[[Running]
 
     Popper stops at its own time limit and prints its best rules. If it does not within `GRACE` seconds, it is killed
     with all its processes. Then the last hypothesis of its log counts. Only the last 16 MiB of its output count.
-
-    Args:
-        command: The words of the command.
-        timeout: The time limit in seconds.
-        watch: Receives the state of the running program, several times a second.
+    `timeout` is the time limit in seconds; the other arguments are those of `run_program`.
 
     Raises:
         ChildProcessError: If it fails.
@@ -359,7 +314,7 @@ def _needs() -> str:
 
 
 def read_output(text: str, action: str, predicates: Mapping[str, int]) -> Printed:
-    """Return the clauses in the output of Popper, in the syntax of rule files.
+    """Return the clauses in the output of Popper, in the syntax of rule files; none if it says that it found none.
 
     The solution is a block between lines of stars. Without one, the last `New best hypothesis` of the log counts.
 
@@ -371,9 +326,6 @@ def read_output(text: str, action: str, predicates: Mapping[str, int]) -> Printe
         action: The action, whose name in snake case is the predicate of the heads.
         predicates: The predicates of observations with their arities.
 
-    Returns:
-        The clauses, and whether Popper ran out of time. There are none if it says that it found none.
-
     Raises:
         ChildProcessError: If the output is not understood.
     """
@@ -381,7 +333,8 @@ def read_output(text: str, action: str, predicates: Mapping[str, int]) -> Printe
     starts = [at + 1 for at, line in enumerate(lines) if re.search(r"\*{5,} SOLUTION \*{5,}", line)]
     if not starts:
         starts = [at + 1 for at, line in enumerate(lines) if line.rstrip().endswith("New best hypothesis:")]
-    timed_out = _TIMEOUT.search(text) is not None
+    # Popper prints this word when it stops at its time limit, and `run_popper` adds it to the output of a killed one.
+    timed_out = "TIMEOUT" in text
     if not starts:
         if timed_out or "NO SOLUTION" in text:
             return Printed((), timed_out)
@@ -389,10 +342,10 @@ def read_output(text: str, action: str, predicates: Mapping[str, int]) -> Printe
     names = popper_names(predicates)
     head = next(iter(popper_names({action: 1})))
     clauses = []
-    for line in takewhile(lambda line: not _STARS.search(line), lines[starts[-1] :]):
+    for line in takewhile(lambda line: not re.search(r"\*{20,}\s*$", line), lines[starts[-1] :]):
         match = _CLAUSE.search(line)
         if match is not None:
-            clauses.append(_clause(match, head, action, names))
+            clauses.append(_clause(match[0], head, action, names))
         elif ":-" in line:
             raise ChildProcessError(f"the output of Popper has a clause that is not understood: {line.strip()[:200]}")
     if not clauses:
@@ -400,14 +353,13 @@ def read_output(text: str, action: str, predicates: Mapping[str, int]) -> Printe
     return Printed(tuple(clauses), timed_out)
 
 
-def _clause(match: re.Match[str], head: str, action: str, names: Mapping[str, tuple[bool, str, int]]) -> str:
-    """Return a clause in the syntax of rule files."""
-    name, (ego, *more) = _atom(match["head"])
-    literals = [_atom(text) for text in re.findall(_ATOM, match["body"] or "")]
+def _clause(printed: str, head: str, action: str, names: Mapping[str, tuple[bool, str, int]]) -> str:
+    atoms = re.findall(r"(\w+)\((.*?)\)", printed)
+    (name, (ego, *more)), *literals = [(name, re.findall(r"\w+", arguments)) for name, arguments in atoms]
     known = {**{key: arity for key, (_, _, arity) in names.items()}, "sees": 2}
     wrong = [name for name, arguments in literals if known.get(name) != len(arguments)]
     if name != head or more or wrong:
-        raise ChildProcessError(f"Popper printed a clause that is not of this task: {match[0].strip()[:200]}")
+        raise ChildProcessError(f"Popper printed a clause that is not of this task: {printed.strip()[:200]}")
     numbers = dict.fromkeys([ego, *(arguments[0] for name, arguments in literals if name == "sees")], 0)
     body = []
     for name, arguments in literals:
@@ -418,9 +370,3 @@ def _clause(match: re.Match[str], head: str, action: str, names: Mapping[str, tu
         negated, predicate, _ = names[name]
         body.append((negated, predicate, tuple(numbers[argument] for argument in arguments)))
     return clause(action, body)
-
-
-def _atom(text: str) -> tuple[str, list[str]]:
-    """Split an atom into its predicate and its arguments."""
-    name, _, rest = text.strip().partition("(")
-    return name, [argument.strip() for argument in rest.rstrip(") \t").split(",")]

@@ -21,9 +21,8 @@ __all__ = ["end_with_parent"]
 def end_with_parent(kill: Callable[[], None] = lambda: None) -> None:
     """End this process and those that it started when standard input is closed.
 
-    Args:
-        kill: Ends the started processes that are not in the group of this process, before those of the group. Where
-            there are process groups, this process must lead its own.
+    First, `kill` ends the started processes that are not in the group of this process. Where there are process groups,
+    this process must lead its own.
     """
 
     def watch() -> None:
@@ -35,15 +34,6 @@ def end_with_parent(kill: Callable[[], None] = lambda: None) -> None:
         os._exit(1)
 
     threading.Thread(target=watch, daemon=True).start()
-
-
-def _adopt() -> None:
-    """On Linux, become the parent of all descendants whose own parent ends, so that none can leave this process."""
-    if sys.platform == "linux":
-        import ctypes
-
-        set_child_subreaper = 36
-        ctypes.CDLL(None, use_errno=True).prctl(set_child_subreaper, 1, 0, 0, 0)
 
 
 def _descendants() -> list[int]:
@@ -75,7 +65,12 @@ def _end_descendants() -> None:
 
 
 def _main() -> int:
-    _adopt()
+    if sys.platform == "linux":
+        # Become the parent of all descendants whose own parent ends, so that none can leave this process.
+        import ctypes
+
+        set_child_subreaper = 36
+        ctypes.CDLL(None, use_errno=True).prctl(set_child_subreaper, 1, 0, 0, 0)
     try:
         # The parent's pipe is not the standard input of the program.
         program = subprocess.Popen(sys.argv[1:], stdin=subprocess.DEVNULL)
