@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import socket
 from types import ModuleType
-from typing import Any
+from typing import Any, cast
 
 from .errors import extra
 from .signals import kept_handlers
@@ -13,8 +13,6 @@ __all__ = ["ONE_THREAD", "RETRIES", "connect"]
 
 #: The largest number of times that a cell runs again because its worker is lost.
 RETRIES = 20
-#: The time for a Ray cluster to accept a connection, in seconds.
-CONNECT_SECONDS = 10.0
 #: The environment variables that give a process one thread. Cells and worlds run in parallel.
 ONE_THREAD = dict.fromkeys(("OMP_NUM_THREADS", "MKL_NUM_THREADS", "OPENBLAS_NUM_THREADS"), "1")
 
@@ -40,8 +38,7 @@ def connect(address: str, workers: int | None = None) -> ModuleType:
     except Exception as error:
         # Ray raises a plain `Exception` if a local cluster takes too long to start.
         raise ConnectionError(f"--ray: no cluster at `{address}`: {error}") from error
-    module: ModuleType = ray
-    return module
+    return cast(ModuleType, ray)
 
 
 def _check_listening(address: str) -> None:
@@ -53,7 +50,7 @@ def _check_listening(address: str) -> None:
     if not separator or not port.isdecimal():
         return
     try:
-        socket.create_connection((host.strip("[]"), int(port)), CONNECT_SECONDS).close()
+        socket.create_connection((host.strip("[]"), int(port)), timeout=10.0).close()
     except (OSError, OverflowError) as error:
         help = "start a cluster with `ray start --head`, or give `--ray` without an address for one on this machine"
         raise ConnectionError(f"--ray: no cluster at `{address}`: {error}\nhelp: {help}") from None

@@ -30,8 +30,6 @@ class InputError(ValueError):
             location (file, line, column).
     """
 
-    diagnostics: list[Diagnostic]
-
     def __init__(self, message: str, diagnostics: list[Diagnostic]) -> None:
         """Store the rendered message and the diagnostics."""
         super().__init__(message)

@@ -31,7 +31,6 @@ from .tasks import load_task
 from .types import Atom, SymbolicScene
 
 if TYPE_CHECKING:
-    import gymnasium
     from minari import MinariDataset
 
 __all__ = ["Episode", "InducedClause", "InducedRules", "Oracle", "induce"]
@@ -39,21 +38,15 @@ __all__ = ["Episode", "InducedClause", "InducedRules", "Oracle", "induce"]
 
 @runtime_checkable
 class Episode(Protocol):
-    """A demonstrated episode of T steps: a `Trajectory`, or an episode of a Minari dataset.
-
-    Attributes:
-        observations: Numbers of shape (T, width) or (T + 1, width): the observations of the kind `groundings` before
-            each step, and possibly one more after the last step.
-        actions: Integers of shape (T,): 0 Slow, 1 Normal, 2 Fast, 3 Stop.
-    """
+    """A demonstrated episode of T steps: a `Trajectory`, or an episode of a Minari dataset."""
 
     @property
     def observations(self) -> Any:
-        """The observations."""
+        """The `groundings` before each step and possibly after the last: numbers (T, width) or (T + 1, width)."""
 
     @property
     def actions(self) -> Any:
-        """The actions."""
+        """Integers of shape (T,): 0 Slow, 1 Normal, 2 Fast, 3 Stop."""
 
 
 @dataclass(frozen=True)
@@ -103,10 +96,9 @@ class InducedRules:
         self._rules = rules
         self.text = rules.text
         self.report: Mapping[str, Any] = rules.report()
-        self.clauses = tuple(
-            InducedClause(**{each.name: _with_tuples(clause[each.name]) for each in fields(InducedClause)})
-            for clause in self.report["clauses"]
-        )
+        names = [each.name for each in fields(InducedClause)]
+        found = ({name: _with_tuples(clause[name]) for name in names} for clause in self.report["clauses"])
+        self.clauses = tuple(InducedClause(**clause) for clause in found)
 
     def __reduce__(self) -> tuple[type[InducedRules], tuple[_logicity.LearnedRules]]:
         """Pickle the rules without learning again."""
@@ -114,18 +106,16 @@ class InducedRules:
 
     def __repr__(self) -> str:
         """Show the numbers of clauses and examples."""
-        counts = {"clause": len(self.clauses), "example": self.report["examples"]}
-        shown = " from ".join(f"{count} {name}{'' if count == 1 else 's'}" for name, count in counts.items())
-        return f"<InducedRules: {shown}>"
+        clauses, examples = len(self.clauses), self.report["examples"]
+        return f"<InducedRules: {clauses} clause{'s' * (clauses != 1)} from {examples} example{'s' * (examples != 1)}>"
 
     def __call__(self, observations: ArrayLike) -> NDArray[np.int64]:
         """Return the actions that the rules choose, as `RulePolicy` does. An entity without facts counts as absent."""
         array = np.ascontiguousarray(observations, np.float32)
         if array.ndim != 2:
-            raise ValueError(
-                f"expected a batch of observations (N, width), not an array of shape {array.shape}: pass "
-                "`batched=True` to `evaluate`"
-            )
+            found = f"an array of shape {array.shape}"
+            remedy = "pass `batched=True` to `evaluate`"
+            raise ValueError(f"expected a batch of observations (N, width), not {found}: {remedy}")
         return self._rules.decide(array)
 
     def policy(self) -> InducedRules:
@@ -191,12 +181,9 @@ class Oracle:
         sweep = self.sweep
         if sweep is not None and (not isinstance(sweep, Sequence) or len(sweep) != 2):
             raise TypeError(f"sweep: expected the numbers of facts and entities, such as `(3, 2)`, not {sweep!r}")
-        return (
-            checked_integer("questions", self.questions),
-            checked_integer("agreements", self.agreements),
-            sweep and (checked_integer("sweep", sweep[0], 0, 1000), checked_integer("sweep", sweep[1], 1, 5)),
-            None if self.log is None else checked_path("log", self.log),
-        )
+        questions, agreements = (checked_integer(name, getattr(self, name)) for name in ("questions", "agreements"))
+        sizes = sweep and (checked_integer("sweep", sweep[0], 0, 1000), checked_integer("sweep", sweep[1], 1, 5))
+        return questions, agreements, sizes, None if self.log is None else checked_path("log", self.log)
 
     def _arguments(self, mode: str | os.PathLike[str], overrides: Mapping[str, Any] | None) -> tuple[Any, ...]:
         """Return the oracle, what identifies it in a log, its name in reports, and the other arguments."""
@@ -261,12 +248,9 @@ def induce(
             there are neither demonstrations nor an oracle, `demonstrations` is the name of a mode, a Minari dataset is
             damaged or too large, or the log has other questions.
     """
-    numbers = (
-        checked_integer("variables", variables, 2, _logicity.VARIABLES_MAX),
-        checked_integer("effort", effort, 1, 2**32 - 1),
-        checked_integer("seed", seed),
-        checked_threads(threads),
-    )
+    variables = checked_integer("variables", variables, 2, _logicity.VARIABLES_MAX)
+    effort = checked_integer("effort", effort, 1, 2**32 - 1)
+    numbers = (variables, effort, checked_integer("seed", seed), checked_threads(threads))
     if oracle is not None and not isinstance(oracle, Oracle):
         raise TypeError(f"oracle: expected an Oracle, not {type(oracle).__name__}")
     names = _checked_order(order)
@@ -280,10 +264,8 @@ def induce(
             raise ValueError(message)
     rate = float("nan") if noise == "auto" else None if noise is None else float(noise)
     if isinstance(demonstrations, str) and demonstrations in ENVIRONMENTS and not os.path.exists(demonstrations):
-        raise ValueError(
-            f"demonstrations: `{demonstrations}` is a mode, not a dataset: pass "
-            f'`logicity.demonstrations("{demonstrations}")`, or `mode="{demonstrations}"` with an `oracle`'
-        )
+        remedy = f'pass `logicity.demonstrations("{demonstrations}")`, or `mode="{demonstrations}"` with an `oracle`'
+        raise ValueError(f"demonstrations: `{demonstrations}` is a mode, not a dataset: {remedy}")
     source = _source(demonstrations)
     mode = source.mode if mode is None else mode
     if mode is None:
@@ -293,7 +275,11 @@ def induce(
         rules = source.options.get("rules") if rules is None else rules
         overrides = source.options.get("overrides") if overrides is None else overrides
     task = load_task(mode, rules, overrides)
-    _check_atoms(source, task, name)
+    expected = _atom_texts(atoms_of(_logicity.describe(task))) if source.atoms else []
+    for one, other in zip_longest(source.atoms, expected):
+        if one != other:
+            reason = f"they have the atom {one} instead of {other}"
+            raise ValueError(f"the demonstrations of {source.mode} do not fit {name}: {reason}")
     width = None if oracle is None else task.shape("groundings")[0]
     observations, actions, parts = _stacked(source.episodes, width)
     origin = f"{len(parts)} episodes {source.title or f'for {name}'}" if parts else f"questions about scenes of {name}"
@@ -304,9 +290,7 @@ def induce(
     learned, fault = _logicity.induce(task, observations, actions, parts, lines, names, *numbers, rate, asking)
     induced = InducedRules(learned)
     if fault is not None:
-        # Typed as `Any`: exceptions take further attributes.
-        annotated: Any = fault
-        annotated.rules = induced
+        vars(fault)["rules"] = induced
         if hasattr(fault, "add_note"):
             fault.add_note("The rules learned before are in the attribute `rules` of this exception.")
         raise fault
@@ -314,7 +298,6 @@ def induce(
 
 
 def _checked_order(order: object) -> list[str]:
-    """Return the actions of an order of precedence."""
     if isinstance(order, str) or not isinstance(order, Iterable):
         raise TypeError(f"order: expected names of actions, not {type(order).__name__}")
     names = list(order)
@@ -330,19 +313,18 @@ def _source(demonstrations: Any) -> _Source:
     """Return the episodes of demonstrations, and what is known about them."""
     if isinstance(demonstrations, Demonstrations):
         _check_observation("groundings" if demonstrations.atoms else "state")
-        return _Source(
-            demonstrations,
-            f"of {demonstrations.mode} ({demonstrations.split})",
-            demonstrations.mode,
-            demonstrations.env.kwargs,
-            [f"Episodes {demonstrations.episodes_hash}."],
-            _atom_texts(demonstrations.atoms),
-        )
+        mode, title = demonstrations.mode, f"of {demonstrations.mode} ({demonstrations.split})"
+        lines, atoms = [f"Episodes {demonstrations.episodes_hash}."], _atom_texts(demonstrations.atoms)
+        return _Source(demonstrations, title, mode, demonstrations.env.kwargs, lines, atoms)
     if isinstance(demonstrations, (str, os.PathLike)):
         path = Path(demonstrations)
-        if path.suffix == ".parquet" or path.is_file():
-            return _parquet(path)
-        return _minari(load_minari(demonstrations))
+        if path.suffix != ".parquet" and not path.is_file():
+            return _minari(load_minari(demonstrations))
+        mode, split, episodes_hash, atoms, (observations, actions, episodes, _) = _logicity.read_steps(path)
+        cuts = np.flatnonzero(np.diff(episodes)) + 1
+        parts = zip(np.split(observations, cuts), np.split(actions, cuts), strict=True)
+        title, lines = f"of {mode} ({split}) in {path.name}", [f"Episodes {episodes_hash}."]
+        return _Source([StoredEpisode(*part) for part in parts], title, mode, lines=lines, atoms=atoms)
     if hasattr(demonstrations, "iterate_episodes") and hasattr(demonstrations, "env_spec"):
         return _minari(demonstrations)
     if not isinstance(demonstrations, Iterable):
@@ -358,7 +340,7 @@ def _check_observation(kind: str) -> None:
 def _minari(dataset: MinariDataset) -> _Source:
     """Return the episodes of a Minari dataset. Its environment is known if Minari recorded one of this package."""
     episodes, title = stored_episodes(dataset), f"of {dataset.id}"
-    spec: gymnasium.envs.registration.EnvSpec | None = dataset.env_spec
+    spec = dataset.env_spec
     if spec is None or spec.namespace != "logicity":
         return _Source(episodes, title)
     if not isinstance(spec.kwargs, Mapping):
@@ -367,35 +349,9 @@ def _minari(dataset: MinariDataset) -> _Source:
     return _Source(episodes, title, spec.kwargs.get("config"), spec.kwargs)
 
 
-def _parquet(path: Path) -> _Source:
-    """Read a table that `Demonstrations.to_parquet` wrote."""
-    mode, split, episodes_hash, atoms, (observations, actions, episodes, _) = _logicity.read_steps(path)
-    cuts = np.flatnonzero(np.diff(episodes)) + 1
-    parts = zip(np.split(observations, cuts), np.split(actions, cuts), strict=True)
-    return _Source(
-        [StoredEpisode(*part) for part in parts],
-        f"of {mode} ({split}) in {path.name}",
-        mode,
-        lines=[f"Episodes {episodes_hash}."],
-        atoms=atoms,
-    )
-
-
 def _atom_texts(atoms: Iterable[Atom]) -> list[str]:
     """Return atoms as a Parquet table names them, such as `IsCar(0)`."""
     return [f"{name}({','.join(map(str, entities))})" for name, entities in atoms]
-
-
-def _check_atoms(source: _Source, task: _logicity.Task, name: str) -> None:
-    """Check that the atoms of observations are those of a task."""
-    if not source.atoms:
-        return
-    expected = _atom_texts(atoms_of(_logicity.describe(task)))
-    for one, other in zip_longest(source.atoms, expected):
-        if one != other:
-            raise ValueError(
-                f"the demonstrations of {source.mode} do not fit {name}: they have the atom {one} instead of {other}"
-            )
 
 
 def _stacked(
@@ -415,9 +371,8 @@ def _stacked(
         taken = np.asarray(episode.actions)
         seen = np.asarray(episode.observations, np.float32)
         if taken.ndim != 1 or seen.ndim != 2 or len(seen) not in (len(taken), len(taken) + 1):
-            raise ValueError(
-                f"episode {number}: observations of shape {seen.shape} do not fit actions of shape {taken.shape}"
-            )
+            reason = f"observations of shape {seen.shape} do not fit actions of shape {taken.shape}"
+            raise ValueError(f"episode {number}: {reason}")
         if not np.isfinite(seen).all():
             raise ValueError(f"episode {number}: observations that are not finite")
         if not np.issubdtype(taken.dtype, np.integer):
@@ -428,10 +383,10 @@ def _stacked(
         observations.append(seen[: len(taken)])
         actions.append(taken.astype(np.int64))
         count += len(taken)
-    if count == 0 and width is None:
-        raise ValueError("no demonstrations: expected at least one step")
     if count == 0:
-        return np.zeros((0, width or 0), np.float32), np.zeros(0, np.int64), []
+        if width is None:
+            raise ValueError("no demonstrations: expected at least one step")
+        return np.zeros((0, width), np.float32), np.zeros(0, np.int64), []
     if len({array.shape[1] for array in observations}) > 1:
         raise ValueError("the observations of the episodes have different lengths")
     return np.concatenate(observations), np.concatenate(actions), parts

@@ -89,8 +89,7 @@ class RulePolicy:
     def __call__(self, observations: ArrayLike) -> NDArray[np.int64]:
         """Return the actions that the rules choose, int64 (N,): 0 Slow, 1 Normal, 2 Fast, 3 Stop.
 
-        Args:
-            observations: Numbers of shape (N, width), of the kind `groundings`.
+        Observations are numbers of shape (N, width), of the kind `groundings`.
 
         Raises:
             LimitError: If the rules derive too many rows.
@@ -98,10 +97,8 @@ class RulePolicy:
         """
         array = np.ascontiguousarray(observations, np.float32)
         if array.ndim != 2 or array.shape[1] != self.width:
-            raise ValueError(
-                f"expected a batch of observations of `{self.mode}`, of shape (N, {self.width}), not an array of "
-                f"shape {array.shape}"
-            )
+            expected = f"a batch of observations of `{self.mode}`, of shape (N, {self.width})"
+            raise ValueError(f"expected {expected}, not an array of shape {array.shape}")
         return _logicity.decide(self._task, array)
 
     def predict(
@@ -137,10 +134,8 @@ def saved_by(path: str | os.PathLike[str]) -> dict[str, str]:
     first = _logicity.read_file(checked_path("path", path)).partition("\n")[0]
     match = HEADER.fullmatch(first.rstrip("\r"))
     if match is None:
-        raise ValueError(
-            f"{os.fspath(path)} does not name a mode: its first line is not `{header('LEARNER', 'MODE')}`, which "
-            "learners write; name the modes with `--modes`"
-        )
+        what = f"its first line is not `{header('LEARNER', 'MODE')}`, which learners write"
+        raise ValueError(f"{os.fspath(path)} does not name a mode: {what}; name the modes with `--modes`")
     return match.groupdict()
 
 

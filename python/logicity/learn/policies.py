@@ -61,10 +61,8 @@ def load_policy(path: str | os.PathLike[str], *, trust: bool = False) -> SavedPo
     if file.is_dir():
         best = sorted(file.glob("best.*"))
         if not best:
-            raise FileNotFoundError(
-                f"`{file}` is a folder without a file `best.*`, which `logicity train` writes at the end of a run\n"
-                "help: name the file of a policy"
-            )
+            what = "a folder without a file `best.*`, which `logicity train` writes at the end of a run"
+            raise FileNotFoundError(f"`{file}` is {what}\nhelp: name the file of a policy")
         file = best[0]
     if not file.is_file():
         raise FileNotFoundError(errno.ENOENT, "no such file", os.fspath(path))
@@ -76,10 +74,9 @@ def load_policy(path: str | os.PathLike[str], *, trust: bool = False) -> SavedPo
 
         saved = {"algorithm": algorithm_of(file)}
         if not trust:
-            raise UntrustedError(
-                f"{file} is a model of Stable-Baselines3, which is a pickle: loading it can run any code in it; "
-                "if you trust its origin, pass `--trust` (Python: `trust=True`)"
-            )
+            what = "a model of Stable-Baselines3, which is a pickle: loading it can run any code in it"
+            remedy = "if you trust its origin, pass `--trust` (Python: `trust=True`)"
+            raise UntrustedError(f"{file} is {what}; {remedy}")
         policy: LearnedPolicy = from_stable_baselines(file)
     elif file.suffix == ".pt":
         content = read_tensors(file, "a policy")
