@@ -127,15 +127,17 @@ def _observed(process: subprocess.Popen[bytes], timeout: float | None, watch: Ca
                     del key.data[:-OUTPUT_BYTES]
                 if not chunk:
                     pipes.unregister(key.fileobj)
-                last = _last_line(chunk) or last
+                if b"\n" in chunk:
+                    # The beginning of the line may have come before.
+                    last = _last_line(key.data[-(len(chunk) + LINE) :]) or last
             watch(Running(time.monotonic() - begun, last))
     code = process.returncode if has_ended else None
     return Ended(code, output.decode(errors="replace"), log.decode(errors="replace"))
 
 
-def _last_line(chunk: bytes) -> str:
-    """Return the last line of a chunk that has its end there and a word of three letters, shortened."""
-    lines = chunk.decode(errors="replace").split("\n")[:-1]
+def _last_line(output: bytearray) -> str:
+    """Return the last complete line of an output that has a word of three letters, shortened."""
+    lines = output.decode(errors="replace").split("\n")[:-1]
     return next((line.strip()[:LINE] for line in reversed(lines) if re.search("[A-Za-z]{3}", line)), "")
 
 
