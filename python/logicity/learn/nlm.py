@@ -12,7 +12,8 @@ from __future__ import annotations
 from collections.abc import Sequence
 from functools import cache
 from itertools import permutations, product
-from typing import Any, NamedTuple
+from math import factorial
+from typing import NamedTuple
 
 from ..errors import extra
 
@@ -39,8 +40,8 @@ class LogicLayer(nn.Module):
         center: The truth value of features that initially results in the truth value 0.5.
 
     Attributes:
-        inputs: The number of predicates of each input arity.
-        outputs: The number of predicates of each output arity. An arity without features has none.
+        inputs: The argument.
+        outputs: The argument, but 0 for an arity without features.
     """
 
     def __init__(
@@ -54,13 +55,15 @@ class LogicLayer(nn.Module):
         """Create the perceptrons with random weights."""
         super().__init__()
         self.inputs, self.exclude_self = tuple(inputs), exclude_self
-        self.features = [_feature_count(inputs, arity) for arity in range(len(inputs))]
+        # A tuple has expanded features, its own, and two reductions of each one with a further entity.
+        counts = zip([0, *inputs], inputs, [*inputs[1:], 0], strict=False)
+        self.features = [below + same + 2 * above for below, same, above in counts]
         self.outputs = [count if features else 0 for count, features in zip(outputs, self.features, strict=True)]
         self.linear = nn.ModuleDict()
         self.last = nn.ModuleDict()
         for arity, (features, count) in enumerate(zip(self.features, self.outputs, strict=True)):
             if count:
-                ways = len(_permutations(arity))
+                ways = factorial(arity)
                 self.linear[str(arity)] = _linear(ways * features, hidden or count, center, bool(hidden))
                 if hidden:
                     self.last[str(arity)] = _linear(hidden, count, 0.0, False)
@@ -76,7 +79,7 @@ class LogicLayer(nn.Module):
         return [self._group(arity, groups, mask) if count else None for arity, count in enumerate(self.outputs)]
 
     def _group(self, arity: int, groups: Groups, mask: Tensor) -> Tensor:
-        linear, ways = self.linear[str(arity)], len(_permutations(arity))
+        linear, ways = self.linear[str(arity)], factorial(arity)
         below = groups[arity - 1] if arity else None
         above = groups[arity + 1] if arity + 1 < len(groups) else None
         same = [] if groups[arity] is None else [groups[arity]]
@@ -98,8 +101,10 @@ class LogicLayer(nn.Module):
             expansion = expansion.expand(shape) if products is None else products.view(shape) + expansion
             products = expansion.flatten(1, 2)
         assert products is not None  # an arity without features has no outputs
-        total = products if ways == 1 else _SumOfPermutations.apply(products, tuples.permuted, tuples.inverse)
-        result: Tensor = total + linear.bias[:, None, None]
+        if ways > 1:
+            sums = nn.functional.embedding_bag(tuples.permuted, products.flatten(0, 1), mode="sum")
+            products = sums.view(linear.out_features, *products.shape[1:])
+        result: Tensor = products + linear.bias[:, None, None]
         if self.last:
             last = self.last[str(arity)]
             result = _products(last.weight, torch.relu(result)) + last.bias[:, None, None]
@@ -190,8 +195,10 @@ class NeuralLogicMachine(nn.Module):
         current += [None] * (len(self.counts) - len(current))
         present = mask.T.to(next(group.dtype for group in current if group is not None))
         for layer in self.layers:
-            new = layer(current, present)
-            current = [_joined(*pair) for pair in zip(current, new, strict=True)] if self.residual else new
+            old, current = current, layer(current, present)
+            if self.residual:
+                both = zip(old, current, strict=True)
+                current = [new if one is None or new is None else torch.cat([one, new]) for one, new in both]
         for arity, group in enumerate(current):
             if group is not None:
                 dense = group.new_zeros(len(group), count**arity, len(mask))
@@ -219,24 +226,6 @@ def _linear(inputs: int, outputs: int, center: float, relu: bool) -> nn.Linear:
     return linear
 
 
-def _joined(old: Tensor | None, new: Tensor | None) -> Tensor | None:
-    """Return the predicates of both groups. A group that is not needed has no new predicates."""
-    return new if old is None or new is None else torch.cat([old, new])
-
-
-def _feature_count(inputs: Sequence[int], arity: int) -> int:
-    """Return the number of features of one tuple of entities, without permutations."""
-    below = inputs[arity - 1] if arity else 0
-    above = inputs[arity + 1] if arity + 1 < len(inputs) else 0
-    return below + inputs[arity] + 2 * above
-
-
-@cache
-def _permutations(arity: int) -> tuple[tuple[int, ...], ...]:
-    """Return the permutations of the places of a tuple. The first one is the identity."""
-    return tuple(permutations(range(arity)))
-
-
 class _Tuples(NamedTuple):
     """The T tuples of a group in lexicographic order, and their permutations.
 
@@ -246,14 +235,12 @@ class _Tuples(NamedTuple):
         extensions: The number of tuples for each tuple that is shorter by one.
         permuted: int64 (width * T, P): for the output o, the tuple t and the permutation p, at (T o + t, p): the index
             of the product of p and o at the permuted tuple, if products have the shape (P, width, T).
-        inverse: int64 (P * width * T,): for each product, T o plus the index of the tuple to which it contributes.
     """
 
     place: Tensor
     last: Tensor
     extensions: int
     permuted: Tensor
-    inverse: Tensor
 
 
 @cache
@@ -262,7 +249,7 @@ def _tuples(count: int, arity: int, width: int, distinct: bool) -> _Tuples:
     entities = range(count)
     tuples = list(permutations(entities, arity) if distinct else product(entities, repeat=arity))
     index = {each: at for at, each in enumerate(tuples)}
-    ways = _permutations(arity)
+    ways = list(permutations(range(arity)))
     places = [sum(entity * count ** (arity - 1 - at) for at, entity in enumerate(each)) for each in tuples]
     # Training may use the result even if the first call is for inference.
     with torch.inference_mode(False):
@@ -276,24 +263,4 @@ def _tuples(count: int, arity: int, width: int, distinct: bool) -> _Tuples:
             last=torch.tensor([each[-1] if each else 0 for each in tuples], dtype=torch.int64),
             extensions=max(count - arity + 1, 0) if distinct else count,
             permuted=permuted,
-            inverse=permuted.flatten().argsort() // len(ways),
         )
-
-
-class _SumOfPermutations(torch.autograd.Function):
-    """The sum over permutations p of the p-th products at the permuted tuple. Its gradient only copies."""
-
-    @staticmethod
-    def forward(ctx: Any, products: Tensor, permuted: Tensor, inverse: Tensor) -> Tensor:
-        """Return the sums, (width, tuples, batch), of products of shape (P * width, tuples, batch)."""
-        ctx.save_for_backward(inverse)
-        ctx.shape = products.shape
-        width = len(products) // permuted.shape[1]
-        rows = products.reshape(len(inverse), products.shape[2])
-        return nn.functional.embedding_bag(permuted, rows, mode="sum").view(width, *products.shape[1:])
-
-    @staticmethod
-    def backward(ctx: Any, *gradients: Tensor) -> tuple[Tensor, None, None]:
-        """Return the gradient of the products."""
-        (inverse,) = ctx.saved_tensors
-        return gradients[0].flatten(0, 1).index_select(0, inverse).view(ctx.shape), None, None
