@@ -9,13 +9,13 @@ from __future__ import annotations
 import math
 from abc import abstractmethod
 from collections.abc import Mapping
-from itertools import pairwise
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, Any, ClassVar, Literal
+from typing import Annotated, Any, ClassVar, Literal
 
 import numpy as np
 import torch
 from pydantic import Field
+from stable_baselines3.common.torch_layers import create_mlp
 from torch import Tensor, nn
 
 from ..city import ACTIONS
@@ -23,18 +23,12 @@ from ..envs.views import Actions, Observations
 from ..errors import extra
 from ..files import read_tensors
 from .demonstrations import DemonstrationData, Layout, RelationalView, Sampler
-from .learner import LearnedPolicy, Learner, Progress, check_shape, minimize
+from .learner import LearnedPolicy, Learner, check_shape, minimize
 from .nlm import NeuralLogicMachine
-from .settings import Count, LearnerSettings, LearningRate, NonNegative, Positive, Share, Widths
+from .settings import Count, LearnerSettings, LearningRate, NonNegative, Positive, Share, Training, Widths
 from .storage import restore_optimizer
 
-if TYPE_CHECKING:
-    from .settings import Training
-
-__all__ = [
-    *("ClonedPolicy", "CloningLearner", "CloningSettings", "GnnLearner", "GnnSettings", "LogicNetwork"),
-    *("LogicSettings", "MlpLearner", "MlpSettings", "NlmLearner", "NlmSettings", "shuffled"),
-]
+__all__ = ["ClonedPolicy", "CloningLearner", "GnnLearner", "LogicNetwork", "LogicSettings", "MlpLearner", "NlmLearner"]
 
 #: The version of the files of policies.
 FORMAT = 1
@@ -116,17 +110,14 @@ class LogicNetwork(nn.Module):
     """A Neural Logic Machine (NLM) over an observation. It returns the predicates of the ego in the last layer.
 
     It evaluates equal observations of a batch once, and those with at most two entities without triples of entities.
-
-    Args:
-        layout: The layout of the observations.
-        options: The arguments of `NeuralLogicMachine`, without `inputs` and `returned`.
-
-    Attributes:
-        width: The number of predicates in the result.
+    `width` is the number of predicates in the result.
     """
 
     def __init__(self, layout: Layout, **options: Any) -> None:
-        """Create the NLM. The route length, if the task observes it, is a predicate without arguments."""
+        """Create the NLM with the options of `NeuralLogicMachine`, without `inputs` and `returned`.
+
+        The route length, if the task observes it, is a predicate without arguments.
+        """
         super().__init__()
         self.view = RelationalView(layout)
         inputs = [int(layout.route_length is not None), len(layout.unary), len(layout.binary)]
@@ -155,12 +146,11 @@ class LogicNetwork(nn.Module):
     def padded(self, observations: Tensor) -> Tensor:
         """Return the result of `forward`, from an NLM over all entities of the padded observations."""
         unary, binary, mask = self.view(observations)
-        result: Tensor = self.machine([self.view.route_length(observations), unary, binary], mask)[1][:, 0]
-        return result
+        return self.machine([self.view.route_length(observations), unary, binary], mask)[1][:, 0]
 
 
 class ClonedPolicy(LearnedPolicy):
-    """A network that maps observations to scores of the four actions."""
+    """Takes the actions with the largest scores of a network, or draws actions with the softmax of the scores."""
 
     def __init__(
         self, algorithm: str, mode: str, settings: CloningSettings, layout: Layout, network: nn.Module
@@ -169,16 +159,12 @@ class ClonedPolicy(LearnedPolicy):
         self.algorithm, self.mode, self.settings = algorithm, mode, settings
         self.layout, self.network = layout, network
 
-    def predict(
-        self, observation: Observations, state: Any = None, episode_start: Any = None, deterministic: bool = True
-    ) -> tuple[Actions, Any]:
-        """Return the actions with the largest scores, or draw actions with the softmax of the scores."""
+    def _decide(self, observation: Observations, deterministic: bool) -> Actions:
         check_shape(observation, self.layout.width, self.mode)
         with torch.no_grad():
             scores = self.network(torch.from_numpy(np.ascontiguousarray(observation, np.float32)))
             actions = scores.argmax(1) if deterministic else torch.multinomial(scores.softmax(1), 1)[:, 0]
-        numbers: Actions = actions.numpy()
-        return numbers, None
+        return np.asarray(actions)
 
     def save(self, path: Path) -> None:
         """Write the policy to a file of `torch.save` with plain data."""
@@ -196,8 +182,7 @@ class ClonedPolicy(LearnedPolicy):
 
     def weights(self) -> Mapping[str, Any]:
         """Return the weights of the network."""
-        weights: Mapping[str, Any] = self.network.state_dict()
-        return weights
+        return dict(self.network.state_dict())
 
     @classmethod
     def load(cls, path: Path) -> ClonedPolicy:
@@ -232,12 +217,11 @@ class CloningLearner(Learner):
     policy_class = ClonedPolicy
     starts = True
     steps = 0
+    _settings: CloningSettings
 
     def __init__(self, config: Training, log: Path | None = None) -> None:
         """Read the demonstrations and create the network."""
         super().__init__(config, log)
-        assert isinstance(config.settings, CloningSettings)
-        self._settings = config.settings
         data = DemonstrationData.load(config.mode, config.demonstrations)
         self._data = data.distinct() if self._settings.distinct else data
         self._weights = self._data.class_weights(self._settings.class_power)
@@ -268,22 +252,16 @@ class CloningLearner(Learner):
             raise ValueError("its network has other sizes than those in `settings`") from None
         self._average.load_state_dict(self._network.state_dict())
 
-    def fit(self, steps: int, progress: Progress) -> None:
-        """Train until `steps` updates. The schedule `cosine` ends at `steps`."""
-        while self.steps < steps:
-            loss, accuracy = self._update(self.steps / steps)
-            self.steps += 1
-            if self.steps % CURVE_EVERY == 0:
-                self._curves.add({"train/loss": loss, "train/accuracy": accuracy})
-                self._curves.write(self.steps)
-            progress()
+    def _step(self, steps: int) -> None:
+        """Run an update. The schedule `cosine` ends at `steps`."""
+        loss, accuracy = self._update(self.steps / steps)
+        self.steps += 1
+        if self.steps % CURVE_EVERY == 0:
+            self._curves.add({"train/loss": loss, "train/accuracy": accuracy})
+            self._curves.write(self.steps)
 
     def _update(self, done: float) -> tuple[float, float]:
-        """Run one update, and return the loss and the accuracy of the batch.
-
-        Args:
-            done: The completed share of the training.
-        """
+        """Run one update after a share `done` of the training, and return the loss and the accuracy of the batch."""
         settings = self._settings
         if settings.schedule == "cosine":
             for group in self._optimizer.param_groups:
@@ -338,9 +316,7 @@ class MlpLearner(CloningLearner):
     @staticmethod
     def new_network(layout: Layout, settings: MlpSettings) -> nn.Module:
         """Create linear layers with ReLU between them."""
-        ends = [layout.width, *settings.network]
-        layers = [layer for inputs, outputs in pairwise(ends) for layer in (nn.Linear(inputs, outputs), nn.ReLU())]
-        return nn.Sequential(*layers, nn.Linear(ends[-1], len(ACTIONS)))
+        return nn.Sequential(*create_mlp(layout.width, len(ACTIONS), list(settings.network)))
 
 
 class GnnLearner(CloningLearner):
@@ -374,13 +350,7 @@ _LEARNERS: dict[str, type[CloningLearner]] = {"mlp": MlpLearner, "gnn": GnnLearn
 
 
 def shuffled(observations: Tensor, layout: Layout, generator: torch.Generator) -> Tensor:
-    """Permute the present entities other than the ego, at random in each observation.
-
-    Args:
-        observations: (batch, width).
-        layout: The layout of the observations.
-        generator: The source of the permutations.
-    """
+    """Permute the present entities other than the ego, at random in each of the observations, (batch, width)."""
     batch, count = len(observations), layout.entities
     present = observations @ torch.from_numpy(layout.occurrences()) > 0
     # Absent entities stay behind all others, and the ego stays first.

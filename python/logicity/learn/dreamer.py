@@ -19,36 +19,23 @@ from collections.abc import Mapping
 from copy import deepcopy
 from dataclasses import dataclass
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, Any, NamedTuple
+from typing import Annotated, Any, NamedTuple
 
 import numpy as np
 import torch
 from pydantic import Field
+from stable_baselines3.common.torch_layers import create_mlp
 from torch import Tensor, nn
 from torch.nn import functional
 
 from ..city import ACTIONS
 from ..envs.views import Actions, Observations
-from .interaction import TransitionLearner, Transitions, as_bits, random_actions, step_generator
+from .interaction import Ring, TransitionLearner, Transitions, as_bits, random_actions, step_generator
 from .learner import check_shape, minimize
-from .settings import Count, LearnerSettings, LearningRate, NonNegative, Positive, Share
+from .settings import Count, LearnerSettings, LearningRate, NonNegative, Positive, Share, Training
 from .storage import StoredPolicy, restore_optimizer
 
-if TYPE_CHECKING:
-    from typing_extensions import Self
-
-    from .settings import Training
-
-__all__ = [
-    "Dreamer",
-    "DreamerPolicy",
-    "DreamerSettings",
-    "EpisodeReplay",
-    "State",
-    "WorldModel",
-    "balanced_kl",
-    "lambda_returns",
-]
+__all__ = ["Dreamer", "DreamerPolicy", "DreamerSettings", "EpisodeReplay", "State", "WorldModel"]
 
 
 class DreamerSettings(LearnerSettings):
@@ -120,48 +107,25 @@ class State(NamedTuple):
         return State(*(part.detach().flatten(0, -2) for part in self))
 
 
-class _EluFunction(torch.autograd.Function):
-    """ELU with its gradient, from one exponential."""
-
-    @staticmethod
-    def forward(context: Any, inputs: Tensor) -> Tensor:
-        """Return the inputs, or exp(x) - 1 where they are negative."""
-        # It is also the derivative, since exp(0) = 1.
-        exponential = inputs.clamp(max=0).exp_()
-        context.save_for_backward(exponential)
-        return (exponential - 1).add_(inputs.clamp(min=0))
-
-    @staticmethod
-    def backward(context: Any, *gradients: Tensor) -> Tensor:
-        """Return the gradient of the inputs."""
-        (exponential,) = context.saved_tensors
-        return gradients[0] * exponential
-
-
 class Elu(nn.Module):
     """The activation ELU. PyTorch's `ELU` is slower on one core, because it computes `expm1`."""
 
     def forward(self, inputs: Tensor) -> Tensor:
         """Return the inputs, or exp(x) - 1 where they are negative."""
-        outputs: Tensor = _EluFunction.apply(inputs)
-        return outputs
+        # The gradient at 0 is 1.
+        positive = inputs.relu()
+        return ((inputs - positive).exp() - 1) + positive
 
 
 def mlp(inputs: int, settings: DreamerSettings, outputs: int) -> nn.Sequential:
     """Create hidden layers with ELU and a linear output."""
-    layers: list[nn.Module] = []
-    for _ in range(settings.layers):
-        layers += [nn.Linear(inputs, settings.width), Elu()]
-        inputs = settings.width
-    return nn.Sequential(*layers, nn.Linear(inputs, outputs))
+    return nn.Sequential(*create_mlp(inputs, outputs, [settings.width] * settings.layers, Elu))
 
 
 def one_hot_samples(logits: Tensor, generator: torch.Generator | None) -> Tensor:
-    """Sample one-hot vectors of categorical variables, with straight-through gradients (algorithm 1).
+    """Sample one-hot vectors of the shape of the logits, (..., classes), with straight-through gradients (algorithm 1).
 
-    Args:
-        logits: The logits, of shape (..., classes). The result has the shape of the logits.
-        generator: The source of samples. Without it, the most probable classes are returned.
+    Without a generator, return the most probable classes.
     """
     probabilities = logits.softmax(-1)
     if generator is None:
@@ -192,11 +156,7 @@ def balanced_kl(posterior: Tensor, prior: Tensor, balance: float) -> Tensor:
 def lambda_returns(rewards: Tensor, discounts: Tensor, values: Tensor, trace_decay: float) -> Tensor:
     """Return the targets of the critic for the states before H actions, of shape (H, ...) (equation 4).
 
-    Args:
-        rewards: The rewards of the actions, of shape (H, ...).
-        discounts: The discounts after the actions, of this shape.
-        values: The values of the states after the actions, of this shape.
-        trace_decay: The weight lambda.
+    The rewards, and the discounts and values after the actions, have this shape, too. `trace_decay` is lambda.
     """
     following = values[-1]
     returns = []
@@ -236,8 +196,8 @@ class WorldModel(nn.Module):
 
     def start(self, count: int) -> State:
         """Return the states before the first observation: zeros for a batch of `count` environments."""
-        widths = (self._settings.deterministic, self._settings.variables * self._settings.classes)
-        return State(*(torch.zeros(count, width) for width in widths))
+        stochastic = self._settings.variables * self._settings.classes
+        return State(torch.zeros(count, self._settings.deterministic), torch.zeros(count, stochastic))
 
     def start_memory(self, count: int) -> Memory:
         """Return the memory of a policy before the first observation."""
@@ -245,14 +205,13 @@ class WorldModel(nn.Module):
 
     def advance(self, state: State, actions: Tensor) -> Tensor:
         """Return the deterministic part, (batch, deterministic), after one-hot actions, (batch, actions)."""
-        after: Tensor = self.gru(self.input(torch.cat([state.stochastic, actions], -1)), state.deterministic)
-        return after
+        return self.gru(self.input(torch.cat([state.stochastic, actions], -1)), state.deterministic)
 
-    def _sample(self, deterministic: Tensor, logits: Tensor, generator: torch.Generator | None) -> State:
-        return State(deterministic, one_hot_samples(logits, generator).flatten(-2))
-
-    def _logits(self, outputs: Tensor) -> Tensor:
-        return outputs.unflatten(-1, (self._settings.variables, self._settings.classes))
+    def _inferred(
+        self, deterministic: Tensor, outputs: Tensor, generator: torch.Generator | None
+    ) -> tuple[State, Tensor]:
+        logits = outputs.unflatten(-1, (self._settings.variables, self._settings.classes))
+        return State(deterministic, one_hot_samples(logits, generator).flatten(-2)), logits
 
     def observe(
         self, state: State, actions: Tensor, embedded: Tensor, first: Tensor, generator: torch.Generator | None
@@ -272,13 +231,12 @@ class WorldModel(nn.Module):
         kept = 1 - first
         state, actions = State(state.deterministic * kept, state.stochastic * kept), actions * kept
         deterministic = self.advance(state, actions)
-        logits = self._logits(self.posterior(torch.cat([deterministic, embedded], -1)))
-        return self._sample(deterministic, logits, generator), logits
+        return self._inferred(deterministic, self.posterior(torch.cat([deterministic, embedded], -1)), generator)
 
     def imagine(self, state: State, actions: Tensor, generator: torch.Generator | None) -> State:
         """Predict the states after one-hot actions, of shape (batch, actions). The arguments are those of `observe`."""
         deterministic = self.advance(state, actions)
-        return self._sample(deterministic, self._logits(self.prior(deterministic)), generator)
+        return self._inferred(deterministic, self.prior(deterministic), generator)[0]
 
     def loss(self, batch: Batch, generator: torch.Generator) -> tuple[State, Losses]:
         """Return the states of sequences, of shape (length, batch, ...), and the loss (equation 2)."""
@@ -291,8 +249,7 @@ class WorldModel(nn.Module):
             states.append(state)
             logits.append(posterior)
         sequence = State(*(torch.stack(parts) for parts in zip(*states, strict=True)))
-        prior = self._logits(self.prior(sequence.deterministic))
-        features = sequence.features()
+        posteriors, features = torch.stack(logits), sequence.features()
         cross_entropy = functional.binary_cross_entropy_with_logits
         # The observation has no clock, so the overtime cost of a truncated episode cannot be predicted.
         errors = torch.where(batch.truncated, 0.0, (self.reward(features)[..., 0] - batch.rewards) ** 2 / 2)
@@ -300,7 +257,7 @@ class WorldModel(nn.Module):
             cross_entropy(self.decoder(features), batch.observations, reduction="none").sum(-1).mean(),
             errors.mean(),
             cross_entropy(self.discount(features)[..., 0], settings.discount * (1 - batch.terminated)),
-            balanced_kl(torch.stack(logits), prior, settings.kl_balance).mean(),
+            balanced_kl(posteriors, self.prior(sequence.deterministic).view_as(posteriors), settings.kl_balance).mean(),
         )
 
 
@@ -325,7 +282,7 @@ class Batch:
     first: Tensor
 
 
-class EpisodeReplay:
+class EpisodeReplay(Ring):
     """The last observations of each environment, in ring buffers. Every episode has its last observation too."""
 
     #: The bits of a flag.
@@ -334,54 +291,42 @@ class EpisodeReplay:
     def __init__(self, capacity: int, bits: int, observations: Tensor) -> None:
         """Allocate the memory for `capacity` observations of all environments, and add the first ones."""
         envs = len(observations)
-        length = max(1, capacity // envs)
-        self.observations = torch.zeros(envs, length, bits, dtype=torch.uint8)
-        self.actions = torch.zeros(envs, length, dtype=torch.uint8)
-        self.rewards = torch.zeros(envs, length)
-        self.flags = torch.zeros(envs, length, dtype=torch.uint8)
+        plain = {"actions": torch.uint8, "rewards": torch.float32, "flags": torch.uint8}
+        super().__init__((envs, max(1, capacity // envs)), {"observations": bits}, **plain)
         self.added = torch.zeros(envs, dtype=torch.int64)
-        self._add(torch.arange(envs), observations, flags=torch.full((envs,), self.FIRST))
+        self._add(torch.arange(envs), observations=observations, flags=self.FIRST)
 
-    def _add(
-        self, envs: Tensor, observations: Tensor, flags: Tensor, actions: Tensor | None = None, rewards: Any = 0.0
-    ) -> None:
-        at = self.added[envs] % self.rewards.shape[1]
-        self.observations[envs, at] = observations
-        self.actions[envs, at] = torch.zeros_like(flags, dtype=torch.uint8) if actions is None else actions
-        self.rewards[envs, at] = rewards
-        self.flags[envs, at] = flags.to(torch.uint8)
+    def _add(self, envs: Tensor, **values: Any) -> None:
+        self._store((envs, self.added[envs] % self._shape[1]), values)
         self.added[envs] += 1
 
     def add(self, transitions: Transitions, observations: Tensor) -> None:
         """Add the observations after a step, and the first ones of new episodes, with which the next step starts."""
-        every = torch.arange(len(self.added))
-        terminated, truncated = (torch.from_numpy(ends) for ends in (transitions.terminated, transitions.truncated))
-        observed, rewards = torch.from_numpy(transitions.next_observations), torch.from_numpy(transitions.rewards)
-        flags = terminated * self.TERMINATED + truncated * self.TRUNCATED
-        self._add(every, observed, flags, torch.from_numpy(transitions.actions).to(torch.uint8), rewards)
-        begun = (terminated | truncated).nonzero()[:, 0]
+        after, actions, rewards = transitions.next_observations, transitions.actions, transitions.rewards
+        flags = transitions.terminated * self.TERMINATED + transitions.truncated * self.TRUNCATED
+        self._add(torch.arange(len(self.added)), observations=after, actions=actions, rewards=rewards, flags=flags)
+        begun = torch.from_numpy(flags).nonzero()[:, 0]
         if len(begun):
-            self._add(begun, observations[begun], torch.full((len(begun),), self.FIRST))
+            self._add(begun, observations=observations[begun], flags=self.FIRST)
 
     def sample(self, count: int, length: int, generator: torch.Generator) -> Batch:
         """Draw sequences of consecutive observations, which can contain the ends of episodes.
 
         Every environment must have `length` observations, see `ready`. The result has `count` sequences.
         """
-        size = self.rewards.shape[1]
+        size = self._shape[1]
         envs = torch.randint(len(self.added), (count,), generator=generator)
         stored = self.added[envs].clamp(max=size)
         # Products of floats below 1 with integers can round up to the integer.
         starts = (torch.rand(count, generator=generator, dtype=torch.float64) * (stored - length + 1)).long()
         starts = torch.minimum(starts, stored - length) + self.added[envs] - stored
         at = (starts + torch.arange(length)[:, None]) % size
-        flags = self.flags[envs, at]
+        observations, actions, rewards, flags = (buffer[envs, at] for buffer in self.buffers.values())
         first = flags & self.FIRST > 0
-        actions = functional.one_hot(self.actions[envs, at].long(), len(ACTIONS)).float()
         return Batch(
-            self.observations[envs, at].float(),
-            actions * ~first[..., None],
-            self.rewards[envs, at],
+            observations.float(),
+            functional.one_hot(actions.long(), len(ACTIONS)).float() * ~first[..., None],
+            rewards,
             (flags & self.TERMINATED > 0).float(),
             flags & self.TRUNCATED > 0,
             first[..., None].float(),
@@ -390,22 +335,6 @@ class EpisodeReplay:
     def ready(self, length: int) -> bool:
         """Return whether `sample` can draw sequences of this length."""
         return int(self.added.min()) >= length
-
-    def state(self) -> dict[str, Any]:
-        """Return what `restore` needs, with eight bits of observations in a byte."""
-        count = min(int(self.added.max()), self.rewards.shape[1])
-        packed = torch.from_numpy(np.packbits(self.observations[:, :count].numpy(), axis=2))
-        plain = {name: getattr(self, name)[:, :count].clone() for name in ("actions", "rewards", "flags")}
-        return {"added": self.added.clone(), "observations": packed, **plain}
-
-    def restore(self, state: dict[str, Any]) -> None:
-        """Restore what `state` returned."""
-        self.added = state["added"].clone()
-        count, bits = state["rewards"].shape[1], self.observations.shape[2]
-        unpacked = np.unpackbits(state["observations"].numpy(), axis=2, count=bits)
-        self.observations[:, :count] = torch.from_numpy(unpacked)
-        for name in ("actions", "rewards", "flags"):
-            getattr(self, name)[:, :count] = state[name]
 
 
 class Memory(NamedTuple):
@@ -449,11 +378,8 @@ class DreamerPolicy(StoredPolicy):
     ) -> tuple[Tensor, Memory]:
         """Return actions, int64 of shape (batch,), and the next memory.
 
-        Args:
-            observations: Bits as floats, of shape (batch, bits).
-            memory: The memory after the last step.
-            first: Whether the observations are the first of their episodes, as floats of shape (batch, 1).
-            generator: The source of samples. Without it, states and actions are the most probable ones.
+        The observations are bits as floats, of shape (batch, bits). `first` and `generator` are those of
+        `WorldModel.observe`.
         """
         with torch.no_grad():
             embedded = self.model.encoder(observations)
@@ -471,7 +397,7 @@ class DreamerPolicy(StoredPolicy):
         return {"model": self.model.state_dict(), "actor": self.actor.state_dict()}
 
     @classmethod
-    def build(cls, config: dict[str, Any], weights: dict[str, Any]) -> Self:
+    def build(cls, config: dict[str, Any], weights: dict[str, Any]) -> DreamerPolicy:
         """Create the policy of a file."""
         settings = DreamerSettings.model_validate(config["settings"])
         model, actor = WorldModel(config["bits"], settings), head(settings, len(ACTIONS))
@@ -490,37 +416,29 @@ class Dreamer(TransitionLearner):
 
     settings_class = DreamerSettings
     policy_class = DreamerPolicy
+    _settings: DreamerSettings
 
     def __init__(self, config: Training, log: Path | None = None) -> None:
-        """Make the environments and the networks.
-
-        Raises:
-            ValueError: If the stored observations are fewer than a sequence.
-        """
-        settings = config.settings
-        assert isinstance(settings, DreamerSettings)
+        """Make the environments and the networks."""
+        settings: Any = config.settings
         if settings.buffer_size < config.envs * settings.sequence_length:
             raise ValueError(
                 f"`buffer_size` {settings.buffer_size} is too small for {config.envs} environments with sequences of "
                 f"{settings.sequence_length} observations: use at least {config.envs * settings.sequence_length}"
             )
         super().__init__(config, log)
-        self._settings = settings
         with torch.random.fork_rng(devices=[]):
             torch.manual_seed(config.seed)
             self._model = WorldModel(self._interaction.width, settings)
             self._actor, self._critic = head(settings, len(ACTIONS)), head(settings, 1)
         self._target = deepcopy(self._critic).requires_grad_(False)
         self._networks = (self._model, self._actor, self._critic, self._target)
-        rates = {
-            "model": (self._model, settings.model_learning_rate),
-            "actor": (self._actor, settings.actor_learning_rate),
-            "critic": (self._critic, settings.critic_learning_rate),
-        }
         # The epsilon and the decoupled weight decay of the paper (appendix D).
         self._optimizers = {
-            name: torch.optim.AdamW(module.parameters(), rate, eps=1e-5, weight_decay=1e-6, fused=True)
-            for name, (module, rate) in rates.items()
+            name: torch.optim.AdamW(
+                module.parameters(), getattr(settings, f"{name}_learning_rate"), eps=1e-5, weight_decay=1e-6, fused=True
+            )
+            for name, module in {"model": self._model, "actor": self._actor, "critic": self._critic}.items()
         }
         observations = torch.from_numpy(self._interaction.observations)
         self._replay = EpisodeReplay(settings.buffer_size, self._interaction.width, observations)

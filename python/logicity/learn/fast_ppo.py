@@ -19,7 +19,7 @@ import math
 import time
 from collections.abc import Mapping, Sequence
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, ClassVar, NamedTuple, TypeAlias
+from typing import Any, ClassVar, NamedTuple, TypeAlias
 
 import numpy as np
 import torch
@@ -34,12 +34,8 @@ from ..envs.vector import SPFVectorEnv
 from ..envs.views import Actions, Observations
 from ..files import read_tensors
 from ..tasks import load_task
-from .curves import Curves
-from .learner import LearnedPolicy, Learner, Progress, check_shape
-from .settings import Count, LearnerSettings, LearningRate, NonNegative, Positive, Share, Widths
-
-if TYPE_CHECKING:
-    from .settings import Training
+from .learner import LearnedPolicy, Learner, check_shape
+from .settings import Count, LearnerSettings, LearningRate, NonNegative, Positive, Share, Training, Widths
 
 __all__ = ["FastPPO", "FastPPOPolicy", "FastPPOSettings"]
 
@@ -95,11 +91,7 @@ def slots(description: Mapping[str, Any], others: int) -> NDArray[np.int64]:
 
     There is a slot for every set of `others` entities besides the ego (fewer if fewer are observed). Its inputs are the
     atoms about these entities and the ego, and the route length if it is observed. Binary predicates are irreflexive,
-    so atoms such as IsClose(1, 1) are left out.
-
-    Args:
-        description: The description of the task, as `_logicity.describe` returns it.
-        others: The number of entities besides the ego.
+    so atoms such as IsClose(1, 1) are left out. The description is that of `_logicity.describe`.
     """
     atoms = list(atoms_of(description))
     positions = {atom: position for position, atom in enumerate(atoms)}
@@ -200,13 +192,8 @@ def advantages(
 ) -> Floats:
     """Return the generalized advantage estimates (Schulman et al., 2016, equation 16).
 
-    Args:
-        rewards: The reward of each step. All arrays have shape (environments, steps).
-        values: The value of the state before each step.
-        next_values: The value of the state after each step, 0 if it is terminal.
-        ended: Whether the episode ends with the step.
-        gamma: The discount factor.
-        lam: The weight of longer returns.
+    All arrays have shape (environments, steps). `next_values` are those after each step, 0 if the state is terminal;
+    `ended` says whether the episode ends with the step; `lam` is the weight of longer returns.
     """
     deltas = (rewards + gamma * next_values - values).T
     continues = np.where(ended.T, np.float32(0), np.float32(gamma * lam))
@@ -248,13 +235,8 @@ def grouped(
 ) -> Batch:
     """Group steps by observation.
 
-    Args:
-        inputs: The inputs of the network for each distinct observation.
-        outputs: Its outputs in the rollouts, of shape (observations, 5).
-        states: The position of each step's observation, of shape (steps,), like all that follow.
-        actions: The actions.
-        step_advantages: The advantages.
-        returns: The returns.
+    `inputs` and `outputs`, (observations, 5), are those of the network in the rollouts for each distinct observation.
+    The others have the shape (steps,); `states` are the positions of observations.
     """
     observations = len(outputs)
     pairs = states.astype(np.int64) * len(ACTIONS) + actions
@@ -323,17 +305,14 @@ class FastPPOPolicy(LearnedPolicy):
         self._network, self._slots, self._width = network, slots, width
         self._random = np.random.default_rng(0)
 
-    def predict(
-        self, observation: Observations, state: Any = None, episode_start: Any = None, deterministic: bool = True
-    ) -> tuple[Actions, Any]:
-        """Return the most probable actions, or random ones with their probabilities."""
+    def _decide(self, observation: Observations, deterministic: bool) -> Actions:
         check_shape(observation, self._width, self.mode)
         native = self._network.native(self._width, self._slots)
         logits = native.evaluate(np.ascontiguousarray(observation, np.float32))[:, :-1]
         if not deterministic:
             # The Gumbel-max trick.
             logits += self._random.gumbel(size=logits.shape).astype(np.float32)
-        return logits.argmax(1), None
+        return np.asarray(logits.argmax(1))
 
     def save(self, path: Path) -> None:
         """Write the policy."""
@@ -388,12 +367,11 @@ class FastPPO(Learner):
     policy_class = FastPPOPolicy
     starts = True
     steps = 0
+    _settings: FastPPOSettings
 
     def __init__(self, config: Training, log: Path | None = None) -> None:
         """Create the environments and the network."""
-        super().__init__(config, log)
-        assert isinstance(config.settings, FastPPOSettings)
-        self._settings = config.settings
+        super().__init__(config, None if log is None else log / NAME)
         description = _logicity.describe(load_task(config.mode, overrides=config.overrides))
         self._slots = slots(description, self._settings.entities_per_slot)
         self._width: int = description["width"]
@@ -405,7 +383,6 @@ class FastPPO(Learner):
         options: dict[str, Any] = {**config.env_options(), "num_threads": config.threads, "copy": False}
         self._envs = SPFVectorEnv(config.envs, config.mode, autoreset_mode=AutoresetMode.SAME_STEP, **options)
         self._envs.reset(seed=config.seed)
-        self._curves = Curves(None if log is None else log / NAME)
         self._ended = np.zeros(len(ENDINGS) + 1, np.int64)
         self.seconds = dict.fromkeys(("rollouts", "grouping", "updates"), 0.0)
 
@@ -416,14 +393,8 @@ class FastPPO(Learner):
             raise ValueError("its layers do not fit the observations and the settings")
         self._network.parameters.copy_(policy._network.parameters)
 
-    def fit(self, steps: int, progress: Progress) -> None:
-        """Train until at least `steps` steps. Schedules end at the steps of the configuration."""
-        while self.steps < steps:
-            self._train_once()
-            progress()
-
-    def _train_once(self) -> None:
-        """Collect a batch, and update the network with it."""
+    def _step(self, steps: int) -> None:
+        """Collect a batch, and update the network with it. Schedules end at the steps of the configuration."""
         settings, begun = self._settings, time.process_time()
         random = self._random.random((self.config.envs, settings.rollout_steps), np.float32)
         done = self._envs.collect(self._network.native(self._width, self._slots), random)
@@ -432,8 +403,8 @@ class FastPPO(Learner):
         estimates = advantages(done["rewards"], values, done["next_values"], ended, settings.gamma, settings.gae_lambda)
         returns = estimates + values
         estimates = (estimates - estimates.mean()) / (estimates.std() + np.float32(1e-8))
-        steps = (each.ravel() for each in (done["states"], done["actions"], estimates, returns))
-        batch = grouped(done["inputs"], done["outputs"], *steps)
+        columns = (each.ravel() for each in (done["states"], done["actions"], estimates, returns))
+        batch = grouped(done["inputs"], done["outputs"], *columns)
         prepared = time.process_time()
         last = self._update(batch, random.size)
         self.steps += random.size

@@ -19,7 +19,7 @@ from dataclasses import dataclass
 from functools import cache
 from itertools import groupby, product
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, Any, ClassVar, Literal, NamedTuple, TypeAlias
+from typing import Annotated, Any, ClassVar, Literal, NamedTuple, TypeAlias
 
 import numpy as np
 import torch
@@ -34,12 +34,9 @@ from ..envs.views import Actions, Observations
 from ..files import read_tensors
 from ..tasks import load_task
 from .demonstrations import DemonstrationData
-from .learner import LearnedPolicy, Learner, Progress, check_shape, minimize
-from .settings import LearnerSettings, NonNegative, Positive
+from .learner import LearnedPolicy, Learner, check_shape, minimize
+from .settings import LearnerSettings, NonNegative, Positive, Training
 from .storage import restore_optimizer
-
-if TYPE_CHECKING:
-    from .settings import Training
 
 __all__ = ["HRI", "Hypothesis", "HriPolicy", "HriSettings", "InventedPredicate", "ProgramTemplate"]
 
@@ -160,12 +157,10 @@ class ProgramTemplate:
     the target.
 
     Attributes:
-        unary: The names of the unary symbols, with their signs.
-        binary: The names of the binary symbols, with their signs.
-        layers: The invented predicates by layer.
-        invented: The invented predicates.
-        slots: The number of slots.
-        predicates: The number of predicates.
+        unary, binary: The names of the symbols, with their signs.
+        layers, invented: The invented predicates, by layer and in one list.
+        limits: For each slot, the number of predicates that it can hold, which are the first ones.
+        slots, predicates: Their numbers.
     """
 
     def __init__(self, layout: Layout, settings: HriSettings, depth: int) -> None:
@@ -175,19 +170,18 @@ class ProgramTemplate:
         self.binary = [(name, sign) for sign in signs for name in layout.binary]
         self.negation = settings.negation
         self.layers: list[list[InventedPredicate]] = []
-        self.slots = 0
+        self.limits: list[int] = []
         visible = len(self.unary) + len(self.binary)
         hidden: list[str] = [each for each in (*settings.unary, *settings.binary) for _ in range(settings.copies)]
         layers: list[list[str]] = [*[hidden] * (depth - 1), [settings.unary[0]]]
         for templates in layers:
-            layer = []
+            self.layers.append([])
             for template in templates:
-                layer.append(InventedPredicate(template, self.slots, visible))
-                self.slots += SLOTS[template]
-            visible += len(layer)
-            self.layers.append(layer)
+                self.layers[-1].append(InventedPredicate(template, len(self.limits), visible))
+                self.limits += [visible] * SLOTS[template]
+            visible += len(templates)
         self.invented = [invented for layer in self.layers for invented in layer]
-        self.predicates = visible
+        self.slots, self.predicates = len(self.limits), visible
 
     def is_unary(self, predicate: int) -> bool:
         """Return whether a predicate is unary."""
@@ -196,10 +190,7 @@ class ProgramTemplate:
 
     def visible(self) -> Tensor:
         """Return which predicates each slot can hold, bool of shape (slots, predicates)."""
-        mask = torch.zeros(self.slots, self.predicates, dtype=torch.bool)
-        for invented in self.invented:
-            mask[invented.slots, : invented.visible] = True
-        return mask
+        return torch.arange(self.predicates) < torch.tensor(self.limits)[:, None]
 
     def facts(self, unary: Bools, binary: Bools) -> tuple[Bools, Bools]:
         """Return the truth values of the unary (U, batch, N) and binary (B, batch, N, N) symbols."""
@@ -209,20 +200,25 @@ class ProgramTemplate:
         true = np.ones((1, *one.shape[1:]), np.bool_)
         return np.concatenate([one, true, ~true]), np.ascontiguousarray(two)
 
+    def values(self, unary: Bools, binary: Bools) -> tuple[Tensor, Tensor, Tensor]:
+        """Return the arguments `unary`, `binary` and `exist` of `infer` as float32."""
+        one, two = self.facts(unary, binary)
+        exist = present(unary, binary)
+        return torch.from_numpy(one).float(), torch.from_numpy(two).float(), torch.from_numpy(exist).float()
+
     def infer(
         self, degrees: Tensor, unary: Tensor, binary: Tensor, exist: Tensor, conjunction: Literal["min", "product"]
     ) -> Tensor:
         """Return the soft truth value of the target for the ego, by the paper's inference without recursion.
 
         The value of a slot is the sum of the values of all predicates, weighted by the degrees to which it holds them.
-        The disjunction and the existential quantifier are maxima.
+        The disjunction and the existential quantifier are maxima. Variables range over the entities that exist.
 
         Args:
-            degrees: The degrees to which slots hold predicates, (models, slots, predicates). The sum over the
-                predicates is 1.
+            degrees: Numbers of shape (models, slots, predicates). The sum over the predicates is 1.
             unary: The values of the unary symbols, (U, batch, N).
             binary: The values of the binary symbols, (B, batch, N, N).
-            exist: Which entities exist, as numbers, (batch, N). Variables range over these.
+            exist: Which entities exist, as numbers, (batch, N).
             conjunction: The soft conjunction.
 
         Returns:
@@ -254,36 +250,28 @@ class ProgramTemplate:
             kinds = [(template, len(list(group))) for template, group in groupby(each.template for each in layer)]
             sizes = [SLOTS[template] * size for template, size in kinds]
             values = held(degrees[:, layer[0].slot : layer[0].slot + sum(sizes)]).split(sizes, 1)
-            new_ones, new_twos = [], []
             for (template, size), value in zip(kinds, values, strict=True):
-                numbers = list(range(number, number + size))
-                number += size
                 if template == "Inv":
-                    twos += numbers
-                    new_twos.append(value.transpose(-1, -2))
-                    continue
-                p, q, r = value.unflatten(1, (size, 3)).unbind(2)
-                if template == "B00+":
-                    some = both(p.unsqueeze(-1), q.unsqueeze(-3)) * exist[:, None, :, None]
-                    twos += numbers
-                    new_twos.append(torch.maximum(some.amax(-2), r))
-                    continue
-                either = torch.maximum(both(p, q.transpose(-1, -2)), r)
-                if template == "C00+":
-                    twos += numbers
-                    new_twos.append(either)
+                    value = value.transpose(-1, -2)
                 else:
-                    ones += numbers
-                    new_ones.append((either * exist[:, None, :]).amax(-1))
-            one_values += new_ones
-            two_values += new_twos
+                    p, q, r = value.unflatten(1, (size, 3)).unbind(2)
+                    if template == "B00+":
+                        body = (both(p.unsqueeze(-1), q.unsqueeze(-3)) * exist[:, None, :, None]).amax(-2)
+                    else:
+                        body = both(p, q.transpose(-1, -2))
+                    value = torch.maximum(body, r)
+                if template == "A00+":
+                    ones += range(number, number + size)
+                    one_values.append((value * exist[:, None, :]).amax(-1))
+                else:
+                    twos += range(number, number + size)
+                    two_values.append(value)
+                number += size
         # The target is computed for the ego only.
         ego, everyone = slice(1), slice(None)
         p, q, r = degrees[:, self.invented[-1].slots].split(1, 1)
         p, q, r = held(p, ego), held(q, everyone, ego).transpose(-1, -2), held(r, ego)
-        values = (torch.maximum(both(p, q), r)[:, 0, :, 0] * exist).amax(-1)
-        assert values.shape == (len(degrees), len(exist))
-        return values
+        return (torch.maximum(both(p, q), r)[:, 0, :, 0] * exist).amax(-1)
 
 
 def _weighted(degrees: Tensor, values: Tensor, models: bool = False) -> Tensor:
@@ -292,8 +280,7 @@ def _weighted(degrees: Tensor, values: Tensor, models: bool = False) -> Tensor:
     Values have the shape (predicates, ...), or with `models` (models, predicates, ...).
     """
     first = 2 if models else 1
-    sums: Tensor = degrees @ values.flatten(first)
-    return sums.unflatten(-1, values.shape[first:])
+    return (degrees @ values.flatten(first)).unflatten(-1, values.shape[first:])
 
 
 #: A literal of a body: whether it is positive, its predicate, and its variables. 0 and 1 are the arguments of the head.
@@ -305,56 +292,42 @@ Body: TypeAlias = frozenset[SignedLiteral]
 
 @dataclass(frozen=True)
 class Hypothesis:
-    """A model in which each slot holds one predicate.
-
-    Attributes:
-        program: The predicates and rule templates.
-        choices: The predicate that each slot holds.
-    """
+    """A model in which each slot holds one predicate: that of `choices`."""
 
     program: ProgramTemplate
     choices: tuple[int, ...]
 
     def is_valid(self) -> bool:
         """Return whether each slot holds a predicate that it can hold."""
-        limits = [each.visible for each in self.program.invented for _ in range(SLOTS[each.template])]
+        limits = self.program.limits
         return len(self.choices) == len(limits) and all(
             isinstance(choice, int) and 0 <= choice < limit for choice, limit in zip(self.choices, limits, strict=True)
         )
 
     def holds(self, unary: Bools, binary: Bools) -> Bools:
-        """Return whether the rules derive the target for the ego, bool (batch,).
-
-        Args:
-            unary: The truth values of observed predicates, (batch, N, U).
-            binary: The same, (batch, N, N, B).
-        """
+        """Return whether the rules derive the target for the ego, bool (batch,), from the result of `relations`."""
         exist = present(unary, binary)
         one, two = self.program.facts(unary, binary)
+        symbols = [*one[..., None], *two]
 
         @cache
         def pairs(predicate: int) -> Bools:
             """Return the truth values for all pairs, (batch, N, N), or (batch, N, 1) for a unary predicate."""
-            if predicate < len(one):
-                return np.asarray(one[predicate, :, :, None])
-            at = predicate - len(one)
-            if at < len(two):
-                return np.asarray(two[at])
-            invented = self.program.invented[at - len(two)]
-            held = [pairs(choice) for choice in self.choices[invented.slots]]
-            p = held[0]
+            if predicate < len(symbols):
+                return np.asarray(symbols[predicate])
+            invented = self.program.invented[predicate - len(symbols)]
+            p, *more = map(pairs, self.choices[invented.slots])
             if invented.template == "Inv":
                 return p.swapaxes(1, 2)
-            q, r = held[1:]
+            q, r = more
             if invented.template == "B00+":
-                some = (p[..., None] & q[:, None] & exist[:, None, :, None]).any(2)
-                return np.asarray(some | r)
+                return np.asarray((p[..., None] & q[:, None] & exist[:, None, :, None]).any(2) | r)
             either = np.asarray((p & q.swapaxes(1, 2)) | r)
-            if invented.template == "C00+":
-                return either
-            return np.asarray((either & exist[:, None]).any(2, keepdims=True))
+            return (
+                either if invented.template == "C00+" else np.asarray((either & exist[:, None]).any(2, keepdims=True))
+            )
 
-        return np.broadcast_to(pairs(self.program.predicates - 1), (len(one[0]), exist.shape[1], 1))[:, 0, 0]
+        return np.broadcast_to(pairs(self.program.predicates - 1), (len(exist), exist.shape[1], 1))[:, 0, 0]
 
     def bodies(self) -> tuple[list[Body], list[tuple[str, int, list[Body]]]]:
         """Unfold the layers into clauses over observed predicates.
@@ -430,21 +403,16 @@ def _pruned(bodies: Iterable[Body], arity: int) -> list[Body]:
     for body in dict.fromkeys(bodies):
         if any((not sign, name, arguments) in body for sign, name, arguments in body):
             continue
-        reduced = _numbered(_condensed(body, arity), arity, LOCAL)
+        for literal in sorted(body):
+            # The others imply it if a variable can have the value of another one.
+            if _subsumes(body, body - {literal}, arity):
+                body = body - {literal}
+        reduced = _numbered(body, arity, LOCAL)
         if any(_subsumes(other, reduced, arity) for other in kept):
             continue
         kept = [other for other in kept if not _subsumes(reduced, other, arity)]
         kept.append(reduced)
     return kept
-
-
-def _condensed(body: Body, arity: int) -> Body:
-    """Remove literals that the others imply, because a variable can have the value of another one."""
-    for literal in sorted(body):
-        rest = body - {literal}
-        if _subsumes(body, rest, arity):
-            body = rest
-    return body
 
 
 def _numbered(body: Body, least: int, first: int) -> Body:
@@ -477,16 +445,19 @@ def _subsumes(general: Body, special: Body, arity: int) -> bool:
 VARIABLES = ("X", "Y", "Z", "W", "V", "U", "T", "S")
 
 
-def _clause(head: str, arguments: tuple[int, ...], body: Body, more: Sequence[str] = ()) -> str:
-    """Format a clause. A variable that no positive literal binds gets the literal that the ego sees its value."""
+def _clause(
+    head: str, arguments: tuple[int, ...], body: Body, more: Sequence[str] = (), names: Mapping[str, str] = {}
+) -> str:
+    """Format a clause with new names of predicates. If no positive literal binds a variable, `Sees` does."""
     ego = arguments[0]
+    body = frozenset((sign, names.get(name, name), literal) for sign, name, literal in body)
     bound = {v for sign, _, literal in body for v in literal if sign}
     used = [*arguments, *sorted({v for _, _, literal in body for v in literal} - {*arguments, EGO})]
-    names = {variable: VARIABLES[at] if at < len(VARIABLES) else f"V{at}" for at, variable in enumerate(used)}
-    names[EGO] = names[ego]
+    texts = {variable: VARIABLES[at] if at < len(VARIABLES) else f"V{at}" for at, variable in enumerate(used)}
+    texts[EGO] = texts[ego]
 
     def atom(name: str, variables: Iterable[int]) -> str:
-        return f"{name}({', '.join(names[variable] for variable in variables)})"
+        return f"{name}({', '.join(texts[variable] for variable in variables)})"
 
     # Literals about the ego come first, positive ones before negative ones.
     ordered = sorted(body, key=lambda literal: (max(literal[2]), not literal[0], literal[1:]))
@@ -506,26 +477,13 @@ class HriPolicy(LearnedPolicy):
         """Store the arguments."""
         self.mode, self.layout, self.settings, self.models = mode, layout, settings, dict(models)
 
-    def derived(self, observation: Observations) -> Bools:
-        """Return which actions the rules derive, bool (actions of `models`, batch), without precedence among them.
-
-        Raises:
-            ValueError: If the observations have another shape than those of the training.
-        """
+    def _decide(self, observation: Observations, deterministic: bool) -> Actions:
         check_shape(observation, self.layout.width, self.mode)
         values = relations(self.layout, observation)
-        return np.array([hypothesis.holds(*values) for hypothesis in self.models.values()], np.bool_)
-
-    def predict(
-        self, observation: Observations, state: Any = None, episode_start: Any = None, deterministic: bool = True
-    ) -> tuple[Actions, Any]:
-        """Return the first derived action, or the default one."""
         actions = np.full(len(observation), ACTIONS.index(DEFAULT), np.int64)
-        if self.models:
-            derived = self.derived(observation)
-            for name, chosen in reversed(list(zip(self.models, derived, strict=True))):
-                actions[chosen] = ACTIONS.index(name)
-        return actions, None
+        for name, hypothesis in reversed(self.models.items()):
+            actions[hypothesis.holds(*values)] = ACTIONS.index(name)
+        return actions
 
     def rules(self) -> str:
         """Return the source of a rule file whose clauses derive the same actions as `predict`.
@@ -538,15 +496,16 @@ class HriPolicy(LearnedPolicy):
         earlier: list[str] = []
         for action, hypothesis in self.models.items():
             bodies, definitions = hypothesis.bodies()
+            names = {name: f"{action}{name}" for name, _, _ in definitions}
             for name, arguments, parts in definitions:
                 columns = ", ".join(f"{column}: agent" for column in ("e", "x", "y")[:arguments])
                 lines += ["", f"/// A part of the rules for {action}; e is the agent that decides."]
-                lines.append(f".decl {action}{name}({columns})")
+                lines.append(f".decl {names[name]}({columns})")
                 head = (EGO, 0, 1)[:arguments]
-                lines += [_clause(f"{action}{name}", head, body) for body in _prefixed(action, parts, definitions)]
+                lines += [_clause(names[name], head, body, names=names) for body in parts]
             guards = [f"Not({name}(X))" for name in earlier]
             if bodies:
-                lines += ["", *(_clause(action, (0,), body, guards) for body in _prefixed(action, bodies, definitions))]
+                lines += ["", *(_clause(action, (0,), body, guards, names) for body in bodies)]
                 earlier.append(action)
         return "\n".join(lines) + "\n"
 
@@ -590,15 +549,6 @@ class HriPolicy(LearnedPolicy):
             raise ValueError(f"{path} is not a policy of hri: {error}") from error
 
 
-def _prefixed(action: str, bodies: Iterable[Body], definitions: Iterable[tuple[str, int, Any]]) -> list[Body]:
-    """Add the name of an action to the names of its definitions."""
-    own = {name for name, _, _ in definitions}
-    return [
-        frozenset((sign, f"{action}{name}" if name in own else name, arguments) for sign, name, arguments in body)
-        for body in bodies
-    ]
-
-
 class Quality(NamedTuple):
     """How well rules agree with the oracle about one action. Better rules are larger.
 
@@ -625,16 +575,16 @@ class _ActionTrainer:
         self.program, self.settings = program, settings
         self.hidden = ~program.visible()
         self.start(generator)
-        self.best = Hypothesis(program, tuple(self._extract()[0]))
+        self.best = Hypothesis(program, self._extract()[0])
 
     def start(self, generator: torch.Generator) -> None:
         """Start a generation: draw the embeddings."""
         restarts, program = self.settings.restarts, self.program
         dimension = self.settings.dimension or program.predicates
-        self.predicates = torch.randn(restarts, program.predicates, dimension, generator=generator)
-        self.rules = torch.randn(restarts, program.slots, dimension, generator=generator)
-        for weights in (self.predicates, self.rules):
-            weights.requires_grad_()
+        self.predicates, self.rules = (
+            torch.randn(restarts, count, dimension, generator=generator, requires_grad=True)
+            for count in (program.predicates, program.slots)
+        )
         self.optimizer = torch.optim.Adam([{"params": [self.predicates]}, {"params": [self.rules]}], lr=1.0)
         self.quality = Quality(-1.0, -1.0)
 
@@ -642,17 +592,14 @@ class _ActionTrainer:
         """Return the cosine similarities of slots and predicates, (restarts, slots, predicates)."""
         rules = torch.nn.functional.normalize(self.rules, dim=-1)
         predicates = torch.nn.functional.normalize(self.predicates, dim=-1)
-        similarities: Tensor = rules @ predicates.transpose(-1, -2)
-        return similarities.masked_fill(self.hidden, -torch.inf)
+        return (rules @ predicates.transpose(-1, -2)).masked_fill(self.hidden, -torch.inf)
 
-    def _extract(self) -> list[list[int]]:
-        with torch.no_grad():
-            choices: list[list[int]] = self.similarities().argmax(-1).tolist()
-        return choices
+    def _extract(self) -> list[tuple[int, ...]]:
+        return list(map(tuple, self.similarities().argmax(-1).tolist()))
 
     def extract(self, examples: Examples) -> None:
         """Discretize all models, and keep the best one if it improves on `best`."""
-        for choices in dict.fromkeys(map(tuple, self._extract())):
+        for choices in dict.fromkeys(self._extract()):
             hypothesis = Hypothesis(self.program, choices)
             quality = examples.quality(hypothesis)
             if quality > self.quality:
@@ -681,11 +628,7 @@ class _ActionTrainer:
         self.best, self.quality = best, Quality(*state["quality"])
 
     def update(self, examples: Examples, progress: float, generator: torch.Generator) -> float:
-        """Run one update after a share `progress` of all.
-
-        Returns:
-            The mean cross entropy of the models, without the regularization.
-        """
+        """Run one update after a share `progress` of all. Return the mean cross entropy without the regularization."""
         settings = self.settings
         rates = (settings.embedding_rates, settings.rule_rates)
         for group, rate in zip(self.optimizer.param_groups, rates, strict=True):
@@ -714,30 +657,21 @@ class Examples:
     """The distinct observations of demonstrations, and in which of them the oracle takes an action."""
 
     def __init__(
-        self,
-        program: ProgramTemplate,
-        layout: Layout,
-        observations: Observations,
-        taken: Bools,
-        trajectories: NDArray[Any],
+        self, program: ProgramTemplate, layout: Layout, observations: Observations, taken: Bools, of: NDArray[Any]
     ) -> None:
-        """Prepare the truth values. The last three arguments have an entry per step; trajectories count from 0."""
+        """Prepare the truth values. The last three arguments have a row per step; `of` is its trajectory, from 0 on."""
         rows, first, inverse = np.unique(observations, axis=0, return_index=True, return_inverse=True)
         # NumPy 2.0 returns a column.
         self._at = inverse.reshape(-1)
         self.unary, self.binary = relations(layout, rows)
-        self.taken, self._trajectories = taken[first], trajectories
-        one, two = program.facts(self.unary, self.binary)
-        self._unary, self._binary = torch.from_numpy(one).float(), torch.from_numpy(two).float()
-        self._exist = torch.from_numpy(present(self.unary, self.binary)).float()
+        self.taken, self._trajectories = taken[first], of
+        self._unary, self._binary, self._exist = program.values(self.unary, self.binary)
         self._parts = [torch.from_numpy(np.flatnonzero(self.taken == sign)) for sign in (True, False)]
 
     def sample(self, batch: int, generator: torch.Generator) -> tuple[Tensor, Tensor, Tensor, Tensor]:
         """Draw examples, half of them positive, or fewer if there are only positive or only negative ones.
 
-        Returns:
-            The values of the unary symbols, float32 (U, batch, N), and of the binary symbols, float32 (B, batch, N, N);
-            which entities exist, float32 (batch, N); and whether each example is positive, float32 (batch,).
+        Return `ProgramTemplate.values` of them, and whether each example is positive, float32 (batch,).
         """
         sizes = (batch // 2, batch - batch // 2)
         draws = [
@@ -764,12 +698,12 @@ class HRI(Learner):
     interacts = False
     policy_class = HriPolicy
     steps = 0
+    _settings: HriSettings
 
     def __init__(self, config: Training, log: Path | None = None) -> None:
         """Run the oracle on the recorded training episodes, and draw the first weights."""
         super().__init__(config, log)
-        assert isinstance(config.settings, HriSettings)
-        self._settings = settings = config.settings
+        settings = self._settings
         asked = {constraint["action"] for constraint in _logicity.describe(load_task(config.mode))["constraints"]}
         data = DemonstrationData.load(config.mode, config.demonstrations)
         self._layout = data.layout
@@ -785,26 +719,21 @@ class HRI(Learner):
             self._examples[action] = Examples(program, self._layout, observations, taken, trajectories)
             self._trainers[action] = _ActionTrainer(program, settings, self._generator)
 
-    def fit(self, steps: int, progress: Progress) -> None:
-        """Train until `steps` updates."""
-        while self.steps < steps:
-            length = self._settings.generation or self.config.steps
-            if self.steps and self.steps % length == 0:
-                for trainer in self._trainers.values():
-                    trainer.start(self._generator)
-            done = self.steps % length / length
-            losses = {
-                action: trainer.update(self._examples[action], done, self._generator)
-                for action, trainer in self._trainers.items()
-            }
-            self.steps += 1
-            if self.steps % self._settings.extract_every == 0 or self.steps == self.config.steps:
-                for action, trainer in self._trainers.items():
-                    trainer.extract(self._examples[action])
-                    values = {"loss": losses[action], **trainer.quality._asdict()}
-                    self._curves.add({f"{name}/{action}": value for name, value in values.items()})
-                self._curves.write(self.steps)
-            progress()
+    def _step(self, steps: int) -> None:
+        length = self._settings.generation or self.config.steps
+        if self.steps and self.steps % length == 0:
+            for trainer in self._trainers.values():
+                trainer.start(self._generator)
+        done, losses = self.steps % length / length, {}
+        for action, trainer in self._trainers.items():
+            losses[action] = trainer.update(self._examples[action], done, self._generator)
+        self.steps += 1
+        if self.steps % self._settings.extract_every == 0 or self.steps == self.config.steps:
+            for action, trainer in self._trainers.items():
+                trainer.extract(self._examples[action])
+                values = {"loss": losses[action], **trainer.quality._asdict()}
+                self._curves.add({f"{name}/{action}": value for name, value in values.items()})
+            self._curves.write(self.steps)
 
     def policy(self) -> HriPolicy:
         """Return the best rules so far."""

@@ -4,9 +4,10 @@ from __future__ import annotations
 
 from abc import abstractmethod
 from collections.abc import Mapping
+from copy import deepcopy
 from dataclasses import dataclass
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, ClassVar
+from typing import Any, ClassVar
 
 import numpy as np
 import torch
@@ -16,12 +17,19 @@ from numpy.typing import NDArray
 from ..city import ACTIONS
 from ..envs.vector import SPFVectorEnv
 from ..envs.views import Actions, Observations
-from .learner import Learner, Progress
+from .learner import Learner
+from .settings import Training
 
-if TYPE_CHECKING:
-    from .settings import Training
-
-__all__ = ["Bits", "Interaction", "TransitionLearner", "Transitions", "as_bits", "random_actions", "step_generator"]
+__all__ = [
+    "Bits",
+    "Interaction",
+    "Ring",
+    "TransitionLearner",
+    "Transitions",
+    "as_bits",
+    "random_actions",
+    "step_generator",
+]
 
 Bits = NDArray[np.uint8]
 
@@ -30,13 +38,8 @@ Bits = NDArray[np.uint8]
 class Transitions:
     """One step of all environments. Every array has one row per environment.
 
-    Attributes:
-        observations: The observations before the step.
-        actions: The actions.
-        rewards: The rewards.
-        next_observations: The observations after the step, also where the episode ended.
-        terminated: Whether the car reached the goal or violated a rule.
-        truncated: Whether the episode reached the horizon.
+    `next_observations` are those after the step, also where the episode ended. `terminated` says whether the car
+    reached the goal or violated a rule, and `truncated` whether the episode reached the horizon.
     """
 
     observations: Bits
@@ -48,16 +51,7 @@ class Transitions:
 
 
 class Interaction:
-    """Training environments with binary observations, and the mean return and length of their last episodes.
-
-    Args:
-        config: The configuration of the run.
-
-    Raises:
-        InputError: If the configuration of the mode or an override is invalid.
-        OSError: If a file cannot be read.
-        ValueError: If the observations are not binary.
-    """
+    """Training environments with binary observations, and the mean return and length of their last episodes."""
 
     def __init__(self, config: Training) -> None:
         """Make the environments and start their first episodes."""
@@ -116,12 +110,7 @@ class Interaction:
         }
 
     def restore(self, state: Mapping[str, Any]) -> None:
-        """Restore what `state` returned.
-
-        Raises:
-            InputError: If an episode is invalid.
-            ValueError: If the state is that of other environments.
-        """
+        """Restore what `state` returned. Raise `ValueError` if it is that of other environments."""
         expected: dict[str, NDArray[Any]]
         expected = {"observations": self.observations, "returns": self._returns, "lengths": self._lengths}
         arrays = {name: state[name].numpy() for name in expected}
@@ -134,6 +123,46 @@ class Interaction:
         self.observations, self._returns, self._lengths = (array.copy() for array in arrays.values())
         self.steps = int(state["steps"])
         self._ended = [(float(total), int(length), bool(success)) for total, length, success in state["ended"]]
+
+
+class Ring:
+    """Steps of environments in ring buffers.
+
+    Attributes:
+        buffers: The buffers by name, of shape (..., capacity); those of bits are uint8 (..., capacity, bits).
+        added: The number of steps so far, an integer or a tensor of shape (...).
+    """
+
+    added: Any
+
+    def __init__(self, shape: tuple[int, ...], bits: Mapping[str, int], **plain: torch.dtype) -> None:
+        """Allocate the memory. The last number of the shape is the capacity; `plain` are the types of other buffers."""
+        self._shape = shape
+        self.buffers = {name: torch.zeros(*shape, count, dtype=torch.uint8) for name, count in bits.items()}
+        self.buffers |= {name: torch.zeros(shape, dtype=dtype) for name, dtype in plain.items()}
+
+    def _store(self, at: Any, values: Mapping[str, Any]) -> None:
+        for name, buffer in self.buffers.items():
+            buffer[at] = torch.as_tensor(values.get(name, 0)).to(buffer.dtype)
+
+    def state(self) -> dict[str, Any]:
+        """Return what `restore` needs, with eight bits of observations in a byte."""
+        count = min(int(torch.as_tensor(self.added).max()), self._shape[-1])
+        state = {"added": deepcopy(self.added)}
+        for name, buffer in self.buffers.items():
+            kept = buffer.narrow(len(self._shape) - 1, 0, count)
+            are_bits = kept.ndim > len(self._shape)
+            state[name] = torch.from_numpy(np.packbits(kept.numpy(), axis=-1)) if are_bits else kept.clone()
+        return state
+
+    def restore(self, state: dict[str, Any]) -> None:
+        """Restore what `state` returned."""
+        self.added, axis = deepcopy(state["added"]), len(self._shape) - 1
+        for name, buffer in self.buffers.items():
+            kept = state[name]
+            if kept.ndim > len(self._shape):
+                kept = torch.from_numpy(np.unpackbits(kept.numpy(), axis=-1, count=buffer.shape[-1]))
+            buffer.narrow(axis, 0, kept.shape[axis]).copy_(kept)
 
 
 class TransitionLearner(Learner):
@@ -153,15 +182,12 @@ class TransitionLearner(Learner):
         """The number of steps of all environments."""
         return self._interaction.steps
 
-    def fit(self, steps: int, progress: Progress) -> None:
-        """Train until `self.steps` is at least `steps`."""
-        while self.steps < steps:
-            before = self.steps
-            self._learn(self._interaction.step(self._actions()), before)
-            if self._curves.due(self.steps):
-                self._curves.add(self._interaction.episodes())
-                self._curves.write(self.steps)
-            progress()
+    def _step(self, steps: int) -> None:
+        before = self.steps
+        self._learn(self._interaction.step(self._actions()), before)
+        if self._curves.due(self.steps):
+            self._curves.add(self._interaction.episodes())
+            self._curves.write(self.steps)
 
     @abstractmethod
     def _actions(self) -> Actions:
@@ -169,12 +195,7 @@ class TransitionLearner(Learner):
 
     @abstractmethod
     def _learn(self, transitions: Transitions, before: int) -> None:
-        """Store a step, and train.
-
-        Args:
-            transitions: The step.
-            before: The value of `steps` before it.
-        """
+        """Store a step, and train. The value of `steps` was `before`."""
 
     def _due(self, before: int, interval: int) -> int:
         """Return how many multiples of an interval the number of steps has reached since it was `before`."""
@@ -196,11 +217,7 @@ class TransitionLearner(Learner):
 
 
 def as_bits(observations: Observations) -> Bits:
-    """Convert binary observations to uint8.
-
-    Raises:
-        ValueError: If a value is neither 0 nor 1.
-    """
+    """Convert observations to uint8. Raise `ValueError` if a value is neither 0 nor 1."""
     bits = observations.astype(np.uint8)
     if not np.array_equal(bits, observations) or bits.max(initial=0) > 1:
         raise ValueError(
@@ -212,16 +229,10 @@ def as_bits(observations: Observations) -> Bits:
 
 def random_actions(count: int, generator: torch.Generator) -> Actions:
     """Return uniformly distributed actions."""
-    actions: Actions = torch.randint(len(ACTIONS), (count,), generator=generator).numpy()
-    return actions
+    return np.asarray(torch.randint(len(ACTIONS), (count,), generator=generator))
 
 
 def step_generator(seed: int, step: int) -> torch.Generator:
-    """Return the source of the random numbers of a policy in a step of the episode.
-
-    Args:
-        seed: The seed of the policy.
-        step: The number of steps before.
-    """
+    """Return the source of the random numbers of a policy with a seed, after a number of steps of the episode."""
     # Consecutive steps of a run must not have the seeds of consecutive runs.
     return torch.Generator().manual_seed(int(np.random.SeedSequence([seed, step]).generate_state(1)[0]))

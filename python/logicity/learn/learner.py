@@ -5,21 +5,18 @@ from __future__ import annotations
 from abc import ABC, abstractmethod
 from collections.abc import Callable, Mapping
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, ClassVar, Literal, TypeAlias
+from typing import Any, ClassVar, Literal, TypeAlias
 
 from ..envs.views import Actions, Observations
 from ..errors import extra
 from ..files import read_tensors
+from ..types import ArrayKind
 from .curves import Curves
-from .settings import LearnerSettings
+from .settings import LearnerSettings, Training
 
 with extra("learn"):
     import torch
     from torch import Tensor, nn
-
-if TYPE_CHECKING:
-    from ..types import ArrayKind
-    from .settings import Training
 
 __all__ = ["LearnedPolicy", "Learner", "Progress", "check_shape", "minimize"]
 
@@ -31,16 +28,7 @@ Progress: TypeAlias = Callable[[], None]
 
 
 def check_shape(observation: Observations, width: int, mode: str) -> None:
-    """Check the shape of a batch of observations.
-
-    Args:
-        observation: The observations.
-        width: The width of an observation in the training.
-        mode: The mode of the training, for the message.
-
-    Raises:
-        ValueError: If the shape is not (batch, width).
-    """
+    """Raise `ValueError` if observations do not have the shape (batch, width), as in the training in `mode`."""
     if observation.ndim != 2 or observation.shape[1] != width:
         raise ValueError(
             f"expected observations of shape (batch, {width}), not {observation.shape}: the policy was trained in "
@@ -64,7 +52,6 @@ def minimize(loss: Tensor, optimizer: torch.optim.Optimizer, gradient_clip: floa
 class LearnedPolicy(ABC):
     """A trained policy, which maps batches of observations to actions."""
 
-    @abstractmethod
     def predict(
         self, observation: Observations, state: Any = None, episode_start: Any = None, deterministic: bool = True
     ) -> tuple[Actions, Any]:
@@ -79,6 +66,11 @@ class LearnedPolicy(ABC):
         Raises:
             ValueError: If the observations do not fit those of the training.
         """
+        return self._decide(observation, deterministic), None
+
+    def _decide(self, observation: Observations, deterministic: bool) -> Actions:
+        """Return the actions of a policy without memory."""
+        raise NotImplementedError
 
     @abstractmethod
     def save(self, path: Path) -> None:
@@ -113,7 +105,7 @@ class Learner(ABC):
     calls `progress` after each step. During that call `policy`, `save` and `steps` must be valid. A restored learner
     continues exactly: the result of an interrupted run equals that of an uninterrupted one.
 
-    A subclass implements `state` and `load_state`, or `save` and `restore`.
+    A subclass implements `_step` or `fit`, and `state` and `load_state`, or `save` and `restore`.
     """
 
     #: The class of the values under `settings` in a training file.
@@ -147,6 +139,7 @@ class Learner(ABC):
             ValueError: If the mode is unknown, or the learner rejects the settings or the observations.
         """
         self.config, self.log = config, log
+        self._settings: Any = config.settings
         #: Shows a line about a long step to the user. `train` replaces it.
         self.say: Callable[[str], None] = lambda line: None
         self._curves = Curves(log)
@@ -164,13 +157,19 @@ class Learner(ABC):
     def steps(self) -> int:
         """The number of steps so far, in `unit`."""
 
-    @abstractmethod
     def fit(self, steps: int, progress: Progress) -> None:
         """Train until `self.steps` is at least `steps`.
 
         Raises:
             ValueError: If the settings are invalid in a way that only the training shows.
         """
+        while self.steps < steps:
+            self._step(steps)
+            progress()
+
+    def _step(self, steps: int) -> None:
+        """Train until `self.steps` is larger, in a training of `steps` steps."""
+        raise NotImplementedError
 
     @abstractmethod
     def policy(self) -> LearnedPolicy:

@@ -18,7 +18,7 @@ from __future__ import annotations
 from collections.abc import Mapping
 from itertools import pairwise
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, Any
+from typing import Annotated, Any
 
 import numpy as np
 import torch
@@ -28,15 +28,10 @@ from torch.nn import functional
 
 from ..city import ACTIONS
 from ..envs.views import Actions, Observations
-from .interaction import Bits, TransitionLearner, Transitions, as_bits, random_actions, step_generator
+from .interaction import Bits, Ring, TransitionLearner, Transitions, as_bits, random_actions, step_generator
 from .learner import check_shape, minimize
-from .settings import Count, LearnerSettings, LearningRate, Share
+from .settings import Count, LearnerSettings, LearningRate, Share, Training
 from .storage import StoredPolicy, restore_optimizer
-
-if TYPE_CHECKING:
-    from typing_extensions import Self
-
-    from .settings import Training
 
 __all__ = ["Ensemble", "Shooting", "ShootingPolicy", "ShootingSettings", "WorldModel", "predicted_returns"]
 
@@ -94,24 +89,15 @@ class Ensemble(nn.Module):
                 parameters.append(nn.Parameter(values))
 
     def forward(self, bits: Tensor, actions: Tensor) -> Tensor:
-        """Evaluate each member on its own inputs.
+        """Evaluate each member on its own inputs: floats (members, batch, bits) and integers (members, batch).
 
-        Args:
-            bits: Floats of shape (members, batch, bits).
-            actions: Integers of shape (members, batch).
-
-        Returns:
-            Outputs of shape (members, batch, outputs).
+        The outputs have the shape (members, batch, outputs).
         """
         inputs = torch.cat([bits, functional.one_hot(actions, len(ACTIONS)).to(bits.dtype)], -1)
         return self._upper(torch.baddbmm(self.biases[0], inputs, self.weights[0]))
 
     def all_actions(self, bits: Tensor) -> Tensor:
-        """Evaluate each member on its own bits, floats of shape (members, batch, bits), with every action.
-
-        Returns:
-            Outputs of shape (members, batch, actions, outputs).
-        """
+        """Evaluate each member on its own bits with every action: (members, batch, actions, outputs)."""
         members, batch, width = bits.shape
         # The layer is linear, so its values for the bits are computed once for all actions.
         of_bits = torch.baddbmm(self.biases[0], bits, self.weights[0][:, :width])
@@ -142,10 +128,9 @@ class WorldModel(nn.Module):
         self.outcomes = Ensemble(settings.members, bits, settings.width, 2, generator)
 
     def outcomes_of(self, states: Tensor) -> tuple[Tensor, Tensor]:
-        """Predict the outcome of every action in states, which are bits as floats, of shape (members, batch, bits).
+        """Predict rewards, and the probabilities that the episode continues, both of shape (members, batch, actions).
 
-        Returns:
-            The rewards, and the probabilities that the episode continues, both of shape (members, batch, actions).
+        The states are bits as floats, of shape (members, batch, bits).
         """
         rewards, terminates = self.outcomes.all_actions(states).unbind(-1)
         return rewards, torch.sigmoid(-terminates)
@@ -162,10 +147,7 @@ class WorldModel(nn.Module):
     def changes_loss(self, bits: Tensor, actions: Tensor, next_bits: Tensor) -> Tensor:
         """Return the mean cross entropy of the changes of bits, summed over the members, of shape ().
 
-        Args:
-            bits: Bits as floats, of shape (members, batch, bits).
-            actions: Integers of shape (members, batch).
-            next_bits: The bits after the actions, of the shape of `bits`.
+        The arguments are those of `Ensemble.forward`, and the bits after the actions.
         """
         members, batch, width = bits.shape
         logits = self.changes(bits, actions).view(members * batch, 3, width)
@@ -178,14 +160,8 @@ class WorldModel(nn.Module):
         """Return the mean squared error of the rewards and the mean cross entropy of terminations, summed over members.
 
         The observation has no clock, so the overtime cost of a truncated episode cannot be predicted. The error leaves
-        its reward out. Both values have the shape ().
-
-        Args:
-            bits: Bits as floats, of shape (members, batch, bits).
-            actions: Integers of shape (members, batch). The other arguments have this shape too.
-            rewards: Floats.
-            terminated: Floats, 0 or 1.
-            truncated: Bools.
+        its reward out. Both values have the shape (). The first arguments are those of `Ensemble.forward`; `rewards`,
+        `terminated` (0 or 1) and `truncated` (bool) have the shape of `actions`.
         """
         predicted, terminates = self.outcomes(bits, actions).unbind(-1)
         errors = torch.where(truncated, 0.0, (predicted - rewards) ** 2)
@@ -196,10 +172,9 @@ class WorldModel(nn.Module):
 class _Graph:
     """The states that members of the ensemble reach in a search, each expanded at most once per member.
 
-    Node n is a state of a member. Its edges, one per action, have the indices 4 n to 4 n + 3, and end in the node
-    itself until a change is predicted. States are equal if their Zobrist hashes are, the sums of a random number of 64
-    bits per bit that is 1. With n nodes, the probability that two states have the same hash is below n^2 / 2^64: about
-    1 in 10^10 for 50,000 nodes.
+    A node is a state of a member. Its edges, one per action, end in the node itself until a change is predicted. States
+    are equal if their Zobrist hashes are, the sums of a random number of 64 bits per bit that is 1. With n nodes, the
+    probability that two states have the same hash is below n^2 / 2^64: about 1 in 10^10 for 50,000 nodes.
     """
 
     #: The number of states per member in a batch, which limits the memory.
@@ -211,15 +186,17 @@ class _Graph:
         generator = torch.Generator().manual_seed(0)
         low, high = torch.iinfo(torch.int64).min, torch.iinfo(torch.int64).max
         self._of_bits = torch.randint(low, high, (model.bits,), generator=generator)
-        of_members = torch.randint(low, high, (model.members,), generator=generator)
+        self._of_members = torch.randint(low, high, (model.members,), generator=generator)
         count = len(states) * model.members
         self.member = torch.arange(model.members).repeat_interleave(len(states))
         self.states = states.repeat(model.members, 1)
-        self.hashes = (states * self._of_bits).sum(1).repeat(model.members) + of_members[self.member]
+        self.hashes = self._hashes(self.states, self.member)
         self.expanded = torch.zeros(count, dtype=torch.bool)
-        self.next = torch.arange(count).repeat_interleave(len(ACTIONS))
-        self.rewards = torch.zeros(count * len(ACTIONS))
-        self.continues = torch.zeros(count * len(ACTIONS))
+        self.next = torch.arange(count)[:, None].repeat(1, len(ACTIONS))
+        self.rewards, self.continues = torch.zeros(2, count, len(ACTIONS))
+
+    def _hashes(self, states: Tensor, members: Tensor) -> Tensor:
+        return (states * self._of_bits).sum(1) + self._of_members[members]
 
     def expand(self, nodes: Tensor, last: bool) -> None:
         """Predict the edges of nodes. With `last`, only rewards are needed."""
@@ -244,59 +221,39 @@ class _Graph:
         batch = torch.zeros(model.members * width, model.bits)
         batch[rows] = self.states[nodes].float()
         batch = batch.view(model.members, width, model.bits)
-        edges = (nodes[:, None] * len(ACTIONS) + torch.arange(len(ACTIONS))).view(-1)
-        for values, predicted in zip((self.rewards, self.continues), model.outcomes_of(batch), strict=True):
-            values[edges] = predicted.reshape(-1, len(ACTIONS))[rows].view(-1)
+        self.rewards[nodes], self.continues[nodes] = (each.flatten(0, 1)[rows] for each in model.outcomes_of(batch))
         if last:
             return
-        flips = model.flips_of(batch).view(-1, len(ACTIONS), model.bits)[rows].view(len(edges), model.bits)
-        changed, bit = flips.nonzero(as_tuple=True)
-        if not len(changed):
-            return
-        # A bit that rises adds its number to the hash, and one that falls subtracts it.
-        from_state = self.states[nodes][changed // len(ACTIONS), bit]
-        added = torch.where(from_state > 0, -self._of_bits[bit], self._of_bits[bit])
-        hashes = self.hashes[nodes].repeat_interleave(len(ACTIONS)).index_add(0, changed, added)
-        changed = changed.unique()
-        self._link(nodes[changed // len(ACTIONS)], edges[changed], flips[changed], hashes[changed])
+        flips = model.flips_of(batch).flatten(0, 1)[rows]
+        at, actions = flips.any(-1).nonzero(as_tuple=True)
+        if len(at):
+            self._link(nodes[at], actions, self.states[nodes[at]] ^ flips[at, actions])
 
-    def _link(self, parents: Tensor, edges: Tensor, flips: Tensor, hashes: Tensor) -> None:
-        """Let edges end in the states with these hashes, which are added if they are new."""
-        known = len(self.hashes)
-        every = torch.cat([self.hashes, hashes])
-        unique, number = every.unique(return_inverse=True)
-        first = torch.full((len(unique),), len(every)).scatter_reduce(0, number, torch.arange(len(every)), "amin")
+    def _link(self, parents: Tensor, actions: Tensor, states: Tensor) -> None:
+        """Let edges end in these states, which are added if they are new."""
+        known, members = len(self.hashes), self.member[parents]
+        every = torch.cat([self.hashes, self._hashes(states, members)])
+        _, *found = np.unique(every.numpy(), return_index=True, return_inverse=True)
+        first, number = map(torch.from_numpy, found)
         added = first[first >= known].sort().values
-        node = torch.full((len(every),), -1)
-        node[:known] = torch.arange(known)
+        node = torch.arange(len(every))
         node[added] = torch.arange(len(added)) + known
-        self.next[edges] = node[first[number[known:]]]
-        source = added - known
-        more = len(added) * len(ACTIONS)
-        self.states = torch.cat([self.states, self.states[parents[source]] ^ flips[source]])
-        self.member = torch.cat([self.member, self.member[parents[source]]])
-        self.hashes = torch.cat([self.hashes, hashes[source]])
-        self.expanded = torch.cat([self.expanded, self.expanded.new_zeros(len(added))])
-        itself = torch.arange(known, known + len(added)).repeat_interleave(len(ACTIONS))
-        self.next = torch.cat([self.next, itself])
-        self.rewards = torch.cat([self.rewards, torch.zeros(more)])
-        self.continues = torch.cat([self.continues, torch.zeros(more)])
+        self.next[parents, actions] = node[first[number[known:]]]
+        self.states = torch.cat([self.states, states[added - known]])
+        self.member = torch.cat([self.member, members[added - known]])
+        self.hashes = torch.cat([self.hashes, every[added]])
+        self.expanded = torch.cat([self.expanded, torch.zeros(len(added), dtype=torch.bool)])
+        self.next = torch.cat([self.next, node[added][:, None].expand(-1, len(ACTIONS))])
+        none = torch.zeros(len(added), len(ACTIONS))
+        self.rewards, self.continues = torch.cat([self.rewards, none]), torch.cat([self.continues, none])
 
 
 def predicted_returns(model: WorldModel, states: Tensor, sequences: Tensor, discount: float) -> Tensor:
-    """Predict the returns of action sequences, averaged over the members of the ensemble.
+    """Predict returns, averaged over the members of the ensemble, float32 (states, sequences).
 
     The return of a member is the sum over steps t of discount^t times the predicted reward, times the probability that
-    the episode has not terminated before.
-
-    Args:
-        model: The model.
-        states: uint8 (states, bits).
-        sequences: Actions of shape (sequences, horizon).
-        discount: The discount per step.
-
-    Returns:
-        float32 (states, sequences).
+    the episode has not terminated before. The states are uint8 (states, bits), the sequences of actions (sequences,
+    horizon).
     """
     horizon = sequences.shape[1]
     with torch.inference_mode():
@@ -306,7 +263,7 @@ def predicted_returns(model: WorldModel, states: Tensor, sequences: Tensor, disc
         weights = torch.ones(nodes.shape)
         for step in range(horizon):
             graph.expand(nodes, step + 1 == horizon)
-            edges = nodes * len(ACTIONS) + sequences[:, step]
+            edges = (nodes, sequences[:, step])
             totals += weights * graph.rewards[edges]
             weights *= discount * graph.continues[edges]
             nodes = graph.next[edges]
@@ -324,8 +281,7 @@ def planned_actions(
     sequences = torch.randint(len(ACTIONS), shape, generator=generator)
     distinct, number = np.unique(observations, axis=0, return_inverse=True)
     returns = predicted_returns(model, torch.from_numpy(distinct), sequences, settings.discount)
-    actions: Actions = sequences[returns.argmax(1), 0].numpy()[number.reshape(-1)]
-    return actions
+    return np.asarray(sequences[returns.argmax(1), 0])[number.reshape(-1)]
 
 
 class ShootingPolicy(StoredPolicy):
@@ -354,11 +310,10 @@ class ShootingPolicy(StoredPolicy):
 
     def weights(self) -> Mapping[str, Any]:
         """Return the weights of the model of the environment."""
-        weights: Mapping[str, Any] = self.model.state_dict()
-        return weights
+        return dict(self.model.state_dict())
 
     @classmethod
-    def build(cls, config: dict[str, Any], weights: dict[str, Any]) -> Self:
+    def build(cls, config: dict[str, Any], weights: dict[str, Any]) -> ShootingPolicy:
         """Create the policy of a file."""
         settings = ShootingSettings.model_validate(config["settings"])
         model = WorldModel(config["bits"], settings, torch.Generator())
@@ -366,50 +321,24 @@ class ShootingPolicy(StoredPolicy):
         return cls(model, settings, config["mode"], config["seed"])
 
 
-class Replay:
-    """The last transitions, in a ring buffer."""
+class Replay(Ring):
+    """The last transitions."""
 
     def __init__(self, capacity: int, bits: int) -> None:
         """Allocate the memory for `capacity` transitions between observations of `bits` bits."""
-        self.observations = torch.zeros(capacity, bits, dtype=torch.uint8)
-        self.next_observations = torch.zeros(capacity, bits, dtype=torch.uint8)
-        self.actions = torch.zeros(capacity, dtype=torch.uint8)
-        self.rewards = torch.zeros(capacity)
-        self.terminated = torch.zeros(capacity, dtype=torch.bool)
-        self.truncated = torch.zeros(capacity, dtype=torch.bool)
+        plain = {"actions": torch.uint8, "rewards": torch.float32, "terminated": torch.bool, "truncated": torch.bool}
+        super().__init__((capacity,), {"observations": bits, "next_observations": bits}, **plain)
         self.added = 0
 
     def __len__(self) -> int:
         """Return the number of stored transitions."""
-        return min(self.added, len(self.rewards))
+        return min(int(self.added), *self._shape)
 
     def add(self, transitions: Transitions) -> None:
         """Store transitions in place of the oldest ones."""
-        at = (torch.arange(len(transitions.actions)) + self.added) % len(self.rewards)
-        for name in (*self._packed, *self._plain):
-            stored = getattr(self, name)
-            stored[at] = torch.from_numpy(getattr(transitions, name)).to(stored.dtype)
+        at = (torch.arange(len(transitions.actions)) + self.added) % self._shape[0]
+        self._store(at, vars(transitions))
         self.added += len(at)
-
-    def state(self) -> dict[str, Any]:
-        """Return what `restore` needs, with eight bits of observations in a byte."""
-        count = len(self)
-        parts = {name: getattr(self, name)[:count] for name in (*self._packed, *self._plain)}
-        packed = {name: torch.from_numpy(np.packbits(parts[name].numpy(), axis=1)) for name in self._packed}
-        return {"added": self.added, **packed, **{name: parts[name].clone() for name in self._plain}}
-
-    def restore(self, state: dict[str, Any]) -> None:
-        """Restore what `state` returned."""
-        self.added = state["added"]
-        count, bits = len(self), self.observations.shape[1]
-        for name in self._packed:
-            unpacked = np.unpackbits(state[name].numpy(), axis=1, count=bits)
-            getattr(self, name)[:count] = torch.from_numpy(unpacked)
-        for name in self._plain:
-            getattr(self, name)[:count] = state[name]
-
-    _packed = ("observations", "next_observations")
-    _plain = ("actions", "rewards", "terminated", "truncated")
 
 
 class Shooting(TransitionLearner):
@@ -417,12 +346,12 @@ class Shooting(TransitionLearner):
 
     settings_class = ShootingSettings
     policy_class = ShootingPolicy
+    _settings: ShootingSettings
 
     def __init__(self, config: Training, log: Path | None = None) -> None:
         """Make the environments and the networks."""
         super().__init__(config, log)
-        assert isinstance(config.settings, ShootingSettings)
-        self._settings = settings = config.settings
+        settings = self._settings
         self._model = WorldModel(self._interaction.width, settings, self._generator)
         self._replay = Replay(settings.buffer_size, self._interaction.width)
         changes, outcomes = self._model.changes.parameters(), self._model.outcomes.parameters()
@@ -450,17 +379,17 @@ class Shooting(TransitionLearner):
         return torch.randint(len(self._replay), shape, generator=self._generator)
 
     def _update_changes(self) -> None:
-        replay, at = self._replay, self._batch()
-        bits, next_bits = replay.observations[at].float(), replay.next_observations[at].float()
-        loss = self._model.changes_loss(bits, replay.actions[at].long(), next_bits)
+        stored, at = self._replay.buffers, self._batch()
+        bits, next_bits = stored["observations"][at].float(), stored["next_observations"][at].float()
+        loss = self._model.changes_loss(bits, stored["actions"][at].long(), next_bits)
         minimize(loss, self._changes_optimizer)
         self._curves.add({"loss/changes": loss.item() / self._settings.members})
 
     def _update_outcomes(self) -> None:
-        replay, at = self._replay, self._batch()
-        bits, actions = replay.observations[at].float(), replay.actions[at].long()
-        rewards, terminated, truncated = replay.rewards[at], replay.terminated[at].float(), replay.truncated[at]
-        errors, cross_entropy = self._model.outcomes_loss(bits, actions, rewards, terminated, truncated)
+        stored, at = self._replay.buffers, self._batch()
+        bits, actions = stored["observations"][at].float(), stored["actions"][at].long()
+        rewards, terminated, truncated = (stored[name][at] for name in ("rewards", "terminated", "truncated"))
+        errors, cross_entropy = self._model.outcomes_loss(bits, actions, rewards, terminated.float(), truncated)
         minimize(errors + cross_entropy, self._outcomes_optimizer)
         members = self._settings.members
         self._curves.add({"loss/rewards": errors.item() / members, "loss/terminations": cross_entropy.item() / members})

@@ -28,12 +28,9 @@ FORMAT = 1
 
 
 class StoredPolicy(LearnedPolicy):
-    """A policy whose file has a configuration and weights.
+    """A policy whose file has a configuration and weights."""
 
-    Attributes:
-        algorithm: The name of its learner.
-    """
-
+    #: The name of its learner.
     algorithm: str
     #: The learners whose policies `load` can read.
     algorithms: ClassVar[tuple[str, ...]]
@@ -44,7 +41,7 @@ class StoredPolicy(LearnedPolicy):
 
     @classmethod
     @abstractmethod
-    def build(cls, config: dict[str, Any], weights: dict[str, Any]) -> Self:
+    def build(cls, config: dict[str, Any], weights: dict[str, Any]) -> Any:
         """Create the policy of a file. The configuration also has the keys `algorithm` and `observation`."""
 
     def save(self, path: Path) -> None:
@@ -67,19 +64,17 @@ class StoredPolicy(LearnedPolicy):
             raise ValueError(f"{path} has version {saved['format']} of the format, and only {FORMAT} can be read")
         try:
             header = {key: saved.get(key) for key in ("algorithm", "observation")}
-            return cls.build({**saved["config"], **header}, saved["weights"])
+            policy: Self = cls.build({**saved["config"], **header}, saved["weights"])
+            return policy
         except (AttributeError, KeyError, TypeError, ValueError, RuntimeError) as error:
             reason = first_line(str(error), repr(error))
             raise ValueError(f"{path} is not a complete policy of {algorithm}: {reason}") from None
 
 
 def restore_optimizer(optimizer: torch.optim.Optimizer, state: dict[str, Any]) -> None:
-    """Restore an optimizer from what its `state_dict` returned.
+    """Restore an optimizer from what its `state_dict` returned. Raise `ValueError` if it does not fit.
 
     PyTorch checks neither settings nor shapes of tensors, so that a faulty state would fail in a later update.
-
-    Raises:
-        ValueError: If the state does not fit the optimizer.
     """
     settings = [{name: type(value) for name, value in group.items()} for group in optimizer.param_groups]
     optimizer.load_state_dict(state)
