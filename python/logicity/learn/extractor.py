@@ -21,14 +21,8 @@ class LogicFeatures(BaseFeaturesExtractor):
     Use it as `policy_kwargs={"features_extractor_class": LogicFeatures, "features_extractor_kwargs": {...}}`. The
     arguments are plain data, which Stable-Baselines3 can save.
 
-    Args:
-        observation_space: The space of the `groundings` observations.
-        atoms: The atoms of an observation in their order, such as those of `Layout.atoms`.
-        route_length: Whether the task observes the route length.
-        options: The arguments of `NeuralLogicMachine`, such as `depth`.
-
-    Raises:
-        ValueError: If the atoms do not fit the space.
+    The options are the arguments of `NeuralLogicMachine`, such as `depth`. The atoms are those of `Layout.atoms`. If
+    they do not fit the space, it raises `ValueError`.
     """
 
     def __init__(
@@ -50,5 +44,4 @@ class LogicFeatures(BaseFeaturesExtractor):
 
     def forward(self, observations: Tensor) -> Tensor:
         """Return truth values of shape (batch, features)."""
-        features: Tensor = self.network(observations)
-        return features
+        return self.network(observations)

@@ -2,18 +2,15 @@
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING, Any, ClassVar
+from typing import Any
 
 from stable_baselines3 import DQN
 
 from .cloning import LogicSettings
 from .demonstrations import layout_of
 from .extractor import LogicFeatures
+from .settings import Training
 from .stable_baselines import StableBaselinesLearner, settings_model
-
-if TYPE_CHECKING:
-    from ..types import ArrayKind
-    from .settings import Training
 
 __all__ = ["NlmDqnLearner", "NlmDqnSettings"]
 
@@ -31,7 +28,7 @@ class NlmDqnLearner(StableBaselinesLearner):
     """Deep Q-learning whose features are the predicates that a Neural Logic Machine invents for the ego."""
 
     settings_class = NlmDqnSettings
-    observations: ClassVar[tuple[ArrayKind, ...]] = ("groundings",)
+    observations = ("groundings",)
 
     @classmethod
     def features(cls, config: Training) -> dict[str, Any]:

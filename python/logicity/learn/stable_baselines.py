@@ -8,8 +8,7 @@ from collections import deque
 from collections.abc import Mapping
 from inspect import signature
 from pathlib import Path
-from types import NoneType, UnionType
-from typing import TYPE_CHECKING, Annotated, Any, ClassVar, Literal, TypeAlias, Union, cast, get_args, get_origin
+from typing import Annotated, Any, ClassVar, Literal, TypeAlias, cast
 from zipfile import BadZipFile, ZipFile
 
 import gymnasium
@@ -22,27 +21,19 @@ from stable_baselines3.common.buffers import ReplayBuffer
 from stable_baselines3.common.callbacks import BaseCallback
 from stable_baselines3.common.off_policy_algorithm import OffPolicyAlgorithm
 from stable_baselines3.common.torch_layers import BaseFeaturesExtractor, create_mlp
-from stable_baselines3.common.vec_env import VecEnv, VecMonitor
+from stable_baselines3.common.vec_env import VecEnv
 
 from ..city import ACTIONS
-from ..envs.sb3 import SPFVecEnv, make_vec_env
+from ..envs.sb3 import make_vec_env
 from ..envs.views import Actions, Observations
+from ..types import ArrayKind
 from . import random_state
 from .learner import LearnedPolicy, Learner, Progress
 from .registry import learner_class
-from .settings import Count, LearnerSettings, LearningRate, NonNegative, Positive, Share, Widths
+from .settings import Count, LearnerSettings, LearningRate, NonNegative, Positive, Share, Training, Widths
 from .storage import StoredPolicy, restore_optimizer
 
-if TYPE_CHECKING:
-    from typing_extensions import Self
-
-    from ..types import ArrayKind
-    from .settings import Training
-
-__all__ = [
-    *("A2CLearner", "DQNLearner", "FeatureLayers", "PPOLearner", "StableBaselinesLearner", "StableBaselinesPolicy"),
-    *("algorithm_of", "from_stable_baselines", "new_model"),
-]
+__all__ = ["A2CLearner", "DQNLearner", "PPOLearner", "algorithm_of", "from_stable_baselines", "new_model"]
 
 
 class FeatureLayers(BaseFeaturesExtractor):
@@ -56,15 +47,7 @@ class FeatureLayers(BaseFeaturesExtractor):
 
     def forward(self, observations: torch.Tensor) -> torch.Tensor:
         """Return features of shape (batch, last width)."""
-        features: torch.Tensor = self._layers(observations)
-        return features
-
-
-class _SharedSettings(LearnerSettings):
-    """The settings of all algorithms."""
-
-    network: Widths
-    """The widths of the layers between the observation and the heads."""
+        return self._layers(observations)
 
 
 #: An integer of at least 0.
@@ -84,8 +67,10 @@ def _valid_train_freq(value: Any, validate: ValidatorFunctionWrapHandler) -> Any
         raise PydanticCustomError("custom", "{message}", {"message": message}) from None
 
 
-#: The types of the settings with a range. Stable-Baselines3 does not check most ranges.
-_RANGES: dict[str, Any] = {
+_NETWORK = "The widths of the layers between the observation and the heads."
+
+#: The types of the settings. Stable-Baselines3 does not check most ranges.
+_TYPES: dict[str, Any] = {
     "batch_size": Count,
     "buffer_size": Count,
     "clip_range": Positive,
@@ -102,7 +87,11 @@ _RANGES: dict[str, Any] = {
     "max_grad_norm": Positive,
     "n_epochs": Count,
     "n_steps": Count,
+    "normalize_advantage": bool,
+    "optimize_memory_usage": bool,
+    "replay_buffer_kwargs": dict[str, Any],
     "rms_prop_eps": NonNegative,
+    "rollout_buffer_kwargs": dict[str, Any],
     "sde_sample_freq": _NaturalOrAutomatic,
     "stats_window_size": Count,
     "target_kl": Positive,
@@ -111,36 +100,23 @@ _RANGES: dict[str, Any] = {
     "train_freq": Annotated[
         Count | Annotated[tuple[Count, Literal["step", "episode"]], Strict(False)], WrapValidator(_valid_train_freq)
     ],
+    "use_rms_prop": bool,
+    "use_sde": bool,
     "verbose": _Natural,
     "vf_coef": NonNegative,
 }
 
 
 def settings_model(algorithm: type[BaseAlgorithm]) -> type[LearnerSettings]:
-    """Create the model of an algorithm's settings from the signature of its class, with the ranges of `_RANGES`."""
-    set_elsewhere = {"policy", "env", "policy_kwargs", "seed", "tensorboard_log", "device"}
-    fields: dict[str, Any] = {}
-    for each in signature(algorithm).parameters.values():
-        hint, known = _expressible(each.annotation), _RANGES.get(each.name)
-        if hint is not None and known is not None:
-            # The setting can be null if its class says so.
-            hint = known | None if NoneType in get_args(hint) else known
-        if hint not in (None, NoneType) and each.name not in set_elsewhere and not each.name.startswith("_"):
-            fields[each.name] = (hint, each.default)
+    """Create the model of an algorithm's settings. Those that are null by default can be null in a file, too."""
+    given = {name: each.default for name, each in signature(algorithm).parameters.items() if name in _TYPES}
+    fields: dict[str, Any] = {"network": (Widths, Field(description=_NETWORK))}
+    fields |= {
+        name: (_TYPES[name] | None if default is None else _TYPES[name], default) for name, default in given.items()
+    }
     name, about = f"{algorithm.__name__}Settings", "Arguments of the algorithm's class."
-    model: type[LearnerSettings] = create_model(name, __base__=_SharedSettings, __doc__=about, **fields)
+    model: type[LearnerSettings] = create_model(name, __base__=LearnerSettings, __doc__=about, **fields)
     return model
-
-
-def _expressible(hint: Any) -> Any:
-    """Return the part of a type that YAML can express, or `None` if there is none, as for functions and classes."""
-    if get_origin(hint) in (Union, UnionType):
-        parts = tuple(part for each in get_args(hint) if (part := _expressible(each)) is not None)
-        return Union[parts] if parts else None  # noqa: UP007
-    if get_origin(hint) is tuple:
-        # YAML has lists instead of tuples.
-        return Annotated[hint, Strict(False)]
-    return hint if get_origin(hint) is dict or hint in (bool, dict, float, int, str, NoneType) else None
 
 
 #: The class of each algorithm in Stable-Baselines3, and a setting that only its models have.
@@ -183,11 +159,7 @@ def algorithm_of(path: str | os.PathLike[str]) -> str:
 
 
 class StableBaselinesPolicy(StoredPolicy):
-    """The policy of a model of Stable-Baselines3.
-
-    Attributes:
-        model: The model. That of a file has no environments and no optimizer of its training.
-    """
+    """The policy of a model of Stable-Baselines3. One from a file has no environments and no optimizer."""
 
     algorithms = tuple(_ALGORITHMS)
 
@@ -210,13 +182,7 @@ class StableBaselinesPolicy(StoredPolicy):
         return actions, state
 
     def config(self) -> dict[str, Any]:
-        """Return the settings of the network.
-
-        `model.save` writes a file of Stable-Baselines3.
-
-        Raises:
-            ValueError: If another program trained the model.
-        """
+        """Return the settings of the network. Raise `ValueError` if another program trained the model."""
         if self._config is None:
             raise ValueError("a model of another program may have parts that are not data: use `model.save`")
         space = cast(gymnasium.spaces.Box, self.observation_space)
@@ -225,11 +191,10 @@ class StableBaselinesPolicy(StoredPolicy):
 
     def weights(self) -> Mapping[str, Any]:
         """Return the weights of the networks."""
-        weights: Mapping[str, Any] = self.model.policy.state_dict()
-        return weights
+        return dict(self.model.policy.state_dict())
 
     @classmethod
-    def build(cls, config: dict[str, Any], weights: dict[str, Any]) -> Self:
+    def build(cls, config: dict[str, Any], weights: dict[str, Any]) -> StableBaselinesPolicy:
         """Create the policy of a file."""
         learner = learner_class(config["algorithm"])
         assert issubclass(learner, StableBaselinesLearner)
@@ -253,12 +218,7 @@ class StableBaselinesPolicy(StoredPolicy):
 
 
 def from_stable_baselines(path: str | os.PathLike[str]) -> StableBaselinesPolicy:
-    """Load a DQN, PPO or A2C model that Stable-Baselines3 saved. This can run any code in the file.
-
-    Raises:
-        OSError: If the file cannot be read.
-        ValueError: If the file is not such a model.
-    """
+    """Load a model that `algorithm_of` accepts. This can run any code in the file."""
     algorithm = algorithm_of(path)
     return StableBaselinesPolicy(_ALGORITHMS[algorithm][0].load(path, device="cpu"), algorithm)
 
@@ -305,12 +265,7 @@ class StableBaselinesLearner(Learner):
 
     @classmethod
     def policy_arguments(cls, settings: dict[str, Any], features: dict[str, Any]) -> dict[str, Any]:
-        """Return the argument `policy_kwargs` of the algorithm's class.
-
-        Args:
-            settings: The settings. The method removes those that are not arguments of the algorithm's class.
-            features: The result of `features`.
-        """
+        """Return the argument `policy_kwargs` of the algorithm's class, with settings that this method removes."""
         widths = {"widths": settings.pop("network")}
         return {"features_extractor_class": FeatureLayers, "features_extractor_kwargs": widths, "net_arch": []}
 
@@ -343,7 +298,7 @@ class StableBaselinesLearner(Learner):
 
     def state(self) -> dict[str, Any]:
         """Return the weights, the optimizer, the replay buffer, the environments, and all random states."""
-        model = self._model
+        model, monitor = self._model, self._model.env
         state: dict[str, Any] = {
             "policy": model.policy.state_dict(),
             "optimizer": model.policy.optimizer.state_dict(),
@@ -352,18 +307,22 @@ class StableBaselinesLearner(Learner):
             "starts": torch.from_numpy(model._last_episode_starts),
             "episodes": list(map(_episode_of, model.ep_info_buffer or ())),
             "successes": [bool(success) for success in model.ep_success_buffer or ()],
-            "environments": _state_of(model.env),
+            "environments": {
+                "environments": monitor.venv.envs.state(),
+                "returns": torch.from_numpy(monitor.episode_returns),
+                "lengths": torch.from_numpy(monitor.episode_lengths),
+                "episodes": monitor.episode_count,
+            },
             "actions": model.action_space.np_random.bit_generator.state,
             "random": random_state.get(),
         }
         if isinstance(model, OffPolicyAlgorithm):
-            assert model.replay_buffer is not None
             state["replay"] = _replay_of(model.replay_buffer)
         return state
 
     def load_state(self, state: dict[str, Any]) -> None:
         """Restore what `state` returned."""
-        model = self._model
+        model, monitor = self._model, self._model.env
         model.policy.load_state_dict(state["policy"])
         restore_optimizer(model.policy.optimizer, state["optimizer"])
         for name in _COUNTERS:
@@ -372,9 +331,11 @@ class StableBaselinesLearner(Learner):
         model._last_obs, model._last_episode_starts = state["observations"].numpy(), state["starts"].numpy()
         model.ep_info_buffer = deque(map(_episode_of, state["episodes"]), maxlen=model._stats_window_size)
         model.ep_success_buffer = deque(state["successes"], maxlen=model._stats_window_size)
-        _restore_environments(model.env, state["environments"])
+        saved = state["environments"]
+        monitor.venv.envs.restore(saved["environments"])
+        monitor.episode_returns, monitor.episode_lengths = saved["returns"].numpy(), saved["lengths"].numpy()
+        monitor.episode_count = saved["episodes"]
         if isinstance(model, OffPolicyAlgorithm):
-            assert model.replay_buffer is not None
             _restore_replay(model.replay_buffer, state["replay"])
         model.action_space.np_random.bit_generator.state = state["actions"]
         random_state.put(state["random"])
@@ -402,25 +363,6 @@ def _episode_of(record: Mapping[str, Any]) -> dict[str, float]:
 _REPLAY = ("observations", "next_observations", "actions", "rewards", "dones", "timeouts")
 
 
-def _state_of(env: VecEnv | None) -> dict[str, Any]:
-    """Return the state of environments that `make_vec_env` made, as plain data."""
-    assert isinstance(env, VecMonitor) and isinstance(env.venv, SPFVecEnv)
-    return {
-        "environments": env.venv.envs.state(),
-        "returns": torch.from_numpy(env.episode_returns),
-        "lengths": torch.from_numpy(env.episode_lengths),
-        "episodes": env.episode_count,
-    }
-
-
-def _restore_environments(env: VecEnv | None, state: Mapping[str, Any]) -> None:
-    """Restore what `_state_of` returned."""
-    assert isinstance(env, VecMonitor) and isinstance(env.venv, SPFVecEnv)
-    env.venv.envs.restore(state["environments"])
-    env.episode_returns, env.episode_lengths = state["returns"].numpy(), state["lengths"].numpy()
-    env.episode_count = state["episodes"]
-
-
 def _replay_of(buffer: ReplayBuffer) -> dict[str, Any]:
     """Return the stored transitions as tensors, and where the next one goes."""
     # With `optimize_memory_usage`, the row at `pos` has the last observation.
@@ -444,11 +386,7 @@ def _restore_replay(buffer: ReplayBuffer, state: Mapping[str, Any]) -> None:
 
 
 def new_model(config: Training, env: VecEnv, log: str | None = None) -> BaseAlgorithm:
-    """Create an untrained model, with training curves in the folder `log`.
-
-    Raises:
-        ValueError: If the algorithm rejects the settings.
-    """
+    """Create an untrained model, with training curves in `log`. Raise `ValueError` if it rejects the settings."""
     settings = config.settings.model_dump()
     frequency = settings.get("train_freq")
     if isinstance(frequency, tuple) and frequency[1] == "episode" and config.envs > 1:
