@@ -18,10 +18,11 @@ multi-category classification of mixed data. Theory and Practice of Logic Progra
 
 from __future__ import annotations
 
+from collections import Counter
 from collections.abc import Iterable, Sequence
 from dataclasses import dataclass
 from itertools import combinations
-from typing import Annotated, Any, TypeAlias, cast
+from typing import Annotated, Any, TypeAlias
 
 import numpy as np
 from numpy.typing import NDArray
@@ -62,52 +63,31 @@ class Pattern:
 
     atoms: tuple[PatternAtom, ...]
 
-    def body(self) -> list[BodyLiteral]:
-        """Return the literals of a clause that defines the pattern."""
-        return [(False, predicate, variables) for predicate, variables in self.atoms]
-
 
 @dataclass(frozen=True)
 class Relations:
-    """The facts of N observations of E entities.
+    """The facts of N observations of E entities: for each predicate, bool (N, E) or (N, E, E)."""
 
-    Attributes:
-        unary: For each unary predicate, bool (N, E).
-        binary: For each binary predicate, bool (N, E, E).
-    """
-
-    unary: dict[str, NDArray[np.bool_]]
-    binary: dict[str, NDArray[np.bool_]]
+    facts: dict[str, NDArray[np.bool_]]
 
     @classmethod
     def of(cls, atoms: Sequence[Atom], observations: NDArray[np.float32]) -> Relations:
         """Split observations by predicate."""
         true, layout = observations > 0.5, Layout.of_atoms(atoms)
-        return cls(
-            {name: true[:, layout.unary_at[:, at]] for at, name in enumerate(layout.unary)},
-            {name: true[:, layout.binary_at[:, :, at]] for at, name in enumerate(layout.binary)},
-        )
-
-    def about(self, atom: PatternAtom) -> NDArray[np.bool_]:
-        """Return the truth values of an atom about variable 1, and possibly the ego, bool (N, E)."""
-        predicate, variables = atom
-        if variables == (1,):
-            return self.unary[predicate]
-        return self.binary[predicate][:, 0, :] if variables == (0, 1) else self.binary[predicate][:, :, 0]
+        unary = {name: true[:, layout.unary_at[:, at]] for at, name in enumerate(layout.unary)}
+        return cls(unary | {name: true[:, layout.binary_at[:, :, at]] for at, name in enumerate(layout.binary)})
 
     def holds(self, pattern: Pattern) -> NDArray[np.bool_]:
         """Return the truth values of a pattern, bool (N,)."""
-        (predicate, variables), *rest = pattern.atoms
-        if variables == (0,):
-            return self.unary[predicate][:, 0]
-        if any(2 in of for _, of in pattern.atoms):
-            (first, _), (link, _), (second, _) = pattern.atoms
-            pairs = self.unary[first][:, :, None] & self.binary[link] & self.unary[second][:, None, :]
-            return np.asarray(pairs.any((1, 2)))
-        found = self.about(pattern.atoms[0])
-        for atom in rest:
-            found = found & self.about(atom)
-        return np.asarray(found.any(1))
+        # The axes are the observations and the variables 1 and 2.
+        found = np.ones((1, 1, 1), np.bool_)
+        for predicate, variables in pattern.atoms:
+            values = self.facts[predicate]
+            for axis, variable in enumerate(variables, 1):
+                if variable == 0:
+                    values = np.asarray(values.take(0, axis))
+            found = found & np.expand_dims(values, [axis for axis in (1, 2) if axis not in variables])
+        return np.asarray(found.any((1, 2)))
 
 
 def patterns(atoms: Sequence[Atom], settings: FoldRMSettings) -> list[Pattern]:
@@ -129,16 +109,13 @@ class FoldRMLearner(SymbolicLearner):
     """FOLD-RM on the distinct steps of the demonstrations."""
 
     settings_class = FoldRMSettings
+    _settings: FoldRMSettings
 
     def rules(self, data: Demonstrations) -> str:
-        """Return the default rules as a rule file.
-
-        Raises:
-            ImportError: If the package `foldrm` is not installed.
-        """
+        """Return the default rules as a rule file. Raise `ImportError` if the package `foldrm` is not installed."""
         with extra("learn"):
             from foldrm.algo import foldrm
-        settings = cast(FoldRMSettings, self.config.settings)
+        settings = self._settings
         observations = np.concatenate([trajectory.observations[:-1] for trajectory in data])
         actions = np.concatenate([trajectory.actions for trajectory in data])
         relations = Relations.of(data.atoms, observations[:, : len(data.atoms)])
@@ -159,30 +136,22 @@ def _default_action(mode: str) -> str:
 
 def _informative(candidates: Iterable[Pattern], relations: Relations) -> tuple[list[Pattern], NDArray[np.bool_]]:
     """Return the patterns that separate some rows, and their truth values, bool (patterns, N)."""
-    seen: set[bytes] = set()
-    chosen, columns = [], []
+    found: dict[bytes, tuple[Pattern, NDArray[np.bool_]]] = {}
     for pattern in candidates:
         values = relations.holds(pattern)
-        key = np.packbits(values).tobytes()
-        if key not in seen and values.any() and not values.all():
-            seen.add(key)
-            chosen.append(pattern)
-            columns.append(values)
-    return chosen, np.array(columns, np.bool_).reshape(len(chosen), -1)
+        if values.any() and not values.all():
+            found.setdefault(np.packbits(values).tobytes(), (pattern, values))
+    columns = [values for _, values in found.values()]
+    return [pattern for pattern, _ in found.values()], np.array(columns, np.bool_).reshape(len(found), -1)
 
 
 def rule_file(learned: Sequence[FoldRule], known: Sequence[Pattern], default: str) -> str:
-    """Return a list of rules of `foldrm` over patterns as a rule file.
+    """Return rules of `foldrm` over the known patterns as a rule file.
 
-    Args:
-        learned: The rules. The first one that holds decides.
-        known: The pattern of each attribute.
-        default: The action that an ego takes if no rule derives one.
+    The first rule that holds decides. An ego without one takes the action `default`.
     """
     printer = _Printer(known)
-    classes = []
-    for (_, _, action), conditions, exceptions, _ in learned:
-        classes.append((action, printer.rule("Rule", conditions, exceptions)))
+    classes = [(action, printer.rule("Rule", *conditions)) for (_, _, action), *conditions, _ in learned]
     lines = ['.include "vocabulary.dl"', *printer.lines]
     for number, (action, name) in enumerate(classes):
         if action != default:
@@ -198,20 +167,14 @@ class _Printer:
     def __init__(self, known: Sequence[Pattern]) -> None:
         self.lines: list[str] = []
         self._known = known
-        self._patterns: dict[int, str] = {}
-        self._counts: dict[str, int] = {}
-        self._exceptions: dict[tuple[BodyLiteral, ...], str] = {}
+        self._counts: Counter[str] = Counter()
+        self._names: dict[tuple[str, tuple[BodyLiteral, ...]], str] = {}
 
     def rule(self, kind: str, conditions: Sequence[tuple[int, str, str]], exceptions: Sequence[Any]) -> str:
         """Print a rule after its exceptions, and return its predicate."""
         body = [self._literal(condition) for condition in conditions]
         body += [(True, self.rule("Exception", of, but), (0,)) for _, of, but, _ in exceptions]
-        if kind != "Exception":
-            return self._define(kind, body)
-        key = tuple(body)
-        if key not in self._exceptions:
-            self._exceptions[key] = self._define(kind, body)
-        return self._exceptions[key]
+        return self._define(kind, body)
 
     def _literal(self, condition: tuple[int, str, str]) -> BodyLiteral:
         column, relation, value = condition
@@ -219,13 +182,14 @@ class _Printer:
         atoms = self._known[column].atoms
         if len(atoms) == 1 and atoms[0][1] == (0,):
             return negated, atoms[0][0], (0,)
-        if column not in self._patterns:
-            self._patterns[column] = self._define("Pattern", self._known[column].body())
-        return negated, self._patterns[column], (0,)
+        return negated, self._define("Pattern", [(False, *atom) for atom in atoms]), (0,)
 
     def _define(self, kind: str, body: list[BodyLiteral]) -> str:
         """Print the declaration and the clause of a new predicate, and return its name."""
-        number = self._counts[kind] = self._counts.get(kind, 0) + 1
-        name = f"{kind}{number}"
+        key = kind, tuple(body)
+        if kind != "Rule" and key in self._names:
+            return self._names[key]
+        self._counts[kind] += 1
+        name = self._names[key] = f"{kind}{self._counts[kind]}"
         self.lines += ["", f".decl {name}(x: agent)", clause(name, body)]
         return name

@@ -8,7 +8,7 @@ from __future__ import annotations
 from abc import abstractmethod
 from collections.abc import Sequence
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, ClassVar, Literal, TypeAlias
+from typing import Annotated, ClassVar, Literal, TypeAlias, cast
 
 from pydantic import Field
 
@@ -20,10 +20,7 @@ from ..rule_policy import RulePolicy, header, saved_by
 from ..types import Atom
 from .demonstrations import first_demonstrations
 from .learner import LearnedPolicy, Learner, Progress
-from .settings import LearnerSettings
-
-if TYPE_CHECKING:
-    from .settings import Training
+from .settings import LearnerSettings, Training
 
 __all__ = ["InduceLearner", "InduceSettings", "SymbolicLearner", "SymbolicPolicy", "arities", "clause"]
 
@@ -39,11 +36,7 @@ class SymbolicPolicy(RulePolicy, LearnedPolicy):
 
     @classmethod
     def load(cls, path: Path) -> SymbolicPolicy:
-        """Read the policy of a learner, whose file names the mode.
-
-        Raises:
-            InputError: If the rules are invalid.
-        """
+        """Read the policy of a learner, whose file names the mode. Raise `InputError` if the rules are invalid."""
         return cls(path, saved_by(path)["mode"])
 
     def rules(self) -> str:
@@ -89,9 +82,7 @@ class SymbolicLearner(Learner):
     def policy(self) -> SymbolicPolicy:
         """Return the rules. Before training there are none, and the car takes the default action."""
         empty = f'{header(self.config.algorithm, self.config.mode)}\n.include "vocabulary.dl"\n'
-        policy = SymbolicPolicy.from_text(self._text or empty, self.config.mode)
-        assert isinstance(policy, SymbolicPolicy)
-        return policy
+        return cast(SymbolicPolicy, SymbolicPolicy.from_text(self._text or empty, self.config.mode))
 
     def save(self, folder: Path) -> None:
         """Write the rules, if training is over."""
@@ -135,13 +126,9 @@ class InduceLearner(SymbolicLearner):
 
 
 def clause(head: str, body: Sequence[BodyLiteral]) -> str:
-    """Return a clause in the syntax of rule files.
+    """Return a clause about the ego in the syntax of rule files.
 
     A variable that no positive literal binds ranges over what the ego sees, so `Sees` binds it.
-
-    Args:
-        head: The predicate of the head. Its argument is the ego.
-        body: The literals.
     """
 
     def name(variable: int) -> str:
