@@ -20,29 +20,15 @@ __all__ = ["DemonstrationData", "GraphView", "Layout", "RelationalView", "Sample
 
 
 def layout_of(mode: str | os.PathLike[str]) -> Layout:
-    """Return the layout of the `groundings` observations of a mode, or of a configuration file.
-
-    Raises:
-        InputError: If the configuration is invalid.
-        OSError: If a file cannot be read.
-        ValueError: If the mode is unknown, or has a predicate of three or more entities.
-    """
+    """Return the layout of `groundings` observations. The exceptions are those of `load_task` and `Layout.of_atoms`."""
     return Layout.of_description(_logicity.describe(load_task(mode)))
 
 
 def first_demonstrations(mode: str | os.PathLike[str], share: float = 1.0, split: str = "train") -> Demonstrations:
     """Run the oracle on the first recorded episodes of a mode or of a configuration file.
 
-    Args:
-        mode: As for `logicity.demonstrations`.
-        share: The share of the recorded episodes, 0 < share <= 1. Their number is rounded to the nearest one, and at
-            least 1.
-        split: The split of the episodes.
-
-    Raises:
-        InputError: If the configuration is invalid, or no episodes are recorded.
-        OSError: If a file cannot be read.
-        ValueError: If the mode is unknown, or the share is out of range.
+    The share of the recorded episodes, 0 < share <= 1, is rounded to the nearest number of at least 1. The exceptions
+    are those of `logicity.demonstrations`.
     """
     if not 0 < share <= 1:
         raise ValueError(f"the share of the demonstrations must be above 0 and at most 1, not {share}")
@@ -67,7 +53,7 @@ class DemonstrationData:
 
     @classmethod
     def load(cls, mode: str | os.PathLike[str], share: float = 1.0, split: str = "train") -> DemonstrationData:
-        """Run the oracle on recorded episodes. The arguments and errors are those of `first_demonstrations`."""
+        """Run the oracle on recorded episodes, as `first_demonstrations` does."""
         chosen = first_demonstrations(mode, share, split)
         lengths = torch.tensor([len(trajectory) for trajectory in chosen])
         return cls(
@@ -89,10 +75,8 @@ class DemonstrationData:
     def distinct(self) -> DemonstrationData:
         """Return the steps without those that repeat the observation and the action of an earlier step."""
         both = torch.cat([self.observations, self.actions[:, None].float()], 1)
-        _, groups = torch.unique(both, dim=0, return_inverse=True)
-        every = torch.arange(len(self))
-        first = torch.full((int(groups.max()) + 1,), len(self)).scatter_reduce(0, groups, every, "amin")
-        return self[first.sort().values]
+        _, first = np.unique(both.numpy(), axis=0, return_index=True)
+        return self[torch.from_numpy(np.sort(first))]
 
     def __getitem__(self, steps: Tensor) -> DemonstrationData:
         """Return the steps at these indices."""
@@ -111,11 +95,8 @@ class DemonstrationData:
 class Sampler:
     """Draws batches of steps, and goes through all steps before it repeats one.
 
-    Args:
-        data: The steps.
-        batch: The size of a batch. A larger size than the number of steps counts as that number.
-        seed: The seed.
-        balanced: Whether each action that occurs has the same probability. Steps are then drawn with replacement.
+    A larger batch than the number of steps counts as that number. With `balanced`, each action that occurs has the same
+    probability, and steps are drawn with replacement.
     """
 
     def __init__(self, data: DemonstrationData, batch: int, seed: int, balanced: bool = False) -> None:
@@ -139,11 +120,7 @@ class Sampler:
         return {"generator": self._generator.get_state(), "order": self._order}
 
     def load_state_dict(self, state: dict[str, Tensor]) -> None:
-        """Restore a state.
-
-        Raises:
-            ValueError: If the state was saved for other data.
-        """
+        """Restore a state. Raise `ValueError` if it was saved for other data."""
         order = state["order"]
         is_flat = order.dtype == torch.int64 and order.ndim == 1
         if not is_flat or (len(order) and not 0 <= order.min() <= order.max() < self._count):
@@ -153,11 +130,7 @@ class Sampler:
 
 
 class RelationalView(nn.Module):
-    """Maps observations to padded relational tensors, see `logicity.envs.wrappers.RelationalObservation`.
-
-    Args:
-        layout: The layout of the observations.
-    """
+    """Maps observations to padded relational tensors, see `logicity.envs.wrappers.RelationalObservation`."""
 
     def __init__(self, layout: Layout) -> None:
         """Store the positions as tensors. A saved state omits them."""
@@ -188,12 +161,8 @@ class RelationalView(nn.Module):
 class GraphView(nn.Module):
     """Maps observations to one disjoint union of complete graphs, in the format of PyTorch Geometric.
 
-    The graph of each observation has N nodes and N * N edges, including a loop at each node. All graphs have the same
-    edges, so their index is created once for each size of a batch.
-
-    Args:
-        layout: The layout of the observations.
-        reverse: Whether the edge from j to i also has the features of the edge from i to j.
+    The graph of each observation has N nodes and N * N edges, including a loop at each node. With `reverse`, the edge
+    from j to i also has the features of the edge from i to j.
     """
 
     def __init__(self, layout: Layout, reverse: bool = False) -> None:
@@ -201,7 +170,6 @@ class GraphView(nn.Module):
         super().__init__()
         self.relational, self.reverse = RelationalView(layout), reverse
         self.register_buffer("_links", torch.from_numpy(layout.edge_links()).T.contiguous(), persistent=False)
-        self._index = self._links
 
     @property
     def edge_width(self) -> int:
@@ -218,11 +186,6 @@ class GraphView(nn.Module):
         unary, binary, mask = self.relational(observations)
         if self.reverse:
             binary = torch.cat([binary, binary.transpose(1, 2)], -1)
-        return unary.flatten(0, 1), self.edge_index(len(observations)), binary.flatten(0, 2), mask.flatten()
-
-    def edge_index(self, batch: int) -> Tensor:
-        """Return the edge index of a number of graphs, int64 (2, batch * N * N)."""
-        if self._index.shape[1] != batch * self._links.shape[1]:
-            first = torch.arange(batch, device=self._links.device) * self.relational.layout.entities
-            self._index = (first[:, None] + self._links[:, None]).flatten(1)
-        return self._index
+        first = torch.arange(len(observations), device=self._links.device) * self.relational.layout.entities
+        index = (first[:, None] + self._links[:, None]).flatten(1)
+        return unary.flatten(0, 1), index, binary.flatten(0, 2), mask.flatten()

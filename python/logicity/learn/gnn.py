@@ -8,9 +8,9 @@ from __future__ import annotations
 
 import warnings
 from collections.abc import Sequence
-from itertools import pairwise
 
 import torch
+from stable_baselines3.common.torch_layers import create_mlp
 from torch import Tensor, nn
 
 from .demonstrations import GraphView, Layout
@@ -27,16 +27,10 @@ __all__ = ["GraphNetwork"]
 class GraphNetwork(nn.Module):
     """GINE convolutions over the complete graph with loops, and a linear layer on the features of the ego.
 
-    Args:
-        layout: The layout of the observations.
-        outputs: The number of outputs.
-        widths: The widths of the layers with ReLU of the perceptron h in each convolution.
-        layers: The number of convolutions.
-        reverse: Whether an edge also has the features of the edge in the other direction. The ego receives messages
-            along the edges (j, ego), so without it a single convolution ignores the truth values of P(ego, j).
-        present_only: Whether to omit edges of entities that are absent. Their features are zeros.
-        learned_eps: Whether eps is learned, instead of 0. Because of the loops, a single convolution with eps 0 sees
-            2 x_ego plus the sum over the others, which does not determine x_ego.
+    The options are those of `cloning.GnnSettings`; `widths` are those of the perceptron h. The ego receives messages
+    along the edges (j, ego), so without `reverse` a single convolution ignores the truth values of P(ego, j). The
+    features of absent entities are zeros. Without `learned_eps`, eps is 0. Because of the loops, a single convolution
+    then sees 2 x_ego plus the sum over the others, which does not determine x_ego.
     """
 
     def __init__(
@@ -55,10 +49,7 @@ class GraphNetwork(nn.Module):
         self.convolutions = nn.ModuleList()
         width = len(layout.unary)
         for _ in range(layers):
-            parts: list[nn.Module] = []
-            for before, after in pairwise([width, *widths]):
-                parts += [nn.Linear(before, after), nn.ReLU()]
-            perceptron = nn.Sequential(*parts)
+            perceptron = nn.Sequential(*create_mlp(width, -1, list(widths)))
             self.convolutions.append(GINEConv(perceptron, train_eps=learned_eps, edge_dim=self.view.edge_width))
             width = widths[-1]
         self.readout = nn.Linear(width + (layout.route_length is not None), outputs)
@@ -73,5 +64,4 @@ class GraphNetwork(nn.Module):
             nodes = convolution(nodes, index, edges)
         ego = nodes.view(len(observations), -1, nodes.shape[-1])[:, 0]
         route_length = self.view.relational.route_length(observations)
-        result: Tensor = self.readout(ego if route_length is None else torch.cat([ego, route_length], 1))
-        return result
+        return self.readout(ego if route_length is None else torch.cat([ego, route_length], 1))
