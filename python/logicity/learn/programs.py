@@ -35,12 +35,9 @@ LINE = 100
 
 
 class Ended(NamedTuple):
-    """A program that has ended.
+    """A program that has ended: its exit code, and the ends of standard output and standard error.
 
-    Attributes:
-        code: The exit code; `None` if the program did not end in time and was killed.
-        output: The end of what it printed on standard output.
-        log: The end of what it printed on standard error.
+    The code is `None` if the program did not end in time and was killed.
     """
 
     code: int | None
@@ -49,12 +46,9 @@ class Ended(NamedTuple):
 
 
 class Running(NamedTuple):
-    """A program that runs.
+    """A program that runs: the time since its start, and the last whole line with a word that it printed.
 
-    Attributes:
-        seconds: The time since its start.
-        line: The last whole line with a word that it printed, shortened to `LINE` characters; an empty text if there is
-            none.
+    The line is shortened to `LINE` characters, and empty if there is none.
     """
 
     seconds: float
@@ -72,36 +66,31 @@ def run_program(
     No process of it remains, also after an exception such as that of Ctrl-C, and if this process is killed. What a
     process in another session writes to its output after its end is ignored.
 
-    Args:
-        command: The words of the command.
-        timeout: The seconds after which the program is killed.
-        environment: Changes to the environment variables.
-        watch: Receives the state of the program every `POLL` seconds or more often.
+    After `timeout` seconds the program is killed. `environment` changes its environment variables. `watch` receives its
+    state every `POLL` seconds or more often.
     """
     # The pipe closes when this process ends, however it ends.
     reader, writer = os.pipe()
-    try:
-        with subprocess.Popen(
+    with (
+        open(reader) as stdin,
+        open(writer, "w") as alive,
+        subprocess.Popen(
             [sys.executable, str(Path(supervise.__file__)), *command],
-            stdin=reader,
+            stdin=stdin,
             stdout=subprocess.PIPE,
             stderr=subprocess.PIPE,
             env={**os.environ, **environment},
             start_new_session=True,
-        ) as process:
-            try:
-                return _observed(process, timeout, watch)
-            finally:
-                # The supervisor also ends what has left its group.
-                os.close(writer)
-                writer = -1
-                with suppress(subprocess.TimeoutExpired):
-                    process.wait(ENDING)
-                _kill(process)
-    finally:
-        os.close(reader)
-        if writer >= 0:
-            os.close(writer)
+        ) as process,
+    ):
+        try:
+            return _observed(process, timeout, watch)
+        finally:
+            # The supervisor also ends what has left its group.
+            alive.close()
+            with suppress(subprocess.TimeoutExpired):
+                process.wait(ENDING)
+            _kill(process)
 
 
 def _observed(process: subprocess.Popen[bytes], timeout: float | None, watch: Callable[[Running], None]) -> Ended:
