@@ -76,24 +76,83 @@ _NAMES = {
     "rule_policy": ["RulePolicy"],
     "rules": ["Change", "Column", "Explanation", "Predicate", "Program", "Rows", "Session", "check"],
     "types": [
-        *("Action", "Agent", "Answer", "Clause", "Diagnostic", "EgoAnswer", "Executor", "Heading", "Label", "Limits"),
-        *("RuleStats", "Scene", "Split", "StratumStats", "SymbolicScene"),
+        "Action",
+        "Agent",
+        "Answer",
+        "Clause",
+        "Diagnostic",
+        "EgoAnswer",
+        "Executor",
+        "Heading",
+        "Label",
+        "Limits",
+        "RuleStats",
+        "Scene",
+        "Split",
+        "StratumStats",
+        "SymbolicScene",
     ],
 }
 _HOMES = {name: module for module, names in _NAMES.items() for name in names}
 _MODULES = ("envs", "icons", "learn", "questions", "vap")
 
-# Type checkers read only lists of texts.
-__all__ = ["__version__", "ACTIONS", "HEADINGS", "REASONS", "ENVIRONMENTS", "MODES"]
-__all__ += ["AgentInfo", "Decision", "Inference", "Simulation", "Tick", "infer", "observation_names", "parallel_env"]
-__all__ += ["InputError", "LimitError", "UnsupportedError", "UntrustedError"]
-__all__ += ["Benchmark", "EpisodeRecord", "Evaluation", "Interval", "Policy", "evaluate"]
-__all__ += ["Demonstrations", "Trajectory", "demonstrations"]
-__all__ += ["InducedClause", "InducedRules", "Oracle", "induce", "RulePolicy"]
-__all__ += ["Change", "Column", "Explanation", "Predicate", "Program", "Rows", "Session", "check"]
-__all__ += ["Action", "Agent", "Answer", "Clause", "Diagnostic", "EgoAnswer", "Executor", "Heading", "Label", "Limits"]
-__all__ += ["RuleStats", "Scene", "Split", "StratumStats", "SymbolicScene"]
-__all__.sort()
+__all__ = [
+    "ACTIONS",
+    "Action",
+    "Agent",
+    "AgentInfo",
+    "Answer",
+    "Benchmark",
+    "Change",
+    "Clause",
+    "Column",
+    "Decision",
+    "Demonstrations",
+    "Diagnostic",
+    "ENVIRONMENTS",
+    "EgoAnswer",
+    "EpisodeRecord",
+    "Evaluation",
+    "Executor",
+    "Explanation",
+    "HEADINGS",
+    "Heading",
+    "InducedClause",
+    "InducedRules",
+    "Inference",
+    "InputError",
+    "Interval",
+    "Label",
+    "LimitError",
+    "Limits",
+    "MODES",
+    "Oracle",
+    "Policy",
+    "Predicate",
+    "Program",
+    "REASONS",
+    "Rows",
+    "RulePolicy",
+    "RuleStats",
+    "Scene",
+    "Session",
+    "Simulation",
+    "Split",
+    "StratumStats",
+    "SymbolicScene",
+    "Tick",
+    "Trajectory",
+    "UnsupportedError",
+    "UntrustedError",
+    "__version__",
+    "check",
+    "demonstrations",
+    "evaluate",
+    "induce",
+    "infer",
+    "observation_names",
+    "parallel_env",
+]
 
 register_with_gymnasium()
 
