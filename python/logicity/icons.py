@@ -11,7 +11,7 @@ Example:
 from __future__ import annotations
 
 import random
-from collections.abc import Callable, Iterable, Sequence
+from collections.abc import Callable, Iterable
 from pathlib import Path
 from typing import Any
 
@@ -47,11 +47,8 @@ _STYLES = ["flat vector icon", "clean 3D render", "hand-painted game sprite", "p
 def prompts(name: str, count: int, *, seed: int = 0, write: Callable[[str], str] | None = None) -> list[str]:
     """Return prompts for different icons of a class. The same seed gives the same prompts.
 
-    Args:
-        name: A class name of `logicity icons`, such as `bus`, `bus+tiro` or `car+taxi`.
-        count: The number of prompts.
-        seed: The seed.
-        write: A function that rewrites each prompt, such as a language model.
+    The name is that of a class of `logicity icons`, such as `bus`, `bus+tiro` or `car+taxi`. `write` rewrites each
+    prompt; it can be a language model.
 
     Raises:
         ValueError: If the class is unknown, or the count is negative.
@@ -64,12 +61,11 @@ def prompts(name: str, count: int, *, seed: int = 0, write: Callable[[str], str]
     if count < 0:
         raise ValueError(f"`count` must not be negative, but it is {count}")
     draw = random.Random(f"{seed} {name}")
+    view = "full figure from head to feet"
     if parts[0] in _BUILDINGS:
         view = "seen from the front"
     elif parts[0] in _CARS:
         view = "seen from exactly above, front at the top of the picture"
-    else:
-        view = "full figure from head to feet"
     texts = []
     for _ in range(count):
         subject = " that is also ".join(draw.choice(SUBJECTS.get(part, [f"a {part}"])) for part in parts)
@@ -87,48 +83,32 @@ def cut_out(image: Any, tolerance: int = 24) -> Any:
     The background is connected to the border of the picture. In every channel it differs from the mean color of the
     corners by at most `tolerance`.
 
-    Args:
-        image: A `PIL.Image.Image`.
-        tolerance: The largest difference of a channel, from 0 to 255.
-
-    Returns:
-        A `PIL.Image.Image`.
+    The picture and the result are objects of `PIL.Image.Image`, and the tolerance is from 0 to 255.
 
     Raises:
         ValueError: If the whole picture is background.
     """
-    from PIL import Image
+    from PIL import Image, ImageDraw, ImageOps
 
-    pixels = np.asarray(image.convert("RGB")).astype(np.int16)
+    icon = image.convert("RGB")
+    pixels = np.asarray(icon).astype(np.int16)
     corners = pixels[[0, 0, -1, -1], [0, -1, 0, -1]]
     near = (np.abs(pixels - corners.mean(axis=0)) <= tolerance).all(axis=2)
-    outside = np.zeros_like(near)
-    outside[[0, -1], :] = near[[0, -1], :]
-    outside[:, [0, -1]] = near[:, [0, -1]]
-    while True:
-        grown = outside.copy()
-        grown[1:] |= outside[:-1]
-        grown[:-1] |= outside[1:]
-        grown[:, 1:] |= outside[:, :-1]
-        grown[:, :-1] |= outside[:, 1:]
-        grown &= near
-        if (grown == outside).all():
-            break
-        outside = grown
-    if outside.all():
+    # A frame of background connects all parts of it.
+    filled = ImageOps.expand(Image.fromarray(near.astype(np.uint8)), 1, fill=1)
+    ImageDraw.floodfill(filled, (0, 0), 2)
+    icon.putalpha(filled.point(lambda value: 0 if value == 2 else 255).crop((1, 1, icon.width + 1, icon.height + 1)))
+    box = icon.getchannel("A").getbbox()
+    if box is None:
         raise ValueError("the whole picture is background: there is nothing to cut out")
-    rows, columns = (np.flatnonzero((~outside).any(axis=axis)) for axis in (1, 0))
-    rgba = np.dstack([pixels.astype(np.uint8), np.where(outside, 0, 255).astype(np.uint8)])
-    return Image.fromarray(rgba[rows[0] : rows[-1] + 1, columns[0] : columns[-1] + 1])
+    return icon.crop(box)
 
 
 def load_pipeline(model: str | Path, *, device: str | None = None, **options: Any) -> Any:
     """Load a text-to-image pipeline of `diffusers` from the Hugging Face Hub or a folder.
 
-    Args:
-        model: The name on the hub, or the path of the folder.
-        device: The device, such as `cuda`. Defaults to a GPU if one is available.
-        options: Arguments of `AutoPipelineForText2Image.from_pretrained`, such as `torch_dtype`.
+    The device is by default a GPU if one is available. The options are arguments of
+    `AutoPipelineForText2Image.from_pretrained`, such as `torch_dtype`.
 
     Raises:
         ImportError: If diffusers is not installed. The extra `icons` installs it.
@@ -158,23 +138,17 @@ def fill(
     Icon `k` of a class uses prompt `k` and a generator with the seed `seed + k`. Existing files are kept, so another
     call resumes an interrupted one.
 
-    Args:
-        folder: The folder of the pack.
-        names: The classes.
-        count: The number of icons per class.
-        pipeline: The result of `load_pipeline`, or a callable that takes `prompt`, `generator` and `options` and
-            returns an object whose `images` are PIL images.
-        seed: The seed.
-        side: The longest side of an icon in pixels, from 1 to 2048. Icons are scaled down from the size at which the
-            model draws.
-        tolerance: As for `cut_out`. Buildings keep their background.
-        write: As for `prompts`.
-        options: Arguments of the pipeline, such as `num_inference_steps` and `guidance_scale`.
+    The pipeline is the result of `load_pipeline`, or a callable that takes `prompt`, `generator` and the options, such
+    as `num_inference_steps` and `guidance_scale`, and returns an object whose `images` are PIL images. Icons are scaled
+    down from the size at which the model draws; their longest side is `side` pixels, from 1 to 2048. The tolerance is
+    as for `cut_out`, but buildings keep their background. `write` is as for `prompts`.
 
     Raises:
         OSError: If a file cannot be written.
         ValueError: If the side is out of range, a class is unknown, or the count is negative.
     """
+    import torch
+
     if not 1 <= side <= 2048:
         raise ValueError(f"expected a side of 1 to 2048 pixels, not {side}")
     texts = {name: prompts(name, count, seed=seed, write=write) for name in names}
@@ -186,17 +160,10 @@ def fill(
             file = class_folder / f"{number:04}.png"
             files.append(file)
             if not file.exists():
-                image = _draw(pipeline, text, seed + number, options)
+                # A generator on the CPU makes the noise independent of the device of the pipeline.
+                generator = torch.Generator("cpu").manual_seed(seed + number)
+                image = pipeline(prompt=text, generator=generator, **options).images[0]
                 icon = image.convert("RGB") if name in _BUILDINGS else cut_out(image, tolerance)
                 icon.thumbnail((side, side))
                 icon.save(file)
     return files
-
-
-def _draw(pipeline: Any, text: str, seed: int, options: dict[str, Any]) -> Any:
-    import torch
-
-    # A generator on the CPU makes the noise independent of the device of the pipeline.
-    generator = torch.Generator("cpu").manual_seed(seed)
-    images: Sequence[Any] = pipeline(prompt=text, generator=generator, **options).images
-    return images[0]
