@@ -17,11 +17,13 @@ import time
 import urllib.parse
 from bisect import bisect_right
 from collections import Counter
-from collections.abc import Callable, Iterable, Mapping, Sequence
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from dataclasses import asdict, dataclass, field
 from itertools import accumulate
 from pathlib import Path
 from typing import Any
+
+import numpy as np
 
 from .city import ACTIONS
 from .errors import checked_path
@@ -29,7 +31,7 @@ from .evaluation import Interval
 from .files import check_readable, reserved
 from .redaction import Redactor, shown_url
 from .terminal import aligned, neutral
-from .transport import RejectedError, RetryableError, post
+from .transport import RequestError, post
 
 __all__ = [
     "Calibration",
@@ -51,6 +53,7 @@ __all__ = [
 ]
 
 LETTERS = "ABCD"
+OPTIONS = tuple(zip(LETTERS, ACTIONS, strict=True))
 UNREAD, MISSING = "unread", "missing"
 #: The name in place of a rule, for an action that no rule requires.
 NO_RULE = "none"
@@ -72,10 +75,6 @@ TIMEOUT_MAX = 86_400.0
 
 #: Waits before another attempt of a request. Receives the delay in seconds, and why the last attempt failed.
 Wait = Callable[[float, str], None]
-
-
-def _sleep(seconds: float, reason: str) -> None:
-    time.sleep(seconds)
 
 
 @dataclass(frozen=True)
@@ -138,7 +137,10 @@ class Question:
             ValueError: If the file of a picture is not PNG, or too large.
         """
         if self.closing is not None:
-            return [{"role": "user", "content": self._as_in_paper(self.closing)}]
+            line = "Option: " + " ".join(f"({letter}) {action}" for letter, action in self.options.items())
+            examples = [f'Question: "{each.text}"\n{line}\nAnswer: {each.answer}' for each in self.demonstrations]
+            prompt = [self.system, *examples, self.closing, f'Question: "{self.text}"\n{line}']
+            return [{"role": "user", "content": "\n\n".join(prompt)}]
         options = "\n".join(f"({letter}) {action}" for letter, action in self.options.items())
         parts: list[tuple[str, Demonstration | Question, str]] = [
             (f"Example {number}", shown, f"\n{self.reply(shown.answer, shown.clauses or ())}")
@@ -149,17 +151,10 @@ class Question:
         if any(each.picture is not None for _, each, _ in parts):
             content = []
             for head, each, end in parts:
-                content.append({"type": "text", "text": f"{head}\n"})
-                if each.picture is not None:
-                    content.append({"type": "image_url", "image_url": {"url": _data_url(each.picture)}})
-                content.append({"type": "text", "text": f"{each.text}\n{options}{end}\n\n"})
+                picture = [] if each.picture is None else [("image_url", {"url": _data_url(each.picture)})]
+                pieces = [("text", f"{head}\n"), *picture, ("text", f"{each.text}\n{options}{end}\n\n")]
+                content += ({"type": kind, kind: value} for kind, value in pieces)
         return [{"role": "system", "content": self.system}, {"role": "user", "content": content}]
-
-    def _as_in_paper(self, closing: str) -> str:
-        """Return the prompt in the layout of the paper's figure."""
-        options = "Option: " + " ".join(f"({letter}) {action}" for letter, action in self.options.items())
-        examples = [f'Question: "{each.text}"\n{options}\nAnswer: {each.answer}' for each in self.demonstrations]
-        return "\n\n".join([self.system, *examples, closing, f'Question: "{self.text}"\n{options}'])
 
     def reply(self, answer: str, clauses: Sequence[str] = ()) -> str:
         """Return a reply in the form that the instructions request: the first of the clauses, and a letter."""
@@ -168,7 +163,6 @@ class Question:
 
 
 def _data_url(path: Path) -> str:
-    """Return a file of PNG as a data URL."""
     check_readable(path)
     with open(path, "rb") as file:
         data = file.read(PICTURE_BYTES + 1)
@@ -188,15 +182,20 @@ def fingerprint(scene: Mapping[str, Any]) -> str:
     while True:
         known = len(set(classes.values()))
         signs: dict[str, list[tuple[str, int, tuple[str, ...]]]] = {entity: [] for entity in classes}
-        for predicate, rows in scene["facts"].items():
-            for row in rows:
-                arguments = (row,) if isinstance(row, str) else tuple(row)
-                others = tuple(classes[entity] for entity in arguments)
-                for place, entity in enumerate(arguments):
-                    signs[entity].append((predicate, place, others))
+        for predicate, arguments in facts_of(scene):
+            others = tuple(classes[entity] for entity in arguments)
+            for place, entity in enumerate(arguments):
+                signs[entity].append((predicate, place, others))
         classes = {entity: _hash([classes[entity], sorted(signs[entity])]) for entity in classes}
         if len(set(classes.values())) == known:
             return _hash(sorted(classes.values()))
+
+
+def facts_of(scene: Mapping[str, Any]) -> Iterator[tuple[str, tuple[str, ...]]]:
+    """Yield the predicate and the arguments of each fact of a scene."""
+    for predicate, rows in scene["facts"].items():
+        for row in rows:
+            yield predicate, (row,) if isinstance(row, str) else tuple(row)
 
 
 def _hash(value: Any) -> str:
@@ -252,7 +251,7 @@ def load_questions(path: str | os.PathLike[str]) -> list[Question]:
         except (KeyError, TypeError, ValueError) as error:
             what = f"the key {error} is missing" if isinstance(error, KeyError) else str(error)
             raise ValueError(f"{place}: not a question of `logicity questions`: {what}") from None
-        if list(question.options.items()) != list(zip(LETTERS, ACTIONS, strict=True)):
+        if tuple(question.options.items()) != OPTIONS:
             raise ValueError(f"{place}: the options are not {', '.join(ACTIONS)}")
         if question.answer not in question.options:
             raise ValueError(f"{place}: the answer {question.answer!r} is not an option")
@@ -330,8 +329,7 @@ def load_logprobs(path: str | os.PathLike[str]) -> dict[str, dict[str, float]]:
     """
     found: dict[str, dict[str, float]] = {}
     for place, line in _lines(path):
-        values = line.get("logprobs")
-        if values is None:
+        if (values := line.get("logprobs")) is None:
             continue
         if not isinstance(values, dict) or not all(
             letter in LETTERS and isinstance(value, (int, float)) and -math.inf < value <= 0
@@ -368,28 +366,25 @@ def read_letter(reply: str) -> str | None:
     """
     text = _plain(reply)
     for marker in reversed(list(_MARKER.finditer(text))):
-        if not _BEGINNING.match(text, marker.end()):
-            continue
-        letter = _option(text[marker.end() : marker.end() + _REACH].lstrip().split("\n", 1)[0])
-        if letter is not None:
-            return letter
+        if _BEGINNING.match(text, marker.end()):
+            line = text[marker.end() : marker.end() + _REACH].lstrip().split("\n", 1)[0]
+            if letter := _option(line):
+                return letter
     lines = [line for line in text.splitlines() if line.strip()]
     return _option(lines[-1]) if lines else None
 
 
 def _plain(reply: str) -> str:
-    """Return the end of a reply without markup."""
     text = re.sub(r"<(\w+)>", r"\1: ", re.sub(r"</\w+>", "\n", reply[-TAIL:]))
     return _MARKUP.sub("", text)
 
 
 def _option(text: str) -> str | None:
     """Return the letter of the option at the start of a text: a letter, a name or both, then the end or a remark."""
-    found = _OPTION.match(text.strip())
-    if found is None:
+    if (found := _OPTION.match(text.strip())) is None:
         return None
     letter, gap, name, rest = found.groups()
-    named = LETTERS[[action.lower() for action in ACTIONS].index(name.lower())] if name else None
+    named = _chosen(name) if name else None
     if (letter and named and letter.upper() != named) or _ALTERNATIVE.match(rest):
         return None
     # "A car" and "Stop signs" are the start of a sentence, but "B. The car" is an option and a remark.
@@ -414,8 +409,7 @@ def read_rule(reply: str, labels: Sequence[str]) -> str | None:
     first = re.compile(rf"[(\[\s]*({names})(?!\w)(.*)", flags=re.IGNORECASE)
     another = re.compile(rf"\s*(?:,|/|&|\bor\b|\band\b)\s*\(?(?:{names})(?!\w)", flags=re.IGNORECASE)
     for line in reversed(_RULE.findall(_plain(reply))):
-        found = first.match(line)
-        if found is not None:
+        if found := first.match(line):
             return None if another.match(found[2]) else known[found[1].casefold()]
     return None
 
@@ -463,22 +457,17 @@ def calibrate(questions: Sequence[Question], logprobs: Mapping[str, Mapping[str,
     The probabilities of the options are normalized to a sum of 1. An option without a log-probability has probability
     0. The result of `load_logprobs` has them by question and letter. If there are none, the calibration is `None`.
     """
-    bins: list[list[tuple[float, bool]]] = [[] for _ in range(BINS)]
-    squares: list[float] = []
-    for question in questions:
-        values = logprobs.get(question.id)
-        if not values:
-            continue
-        highest = max(values.values())
-        weights = {letter: math.exp(values[letter] - highest) if letter in values else 0.0 for letter in LETTERS}
-        shares = {letter: weight / sum(weights.values()) for letter, weight in weights.items()}
-        best = max(shares, key=lambda letter: shares[letter])
-        bins[min(int(shares[best] * BINS), BINS - 1)].append((shares[best], best == question.answer))
-        squares.append(sum((share - (letter == question.answer)) ** 2 for letter, share in shares.items()))
-    if not squares:
+    asked = [question for question in questions if logprobs.get(question.id)]
+    if not asked:
         return None
-    gaps = [abs(sum(share for share, _ in each) - sum(right for _, right in each)) for each in bins]
-    return Calibration(len(squares), sum(gaps) / len(squares), sum(squares) / len(squares))
+    values = np.array([[logprobs[each.id].get(letter, -np.inf) for letter in LETTERS] for each in asked])
+    shares = np.exp(values - values.max(1, keepdims=True))
+    shares /= shares.sum(1, keepdims=True)
+    right = np.array([[letter == each.answer for letter in LETTERS] for each in asked])
+    highest, best = shares.max(1), np.eye(len(LETTERS), dtype=bool)[shares.argmax(1)]
+    bins = np.minimum((highest * BINS).astype(np.int64), BINS - 1)
+    gaps = np.abs(np.bincount(bins, highest - right[best], BINS))
+    return Calibration(len(asked), float(gaps.sum() / len(asked)), float(((shares - right) ** 2).sum(1).mean()))
 
 
 @dataclass(frozen=True)
@@ -522,7 +511,7 @@ class Grade:
         rows = [
             [f"{letter} {action}", str(recall.total), str(recall.accuracy)]
             + [str(self.confusion[letter][column]) for column in columns]
-            for letter, action in zip(LETTERS, ACTIONS, strict=True)
+            for letter, action in OPTIONS
             if (recall := self.by_action.get(action)) is not None
         ]
         chosen = [str(sum(row[column] for row in self.confusion.values())) for column in columns]
@@ -557,9 +546,7 @@ def grade(
     return Grade(
         overall=Recall.of(sum(confusion[letter][letter] for letter in LETTERS), len(questions)),
         by_action={
-            action: Recall.of(confusion[letter][letter], totals[letter])
-            for letter, action in zip(LETTERS, ACTIONS, strict=True)
-            if totals[letter]
+            action: Recall.of(confusion[letter][letter], totals[letter]) for letter, action in OPTIONS if totals[letter]
         },
         confusion={letter: row for letter, row in confusion.items() if totals[letter]},
         missing=tuple(name for name, letter in chosen.items() if letter == MISSING),
@@ -648,43 +635,36 @@ class Endpoint:
         if not (self.tries >= 1 and 0 <= self.pause < math.inf):
             raise ValueError("`tries` must be positive, and `pause` must be finite and not negative")
 
-    def reply(self, messages: list[dict[str, Any]], wait: Wait = _sleep) -> Reply:
+    def reply(self, messages: list[dict[str, Any]], wait: Wait = lambda seconds, reason: time.sleep(seconds)) -> Reply:
         """Send messages, such as `Question.messages`, and return the reply of the model.
 
         Raises:
             ConnectionError: If the server rejects the request, or every attempt fails.
         """
         redact = Redactor(self.key, self.url, self.settings or {}, "\n".join(_texts(messages)))
-        shown, end = shown_url(self.url), time.monotonic() + self._seconds()
+        # Later delays are equal.
+        delays = [min(self.pause * 2.0**before, 60.0) for before in range(61)]
+        all_delays = sum(delays[: self.tries - 1]) + max(self.tries - 62, 0) * delays[-1]
+        shown, end = shown_url(self.url), time.monotonic() + self.tries * self.timeout + all_delays
         for attempt in range(1, self.tries + 1):
             try:
                 reply = self._once(messages, max(min(self.timeout, end - time.monotonic()), 0.001))
                 return Reply(redact(reply.text), reply.logprobs)
-            except RejectedError as error:
-                raise ConnectionError(f"{shown} rejects the request: {_shown(error, redact)}") from None
-            except RetryableError as error:
-                reason, requested = _shown(error, redact), error.wait
+            except RequestError as error:
+                reason, requested, retry = _shown(error, redact), error.wait, error.retry
+            if not retry:
+                raise ConnectionError(f"{shown} rejects the request: {reason}")
             if attempt == self.tries:
                 raise ConnectionError(f"no reply from {shown} in {attempt} attempts: {reason}")
-            delay, left = self._delay(attempt) if requested is None else requested, end - time.monotonic()
+            left = end - time.monotonic()
             if requested is not None and requested > left:
                 raise ConnectionError(
                     f"no reply from {shown} in {attempt} attempts: {reason}; the server requests a pause of "
                     f"{requested:.0f} s, but {max(left, 0):.0f} s are left for this question: try again later, or "
                     "raise the number of attempts or their timeout"
                 )
-            wait(delay, reason)
+            wait(delays[min(attempt, 61) - 1] if requested is None else requested, reason)
         raise AssertionError("`tries` is at least 1")
-
-    def _delay(self, attempt: int) -> float:
-        """Return the delay after an attempt, unless the server requests another one."""
-        return min(self.pause * 2.0 ** min(attempt - 1, 60), 60.0)
-
-    def _seconds(self) -> float:
-        """Return the time for a question: all attempts and their delays."""
-        # Later delays are equal.
-        delays = [self._delay(attempt) for attempt in range(1, min(self.tries, 64))]
-        return self.tries * self.timeout + sum(delays) + max(self.tries - 64, 0) * self._delay(64)
 
     def _once(self, messages: list[dict[str, Any]], seconds: float) -> Reply:
         """Send a request, and return the reply of the model as it is. The exceptions are those of `post`."""
@@ -694,8 +674,7 @@ class Endpoint:
         settings = dict(self.settings or {})
         request_body = json.dumps({"model": self.model, "messages": messages, **settings}).encode()
         headers = {"Content-Type": "application/json", "Accept": "application/json"}
-        if self.key is not None:
-            headers["Authorization"] = f"Bearer {self.key}"
+        headers |= {} if self.key is None else {"Authorization": f"Bearer {self.key}"}
         most = RESPONSE_BYTES_WITH_LOGPROBS if settings.get("logprobs") else RESPONSE_BYTES
         text = post(url, request_body, headers, seconds, most)
         try:
@@ -705,7 +684,7 @@ class Endpoint:
                 raise TypeError
         except (ValueError, KeyError, IndexError, TypeError, AttributeError, RecursionError):
             beginning = text[: 1 << 16].decode(errors="replace")
-            raise RetryableError(f"not a reply of a chat endpoint: {beginning}") from None
+            raise RequestError(f"not a reply of a chat endpoint: {beginning}") from None
         return Reply(content or "", _option_logprobs(content or "", choice.get("logprobs")))
 
 
@@ -728,8 +707,7 @@ def _option_logprobs(reply: str, logprobs: Any) -> dict[str, float] | None:
     In the field `logprobs`, `content` lists the tokens, each with `token`, `logprob` and `top_logprobs`, the most
     probable tokens in its place.
     """
-    letter = read_letter(reply)
-    if letter is None:
+    if (letter := read_letter(reply)) is None:
         return None
     try:
         tokens = [(str(token["token"]), token) for token in logprobs["content"]]
@@ -745,19 +723,14 @@ def _option_logprobs(reply: str, logprobs: Any) -> dict[str, float] | None:
                 return _by_letter([values, *values.get("top_logprobs", [])])
     except (KeyError, TypeError, ValueError, AttributeError):
         # Servers differ in this field. A reply without log-probabilities is still a reply.
-        return None
+        pass
     return None
-
-
-#: The option that a token names, by its letter or its action.
-_TOKENS = {
-    name.casefold(): letter for letter, action in zip(LETTERS, ACTIONS, strict=True) for name in (letter, action)
-}
 
 
 def _chosen(token: str) -> str | None:
     """Return the option that a token names alone, by its letter or its action."""
-    return _TOKENS.get(token.strip(" \t\r\n()[]{}*_`$.,:;\"'").casefold())
+    name = token.strip(" \t\r\n()[]{}*_`$.,:;\"'").casefold()
+    return next((letter for letter, action in OPTIONS if name in (letter.casefold(), action.casefold())), None)
 
 
 def _by_letter(tokens: Iterable[Mapping[str, Any]]) -> dict[str, float]:
@@ -776,19 +749,15 @@ def ask(
     endpoint: Endpoint,
     path: str | os.PathLike[str],
     watch: Callable[[int], None] = lambda answered: None,
-    wait: Wait = _sleep,
+    wait: Wait = lambda seconds, reason: time.sleep(seconds),
 ) -> dict[str, str]:
     """Send every question that has no reply in a file to an endpoint, append each reply, and return all by id.
 
     Each line of the file is `{"id": .., "model": .., "answer": ..}`, and `"logprobs": {LETTER: ..}` if the endpoint
     returns log-probabilities. After an interruption, the next call resumes.
 
-    Args:
-        questions: The questions.
-        endpoint: The endpoint.
-        path: The file of replies.
-        watch: A function that receives the number of answered questions at the start and after each reply.
-        wait: Waits before another attempt of a request.
+    `watch` receives the number of answered questions at the start and after each reply. `wait` waits before another
+    attempt of a request.
 
     Raises:
         ConnectionError: As for `Endpoint.reply`. The file keeps the earlier replies.
@@ -797,27 +766,22 @@ def ask(
             not PNG.
     """
     known = {question.id for question in questions}
-    answers: dict[str, str] = {}
     # The reservation keeps other processes from the file; it writes nothing.
     with reserved(path, by=None), _without_torn_line(Path(path)).open("a", encoding="utf-8") as file:
         for place, line in _lines(path):
-            unfit = None
-            if line["id"] not in known:
-                unfit = f"belongs to the unknown question {line['id']!r}"
-            elif line.get("model") != endpoint.model:
-                unfit = f"comes from the model {line.get('model')!r}"
-            if unfit is not None:
-                raise ValueError(f"{place}: the answer {unfit}: choose another output file")
+            name, model = line["id"], line.get("model")
+            if name not in known or model != endpoint.model:
+                unknown = f"belongs to the unknown question {name!r}"
+                origin = f"comes from the model {model!r}" if name in known else unknown
+                raise ValueError(f"{place}: the answer {origin}: choose another output file")
         answers = load_answers(path)
         watch(len(answers))
-        for question in questions:
-            if question.id in answers:
-                continue
+        for question in [each for each in questions if each.id not in answers]:
             reply = endpoint.reply(question.messages(), wait)
             answers[question.id] = reply.text
             record: dict[str, Any] = {"id": question.id, "model": endpoint.model, "answer": reply.text}
-            json.dump(record if reply.logprobs is None else {**record, "logprobs": reply.logprobs}, file)
-            file.write("\n")
+            record |= {} if reply.logprobs is None else {"logprobs": reply.logprobs}
+            file.write(f"{json.dumps(record)}\n")
             file.flush()
             watch(len(answers))
     return answers
@@ -825,25 +789,17 @@ def ask(
 
 def _without_torn_line(path: Path) -> Path:
     """Remove the incomplete last line that an interrupted `ask` has left in a file, and return the path."""
-    if not path.exists():
-        return path
-    with open(path, "r+b") as file:
-        text = file.read()
-        whole = text.rfind(b"\n") + 1
-        torn, begin = text[whole:], b'{"id": "'
-        if torn and torn[: len(begin)] != begin[: len(torn)]:
-            raise ValueError(f"{path}: the last line is not a reply: choose another output file")
-        if torn:
-            file.truncate(whole)
+    text = path.read_bytes() if path.exists() else b""
+    torn, begin = text[text.rfind(b"\n") + 1 :], b'{"id": "'
+    if torn and torn[: len(begin)] != begin[: len(torn)]:
+        raise ValueError(f"{path}: the last line is not a reply: choose another output file")
+    if torn:
+        os.truncate(path, len(text) - len(torn))
     return path
 
 
 def key_from(variable: str | None) -> str | None:
-    """Return the API key in an environment variable; `None` without a variable.
-
-    Raises:
-        ValueError: If the variable is not set.
-    """
+    """Return the API key in an environment variable, or `None` without one. Raise `ValueError` if it is not set."""
     if variable is None:
         return None
     key = os.environ.get(variable, "").strip()

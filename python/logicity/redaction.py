@@ -6,11 +6,12 @@ import base64
 import html
 import re
 from array import array
-from collections.abc import Iterable, Mapping
+from collections.abc import Callable, Iterable, Mapping
+from itertools import groupby
 from typing import Any
 from urllib.parse import parse_qsl, urlsplit
 
-__all__ = ["Redactor", "is_secret_name", "masked", "shown_url"]
+__all__ = ["Redactor", "masked", "shown_url"]
 
 #: What stands in place of a secret.
 MARK = "[secret]"
@@ -23,6 +24,7 @@ DEPTH = 3
 #: The length of the shortest value of a setting or a query that counts as a secret, in characters.
 SETTING = 6
 
+#: The names of settings and parameters whose values are secrets.
 _NAMES = re.compile(r"key|token|secret|password|passwd|auth|credential|signature|^sig$|^code$", flags=re.IGNORECASE)
 #: An escape of JSON, of source code, of URLs or of HTML.
 _ESCAPE = re.compile(
@@ -34,30 +36,16 @@ _LOWER = {upper: upper + 32 for upper in range(ord("A"), ord("Z") + 1)}
 _USUAL = {ord("-"): "+", ord("_"): "/"}
 
 
-def is_secret_name(name: str) -> bool:
-    """Return whether the name of a setting or parameter says that its value is a secret."""
-    return _NAMES.search(name) is not None
-
-
-def _secret_settings(settings: object, named: bool = False) -> Iterable[str]:
-    """Yield the texts in settings whose names say that they are secrets."""
+def masked(settings: Any, named: bool = False, found: Callable[[str], object] = lambda secret: None) -> Any:
+    """Return a copy of settings for results: a mark stands in place of each secret, which `found` receives."""
     if isinstance(settings, Mapping):
-        for name, value in settings.items():
-            yield from _secret_settings(value, named or is_secret_name(str(name)))
-    elif isinstance(settings, (list, tuple)):
-        for value in settings:
-            yield from _secret_settings(value, named)
-    elif named and isinstance(settings, str) and len(settings) >= SETTING:
-        yield settings
-
-
-def masked(settings: Any, named: bool = False) -> Any:
-    """Return a copy of settings for results: a mark stands in place of each secret."""
-    if isinstance(settings, Mapping):
-        return {name: masked(value, named or is_secret_name(str(name))) for name, value in settings.items()}
+        return {name: masked(value, named or bool(_NAMES.search(str(name))), found) for name, value in settings.items()}
     if isinstance(settings, (list, tuple)):
-        return [masked(value, named) for value in settings]
-    return MARK if named and isinstance(settings, str) and len(settings) >= SETTING else settings
+        return [masked(value, named, found) for value in settings]
+    if not named or not isinstance(settings, str) or len(settings) < SETTING:
+        return settings
+    found(settings)
+    return MARK
 
 
 def shown_url(url: str) -> str:
@@ -75,19 +63,15 @@ class Redactor:
     A server can return a key in a message, in a header, or encoded. Each part of a secret of at least `PART` characters
     is removed, also if case differs, and if it is escaped as in JSON, URLs and HTML, or encoded as base64 or hex.
 
-    Args:
-        key: The bearer token.
-        url: The URL. The values of parameters such as `api_key` are secrets.
-        settings: The settings of the request. The values of names such as `api_key` are secrets.
-        known: Text that is no secret, such as the questions. Parts of secrets that occur in it stay.
+    The key is a secret, and so are the values of parameters of the URL and of settings with names such as `api_key`.
+    Parts of secrets that occur in `known`, such as in the questions, stay.
     """
 
     def __init__(self, key: str | None, url: str, settings: Mapping[str, Any], known: str = "") -> None:
         """Compute the parts of all secrets."""
-        query = parse_qsl(urlsplit(url).query)
         secrets = {key} if key else set()
-        secrets |= {value for name, value in query if is_secret_name(name) and len(value) >= SETTING}
-        secrets |= set(_secret_settings(settings))
+        masked([{name: value} for name, value in parse_qsl(urlsplit(url).query)], found=secrets.add)
+        masked(settings, found=secrets.add)
         public = known.translate(_LOWER)
         plain = {part for each in secrets for part in _parts(each.translate(_LOWER), PART) if part not in public}
         plain |= {part for each in secrets if len(each) >= PART // 2 for part in _parts(each.encode().hex(), HEX_PART)}
@@ -99,16 +83,19 @@ class Redactor:
         views = [(text, array("q", range(len(text) + 1)))]
         while len(views) <= DEPTH and _ESCAPE.search(views[-1][0]):
             views.append(_decoded(*views[-1]))
-        found: list[tuple[int, int]] = []
+        secret = bytearray(len(text))
         for view, places in views:
             for parts, searched in ((self._plain, view.translate(_LOWER)), (self._base64, view.translate(_USUAL))):
-                found += [(places[start], places[end]) for start, end in _occurrences(parts, searched)]
+                for size, known in parts.items():
+                    for at in range(len(searched) - size + 1):
+                        if searched[at : at + size] in known:
+                            start, end = places[at], places[at + size]
+                            secret[start:end] = b"x" * (end - start)
         shown: list[str] = []
         end = 0
-        for start, stop in sorted(found):
-            if start > end or not shown:
-                shown += [text[end:start], MARK]
-            end = max(end, stop)
+        for found in re.finditer(b"x+", secret):
+            shown += [text[end : found.start()], MARK]
+            end = found.end()
         return "".join([*shown, text[end:]])
 
 
@@ -116,6 +103,10 @@ def _parts(secret: str, size: int) -> Iterable[str]:
     """Yield the parts of a secret with a length, or the secret if it is shorter."""
     size = min(size, len(secret))
     return (secret[at : at + size] for at in range(len(secret) - size + 1))
+
+
+def _by_size(parts: Iterable[str]) -> dict[int, set[str]]:
+    return {size: set(group) for size, group in groupby(sorted(parts, key=len), len)}
 
 
 def _base64_parts(secret: str) -> Iterable[str]:
@@ -128,21 +119,6 @@ def _base64_parts(secret: str) -> Iterable[str]:
         inside = encoded[-(-before * 8 // 6) : (before + len(secret.encode())) * 8 // 6]
         if len(inside) >= BASE64_PART // 2:
             yield from _parts(inside, BASE64_PART)
-
-
-def _by_size(parts: Iterable[str]) -> dict[int, set[str]]:
-    sizes: dict[int, set[str]] = {}
-    for part in parts:
-        sizes.setdefault(len(part), set()).add(part)
-    return sizes
-
-
-def _occurrences(parts: Mapping[int, set[str]], text: str) -> Iterable[tuple[int, int]]:
-    """Yield where parts, which are given by their length, occur in a text."""
-    for size, known in parts.items():
-        for at in range(len(text) - size + 1):
-            if text[at : at + size] in known:
-                yield at, at + size
 
 
 def _decoded(text: str, places: array[int]) -> tuple[str, array[int]]:
