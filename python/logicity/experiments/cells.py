@@ -14,7 +14,7 @@ import shutil
 import sys
 import time
 import traceback
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
@@ -30,16 +30,9 @@ __all__ = ["finished", "inputs", "prepare", "reuse", "run_cell"]
 #: A file in the folder of a cell that names the cell of another experiment whose training it has.
 _REUSED = "reused.json"
 
-#: The files of a model, one of which a finished cell has.
-_MODELS = ("best.*", "model.pt", "replies.jsonl")
-
 
 def prepare(cell: Cell, root: Path) -> Path:
-    """Create the folder of a cell, whose file `cell.json` contains everything that `run_cell` needs.
-
-    Raises:
-        OSError: If the folder cannot be written, or the model to start from cannot be read.
-    """
+    """Create the folder of a cell, whose file `cell.json` contains everything that `run_cell` needs."""
     folder = cell.folder(root)
     folder.mkdir(parents=True, exist_ok=True)
     if cell.start is not None and not list(folder.glob("start.*")):
@@ -68,9 +61,6 @@ def reuse(cells: Sequence[Cell], root: Path, other: Path) -> list[str]:
 
     Returns:
         A line for each copied training.
-
-    Raises:
-        OSError: If the other folder has no cells, or a file cannot be read or written.
     """
     if not (other / "cells").is_dir():
         raise FileNotFoundError(f"{other}: not the folder of an experiment: it has no folder `cells`")
@@ -99,22 +89,16 @@ def reuse(cells: Sequence[Cell], root: Path, other: Path) -> list[str]:
 
 
 def _copy(source: str, target: str) -> None:
-    """Copy a regular file."""
     check_readable(source, whole=False)
     shutil.copy2(source, target)
 
 
 def _training(task: str, spec: Mapping[str, Any]) -> str:
-    """Return what determines the training of a cell of a task."""
     return task + json.dumps({key: value for key, value in spec.items() if key != "evaluations"}, sort_keys=True)
 
 
 def finished(cell: Cell, root: Path) -> dict[str, Any] | None:
-    """Return the content of `measured.json` of a cell, or `None` if the cell is not finished or has no model.
-
-    Raises:
-        OSError: If the file cannot be read.
-    """
+    """Return the content of `measured.json` of a cell, or `None` if the cell is not finished or has no model."""
     return _measured(cell.folder(root), cell.identity)
 
 
@@ -124,23 +108,15 @@ def _measured(folder: Path, identity: str) -> dict[str, Any] | None:
         measured = read_json(folder / "measured.json")
     except (FileNotFoundError, NotADirectoryError, ValueError):
         return None
-    if not any(path for pattern in _MODELS for path in folder.glob(pattern)):
+    if not any(path for pattern in ("best.*", "model.pt", "replies.jsonl") for path in folder.glob(pattern)):
         return None
     return measured if isinstance(measured, dict) and measured.get("identity") == identity else None
 
 
-def run_cell(
-    folder: Path,
-    report: Callable[[int], None] = lambda steps: None,
-    *,
-    progress: bool = False,
-    wandb: str | None = None,
-    trust: bool = False,
-    note: Callable[[str], None] = print_message,
-) -> dict[str, Any]:
+def run_cell(folder: Path, **options: Any) -> dict[str, Any]:
     """Run the cell that `prepare` wrote to a folder, or resume it from its last checkpoint.
 
-    The arguments are attributes of `Running`.
+    The options are attributes of `Running`.
 
     Returns:
         The content of `measured.json`: the identity, the result of the run, and the evaluations by name.
@@ -150,44 +126,23 @@ def run_cell(
         Exception: Those of the training and of the evaluations.
     """
     document = read_json(folder / "cell.json")
-    spec = document["spec"]
     # The process that ran the cell may have been lost after its last file.
     if (measured := _measured(folder, document["identity"])) is not None:
         return measured
-    if spec["version"] != __version__:
+    if (version := document["spec"]["version"]) != __version__:
         raise ValueError(
-            f"the cell is of version {spec['version']} of logicity, this process of {__version__}: install one version "
-            "on all machines"
+            f"the cell is of version {version} of logicity, this process of {__version__}: install one version on all "
+            "machines"
         )
-    task = task_named(document["task"])
-    running = Running(folder, document, report, progress, wandb, trust, note)
-    measured = {"identity": document["identity"], **task.run(running)}
+    running = Running(folder, document, **options)
+    measured = {"identity": document["identity"], **task_named(document["task"]).run(running)}
     write_json(folder / "measured.json", measured)
-    task.clean(folder)
+    for checkpoint in folder.glob("checkpoint[.-]*"):
+        if checkpoint.is_dir():
+            shutil.rmtree(checkpoint)
+        else:
+            checkpoint.unlink()
     return measured
-
-
-class _Reporter:
-    """Writes lines of JSON to the process that reads the standard output: the number of steps, at most twice a second.
-
-    The standard output of everything else becomes the standard error.
-    """
-
-    def __init__(self) -> None:
-        self._last = -1.0
-        self._out = os.fdopen(os.dup(1), "w", encoding="utf-8")
-        os.dup2(2, 1)
-
-    def __call__(self, steps: int) -> None:
-        if time.monotonic() - self._last >= 0.5:
-            self._last = time.monotonic()
-            self.write({"steps": steps})
-
-    def note(self, text: str) -> None:
-        self.write({"note": text})
-
-    def write(self, line: dict[str, Any]) -> None:
-        print(json.dumps(line), file=self._out, flush=True)
 
 
 def _main() -> int:
@@ -197,12 +152,26 @@ def _main() -> int:
     parser.add_argument("--trust", action="store_true")
     parser.add_argument("--wandb")
     given = parser.parse_args()
-    reporter = _Reporter()
+    # The process that started this one reads lines of JSON. Other output goes to the standard error.
+    lines = os.fdopen(os.dup(1), "w", encoding="utf-8")
+    os.dup2(2, 1)
+    reported = -1.0
+
+    def write(**line: Any) -> None:
+        print(json.dumps(line), file=lines, flush=True)
+
+    def report(steps: int) -> None:
+        nonlocal reported
+        # At most twice a second.
+        if time.monotonic() - reported >= 0.5:
+            reported = time.monotonic()
+            write(steps=steps)
+
     try:
-        run_cell(given.folder, reporter, progress=True, wandb=given.wandb, trust=given.trust, note=reporter.note)
+        run_cell(report=report, note=lambda text: write(note=text), progress=True, **vars(given))
     except Exception as error:
         print_message(traceback.format_exc().rstrip())
-        reporter.write({"error": str(error) or type(error).__name__})
+        write(error=str(error) or type(error).__name__)
         return 1
     return 0
 

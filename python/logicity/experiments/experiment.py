@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import os
-import shlex
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field
 from functools import reduce
@@ -20,8 +19,8 @@ from .paper import paper_table
 
 __all__ = [
     *("Experiment", "Names", "Place", "Row", "Seeds", "Selection", "Variant"),
-    *("changes_of", "experiment_faults", "fault_error", "first_at", "name_of", "option_error", "place_of"),
-    *("read_experiment", "repeated", "unknown_in"),
+    *("changes_of", "experiment_faults", "fault_error", "option_error", "place_of"),
+    *("read_experiment", "unknown_in"),
 ]
 
 Seeds = Annotated[tuple[Seed, ...], Strict(False), Field(min_length=1)]
@@ -145,7 +144,6 @@ class Selection:
     trust: bool = False
 
     def __post_init__(self) -> None:
-        """Check the changes."""
         for key, help in OPTIONS.items():
             if key in self.changes:
                 raise ValueError(f"--set: each cell has its own `{key}`: {help}")
@@ -153,11 +151,7 @@ class Selection:
     def chosen(self, rows: Mapping[str, tuple[Sequence[str], Sequence[str]]]) -> Iterator[tuple[str, str, list[str]]]:
         """Yield the selected rows, each with one of its modes and the variants to run in it, in the order of the rows.
 
-        Args:
-            rows: The modes and the variants of each row.
-
-        Raises:
-            ValueError: If the selection names an unknown row, mode or variant.
+        `rows` has the modes and the variants of each row. Raises `ValueError` for an unknown name in the selection.
         """
         for row, *names in self.only:
             if row not in rows:
@@ -167,12 +161,10 @@ class Selection:
                     raise ValueError(f"--only: `{row}` has no {kind} `{name}`{did_you_mean(name, known)}")
         for row, (modes, variants) in rows.items():
             for mode in modes:
-                own = [name for name in variants if self._has(row, mode, name)]
+                named = [(row, mode, name) for name in variants]
+                own = [each for each in named if not self.only or any(each[: len(only)] == only for only in self.only)]
                 if own:
-                    yield row, mode, own
-
-    def _has(self, *names: str) -> bool:
-        return not self.only or any(names[: len(only)] == only for only in self.only)
+                    yield row, mode, [name for _, _, name in own]
 
 
 def changes_of(places: Sequence[Place], *more: Mapping[str, Any]) -> dict[str, Any]:
@@ -187,12 +179,7 @@ def place_of(places: Sequence[Place], path: Sequence[str]) -> list[str] | None:
 
 
 def read_experiment(name: str | os.PathLike[str]) -> tuple[Path, _logicity.ConfigFile, dict[str, Any]]:
-    """Return the path, the file and the content of an experiment.
-
-    Raises:
-        InputError: If the file is not YAML, or not a mapping.
-        OSError: If the file cannot be read.
-    """
+    """Return the path, the file and the content of an experiment. The exceptions are those of `load_experiment`."""
     path = Path(name)
     if not path.suffix and len(path.parts) == 1:
         path = Path("configs") / "experiments" / f"{path}.yaml"
@@ -203,40 +190,30 @@ def read_experiment(name: str | os.PathLike[str]) -> tuple[Path, _logicity.Confi
     return path, file, values
 
 
-def name_of(file: Path) -> str:
-    """Return what a command names to run the experiment of a file: its bare name if it is built in, or the file."""
-    return file.stem if file == Path("configs") / "experiments" / f"{file.stem}.yaml" else shlex.quote(file.as_posix())
-
-
-def repeated(values: Sequence[object]) -> str | None:
-    """Return a message about the first value that occurs twice, or `None`."""
-    twice = next((value for at, value in enumerate(values) if value in values[:at]), None)
-    return None if twice is None else f"`{twice}` occurs twice"
-
-
 def option_error(fault: Fault) -> ValueError:
     """Return the error for a fault in the changes of `--set`."""
     _, path, message, help = fault
     return ValueError(f"--set {'.'.join(path)}: {message}" + f"\nhelp: {help}" * bool(help))
 
 
-def fault_error(file: _logicity.ConfigFile, wrong: list[Fault], changes: Mapping[str, Any]) -> BaseException:
+def fault_error(
+    file: _logicity.ConfigFile, wrong: list[Fault], changes: Mapping[str, Any], places: Sequence[Place] = ()
+) -> BaseException:
     """Return the error for faults in a file, or for the first one in changes to it.
 
-    A missing key is missing in a changed mapping. A misspelled key may also cause a missing one.
+    A missing key is missing in a changed mapping. A misspelled key may also cause a missing one. Paths of settings lead
+    to where `places` have them.
     """
     for fault in sorted(wrong, key=lambda fault: fault[0] == "missing-key"):
         if contains(changes, fault[1][:-1] if fault[0] == "missing-key" else fault[1]):
             return option_error(fault)
-    return file.error(wrong)
+    return file.error([(code, place_of(places, path) or path, message, help) for code, path, message, help in wrong])
 
 
 def unknown_in(model: type[BaseModel], *, whole: bool = False) -> Callable[[tuple[str, ...]], tuple[str, str]]:
     """Return a function that gives the message and the help for an unknown key, see `faults`.
 
-    Args:
-        model: The class of the values, whose fields can be models, too, or mappings of models.
-        whole: Whether the message has the whole path.
+    Fields of the model can be models, too, or mappings of models. `whole` is whether the message has the whole path.
     """
 
     def unknown(path: tuple[str, ...]) -> tuple[str, str]:
@@ -250,68 +227,53 @@ def unknown_in(model: type[BaseModel], *, whole: bool = False) -> Callable[[tupl
     return unknown
 
 
-def first_at(found: Iterable[Fault]) -> Iterable[Fault]:
-    """Return the first fault at each path. A value of the experiment is part of many cells."""
-    first: dict[tuple[str, ...], Fault] = {}
-    for fault in found:
-        first.setdefault(tuple(fault[1]), fault)
-    return first.values()
-
-
 def experiment_faults(
     experiment: Experiment, usual: str, mode_fault: Callable[[list[str], str], Fault | None]
 ) -> Iterator[Fault]:
     """Yield the errors that types do not exclude: unknown and repeated names, and changes of seeds and modes.
 
-    Args:
-        experiment: The experiment.
-        usual: The table whose rows are known if that of the experiment has none, because the paper shows a figure.
-        mode_fault: Returns the error of a mode at a path, or `None`.
+    `usual` is the table whose rows are known if that of the experiment has none, because the paper shows a figure.
+    `mode_fault` returns the error of a mode at a path, or `None`.
     """
+
+    def unknown(path: list[str], kind: str, name: str | None, known: Iterable[str]) -> Iterator[Fault]:
+        if name is not None and name not in known:
+            yield "invalid-value", path, f"{kind} `{name}`{did_you_mean(name, known)}", ""
+
     lists: list[tuple[list[str], Sequence[object]]] = [(["modes"], experiment.modes), (["seeds"], experiment.seeds)]
     modes = [(["modes", str(at)], mode) for at, mode in enumerate(experiment.modes)]
     known: list[str] = []
     for row, spec in experiment.learners.items():
-        lists += [(["learners", row, key], getattr(spec, key) or ()) for key in ("modes", "seeds", "variants")]
-        modes += [(["learners", row, "modes", str(at)], mode) for at, mode in enumerate(spec.modes or ())]
+        path = ["learners", row]
+        lists += [([*path, key], getattr(spec, key) or ()) for key in ("modes", "seeds", "variants")]
+        modes += [([*path, "modes", str(at)], mode) for at, mode in enumerate(spec.modes or ())]
         if spec.start is not None and spec.start not in known:
             # A row that exists may be in the wrong place; another name may be misspelled.
             move = spec.start in experiment.learners and spec.start != row
             others = known if spec.start == row else [name for name in experiment.learners if name != row]
             help = f": move `{row}` below it" if move else did_you_mean(spec.start, others)
             message = f"`{row}` starts from `{spec.start}`, but no earlier row has this name{help}"
-            yield "invalid-value", ["learners", row, "start"], message, ""
+            yield "invalid-value", [*path, "start"], message, ""
         for name in spec.variants or ():
-            if name not in experiment.variants:
-                message = f"unknown variant `{name}`{did_you_mean(name, experiment.variants)}"
-                yield "invalid-value", ["learners", row, "variants"], message, ""
+            yield from unknown([*path, "variants"], "unknown variant", name, experiment.variants)
         known.append(row)
     for path, values in lists:
-        if message := repeated(values) or "":
-            yield "invalid-value", path, message, ""
+        for twice in [value for at, value in enumerate(values) if value in values[:at]][:1]:
+            yield "invalid-value", path, f"`{twice}` occurs twice", ""
     for name, variant in experiment.variants.items():
-        if variant.mode is not None:
-            modes.append((["variants", name, "mode"], variant.mode))
-        path, start = ["variants", name, "start"], variant.start
-        if start is not None and start not in experiment.variants:
-            message = f"unknown variant `{start}`{did_you_mean(start, experiment.variants)}"
-            yield "invalid-value", path, message, ""
-        elif start is not None and experiment.variants[start].start is not None:
+        path, start = ["variants", name], variant.start
+        modes += [([*path, "mode"], variant.mode)] if variant.mode is not None else []
+        yield from unknown([*path, "start"], "unknown variant", start, experiment.variants)
+        if start is not None and start in experiment.variants and experiment.variants[start].start is not None:
             message = f"`{start}` itself starts from another variant: name a variant without `start`"
-            yield "invalid-value", path, message, ""
-    for path, mode in modes:
-        if fault := mode_fault(path, mode):
-            yield fault
+            yield "invalid-value", [*path, "start"], message, ""
+    yield from filter(None, (mode_fault(path, mode) for path, mode in modes))
     rows = paper_table(experiment.paper).get("rows") or paper_table(usual)["rows"]
     for row, spec in experiment.learners.items():
-        if spec.paper is not None and spec.paper not in rows:
-            message = f"the paper's table has no row `{spec.paper}`{did_you_mean(spec.paper, rows)}"
-            yield "invalid-value", ["learners", row, "paper"], message, ""
-    variants = {variant for values in rows.values() for variant in values}
+        yield from unknown(["learners", row, "paper"], "the paper's table has no row", spec.paper, rows)
+    columns = [variant for values in rows.values() for variant in values]
     for name, variant in experiment.variants.items():
-        if variant.paper is not None and variant.paper not in variants:
-            message = f"the paper's table has no variant `{variant.paper}`{did_you_mean(variant.paper, variants)}"
-            yield "invalid-value", ["variants", name, "paper"], message, ""
+        yield from unknown(["variants", name, "paper"], "the paper's table has no variant", variant.paper, columns)
     places = (experiment.places(row, name, True) for row in experiment.learners for name in experiment.variants)
     for prefix, changes in {tuple(path): values for each in places for path, values in each}.items():
         for key in OWN_KEYS.keys() & changes.keys():

@@ -6,21 +6,19 @@ import hashlib
 import io
 import json
 import os
-import queue
 import shutil
 import socket
 import subprocess
 import sys
 import tempfile
-import threading
 import time
 import zipfile
 from collections.abc import Callable, Iterator, Mapping, Sequence
+from concurrent.futures import FIRST_COMPLETED, Future, ThreadPoolExecutor, wait
 from contextlib import ExitStack, contextmanager, suppress
-from dataclasses import dataclass, field
 from importlib.util import find_spec
 from pathlib import Path
-from typing import IO, Any
+from typing import IO, Any, TypeVar
 
 from ..cluster import ONE_THREAD, RETRIES, connect
 from ..files import reserved
@@ -28,31 +26,22 @@ from ..terminal import first_line
 from .cells import finished, inputs, prepare, reuse, run_cell
 from .task import Cell
 
-__all__ = ["exclusive", "run", "run_in_processes", "run_on_ray"]
+__all__ = ["exclusive", "run", "run_in_processes"]
 
 #: Receives a line of progress.
 Say = Callable[[str], None]
+T = TypeVar("T")
 
 #: The interval between two lines of progress, in seconds.
 SECONDS = 30.0
 
 
-@dataclass
 class Watch:
-    """The state of a run: which cells are done, and how long the others will take.
+    """The state of a run: which cells are done, and how long the others will take."""
 
-    Raises:
-        ValueError: If an unfinished cell starts from one that is neither finished nor among the cells.
-    """
-
-    cells: Sequence[Cell]
-    root: Path
-    jobs: int
-    say: Say
-    failed: dict[str, str] = field(default_factory=dict)
-
-    def __post_init__(self) -> None:
-        """Find the finished cells, and start the clock."""
+    def __init__(self, cells: Sequence[Cell], root: Path, jobs: int, say: Say) -> None:
+        self.cells, self.root, self.jobs, self.say = cells, root, jobs, say
+        self.failed: dict[str, str] = {}
         self._durations: dict[str, list[float]] = {}
         self._running: dict[str, tuple[Cell, float, int, int]] = {}
         self._shown = time.monotonic()
@@ -66,29 +55,44 @@ class Watch:
         if self._done:
             self.say(f"{self._done} of {len(self.cells)} cells are finished already")
 
-    def startable(self) -> Iterator[Cell]:
-        """Yield and remove pending cells whose start is finished. Report those whose start has failed."""
-        for cell in list(self.pending):
-            if cell.start is not None and cell.start.identity in self.failed:
-                self.pending.remove(cell)
-                self.failure(cell, f"it starts from {cell.start.name}, which failed")
-            elif cell.start is None or finished(cell.start, self.root) is not None:
-                self.pending.remove(cell)
-                yield cell
+    def run(
+        self, start: Callable[[Cell, Path], Future[T]], message: Callable[[Cell, Future[T]], str], most: int
+    ) -> dict[str, str]:
+        """Run all cells, at most some at a time, and return the messages of those that failed.
 
-    def started(self, cell: Cell) -> None:
-        """Note that a cell has started."""
-        self._running[cell.identity] = (cell, time.monotonic(), 0, 0)
+        `start` begins a cell in its folder. `message` says why an ended one has no measures, if it has none.
+        """
+        running: dict[Future[T], Cell] = {}
+        while self.pending or running:
+            startable = self._startable()
+            while len(running) < most and (cell := next(startable, None)) is not None:
+                folder = prepare(cell, self.root)
+                self._running[cell.identity] = (cell, time.monotonic(), 0, 0)
+                running[start(cell, folder)] = cell
+            for ended in wait(running, timeout=1.0, return_when=FIRST_COMPLETED).done:
+                cell = running.pop(ended)
+                self._ended(cell, message(cell, ended))
+            self._tick()
+        return self.failed
 
     def reported(self, cell: Cell, steps: int) -> None:
         """Note the number of training steps of a cell."""
         _, begun, first, _ = self._running[cell.identity]
         self._running[cell.identity] = (cell, begun, first or steps, steps)
 
-    def ended(self, cell: Cell, message: str) -> None:
-        """Note the end of a cell, and print its result, or the message if it has none."""
+    def _startable(self) -> Iterator[Cell]:
+        """Yield and remove pending cells whose start is finished. Report those whose start has failed."""
+        for cell in list(self.pending):
+            if cell.start is not None and cell.start.identity in self.failed:
+                self.pending.remove(cell)
+                self._failure(cell, f"it starts from {cell.start.name}, which failed")
+            elif cell.start is None or finished(cell.start, self.root) is not None:
+                self.pending.remove(cell)
+                yield cell
+
+    def _ended(self, cell: Cell, message: str) -> None:
         if (measured := finished(cell, self.root)) is None:
-            self.failure(cell, message)
+            self._failure(cell, message)
             return
         begun = self._running.pop(cell.identity)[1]
         self._durations.setdefault(cell.row, []).append(time.monotonic() - begun)
@@ -96,22 +100,19 @@ class Watch:
         cpu = measured["result"]["cpu_seconds"] / 60
         self.say(f"{self._count()} {cell.name}: {cell.task.summary(measured)}, {cpu:.1f} CPU min; {self._left()}")
 
-    def failure(self, cell: Cell, message: str) -> None:
-        """Note and print that a cell has failed."""
+    def _failure(self, cell: Cell, message: str) -> None:
         self._running.pop(cell.identity, None)
         self._done += 1
         self.failed[cell.identity] = message
         self.say(f"{self._count()} {cell.name}: {'not run' if cell.optional else 'failed'}: {first_line(message)}")
 
-    def tick(self) -> None:
-        """Print a line about the running cells every `SECONDS`."""
+    def _tick(self) -> None:
         now = time.monotonic()
         if now - self._shown < SECONDS:
             return
         self._shown = now
-        parts = [
-            f"{cell.name} {min(1.0, steps / cell.task.steps(cell)):.0%}" for cell, _, _, steps in self._running.values()
-        ]
+        cells = ((cell, steps / cell.task.steps(cell)) for cell, _, _, steps in self._running.values())
+        parts = [f"{cell.name} {min(1.0, done):.0%}" for cell, done in cells]
         self.say(f"{self._count()} running: {'; '.join(parts) or 'none'}; {self._left()}")
 
     def _count(self) -> str:
@@ -121,17 +122,13 @@ class Watch:
         """Estimate the remaining time from the finished and the running cells."""
         now = time.monotonic()
         known = {row: sum(each) / len(each) for row, each in self._durations.items()}
-        left = 0.0
         for cell, begun, first, steps in self._running.values():
             if steps > first:
-                whole = (now - begun) * (cell.task.steps(cell) - first) / (steps - first)
-                known.setdefault(cell.row, whole)
-                left += max(0.0, whole - (now - begun))
-            elif cell.row in known:
-                left += max(0.0, known[cell.row] - (now - begun))
+                known.setdefault(cell.row, (now - begun) * (cell.task.steps(cell) - first) / (steps - first))
         if not known:
             return "no estimate yet"
         mean = sum(known.values()) / len(known)
+        left = sum(max(0.0, known.get(cell.row, mean) - (now - begun)) for cell, begun, *_ in self._running.values())
         left += sum(known.get(cell.row, mean) for cell in self.pending)
         hours, rest = divmod(round(left / max(1, self.jobs) / 60), 60)
         return f"about {f'{hours} h ' if hours else ''}{rest} min left"
@@ -165,78 +162,46 @@ def run(
     other: Path | None = None,
     trust: bool = False,
 ) -> dict[str, str]:
-    """Run cells in processes, or on Ray if an address is given, as the only process that runs the experiment.
+    """Run cells as the only process that runs the experiment: in processes, or on Ray if an address is given.
 
-    Arguments, result and exceptions are those of `run_in_processes`, `run_on_ray` and, for `other`, `reuse`.
+    The cells have different identities. `jobs` is the number of processes or, for the address `local`, of the workers
+    of a new Ray cluster on this machine. This process and the workers exchange pickles through Ray, so they trust each
+    other. `wandb` and `trust` are as for `train`, and `other` as for `reuse`.
+
+    Returns:
+        The messages of the cells that failed, by identity.
+
+    Raises:
+        ConnectionError: If the cluster does not answer.
+        ImportError: If Ray or Weights & Biases is requested and not installed.
+        OSError: If a folder cannot be written.
+        ValueError: If a cell starts from one that is neither finished nor among the cells.
     """
     with exclusive(root):
         if other is not None:
             for line in reuse(cells, root, other):
                 say(line)
         if address is None:
-            return run_in_processes(cells, root, jobs, say, wandb=wandb, trust=trust)
-        return run_on_ray(cells, root, address, jobs, say, wandb=wandb, trust=trust)
+            return run_in_processes(cells, root, jobs, say, wandb, trust)
+        return _run_on_ray(cells, root, jobs, say, wandb, trust, address)
 
 
 def run_in_processes(
-    cells: Sequence[Cell], root: Path, jobs: int, say: Say, *, wandb: str | None = None, trust: bool = False
+    cells: Sequence[Cell], root: Path, jobs: int, say: Say, wandb: str | None = None, trust: bool = False
 ) -> dict[str, str]:
-    """Run cells, each in a process with one thread.
-
-    Args:
-        cells: The cells, with different identities.
-        root: The folder of the experiment.
-        jobs: The number of processes.
-        say: Receives lines of progress.
-        wandb: The project of Weights & Biases, as for `train`.
-        trust: As for `run_cell`.
-
-    Returns:
-        The messages of the cells that failed, by identity.
-
-    Raises:
-        ImportError: If Weights & Biases is requested and not installed.
-        OSError: If a folder cannot be written.
-        ValueError: If a cell starts from one that is neither finished nor among the cells.
-    """
+    """Run cells, each in a process with one thread. All is as for `run`."""
     if wandb is not None and find_spec("wandb") is None:
         raise ImportError("--wandb: the package wandb is not installed: pip install wandb")
     watch = Watch(cells, root, jobs, say)
-    messages: queue.Queue[tuple[Cell, dict[str, Any] | None]] = queue.Queue()
-    processes: dict[str, subprocess.Popen[str]] = {}
-    errors: dict[str, str] = {}
-    try:
-        while watch.pending or processes:
-            startable = watch.startable()
-            while len(processes) < jobs and (cell := next(startable, None)) is not None:
-                folder = prepare(cell, root)
-                with open(folder / "log.txt", "a", encoding="utf-8") as log:
-                    process = _start(folder, log, wandb, trust, cell.task.environment(cell))
-                processes[cell.identity] = process
-                watch.started(cell)
-                threading.Thread(target=_read, args=(cell, process, messages), daemon=True).start()
-            if not processes:
-                continue
-            try:
-                cell, message = messages.get(timeout=1.0)
-            except queue.Empty:
-                watch.tick()
-                continue
-            if message is None:
-                code = _wait(processes.pop(cell.identity))
-                ended = f"its process ended with the code {code}; see {cell.folder(root) / 'log.txt'}"
-                watch.ended(cell, errors.get(cell.identity, ended))
-            elif "steps" in message:
-                watch.reported(cell, message["steps"])
-            elif "note" in message:
-                say(f"{cell.name}: {message['note']}")
-            elif "error" in message:
-                errors[cell.identity] = message["error"]
-            watch.tick()
-    finally:
-        for process in processes.values():
-            _wait(process)
-    return watch.failed
+    with ThreadPoolExecutor(jobs) as threads, ExitStack() as processes:
+
+        def start(cell: Cell, folder: Path) -> Future[str]:
+            with open(folder / "log.txt", "a", encoding="utf-8") as log:
+                process = _start(folder, log, wandb, trust, cell.task.environment(cell))
+            processes.callback(_end, process)
+            return threads.submit(_follow, process, cell, watch)
+
+        return watch.run(start, lambda cell, ended: ended.result(), jobs)
 
 
 def _start(
@@ -256,19 +221,24 @@ def _start(
     )
 
 
-def _read(
-    cell: Cell, process: subprocess.Popen[str], messages: queue.Queue[tuple[Cell, dict[str, Any] | None]]
-) -> None:
-    """Forward the lines of a process, and then `None`."""
+def _follow(process: subprocess.Popen[str], cell: Cell, watch: Watch) -> str:
+    """Forward the lines of a process until it ends, and return its error."""
+    error = None
     assert process.stdout is not None
     with process.stdout:
         for line in process.stdout:
             with suppress(ValueError):
-                messages.put((cell, json.loads(line)))
-    messages.put((cell, None))
+                message = json.loads(line)
+                error = message.get("error", error)
+                if "steps" in message:
+                    watch.reported(cell, message["steps"])
+                elif "note" in message:
+                    watch.say(f"{cell.name}: {message['note']}")
+    code = _end(process)
+    return error or f"its process ended with the code {code}; see {cell.folder(watch.root) / 'log.txt'}"
 
 
-def _wait(process: subprocess.Popen[str]) -> int:
+def _end(process: subprocess.Popen[str]) -> int:
     """Close the standard input of a process, which ends it and what it started, and return its exit code."""
     assert process.stdin is not None
     with suppress(OSError):
@@ -276,52 +246,32 @@ def _wait(process: subprocess.Popen[str]) -> int:
     return process.wait()
 
 
-def run_on_ray(
-    cells: Sequence[Cell],
-    root: Path,
-    address: str,
-    jobs: int,
-    say: Say,
-    *,
-    wandb: str | None = None,
-    trust: bool = False,
+def _run_on_ray(
+    cells: Sequence[Cell], root: Path, jobs: int, say: Say, wandb: str | None, trust: bool, address: str
 ) -> dict[str, str]:
-    """Run cells on Ray, each as a task with one CPU. If a worker is lost, its cell runs again.
-
-    This process and the workers exchange pickles through Ray, so they trust each other. `address` is that of a cluster,
-    or `local` for a new one with `jobs` workers on this machine. All else is as for `run_in_processes`.
-
-    Raises:
-        ConnectionError: If the cluster does not answer.
-        ImportError: If Ray is not installed.
-    """
+    """Run cells on Ray, each as a task with one CPU. If a worker is lost, its cell runs again."""
     ray = connect(address, jobs)
     # A new process for each cell, as in `run_in_processes`. Only the loss of a worker repeats a cell.
     task = ray.remote(num_cpus=1, max_calls=1, max_retries=RETRIES)(_in_worker)
-    watch = Watch(cells, root, jobs, say)
-    running: dict[Any, Cell] = {}
+
+    def start(cell: Cell, folder: Path) -> Any:
+        files = {path.name: path.read_bytes() for path in inputs(folder)}
+        # The same folder if the cell runs again, and another one for each experiment.
+        name = hashlib.sha256(f"{socket.gethostname()}:{folder.resolve()}".encode()).hexdigest()[:16]
+        return task.remote(f"logicity-{name}", files, wandb, trust, cell.task.environment(cell)).future()
+
+    def message(cell: Cell, ended: Future[bytes]) -> str:
+        try:
+            _unpack(ended.result(), cell.folder(root))
+        except (ValueError, ray.exceptions.RayError) as error:
+            # An error of the cell itself is the cause.
+            return str(getattr(error, "cause", None) or error)
+        return "its worker returned no measures"
+
     try:
-        while watch.pending or running:
-            for cell in watch.startable():
-                folder = prepare(cell, root)
-                files = {path.name: path.read_bytes() for path in inputs(folder)}
-                # The same folder if the cell runs again, and another one for each experiment.
-                name = hashlib.sha256(f"{socket.gethostname()}:{folder.resolve()}".encode()).hexdigest()[:16]
-                running[task.remote(f"logicity-{name}", files, wandb, trust, cell.task.environment(cell))] = cell
-                watch.started(cell)
-            ready, _ = ray.wait(list(running), num_returns=1, timeout=1.0) if running else ([], [])
-            for reference in ready:
-                cell = running.pop(reference)
-                try:
-                    _unpack(ray.get(reference), cell.folder(root))
-                    watch.ended(cell, "its worker returned no measures")
-                except (ValueError, ray.exceptions.RayError) as error:
-                    # An error of the cell itself is the cause.
-                    watch.failure(cell, str(getattr(error, "cause", None) or error))
-            watch.tick()
+        return Watch(cells, root, jobs, say).run(start, message, len(cells))
     finally:
         ray.shutdown()
-    return watch.failed
 
 
 def _in_worker(
@@ -364,7 +314,6 @@ def _unpack(archive: bytes, folder: Path) -> None:
 
 
 def _write(path: Path, content: bytes) -> None:
-    """Write a file, which is replaced only when it is complete, and its folder."""
     path.parent.mkdir(parents=True, exist_ok=True)
     temporary = path.with_name(f".{path.name}")
     temporary.write_bytes(content)

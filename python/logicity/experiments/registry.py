@@ -29,12 +29,7 @@ TASKS = {
 
 
 def task_named(name: str) -> Task:
-    """Return a task of `TASKS`.
-
-    Raises:
-        ImportError: If a package that the task needs is not installed.
-        KeyError: If there is no such task.
-    """
+    """Return a task of `TASKS`. Raises `ImportError` if a package that it needs is not installed."""
     module, kind = TASKS[name]
     task: Task = getattr(importlib.import_module(f".{module}", __package__), kind)()
     return task
@@ -130,11 +125,7 @@ class Loaded:
 
 
 def experiment_schema() -> dict[str, Any]:
-    """Return the JSON Schema of the YAML files of experiments of all tasks.
-
-    Raises:
-        ImportError: If a package that a task needs is not installed.
-    """
+    """Return the JSON Schema of the YAML files of experiments of all tasks. Exceptions are those of `task_named`."""
     definitions: dict[str, Any] = {}
     for name in TASKS:
         task = task_named(name)
@@ -152,7 +143,7 @@ def experiment_schema() -> dict[str, Any]:
                 keys[key] = {"$ref": f"#/$defs/{settings}", "description": keys[key]["description"]}
     first, *others = TASKS
     # Without the key, the task is the first one.
-    required: dict[str, Any] = {first: {}, **{name: {"required": ["task"]} for name in others}}
+    required: dict[str, Any] = {first: {}, **dict.fromkeys(others, {"required": ["task"]})}
     help = "The task, which determines the other keys."
     return {
         "$schema": "https://json-schema.org/draft/2020-12/schema",
@@ -168,6 +159,5 @@ def experiment_schema() -> dict[str, Any]:
 
 
 def _schema(model: type[BaseModel]) -> dict[str, Any]:
-    """Return the schema of a model without definitions."""
     schema = model.model_json_schema()
     return dict(tidy({key: schema[key] for key in schema if key != "$defs"}, schema.get("$defs", {})))

@@ -2,28 +2,29 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from dataclasses import asdict, dataclass
 from itertools import chain
 from pathlib import Path
-from typing import Any, TypeVar
+from typing import Any, TypeAlias
 
 from ..evaluation import Interval
-from ..files import write_json, write_text
+from ..files import reserved, write_json, write_text
 from ..terminal import aligned, first_line
 from .cells import finished
 from .paper import paper_table
 from .registry import Loaded
-from .tables import draw_bars, draw_lines, draw_panels, latex_table, markdown_table
+from .statistics import grouped
+from .tables import latex_table, markdown_table
 from .task import Cell, Task
 
-__all__ = ["Entry", "Report", "detail_table", "grouped", "mean_details", "paper_rows", "shown"]
+__all__ = ["Entry", "Report", "detail_table", "mean_details", "measure_table", "paper_rows"]
 
-Key = TypeVar("Key")
-Value = TypeVar("Value")
+#: The paper's figures by measure, or a remark.
+Figures: TypeAlias = Mapping[str, float] | str
 
-#: The line below a row that has the paper's figures.
-PAPER = "  the paper's"
+#: A line of a table: its label, its measures, the paper's figures if it has any, and more cells.
+Line: TypeAlias = tuple[str, Mapping[str, Interval], Figures | None, Sequence[str]]
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -31,21 +32,14 @@ class Entry:
     """A line of a table: the runs of a row and variant in a mode, with one evaluation. Empty texts stand for no name.
 
     Attributes:
-        row: The row.
-        mode: The mode of the column.
-        variant: The variant.
         evaluation: The evaluation, if there are several.
         seeds: The seeds of the finished runs.
         measures: The measures with their intervals; empty without a finished run.
         details: More figures, see `Task.details`: their means over the runs that have them.
-        paper: The paper's figures by measure, a remark, or `None`.
         remarks: Sentences on how the runs count, see `Task.remarks`.
         curve: The headline on the validation data by step: means over the runs.
-        cpu_hours: The CPU time of all runs.
         missing: Why there is no result; empty if there is one.
-        identities: The identities of the runs.
         group: The line of the figure over `x` to which the variant belongs.
-        x: The place on that line.
     """
 
     row: str
@@ -55,7 +49,7 @@ class Entry:
     seeds: tuple[int, ...]
     measures: Mapping[str, Interval]
     details: Mapping[str, float]
-    paper: Mapping[str, float] | str | None
+    paper: Figures | None
     remarks: tuple[str, ...]
     curve: tuple[tuple[int, float], ...]
     cpu_hours: float
@@ -71,13 +65,9 @@ class Entry:
 
 
 class Report:
-    """The results of the cells of an experiment.
+    """The results of the cells of an experiment in its folder. `failed` has messages of failed cells by identity.
 
-    Args:
-        loaded: The experiment.
-        cells: The cells. Results of other settings, rules, episodes or versions have another identity.
-        root: The folder of the experiment.
-        failed: The messages of the cells that failed, by identity.
+    Results of other settings, rules, episodes or versions have another identity.
     """
 
     def __init__(
@@ -88,6 +78,9 @@ class Report:
         results = {cell.identity: finished(cell, root) for cell in cells}
         groups = grouped(((cell.mode, cell.row, cell.variant), cell) for cell in cells if not cell.hidden)
         self.entries = [entry for group in groups.values() for entry in self._entries(group, results, failed or {})]
+        #: The entries by mode.
+        self.modes = grouped((entry.mode, entry) for entry in self.entries)
+        self._headline = self.task.measures[self.task.headline]
         #: The CPU time of all finished cells.
         self.cpu_hours = sum(each["result"]["cpu_seconds"] for each in results.values() if each is not None) / 3600
 
@@ -125,46 +118,23 @@ class Report:
         """Whether all runs are finished."""
         return all(not entry.missing for entry in self.entries)
 
-    @property
-    def modes(self) -> list[str]:
-        """The modes with an entry."""
-        return list(dict.fromkeys(entry.mode for entry in self.entries))
-
-    def of_mode(self, mode: str) -> list[Entry]:
-        """Return the entries of a mode."""
-        return [entry for entry in self.entries if entry.mode == mode]
-
-    def measures(self, mode: str) -> dict[str, str]:
-        """Return the measures that some entry of a mode has, and the main ones, with their headings."""
-        known = {name for entry in self.of_mode(mode) for name in entry.measures}
-        known |= set(list(self.task.measures)[: self.task.main_measures])
-        return {name: head for name, head in self.task.measures.items() if name in known}
-
     def table(self, mode: str) -> list[list[str]]:
-        """Return the table of a mode: a head, then for each entry its measures, and the paper's below if it has any.
-
-        Rows of the paper that the experiment does not have come last.
-        """
-        measures = self.measures(mode)
-        lines = [["learner", *measures.values(), "seeds", "CPU h"]]
-        for entry in self.of_mode(mode):
-            figures = [shown(entry.measures.get(name)) for name in measures]
+        """Return the table of a mode, see `measure_table`, with the main measures and those that some entry has."""
+        lines: list[Line] = []
+        for entry in self.modes[mode]:
             seeds = ",".join(map(str, entry.seeds)) or entry.missing[:60]
-            lines.append([entry.label, *figures, seeds, f"{entry.cpu_hours:.2f}"])
-            if entry.paper is not None:
-                lines.append([PAPER, *paper_cells(entry.paper, measures), "", ""])
-        for label, paper in paper_rows(self.task, self.experiment.paper, mode, self._named()):
-            lines.append([label, *paper_cells(paper, measures), "", ""])
-        return lines
+            lines.append((entry.label, entry.measures, entry.paper, [seeds, f"{entry.cpu_hours:.2f}"]))
+        return measure_table(self.task, ["seeds", "CPU h"], lines, self._unnamed(mode), self.task.main_measures)
 
-    def _named(self) -> set[tuple[str, str]]:
-        """Return the rows of the paper's table that rows of the experiment name, with their variants."""
+    def _unnamed(self, mode: str) -> Iterator[tuple[str, Figures]]:
+        """Yield the rows of the paper's table that no row of the experiment names."""
         experiment = self.experiment
-        return {experiment.of_paper(row, name) for row in experiment.learners for name in experiment.variants}
+        named = {experiment.of_paper(row, name) for row in experiment.learners for name in experiment.variants}
+        return paper_rows(self.task, experiment.paper, mode, named)
 
     def details(self, mode: str) -> list[list[str]]:
         """Return the table of the details in a mode, beside the paper's; empty if no entry has any."""
-        columns = {entry.label: entry.details for entry in self.of_mode(mode) if entry.details}
+        columns = {entry.label: entry.details for entry in self.modes.get(mode, []) if entry.details}
         return detail_table({**columns, **self.task.paper_details(self.experiment.paper, mode)[0]} if columns else {})
 
     def notes(self) -> list[str]:
@@ -226,11 +196,7 @@ class Report:
         }
 
     def write(self, root: Path) -> list[Path]:
-        """Write the tables and the figures to a folder, and return their paths.
-
-        Raises:
-            OSError: If a file cannot be written.
-        """
+        """Write the tables and the figures to a folder, and return their paths."""
         written = [root / f"table.{ending}" for ending in ("md", "tex", "json")]
         write_text(written[0], self.markdown())
         write_text(written[1], self.latex())
@@ -242,57 +208,80 @@ class Report:
             drawings["curves"] = self._curves
         if any(entry.x is not None for entry in self.entries):
             drawings["lines"] = self._lines
-        titles = {mode: f"{self.experiment.title}: {Path(mode).stem}" for mode in self.modes}
-        tallest = max(len(self.table(mode)) for mode in self.modes)
-        for name, draw in drawings.items():
-            height = max(4.2, 0.22 * tallest) if name == "bars" else 4.2
-            written += draw_panels(root, name, titles, draw, columns=min(len(titles), 2), size=(7.2, height))
-        return written
+        return [*written, *(path for name, draw in drawings.items() for path in self._draw(root, name, draw))]
 
-    def _axis(self) -> str:
-        return f"{self.task.measures[self.task.headline]} on {self.task.measured_on}"
+    def _draw(self, root: Path, name: str, draw: Callable[[Any, str], None]) -> list[Path]:
+        """Draw a panel for each mode, and write them as PNG and SVG. The same results give the same bytes."""
+        import matplotlib
+        from matplotlib.figure import Figure
+
+        columns = min(len(self.modes), 2)
+        rows = -(-len(self.modes) // columns)
+        tallest = max(len(self.table(mode)) for mode in self.modes)
+        height = max(4.2, 0.22 * tallest) if name == "bars" else 4.2
+        written = {root / f"{name}.png": {"Software": None}, root / f"{name}.svg": {"Date": None}}
+        with matplotlib.rc_context({"svg.hashsalt": "logicity"}):
+            figure = Figure(figsize=(7.2 * columns, height * rows), layout="constrained")
+            for at, mode in enumerate(self.modes, 1):
+                axes = figure.add_subplot(rows, columns, at)
+                axes.set_title(f"{self.experiment.title}: {Path(mode).stem}", fontsize=10)
+                draw(axes, mode)
+            for path, metadata in written.items():
+                with reserved(path, by=None) as output:
+                    figure.savefig(output.temporary, format=path.suffix[1:], dpi=150, metadata=metadata)
+                    output.finish()
+        return list(written)
 
     def _bars(self, axes: Any, mode: str) -> None:
-        """Draw the headline of each entry with its interval, and the paper's."""
+        """Draw the headline of each entry with its interval, and the paper's as a diamond."""
         name = self.task.headline
-        bars = [(entry.label, entry.measures.get(name), headline_of(entry.paper, name)) for entry in self.of_mode(mode)]
-        for label, paper in paper_rows(self.task, self.experiment.paper, mode, self._named()):
-            bars.append((label, None, headline_of(paper, name)))
-        draw_bars(axes, bars, self._axis())
+        bars = [(entry.label, entry.measures.get(name), entry.paper) for entry in self.modes[mode]]
+        bars += [(label, None, paper) for label, paper in self._unnamed(mode)]
+        for at, (_, value, paper) in enumerate(bars):
+            if value is not None:
+                reach = [[max(0.0, value.value - value.low)], [max(0.0, value.high - value.value)]]
+                axes.barh(at, value.value, xerr=reach, color="#4878a8", error_kw={"linewidth": 1})
+            if isinstance(paper, Mapping) and name in paper:
+                axes.plot(paper[name], at, "D", color="#c44e52", markersize=5)
+        axes.set_yticks(range(len(bars)), [label for label, *_ in bars], fontsize=8)
+        axes.invert_yaxis()
+        axes.set_xlim(0, 1.02)
+        axes.set_xlabel(f"{self._headline} on {self.task.measured_on}")
+        if any(isinstance(paper, Mapping) and name in paper for *_, paper in bars):
+            axes.plot([], [], "D", color="#c44e52", markersize=5, label="paper")
+            axes.legend(fontsize=8, loc="lower right")
         if self.task.chance is not None:
             axes.axvline(self.task.chance, color="#888888", linewidth=1, linestyle=":")
 
     def _curves(self, axes: Any, mode: str) -> None:
-        """Draw the headline of the validations over the share of the training steps."""
-        shares = {
-            entry.label: [(step / (entry.curve[-1][0] or 1), value) for step, value in entry.curve]
-            for entry in self.of_mode(mode)
-            if entry.curve
-        }
-        for label, points in shares.items():
-            axes.plot(*zip(*points, strict=True), marker="o", markersize=2, linewidth=1, label=label)
-        axes.set_xlabel("share of the training steps")
-        axes.set_ylabel(f"{self.task.measures[self.task.headline]} on validation data")
-        axes.set_ylim(-0.02, 1.02)
-        if shares:
-            axes.legend(fontsize=7)
+        for entry in filter(lambda entry: entry.curve, self.modes[mode]):
+            steps, values = zip(*entry.curve, strict=True)
+            shares = [step / (steps[-1] or 1) for step in steps]
+            axes.plot(shares, values, marker="o", markersize=2, linewidth=1, label=entry.label)
+        self._shares(axes, "share of the training steps", f"{self._headline} on validation data")
 
     def _lines(self, axes: Any, mode: str) -> None:
-        """Draw the headline over `x`, one line for each row, evaluation and group."""
-        lines: dict[str, list[tuple[float, Interval]]] = {}
-        for entry in self.of_mode(mode):
-            if entry.x is not None and entry.measures:
-                name = ", ".join(filter(None, (entry.row, entry.evaluation, entry.group)))
-                lines.setdefault(name, []).append((entry.x, entry.measures[self.task.headline]))
-        draw_lines(axes, lines, (self.experiment.x, self._axis()))
+        """Draw the headline over `x` with a band for its interval, one line for each row, evaluation and group."""
+        headline = self.task.headline
+        lines = grouped(
+            (", ".join(filter(None, (entry.row, entry.evaluation, entry.group))), (entry.x, entry.measures[headline]))
+            for entry in self.modes[mode]
+            if entry.x is not None and entry.measures
+        )
+        for name, line in lines.items():
+            xs, values = zip(*sorted(line, key=lambda point: point[0]), strict=True)
+            (drawn,) = axes.plot(xs, [each.value for each in values], marker="o", markersize=3, linewidth=1, label=name)
+            low, high = [each.low for each in values], [each.high for each in values]
+            axes.fill_between(xs, low, high, color=drawn.get_color(), alpha=0.12)
+        self._shares(axes, self.experiment.x, f"{self._headline} on {self.task.measured_on}")
 
-
-def grouped(pairs: Iterable[tuple[Key, Value]]) -> dict[Key, list[Value]]:
-    """Return the values of each key, in their order."""
-    groups: dict[Key, list[Value]] = {}
-    for key, value in pairs:
-        groups.setdefault(key, []).append(value)
-    return groups
+    def _shares(self, axes: Any, *labels: str) -> None:
+        """Add the labels of the axes and the legend to lines of shares."""
+        axes.set_xlabel(labels[0])
+        axes.set_ylabel(labels[1])
+        axes.set_ylim(-0.02, 1.02)
+        if axes.lines:
+            axes.legend(fontsize=7)
 
 
 def shown(measure: Interval | None) -> str:
@@ -302,21 +291,31 @@ def shown(measure: Interval | None) -> str:
     return f"{measure.value:.2f}" if measure.low == measure.high else str(measure)
 
 
-def headline_of(paper: Mapping[str, float] | str | None, name: str) -> float | None:
-    """Return the paper's figure of a measure, or `None`."""
-    return paper.get(name) if isinstance(paper, Mapping) else None
+def measure_table(
+    task: Task, heads: Sequence[str], lines: Sequence[Line], others: Iterable[tuple[str, Figures]], main: int = 0
+) -> list[list[str]]:
+    """Return a table: a head, then each line, and the paper's figures below if it has any. Other rows come last.
+
+    The columns are the label, the measures that some line has, the first `main` measures, and those with heads.
+    """
+    known = {name for _, measures, *_ in lines for name in measures} | set(list(task.measures)[:main])
+    names = [name for name in task.measures if name in known]
+    table = [["learner", *(task.measures[name] for name in names), *heads]]
+    for label, measures, paper, cells in lines:
+        table.append([label, *(shown(measures.get(name)) for name in names), *cells])
+        if paper is not None:
+            table.append(["  the paper's", *_paper_cells(paper, names)])
+    table += ([label, *_paper_cells(paper, names)] for label, paper in others)
+    return [[*line, *[""] * (len(table[0]) - len(line))] for line in table]
 
 
-def paper_cells(paper: Mapping[str, float] | str | None, measures: Mapping[str, str]) -> list[str]:
-    """Return the paper's figures of measures as text. A remark stands in the first cell."""
-    if not isinstance(paper, Mapping):
-        return [paper or "", *[""] * (len(measures) - 1)]
-    return [f"{paper[name]:.2f}" if name in paper else "-" for name in measures]
+def _paper_cells(paper: Figures, names: Sequence[str]) -> list[str]:
+    if isinstance(paper, str):
+        return [paper]
+    return [f"{paper[name]:.2f}" if name in paper else "-" for name in names]
 
 
-def paper_rows(
-    task: Task, table: str | None, mode: str, found: set[tuple[str, str]]
-) -> Iterator[tuple[str, Mapping[str, float] | str]]:
+def paper_rows(task: Task, table: str | None, mode: str, found: set[tuple[str, str]]) -> Iterator[tuple[str, Figures]]:
     """Yield the name and the figures of each row of the paper in a mode that is not among names and variants."""
     for row, variants in paper_table(table).get("rows", {}).items():
         for variant in variants:

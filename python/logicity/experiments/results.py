@@ -14,10 +14,10 @@ from typing import Any
 
 from ..files import file_hash, read_json, reserved
 from .cells import finished
-from .experiment import name_of
 from .paper import paper_table
 from .registry import Loaded, load_experiment
-from .report import PAPER, detail_table, grouped, mean_details, paper_cells, paper_rows, shown
+from .report import Line, detail_table, mean_details, measure_table, paper_rows
+from .statistics import grouped
 from .tables import markdown_table
 from .task import Cell
 
@@ -48,17 +48,11 @@ Row = Mapping[str, Any]
 
 
 def read_results(path: str | os.PathLike[str], experiment: str | None = None) -> dict[str, Any]:
-    """Read a file of results.
+    """Return the `format`, the `experiment` and the `rows` of a file of results.
 
-    Args:
-        path: The file.
-        experiment: The name of the experiment. If given, the file may be absent.
-
-    Returns:
-        `format`, `experiment` and `rows`.
+    If the name of the experiment is given, the file may be absent.
 
     Raises:
-        OSError: If the file cannot be read.
         ValueError: If the file does not have this format, or is that of another experiment.
     """
     file = Path(path)
@@ -77,14 +71,12 @@ def read_results(path: str | os.PathLike[str], experiment: str | None = None) ->
     for at, row in enumerate(results["rows"]):
         if not isinstance(row, dict):
             raise ValueError(f"{file}: row {at} is not a mapping")
-        missing = [key for key in KEYS if key not in row]
-        if missing:
+        if missing := [key for key in KEYS if key not in row]:
             raise ValueError(f"{file}: row {at} has no `{missing[0]}`")
-        if row["sha256_of"] not in HASHED:
-            raise ValueError(f"{file}: row {at} has an invalid `sha256_of`")
-        for key in KEY:
-            if not isinstance(row[key], int if key == "seed" else str):
-                raise ValueError(f"{file}: row {at} has an invalid `{key}`")
+        invalid = ["sha256_of"] * (row["sha256_of"] not in HASHED)
+        invalid += [key for key in KEY if not isinstance(row[key], int if key == "seed" else str)]
+        if invalid:
+            raise ValueError(f"{file}: row {at} has an invalid `{invalid[0]}`")
     return results
 
 
@@ -98,17 +90,11 @@ def as_text(results: Mapping[str, Any]) -> str:
 def check_rows(results: Mapping[str, Any], loaded: Loaded | None = None) -> list[str]:
     """Check published rows against the experiment, today's rules and episodes, and their own samples.
 
-    Args:
-        results: The results, as `read_results` returns them.
-        loaded: The experiment; by default the built-in one with the name.
+    The experiment is by default the built-in one with the name.
 
     Returns:
         A line for each fault: a row that occurs twice or that the experiment does not have; other keys, rules, episodes
         or settings than today's; or measures that do not follow from the samples.
-
-    Raises:
-        InputError: If the file of the experiment is invalid.
-        OSError: If the file of the experiment cannot be read.
     """
     loaded = loaded or load_experiment(results["experiment"])
     keys = [tuple(row[key] for key in KEY) for row in results["rows"]]
@@ -122,7 +108,6 @@ def check_rows(results: Mapping[str, Any], loaded: Loaded | None = None) -> list
 
 
 def _row_faults(row: Row, loaded: Loaded) -> Iterator[str]:
-    """Yield the faults of a published row, see `check_rows`."""
     experiment = loaded.experiment
     if row.keys() != set(KEYS):
         yield "other keys"
@@ -146,12 +131,7 @@ def submit(
     A row replaces that of the same learner, variant, mode, evaluation and seed, and keeps its note. Rows of other seeds
     with other settings or hashes of rules are removed. Cells that tables omit have no row.
 
-    Args:
-        loaded: The experiment.
-        cells: The cells. Those that are not finished are skipped.
-        root: The folder of the experiment.
-        results: The file of results.
-        only_hashes: Whether to write only the hashes of rows that are published and have the same figures.
+    Unfinished cells are skipped. `only_hashes` writes only the hashes of published rows that have the same figures.
 
     Yields:
         A line for each evaluation.
@@ -162,9 +142,8 @@ def submit(
             mode of a cell is not a built-in one.
     """
     shown_cells = [cell for cell in cells if not cell.hidden]
-    for cell in shown_cells:
-        if Path(cell.mode).suffix:
-            raise ValueError(f"{cell.name}: published results are of built-in modes, not of `{cell.mode}`")
+    if own := next((cell for cell in shown_cells if Path(cell.mode).suffix), None):
+        raise ValueError(f"{own.name}: published results are of built-in modes, not of `{own.mode}`")
     results.parent.mkdir(parents=True, exist_ok=True)
     # No other process can add rows meanwhile.
     with reserved(results, by=None) as output:
@@ -181,20 +160,14 @@ def submit(
 def _place_of(row: Row, loaded: Loaded) -> tuple[Any, ...]:
     """Return the place of a row: those of its names in the experiment. Unknown names come last."""
     experiment = loaded.experiment
-    order: dict[str, list[str]] = {
-        "mode": list(experiment.modes),
-        "learner": list(experiment.learners),
-        "variant": list(experiment.variants),
-        "evaluation": list(loaded.task.evaluations(experiment)),
-    }
-    places = [names.index(row[key]) if row[key] in names else len(names) for key, names in order.items()]
-    return (*places, row["seed"])
+    known = (experiment.modes, experiment.learners, experiment.variants, loaded.task.evaluations(experiment))
+    orders = zip(KEY, map(list, known), strict=False)
+    return (*(names.index(row[key]) if row[key] in names else len(names) for key, names in orders), row["seed"])
 
 
 def _update(
     rows: dict[tuple[Any, ...], Row], loaded: Loaded, cell: Cell, root: Path, only_hashes: bool
 ) -> Iterator[str]:
-    """Add the rows of a cell if it is finished, and yield a line for each evaluation."""
     measured, task = finished(cell, root), loaded.task
     if measured is None:
         yield f"{cell.name}: not finished"
@@ -221,10 +194,7 @@ def _update(
     for name, key in keys.items():
         row = _row(loaded, cell, root, measured, name, again[name])
         if only_hashes:
-            try:
-                row = _rehashed(rows[key], row)
-            except ValueError as error:
-                raise ValueError(f"{cell.name}, {name}: {error}") from None
+            row = _rehashed(f"{cell.name}, {name}: the published row", rows[key], row)
         row["note"] = rows.get(key, row)["note"]
         for other in [other for other in rows if other[:-1] == key[:-1]]:
             if _trained_as(rows[other]) != _trained_as(row):
@@ -257,7 +227,9 @@ def _row(
     # A variant that sets a mode is in every column.
     column = modes[0] if loaded.experiment.variants[cell.variant].mode else cell.mode
     only = shlex.quote(",".join((cell.row, column, *([cell.variant] if len(variants) > 1 else []))))
-    best = result.get("best", {}).get("steps")
+    file, best = loaded.file, result.get("best", {}).get("steps")
+    built_in = file == Path("configs") / "experiments" / f"{file.stem}.yaml"
+    experiment = file.stem if built_in else shlex.quote(file.as_posix())
     return {
         "learner": cell.row,
         "variant": cell.variant,
@@ -266,7 +238,7 @@ def _row(
         "evaluation": name,
         "seed": cell.seed,
         "settings": result["settings"] if "settings" in result else result["config"],
-        "command": f"logicity experiment {name_of(loaded.file)} --only {only} --seeds {cell.seed}",
+        "command": f"logicity experiment {experiment} --only {only} --seeds {cell.seed}",
         "note": "",
         "versions": result["versions"],
         "hashes": result["hashes"],
@@ -274,19 +246,22 @@ def _row(
         "sha256": sha256,
         "cpu_seconds": result["cpu_seconds"],
         "training": {} if best is None else {"steps": result["steps"], "unit": result["unit"], "best_after": best},
-        "measures": {measure: vars(each) for measure, each in measures.items()} | task.more_measures(recorded),
+        "measures": {
+            **{measure: vars(each) for measure, each in measures.items()},
+            **{measure: recorded[measure] for measure in task.more_measures},
+        },
         "details": task.details(measured, name),
         "samples": task.samples(recorded),
     }
 
 
-def _rehashed(old: Row, new: Row) -> dict[str, Any]:
+def _rehashed(place: str, old: Row, new: Row) -> dict[str, Any]:
     """Return a published row with the hash of the model that was trained again. Its figures must be the same."""
     again = json.loads(json.dumps(new))
     if different := [key for key in old if key not in _CHANGING and old[key] != again.get(key)]:
-        raise ValueError(f"the published row differs in {', '.join(f'`{key}`' for key in different)}")
+        raise ValueError(f"{place} differs in {', '.join(f'`{key}`' for key in different)}")
     if old["sha256_of"] == again["sha256_of"] and old["sha256"] != again["sha256"]:
-        raise ValueError(f"the published row has the {old['sha256_of']} {old['sha256']}, not {again['sha256']}")
+        raise ValueError(f"{place} has the {old['sha256_of']} {old['sha256']}, not {again['sha256']}")
     return {**old, **{key: again[key] for key in ("versions", "sha256_of", "sha256")}}
 
 
@@ -326,37 +301,22 @@ def _mode_table(loaded: Loaded, mode: str, rows: Sequence[Row]) -> list[list[str
     ordered = list(groups)
     if not several and not any(variant for _, variant, _ in groups):
         ordered.sort(key=lambda key: -pooled[key][task.headline].value)
-    known = {name for measures in pooled.values() for name in measures}
-    measures = {name: head for name, head in task.measures.items() if name in known}
     trained = any(row["training"] for row in rows)
-    heads = ["learner", *measures.values(), "seeds", *["steps"] * trained]
-    lines = [[*heads, "CPU min", "command"]]
+    lines: list[Line] = []
     for key in ordered:
         group = groups[key]
         name = ", ".join([f"`{key[0]}`", *filter(None, (key[1], key[2] if several else ""))])
-        paper = task.paper_value(table, *_of_paper(loaded, group[0]), mode)
         seeds = ", ".join(str(row["seed"]) for row in group)
         command = group[0]["command"].partition(" --seeds")[0] + f" --seeds {seeds.replace(' ', '')}"
         minutes = sum(row["cpu_seconds"] for row in group) / len(group) / 60
-        cells = [name, *(shown(pooled[key].get(each)) for each in measures), seeds]
-        cells += [f"{group[0]['training']['steps']:,}"] if trained else []
-        lines.append([*cells, f"{minutes:.1f}", f"`{command}`"])
-        if paper is not None:
-            lines.append([PAPER, *paper_cells(paper, measures), *[""] * (len(heads) - len(measures) + 1)])
-    found = {_of_paper(loaded, group[0]) for group in groups.values()}
-    for label, other in paper_rows(task, table, mode, found):
-        figures = paper_cells(other, measures)
-        lines.append([label, *figures, *[""] * (len(lines[0]) - len(figures) - 1)])
-    return lines
-
-
-def _of_paper(loaded: Loaded, row: Row) -> tuple[str, str]:
-    """Return the row and the variant of the paper's table that are shown beside a row."""
-    return row["paper"], loaded.experiment.variants[row["variant"]].paper or row["variant"]
+        steps = [f"{group[0]['training']['steps']:,}"] if trained else []
+        paper = task.paper_value(table, *loaded.experiment.of_paper(*key[:2]), mode)
+        lines.append((name, pooled[key], paper, [seeds, *steps, f"{minutes:.1f}", f"`{command}`"]))
+    others = paper_rows(task, table, mode, {loaded.experiment.of_paper(*key[:2]) for key in groups})
+    return measure_table(task, ["seeds", *["steps"] * trained, "CPU min", "command"], lines, others)
 
 
 def _sources(loaded: Loaded, rows: Sequence[Row]) -> str:
-    """Return sentences on the paper, the versions and the CPU time."""
     paper = paper_table(loaded.experiment.paper)
     sources = [f"The paper's figures: {paper['source']}. {paper['note']}"] if paper else []
     details = {loaded.task.paper_details(loaded.experiment.paper, row["mode"])[1] for row in rows if row["details"]}
@@ -364,6 +324,5 @@ def _sources(loaded: Loaded, rows: Sequence[Row]) -> str:
     versions = ", ".join(sorted({row["versions"]["logicity"] for row in rows}))
     # The evaluations of a cell share its training.
     seconds = {tuple(row[key] for key in KEY if key != "evaluation"): row["cpu_seconds"] for row in rows}
-    return " ".join(
-        [*sources, f"Version {versions} of logicity; {sum(seconds.values()) / 3600:.2f} CPU hours in all.\n"]
-    )
+    hours = sum(seconds.values()) / 3600
+    return " ".join([*sources, f"Version {versions} of logicity; {hours:.2f} CPU hours in all.\n"])

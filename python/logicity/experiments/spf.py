@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import json
 import re
-import shutil
 from collections import Counter
 from collections.abc import Iterable, Iterator, Mapping, Sequence
 from functools import cache
@@ -21,7 +20,7 @@ from ..errors import InputError, did_you_mean
 from ..evaluation import Benchmark, Interval
 from ..files import read_json
 from ..learn.config import TrainConfig, unused
-from ..learn.faults import Fault, contains, merged
+from ..learn.faults import Fault, contains
 from ..learn.learner import LearnedPolicy
 from ..learn.policies import load_policy
 from ..learn.run import config_faults, train
@@ -29,7 +28,7 @@ from ..learn.settings import Count, Seed, StrictModel
 from ..learn.storage import policy_hash
 from ..modes import ENVIRONMENTS, checked_mode
 from ..tasks import load_task, task_hashes
-from .experiment import Experiment, Row, Selection, changes_of, option_error, place_of, read_experiment
+from .experiment import Experiment, Row, Selection, changes_of, fault_error, read_experiment
 from .statistics import pooled
 from .task import Cell, CellKey, Running, Task
 
@@ -37,9 +36,6 @@ __all__ = ["EvaluationSpec", "SafePathFollowing", "SpfExperiment", "per_episode"
 
 #: The version of what determines a cell.
 FORMAT = 1
-
-#: The placeholders in the key `config`.
-PLACEHOLDERS = ("{row}", "{mode}")
 
 #: The settings of a short run of a learner in environments, and of another learner.
 QUICK = {True: {"steps": 512, "validate_every": 256}, False: {"steps": 8, "validate_every": 4}}
@@ -93,6 +89,8 @@ class SafePathFollowing(Task):
     measures: ClassVar[Mapping[str, str]] = {"tsr": "TSR", "dsr": "DSR", "score": "Score"}
     headline = "tsr"
     measured_on = "test episodes"
+    sampled = "samples"
+    more_measures = ("compliance",)
     interval_note = (
         "Intervals (95 %): over episodes for one seed (Wilson, or 1.96 standard errors for the score), over seeds "
         "and episodes for several (bootstrap; Wilson for rates of 0 or 1)."
@@ -124,12 +122,13 @@ class SafePathFollowing(Task):
 
     def faults(self, experiment: SpfExperiment, file: Path) -> Iterator[Fault]:
         """Yield the unknown placeholders in `config`."""
+        known = ("{row}", "{mode}")
         configs: list[tuple[list[str], str]] = [(["config"], experiment.config)]
         configs += [(["learners", row, "config"], spec.config or "") for row, spec in experiment.learners.items()]
         for path, name in configs:
             for placeholder in re.findall(r"\{[^{}]*\}", name):
-                if placeholder not in PLACEHOLDERS:
-                    message = f"unknown placeholder `{placeholder}`{did_you_mean(placeholder, PLACEHOLDERS)}"
+                if placeholder not in known:
+                    message = f"unknown placeholder `{placeholder}`{did_you_mean(placeholder, known)}"
                     yield "invalid-value", path, message, ""
 
     def settings(
@@ -138,29 +137,25 @@ class SafePathFollowing(Task):
         """Return the training configuration of a cell, without `start`."""
         spec = experiment.learners[key.row]
         name = (spec.config or experiment.config).replace("{row}", key.row).replace("{mode}", Path(key.mode).stem)
-        path, base = _training_file(file, name), {"mode": key.mode}
-        in_file = read_experiment(file)[1]
-        places = experiment.places(key.row, key.variant, selection.quick)
+        path, in_file = _training_file(file, name), read_experiment(file)[1]
+        places = experiment.places(key.row, key.variant, False)
 
         def rejected(wrong: list[Fault]) -> BaseException:
-            for fault in wrong:
-                if contains(selection.changes, fault[1]):
-                    return option_error(fault)
-            found = [(code, place_of(places, at) or at, message, help) for code, at, message, help in wrong]
-            return in_file.error(found)
+            return fault_error(in_file, wrong, selection.changes, places)
 
-        def loaded(changes: Mapping[str, Any]) -> TrainConfig:
-            return TrainConfig.load(path, seed=key.seed, changes=merged(changes, selection.changes), rejected=rejected)
+        def loaded() -> TrainConfig:
+            changes = {"mode": key.mode, **changes_of(places, selection.changes)}
+            return TrainConfig.load(path, seed=key.seed, changes=changes, rejected=rejected)
 
         try:
-            config = loaded(merged(base, changes_of(experiment.places(key.row, key.variant, False))))
+            config = loaded()
         except FileNotFoundError as error:
             at = ["learners", key.row, *(["config"] if spec.config else [])]
             help = "the key `config` names the training configuration"
             raise in_file.error([("missing-file", at, str(error), help)]) from None
         if selection.quick:
             places = experiment.places(key.row, key.variant, True, QUICK[config.learner.interacts])
-            config = loaded(merged(base, changes_of(places)))
+            config = loaded()
         if started and (reason := unused(config.algorithm).get("start")):
             message = f"`{config.algorithm}` does not use the key `start`: {reason}"
             variant = experiment.variants[key.variant]
@@ -219,24 +214,13 @@ class SafePathFollowing(Task):
                 f"`{config.mode}` has another content of {', '.join(changed)} than when the experiment began: run the "
                 "same command again"
             )
-        result = _trained(folder) or train(
-            config,
-            folder,
-            progress=running.progress,
-            report=running.report,
-            wandb=running.wandb,
-            trust=running.trust,
-        )
+        options = {name: getattr(running, name) for name in ("progress", "report", "wandb", "trust")}
+        result = _trained(folder) or train(config, folder, **options)
         evaluations = _evaluated(folder, config, spec["evaluations"], load_policy(folder).policy, result["test"])
         if config.start is not None:
             # The path depends on the machine; the hash of the file is in the result.
             result["config"]["start"] = Path(config.start).name
         return {"result": {key: result[key] for key in result if key != "test"}, "evaluations": evaluations}
-
-    def clean(self, folder: Path) -> None:
-        """Remove the checkpoints."""
-        for checkpoint in folder.glob("checkpoint-*"):
-            shutil.rmtree(checkpoint)
 
     def measure_again(self, cell: Cell, root: Path) -> dict[str, dict[str, Any]]:
         """Evaluate the best policy."""
@@ -252,11 +236,7 @@ class SafePathFollowing(Task):
         return policy_hash(load_policy(cell.folder(root)).policy)
 
     def intervals(self, evaluations: Sequence[Mapping[str, Any]]) -> dict[str, Interval]:
-        """Return the measures of the runs with 95 % intervals.
-
-        For one run, the intervals are those of the evaluation, over its episodes. For several, see
-        `logicity.experiments.statistics.pooled`.
-        """
+        """Return the measures with 95 % intervals: those of the evaluation of one run, or of several, see `pooled`."""
         if len(evaluations) == 1:
             return {name: Interval(**evaluations[0][name]) for name in self.measures}
         return pooled([per_episode(each) for each in evaluations], rates=("tsr", "dsr"))
@@ -268,11 +248,7 @@ class SafePathFollowing(Task):
 
     def evaluation_of(self, row: Mapping[str, Any]) -> dict[str, Any]:
         """Return the measures and the values of the episodes."""
-        return {**row["measures"], "samples": row["samples"]}
-
-    def more_measures(self, evaluation: Mapping[str, Any]) -> dict[str, Any]:
-        """Return the rule compliance rate."""
-        return {"compliance": evaluation["compliance"]}
+        return {**row["measures"], **super().evaluation_of(row)}
 
     def details(self, measured: Mapping[str, Any], name: str) -> dict[str, float]:
         """Return the share of episodes that end because the policy violates a clause, by clause."""
@@ -337,10 +313,7 @@ def _training_file(file: Path, name: str) -> Path:
 
 
 def _trained(folder: Path) -> dict[str, Any] | None:
-    """Return the result of a finished training in the folder of a cell, or `None`.
-
-    A cell with one was reused or has lost its `measured.json`.
-    """
+    """Return the result of a finished training in the folder of a cell that was reused or lost its `measured.json`."""
     try:
         result = read_json(folder / "result.json")
     except (FileNotFoundError, ValueError):

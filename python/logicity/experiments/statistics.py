@@ -1,4 +1,4 @@
-"""Intervals of measures over several runs, by a bootstrap.
+"""Groups of runs, and intervals of measures over several runs, by a bootstrap.
 
 `pooled` is for runs on the same samples: it draws runs and, independently, samples. `pooled_shares` is for runs on
 different samples, which come in clusters: it draws runs and, in each of them, clusters.
@@ -6,17 +6,29 @@ different samples, which come in clusters: it draws runs and, in each of them, c
 
 from __future__ import annotations
 
-from collections.abc import Collection, Mapping, Sequence
+from collections.abc import Collection, Iterable, Mapping, Sequence
+from typing import TypeVar
 
 import numpy as np
 from numpy.typing import NDArray
 
 from ..evaluation import Interval
 
-__all__ = ["bootstrap_weights", "pooled", "pooled_shares"]
+__all__ = ["bootstrap_weights", "grouped", "pooled", "pooled_shares"]
+
+Key = TypeVar("Key")
+Value = TypeVar("Value")
 
 #: The number of samples of a bootstrap interval.
 SAMPLES = 2000
+
+
+def grouped(pairs: Iterable[tuple[Key, Value]]) -> dict[Key, list[Value]]:
+    """Return the values of each key, in their order."""
+    groups: dict[Key, list[Value]] = {}
+    for key, value in pairs:
+        groups.setdefault(key, []).append(value)
+    return groups
 
 
 def bootstrap_weights(generator: np.random.Generator, count: int) -> NDArray[np.float64]:
@@ -29,11 +41,8 @@ def bootstrap_weights(generator: np.random.Generator, count: int) -> NDArray[np.
 def pooled(tables: Sequence[Mapping[str, NDArray[np.float64]]], rates: Collection[str] = ()) -> dict[str, Interval]:
     """Return the means of measures over runs with 95 % intervals, which are percentiles of a bootstrap.
 
-    A rate of 0 or 1, of which a bootstrap says nothing, has the Wilson interval over the episodes of one run.
-
-    Args:
-        tables: For each run, the values of each measure by episode, float64 (E,).
-        rates: The measures whose values are 0 or 1.
+    A rate of 0 or 1, of which a bootstrap says nothing, has the Wilson interval over the episodes of one run. Each run
+    has a table of the values of each measure by episode, float64 (E,); those of rates are 0 or 1.
     """
     generator = np.random.default_rng(0)
     result = {}
@@ -56,10 +65,8 @@ def pooled_shares(runs: Sequence[Mapping[str, NDArray[np.float64]]]) -> dict[str
     A share is that of the successes among the trials of all runs. The intervals are percentiles of a two-stage
     bootstrap (Davison and Hinkley, 1997, section 3.8), which draws runs and, in each drawn run, clusters of samples. A
     share of 0 or 1, of which a bootstrap says nothing, has the Wilson interval over the clusters with trials. A share
-    without trials is missing.
-
-    Args:
-        runs: For each run, the number of successes and of trials of each share by cluster, float64 (C, 2).
+    without trials is missing. Each run has the number of successes and of trials of each share by cluster, float64
+    (C, 2).
     """
     generator = np.random.default_rng(0)
     names = list(runs[0])

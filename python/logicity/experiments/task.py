@@ -8,6 +8,7 @@ from abc import ABC, abstractmethod
 from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import dataclass, field
 from functools import cached_property
+from itertools import product
 from pathlib import Path
 from typing import Any, ClassVar
 
@@ -16,7 +17,8 @@ from pydantic import BaseModel
 from ..errors import did_you_mean
 from ..evaluation import Interval
 from ..learn.faults import Fault
-from .experiment import Experiment, Selection
+from ..terminal import print_message
+from .experiment import Experiment, Place, Selection
 from .paper import paper_table
 
 __all__ = ["Cell", "CellKey", "Running", "Task"]
@@ -24,14 +26,7 @@ __all__ = ["Cell", "CellKey", "Running", "Task"]
 
 @dataclass(frozen=True)
 class CellKey:
-    """The names of a cell of an experiment.
-
-    Attributes:
-        row: The name of the row: a learner with its settings.
-        mode: The mode of the column.
-        variant: The name of the variant, or an empty text.
-        seed: The seed.
-    """
+    """The row, the mode of the column, the variant (or an empty text) and the seed of a cell of an experiment."""
 
     row: str
     mode: str
@@ -44,7 +39,6 @@ class Cell(CellKey):
     """A cell of an experiment: one run, with its measures.
 
     Attributes:
-        task: The task.
         settings: The settings, as `Task.settings` returns them.
         evaluations: The evaluations by name, for tasks that have several.
         start: The cell from whose model the training starts.
@@ -101,7 +95,7 @@ class Running:
     progress: bool = False
     wandb: str | None = None
     trust: bool = False
-    note: Callable[[str], None] = lambda text: None
+    note: Callable[[str], None] = print_message
 
 
 class Task(ABC):
@@ -127,8 +121,12 @@ class Task(ABC):
     headline: ClassVar[str]
     #: What the headline is measured on, for the axes of figures.
     measured_on: ClassVar[str]
+    #: The name of the file of the model, unless it differs between cells.
+    model_file: ClassVar[str] = ""
     #: The key of evaluations with what `intervals` needs.
     sampled: ClassVar[str]
+    #: Other measures, which published rows have and tables do not show.
+    more_measures: ClassVar[Sequence[str]] = ()
     #: A sentence on the intervals.
     interval_note: ClassVar[str]
     #: The title of the details of an evaluation.
@@ -155,22 +153,30 @@ class Task(ABC):
         return mode
 
     def faults(self, experiment: Any, file: Path) -> Iterable[Fault]:
-        """Return the errors in the keys of the task."""
+        """Return the errors in the keys of the task. By default those in settings, see `setting_faults`."""
+        # A value of the experiment is part of many cells.
+        first: dict[tuple[str, ...], Fault] = {}
+        for quick, (row, spec) in product((False, True), experiment.learners.items()):
+            for variant in spec.variants or experiment.variants:
+                places = experiment.places(row, variant, quick)
+                for fault in self.setting_faults(experiment, file, row, variant, places):
+                    first.setdefault(tuple(fault[1]), fault)
+        return first.values()
+
+    def setting_faults(
+        self, experiment: Any, file: Path, row: str, variant: str, places: Sequence[Place]
+    ) -> Iterable[Fault]:
+        """Return the errors in the settings of a row and a variant, which may be unknown, where they are written."""
         return ()
 
     @abstractmethod
     def settings(
         self, experiment: Any, file: Path, key: CellKey, selection: Selection, *, started: bool, check: bool
     ) -> BaseModel:
-        """Return the settings of a cell.
+        """Return the settings of a cell of an experiment with a file, with the changes of a selection.
 
-        Args:
-            experiment: The experiment.
-            file: Its file.
-            key: The names of the cell.
-            selection: Changes to the settings.
-            started: Whether the cell starts from another one.
-            check: Whether to check what otherwise appears when the cell runs. It does not depend on the seed.
+        `started` is whether the cell starts from another one, and `check` whether to check what otherwise appears when
+        the cell runs, which does not depend on the seed.
 
         Raises:
             InputError: If the file has an invalid setting.
@@ -195,11 +201,7 @@ class Task(ABC):
 
     @staticmethod
     def check_unchanged(spec: Mapping[str, Any], today: Mapping[str, Any]) -> None:
-        """Check that this process has the rules and other parts of the specification of a cell.
-
-        Raises:
-            ValueError: If one of them is different.
-        """
+        """Raise `ValueError` if this process has other rules or other parts than the specification of a cell."""
         for name, value in today.items():
             if value != spec.get(name):
                 raise ValueError(f"the {name} changed after the experiment had begun: run the same command again")
@@ -208,9 +210,9 @@ class Task(ABC):
     def steps(self, cell: Cell) -> int:
         """Return the number of steps of a cell, for estimates."""
 
-    @abstractmethod
     def model(self, folder: Path) -> Path:
         """Return the file of the model in the folder of a finished cell, from which other cells start."""
+        return folder / self.model_file
 
     # --- how it runs and is measured
 
@@ -223,9 +225,6 @@ class Task(ABC):
         Raises:
             ValueError: If this process has other rules or episodes than the cell.
         """
-
-    def clean(self, folder: Path) -> None:  # noqa: B027
-        """Remove the files that a finished cell does not need."""
 
     @abstractmethod
     def measure_again(self, cell: Cell, root: Path) -> Mapping[str, Mapping[str, Any]]:
@@ -249,16 +248,12 @@ class Task(ABC):
         """Return what `intervals` needs of an evaluation, for the published rows. By default the value of `sampled`."""
         return evaluation[self.sampled]
 
-    @abstractmethod
     def evaluation_of(self, row: Mapping[str, Any]) -> dict[str, Any]:
         """Return an evaluation that has what `intervals` needs, from a published row."""
+        return {self.sampled: row["samples"]}
 
     def details(self, measured: Mapping[str, Any], name: str) -> dict[str, float]:
         """Return more figures of an evaluation with a name: one column of the table `details_title`."""
-        return {}
-
-    def more_measures(self, evaluation: Mapping[str, Any]) -> dict[str, Any]:
-        """Return measures of an evaluation that published rows have and tables do not show."""
         return {}
 
     def remarks(self, evaluations: Sequence[Mapping[str, Any]]) -> Iterable[str]:

@@ -5,7 +5,7 @@ from __future__ import annotations
 import platform
 import tempfile
 import time
-from collections.abc import Iterable, Iterator, Mapping, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from pathlib import Path
 from typing import Annotated, Any, ClassVar, Literal, cast
 
@@ -26,7 +26,7 @@ from ..learn.faults import Fault, faults
 from ..learn.storage import weights_hash
 from ..vap.stages import NO_CONCEPTS, VapSettings, VapWork, measure, rules_hash, train_stage
 from ..vap.training import save
-from .experiment import Experiment, Selection, changes_of, first_at, place_of, unknown_in
+from .experiment import Experiment, Place, Selection, changes_of, place_of, unknown_in
 from .paper import paper_table
 from .statistics import bootstrap_weights
 from .task import Cell, CellKey, Running, Task
@@ -35,9 +35,6 @@ __all__ = ["VapExperiment", "VisualActionPrediction", "measures_of_worlds"]
 
 #: The version of what determines a cell.
 FORMAT = 1
-
-#: The keys of each world of an evaluation.
-WORLD_KEYS = ("world", "frames", "a_acc", "counts", "correct")
 
 #: Describes an unknown setting.
 UNKNOWN = unknown_in(VapSettings, whole=True)
@@ -66,6 +63,7 @@ class VisualActionPrediction(Task):
     measures: ClassVar[Mapping[str, str]] = {name: name for name in (*ACTIONS, "aAcc", "wAcc")}
     headline = "wAcc"
     measured_on = "test worlds"
+    model_file = "model.pt"
     sampled = "worlds"
     interval_note = (
         "Intervals (95 %): bootstrap over seeds and, independently, over test worlds. Values of one seed and one "
@@ -75,19 +73,10 @@ class VisualActionPrediction(Task):
     paper = "vap"
     mode_titles: ClassVar[Mapping[str, str]] = {"easy": "easy", "hard": "hard"}
 
-    def faults(self, experiment: VapExperiment, file: Path) -> Iterable[Fault]:
-        """Return the errors in settings, where their values are written, and rows that lack a `start`."""
-        return first_at(
-            fault
-            for quick in (False, True)
-            for row, spec in experiment.learners.items()
-            for name in spec.variants or experiment.variants
-            for fault in self._cell_faults(experiment, row, name, quick)
-        )
-
-    def _cell_faults(self, experiment: VapExperiment, row: str, name: str, quick: bool) -> Iterator[Fault]:
-        """Yield the errors in the settings of a row and the variant with a name."""
-        places = experiment.places(row, name, quick)
+    def setting_faults(
+        self, experiment: VapExperiment, file: Path, row: str, variant: str, places: Sequence[Place]
+    ) -> Iterator[Fault]:
+        """Yield the errors in settings, and rows that lack a `start`."""
         try:
             settings = VapSettings.model_validate(changes_of(places))
         except ValidationError as error:
@@ -97,8 +86,8 @@ class VisualActionPrediction(Task):
                 cell = f"settings of `{row}`: " if not path or at[:2] == ["learners", row] else ""
                 yield code, at, f"{cell}{message}", help
             return
-        # An unknown variant is another fault.
-        starts = [spec.start for spec in (experiment.learners[row], experiment.variants.get(name)) if spec is not None]
+        specs = (experiment.learners[row], experiment.variants.get(variant))
+        starts = [spec.start for spec in specs if spec is not None]
         if settings.needs_concepts and all(start is None for start in starts):
             yield "invalid-value", ["learners", row], f"`{row}`: {NO_CONCEPTS}", ""
 
@@ -138,10 +127,6 @@ class VisualActionPrediction(Task):
         """Return the number of epochs."""
         return 1 if cell.settings.stage in ("induction", "bound") else cell.settings.training.epochs
 
-    def model(self, folder: Path) -> Path:
-        """Return the file of the model."""
-        return folder / "model.pt"
-
     def run(self, running: Running) -> dict[str, Any]:
         """Make the data, train the model, and measure it."""
         document, spec = running.document, running.document["spec"]
@@ -170,10 +155,6 @@ class VisualActionPrediction(Task):
         }
         return {"result": result, "evaluations": evaluations, "concepts": concepts}
 
-    def clean(self, folder: Path) -> None:
-        """Remove the checkpoint."""
-        (folder / "checkpoint.pt").unlink(missing_ok=True)
-
     def measure_again(self, cell: Cell, root: Path) -> dict[str, dict[str, Any]]:
         """Measure the model on the test worlds."""
         # One thread, as in `run`: with several, measures could differ.
@@ -198,7 +179,8 @@ class VisualActionPrediction(Task):
 
     def evaluation_of(self, row: Mapping[str, Any]) -> dict[str, Any]:
         """Return the measures and the counts of each world."""
-        return {"worlds": row["samples"], "values": {name: each["value"] for name, each in row["measures"].items()}}
+        values = {name: each["value"] for name, each in row["measures"].items()}
+        return {**super().evaluation_of(row), "values": values}
 
     def details(self, measured: Mapping[str, Any], name: str) -> dict[str, float]:
         """Return the recall of each concept that occurs, for the first predictor."""
@@ -208,7 +190,8 @@ class VisualActionPrediction(Task):
 
     def row_faults(self, row: Mapping[str, Any], experiment: VapExperiment) -> Iterator[str]:
         """Yield the differences from the rules, the settings and the counts of the worlds."""
-        if any(each.keys() != set(WORLD_KEYS) for each in row["samples"]):
+        keys = {"world", "frames", "a_acc", "counts", "correct"}
+        if any(each.keys() != keys for each in row["samples"]):
             yield "other keys"
             return
         if row["hashes"].get("rules") != rules_hash(row["mode"]):
@@ -233,19 +216,16 @@ class VisualActionPrediction(Task):
         concepts = paper_table("vap-concepts")
         if table is None or mode != concepts["mode"]:
             return {}, ""
-        return {
-            f"the paper's, {concepts['measured']}": concepts["concepts"]
-        }, f"{concepts['source']}. {concepts['note']}"
+        heading, source = f"the paper's, {concepts['measured']}", f"{concepts['source']}. {concepts['note']}"
+        return {heading: concepts["concepts"]}, source
 
 
 def measures_of_worlds(runs: Sequence[Sequence[Mapping[str, Any]]]) -> dict[str, Interval]:
     """Return the measures of several runs on the same worlds, with 95 % intervals.
 
     The values are means over the runs. The intervals are percentiles of a bootstrap that draws runs and, independently,
-    worlds, because the pictures of a world are alike. Actions that do not occur have no recall.
-
-    Args:
-        runs: For each run, the `worlds` of its evaluation.
+    worlds, because the pictures of a world are alike. Actions that do not occur have no recall. Each run has the
+    `worlds` of its evaluation.
     """
     generator = np.random.default_rng(0)
     tables = _tables(runs)
@@ -280,10 +260,7 @@ def _measures(
 ) -> dict[str, NDArray[np.float64]]:
     """Return each measure for each sample (S,), NaN where an action does not occur.
 
-    Args:
-        tables: `counts` and `correct` (R, W, 4), `a_acc` and `frames` (R, W).
-        of_runs: The weights of runs (S, R).
-        of_worlds: The weights of worlds (S, W).
+    The tables are `counts` and `correct` (R, W, 4), `a_acc` and `frames` (R, W). The weights are (S, R) and (S, W).
     """
     counts, correct = (np.einsum("sw,rwa->sra", of_worlds, tables[name]) for name in ("counts", "correct"))
     with np.errstate(invalid="ignore", divide="ignore"):

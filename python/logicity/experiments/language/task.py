@@ -11,7 +11,7 @@ import json
 import os
 import platform
 import time
-from collections.abc import Iterable, Iterator, Mapping, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from pathlib import Path
 from typing import Annotated, Any, ClassVar, Literal
 
@@ -46,8 +46,8 @@ from ...questions import (
 from ...redaction import masked, shown_url
 from ...rules import Program
 from ...tasks import files_hash
-from ..experiment import Experiment, Selection, changes_of, first_at, option_error, place_of, unknown_in
-from ..statistics import pooled_shares
+from ..experiment import Experiment, Place, Selection, changes_of, option_error, place_of, unknown_in
+from ..statistics import grouped, pooled_shares
 from ..task import Cell, CellKey, Running, Task
 from .solvers import SOLVERS, run_command
 
@@ -55,9 +55,6 @@ __all__ = ["EndpointSettings", "LanguageExperiment", "LanguageQuestions", "Langu
 
 #: The version of what determines a cell.
 FORMAT = 2
-
-#: The settings of a short run.
-QUICK: dict[str, Any] = {"count": 8}
 
 #: The environment variable with the endpoint, whose address and settings may have secrets.
 ENDPOINT = "LOGICITY_ENDPOINT"
@@ -89,11 +86,7 @@ class EndpointSettings(StrictModel):
     """The largest number of attempts per request."""
 
     def endpoint(self) -> Endpoint:
-        """Return the endpoint.
-
-        Raises:
-            ValueError: If a setting is invalid, or the environment variable of the key is not set.
-        """
+        """Return the endpoint. Raises `ValueError` for an invalid setting, or if the variable of the key is not set."""
         try:
             key = key_from(self.key_from)
         except ValueError as error:
@@ -156,6 +149,7 @@ class LanguageQuestions(Task):
     mode_word = "prompt"
     headline = "overall"
     measured_on = "questions"
+    model_file = "replies.jsonl"
     sampled = "replies"
     interval_note = (
         "Accuracy by correct action. The 95 % intervals are percentiles of a bootstrap that draws sets and, in each, "
@@ -169,20 +163,12 @@ class LanguageQuestions(Task):
     paper = "language"
     chance = 1 / len(LETTERS)
 
-    def faults(self, experiment: LanguageExperiment, file: Path) -> Iterable[Fault]:
-        """Return the errors in settings, where their values are written."""
-        cells = (
-            (row, variant)
-            for row, spec in experiment.learners.items()
-            for variant in spec.variants or experiment.variants
-        )
-        return first_at(fault for row, variant in cells for fault in self._cell_faults(experiment, file, row, variant))
-
-    def _cell_faults(self, experiment: LanguageExperiment, file: Path, row: str, variant: str) -> Iterator[Fault]:
-        places, spec = experiment.places(row, variant, False), experiment.learners[row]
-        # Unknown names of variants are other faults.
+    def setting_faults(
+        self, experiment: LanguageExperiment, file: Path, row: str, variant: str, places: Sequence[Place]
+    ) -> Iterator[Fault]:
+        """Yield the errors in settings."""
         own = experiment.variants[variant].mode if variant in experiment.variants else None
-        modes = (own,) if own else spec.modes or experiment.modes
+        modes = (own,) if own else experiment.learners[row].modes or experiment.modes
         for code, path, message, help in _faults(row, changes_of(places), file, modes):
             missing = path[-1:] * (code == "missing-key")
             at = place_of(places, path[: -len(missing) or None]) or ["learners", row]
@@ -192,7 +178,7 @@ class LanguageQuestions(Task):
         self, experiment: Any, file: Path, key: CellKey, selection: Selection, *, started: bool, check: bool
     ) -> LanguageSettings:
         """Return the settings of a cell, with its solver if it has no endpoint."""
-        values = changes_of(experiment.places(key.row, key.variant, selection.quick, QUICK), selection.changes)
+        values = changes_of(experiment.places(key.row, key.variant, selection.quick, {"count": 8}), selection.changes)
         for fault in _faults(key.row, values, file, (key.mode,)):
             raise option_error(fault)
         settings = LanguageSettings.model_validate(values)
@@ -232,10 +218,6 @@ class LanguageQuestions(Task):
     def steps(self, cell: Cell) -> int:
         """Return the number of questions."""
         return int(cell.settings.count)
-
-    def model(self, folder: Path) -> Path:
-        """Return the file of the replies."""
-        return folder / "replies.jsonl"
 
     def run(self, running: Running) -> dict[str, Any]:
         """Write the questions, have them answered, and grade the replies."""
@@ -283,8 +265,7 @@ class LanguageQuestions(Task):
         sets = _without_repetition(evaluations)
         replies = [reply for each in sets for reply in each]
         named = any(reply.get("rule") is not None for reply in replies)
-        # A set of questions that came before adds none.
-        result = pooled_shares([_by_world(each, named) for each in sets if each])
+        result = pooled_shares([_by_world(each, named) for each in sets])
         questions = [Question(str(at), "", (), "", {}, reply["answer"]) for at, reply in enumerate(replies)]
         logprobs = {str(at): reply["logprobs"] for at, reply in enumerate(replies) if "logprobs" in reply}
         if (calibration := calibrate(questions, logprobs)) is not None:
@@ -298,10 +279,6 @@ class LanguageQuestions(Task):
         if repeated := count - sum(map(len, _without_repetition(evaluations))):
             yield f"{repeated} of the {count} questions of a row are also in an earlier of its sets and count once."
 
-    def evaluation_of(self, row: Mapping[str, Any]) -> dict[str, Any]:
-        """Return the graded replies."""
-        return {"replies": row["samples"]}
-
     def details(self, measured: Mapping[str, Any], name: str) -> dict[str, float]:
         """Return the share of unread replies, if there are any."""
         replies = measured["evaluations"][name]["replies"]
@@ -312,27 +289,22 @@ class LanguageQuestions(Task):
         """Yield other rules than today's, and measures that do not follow from the samples."""
         if row["hashes"].get("rules") != files_hash(row["settings"]["config"]):
             yield "other rules"
-        measures = self.intervals([self.evaluation_of(row)])
-        if measures.keys() != row["measures"].keys():
+        measures, recorded = self.intervals([self.evaluation_of(row)]), row["measures"]
+        if measures.keys() != recorded.keys():
             yield "other measures"
             return
-        for name, interval in measures.items():
-            recorded = row["measures"][name]
-            if not all(np.isclose(recorded[key], value, rtol=0, atol=1e-6) for key, value in vars(interval).items()):
+        for name, each in measures.items():
+            if not np.allclose([recorded[name][key] for key in vars(each)], [*vars(each).values()], rtol=0, atol=1e-6):
                 yield f"another {name}"
 
 
 def _without_repetition(evaluations: Sequence[Mapping[str, Any]]) -> list[list[dict[str, Any]]]:
-    """Return the replies of each set, without those to questions that came before."""
-    known: set[str] = set()
-    sets: list[list[dict[str, Any]]] = []
-    for each in evaluations:
-        sets.append([])
+    """Return the replies of each set that has any to questions that did not come before."""
+    first: dict[str, tuple[int, dict[str, Any]]] = {}
+    for at, each in enumerate(evaluations):
         for reply in each["replies"]:
-            if reply["scene"] not in known:
-                known.add(reply["scene"])
-                sets[-1].append(reply)
-    return sets
+            first.setdefault(reply["scene"], (at, reply))
+    return list(grouped(first.values()).values())
 
 
 def _by_world(replies: Sequence[Mapping[str, Any]], named: bool) -> dict[str, NDArray[np.float64]]:
@@ -341,15 +313,14 @@ def _by_world(replies: Sequence[Mapping[str, Any]], named: bool) -> dict[str, ND
     `named` is whether to measure rules, too.
     """
     worlds = list(dict.fromkeys(reply["world"] for reply in replies))
-    names = (*ACTIONS, "overall", *(("rule", "both") if named else ()))
-    tables = {name: np.zeros((len(worlds), 2)) for name in names}
+    tables = {name: np.zeros((len(worlds), 2)) for name in (*ACTIONS, "overall", *(("rule", "both") if named else ()))}
     for reply in replies:
-        world, right = worlds.index(reply["world"]), reply["chosen"] == reply["answer"]
+        right = reply["chosen"] == reply["answer"]
         counted = {ACTIONS[LETTERS.index(reply["answer"])]: right, "overall": right}
         if named:
             counted |= {"rule": reply["derived"], "both": right and reply["derived"]}
         for name, success in counted.items():
-            tables[name][world] += (success, 1)
+            tables[name][worlds.index(reply["world"])] += (success, 1)
     return tables
 
 
@@ -364,12 +335,9 @@ def graded(questions: Sequence[Question], path: Path) -> list[dict[str, Any]]:
     for question in questions:
         if question.scene is None:
             raise ValueError(f"the question `{question.id}` has no scene: write it again with `logicity questions`")
-        reply: dict[str, Any] = {
-            "answer": question.answer,
-            "chosen": read_letter(answers[question.id]) or UNREAD,
-            "world": question.source["world"],
-            "scene": fingerprint(question.scene),
-        }
+        chosen = read_letter(answers[question.id]) or UNREAD
+        world, scene = question.source["world"], fingerprint(question.scene)
+        reply: dict[str, Any] = {"answer": question.answer, "chosen": chosen, "world": world, "scene": scene}
         if question.labels:
             rule = read_rule(answers[question.id], question.labels)
             reply |= {"rule": rule, "derived": rule in (question.clauses or (NO_RULE,))}
@@ -380,8 +348,6 @@ def graded(questions: Sequence[Question], path: Path) -> list[dict[str, Any]]:
 
 
 def _ask(questions: Sequence[Question], spec: EndpointSettings, path: Path, running: Running) -> None:
-    """Send the questions that have no reply yet. Replies are stored one by one."""
-
     def wait(seconds: float, reason: str) -> None:
         running.note(f"{reason}; next attempt in {seconds:.0f} s")
         time.sleep(seconds)
@@ -393,11 +359,7 @@ def _ask(questions: Sequence[Question], spec: EndpointSettings, path: Path, runn
 
 
 def _faults(row: str, values: Mapping[str, Any], file: Path, modes: Sequence[str]) -> Iterator[Fault]:
-    """Yield the errors in the settings of a row with some prompts, by their paths.
-
-    Raises:
-        InputError: If the configuration is invalid.
-    """
+    """Yield the errors in the settings of a row with some prompts, by their paths."""
     try:
         settings = LanguageSettings.model_validate(values)
     except ValidationError as error:
@@ -467,5 +429,4 @@ def _actions(file: _logicity.ConfigFile) -> list[str]:
         heads = set() if path is None else {clause["head"] for clause in Program.load(path).clauses}
     except FileNotFoundError:
         return []
-    default = file.value()["actions"]["default"]
-    return [action for action in ACTIONS if action in heads or action == default]
+    return [action for action in ACTIONS if action in heads | {file.value()["actions"]["default"]}]
