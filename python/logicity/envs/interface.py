@@ -36,21 +36,31 @@ class BaseEnv:
     metadata: dict[str, Any] = {"render_modes": RENDER_MODES, "render_fps": RENDER_FPS}
     render_mode: str | None
     _begun: bool
+    _core: _logicity.VectorEnv
     _spec: EnvSpec | None
 
-    def _load(self, config: EnvConfig, render_mode: str | None, episodes: str = "drawn") -> None:
-        """Load the task, and make the window of the render mode."""
+    def _load(
+        self,
+        config: EnvConfig,
+        render_mode: str | None,
+        episodes: str = "drawn",
+        batch: tuple[int, str, int] = (1, "Disabled", 1),
+    ) -> None:
+        """Load the task, and make the window of the render mode.
+
+        `batch` is the number of environments, their autoreset mode and the number of threads.
+        """
         if render_mode is not None and render_mode not in RENDER_MODES:
             raise UnsupportedMode(f"unknown render mode `{render_mode}`; known: {', '.join(RENDER_MODES)}")
         self.render_mode, self._window = render_mode, Window(RENDER_FPS) if render_mode == "human" else None
         self._episodes, self._recorded = episodes, episodes == "recorded"
-        self._config, self._kind, self._task = config, config.array_kind, config.task()
+        self._config, self._kind, self._batch = config, config.array_kind, batch
+        self._task = self._core_task = config.task()
         self._clauses, self._shape = self._task.clauses(), tuple(self._task.shape(self._kind))
         self._views = views_of(self._task, config.observation)
 
-    def _new_core(
-        self, task: _logicity.Task, count: int = 1, autoreset: str = "Disabled", threads: int = 1
-    ) -> _logicity.VectorEnv:
+    def _make_core(self, task: _logicity.Task) -> _logicity.VectorEnv:
+        count, autoreset, threads = self._batch
         core = _logicity.VectorEnv(task, self._config.split, count, autoreset, self._kind, self._episodes, threads)
         if self._config.action_masks:
             core.judge_actions()
@@ -73,17 +83,27 @@ class BaseEnv:
             del info["oracle_action"]
         return info
 
-    def _rendered(self, core: _logicity.VectorEnv, count: int) -> list[Any]:
+    def _rendered(self) -> list[Any]:
         """Return the pictures or texts of environments. With a window, show the pictures and return `None` for each."""
         if self.render_mode == "ansi":
-            return [core.text(at) for at in range(count)]
-        return self._shown([core.picture(at) for at in range(count)])
+            return [self._core.text(at) for at in range(self._batch[0])]
+        return self._shown([self._core.picture(at) for at in range(self._batch[0])])
 
     def _shown(self, pictures: list[NDArray[np.uint8]]) -> list[Any]:
         if self._window is None:
             return pictures
         self._window.show(pictures)
         return [None for _ in pictures]
+
+    @property
+    def clauses(self) -> tuple[str, ...]:
+        """The names of the clauses that actions can violate, such as `S1`, in the order of `violations`."""
+        return self._clauses
+
+    def close_extras(self, **kwargs: Any) -> None:
+        """Close the window of the render mode `human`."""
+        if self._window is not None:
+            self._window.close()
 
     def _check_masks(self) -> None:
         if not self._config.action_masks:
@@ -92,6 +112,18 @@ class BaseEnv:
     def _check_begun(self) -> None:
         if not self._begun:
             raise ResetNeeded("no episode has started: call `reset`")
+
+    def __getstate__(self) -> dict[str, Any]:
+        """Return the tasks, the episodes and the actions taken, which determine the state."""
+        state = {key: value for key, value in self.__dict__.items() if key != "_core"}
+        return {**state, "_states": states_of(self._core, self._batch[0])}
+
+    def __setstate__(self, state: dict[str, Any]) -> None:
+        """Start the same episodes and take the same actions."""
+        states = state.pop("_states")
+        self.__dict__.update(state)
+        self._core = self._make_core(self._core_task)
+        restore_states(self._core, states, np.empty((self._batch[0], *self._shape), np.float32))
 
     # Two environments cannot share a city.
     __copy__ = deepcopy
@@ -161,7 +193,7 @@ def wrong_limit(limit: int, horizon: int) -> ValueError:
 States = list[tuple[list[int], tuple[dict[str, Any], bytes] | None]]
 
 
-def states_of(core: _logicity.VectorEnv, count: int = 1) -> States:
+def states_of(core: _logicity.VectorEnv, count: int) -> States:
     """Return the states of all environments."""
     return [
         (core.source(at), (core.episode(at), core.taken(at)) if core.has_begun(at) else None) for at in range(count)

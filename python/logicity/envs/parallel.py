@@ -3,8 +3,7 @@
 from __future__ import annotations
 
 import os
-from collections.abc import Mapping
-from typing import TYPE_CHECKING, Any, TypeVar, cast
+from typing import TYPE_CHECKING, Any, cast
 
 import numpy as np
 
@@ -28,8 +27,6 @@ if TYPE_CHECKING:
     from typing_extensions import Unpack  # Python 3.11; only annotations use it
 
 __all__ = ["SPFParallelEnv"]
-
-_T = TypeVar("_T")
 
 
 class SPFParallelEnv(BaseEnv, ParallelEnv[str, Any, "np.int64 | int"]):
@@ -73,7 +70,8 @@ class SPFParallelEnv(BaseEnv, ParallelEnv[str, Any, "np.int64 | int"]):
         Raises:
             KeyError: If the car is unknown.
         """
-        return self._of(self.observation_spaces, agent)
+        self._check_known(agent)
+        return self.observation_spaces[agent]
 
     def action_space(self, agent: str) -> Discrete:
         """Return the action space of a car. Every call returns the same object.
@@ -81,12 +79,12 @@ class SPFParallelEnv(BaseEnv, ParallelEnv[str, Any, "np.int64 | int"]):
         Raises:
             KeyError: If the car is unknown.
         """
-        return self._of(self.action_spaces, agent)
+        self._check_known(agent)
+        return self.action_spaces[agent]
 
-    def _of(self, by_car: Mapping[str, _T], agent: str) -> _T:
-        if agent not in by_car:
+    def _check_known(self, agent: str) -> None:
+        if agent not in self._index:
             raise KeyError(self._unknown(agent))
-        return by_car[agent]
 
     def _unknown(self, agent: object) -> str:
         return f"unknown car `{agent}`{did_you_mean(agent, self.possible_agents)}"
@@ -163,11 +161,6 @@ class SPFParallelEnv(BaseEnv, ParallelEnv[str, Any, "np.int64 | int"]):
         )
 
     @property
-    def clauses(self) -> tuple[str, ...]:
-        """The names of the clauses that actions can violate, such as `S1`, in the order of `info["violations"]`."""
-        return self._clauses
-
-    @property
     def episode(self) -> EpisodeStart:
         """The start of the current episode. Pass it to `reset(options={"episode": ...})` to restart it."""
         self._check_begun()
@@ -198,10 +191,7 @@ class SPFParallelEnv(BaseEnv, ParallelEnv[str, Any, "np.int64 | int"]):
             return "\n".join(self._cars.text(car) for car in range(len(self.possible_agents)))
         return self._shown([self._cars.picture()])[0]
 
-    def close(self) -> None:
-        """Close the window of the render mode `human`."""
-        if self._window is not None:
-            self._window.close()
+    close = BaseEnv.close_extras
 
     def __getstate__(self) -> dict[str, Any]:
         """Return the task, the episode and the actions taken, which determine the state."""

@@ -20,9 +20,8 @@ with extra("gym"):
     from gymnasium.spaces import Discrete
 
 from ..types import EnvOptions, Episodes, EpisodeStart
-from . import interface
 from .config import EnvConfig
-from .interface import BaseEnv, HorizonSpec
+from .interface import BaseEnv, HorizonSpec, check_options, checked_action, checked_seed, masks_of, parse_episode
 from .views import Observations
 
 if TYPE_CHECKING:
@@ -101,13 +100,9 @@ class SPFEnv(BaseEnv, gymnasium.Env[Any, np.int64]):
         """Load the configuration and the rules."""
         self._load(EnvConfig(config, SPFEnv, **options), render_mode, episodes)
         self._atoms, self.observation_space, self.action_space = atoms, self._space(), Discrete(4)
-        self._base = self._new_core(self._task)
-        self._core, self._core_task = self._base, self._task
+        self._core = self._make_core(self._task)
         self._overrides: dict[str, Any] = {}
         self._seeded = self._begun = False
-
-    def _new_observation(self) -> Observations:
-        return np.empty(self._shape, np.float32)
 
     def reset(self, *, seed: int | None = None, options: dict[str, Any] | None = None) -> tuple[Any, dict[str, Any]]:
         """Start an episode, and return the observation and `info`.
@@ -125,16 +120,14 @@ class SPFEnv(BaseEnv, gymnasium.Env[Any, np.int64]):
         """
         super().reset(seed=seed)
         options = options or {}
-        interface.check_options(options, ("episode", "map", "agents"))
+        check_options(options, ("episode", "map", "agents"))
         if seed is not None or not self._seeded:
-            self._base.seed(0, interface.checked_seed(seed, self.np_random), 0)
+            self._core.seed(0, checked_seed(seed, self.np_random), 0)
             self._seeded = True
         self._apply_overrides({key: options[key] for key in ("map", "agents") if options.get(key) is not None})
-        observation = self._new_observation()
+        observation = np.empty(self._shape, np.float32)
         self._begun = False
-        self._core.reset([interface.parse_episode(options.get("episode"))], observation)
-        if self._core is not self._base:
-            self._base.seed(0, *self._core.source(0))
+        self._core.reset([parse_episode(options.get("episode"))], observation)
         self._begun = True
         return self._result(observation, self._core.info(0))
 
@@ -149,15 +142,14 @@ class SPFEnv(BaseEnv, gymnasium.Env[Any, np.int64]):
 
     def _apply_overrides(self, overrides: dict[str, Any]) -> None:
         """Switch to the configuration with these overrides, and continue the sequence of episodes."""
-        if not overrides:
-            self._core, self._core_task, self._overrides = self._base, self._task, {}
+        if overrides == self._overrides:
             return
-        if self._core is self._base or overrides != self._overrides:
-            task = self._config.task(**overrides)
-            if tuple(task.shape(self._kind)) != self._shape:
-                raise ValueError("`map` and `agents` must not change the shape of observations")
-            self._core, self._core_task, self._overrides = self._new_core(task), task, overrides
-        self._core.seed(0, *self._base.source(0))
+        task = self._config.task(**overrides) if overrides else self._task
+        if tuple(task.shape(self._kind)) != self._shape:
+            raise ValueError("`map` and `agents` must not change the shape of observations")
+        core = self._make_core(task)
+        core.seed(0, *self._core.source(0))
+        self._core, self._core_task, self._overrides = core, task, overrides
 
     def step(self, action: np.int64 | int) -> tuple[Any, float, bool, bool, dict[str, Any]]:
         """Run one tick, and return the observation, the reward, `terminated`, `truncated` and `info`.
@@ -170,7 +162,7 @@ class SPFEnv(BaseEnv, gymnasium.Env[Any, np.int64]):
             gymnasium.error.InvalidAction: If the action is not 0, 1, 2 or 3.
         """
         self._check_begun()
-        array, number = self._new_observation(), interface.checked_action(action)
+        array, number = np.empty(self._shape, np.float32), checked_action(action)
         reward, terminated, truncated, info = self._core.step_one(number, array)
         observation, info = self._result(array, info)
         return observation, reward, terminated, truncated, info
@@ -186,12 +178,7 @@ class SPFEnv(BaseEnv, gymnasium.Env[Any, np.int64]):
         """
         self._check_masks()
         self._check_begun()
-        return cast("NDArray[np.bool_]", interface.masks_of(self._core, 1)[0].astype(np.bool_))
-
-    @property
-    def clauses(self) -> tuple[str, ...]:
-        """The names of the clauses that actions can violate, such as `S1`, in the order of `info["violations"]`."""
-        return self._clauses
+        return cast("NDArray[np.bool_]", masks_of(self._core, 1)[0].astype(np.bool_))
 
     @property
     def episode(self) -> EpisodeStart:
@@ -247,24 +234,6 @@ class SPFEnv(BaseEnv, gymnasium.Env[Any, np.int64]):
         if self.render_mode is None:
             raise gymnasium.error.Error("the environment has no `render_mode`: pass one to `gymnasium.make`")
         self._check_begun()
-        return self._rendered(self._core, 1)[0]
+        return self._rendered()[0]
 
-    def close(self) -> None:
-        """Close the window of the render mode `human`."""
-        if self._window is not None:
-            self._window.close()
-
-    def __getstate__(self) -> dict[str, Any]:
-        """Return the tasks, the episode and the actions taken, which determine the state."""
-        state = {key: value for key, value in self.__dict__.items() if key not in ("_base", "_core")}
-        return {**state, "_states": interface.states_of(self._core), "_source": self._base.source(0)}
-
-    def __setstate__(self, state: dict[str, Any]) -> None:
-        """Start the same episode and take the same actions."""
-        states, source = state.pop("_states"), state.pop("_source")
-        self.__dict__.update(state)
-        self._base = self._core = self._new_core(self._task)
-        if self._core_task is not self._task:
-            self._core = self._new_core(self._core_task)
-        interface.restore_states(self._core, states, self._new_observation())
-        self._base.seed(0, *source)
+    close = BaseEnv.close_extras

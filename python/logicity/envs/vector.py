@@ -77,23 +77,24 @@ class SPFVectorEnv(BaseEnv, VectorEnv[Any, NDArray[np.int64], NDArray[Any]]):
         """Load the configuration and the rules."""
         super().__init__()
         self.num_envs = checked_integer("num_envs", num_envs, 1, _logicity.ENVS_MAX)
-        self._num_threads = checked_integer("num_threads", num_threads, 1, _logicity.THREADS_MAX)
+        threads = checked_integer("num_threads", num_threads, 1, _logicity.THREADS_MAX)
         self.autoreset_mode = _autoreset_mode(autoreset_mode)
         self.metadata = {**self.metadata, "autoreset_mode": self.autoreset_mode}
-        self._load(EnvConfig(config, SPFVectorEnv, **options), render_mode, episodes)
+        batch = self.num_envs, self.autoreset_mode.value, threads
+        self._load(EnvConfig(config, SPFVectorEnv, **options), render_mode, episodes, batch)
         self._atoms, self.copy = atoms, copy
         self.single_observation_space, self.single_action_space = self._space(), Discrete(4)
         self.observation_space = batch_space(self.single_observation_space, num_envs)
         self.action_space = batch_space(self.single_action_space, num_envs)
-        self._core = self._make_core()
+        self._core = self._make_core(self._task)
         horizon = self._task.max_steps(self._config.split, self._recorded)
         if max_episode_steps is not None and max_episode_steps != horizon:
             raise interface.wrong_limit(max_episode_steps, horizon)
         self._observations = np.zeros((num_envs, *self._shape), np.float32)
         self._seeded = np.zeros(num_envs, np.bool_)
 
-    def _make_core(self) -> _logicity.VectorEnv:
-        core = self._new_core(self._task, self.num_envs, self.autoreset_mode.value, self._num_threads)
+    def _make_core(self, task: _logicity.Task) -> _logicity.VectorEnv:
+        core = super()._make_core(task)
         if self._atoms:
             core.keep_last_atoms()
         return core
@@ -180,9 +181,7 @@ class SPFVectorEnv(BaseEnv, VectorEnv[Any, NDArray[np.int64], NDArray[Any]]):
         columns = self._columns()
         numbers = np.ascontiguousarray(given, np.int64)
         self._core.step(numbers, self._observations, (rewards, terminated, truncated), columns)
-        atoms = {at: self._core.atoms(at) for at in range(count)} if self._atoms else {}
-        infos = self._infos(columns, atoms)
-        infos |= {f"_{key}": np.ones(count, np.bool_) for key in infos}
+        infos = self._infos(columns, np.ones(count, np.bool_))
         if self.autoreset_mode is AutoresetMode.SAME_STEP and (terminated.any() or truncated.any()):
             self._add_ends(infos)
         if self._window is not None:
@@ -214,8 +213,8 @@ class SPFVectorEnv(BaseEnv, VectorEnv[Any, NDArray[np.int64], NDArray[Any]]):
         shapes = {"violations": (self.num_envs, len(self._clauses))}
         return tuple(np.zeros(shapes.get(name, (self.num_envs,)), kind) for name, kind in _INFOS.items())
 
-    def _infos(self, columns: Any, atoms: Mapping[int, tuple[str, ...]], ended: bool = False) -> dict[str, Any]:
-        """Return the infos of all environments, or those of the episodes that ended in the last step."""
+    def _infos(self, columns: Any, mask: NDArray[np.bool_], ended: bool = False) -> dict[str, Any]:
+        """Return the infos of the environments in the mask, or those of the episodes that ended in the last step."""
         infos: dict[str, Any] = dict(zip(_INFOS, columns, strict=True))
         if not self._config.oracle:
             del infos["oracle_action"]
@@ -223,9 +222,9 @@ class SPFVectorEnv(BaseEnv, VectorEnv[Any, NDArray[np.int64], NDArray[Any]]):
             infos["action_mask"] = interface.masks_of(self._core, self.num_envs, ended)
         if self._atoms:
             infos["true_atoms"] = np.empty(self.num_envs, object)
-            for at, names in atoms.items():
-                infos["true_atoms"][at] = names
-        return infos
+            for at in np.flatnonzero(mask).tolist():
+                infos["true_atoms"][at] = self._core.ended_atoms(at) if ended else self._core.atoms(at)
+        return infos | {f"_{key}": mask.copy() for key in infos}
 
     def _add_ends(self, infos: dict[str, Any]) -> None:
         """Add the last observations and infos of the episodes that ended in this step, for SameStep autoreset."""
@@ -233,11 +232,9 @@ class SPFVectorEnv(BaseEnv, VectorEnv[Any, NDArray[np.int64], NDArray[Any]]):
         mask = np.zeros(self.num_envs, np.bool_)
         for at, observation in self._core.ended(columns):
             observations[at], mask[at] = observation.reshape(self._shape), True
-        atoms = {at: self._core.ended_atoms(at) for at in np.flatnonzero(mask).tolist() if self._atoms}
-        info = self._infos(columns, atoms, ended=True)
-        info |= {f"_{key}": mask.copy() for key in info}
         infos["final_obs"] = observations if self._views is None else self._views.of_ended(observations, mask)
-        infos["final_info"], infos["_final_info"], infos["_final_obs"] = info, mask.copy(), mask
+        infos["final_info"] = self._infos(columns, mask, ended=True)
+        infos["_final_info"], infos["_final_obs"] = mask.copy(), mask
 
     def action_masks(self) -> NDArray[np.bool_]:
         """Return the masks of `SPFEnv.action_masks`. The shape is (num_envs, 4).
@@ -249,11 +246,6 @@ class SPFVectorEnv(BaseEnv, VectorEnv[Any, NDArray[np.int64], NDArray[Any]]):
         """
         self._check_masks()
         return interface.masks_of(self._core, self.num_envs).astype(np.bool_)
-
-    @property
-    def clauses(self) -> tuple[str, ...]:
-        """The names of the clauses that actions can violate, such as `S1`, in the order of `infos["violations"]`."""
-        return self._clauses
 
     def episode(self, at: int) -> EpisodeStart:
         """Return the start of the current episode of an environment.
@@ -283,12 +275,7 @@ class SPFVectorEnv(BaseEnv, VectorEnv[Any, NDArray[np.int64], NDArray[Any]]):
         """
         if self.render_mode is None:
             raise gymnasium.error.Error("the environments have no `render_mode`: pass one to `gymnasium.make_vec`")
-        return tuple(self._rendered(self._core, self.num_envs))
-
-    def close_extras(self, **kwargs: Any) -> None:
-        """Close the window of the render mode `human`."""
-        if self._window is not None:
-            self._window.close()
+        return tuple(self._rendered())
 
     def state(self) -> list[dict[str, Any]]:
         """Return the state of each environment as plain data, which JSON can store.
@@ -318,22 +305,10 @@ class SPFVectorEnv(BaseEnv, VectorEnv[Any, NDArray[np.int64], NDArray[Any]]):
                 states.append(([seed, begun], None if each["episode"] is None else (dict(each["episode"]), actions)))
         except (AttributeError, KeyError, TypeError, ValueError) as error:
             raise ValueError("state: expected what `state` of such environments returned") from error
-        core = self._make_core()
+        core = self._make_core(self._task)
         interface.restore_states(core, states, self._observations)
         self._core = core
         self._seeded[:] = True
-
-    def __getstate__(self) -> dict[str, Any]:
-        """Return the task, the episodes and the actions taken, which determine the state."""
-        state = {key: value for key, value in self.__dict__.items() if key != "_core"}
-        return {**state, "_states": interface.states_of(self._core, self.num_envs)}
-
-    def __setstate__(self, state: dict[str, Any]) -> None:
-        """Start the same episodes and take the same actions."""
-        states = state.pop("_states")
-        self.__dict__.update(state)
-        self._core = self._make_core()
-        interface.restore_states(self._core, states, self._observations)
 
 
 def _autoreset_mode(mode: AutoresetMode | str) -> AutoresetMode:
