@@ -195,23 +195,8 @@ def _state(path: Path) -> Mapping[str, Tensor]:
 
 
 def extractor(kind: Kind, weights: str | os.PathLike[str] | None = None, device: str = "cpu") -> Extractor:
-    """Return the extractor of a kind. The other arguments and the exceptions are those of `Backbone`.
-
-    Raises:
-        ValueError: Also if the kind is unknown, or crops are given weights or a device.
-    """
-    _check_options(kind, weights, device)
+    """Return the extractor of a kind. The other arguments are those of `Backbone`; crops ignore them."""
     return Backbone(weights, device) if kind == "resnet50" else Crops()
-
-
-def _check_options(kind: Kind, weights: str | os.PathLike[str] | None, device: str) -> None:
-    """Raise `ValueError` if the kind is unknown, or crops are given weights or a device."""
-    if kind not in ("crops", "resnet50"):
-        raise ValueError(f"unknown kind of features `{kind}`; known: crops, resnet50")
-    if kind == "crops" and weights is not None:
-        raise ValueError("crops have no weights: remove `--weights`, or choose `--backbone resnet50`")
-    if kind == "crops" and device != "cpu":
-        raise ValueError("crops are cut on the CPU: remove `--device`, or choose `--backbone resnet50`")
 
 
 def compute_features(
@@ -253,7 +238,8 @@ def compute_features(
         ImportError: If a package is not installed.
         OSError: If a file cannot be read or written.
         ValueError: If the data set has no pictures, or one of its files has changed since it was made; if the output
-            folder is in the data set, or has features of other data or of another backbone; or as for `extractor`.
+            folder is in the data set, or has features of other data or of another backbone; or as for `output_folder`
+            or `Backbone`.
     """
     target = output_folder(folder, kind, out, weights, device)
     samples = VapDataset(folder, images=False)
@@ -313,9 +299,14 @@ def output_folder(
 
     Raises:
         TypeError: If a folder is not a path.
-        ValueError: If the output folder is in the data set, or as for `extractor`.
+        ValueError: If the folder is in the data set, the kind is unknown, or crops are given weights or a device.
     """
-    _check_options(kind, weights, device)
+    if kind not in ("crops", "resnet50"):
+        raise ValueError(f"unknown kind of features `{kind}`; known: crops, resnet50")
+    if kind == "crops" and weights is not None:
+        raise ValueError("crops have no weights: remove `--weights`, or choose `--backbone resnet50`")
+    if kind == "crops" and device != "cpu":
+        raise ValueError("crops are cut on the CPU: remove `--device`, or choose `--backbone resnet50`")
     data = Path(checked_path("folder", folder))
     if out is None:
         # `.` and `..` are no names.
@@ -347,7 +338,7 @@ def load_features(folder: str | os.PathLike[str], samples: VapDataset) -> Tensor
     for world in worlds:
         if reason := _unfinished(target, world, document["extractor_hash"], samples.folder):
             raise ValueError(reason)
-    return _stacked([_mapped(_world_file(target, world.number)) for world in worlds])
+    return _stacked(target, worlds)
 
 
 @dataclass(frozen=True)
@@ -426,10 +417,8 @@ def _mapped(path: Path) -> NDArray[Any]:
         raise ValueError(f"`{path}` is not a file of features: {error}") from None
 
 
-def _stacked(parts: Sequence[NDArray[Any]]) -> Tensor:
-    values = np.empty((sum(map(len, parts)), *parts[0].shape[1:]), parts[0].dtype)
-    np.concatenate(parts, out=values)
-    tensor = torch.from_numpy(values)
+def _stacked(folder: Path, worlds: Sequence[_World]) -> Tensor:
+    tensor = torch.from_numpy(np.concatenate([_mapped(_world_file(folder, world.number)) for world in worlds]))
     return tensor if tensor.dtype == torch.uint8 else tensor.float()
 
 
@@ -481,9 +470,7 @@ def _store(samples: VapDataset, world: _World, target: Path, extract: Extractor,
     record = {"sha256": file_hash(temporary), "data_hash": world.data_hash, "extractor_hash": extract.identity}
     temporary.replace(file)
     # The record comes last: features without one are not finished.
-    temporary = temporary.with_suffix(".json")
-    temporary.write_text(json.dumps(record, indent=1) + "\n", encoding="utf-8")
-    temporary.replace(file.with_suffix(".json"))
+    write_json(file.with_suffix(".json"), record)
 
 
 def _check_source(path: Path, world: _World) -> None:
@@ -575,7 +562,7 @@ def prepared(spec: DataSpec, root: Path, version: str) -> tuple[VapDataset, Tens
                 made = _made(pictures, spec, world.number, 1, images=True)
                 _store(made, _worlds(made)[0], features, extract)
             shutil.rmtree(pictures, ignore_errors=True)
-    return samples, _stacked([_mapped(_world_file(features, world.number)) for world in worlds])
+    return samples, _stacked(features, worlds)
 
 
 def _readable(folder: Path, world: _World, extract: Extractor) -> bool:

@@ -37,7 +37,6 @@ from .metrics import vap_metrics
 from .reasoners import make_reasoner
 from .soft_rules import SoftRules
 from .training import (
-    Loss,
     Samples,
     TrainingSettings,
     concept_loss,
@@ -230,14 +229,7 @@ def train_stage(work: VapWork) -> Trained:
         OSError: If a file cannot be read or written.
         ValueError: If the model to start from does not fit.
     """
-    stages = {
-        "concepts": _train_concepts,
-        "reasoning": _train_reasoner,
-        "end-to-end": _train_end_to_end,
-        "induction": _induce,
-        "bound": _bound,
-    }
-    model, history = stages[work.settings.stage](work)
+    model, history = {"induction": _induce, "bound": _bound}.get(work.settings.stage, _train)(work)
     if not history:
         work.report(1)
     return model, history
@@ -308,58 +300,37 @@ def _groundings(work: VapWork, model: dict[str, Any], samples: Samples) -> tuple
     return groundings(work.part("concepts", model), samples)
 
 
-def _fitted(
-    work: VapWork, network: torch.nn.Module, loss: Loss, train: Samples, val: Samples, predict: Callable[[], Tensor]
-) -> list[dict[str, float]]:
-    """Train a network. The best epoch is that with the largest mean recall over the actions that occur in `val`."""
+def _train(work: VapWork) -> Trained:
+    """Train the parts of a stage. The stage `reasoning` trains on given concepts, which stay as they are.
+
+    The best epoch is that with the largest mean recall over the actions that occur in the validation samples.
+    """
+    train, val, start = work.samples("train"), work.samples("val"), work.started()
+    stage, settings = work.settings.stage, work.settings.training
+    names = {"concepts": ["concepts"], "reasoning": ["reasoner"], "end-to-end": ["concepts", "reasoner"]}[stage]
+    # The stage `reasoning` may start from a model that has only concepts.
+    parts = {name: work.part(name, start if stage != "reasoning" or name in start else {}) for name in names}
+    kept = {}
+    if stage == "concepts":
+        rules, loss = work.rules(), concept_loss(parts["concepts"], train, settings.class_power)
+    elif stage == "reasoning":
+        kept = {name: start[name] for name in start if name == "concepts"}
+        of_train, of_val = (_groundings(work, start, samples) for samples in (train, val))
+        loss = reasoning_loss(parts["reasoner"], *of_train, train, settings.class_power)
+    else:
+        loss = end_to_end_loss(parts["concepts"], parts["reasoner"], train, settings.class_power)
 
     def score() -> float:
-        return float(np.mean(list(evaluation(predict(), val)["recall"].values())))
+        facts = of_val if stage == "reasoning" else groundings(parts["concepts"], val)
+        if stage == "concepts":
+            predicted = _by_rules(rules, *facts, val)["threshold"]
+        else:
+            predicted = predict_actions(parts["reasoner"], *facts, val.facts["valid"])
+        return float(np.mean(list(evaluation(predicted, val)["recall"].values())))
 
-    checkpoint = work.folder / "checkpoint.pt"
-    return fit(network, loss, len(train), work.settings.training, work.seed, score, checkpoint, work.report)
-
-
-def _train_concepts(work: VapWork) -> Trained:
-    """Train a concept model."""
-    train, val = work.samples("train"), work.samples("val")
-    model, rules = work.part("concepts", work.started()), work.rules()
-
-    def predict() -> Tensor:
-        return _by_rules(rules, *groundings(model, val), val)["threshold"]
-
-    loss = concept_loss(model, train, work.settings.training.class_power)
-    history = _fitted(work, model, loss, train, val, predict)
-    return {"concepts": model.state_dict()}, history
-
-
-def _train_reasoner(work: VapWork) -> Trained:
-    """Train a reasoner on given concepts, which stay as they are."""
-    train, val, start = work.samples("train"), work.samples("val"), work.started()
-    reasoner = work.part("reasoner", start if "reasoner" in start else {})
-    of_train, of_val = (_groundings(work, start, samples) for samples in (train, val))
-
-    def predict() -> Tensor:
-        return predict_actions(reasoner, *of_val, val.facts["valid"])
-
-    loss = reasoning_loss(reasoner, *of_train, train, work.settings.training.class_power)
-    history = _fitted(work, reasoner, loss, train, val, predict)
-    kept = {"concepts": start["concepts"]} if "concepts" in start else {}
-    return {**kept, "reasoner": reasoner.state_dict()}, history
-
-
-def _train_end_to_end(work: VapWork) -> Trained:
-    """Train a concept model and a reasoner together, on actions only."""
-    train, val, start = work.samples("train"), work.samples("val"), work.started()
-    both = torch.nn.ModuleDict({name: work.part(name, start) for name in ("concepts", "reasoner")})
-    concepts, reasoner = both["concepts"], both["reasoner"]
-
-    def predict() -> Tensor:
-        return predict_actions(reasoner, *groundings(concepts, val), val.facts["valid"])
-
-    loss = end_to_end_loss(concepts, reasoner, train, work.settings.training.class_power)
-    history = _fitted(work, both, loss, train, val, predict)
-    return {name: part.state_dict() for name, part in both.items()}, history
+    network = torch.nn.ModuleDict(parts) if len(parts) > 1 else parts[names[0]]
+    history = fit(network, loss, len(train), settings, work.seed, score, work.folder / "checkpoint.pt", work.report)
+    return {**kept, **{name: part.state_dict() for name, part in parts.items()}}, history
 
 
 def _induce(work: VapWork) -> Trained:
