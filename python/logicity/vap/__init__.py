@@ -51,18 +51,12 @@ def torch_dataset(
     """Return a data set as a `torch.utils.data.Dataset`.
 
     A sample is a dictionary with the fields of `VapSample`. Arrays are tensors. `image` is uint8 (3, 1024, 1024) in the
-    memory format `channels_last`, and is absent with `images=False`. Worker processes may be forked or spawned.
-
-    Args:
-        folder: As for `VapDataset`.
-        images: As for `VapDataset`.
-        cached_worlds: As for `VapDataset`.
-        threads: The number of threads per process that decode the pictures of a batch, from 1 to 1024.
+    memory format `channels_last`, and is absent with `images=False`. Worker processes may be forked or spawned. In each
+    process, 1 to 1024 `threads` decode the pictures of a batch. The other arguments are those of `VapDataset`.
 
     Raises:
         ImportError: If PyTorch is not installed. The extra `vap` installs it: `pip install './python[vap]'`.
-        OSError: As for `VapDataset`.
-        ValueError: As for `VapDataset`.
+        OSError, ValueError: As for `VapDataset`.
     """
     from .loader import TorchVapDataset
 
@@ -76,12 +70,6 @@ def collate(samples: Sequence[Mapping[str, Any]]) -> dict[str, Any]:
     (B, N, 4), `h` (B, N, 9), `unary` (B, N, 11), `binary` (B, N, N, 6), `sees` (B, N, N), `actions` and `mask` (B, N),
     and `world` and `tick` int64 (B,). `names` and `concepts` are lists of B tuples. The padding mask `valid`, bool
     (B, N), is true for entities. Padding values are NaN for boxes, -1 for actions, and 0 or false for other tensors.
-
-    Args:
-        samples: The samples.
-
-    Returns:
-        The batch.
 
     Raises:
         ImportError: If PyTorch is not installed. The extra `vap` installs it.

@@ -20,7 +20,7 @@ with extra("vap"):
     from torch import Tensor, nn
 
 from ..learn.settings import Count, StrictModel
-from .crops import as_images, has_bfloat16
+from .crops import has_bfloat16
 
 __all__ = ["RELATIONS", "ConceptModel", "ConceptSettings"]
 
@@ -63,11 +63,7 @@ class ConceptSettings(StrictModel):
 
 
 class ConceptModel(nn.Module):
-    """Predicts the logits of all predicates of all entities.
-
-    Args:
-        settings: The architecture.
-    """
+    """Predicts the logits of all predicates of all entities."""
 
     def __init__(self, settings: ConceptSettings) -> None:
         """Create the parts."""
@@ -95,14 +91,10 @@ class ConceptModel(nn.Module):
             self.higher = perceptron(1, (8,), 1)
 
     def forward(self, batch: Mapping[str, Tensor]) -> tuple[Tensor, Tensor]:
-        """Return the logits of the unary and the binary predicates.
+        """Return the logits of predicates, (B, N, 11) and (B, N, N, 7), in the orders of `UNARY` and `RELATIONS`.
 
-        Args:
-            batch: `h` (B, N, 9) and `valid` (B, N) as in `collate`, and for the entities with `valid`, in their order,
-                `crops` uint8 (E, side, side, 3), or `features` (E, F), or neither, as the settings need.
-
-        Returns:
-            Logits of the shapes (B, N, 11) and (B, N, N, 7), in the orders of `UNARY` and `RELATIONS`.
+        The batch has `h` (B, N, 9) and `valid` (B, N) as in `collate`, and for the entities with `valid`, in their
+        order, `crops` uint8 (E, side, side, 3), or `features` (E, F), or neither, as the settings need.
         """
         nodes, valid = batch["h"], batch["valid"]
         seen = self._appearance(batch)
@@ -138,7 +130,6 @@ class CropNetwork(nn.Module):
     """
 
     def __init__(self, width: int, outputs: int) -> None:
-        """Create the layers."""
         super().__init__()
         layers: list[nn.Module] = []
         before = 3
@@ -150,7 +141,8 @@ class CropNetwork(nn.Module):
 
     def forward(self, crops: Tensor) -> Tensor:
         """Return logits of crops, uint8 (E, side, side, 3)."""
-        images = as_images(crops)
+        # Floats around 0, in the memory format channels_last.
+        images = (crops.permute(0, 3, 1, 2).float() - 127.5) / 64.0
         with torch.autocast(images.device.type, torch.bfloat16, has_bfloat16(images.device)):
             maps = self.layers(images)
         maps = maps.float()
@@ -187,10 +179,7 @@ def waves(values: Tensor, wavelengths: Sequence[float]) -> Tensor:
 def _pair_features(centers: Tensor, headings: Tensor, own: Tensor) -> Tensor:
     """Return the features of each pair: the relative position in both frames, the distance, headings and types.
 
-    Args:
-        centers: (B, N, 2), in cells.
-        headings: (B, N, 4).
-        own: (B, N, C), the features of entities.
+    The centers are (B, N, 2), in cells, the headings (B, N, 4), and the own features of entities (B, N, C).
     """
     relative = centers[:, None, :, :] - centers[:, :, None, :]
     directions = headings @ headings.new_tensor(DIRECTIONS)

@@ -11,7 +11,7 @@ from ..errors import extra
 
 with extra("vap"):
     import torch
-    from torch import Tensor, nn
+    from torch import nn
 
 __all__ = ["CROP_SIDE", "crop_boxes"]
 
@@ -19,8 +19,8 @@ CROP_SIDE = 48
 """The side length of a crop in pixels."""
 
 
-def crop_boxes(image: NDArray[np.uint8], boxes: NDArray[np.float32], side: int = CROP_SIDE) -> NDArray[np.uint8]:
-    """Cut the boxes out of a picture, and scale each to a square.
+def crop_boxes(image: NDArray[np.uint8], boxes: NDArray[np.float32]) -> NDArray[np.uint8]:
+    """Cut the boxes out of a picture, and scale each to a square: uint8 (N, 48, 48, 3), zeros for boxes outside.
 
     Boxes are cut at whole pixels that contain them, and at the edges of the picture. Scaling interpolates linearly and
     averages over the pixels that a smaller crop merges.
@@ -29,12 +29,8 @@ def crop_boxes(image: NDArray[np.uint8], boxes: NDArray[np.float32], side: int =
         image: uint8 (rows, columns, 3).
         boxes: float (N, 4): left edge, upper edge, width and height in pixels, as in `VapSample.boxes`. Boxes with NaN
             are outside the picture.
-        side: The side length of the crops in pixels.
-
-    Returns:
-        uint8 (N, side, side, 3), zeros for boxes outside the picture.
     """
-    crops = np.zeros((len(boxes), side, side, 3), np.uint8)
+    crops = np.zeros((len(boxes), CROP_SIDE, CROP_SIDE, 3), np.uint8)
     rows, columns = image.shape[:2]
     pixels = torch.from_numpy(image).permute(2, 0, 1)
     for crop, (left, top, width, height) in zip(crops, boxes.tolist(), strict=True):
@@ -45,7 +41,7 @@ def crop_boxes(image: NDArray[np.uint8], boxes: NDArray[np.float32], side: int =
         if first_row >= last_row or first_column >= last_column:
             continue
         part = pixels[None, :, first_row:last_row, first_column:last_column]
-        scaled = nn.functional.interpolate(part, (side, side), mode="bilinear", antialias=True)
+        scaled = nn.functional.interpolate(part, (CROP_SIDE, CROP_SIDE), mode="bilinear", antialias=True)
         crop[:] = scaled[0].permute(1, 2, 0).numpy()
     return crops
 
@@ -56,8 +52,3 @@ def has_bfloat16(device: torch.device) -> bool:
     Processors without it emulate it: training then takes nine times as long as in float32.
     """
     return device.type != "cpu" or bool(torch.ops.mkldnn._is_mkldnn_bf16_supported())
-
-
-def as_images(crops: Tensor) -> Tensor:
-    """Convert crops, uint8 (N, side, side, 3), to float (N, 3, side, side) around 0, in the format channels_last."""
-    return (crops.permute(0, 3, 1, 2).float() - 127.5) / 64.0

@@ -5,12 +5,14 @@ from __future__ import annotations
 import os
 from bisect import bisect_right
 from collections.abc import Iterator, Mapping, Sequence
+from contextlib import contextmanager
+from copy import deepcopy
 from dataclasses import dataclass, replace
 from functools import lru_cache, partial
 from itertools import accumulate, pairwise
 from operator import index as as_index
 from pathlib import Path
-from typing import Any, NamedTuple, SupportsIndex, cast
+from typing import Any, SupportsIndex, cast
 
 import numpy as np
 from numpy.typing import NDArray
@@ -91,21 +93,6 @@ class VapSample:
     mask: NDArray[np.bool_]
 
 
-class _Tables(NamedTuple):
-    """The tables of a world. Rows are entities or pairs of entities, concatenated over all samples."""
-
-    ticks: NDArray[np.int32]
-    starts: NDArray[np.int64]
-    names: list[str]
-    concepts: list[str]
-    numbers: list[NDArray[np.int64]]
-    boxes: NDArray[np.float32]
-    visible: NDArray[np.float32]
-    unary: NDArray[np.bool_]
-    binary: NDArray[np.bool_]
-    sees: NDArray[np.bool_]
-
-
 class VapDataset(Sequence[VapSample]):
     """The samples of a data set, ordered by world and tick.
 
@@ -115,7 +102,7 @@ class VapDataset(Sequence[VapSample]):
     Args:
         folder: A folder made by `logicity vap make`.
         images: Whether to read pictures.
-        cached_worlds: The number of worlds whose tables are cached, at about 0.3 MB each. For random access, cache all
+        cached_worlds: The number of worlds whose tables are cached, at about 0.5 MB each. For random access, cache all
             worlds.
 
     Attributes:
@@ -125,7 +112,6 @@ class VapDataset(Sequence[VapSample]):
         agents: The sets of agents: `"fixed"` or `"random"`.
         images: Whether pictures are read.
         has_pictures: Whether the data set has pictures, according to the manifest.
-        predicates: The tuple (`UNARY`, `BINARY`).
 
     Raises:
         OSError: If a file cannot be read.
@@ -134,8 +120,6 @@ class VapDataset(Sequence[VapSample]):
             the number of cached worlds is negative.
         InputError: On access to a sample whose table or picture is invalid.
     """
-
-    predicates = (UNARY, BINARY)
 
     def __init__(self, folder: str | os.PathLike[str], images: bool = True, *, cached_worlds: int = 128) -> None:
         """Read the manifest."""
@@ -176,29 +160,7 @@ class VapDataset(Sequence[VapSample]):
 
     def facts(self, index: SupportsIndex) -> VapSample:
         """Read a sample without its picture."""
-        tables, world, place = self._locate(index)
-        begin, end = tables.starts[place : place + 2].tolist()
-        count = end - begin
-        # Count the pairs in earlier samples: each sample has the square of its number of entities.
-        before = int((np.diff(tables.starts[: place + 1]) ** 2).sum())
-        pairs = slice(before, before + count * count)
-        priorities, headings, actions = (numbers[begin:end] for numbers in tables.numbers)
-        boxes = tables.boxes[begin:end].copy()
-        return VapSample(
-            world=world,
-            tick=int(tables.ticks[place]),
-            names=tuple(tables.names[begin:end]),
-            concepts=tuple(tables.concepts[begin:end]),
-            image=None,
-            boxes=boxes,
-            visible=tables.visible[begin:end].copy(),
-            h=_node_vectors(boxes, headings, priorities),
-            unary=tables.unary[begin:end].copy(),
-            binary=tables.binary[pairs].reshape(count, count, len(BINARY)).copy(),
-            sees=tables.sees[pairs].reshape(count, count).copy(),
-            actions=actions.copy(),
-            mask=actions >= 0,
-        )
+        return deepcopy(self._cached(index))
 
     def worlds(self) -> dict[int, range]:
         """Return the positions of the samples of each world, by the number of the world."""
@@ -206,20 +168,16 @@ class VapDataset(Sequence[VapSample]):
 
     def picture_path(self, index: SupportsIndex) -> Path:
         """Return the path of a sample's picture, a PNG file."""
-        tables, world, place = self._locate(index)
-        return self._world_folder(world) / f"frame-{tables.ticks[place]:03}.png"
+        sample = self._cached(index)
+        return self._world_folder(sample.world) / f"frame-{sample.tick:03}.png"
 
     def read_picture(self, index: SupportsIndex, out: NDArray[np.uint8]) -> None:
         """Read the picture of a sample into an array of shape (1024, 1024, 3).
 
-        Args:
-            index: The position of the sample.
-            out: A C-contiguous uint8 array.
-
         Raises:
             InputError: If the picture is invalid.
             OSError: If the file cannot be read.
-            ValueError: If the array has another shape, or is not contiguous.
+            ValueError: If the array has another shape, or is not C-contiguous.
         """
         if out.shape != (PICTURE_SIDE, PICTURE_SIDE, 3):
             raise ValueError(f"expected an array of shape (1024, 1024, 3), not {out.shape}")
@@ -248,20 +206,43 @@ class VapDataset(Sequence[VapSample]):
         order = random.permutation(len(self)) if shuffle else np.arange(len(self))
         return (self[position] for position in order[part::parts])
 
-    def _locate(self, index: SupportsIndex) -> tuple[_Tables, int, int]:
-        """Return the tables of a sample's world, the number of the world, and the index of the sample in it."""
+    def _cached(self, index: SupportsIndex) -> VapSample:
         # Negative indices count from the end. `range` raises `IndexError` for indices out of range.
         position = range(len(self))[as_index(index)]
         which = bisect_right(self._begins, position) - 1
-        return self._tables(which), self._worlds[which], position - self._begins[which]
+        return self._tables(which)[position - self._begins[which]]
 
-    def _read_tables(self, which: int) -> _Tables:
-        folder = self._world_folder(self._worlds[which])
-        tables = _Tables(*_logicity.read_world(folder, self._worlds[which], list(UNARY), list(BINARY)))
-        listed = self._begins[which + 1] - self._begins[which]
-        if len(tables.ticks) != listed:
-            raise ValueError(f"`{folder}` has {len(tables.ticks)} frames, the manifest lists {listed}")
-        return tables
+    def _read_tables(self, which: int) -> list[VapSample]:
+        world, listed = self._worlds[which], self._begins[which + 1] - self._begins[which]
+        folder = self._world_folder(world)
+        # Rows are entities or pairs of entities, concatenated over all samples.
+        tables = _logicity.read_world(folder, world, list(UNARY), list(BINARY))
+        ticks, starts, names, concepts, numbers, boxes, visible, unary, binary, sees = tables
+        if len(ticks) != listed:
+            raise ValueError(f"`{folder}` has {len(ticks)} frames, the manifest lists {listed}")
+        samples, end_of_pairs = [], 0
+        for tick, ends in zip(ticks.tolist(), pairwise(starts.tolist()), strict=True):
+            own, count = slice(*ends), ends[1] - ends[0]
+            pairs = slice(end_of_pairs, end_of_pairs + count**2)
+            end_of_pairs = pairs.stop
+            priorities, headings, actions = (each[own] for each in numbers)
+            sample = VapSample(
+                world=world,
+                tick=tick,
+                names=tuple(names[own]),
+                concepts=tuple(concepts[own]),
+                image=None,
+                boxes=boxes[own],
+                visible=visible[own],
+                h=_node_vectors(boxes[own], headings, priorities),
+                unary=unary[own],
+                binary=binary[pairs].reshape(count, count, len(BINARY)),
+                sees=sees[pairs].reshape(count, count),
+                actions=actions,
+                mask=actions >= 0,
+            )
+            samples.append(sample)
+        return samples
 
     def _world_folder(self, world: int) -> Path:
         return self.folder / f"world-{world:05}"
@@ -272,11 +253,7 @@ def symbolic_facts(
 ) -> dict[str, list[Any]]:
     """Return the facts of n entities in the format of `SymbolicScene`, in the order of the entities.
 
-    Args:
-        names: The names of the entities.
-        unary: (n, 11), the truth values of `UNARY`.
-        binary: (n, n, 6), those of `BINARY`.
-        sees: (n, n), those of `Sees`.
+    The truth values are those of `UNARY`, (n, 11), of `BINARY`, (n, n, 6), and of `Sees`, (n, n).
     """
     facts: dict[str, list[Any]] = {
         predicate: [names[entity] for entity in np.flatnonzero(holds).tolist()]
@@ -290,39 +267,36 @@ def symbolic_facts(
 
 def _read_manifest(folder: Path) -> tuple[dict[str, Any], dict[int, int]]:
     """Return the settings of a data set, and the number of frames by world."""
-    path = folder / "manifest.json"
-    try:
+    with reading_manifest(folder / "manifest.json") as path:
         manifest = read_json(path)
         settings = manifest["settings"]
         data, version = settings["data"], settings["version"]
-    except (KeyError, TypeError, ValueError) as error:
-        raise not_a_manifest(path, error) from None
     if data != "logicity vap" or version not in VERSIONS:
         raise ValueError(
             f"`{path}` belongs to a data set `{neutral(str(data))}` of version {neutral(str(version))}; "
             f"this package reads versions {VERSIONS[0]} and {VERSIONS[1]}; make the data set again with "
             "`logicity vap make`"
         )
-    try:
+    with reading_manifest(path):
         counts = {count_in(world, "world"): count_in(world, "frames") for world in manifest["worlds"]}
-        named = {name: settings[name] for name in ("mode", "agents", "split", "pictures")}
-    except (KeyError, TypeError, ValueError) as error:
-        raise not_a_manifest(path, error) from None
-    return named, counts
+        return {name: settings[name] for name in ("mode", "agents", "split", "pictures")}, counts
 
 
 def count_in(world: Mapping[str, Any], key: str) -> int:
-    """Return a number of a world in a manifest. Raises `ValueError` if it is not an integer from 0 to 2**31 - 1."""
     number = world[key]
     if type(number) is not int or not 0 <= number < 2**31:
         raise ValueError(f"`{key}` is not an integer from 0 to 2**31 - 1")
     return number
 
 
-def not_a_manifest(path: Path, error: Exception) -> ValueError:
-    """Return an error that names the manifest and the reason."""
-    reason = f"the key {error} is missing" if isinstance(error, KeyError) else str(error)
-    return ValueError(f"`{path}` is not a manifest of `logicity vap make`: {reason}")
+@contextmanager
+def reading_manifest(path: Path) -> Iterator[Path]:
+    """Name the manifest in the exceptions of its reader."""
+    try:
+        yield path
+    except (AttributeError, KeyError, TypeError, ValueError) as error:
+        reason = f"the key {error} is missing" if isinstance(error, KeyError) else str(error)
+        raise ValueError(f"`{path}` is not a manifest of `logicity vap make`: {reason}") from None
 
 
 def _node_vectors(

@@ -5,12 +5,9 @@ from __future__ import annotations
 import io
 import json
 import os
-import shutil
 import tarfile
 import tempfile
 from collections.abc import Iterator
-from contextlib import contextmanager
-from dataclasses import fields
 from pathlib import Path
 from typing import Any
 
@@ -57,24 +54,28 @@ def to_webdataset(
     shard_size = checked_integer("shard_size", shard_size, 1)
     target = Path(checked_path("out_dir", out_dir))
     samples = VapDataset(folder, images)
-    with _new_folder(target) as partial, Progress("sample", len(samples)) as progress:
-        for first in range(0, len(samples), shard_size):
-            with tarfile.open(partial / f"shard-{first // shard_size:06}.tar", "w") as tar:
-                for index in range(first, min(first + shard_size, len(samples))):
-                    _add_sample(tar, samples, index)
-                    progress.update(index + 1)
+    if target.exists():
+        raise FileExistsError(f"`{target}` already exists")
+    target.parent.mkdir(parents=True, exist_ok=True)
+    name = f".{target.name}-"
+    with tempfile.TemporaryDirectory(prefix=name, dir=target.parent, ignore_cleanup_errors=True) as partial:
+        with Progress("sample", len(samples)) as progress:
+            for first in range(0, len(samples), shard_size):
+                with tarfile.open(Path(partial, f"shard-{first // shard_size:06}.tar"), "w") as tar:
+                    for index in range(first, min(first + shard_size, len(samples))):
+                        _add_sample(tar, samples, index)
+                        progress.update(index + 1)
+        os.chmod(partial, 0o755)
+        os.rename(partial, target)
     return sorted(target.iterdir())
 
 
 def _add_sample(tar: tarfile.TarFile, samples: VapDataset, index: int) -> None:
     sample = samples.facts(index)
-    record = {
-        **{name: getattr(sample, name) for name in ("world", "tick", "names", "concepts")},
-        **{"mode": samples.mode, "split": samples.split, "unary": UNARY, "binary": BINARY},
-    }
+    record = {name: getattr(sample, name) for name in ("world", "tick", "names", "concepts")}
+    record |= {"mode": samples.mode, "split": samples.split, "unary": UNARY, "binary": BINARY}
     arrays = io.BytesIO()
-    values = ((field.name, getattr(sample, field.name)) for field in fields(sample))
-    named: dict[str, Any] = {name: value for name, value in values if isinstance(value, np.ndarray)}
+    named: dict[str, Any] = {name: value for name, value in vars(sample).items() if isinstance(value, np.ndarray)}
     np.savez_compressed(arrays, **named)
     contents = {"json": json.dumps(record).encode(), "npz": arrays.getvalue()}
     if samples.images:
@@ -86,22 +87,6 @@ def _add_sample(tar: tarfile.TarFile, samples: VapDataset, index: int) -> None:
         entry = tarfile.TarInfo(f"world-{sample.world:05}-frame-{sample.tick:03}.{ending}")
         entry.size = len(content)
         tar.addfile(entry, io.BytesIO(content))
-
-
-@contextmanager
-def _new_folder(path: Path) -> Iterator[Path]:
-    """Yield a temporary folder, which is renamed to `path` on success."""
-    if path.exists():
-        raise FileExistsError(f"`{path}` already exists")
-    path.parent.mkdir(parents=True, exist_ok=True)
-    partial = Path(tempfile.mkdtemp(prefix=f".{path.name}-", dir=path.parent))
-    try:
-        yield partial
-        partial.chmod(0o755)
-        partial.rename(path)
-    except BaseException:
-        shutil.rmtree(partial, ignore_errors=True)
-        raise
 
 
 def to_coco(
@@ -120,14 +105,10 @@ def to_coco(
       ids from 1, followed by the combinations of concepts that occur, such as `bus+tiro`. The `supercategory` is `Car`
       or `Pedestrian`.
 
-    Args:
-        folder: A folder made by `logicity vap make`.
-        out: The file.
-        images: Whether the data set must have pictures. The pictures are not read.
-        overwrite: Whether to replace a file that this function did not write, or that has changed since.
+    With `images`, the data set must have pictures, which are not read.
 
     Raises:
-        FileExistsError: If the file must not be replaced.
+        FileExistsError: If this function did not write the file, or it has changed since, without `overwrite`.
         OSError: If a file cannot be read or written.
         ValueError: As for `VapDataset`.
     """

@@ -25,13 +25,13 @@ from numpy.typing import NDArray
 
 from ..errors import checked_path, checked_threads, extra
 from ..files import check_readable, file_hash, read_json, read_tensors, write_json
-from .data import PICTURE_SIDE, VapDataset, count_in, not_a_manifest
+from .data import PICTURE_SIDE, VapDataset, count_in, reading_manifest
 from .make import Drawing, make_dataset
 
 with extra("vap"):
     import torch
     from torch import Tensor, nn
-    from torch.nn.utils.fusion import fuse_conv_bn_weights
+    from torch.nn.utils.fusion import fuse_conv_bn_eval
 
 from .crops import CROP_SIDE, crop_boxes, has_bfloat16
 
@@ -56,11 +56,8 @@ MEAN, DEVIATION = (0.485, 0.456, 0.406), (0.229, 0.224, 0.225)
 class Crops:
     """Crops of the boxes, see `crop_boxes`.
 
-    Attributes:
-        kind: The kind of features.
-        shape: The shape of the features of a box.
-        dtype: Their type.
-        identity: The SHA-256 of what determines the features of a picture.
+    `shape` and `dtype` are those of the features of a box. `identity` is the SHA-256 of what determines the features of
+    a picture.
     """
 
     kind: Kind = "crops"
@@ -87,7 +84,6 @@ class Backbone:
 
     Raises:
         FileNotFoundError: If there are no weights.
-        ImportError: If torchvision is not installed.
         ValueError: If the file has other weights, or the device does not exist.
     """
 
@@ -116,11 +112,11 @@ class Backbone:
         if missing := [name for name in missing if not name.endswith("num_batches_tracked")]:
             raise ValueError(f"{message}: `{min(missing)}` is missing")
         parts = [hashlib.sha256(each.cpu().numpy().tobytes()).hexdigest() for each in network.state_dict().values()]
-        _fold_normalizations(network)
+        _fold_normalizations(network.eval())
         try:
             self._device = torch.device(device)
             network.to(self._device, memory_format=torch.channels_last)
-            self._network = network.eval().requires_grad_(False)
+            self._network = network.requires_grad_(False)
         except (AssertionError, RuntimeError) as error:
             raise ValueError(f"device `{device}`: {str(error).splitlines()[0]}") from None
         self._has_bfloat16 = has_bfloat16(self._device)
@@ -155,24 +151,16 @@ def _fold_normalizations(network: nn.Module) -> None:
     """Replace each convolution before a frozen batch normalization by one that computes both."""
     from torchvision.ops import FrozenBatchNorm2d
 
-    children = list(network.named_children())
-    for (_, first), (name, second) in pairwise(children):
+    for (conv, first), (normalization, second) in pairwise(list(network.named_children())):
         if isinstance(first, nn.Conv2d) and isinstance(second, FrozenBatchNorm2d):
-            first.weight, first.bias = fuse_conv_bn_weights(
-                *(first.weight, first.bias, second.running_mean, second.running_var),
-                *(second.eps, second.weight, second.bias),
-            )
-            setattr(network, name, nn.Identity())
-    for _, child in children:
+            setattr(network, conv, fuse_conv_bn_eval(first, second))
+            setattr(network, normalization, nn.Identity())
+    for child in network.children():
         _fold_normalizations(child)
 
 
 def weights_file(weights: str | os.PathLike[str] | None) -> Path:
-    """Return the file of the backbone's weights, by default one in torchvision's cache.
-
-    Raises:
-        FileNotFoundError: If the cache has no such file.
-    """
+    """Return the file of the backbone's weights, by default one in torchvision's cache."""
     if weights is not None:
         return Path(checked_path("weights", weights))
     folder = Path(torch.hub.get_dir()) / "checkpoints"
@@ -187,7 +175,6 @@ def weights_file(weights: str | os.PathLike[str] | None) -> Path:
 
 
 def _state(path: Path) -> Mapping[str, Tensor]:
-    """Return the weights in a file of `torch.save`."""
     state = read_tensors(path, "a file of weights")
     if not isinstance(state, Mapping) or not all(isinstance(name, str) for name in state):
         raise ValueError(f"{path} is not a file of weights: expected tensors by name")
@@ -235,11 +222,10 @@ def compute_features(
     Raises:
         ConnectionError: If the Ray cluster does not answer, or loses too many workers.
         FileNotFoundError: If there are no weights.
-        ImportError: If a package is not installed.
         OSError: If a file cannot be read or written.
         ValueError: If the data set has no pictures, or one of its files has changed since it was made; if the output
-            folder is in the data set, or has features of other data or of another backbone; or as for `output_folder`
-            or `Backbone`.
+            folder is in the data set, or has features of other data or of another backbone; if the kind is unknown, or
+            crops are given weights or a device; or as for `Backbone`.
     """
     target = output_folder(folder, kind, out, weights, device)
     samples = VapDataset(folder, images=False)
@@ -295,12 +281,7 @@ def output_folder(
     weights: str | os.PathLike[str] | None = None,
     device: str = "cpu",
 ) -> Path:
-    """Check that the arguments of `compute_features` are consistent, and return the folder to write.
-
-    Raises:
-        TypeError: If a folder is not a path.
-        ValueError: If the folder is in the data set, the kind is unknown, or crops are given weights or a device.
-    """
+    """Check that the arguments of `compute_features` are consistent, and return the folder to write."""
     if kind not in ("crops", "resnet50"):
         raise ValueError(f"unknown kind of features `{kind}`; known: crops, resnet50")
     if kind == "crops" and weights is not None:
@@ -318,18 +299,12 @@ def output_folder(
 
 
 def load_features(folder: str | os.PathLike[str], samples: VapDataset) -> Tensor:
-    """Read the stored features of all entities of a data set.
+    """Read the stored features of the E entities of all samples in their order, (E, *shape): uint8, or float32.
 
-    Args:
-        folder: A folder that `compute_features` wrote. It may have more worlds than the data set.
-        samples: The data set.
-
-    Returns:
-        (E, *shape), the E entities of all samples in their order: uint8 crops, or float32 features.
+    The folder is one that `compute_features` wrote. It may have more worlds than the data set.
 
     Raises:
         OSError: If a file cannot be read.
-        TypeError: If the folder is not a path.
         ValueError: If the features are those of other data, damaged, or not complete.
     """
     target = Path(checked_path("folder", folder))
@@ -352,22 +327,17 @@ class _World:
 
     @property
     def data_hash(self) -> str:
-        """The SHA-256 of the list of files and hashes."""
         return hashlib.sha256(json.dumps(self.files, sort_keys=True).encode()).hexdigest()
 
 
 def _worlds(samples: VapDataset) -> list[_World]:
-    """Return the worlds of a data set."""
-    path = samples.folder / "manifest.json"
     worlds = []
-    try:
+    with reading_manifest(samples.folder / "manifest.json") as path:
         listed = {count_in(world, "world"): world for world in read_json(path)["worlds"]}
         for number, positions in samples.worlds().items():
             files = {name: str(file["sha256"]) for name, file in listed[number]["files"].items()}
             worlds.append(_World(number, positions, count_in(listed[number], "agents"), files))
-        return worlds
-    except (AttributeError, KeyError, TypeError, ValueError) as error:
-        raise not_a_manifest(path, error) from None
+    return worlds
 
 
 def _unfinished(folder: Path, world: _World, identity: str, data: Path) -> str | None:
@@ -474,7 +444,6 @@ def _store(samples: VapDataset, world: _World, target: Path, extract: Extractor,
 
 
 def _check_source(path: Path, world: _World) -> None:
-    """Raise `ValueError` if a file of a data set differs from its hash in the manifest."""
     if world.files.get(path.name) != file_hash(path):
         raise ValueError(
             f"`{path}` has changed since it was made: remove the folder of the world and run `logicity vap make` again"
@@ -529,18 +498,11 @@ class DataSpec:
 
 
 def prepared(spec: DataSpec, root: Path, version: str) -> tuple[VapDataset, Tensor | None]:
-    """Make the tables and features of a data set if they do not exist, and read them.
+    """Make the tables and features of a data set if they do not exist, and read them. No kind means no features.
 
     Pictures are made and removed world by world, as a set needs about 80 MB per world. Processes that need the same
-    data wait for the one that makes it. Damaged files of features are made again.
-
-    Args:
-        spec: The data set.
-        root: The folder for data sets.
-        version: What else determines the data. Other versions have other folders.
-
-    Returns:
-        The tables, and the features of all entities, or `None` without a kind.
+    data wait for the one that makes it. Damaged files of features are made again. In the folder `root` for data sets,
+    each version has its own folder. It is what determines the data, besides the arguments.
     """
     folder = root / hashlib.sha256(version.encode()).hexdigest()[:8]
     tables = folder / f"{spec.world_key}-{spec.worlds}"

@@ -5,11 +5,7 @@ from __future__ import annotations
 import math
 from collections.abc import Mapping, Sequence
 from concurrent.futures import ThreadPoolExecutor
-from dataclasses import fields
 from typing import Any
-
-import numpy as np
-from numpy.typing import NDArray
 
 from ..errors import checked_threads, extra
 from .data import PICTURE_SIDE, VapDataset, VapSample
@@ -53,19 +49,12 @@ class TorchVapDataset(torch.utils.data.Dataset[dict[str, Any]]):
         samples = [as_tensors(self.samples.facts(index)) for index in indices]
         if self.samples.images:
             images = _allocate((len(indices), PICTURE_SIDE, PICTURE_SIDE, 3))
-            self._read_pictures(indices, [image.numpy() for image in images])
+            with ThreadPoolExecutor(self.threads) as pool:
+                # `map` raises exceptions only when its results are consumed.
+                list(pool.map(self.samples.read_picture, indices, (image.numpy() for image in images)))
             for image, sample in zip(images, samples, strict=True):
                 sample["image"] = image.permute(2, 0, 1)
         return samples
-
-    def _read_pictures(self, indices: Sequence[int], arrays: Sequence[NDArray[np.uint8]]) -> None:
-        if self.threads == 1 or len(arrays) == 1:
-            for index, array in zip(indices, arrays, strict=True):
-                self.samples.read_picture(index, array)
-            return
-        with ThreadPoolExecutor(self.threads) as pool:
-            # `map` raises exceptions only when its results are consumed.
-            list(pool.map(self.samples.read_picture, indices, arrays))
 
 
 def _allocate(shape: tuple[int, ...]) -> torch.Tensor:
@@ -78,7 +67,7 @@ def _allocate(shape: tuple[int, ...]) -> torch.Tensor:
 
 def as_tensors(sample: VapSample) -> dict[str, Any]:
     """Convert the arrays of a sample to tensors, without its picture."""
-    values = {field.name: getattr(sample, field.name) for field in fields(sample) if field.name != "image"}
+    values = {name: value for name, value in vars(sample).items() if name != "image"}
     return {name: torch.from_numpy(value) if name in PADDED else value for name, value in values.items()}
 
 
@@ -92,17 +81,13 @@ def padded_batch(samples: Sequence[Mapping[str, Any]]) -> dict[str, Any]:
     batch |= {name: torch.tensor([sample[name] for sample in samples]) for name in ("world", "tick")}
     batch["valid"] = torch.arange(most) < counts[:, None]
     for name, (axes, padding) in PADDED.items():
-        batch[name] = _padded([sample[name] for sample in samples], axes, most, padding)
+        tensors = [sample[name] for sample in samples]
+        batch[name] = tensors[0].new_full((len(tensors), *(most,) * axes, *tensors[0].shape[axes:]), padding)
+        for row, tensor in zip(batch[name], tensors, strict=True):
+            row[tuple(slice(count) for count in tensor.shape[:axes])] = tensor
     if "image" in samples[0]:
         batch["image"] = _stacked([sample["image"] for sample in samples])
     return batch
-
-
-def _padded(tensors: list[torch.Tensor], axes: int, most: int, padding: float) -> torch.Tensor:
-    padded = tensors[0].new_full((len(tensors), *(most,) * axes, *tensors[0].shape[axes:]), padding)
-    for row, tensor in zip(padded, tensors, strict=True):
-        row[tuple(slice(count) for count in tensor.shape[:axes])] = tensor
-    return padded
 
 
 def _stacked(images: list[torch.Tensor]) -> torch.Tensor:

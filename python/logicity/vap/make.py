@@ -138,16 +138,8 @@ def check_dataset(
 ) -> VapCounts:
     """Check a data set as `logicity vap check` does.
 
-    The check covers files, hashes, order, pictures and boxes. It derives every label again from the facts. Releases the
-    GIL.
-
-    Args:
-        folder: A folder made by `make_dataset` or `logicity vap make`.
-        threads: As for `make_dataset`.
-        progress: A function that receives the number of checked worlds and the total, on the calling thread.
-
-    Returns:
-        The counts of the data set.
+    The check covers files, hashes, order, pictures and boxes. It derives every label again from the facts. `progress`
+    receives the number of checked worlds and the total, on the calling thread. Releases the GIL.
 
     Raises:
         InputError: If the data set has errors. `diagnostics` lists all of them.

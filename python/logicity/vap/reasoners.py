@@ -33,23 +33,18 @@ class GraphReasoner(nn.Module):
     s_ij ReLU(x_j + W e_ij), from node features x and edge features e, both directions of the binary predicates. With
     the sum alone and s_ij = 1, this is GINE of Hu et al. (2020), "Strategies for Pre-training Graph Neural Networks",
     ICLR. Here s_ij is the degree to which i sees j, and the maximum stands for "there is": a sum of many small
-    probabilities looks like one certain fact.
-
-    Args:
-        width: The number of node features of the layers.
-        layers: The number of convolutions.
+    probabilities looks like one certain fact. Two convolutions have `width` node features.
     """
 
-    def __init__(self, width: int = 128, layers: int = 2) -> None:
+    def __init__(self, width: int = 128) -> None:
         """Create the layers."""
         super().__init__()
         self.encoder = nn.Linear(len(UNARY), width)
-        self.edges = nn.ModuleList(nn.Linear(2 * len(RELATIONS), width) for _ in range(layers))
+        self.edges = nn.ModuleList(nn.Linear(2 * len(RELATIONS), width) for _ in range(2))
         self.updates = nn.ModuleList(
-            nn.Sequential(nn.Linear(2 * width, width), nn.ReLU(), nn.Linear(width, width), nn.ReLU())
-            for _ in range(layers)
+            nn.Sequential(nn.Linear(2 * width, width), nn.ReLU(), nn.Linear(width, width), nn.ReLU()) for _ in range(2)
         )
-        self.eps = nn.Parameter(torch.zeros(layers))
+        self.eps = nn.Parameter(torch.zeros(2))
         self.readout = nn.Linear(width, len(ACTIONS))
 
     def forward(self, unary: Tensor, binary: Tensor, valid: Tensor) -> Tensor:

@@ -147,15 +147,9 @@ def rules_hash(mode: str) -> str:
 
 @dataclass
 class VapWork:
-    """The inputs and folders of a training.
+    """The inputs of a training, its folder, which has the model to start from in `start.pt`, and that for data sets.
 
-    Attributes:
-        mode: The mode.
-        seed: The seed of the weights and of the training.
-        settings: The settings.
-        folder: The folder of the training, which has the model to start from in `start.pt`.
-        data: The folder for data sets.
-        report: Receives the number of finished epochs.
+    The seed is that of the weights and of the training. `report` receives the number of finished epochs.
     """
 
     mode: Literal["easy", "hard"]
@@ -190,11 +184,7 @@ class VapWork:
         return SoftRules(Program.load(f"rules/vap-{self.mode}.dl"))
 
     def part(self, name: str, model: Mapping[str, Any]) -> torch.nn.Module:
-        """Return `concepts` or `reasoner`, with the weights in a model. An empty model gives random ones of the seed.
-
-        Raises:
-            ValueError: If the model has no such part, or one of another architecture.
-        """
+        """Return `concepts` or `reasoner` with the weights in a model. An empty model gives random ones of the seed."""
         with torch.random.fork_rng(devices=[]):
             torch.manual_seed(self.seed)
             settings = self.settings
@@ -225,9 +215,7 @@ Trained = tuple[dict[str, Any], list[dict[str, float]]]
 def train_stage(work: VapWork) -> Trained:
     """Train the model of the stage that the settings name, or resume from the checkpoint.
 
-    Raises:
-        OSError: If a file cannot be read or written.
-        ValueError: If the model to start from does not fit.
+    Raises `ValueError` if the model to start from does not fit.
     """
     model, history = {"induction": _induce, "bound": _bound}.get(work.settings.stage, _train)(work)
     if not history:
@@ -377,12 +365,9 @@ def scenes_of(unary: Tensor, binary: Tensor, samples: Samples) -> Iterator[dict[
 def facts_of(unary: np.ndarray[Any, Any], binary: np.ndarray[Any, Any], seen: Sequence[int]) -> dict[str, list[Any]]:
     """Return the facts of the entities in the view of one of them, as scenes have them.
 
-    `Sees` has only the pairs of the viewer with each of the entities, itself included, whatever `binary` has.
-
-    Args:
-        unary: bool (N, 11), the facts of `UNARY` of a sample.
-        binary: bool (N, N, 7), those of `RELATIONS`.
-        seen: The numbers of the entities, each once, beginning with the viewer. Entity i has the name `ei`.
+    The facts of a sample are bool (N, 11) of `UNARY`, and bool (N, N, 7) of `RELATIONS`. `seen` has the numbers of the
+    entities, each once, beginning with the viewer. Entity i has the name `ei`. `Sees` has only the pairs of the viewer
+    with each of the entities, itself included, whatever `binary` has.
     """
     chosen = np.array(seen, np.int64)
     # An entity has no relation to itself, but a model can predict one.

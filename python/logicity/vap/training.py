@@ -144,15 +144,14 @@ class Samples:
         count = max(1, round(fraction * len(self)))
         order = torch.randperm(len(self), generator=torch.Generator().manual_seed(seed))
         chosen = order[:count].sort().values
-        facts = {name: values[chosen] for name, values in self.facts.items()}
         batch = self.batch(chosen)
-        return Samples(facts, {name: batch[name] for name in self.inputs})
+        return Samples(*({name: batch[name] for name in names} for names in (self.facts, self.inputs)))
 
 
 def concept_weights(samples: Samples, power: float) -> tuple[Tensor, Tensor]:
-    """Return the weights of true atoms, see `TrainingSettings.class_power`: float (11,) and (7,).
+    """Return the weights of true atoms, float (11,) and (7,), see `TrainingSettings.class_power`.
 
-    They are in the orders of `UNARY` and `RELATIONS`. A predicate without true atoms has the weight 1.
+    A predicate without true atoms has the weight 1.
     """
     valid = samples.facts["valid"]
     weights = []
@@ -176,10 +175,7 @@ def action_weights(actions: Tensor, power: float) -> Tensor:
 def concept_loss(model: ConceptModel, samples: Samples, power: float) -> Loss:
     """Return the loss of concepts: the means of the weighted binary cross entropy over unary and binary atoms, added.
 
-    Args:
-        model: The concept model.
-        samples: The samples, which determine the weights.
-        power: `TrainingSettings.class_power`.
+    The weights are those of `concept_weights`.
     """
     unary_weights, binary_weights = concept_weights(samples, power)
 
@@ -196,14 +192,9 @@ def concept_loss(model: ConceptModel, samples: Samples, power: float) -> Loss:
 
 
 def reasoning_loss(reasoner: nn.Module, unary: Tensor, binary: Tensor, samples: Samples, power: float) -> Loss:
-    """Return the loss of a reasoner on given groundings: the weighted mean cross entropy of the actions of cars.
+    """Return the loss of a reasoner: the mean cross entropy of the actions of cars, weighted by `action_weights`.
 
-    Args:
-        reasoner: The reasoner, see `make_reasoner`.
-        unary: float (S, N, 11), the truth degrees of `UNARY` in all S samples.
-        binary: float (S, N, N, 7), those of `RELATIONS`.
-        samples: The samples, with the actions. They determine the weights.
-        power: `TrainingSettings.class_power`.
+    Its arguments are the groundings of all samples, see `make_reasoner`.
     """
 
     def logits(chosen: Tensor, generator: torch.Generator) -> Tensor:
@@ -256,20 +247,11 @@ def fit(
     checkpoint: Path | None = None,
     report: Callable[[int], None] = lambda epochs: None,
 ) -> list[dict[str, float]]:
-    """Train a network, and keep the weights of the epoch with the best score.
+    """Train a network, and keep the weights of the epoch with the best score. Return the measures of each epoch.
 
-    Args:
-        network: The network.
-        loss: The loss.
-        count: The number of samples.
-        settings: The hyperparameters.
-        seed: The seed.
-        score: Returns the score of the current weights on the validation samples; larger is better.
-        checkpoint: A file from which to resume, and to which to write after each epoch.
-        report: Receives the number of finished epochs.
-
-    Returns:
-        For each epoch, `loss`, `score` and `cpu_seconds`.
+    These are `loss`, `score` and `cpu_seconds`. `count` is the number of samples. `score` returns the score of the
+    current weights on the validation samples; larger is better. `checkpoint` is a file from which to resume, and to
+    which to write after each epoch. `report` receives the number of finished epochs.
 
     Raises:
         OSError: If the checkpoint cannot be read.
@@ -279,8 +261,8 @@ def fit(
         optimizer = torch.optim.AdamW(network.parameters(), settings.learning_rate, weight_decay=settings.weight_decay)
     else:
         optimizer = torch.optim.Adam(network.parameters(), settings.learning_rate)
-    steps = settings.updates(settings.epochs, count)
-    schedule = torch.optim.lr_scheduler.CosineAnnealingLR(optimizer, steps)
+    schedule = torch.optim.lr_scheduler.CosineAnnealingLR(optimizer, settings.updates(settings.epochs, count))
+    parts = {"network": network, "optimizer": optimizer, "schedule": schedule}
     history: list[dict[str, float]] = []
     best = deepcopy(network.state_dict())
     if checkpoint is not None and checkpoint.exists():
@@ -329,7 +311,6 @@ def fit(
             best = deepcopy(network.state_dict())
         history.append({"loss": total / seen, "score": reached, "cpu_seconds": time.process_time() - begun})
         if checkpoint is not None:
-            parts = {"network": network, "optimizer": optimizer, "schedule": schedule}
             states = {name: part.state_dict() for name, part in parts.items()}
             save({**states, "history": history, "best": best}, checkpoint)
         report(epoch + 1)
@@ -354,12 +335,7 @@ def save(state: dict[str, Any], path: Path) -> None:
 def groundings(model: ConceptModel, samples: Samples) -> tuple[Tensor, Tensor]:
     """Return the probabilities of all atoms that a model predicts. Sets the model to evaluation mode.
 
-    Args:
-        model: The concept model.
-        samples: The samples, with the inputs that the model needs.
-
-    Returns:
-        float (S, N, 11) and (S, N, N, 7) for S samples, in the orders of `UNARY` and `RELATIONS`.
+    They are float (S, N, 11) and (S, N, N, 7) for S samples, in the orders of `UNARY` and `RELATIONS`.
     """
     model.eval()
     with torch.no_grad():
@@ -372,14 +348,8 @@ def groundings(model: ConceptModel, samples: Samples) -> tuple[Tensor, Tensor]:
 def predict_actions(reasoner: nn.Module, unary: Tensor, binary: Tensor, valid: Tensor) -> Tensor:
     """Return the actions of all entities that a reasoner predicts. Sets the reasoner to evaluation mode.
 
-    Args:
-        reasoner: The reasoner; the other arguments are its own, see `make_reasoner`.
-        unary: float (S, N, 11).
-        binary: float (S, N, N, 7).
-        valid: bool (S, N).
-
-    Returns:
-        int64 (S, N), indices into `ACTIONS`. Those of pedestrians and of absent entities have no meaning.
+    The other arguments are those of the reasoner, see `make_reasoner`. The actions are int64 (S, N), indices into
+    `ACTIONS`. Those of pedestrians and of absent entities have no meaning.
     """
     reasoner.eval()
     with torch.no_grad():
@@ -395,12 +365,7 @@ def concept_measures(unary: Tensor, binary: Tensor, samples: Samples) -> dict[st
 
     As in the paper, the pairs of a binary predicate are those whose first entity sees the second. `CollidingClose
     (cars)` has only the pairs whose first entity is a car: that of a pedestrian is drawn at random. A ratio without
-    atoms is `None`.
-
-    Args:
-        unary: float (S, N, 11), the predicted probabilities of `UNARY`.
-        binary: float (S, N, N, 7), those of `RELATIONS`.
-        samples: The samples, with the true facts.
+    atoms is `None`. The predicted probabilities are those of `groundings`.
     """
     facts, relations = samples.facts, samples.relations
     valid, sees = facts["valid"], facts["sees"]
