@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import json
 import os
-from collections.abc import Mapping, Sequence
+from collections.abc import Mapping
 from inspect import signature
 from pathlib import Path
 from typing import Any, cast, get_args
@@ -22,10 +22,7 @@ __all__ = ["EnvConfig", "array_kind", "checked_kind", "to_json"]
 class EnvConfig:
     """A run configuration with its overrides, a split, and a kind of observation. `SPFEnv` documents the options.
 
-    Args:
-        config: A run configuration: a built-in name such as `expert`, or a path.
-        env_class: The class of the environments. Errors about unknown options list its options.
-        unknown: Unknown options, which raise `TypeError`.
+    Errors about unknown options list those of `env_class`.
 
     Raises:
         TypeError: If an option is unknown, or has a wrong type.
@@ -69,29 +66,21 @@ class EnvConfig:
         if "base" in self.overrides:
             raise ValueError("`overrides` must not contain `base`: the argument `config` is the base")
 
-    @property
-    def array_kind(self) -> ArrayKind:
-        """The kind of array that the environments compute."""
-        return array_kind(self.observation)
-
     def task(self, **more: Any) -> _logicity.Task:
         """Load the task with additional overrides. Raise `InputError` if any of its sources is invalid."""
         return _logicity.Task(self.config, self.rules, self._as_json(more), self.limits)
 
     def _as_json(self, more: Mapping[str, Any]) -> str | None:
         """Return the configuration with its overrides as JSON, or `None` without overrides."""
-        overrides = {**self.overrides, **more}
-        if not overrides:
-            return None
-        base = Path(self.config)
+        overrides, base = {**self.overrides, **more}, Path(self.config)
         if len(base.parts) == 1 and not base.suffix and not base.exists():
             base = Path("configs") / f"{base}.yaml"
-        return json.dumps({"base": base.as_posix(), **overrides}, default=to_json)
+        return json.dumps({"base": base.as_posix(), **overrides}, default=to_json) if overrides else None
 
 
-def checked_kind(kind: str, known: Sequence[str] = get_args(ObservationKind)) -> ObservationKind:
-    """Return a kind of observation. Raise `ValueError` if it is not one of those that the caller supports."""
-    if kind not in known:
+def checked_kind(kind: str) -> ObservationKind:
+    """Return a kind of observation. Raise `ValueError` if it is unknown."""
+    if kind not in (known := get_args(ObservationKind)):
         names = ", ".join(f'"{name}"' for name in known)
         raise ValueError(f"observation must be one of {names}, not {kind!r}")
     return cast(ObservationKind, kind)

@@ -2,9 +2,10 @@
 
 from __future__ import annotations
 
+import math
 import operator
 import sys
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from copy import copy, deepcopy
 from types import FrameType
 from typing import Any
@@ -22,11 +23,11 @@ with extra("gym"):
     from gymnasium.error import InvalidAction, ResetNeeded, UnsupportedMode
     from gymnasium.spaces import Box, Space
 
-from .config import EnvConfig
+from .config import EnvConfig, array_kind
 from .views import Observations, View, views_of
-from .window import Window
 
 RENDER_MODES = ["human", "rgb_array", "ansi"]
+#: The largest number of pictures per second in the window.
 RENDER_FPS = 10
 
 
@@ -52,9 +53,9 @@ class BaseEnv:
         """
         if render_mode is not None and render_mode not in RENDER_MODES:
             raise UnsupportedMode(f"unknown render mode `{render_mode}`; known: {', '.join(RENDER_MODES)}")
-        self.render_mode, self._window = render_mode, Window(RENDER_FPS) if render_mode == "human" else None
+        self.render_mode, self._window = render_mode, _Window() if render_mode == "human" else None
         self._episodes, self._recorded = episodes, episodes == "recorded"
-        self._config, self._kind, self._batch = config, config.array_kind, batch
+        self._config, self._kind, self._batch = config, array_kind(config.observation), batch
         self._task = self._core_task = config.task()
         self._clauses, self._shape = self._task.clauses(), tuple(self._task.shape(self._kind))
         self._views = views_of(self._task, config.observation)
@@ -67,7 +68,6 @@ class BaseEnv:
         return core
 
     def _space(self) -> Space[Any]:
-        """Return a new observation space of one car."""
         if self._views is not None:
             return self._views.space()
         return Box(0.0 if self._kind == "groundings" else -1.0, 1.0, self._shape, np.float32)
@@ -113,10 +113,23 @@ class BaseEnv:
         if not self._begun:
             raise ResetNeeded("no episode has started: call `reset`")
 
+    def _states(self) -> States:
+        core = self._core
+        return [
+            (core.source(at), (core.episode(at), core.taken(at)) if core.has_begun(at) else None)
+            for at in range(self._batch[0])
+        ]
+
+    def _masks(self, ended: bool = False) -> NDArray[np.int8]:
+        """Return the allowed actions of all environments, or those of the episodes that ended in the last step."""
+        masks = np.zeros((self._batch[0], len(ACTIONS)), np.int8)
+        self._core.action_masks(masks, ended)
+        return masks
+
     def __getstate__(self) -> dict[str, Any]:
         """Return the tasks, the episodes and the actions taken, which determine the state."""
         state = {key: value for key, value in self.__dict__.items() if key != "_core"}
-        return {**state, "_states": states_of(self._core, self._batch[0])}
+        return {**state, "_states": self._states()}
 
     def __setstate__(self, state: dict[str, Any]) -> None:
         """Start the same episodes and take the same actions."""
@@ -127,6 +140,51 @@ class BaseEnv:
 
     # Two environments cannot share a city.
     __copy__ = deepcopy
+
+
+class _Window:
+    """A window that opens with the first picture.
+
+    A process has at most one, which shows the latest picture of all objects of this class. `close` of one closes it for
+    all, and the next picture opens it again.
+    """
+
+    def __init__(self) -> None:
+        with extra("human"):
+            import pygame
+        self._pygame = pygame
+        self._clock: Any = None
+
+    def __reduce__(self) -> tuple[Any, ...]:
+        return type(self), ()
+
+    def show(self, pictures: Sequence[NDArray[np.uint8]]) -> None:
+        """Show pictures of shape (height, width, 3) and of equal size in a grid that is as large as one of them."""
+        pygame, (height, width, _) = self._pygame, pictures[0].shape
+        if self._clock is None:
+            self._clock = pygame.time.Clock()
+        # Another object may have closed the window or changed its size.
+        screen = pygame.display.get_surface() if pygame.display.get_init() else None
+        if screen is None or screen.get_size() != (width, height):
+            pygame.display.init()
+            screen = pygame.display.set_mode((width, height))
+            pygame.display.set_caption("LogiCity")
+        side = math.ceil(math.sqrt(len(pictures)))
+        size = width // side, height // side
+        for number, picture in enumerate(pictures):
+            surface = pygame.surfarray.make_surface(picture.swapaxes(0, 1))
+            if side > 1:
+                surface = pygame.transform.smoothscale(surface, size)
+            row, column = divmod(number, side)
+            screen.blit(surface, (column * size[0], row * size[1]))
+        pygame.event.pump()
+        self._clock.tick(RENDER_FPS)
+        pygame.display.flip()
+
+    def close(self) -> None:
+        if self._clock is not None:
+            self._pygame.display.quit()
+            self._clock = None
 
 
 def checked_seed(seed: int | None, generator: np.random.Generator) -> int:
@@ -193,25 +251,11 @@ def wrong_limit(limit: int, horizon: int) -> ValueError:
 States = list[tuple[list[int], tuple[dict[str, Any], bytes] | None]]
 
 
-def states_of(core: _logicity.VectorEnv, count: int) -> States:
-    """Return the states of all environments."""
-    return [
-        (core.source(at), (core.episode(at), core.taken(at)) if core.has_begun(at) else None) for at in range(count)
-    ]
-
-
 def restore_states(core: _logicity.VectorEnv, states: States, observations: Observations) -> None:
     """Restore the states of all environments."""
     for at, (source, _) in enumerate(states):
         core.seed(at, *source)
     core.replay([episode for _, episode in states], observations)
-
-
-def masks_of(core: _logicity.VectorEnv, count: int, ended: bool = False) -> NDArray[np.int8]:
-    """Return the allowed actions of all environments, or those of the episodes that ended in the last step."""
-    masks = np.zeros((count, len(ACTIONS)), np.int8)
-    core.action_masks(masks, ended)
-    return masks
 
 
 def check_options(options: Mapping[str, Any], known: tuple[str, ...]) -> None:

@@ -53,9 +53,7 @@ class Layout:
     def of_atoms(cls, atoms: Sequence[Atom], route_length: bool = False) -> Layout:
         """Return the layout of observations of these atoms, such as `Demonstrations.atoms`.
 
-        Args:
-            atoms: The atoms in the order of the observation: all ground atoms of each predicate.
-            route_length: Whether a number follows the atoms.
+        They are all ground atoms of each predicate, in the order of the observation. A route length may follow them.
 
         Raises:
             ValueError: If a predicate is neither unary nor binary, or a ground atom is missing or repeated.

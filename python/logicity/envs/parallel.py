@@ -57,7 +57,6 @@ class SPFParallelEnv(BaseEnv, ParallelEnv[str, Any, "np.int64 | int"]):
         # Each car has its own space, so that seeding one does not affect the others.
         self.observation_spaces = {name: self._space() for name in self.possible_agents}
         self.action_spaces = {name: Discrete(4) for name in self.possible_agents}
-        self._generator: np.random.Generator | None = None
         self._seeded = self._begun = False
 
     def _make_cars(self) -> _logicity.MultiCarEnv:
@@ -105,9 +104,7 @@ class SPFParallelEnv(BaseEnv, ParallelEnv[str, Any, "np.int64 | int"]):
         """
         options = options or {}
         if seed is not None or not self._seeded:
-            if seed is not None or self._generator is None:
-                self._generator, _ = np_random(seed)
-            self._cars.seed(checked_seed(seed, self._generator), 0)
+            self._cars.seed(checked_seed(seed, np_random(seed)[0]), 0)
             self._seeded = True
         episode = parse_episode(options.get("episode"))
         if not (episode is True or isinstance(episode, dict)):

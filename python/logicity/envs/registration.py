@@ -41,12 +41,9 @@ def register_environments() -> None:
 
 
 def parallel_env(config: str | os.PathLike[str] = "expert", **arguments: Any) -> SPFParallelEnv:
-    """Make a PettingZoo `ParallelEnv` in which every car is a controlled agent.
+    """Make a PettingZoo `ParallelEnv` in which every car is a controlled agent. Needs the extra `pettingzoo`.
 
     The arguments and exceptions are those of `logicity.envs.SPFParallelEnv`.
-
-    Raises:
-        ImportError: If PettingZoo is not installed. `pip install './python[pettingzoo]'` installs it.
     """
     from .parallel import SPFParallelEnv
 
@@ -59,7 +56,6 @@ class _RegisterOnImport(MetaPathFinder):
     def find_spec(
         self, fullname: str, path: Sequence[str] | None, target: ModuleType | None = None
     ) -> ModuleSpec | None:
-        """Return the spec of gymnasium with a loader that also registers, or `None` for other modules."""
         if fullname != "gymnasium":
             return None
         sys.meta_path.remove(self)

@@ -35,11 +35,8 @@ class SPFVecEnv(VecEnv):
     `episode` of `SPFEnv.reset`. Observations of the kinds `relational` and `graph` are dictionaries, which need the
     policy `MultiInputPolicy`.
 
-    Args:
-        envs: Environments with the autoreset mode SameStep.
-
     Raises:
-        ValueError: If the environments have another autoreset mode.
+        ValueError: If the environments have another autoreset mode than SameStep.
     """
 
     def __init__(self, envs: SPFVectorEnv) -> None:

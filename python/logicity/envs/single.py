@@ -21,7 +21,7 @@ with extra("gym"):
 
 from ..types import EnvOptions, Episodes, EpisodeStart
 from .config import EnvConfig
-from .interface import BaseEnv, HorizonSpec, check_options, checked_action, checked_seed, masks_of, parse_episode
+from .interface import BaseEnv, HorizonSpec, check_options, checked_action, checked_seed, parse_episode
 from .views import Observations
 
 if TYPE_CHECKING:
@@ -178,7 +178,7 @@ class SPFEnv(BaseEnv, gymnasium.Env[Any, np.int64]):
         """
         self._check_masks()
         self._check_begun()
-        return cast("NDArray[np.bool_]", masks_of(self._core, 1)[0].astype(np.bool_))
+        return cast("NDArray[np.bool_]", self._masks()[0].astype(np.bool_))
 
     @property
     def episode(self) -> EpisodeStart:
@@ -207,14 +207,9 @@ class SPFEnv(BaseEnv, gymnasium.Env[Any, np.int64]):
         required action, and the clauses that the action violated. The trace contains the rules and the configuration,
         with `overrides` and with `map` and `agents` of a reset.
 
-        Args:
-            path: The file of the trace.
-            overwrite: Whether to replace a file that this function did not write, or that has changed since.
-
         Raises:
-            FileExistsError: If the file must not be replaced.
+            FileExistsError: If this function did not write the file, or it has changed since, without `overwrite`.
             OSError: If the file cannot be written, or another process writes it.
-            TypeError: If the path is not a string or an `os.PathLike[str]`.
             ValueError: If the episode has no steps yet.
             gymnasium.error.ResetNeeded: If no episode has started.
         """

@@ -78,16 +78,12 @@ class SPFTorchRLEnv(EnvBase):
         #: The sources of episodes before steps that a mask skips, by environment.
         self._sources: dict[int, list[int]] = {}
         self._state: dict[str, NDArray[Any]] = {}
-        entries = {name: _spec(space, num_envs) for name, space in self._spaces().items()}
-        self.observation_spec = Composite(entries, shape=self.batch_size, device=self.device)
+        self.observation_spec = Composite(self._specs(), shape=self.batch_size, device=self.device)
         self.action_spec = Categorical(len(ACTIONS), (num_envs,), device=self.device, dtype=torch.int64)
         self.reward_spec = Unbounded((num_envs, 1), device=self.device, dtype=torch.float32)
         flag = Categorical(2, (num_envs, 1), device=self.device, dtype=torch.bool)
-        self.done_spec = Composite(
-            {name: flag.clone() for name in ("done", "terminated", "truncated")},
-            shape=self.batch_size,
-            device=self.device,
-        )
+        flags = {name: flag.clone() for name in ("done", "terminated", "truncated")}
+        self.done_spec = Composite(flags, shape=self.batch_size, device=self.device)
 
     @property
     def clauses(self) -> tuple[str, ...]:
@@ -97,19 +93,19 @@ class SPFTorchRLEnv(EnvBase):
     # Two environments cannot share a city.
     __copy__ = deepcopy
 
-    def _spaces(self) -> dict[str, Space[Any]]:
-        """Return the space of each entry of an observation, without the axis of the environments."""
-        space = self.envs.single_observation_space
-        config = self.envs._config
+    def _specs(self) -> dict[str, TensorSpec]:
+        """Return the spec of each entry of an observation."""
+        space, config, count = self.envs.single_observation_space, self.envs._config, self.envs.num_envs
         spaces = dict(space.spaces) if isinstance(space, Dict) else {"observation": space}
-        spaces["success"] = Box(0, 1, (1,), np.bool_)
-        spaces["progress"] = Box(0.0, 1.0, (1,), np.float32)
-        spaces["violations"] = Box(0, 1, (len(self.clauses),), np.bool_)
+        specs = {name: _spec(each, count) for name, each in spaces.items()}
+        specs["success"] = Binary(shape=(count, 1), dtype=torch.bool)
+        specs["progress"] = Bounded(0.0, 1.0, (count, 1), dtype=torch.float32)
+        specs["violations"] = Binary(shape=(count, len(self.clauses)), dtype=torch.bool)
         if config.oracle:
-            spaces["oracle_action"] = Box(0, len(ACTIONS) - 1, (1,), np.int64)
+            specs["oracle_action"] = Bounded(0, len(ACTIONS) - 1, (count, 1), dtype=torch.int64)
         if config.action_masks:
-            spaces["action_mask"] = Box(0, 1, (len(ACTIONS),), np.bool_)
-        return spaces
+            specs["action_mask"] = Binary(shape=(count, len(ACTIONS)), dtype=torch.bool)
+        return specs
 
     def _set_seed(self, seed: int | None) -> None:
         """Store the seeds of the environments for their next resets. `None` continues their sequences of episodes."""
@@ -128,7 +124,8 @@ class SPFTorchRLEnv(EnvBase):
         seeds = [seed if chosen else None for seed, chosen in zip(self._seeds, mask, strict=True)]
         if mask.any():
             observations, infos = self.envs.reset(seed=seeds, options={**given, "reset_mask": mask})
-            self._update(observations, infos, mask, np.zeros(len(mask)), {})
+            none = np.zeros(len(mask), np.bool_)
+            self._update(observations, infos, mask, np.zeros(len(mask)), none, none)
             self._seeds = [None if chosen else seed for seed, chosen in zip(self._seeds, mask, strict=True)]
         return self._tensors(reward=False)
 
@@ -143,7 +140,7 @@ class SPFTorchRLEnv(EnvBase):
         for at in np.flatnonzero(~mask).tolist():
             self._sources.setdefault(at, self.envs._core.source(at))
         observations, rewards, terminated, truncated, infos = self.envs.step(np.where(mask, actions, 0))
-        self._update(observations, infos, mask, rewards, {"terminated": terminated, "truncated": truncated})
+        self._update(observations, infos, mask, rewards, terminated, truncated)
         return self._tensors(reward=True)
 
     def _mask(self, tensordict: TensorDictBase | None, key: str) -> NDArray[np.bool_]:
@@ -159,17 +156,16 @@ class SPFTorchRLEnv(EnvBase):
         infos: dict[str, Any],
         mask: NDArray[np.bool_],
         rewards: NDArray[np.float64],
-        ends: dict[str, NDArray[np.bool_]],
+        terminated: NDArray[np.bool_],
+        truncated: NDArray[np.bool_],
     ) -> None:
         """Replace the state of the selected environments."""
         count = self.envs.num_envs
+        known = ("success", "progress", "violations", "oracle_action", "action_mask")
+        columns = {name: infos[name] for name in known if name in infos}
+        columns |= {"reward": rewards.astype(np.float32), "terminated": terminated, "truncated": truncated}
         entries = dict(observations) if isinstance(observations, dict) else {"observation": observations}
-        for name in ("success", "progress", "violations", "oracle_action", "action_mask"):
-            if name in infos:
-                entries[name] = infos[name].reshape(count, -1)
-        entries["reward"] = rewards.astype(np.float32).reshape(count, 1)
-        for name in ("terminated", "truncated"):
-            entries[name] = ends.get(name, np.zeros(count, np.bool_)).reshape(count, 1)
+        entries |= {name: values.reshape(count, -1) for name, values in columns.items()}
         entries["done"] = entries["terminated"] | entries["truncated"]
         if mask.all() or not self._state:
             self._state = entries
@@ -196,8 +192,6 @@ def _spec(space: Space[Any], count: int) -> TensorSpec:
     shape = (count, *(space.shape or ()))
     if isinstance(space, MultiBinary):
         return Binary(shape=shape, dtype=torch.int8)
-    if space.dtype == np.bool_:
-        return Binary(shape=shape, dtype=torch.bool)
     assert isinstance(space, Box)
     low, high = (torch.from_numpy(np.broadcast_to(bound, shape).copy()) for bound in (space.low, space.high))
     return Bounded(low, high, shape=shape, dtype=low.dtype)

@@ -165,12 +165,10 @@ class SPFVectorEnv(BaseEnv, VectorEnv[Any, NDArray[np.int64], NDArray[Any]]):
     ) -> tuple[Any, NDArray[np.float64], NDArray[np.bool_], NDArray[np.bool_], dict[str, Any]]:
         """Run one tick, and return the observations, the rewards, `terminated`, `truncated` and the infos.
 
-        Args:
-            actions: Integers of shape (num_envs,).
-
         Raises:
             gymnasium.error.ResetNeeded: If an episode has not started, or has ended.
-            gymnasium.error.InvalidAction: If an action is not 0, 1, 2 or 3. Then no car moves.
+            gymnasium.error.InvalidAction: If the actions are not integers from 0 to 3, of shape (num_envs,). Then no
+                car moves.
         """
         count = self.num_envs
         given = np.asarray(actions)
@@ -191,9 +189,7 @@ class SPFVectorEnv(BaseEnv, VectorEnv[Any, NDArray[np.int64], NDArray[Any]]):
     def collect(self, network: _logicity.PolicyNetwork, random: NDArray[np.float32]) -> dict[str, NDArray[Any]]:
         """Run every environment under the stochastic policy of a network. The autoreset mode must be SameStep.
 
-        Args:
-            network: The network.
-            random: Uniform random numbers from 0 to 1, float32 of shape (num_envs, steps), that select the actions.
+        Uniform random numbers from 0 to 1, float32 of shape (num_envs, steps), select the actions.
 
         Returns:
             Arrays by name. `states` (uint32, the position of the observation among the distinct ones), `actions`
@@ -219,7 +215,7 @@ class SPFVectorEnv(BaseEnv, VectorEnv[Any, NDArray[np.int64], NDArray[Any]]):
         if not self._config.oracle:
             del infos["oracle_action"]
         if self._config.action_masks:
-            infos["action_mask"] = interface.masks_of(self._core, self.num_envs, ended)
+            infos["action_mask"] = self._masks(ended)
         if self._atoms:
             infos["true_atoms"] = np.empty(self.num_envs, object)
             for at in np.flatnonzero(mask).tolist():
@@ -245,7 +241,7 @@ class SPFVectorEnv(BaseEnv, VectorEnv[Any, NDArray[np.int64], NDArray[Any]]):
             gymnasium.error.Error: If the environments were made without `action_masks=True`.
         """
         self._check_masks()
-        return interface.masks_of(self._core, self.num_envs).astype(np.bool_)
+        return self._masks().astype(np.bool_)
 
     def episode(self, at: int) -> EpisodeStart:
         """Return the start of the current episode of an environment.
@@ -285,7 +281,7 @@ class SPFVectorEnv(BaseEnv, VectorEnv[Any, NDArray[np.int64], NDArray[Any]]):
         """
         return [
             {"source": source, "episode": None if begun is None else begun[0], "actions": (begun or ({}, b""))[1].hex()}
-            for source, begun in interface.states_of(self._core, self.num_envs)
+            for source, begun in self._states()
         ]
 
     def restore(self, state: Sequence[Mapping[str, Any]]) -> None:
@@ -313,12 +309,9 @@ class SPFVectorEnv(BaseEnv, VectorEnv[Any, NDArray[np.int64], NDArray[Any]]):
 
 def _autoreset_mode(mode: AutoresetMode | str) -> AutoresetMode:
     """Return the autoreset mode of a name or value, in any case and with or without underscores."""
-
-    def plain(text: str) -> str:
-        return text.rpartition(".")[2].replace("_", "").casefold()
-
+    plain = mode.rpartition(".")[2].replace("_", "").casefold() if isinstance(mode, str) else None
     for known in AutoresetMode:
-        if mode is known or isinstance(mode, str) and plain(mode) == plain(known.name):
+        if mode is known or plain == known.name.replace("_", "").casefold():
             return known
     known_modes = ", ".join(f'"{known.value}"' for known in AutoresetMode)
     raise ValueError(f"autoreset_mode must be one of {known_modes}, not {mode!r}")

@@ -42,11 +42,7 @@ class Views:
         self._occurrences, self._links = layout.occurrences(), layout.edge_links()
 
     def space(self) -> Dict:
-        """Return the space of the view of one observation.
-
-        Raises:
-            ImportError: If gymnasium is not installed. The extra `gym` installs it: `pip install './python[gym]'`.
-        """
+        """Return the space of the view of one observation. This method needs the extra `gym`."""
         with extra("gym"):
             from gymnasium.spaces import Box, Dict, MultiBinary
 
@@ -87,12 +83,8 @@ class Views:
     def of_ended(self, final: NDArray[Any], ended: NDArray[np.bool_]) -> NDArray[Any]:
         """Return the views of the last observations of episodes, computed in one batch.
 
-        Args:
-            final: An array of objects of shape (num_envs,), `None` where no episode ended.
-            ended: Where an episode ended, at least once; bool of shape (num_envs,).
-
-        Returns:
-            An array of objects like `final`.
+        `final` and the result are arrays of objects of shape (num_envs,), `None` where no episode `ended`. At least one
+        episode ended.
         """
         views = np.empty(len(final), object)
         batch = self(np.stack(list(final[ended])))
@@ -102,11 +94,7 @@ class Views:
 
 
 def views_of(task: _logicity.Task, kind: ObservationKind) -> Views | None:
-    """Return the views of a kind of observation of a task, or `None` if its observations are arrays.
-
-    Raises:
-        ValueError: If the kind is a view, and the task has a predicate of three or more entities.
-    """
+    """Return the views of a kind of observation of a task, or `None` if its observations are arrays."""
     if kind == "groundings" or kind == "state":
         return None
     return Views(Layout.of_description(_logicity.describe(task)), kind)

@@ -9,7 +9,7 @@ something else needs, too. This module needs the extra `gym`.
 from __future__ import annotations
 
 from copy import deepcopy
-from typing import TYPE_CHECKING, Any, TypeAlias, cast
+from typing import Any, cast
 
 import numpy as np
 from numpy.typing import NDArray
@@ -32,7 +32,6 @@ __all__ = ["GraphObservation", "RelationalObservation", "VectorGraphObservation"
 
 
 def _views(env: Any, of: type[SPFEnv | SPFVectorEnv], kind: ViewKind) -> Views:
-    """Return the views of an environment's observations."""
     inner = env.unwrapped
     if not isinstance(inner, of):
         raise TypeError(f"expected an environment of the class {of.__name__}, not {type(inner).__name__}")
@@ -44,18 +43,14 @@ def _views(env: Any, of: type[SPFEnv | SPFVectorEnv], kind: ViewKind) -> Views:
 
 
 class _ViewObservation(gymnasium.ObservationWrapper[View, np.int64, Observations]):
-    """Replaces the observations of an `SPFEnv` by views."""
-
     _kind: ViewKind
 
     def __init__(self, env: gymnasium.Env[Observations, np.int64]) -> None:
-        """Wrap the environment."""
         super().__init__(env)
         self._views = _views(env, SPFEnv, self._kind)
         self.observation_space = cast(gymnasium.Space[View], self._views.space())
 
     def observation(self, observation: Observations) -> View:
-        """Return the view of an observation."""
         return self._views(observation)
 
     # Two environments cannot share a city.
@@ -74,12 +69,9 @@ class RelationalObservation(_ViewObservation):
 
     The predicates have the order in which `logicity describe` lists them.
 
-    Args:
-        env: An `SPFEnv` with `observation="groundings"`.
-
     Raises:
         TypeError: If the environment is not an `SPFEnv`.
-        ValueError: If its observations are of another kind.
+        ValueError: If its observations are of another kind than `groundings`.
     """
 
     _kind = "relational"
@@ -100,26 +92,17 @@ class GraphObservation(_ViewObservation):
     - `route_length`: float32 (1,), if the task observes the route length.
 
     The names are those of `gymnasium.spaces.GraphInstance`. The transposed `edge_links` are the `edge_index` of PyTorch
-    Geometric. The argument and the exceptions are those of `RelationalObservation`.
+    Geometric. The exceptions are those of `RelationalObservation`.
     """
 
     _kind = "graph"
 
 
-if TYPE_CHECKING:
-    _VectorWrapper: TypeAlias = VectorObservationWrapper[View, NDArray[np.int64], Observations, NDArray[Any]]
-else:
-    # Its parameters exist only in later versions of gymnasium.
-    _VectorWrapper = VectorObservationWrapper
-
-
-class _VectorViewObservation(_VectorWrapper):
-    """Replaces the observations of an `SPFVectorEnv` by views."""
-
+# The type parameters exist only in later versions of gymnasium.
+class _VectorViewObservation(VectorObservationWrapper):
     _kind: ViewKind
 
     def __init__(self, env: VectorEnv[Observations, NDArray[np.int64], NDArray[Any]]) -> None:
-        """Wrap the environments."""
         # Not that of `VectorObservationWrapper`, which rejects the autoreset mode SameStep: `step` supports it.
         VectorWrapper.__init__(self, env)
         self._views = _views(env, SPFVectorEnv, self._kind)
@@ -127,7 +110,6 @@ class _VectorViewObservation(_VectorWrapper):
         self.observation_space = batch_space(self.single_observation_space, env.num_envs)
 
     def observations(self, observations: Observations) -> View:
-        """Return the views of the observations of all environments."""
         return self._views(observations)
 
     # Two environments cannot share a city.
