@@ -6,7 +6,7 @@ import inspect
 import json
 import os
 import re
-from collections.abc import Iterable, Mapping
+from collections.abc import Iterable, Mapping, Sequence
 from typing import Any
 
 from . import _logicity
@@ -22,7 +22,7 @@ __all__ = ["describe", "environment_page", "observation_names", "parallel_page"]
 
 
 SPLITS = ("train", "val", "test")
-_Row = tuple[object, ...]
+_Rows = Iterable[Sequence[object]]
 
 
 def describe() -> str:
@@ -40,9 +40,7 @@ def describe() -> str:
 def environment_page(mode: str) -> str:
     """Return the description of the environment of a mode as Markdown, in the order that gymnasium's pages have.
 
-    Raises:
-        ImportError: If gymnasium is not installed.
-        ValueError: If the mode is not one of `logicity.ENVIRONMENTS`.
+    This function needs the extra `gym`. It raises `ValueError` if the mode is not one of `logicity.ENVIRONMENTS`.
     """
     from .envs.single import SPFEnv
 
@@ -51,7 +49,7 @@ def environment_page(mode: str) -> str:
     task = _logicity.describe(load_task(mode))
     # The first line of the file, as in `# Safe Path Following, easy mode: give way at intersections.`
     about = _logicity.read_file(f"configs/{mode}.yaml").partition("\n")[0].partition(": ")[2]
-    overview: list[_Row] = [
+    overview = [
         ("import", f'`gymnasium.make("{ENVIRONMENTS[mode]}")` after `import logicity`'),
         ("action space", "`Discrete(4)`"),
         ("observation space", f"`Box(0.0, 1.0, ({task['width']},), float32)`"),
@@ -61,7 +59,7 @@ def environment_page(mode: str) -> str:
     meanings = {
         clause["label"]: clause["doc"].partition(": ")[2] for clause in Program.load(f"rules/{mode}.dl").clauses
     }
-    clauses: list[_Row] = [
+    clauses = [
         (at, f"`{each['clause']}`", each["action"], f"{each['reward']:g}", " ".join(meanings[each["clause"]].split()))
         for at, each in enumerate(task["constraints"])
     ]
@@ -84,24 +82,17 @@ def environment_page(mode: str) -> str:
         f"- *Truncation*: a drawn episode has {task['horizon']} steps. A recorded one has {task['patience']} times the "
         "number of steps that the oracle needs.\n"
     )
-    arguments = (
-        _arguments(SPFEnv) + "\n`gymnasium.make_vec` takes the same arguments for environments that step together.\n"
-    )
-    infos = "an `info` with these keys:\n\n" + _infos(SPFEnv)
-    return _page(overview, description, {mode: task}, start, end, arguments, infos)
+    more = "\n`gymnasium.make_vec` takes the same arguments for environments that step together.\n"
+    return _page(SPFEnv, {mode: task}, overview, description, start, end, more)
 
 
 def parallel_page() -> str:
-    """Variant of `environment_page` for `logicity.parallel_env`, in all modes.
-
-    Raises:
-        ImportError: If PettingZoo is not installed.
-    """
+    """Variant of `environment_page` for `logicity.parallel_env`, in all modes. Needs the extra `pettingzoo`."""
     from .envs.parallel import SPFParallelEnv
 
     loaded = {mode: load_task(mode) for mode in ENVIRONMENTS}
     tasks = {mode: _logicity.describe(task) for mode, task in loaded.items()}
-    cars: list[_Row] = [
+    cars = [
         (
             f"`{mode}`",
             " / ".join(str(len(_logicity.MultiCarEnv(task, split, "groundings", False).names())) for split in SPLITS),
@@ -110,7 +101,7 @@ def parallel_page() -> str:
         )
         for mode, task in loaded.items()
     ]
-    overview: list[_Row] = [
+    overview = [
         ("import", '`logicity.parallel_env("expert")`, or another mode or configuration file'),
         ("agents", "`Car_1`, `Car_2`, ...: all cars, in `possible_agents`"),
         ("action spaces", "`Discrete(4)`"),
@@ -135,31 +126,30 @@ def parallel_page() -> str:
         "- *Truncation* of a car: the episode has as many steps as the horizon.\n\n"
         "The episode of the environment ends when `agents` is empty.\n"
     )
-    infos = "an `info` for each car, with these keys:\n\n" + _infos(SPFParallelEnv)
-    return _page(overview, description, tasks, start, end, _arguments(SPFParallelEnv), infos)
+    return _page(SPFParallelEnv, tasks, overview, description, start, end, of=" for each car,")
 
 
 def _page(
-    overview: list[tuple[object, ...]],
-    description: str,
+    env_class: type,
     tasks: dict[str, Any],
+    overview: _Rows,
+    description: str,
     start: str,
     end: str,
-    arguments: str,
-    infos: str,
+    more: str = "",
+    of: str = "",
 ) -> str:
-    """Return the page of an environment, in the order that gymnasium's pages have."""
-    actions: list[_Row] = list(zip(range(len(ACTIONS)), ACTIONS, (1, 2, 3, 0), strict=True))
+    actions = zip(range(len(ACTIONS)), ACTIONS, (1, 2, 3, 0), strict=True)
     sections = {
         "Description": description,
         "Action space": _table(("number", "action", "cells that the car moves"), actions),
         "Observation space": _groundings(tasks),
         "Observations of the kind `state`": _state(tasks),
         "Rewards": _rewards(tasks),
-        "Information": "`reset` and `step` return " + infos,
+        "Information": f"`reset` and `step` return an `info`{of} with these keys:\n\n{_infos(env_class)}",
         "Starting state": start,
         "Episode end": end,
-        "Arguments": arguments,
+        "Arguments": _arguments(env_class) + more,
         "Version history": "- v0: the first version.\n",
     }
     text = "\n".join(f"## {title}\n\n{section}" for title, section in sections.items())
@@ -174,7 +164,7 @@ def _parameters(env_class: type) -> dict[str, inspect.Parameter]:
 
 def _arguments(env_class: type) -> str:
     """Return a table of the keyword arguments of a class of environments, with the meanings that `SPFEnv` documents."""
-    rows: list[_Row] = [
+    rows = [
         (f"`{name}`", f"`{parameter.default!r}`", _documented()[name])
         for name, parameter in _parameters(env_class).items()
     ]
@@ -183,10 +173,12 @@ def _arguments(env_class: type) -> str:
 
 def _infos(env_class: type) -> str:
     """Return a table of the keys of `info` in a class of environments, from the docstring of `SPFEnv`."""
-    rows: list[_Row] = []
-    for key, kind, needs, meaning in re.findall(r"^- `(\w+)` \((.*?)\)(, with .*?)?: (.*)", _docstring(), re.MULTILINE):
-        if all(name in _parameters(env_class) for name in re.findall(r"`(\w+)=True`", needs)):
-            rows.append((f"`{key}`", kind + needs, meaning))
+    keys = re.findall(r"^- `(\w+)` \((.*?)\)(, with .*?)?: (.*)", _docstring(), re.MULTILINE)
+    rows = [
+        (f"`{key}`", kind + needs, meaning)
+        for key, kind, needs, meaning in keys
+        if all(name in _parameters(env_class) for name in re.findall(r"`(\w+)=True`", needs))
+    ]
     return _table(("key", "type", "value"), rows)
 
 
@@ -222,7 +214,6 @@ def observation_names(
 
 
 def _by_split(task: Mapping[str, Any], key: str) -> str:
-    """Format the values of a key of all splits."""
     return " / ".join(str(task["splits"][split][key]) for split in SPLITS)
 
 
@@ -234,7 +225,7 @@ def _by_value(values: Iterable[tuple[str, str]]) -> dict[str, str]:
     return {value: ", ".join(names) for value, names in modes.items()}
 
 
-def _table(head: tuple[str, ...], rows: list[_Row]) -> str:
+def _table(head: Sequence[str], rows: _Rows) -> str:
     lines = ["| " + " | ".join(str(cell) for cell in row) + " |" for row in [head, *rows]]
     lines.insert(1, "|" + "---|" * len(head))
     return "\n".join(lines) + "\n"
@@ -250,7 +241,7 @@ def _environments(tasks: dict[str, Any]) -> str:
         "recorded train / val / test",
         "test set",
     )
-    rows: list[_Row] = [
+    rows = [
         (
             f"`{ENVIRONMENTS[mode]}`",
             _by_split(task, "agents"),
@@ -272,7 +263,7 @@ def _environments(tasks: dict[str, Any]) -> str:
 
 def _rewards(tasks: dict[str, Any]) -> str:
     head = ("mode", *ACTIONS, "overtime", "broken clause")
-    rows: list[_Row] = []
+    rows = []
     for mode, task in tasks.items():
         by_action: dict[str, dict[float, list[str]]] = {}
         for constraint in task["constraints"]:
@@ -288,27 +279,10 @@ def _rewards(tasks: dict[str, Any]) -> str:
         "The reward of a step is the value of its action in this table, divided by four times the number of route "
         "cells. A step that breaks clauses ends the episode. Its reward is a sum over the actions that these clauses "
         "require: for each action, the lowest value of its broken clauses. Reaching the goal also ends the episode. At "
-        "the horizon, the last step also gets the overtime value.\n\n" + _table(head, rows) + _shaping(tasks)
+        "the horizon, the last step also gets the overtime value.\n\n" + _table(head, rows) + "\n"
+        "The keys `progress`, `goal` and `potential` of `task.reward` add terms in the split `train`. Evaluations "
+        "never have them. These modes have none.\n"
     )
-
-
-def _shaping(tasks: dict[str, Any]) -> str:
-    """Describe the reward terms that only training has."""
-    rows: list[_Row] = []
-    for mode, task in tasks.items():
-        terms, potential = task["shaping"], task["shaping"]["potential"]
-        if terms["progress"] or terms["goal"] or potential["weight"]:
-            shape = f"{potential['weight']:g} x {potential['of'].lower()}, gamma {potential['gamma']:g}"
-            rows.append(
-                (mode, f"{terms['progress']:g}", f"{terms['goal']:g}", shape if potential["weight"] else "none")
-            )
-    text = (
-        "\nThe keys `progress`, `goal` and `potential` of `task.reward` add terms in the split `train`. Evaluations "
-        "never have them."
-    )
-    if not rows:
-        return text + " These modes have none.\n"
-    return text + "\n\n" + _table(("mode", "`progress`", "`goal`", "`potential`"), rows)
 
 
 def _groundings(tasks: dict[str, Any]) -> str:
@@ -316,13 +290,11 @@ def _groundings(tasks: dict[str, Any]) -> str:
     sections = []
     for layout, modes in layouts.items():
         columns, entities = json.loads(layout)
-        rows: list[_Row] = []
-        base = 0
+        rows, base = [], 0
         for column in columns:
-            unary = column["arity"] == 1
-            where = f"{base} + i" if unary else f"{base} + {entities} i + j"
-            variables = "(i)" if unary else "(i, j)"
-            rows.append((f"{base} to {base + column['width'] - 1}", f"`{column['predicate']}{variables}`", where))
+            where, variables = ("i", "(i)") if column["arity"] == 1 else (f"{entities} i + j", "(i, j)")
+            numbers = f"{base} to {base + column['width'] - 1}"
+            rows.append((numbers, f"`{column['predicate']}{variables}`", f"{base} + {where}"))
             base += column["width"]
         sections.append(f"{modes}:\n\n" + _table(("numbers", "atom", "at"), rows))
     return (
@@ -339,7 +311,7 @@ def _state(tasks: dict[str, Any]) -> str:
         values = [f"{value} in {modes}" for value, modes in by_value.items()]
         return next(iter(by_value)) if len(by_value) == 1 else "; ".join(values)
 
-    rows: list[_Row] = [
+    rows: list[tuple[object, str, str]] = [
         (0, "1: the row is in use", "0, 1"),
         (1, "row of the agent minus row of the ego, divided by the half-width of the field of view", "-1 to 1"),
         (2, "column of the agent minus column of the ego, divided by the same", "-1 to 1"),

@@ -40,9 +40,7 @@ class Predictor(Protocol):
 
     def predict(
         self, observation: Any, state: Any = None, episode_start: Any = None, deterministic: bool = False
-    ) -> tuple[Any, Any]:
-        """Return actions for a batch of observations, and the next state."""
-        ...
+    ) -> tuple[Any, Any]: ...
 
 
 Policy: TypeAlias = Literal["oracle", "random"] | Predictor | Callable[[Any], Any]
@@ -171,22 +169,18 @@ class Progress:
     """A progress line on the terminal. Prints nothing if standard error is not a terminal."""
 
     def __init__(self, label: str, total: int) -> None:
-        """Set the label and the total number of items."""
         self._label, self._total = neutral(label, lines=False), total
         self._enabled = sys.stderr is not None and sys.stderr.isatty()
 
     def __enter__(self) -> Progress:
-        """Show zero items."""
         self.update(0)
         return self
 
     def update(self, done: int) -> None:
-        """Show the number of finished items."""
         if self._enabled:
             print(f"\r{self._label}: {done} of {self._total}", end="", file=sys.stderr, flush=True)
 
     def __exit__(self, *error: object) -> None:
-        """Clear the line."""
         if self._enabled:
             print("\r\x1b[K", end="", file=sys.stderr, flush=True)
 
@@ -217,9 +211,7 @@ class Benchmark:
         split: The set of agents and episodes: `"train"`, `"val"` or `"test"`.
         rules: A rule file that replaces the mode's. The recorded episodes do not change, so the oracle may not reach
             the goal.
-        overrides: Changes to the configuration, as in `gymnasium.make`.
-        observation: The kind of observation, as in `gymnasium.make`.
-        limits: The limits of each evaluation of the rules, as in `gymnasium.make`.
+        overrides, observation, limits: As in `gymnasium.make`.
 
     Raises:
         InputError: If the configuration, the rule file or an override is invalid, no episodes are recorded, or they are
@@ -356,12 +348,7 @@ class Benchmark:
         return self._result(named, evaluator.report(self._baseline()))
 
     def check_traces(self, folder: Path, overwrite: bool = False) -> None:
-        """Check that the traces of all episodes can be written to a folder, if the folder exists.
-
-        Raises:
-            FileExistsError: As for `evaluate`.
-            OSError: If a trace cannot be written.
-        """
+        """Check that the traces of all episodes can be written to a folder, with the exceptions of `evaluate`."""
         if not folder.exists():
             return
         names = {_trace_name(episode) for episode in range(len(self))}
@@ -375,7 +362,6 @@ class Benchmark:
             check_writable(folder / name, by="evaluate", overwrite=overwrite)
 
     def _check_model(self, policy: Policy) -> None:
-        """Check that a model takes the observations."""
         shape = model_shape(policy)
         if shape not in (None, self.observation_shape):
             raise ValueError(

@@ -66,7 +66,6 @@ def load_minari(name: str | os.PathLike[str]) -> MinariDataset:
 
 
 def _count(storage: Any) -> int:
-    """Return the number of episodes that a Minari dataset stores."""
     if storage.FORMAT != "hdf5":
         return sum(folder.name.isdecimal() for folder in Path(storage.data_path).iterdir())
     import h5py
@@ -82,7 +81,6 @@ def _hdf5_file(storage: Any) -> Path:
 
 
 def _stored_in_hdf5(storage: Any, indices: Sequence[int]) -> Iterator[StoredEpisode]:
-    """Yield episodes in an HDF5 file."""
     import h5py
 
     read = 0
@@ -107,7 +105,6 @@ def _stored_in_hdf5(storage: Any, indices: Sequence[int]) -> Iterator[StoredEpis
 
 
 def _stored_in_tables(storage: Any, indices: Sequence[int]) -> Iterator[StoredEpisode]:
-    """Yield episodes in Arrow or Parquet files."""
     import pyarrow
     import pyarrow.parquet
 

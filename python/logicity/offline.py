@@ -65,6 +65,7 @@ class Trajectory:
         return len(self.actions)
 
 
+@dataclass(eq=False, repr=False)
 class Demonstrations(Sequence[Trajectory]):
     """Trajectories of the oracle.
 
@@ -77,20 +78,13 @@ class Demonstrations(Sequence[Trajectory]):
         env: The gymnasium spec of the environment.
     """
 
-    def __init__(
-        self,
-        mode: str,
-        split: str,
-        episodes_hash: str,
-        atoms: tuple[Atom, ...],
-        asked: tuple[str, ...],
-        env: gymnasium.envs.registration.EnvSpec,
-        trajectories: Sequence[Trajectory],
-    ) -> None:
-        """Store the arguments."""
-        self.mode, self.split, self.episodes_hash = mode, split, episodes_hash
-        self.atoms, self.asked, self.env = atoms, asked, env
-        self._trajectories = tuple(trajectories)
+    mode: str
+    split: str
+    episodes_hash: str
+    atoms: tuple[Atom, ...]
+    asked: tuple[str, ...]
+    env: gymnasium.envs.registration.EnvSpec
+    trajectories: tuple[Trajectory, ...]
 
     def __repr__(self) -> str:
         """Show the mode, the split, and the numbers of trajectories and steps."""
@@ -99,7 +93,7 @@ class Demonstrations(Sequence[Trajectory]):
 
     def __len__(self) -> int:
         """Return the number of trajectories."""
-        return len(self._trajectories)
+        return len(self.trajectories)
 
     @overload
     def __getitem__(self, index: int) -> Trajectory: ...
@@ -109,13 +103,13 @@ class Demonstrations(Sequence[Trajectory]):
 
     def __getitem__(self, index: int | slice) -> Trajectory | Sequence[Trajectory]:
         """Return one trajectory, or a slice of them."""
-        return self._trajectories[index]
+        return self.trajectories[index]
 
     def to_minari(self, dataset_id: str | None = None, **metadata: Any) -> MinariDataset:
         """Create a Minari dataset, whose `recover_environment()` makes the environment again.
 
-        Minari stores datasets in the folder that the environment variable `MINARI_DATASETS_PATH` names, by default
-        `~/.minari/datasets`.
+        Minari, which the extra `offline` installs, stores datasets in the folder that the environment variable
+        `MINARI_DATASETS_PATH` names, by default `~/.minari/datasets`.
 
         Args:
             dataset_id: The name of the dataset. The default is `logicity/spf-MODE/oracle-v0`. For a configuration file,
@@ -124,7 +118,6 @@ class Demonstrations(Sequence[Trajectory]):
                 `code_permalink`. Minari warns if these three are missing.
 
         Raises:
-            ImportError: If Minari is not installed. The extra `offline` installs it: `pip install './python[offline]'`.
             ValueError: If the dataset already exists.
         """
         with extra("offline"):
@@ -198,9 +191,7 @@ class Demonstrations(Sequence[Trajectory]):
             raise ValueError('Popper needs atoms: make the demonstrations with `observation="groundings"`')
         path = Path(checked_path("folder", folder))
         examples = list(self.examples(distinct=distinct))
-        facts = [
-            line for step, (observation, _) in enumerate(examples) for line in self._facts(step, observation, negated)
-        ]
+        facts = [line for step, (seen, _) in enumerate(examples) for line in self._facts(step, seen, negated)]
         arities = {name: len(entities) for name, entities in self.atoms}
         names = popper_names(arities).items()
         predicates = {"sees": 2} | {name: arity for name, (is_not, _, arity) in names if negated or not is_not}
@@ -211,23 +202,19 @@ class Demonstrations(Sequence[Trajectory]):
             if action not in self.asked:
                 continue
             head = _snake(action)
-            taken = [(step, int(done) == number) for step, (_, done) in enumerate(examples)]
+            signs = ("pos" if done == number else "neg" for _, done in examples)
             bias = [f"head_pred({head},1).", *(f"body_pred({name},{arity})." for name, arity in predicates.items())]
             bias += [f"max_vars({max_vars})."] * (max_vars is not None)
             files = {
                 "bk.pl": facts,
-                "exs.pl": [f"{'pos' if positive else 'neg'}({head}(s{step}_e0))." for step, positive in taken],
+                "exs.pl": [f"{sign}({head}(s{step}_e0))." for step, sign in enumerate(signs)],
                 "bias.pl": bias,
             }
             written.append(_write_folder(path / head, files, overwrite))
         return written
 
     def examples(self, *, distinct: bool = False) -> Iterator[tuple[NDArray[np.float32], int]]:
-        """Yield the observation and the action of every step.
-
-        Args:
-            distinct: Whether to yield steps with the same observation and action only once.
-        """
+        """Yield the observation and the action of every step, or, with `distinct`, each different pair once."""
         seen = set()
         for trajectory in self:
             for observation, action in zip(trajectory.observations[:-1], trajectory.actions, strict=True):
@@ -248,21 +235,15 @@ class Demonstrations(Sequence[Trajectory]):
                 yield f"{'' if holds else 'not_'}{_snake(name)}({arguments})."
 
     def to_parquet(self, path: str | os.PathLike[str], *, overwrite: bool = False) -> None:
-        """Write a Parquet table with one row per step, atomically.
+        """Write a Parquet table with one row per step, atomically. Needs the extra `offline`.
 
         The columns are `episode` (int32), `step` (int32), `observation` (fixed-size list of float32), `action` (int8),
         `reward` (float64), `terminated` (bool), `truncated` (bool), and the numeric keys of `info`. The schema metadata
         has `mode`, `split`, `episodes_hash`, `actions` and `atoms`, which is empty for observations of the kind
         `state`.
 
-        Args:
-            path: The file to write.
-            overwrite: Whether to replace a file that this function did not write, or that has changed since.
-
         Raises:
-            FileExistsError: If the file must not be replaced.
-            ImportError: If pyarrow is not installed. The extra `offline` installs it: `pip install
-                './python[offline]'`.
+            FileExistsError: If this function did not write the file, or it has changed since, without `overwrite`.
             OSError: If the file cannot be written.
         """
         with extra("offline"):
@@ -340,9 +321,7 @@ def demonstrations(
         options: Other options of `gymnasium.make`, such as `overrides`.
 
     Raises:
-        ImportError: If gymnasium is not installed. The extra `gym` installs it: `pip install './python[gym]'`.
-        InputError: As for `Benchmark`, or if the episodes do not fit the agents.
-        OSError: As for `Benchmark`.
+        InputError, OSError: As for `Benchmark`, or if the episodes do not fit the agents.
         ValueError: As for `Benchmark`, or if `n` exceeds the number of recorded episodes.
     """
     name = checked_mode(mode)
@@ -357,7 +336,14 @@ def demonstrations(
     wanted = count if n is None else as_integer("n", n)
     if not 1 <= wanted <= count:
         raise ValueError(f"expected 1 to {count} demonstrations, the number recorded for {name}, {split}, not {wanted}")
-    env = _environment(name, split=split, observation=observation, **options)
+    with extra("gym"):
+        import gymnasium
+
+    if name not in ENVIRONMENTS:
+        # The spec must not depend on the working directory.
+        options["config"] = str(Path(name).resolve()) if Path(name).exists() else name
+    made = ENVIRONMENTS.get(name, "logicity/SPF-Expert-v0")
+    env: gymnasium.Env[Any, Any] = gymnasium.make(made, split=split, observation=observation, **options)
     # With a limit in the spec, `gymnasium.make` would add a `TimeLimit`, which may be less than that of an episode.
     spec = copy(env.spec)
     assert spec is not None
@@ -371,35 +357,22 @@ def demonstrations(
     return Demonstrations(name, split, description["splits"][split]["hash"], atoms, named, spec, trajectories)
 
 
-def _environment(mode: str, **options: Any) -> gymnasium.Env[Any, Any]:
-    """Make the environment of a mode or configuration file. Its spec does not depend on the working directory."""
-    with extra("gym"):
-        import gymnasium
-
-    if mode in ENVIRONMENTS:
-        return gymnasium.make(ENVIRONMENTS[mode], **options)
-    config = str(Path(mode).resolve()) if Path(mode).exists() else mode
-    return gymnasium.make("logicity/SPF-Expert-v0", config=config, **options)
-
-
 def _run_oracle(env: gymnasium.Env[Any, Any], episode: int) -> Trajectory:
     observation, info = env.reset(options={"episode": episode})
-    seed = int(info["seed"]) % 2**64
     observations, infos = [observation], [info]
-    steps: list[tuple[int, float, bool, bool]] = []
-    while not (steps and (steps[-1][2] or steps[-1][3])):
-        action = int(info["oracle_action"])
-        observation, reward, terminated, truncated, info = env.step(action)
+    outcomes: list[list[Any]] = []
+    while not (outcomes and (outcomes[-1][1] or outcomes[-1][2])):
+        observation, *outcome, info = env.step(int(info["oracle_action"]))
         observations.append(observation)
         infos.append(info)
-        steps.append((action, float(reward), terminated, truncated))
-    actions, rewards, terminations, truncations = zip(*steps, strict=True)
+        outcomes.append(outcome)
+    rewards, terminations, truncations = zip(*outcomes, strict=True)
     keys = ("oracle_action", "progress", "success", "steps")
     return Trajectory(
         episode=episode,
-        seed=seed,
+        seed=int(infos[0]["seed"]) % 2**64,
         observations=np.stack(observations),
-        actions=np.array(actions, np.int64),
+        actions=np.array([info["oracle_action"] for info in infos[:-1]], np.int64),
         rewards=np.array(rewards, np.float64),
         terminations=np.array(terminations, np.bool_),
         truncations=np.array(truncations, np.bool_),

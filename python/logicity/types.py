@@ -9,33 +9,6 @@ from typing import TYPE_CHECKING, Any, Literal, TypeAlias, TypedDict
 if TYPE_CHECKING:
     from typing import NotRequired  # Python 3.11; only annotations use it
 
-__all__ = [
-    "Action",
-    "Agent",
-    "Answer",
-    "ArrayKind",
-    "Atom",
-    "Clause",
-    "Diagnostic",
-    "EgoAnswer",
-    "EnvOptions",
-    "EpisodeAgent",
-    "EpisodeStart",
-    "Episodes",
-    "Executor",
-    "Heading",
-    "Label",
-    "Limits",
-    "ObservationKind",
-    "OracleRun",
-    "RuleStats",
-    "Scene",
-    "Split",
-    "StratumStats",
-    "SymbolicScene",
-    "ViewKind",
-]
-
 Action = Literal["Slow", "Normal", "Fast", "Stop"]
 """The actions of an agent. Cars move 1, 2, 3 or 0 cells per tick, respectively."""
 
