@@ -19,7 +19,6 @@ from __future__ import annotations
 import re
 from collections.abc import Collection
 from dataclasses import dataclass
-from functools import partial, reduce
 from itertools import count
 from typing import Literal
 
@@ -38,9 +37,6 @@ __all__ = ["Semantics", "SoftRules"]
 
 Semantics = Literal["product", "max-min"]
 
-#: The action of an agent for which no clause holds, as in `configs/common.yaml`.
-DEFAULT = "Normal"
-
 #: A literal of a clause that is free of syntax errors: its negation, predicate and arguments.
 _LITERAL = re.compile(r"\s*(Not\(|not\s|!)?\s*([\w?]+)\(\s*([\w?]+)\s*(?:,\s*([\w?]+)\s*)?\)\s*\)?\s*(?:,|$)")
 _VARIABLE = re.compile(r"[\w?]+")
@@ -49,6 +45,8 @@ _COMMENT = re.compile(r"//[^\n]*|/\*.*?\*/", re.DOTALL)
 
 @dataclass(frozen=True)
 class BodyLiteral:
+    """A literal of a clause body."""
+
     predicate: str
     variables: tuple[str, ...]
     negated: bool
@@ -65,18 +63,24 @@ class Rule:
 class SoftRules:
     """The clauses of a program that derive actions, on truth degrees.
 
-    Their bodies have literals of unary and binary predicates and of other actions of the same agent, without recursion.
-    Clauses for `Normal` may only say that no other action holds.
+    Args:
+        program: The rules: clauses for actions, whose bodies have literals of unary and binary predicates and of other
+            actions of the same agent, without recursion.
+        precedence: The order of actions if several are derived. The default is that of `actions.priority` in
+            `configs/vap-easy.yaml`, on which `configs/vap-hard.yaml` is based; the file is not read.
+        default: The action of an agent for which no clause holds. The default is `actions.default` of
+            `configs/common.yaml`. Clauses for this action may only say that no other action holds.
 
     Raises:
         ValueError: If a clause has another form.
     """
 
-    def __init__(self, program: Program) -> None:
+    def __init__(self, program: Program, precedence: tuple[str, ...] = ACTIONS, default: str = "Normal") -> None:
         """Read the clauses."""
-        strata = [[name for name in stratum if name in ACTIONS and name != DEFAULT] for stratum in program.strata]
+        self.precedence, self.default = precedence, default
+        strata = [[name for name in stratum if name in ACTIONS and name != default] for stratum in program.strata]
         # Actions without clauses are false.
-        known = set(ACTIONS).difference([DEFAULT], *strata)
+        known = set(ACTIONS).difference([default], *strata)
         clauses = [(each["head"], each["text"]) for each in program.clauses]
         self.rules: dict[str, list[Rule]] = {}
         for stratum in strata:
@@ -84,17 +88,24 @@ class SoftRules:
                 self.rules[action] = [_rule(text, known) for head, text in clauses if head == action]
             known |= set(stratum)
         for head, text in clauses:
-            if head != DEFAULT:
+            if head != default:
                 continue
             rule = _rule(text, known)
             if not all(each.predicate in ("Sees", *ACTIONS) and len(rule.variables) == 1 for each in rule.body):
-                raise ValueError(f"`{DEFAULT}` holds if no other action does: `{text}` has no truth degree")
+                raise ValueError(f"`{default}` holds if no other action does: `{text}` has no truth degree")
 
     def degrees(self, unary: Tensor, binary: Tensor, valid: Tensor, semantics: Semantics = "product") -> Tensor:
-        """Return the degree to which each action is the answer, (B, N, 4) in the order of `logicity.ACTIONS`.
+        """Return the degree to which each action is the answer.
 
-        The action with the largest degree is the answer. With degrees 0 and 1, exactly one action has the degree 1. The
-        arguments are the t-norm and those of reasoners, see `logicity.vap.reasoners.make_reasoner`.
+        Args:
+            unary: (B, N, 11), the degrees of the atoms of `UNARY`.
+            binary: (B, N, N, 7), those of `RELATIONS`: the six binary predicates and `Sees`.
+            valid: bool (B, N): the entities that are present.
+            semantics: The t-norm.
+
+        Returns:
+            (B, N, 4) in the order of `logicity.ACTIONS`. The action with the largest degree is the answer. With degrees
+            0 and 1, exactly one action has the degree 1.
         """
         sees, eye = in_view(binary, valid)
         values = {name: unary[..., at] for at, name in enumerate(UNARY)}
@@ -104,14 +115,14 @@ class SoftRules:
         answers = dict.fromkeys(ACTIONS, torch.zeros_like(unary[..., 0]))
         values |= answers
         for head, rules in self.rules.items():
-            values[head] = _any(torch.stack([_degree(rule, values, semantics) for rule in rules], -1), semantics)
-        # An action is the answer if it is derived, and none before it, in the order of `configs/vap-easy.yaml`.
+            values[head] = _any(torch.stack([_degree(rule, values, sees, semantics) for rule in rules], -1), semantics)
+        # An action is the answer if it is derived, and none that comes before it.
         left = torch.ones_like(unary[..., 0])
-        for action in ACTIONS:
+        for action in self.precedence:
             if action in self.rules:
                 answers[action] = _both(left, values[action], semantics)
                 left = _both(left, 1 - values[action], semantics)
-        answers[DEFAULT] = left
+        answers[self.default] = left
         return torch.stack([answers[action] for action in ACTIONS], -1)
 
 
@@ -140,13 +151,14 @@ def _rule(text: str, actions: Collection[str]) -> Rule:
     return Rule(tuple(body), (ego, *others))
 
 
-def _degree(rule: Rule, values: dict[str, Tensor], semantics: Semantics) -> Tensor:
+def _degree(rule: Rule, values: dict[str, Tensor], sees: Tensor, semantics: Semantics) -> Tensor:
     """Return the degree of a body, (B, N): the disjunction over the entities in view of the conjunction of literals."""
     places = {name: at for at, name in enumerate(rule.variables)}
     seen = [BodyLiteral("Sees", (rule.variables[0], name), False) for name in rule.variables[1:]]
-    degrees = []
+    total: Tensor | None = None
     for literal in (*rule.body, *seen):
-        value = 1 - values[literal.predicate] if literal.negated else values[literal.predicate]
+        value = sees if literal.predicate == "Sees" else values[literal.predicate]
+        value = 1 - value if literal.negated else value
         axes = [places[name] for name in literal.variables]
         if len(axes) == 2 and axes[0] == axes[1]:
             value = value.diagonal(dim1=1, dim2=2)
@@ -155,8 +167,8 @@ def _degree(rule: Rule, values: dict[str, Tensor], semantics: Semantics) -> Tens
         for axis in range(len(rule.variables)):
             if axis not in axes:
                 value = value.unsqueeze(axis + 1)
-        degrees.append(value)
-    total = reduce(partial(_both, semantics=semantics), degrees)
+        total = value if total is None else _both(total, value, semantics)
+    assert total is not None  # a body has at least one literal
     for _ in rule.variables[1:]:
         total = _any(total, semantics)
     return total
