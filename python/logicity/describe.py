@@ -279,10 +279,26 @@ def _rewards(tasks: dict[str, Any]) -> str:
         "The reward of a step is the value of its action in this table, divided by four times the number of route "
         "cells. A step that breaks clauses ends the episode. Its reward is a sum over the actions that these clauses "
         "require: for each action, the lowest value of its broken clauses. Reaching the goal also ends the episode. At "
-        "the horizon, the last step also gets the overtime value.\n\n" + _table(head, rows) + "\n"
-        "The keys `progress`, `goal` and `potential` of `task.reward` add terms in the split `train`. Evaluations "
-        "never have them. These modes have none.\n"
+        "the horizon, the last step also gets the overtime value.\n\n" + _table(head, rows) + _shaping(tasks)
     )
+
+
+def _shaping(tasks: dict[str, Any]) -> str:
+    """Describe the reward terms that only training has."""
+    rows = []
+    for mode, task in tasks.items():
+        terms, potential = task["shaping"], task["shaping"]["potential"]
+        if terms["progress"] or terms["goal"] or potential["weight"]:
+            shape = f"{potential['weight']:g} x {potential['of'].lower()}, gamma {potential['gamma']:g}"
+            shape = shape if potential["weight"] else "none"
+            rows.append((mode, f"{terms['progress']:g}", f"{terms['goal']:g}", shape))
+    text = (
+        "\nThe keys `progress`, `goal` and `potential` of `task.reward` add terms in the split `train`. Evaluations "
+        "never have them."
+    )
+    if not rows:
+        return text + " These modes have none.\n"
+    return text + "\n\n" + _table(("mode", "`progress`", "`goal`", "`potential`"), rows)
 
 
 def _groundings(tasks: dict[str, Any]) -> str:

@@ -440,7 +440,9 @@ def _store(samples: VapDataset, world: _World, target: Path, extract: Extractor,
     record = {"sha256": file_hash(temporary), "data_hash": world.data_hash, "extractor_hash": extract.identity}
     temporary.replace(file)
     # The record comes last: features without one are not finished.
-    write_json(file.with_suffix(".json"), record)
+    temporary = temporary.with_suffix(".json")
+    temporary.write_text(json.dumps(record, indent=1) + "\n", encoding="utf-8")
+    temporary.replace(file.with_suffix(".json"))
 
 
 def _check_source(path: Path, world: _World) -> None:
