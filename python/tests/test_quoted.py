@@ -47,14 +47,15 @@ def transfer(start: str) -> str:
     return of("transfer", learner="nlm-tuned", variant=f"from {start} 100 %")
 
 
-def vap(experiment: str, learner: str, variant: str, predictor: str = "") -> str:
-    return of(experiment, "wAcc", mode="hard", learner=learner, variant=variant, evaluation=predictor)
+def vap(experiment: str, learner: str, variant: str, predictor: str = "", mode: str = "hard") -> str:
+    return of(experiment, "wAcc", mode=mode, learner=learner, variant=variant, evaluation=predictor)
 
 
 def centers(concept: str) -> str:
-    """Return the recall of a concept from the centers of boxes."""
-    rows = [row for row in RESULTS["vap-50"] if (row["learner"], row["variant"]) == ("centers", "random")]
-    return mean(row["details"][concept] for row in rows if row["evaluation"] == "threshold")
+    """Return the recall of a concept from the centers of boxes, in hard mode."""
+    names = ("centers", "hard", "random", "threshold")
+    keys = ("learner", "mode", "variant", "evaluation")
+    return mean(row["details"][concept] for row in RESULTS["vap-50"] if tuple(row[key] for key in keys) == names)
 
 
 DQN: dict[str, Any] = {"learner": "dqn", "seed": 0}
@@ -93,6 +94,11 @@ QUOTES: dict[str, list[str]] = {
         f"`centers` recalls {centers('IsCar')} of the cars and {centers('IsPedestrian')} of the pedestrians",
         f"wAcc of {vap('vap-50', 'centers', 'random', 'threshold')}, against "
         f"{vap('vap-50', 'no-pixels', 'random', 'threshold')} of `no-pixels`",
+        f"`no-pixels` has a wAcc of {vap('vap-50', 'no-pixels', 'random', 'threshold', 'easy')} there, the rules on "
+        f"predicted concepts {vap('vap-50', 'rules', 'random', 'threshold', 'easy')}, and `modular-gnn` "
+        f"{vap('vap-50', 'modular-gnn', 'random', mode='easy')}",
+        f"the rules fall to {vap('vap-50', 'rules', 'plain random', 'threshold', 'easy')} and `modular-gnn` to "
+        f"{vap('vap-50', 'modular-gnn', 'plain random', mode='easy')}",
     ],
 }
 
