@@ -69,13 +69,14 @@ fn infer(criterion: &mut Criterion) {
 fn rules(criterion: &mut Criterion) {
     const WIDTH: usize = 1;
     let world = world("expert");
-    let dense = world
+    let rules = world
         .compile(TrackFirings::Off)
         .expect("the rules of the paper are dense");
+    let dense = &rules.dense;
     let mut simulation =
         Simulation::new(Arc::clone(&world), Split::Test, Seed(1), Settings::default()).expect("agents placed");
     let count = simulation.agents().len();
-    let mut bit_state: BitState<WIDTH> = BitState::new(&dense, count);
+    let mut bit_state: BitState<WIDTH> = BitState::new(dense, count);
     let states: Vec<BitFacts<WIDTH>> = (0..64)
         .map(|_| {
             for _ in 0..7 {
@@ -85,12 +86,12 @@ fn rules(criterion: &mut Criterion) {
             let facts = simulation
                 .facts(|predicate| vocabulary.is_read(predicate))
                 .expect("within limits");
-            let facts: BitFacts<WIDTH> = facts.to_bits(vocabulary, &dense, count);
-            facts.load(&dense, &mut bit_state);
-            bit_state.run(&dense, &facts).expect("few steps");
+            let facts: BitFacts<WIDTH> = rules.bits(&facts, vocabulary, count);
+            facts.load(dense, &mut bit_state);
+            bit_state.run(dense, &facts).expect("few steps");
             for action in Action::ALL {
                 let declared = world.vocabulary.action(action).expect("the rules use every action");
-                let set = bit_state.set(&dense, declared).expect("derived");
+                let set = bit_state.set(dense, declared).expect("derived");
                 let state = simulation.snapshot().expect("within limits");
                 for agent in 0..count {
                     let holds = state.session().contains(declared, [state.value(agent)]);
@@ -106,8 +107,8 @@ fn rules(criterion: &mut Criterion) {
         let mut state = 0;
         bencher.iter(|| {
             state = (state + 1) % states.len();
-            states[state].load(&dense, &mut bit_state);
-            bit_state.run(&dense, &states[state]).expect("few steps");
+            states[state].load(dense, &mut bit_state);
+            bit_state.run(dense, &states[state]).expect("few steps");
             black_box(&bit_state);
         });
     });

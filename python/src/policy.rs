@@ -31,7 +31,7 @@ fn decide<'py>(
     let signals = Signals::new();
     let cancel = signals.cancel();
     let decided = signals.detach(py, || {
-        let mut decider = Decider::new(Arc::clone(task.task.oracle()));
+        let mut decider = Decider::new(Arc::clone(task.task.oracle()))?;
         let mut action = |row| match cancel.requested() {
             true => Err(Diagnostic::cancelled()),
             false => decider.action(row, &cancel),

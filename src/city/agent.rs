@@ -33,6 +33,10 @@ pub struct Agent {
     pub heading: Option<Heading>,
     /// The stage of its rest at the goal.
     pub rest: Rest,
+    /// The number of cells that it moved in the last tick; 0 before the first.
+    pub speed: u8,
+    /// The number of ticks since its last move, or since the start of the run.
+    pub waited: u32,
     /// The direction of the next step; at the goal, of the last one.
     ahead: Heading,
     /// Steps to the end of the current piece of the route; 0 only at the goal.
@@ -72,6 +76,8 @@ impl Agent {
             cell: route.start(),
             heading: None,
             rest: Rest::UnderWay,
+            speed: 0,
+            waited: 0,
             ahead: Heading::Left,
             left: 0,
             next: 0,
@@ -144,6 +150,21 @@ impl Agent {
         self.left as usize
     }
 
+    /// Returns the number of steps to the goal.
+    pub fn remaining(&self) -> u32 {
+        u32::try_from(self.route.steps()).expect("positions have 32 bits") - self.position
+    }
+
+    /// Records the number of cells that it moved in a tick.
+    #[inline]
+    pub(super) fn record(&mut self, cells: usize) {
+        // A move has at most three cells.
+        #[allow(clippy::cast_possible_truncation)]
+        let speed = cells as u8;
+        self.speed = speed;
+        self.waited = if speed == 0 { self.waited.saturating_add(1) } else { 0 };
+    }
+
     /// Moves along the route by at most [`Agent::straight_ahead`] steps.
     pub(super) fn step(&mut self, cells: usize) {
         let cells = u32::try_from(cells).unwrap_or(u32::MAX).min(self.left);
@@ -209,6 +230,7 @@ pub fn place_agents_into(
                     agent.concepts = Arc::clone(&group.concepts);
                 }
                 agent.set_out(route);
+                (agent.speed, agent.waited) = (0, 0);
             }
             None => agents.push(Agent::with(name, &group.concepts, group.priority, route)),
         }

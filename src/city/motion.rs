@@ -66,6 +66,13 @@ pub struct Moved {
     pub replanned: bool,
 }
 
+impl Moved {
+    /// Returns the number of cells of the move, which is straight.
+    pub fn cells(&self) -> u32 {
+        self.from.row.abs_diff(self.to.row) + self.from.col.abs_diff(self.to.col)
+    }
+}
+
 /// The surroundings in which agents move.
 #[derive(Clone, Copy, Debug)]
 pub struct Surroundings<'a> {
@@ -98,24 +105,18 @@ pub fn advance(agent: &mut Agent, index: usize, decided: Action, surroundings: &
     let mut replanned = false;
     if agent.at_goal() {
         match agent.rest {
-            Rest::UnderWay => {
-                agent.rest = Rest::Arrived;
-                return resting;
-            }
-            Rest::Arrived => {
-                agent.rest = Rest::Rested;
-                return resting;
-            }
-            Rest::Rested => {
-                replanned = replan(agent, index, surroundings);
-                if !replanned {
-                    return resting;
-                }
-            }
+            Rest::UnderWay => agent.rest = Rest::Arrived,
+            Rest::Arrived => agent.rest = Rest::Rested,
+            Rest::Rested => replanned = replan(agent, index, surroundings),
+        }
+        if !replanned {
+            agent.record(0);
+            return resting;
         }
     }
     let (cells, reason) = choose(agent, decided, |most| draw_cells(most, index, surroundings));
     agent.step(cells);
+    agent.record(cells);
     Moved {
         from,
         to: agent.cell,

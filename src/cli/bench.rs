@@ -514,15 +514,16 @@ impl<'a> Bench<'a> {
 
     fn infer_dense<const W: usize>(&mut self) -> Result<(), Failure> {
         let (world, count) = (Arc::clone(&self.world), self.agents());
-        let dense = world.compile(TrackFirings::Off)?;
+        let rules = world.compile(TrackFirings::Off)?;
+        let dense = &rules.dense;
         let sets = dense.inputs().len() + dense.lists().len() * 64 * W;
         let states: Vec<BitFacts<W>> = self.states(BETWEEN, |facts| {
             (
-                facts.to_bits(&world.vocabulary, &dense, count),
+                rules.bits(&facts, &world.vocabulary, count),
                 sets * size_of::<[u64; W]>(),
             )
         })?;
-        let timed = evaluate(self.arguments.seconds, &dense, &states, count)?;
+        let timed = evaluate(self.arguments.seconds, dense, &states, count)?;
         self.print_result("evaluations", timed, &[("states", json!(states.len()))])
     }
 
@@ -648,7 +649,7 @@ fn evaluate<const W: usize>(
 fn infer_scenes(arguments: &Arguments, city: LoadedCity, path: &Path, sources: &Sources) -> Result<(), Failure> {
     let name = city.scenario.name.clone();
     let mut inference = inference_of(city, arguments.seed, arguments.executor, sources)?;
-    let dense = match arguments.executor {
+    let rules = match arguments.executor {
         Executor::Relational => None,
         Executor::Dense => Some(inference.compile()?),
         Executor::Auto => inference.compile().ok(),
@@ -656,15 +657,15 @@ fn infer_scenes(arguments: &Arguments, city: LoadedCity, path: &Path, sources: &
     let scenes = read_scenes(
         &mut inference,
         path,
-        if dense.is_some() { SCENE_MAX } else { MAX_ENTITIES },
+        if rules.is_some() { SCENE_MAX } else { MAX_ENTITIES },
     )?;
     let most = scenes.iter().map(|scene| scene.names.len()).max().unwrap_or(0);
-    let (executor, timed) = match dense {
-        Some(dense) => {
+    let (executor, timed) = match rules {
+        Some(rules) => {
             let states: Vec<BitFacts<1>> = (scenes.iter())
-                .map(|scene| scene.facts.to_bits(inference.vocabulary(), &dense, most))
+                .map(|scene| rules.bits(&scene.facts, inference.vocabulary(), most))
                 .collect();
-            (Executor::Dense, evaluate(arguments.seconds, &dense, &states, most)?)
+            (Executor::Dense, evaluate(arguments.seconds, &rules.dense, &states, most)?)
         }
         None => (
             Executor::Relational,

@@ -5,10 +5,11 @@
 //!
 //! Words have 32 bits: `number` and `unsigned` wrap around on overflow, `float` has single precision.
 
+use std::cmp::Ordering;
 use std::collections::HashMap;
 
 use crate::symbol::{Symbol, Symbols};
-use crate::syntax::ast::BaseType;
+use crate::syntax::ast::{BaseType, Comparison};
 use crate::syntax::functor::{Functor, Functor::*};
 
 /// One 32-bit word of a row.
@@ -253,12 +254,53 @@ pub fn parse(base: BaseType, text: &str) -> Option<Value> {
     }
 }
 
+impl Comparison {
+    /// Returns whether the comparison holds. Numbers compare by value; symbols are equal by id and ordered by text.
+    /// `matches` returns whether the pattern `left` matches `right`.
+    pub(crate) fn holds(
+        self,
+        base: BaseType,
+        left: Value,
+        right: Value,
+        symbols: &Symbols,
+        matches: impl FnOnce() -> bool,
+    ) -> bool {
+        let text = |value: Value| symbols.resolve(Symbol(value.0)).unwrap_or_default();
+        // A NaN is neither less nor greater than any float.
+        let order = || match base {
+            BaseType::Number => Some(left.as_number().cmp(&right.as_number())),
+            BaseType::Symbol if left == right => Some(Ordering::Equal),
+            BaseType::Symbol => Some(text(left).cmp(text(right))),
+            BaseType::Unsigned => Some(left.cmp(&right)),
+            BaseType::Float => left.as_float().partial_cmp(&right.as_float()),
+        };
+        match self {
+            Comparison::Equal => left == right,
+            Comparison::NotEqual => left != right,
+            Comparison::Less => order().is_some_and(Ordering::is_lt),
+            Comparison::LessEqual => order().is_some_and(Ordering::is_le),
+            Comparison::Greater => order().is_some_and(Ordering::is_gt),
+            Comparison::GreaterEqual => order().is_some_and(Ordering::is_ge),
+            Comparison::Contains => text(right).contains(text(left)),
+            Comparison::NotContains => !text(right).contains(text(left)),
+            Comparison::Match => matches(),
+            Comparison::NotMatch => !matches(),
+        }
+    }
+}
+
 /// Cache of compiled regular expressions, by pattern symbol. An invalid pattern that is not a constant of the rules
 /// matches nothing; the checker reports constants.
 #[derive(Debug, Default)]
 pub struct Patterns(HashMap<Value, Option<regex::Regex>>);
 
 impl Patterns {
+    /// Variant of [`matches`](Patterns::matches) without a cache.
+    pub(crate) fn match_once(pattern: Value, text: Value, symbols: &Symbols) -> bool {
+        let text = symbols.resolve(Symbol(text.0)).unwrap_or_default();
+        Patterns::default().matches(pattern, text, symbols)
+    }
+
     /// Returns whether the whole of `text` matches `pattern`.
     pub fn matches(&mut self, pattern: Value, text: &str, symbols: &Symbols) -> bool {
         let compiled = self.0.entry(pattern).or_insert_with(|| {

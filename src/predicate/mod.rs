@@ -14,6 +14,7 @@
 //! | [`Static`] | the agent's kind and concepts | `StaticKind::holds` | the same | once per combination |
 //! | [`Local`] | the agent's kind and its cell | `LocalKind::holds` | `CellTable` | when the agent moves |
 //! | [`Pair`] | two agents | `PairKind::holds` | `Relation` | when a rule needs it |
+//! | [`Quantity`] | the state of the agents | `Quantity::measure` | the same | when a rule needs it |
 //!
 //! A `Relation` answers in two steps, like a spatial query: a rectangle of cells is the filter, a test of two agents
 //! the refinement. Property tests compare the fast forms with the definitions.
@@ -25,6 +26,7 @@ mod distance;
 mod intersection;
 mod kind;
 mod priority;
+mod quantity;
 mod sees;
 mod side;
 mod situation;
@@ -42,6 +44,8 @@ pub use distance::Distance;
 pub use intersection::{AtIntersection, InIntersection};
 pub use kind::Kind;
 pub use priority::HigherPriority;
+pub(crate) use quantity::{Measure, Measured};
+pub use quantity::{Progress, Quantity, Unit};
 pub use sees::Sees;
 pub(crate) use sees::Views;
 pub use side::{LeftOf, RightOf};
@@ -60,6 +64,8 @@ pub struct Entity<'a> {
     pub at: Cell,
     /// The direction of the last move; `None` before the first.
     pub heading: Option<Heading>,
+    /// What only quantities read.
+    pub progress: Progress,
 }
 
 /// The state of an agent that binary predicates can see.
@@ -72,6 +78,14 @@ pub(crate) struct Subject {
 }
 
 impl Entity<'_> {
+    /// Returns the part that quantities read.
+    pub(crate) fn measured(&self) -> Measured {
+        Measured {
+            subject: self.subject(),
+            progress: self.progress,
+        }
+    }
+
     /// Returns the part that binary predicates see.
     pub(crate) fn subject(&self) -> Subject {
         Subject {
@@ -392,6 +406,7 @@ macro_rules! kinds {
                     $(Definition::Static(Static::$static(it)) => tagged(serializer, stringify!($static), it),)*
                     $(Definition::Local(Local::$local(it)) => tagged(serializer, stringify!($local), it),)*
                     $(Definition::Pair(Pair::$pair(it)) => tagged(serializer, stringify!($pair), it),)*
+                    Definition::Quantity(it) => tagged(serializer, "Quantity", it),
                 }
             }
         }
@@ -406,6 +421,10 @@ macro_rules! kinds {
             fn from(predicate: $pair) -> Definition { Definition::Pair(Pair::$pair(predicate)) }
         })*
 
+        impl From<Quantity> for Definition {
+            fn from(predicate: Quantity) -> Definition { Definition::Quantity(predicate) }
+        }
+
         impl Definition {
             /// Returns the words of the predicate in an English sentence.
             pub fn phrase(&self) -> Phrase {
@@ -413,6 +432,7 @@ macro_rules! kinds {
                     $(Definition::Static(Static::$static(predicate)) => predicate.phrase(),)*
                     $(Definition::Local(Local::$local(predicate)) => predicate.phrase(),)*
                     $(Definition::Pair(Pair::$pair(predicate)) => predicate.phrase(),)*
+                    Definition::Quantity(predicate) => predicate.phrase(),
                 }
             }
         }
@@ -420,11 +440,11 @@ macro_rules! kinds {
         /// Returns predicates of all kinds.
         #[cfg(test)]
         fn samples() -> Vec<Vec<Definition>> {
-            vec![$($static::samples(),)* $($local::samples(),)* $($pair::samples(),)*]
+            vec![$($static::samples(),)* $($local::samples(),)* $($pair::samples(),)* Quantity::samples()]
         }
 
         /// The syntax of all kinds.
-        const SYNTAX: &[Syntax] = &[$($static::SYNTAX,)* $($local::SYNTAX,)* $($pair::SYNTAX,)*];
+        const SYNTAX: &[Syntax] = &[$($static::SYNTAX,)* $($local::SYNTAX,)* $($pair::SYNTAX,)* Quantity::SYNTAX];
     };
 }
 
@@ -469,6 +489,8 @@ pub enum Definition {
     Local(Local),
     /// Computed from two agents.
     Pair(Pair),
+    /// A value of agents or of the city.
+    Quantity(Quantity),
 }
 
 impl Definition {
@@ -477,7 +499,21 @@ impl Definition {
         match self {
             Definition::Static(_) | Definition::Local(_) => 1,
             Definition::Pair(_) => 2,
+            Definition::Quantity(quantity) => quantity.agents(),
         }
+    }
+
+    /// Returns the type of the value in the last column, after the agents, if the predicate has one.
+    pub fn unit(&self) -> Option<Unit> {
+        match self {
+            Definition::Quantity(quantity) => Some(quantity.unit()),
+            _ => None,
+        }
+    }
+
+    /// Returns whether a trace must record the predicate, since cells, headings and priorities do not determine it.
+    pub(crate) fn is_recorded(&self) -> bool {
+        self.is_drawn() || matches!(self, Definition::Quantity(quantity) if !quantity.is_visible())
     }
 
     /// Returns whether the predicate relates every agent to itself.
@@ -704,7 +740,7 @@ mod tests {
         for definition in samples().concat() {
             match &definition {
                 // The definition is the only form.
-                Definition::Static(_) => {}
+                Definition::Static(_) | Definition::Quantity(_) => {}
                 Definition::Local(predicate) => {
                     let (table, mut found) = (predicate.table(), BTreeSet::new());
                     for cell in (0..map.rows()).flat_map(|row| (0..map.cols()).map(move |col| Cell::new(row, col))) {

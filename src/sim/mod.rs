@@ -12,7 +12,7 @@ mod scene;
 mod tick;
 mod trace;
 
-pub use crate::predicate::Entity;
+pub use crate::predicate::{Entity, Progress};
 pub use load::{LoadError, LoadedCity};
 pub use observe::{ActionConstraint, Decider, OBSERVED_MAX, Observer, Oracle};
 pub use scene::{
@@ -21,7 +21,7 @@ pub use scene::{
 };
 pub use tick::asked::{AskedFact, FactAccount};
 pub use tick::chance::Chance;
-pub use tick::executor::Executor;
+pub use tick::executor::{DenseRules, Executor};
 pub use tick::ground::{Facts, MAX_ENTITIES, ground};
 pub(crate) use tick::ground_state::GroundState;
 pub use tick::simulation::{AgentTick, Batch, Phase, Settings, Simulation, Snapshot, TickReport};

@@ -18,6 +18,7 @@ mod popper_tasks;
 #[path = "../datalog/proofs.rs"]
 mod proofs;
 mod properties;
+mod quantities;
 mod recorded;
 #[path = "../root.rs"]
 mod root;

@@ -9,7 +9,7 @@ use logicity::city::{Action, AgentKind, Split};
 use logicity::datalog::{ClauseId, Literal, Rules, Term};
 use logicity::diag::{Diagnostic, Sources};
 use logicity::rng::{Purpose, RngExt, Seed};
-use logicity::sim::{Chance, Decider, Entity, Facts, Observer, Settings, Simulation, ground};
+use logicity::sim::{Chance, Decider, Entity, Facts, Observer, Progress, Settings, Simulation, ground};
 use logicity::task::spf::{
     self, Autoreset, Baseline, BatchEvaluator, Begin, ControlMode, Env, EpisodeSet, EpisodeSource, MapIdentity,
     ObservationKind, Policy, RANDOM_RUNS, Rate, Rollout, Score, SpfTask, VectorEnv, describe, rollout, summarize,
@@ -29,6 +29,10 @@ struct Plain {
 struct Trusted<'a>(&'a BTreeSet<(usize, Vec<usize>)>);
 
 impl Chance for Trusted<'_> {
+    fn tick(&self) -> u64 {
+        0
+    }
+
     fn happens(&self, predicate: usize, first: usize, second: usize, _: f64) -> bool {
         self.0.contains(&(predicate, vec![first, second]))
     }
@@ -43,6 +47,7 @@ fn facts_of(city: &Simulation, chance: &impl Chance) -> Facts {
             priority: agent.priority,
             at: agent.cell,
             heading: agent.heading,
+            progress: Progress::default(),
         })
         .collect();
     let world = city.world();
@@ -200,7 +205,7 @@ fn observers_agree_with_the_definitions() {
         let n = plain_task.oracle().entities();
         let mut seen = [0; 4];
         let mut observation = vec![0.0; plain_task.oracle().width()];
-        let mut deciders = [&plain_task, &other, &twice].map(|task| Decider::new(Arc::clone(task.oracle())));
+        let mut deciders = [&plain_task, &other, &twice].map(|task| Decider::new(Arc::clone(task.oracle())).unwrap());
         for seed in 0..3 {
             let mut city = Simulation::new(Arc::clone(world), Split::Test, Seed(seed), Settings::default()).unwrap();
             let egos = 0..city.agents().len();

@@ -13,6 +13,7 @@
 //!
 //! - `analyze` decides which strata the executor supports and why it does not support others.
 //! - `body` splits a clause into conditions on its variables.
+//! - `condition` replaces literals on values by conditions, which the caller evaluates.
 //! - `compile` translates these to a `program`: a short list of operations on numbered sets. It shares conditions
 //!   between clauses.
 //! - `search` finds values of one or two variables; `tree` finds values of more, with tables of what failed before.
@@ -25,6 +26,7 @@
 mod analyze;
 mod body;
 mod compile;
+mod condition;
 mod facts;
 mod program;
 mod run;
@@ -33,6 +35,7 @@ mod sets;
 mod tree;
 
 pub use analyze::{Choice, Construct, Unsupported, choose};
+pub use condition::{Condition, Lifted, lift};
 pub use facts::BitFacts;
 pub use program::{Argument, Dense, Input, List, TrackFirings};
 pub use run::BitState;

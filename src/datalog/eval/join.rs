@@ -12,7 +12,6 @@ use crate::symbol::{Symbol, Symbols};
 use crate::syntax::ast::{BaseType, Comparison};
 use crate::syntax::functor::{AggregateOp, Functor};
 use crate::value::{Patterns, Value};
-use std::cmp::Ordering;
 
 /// The rows that a step reads, as sorted batches. A leapfrog join has one batch for each list, and a correlated
 /// aggregate one for each source of its plans.
@@ -190,7 +189,7 @@ impl<const W: usize> Join<'_, W> {
                     match op {
                         Comparison::Match => self.matches(left, right),
                         Comparison::NotMatch => !self.matches(left, right),
-                        _ => compare(self.symbols, *op, left, right, *base),
+                        _ => op.holds(*base, left, right, self.symbols, || unreachable!("matched above")),
                     }
                 }
                 Step::Compute {
@@ -687,28 +686,4 @@ fn is_bound(plan: &Plan, slots: &mut [Value], parameters: &[Value]) -> bool {
     }
     let mut checks = check.iter();
     checks.all(|&(column, slot)| slots[slot as usize] == parameters[column as usize])
-}
-
-/// Whether a comparison holds. Numbers compare by value; symbols are equal by id and ordered by text.
-fn compare(symbols: &Symbols, op: Comparison, left: Value, right: Value, base: BaseType) -> bool {
-    let text = |value: Value| symbols.resolve(Symbol(value.0)).unwrap_or_default();
-    let order = || match base {
-        BaseType::Number => Some(left.as_number().cmp(&right.as_number())),
-        BaseType::Symbol if left == right => Some(Ordering::Equal),
-        BaseType::Symbol => Some(text(left).cmp(text(right))),
-        BaseType::Unsigned => Some(left.cmp(&right)),
-        BaseType::Float => left.as_float().partial_cmp(&right.as_float()),
-    };
-    match op {
-        Comparison::Equal => left == right,
-        Comparison::NotEqual => left != right,
-        Comparison::Less => order().is_some_and(Ordering::is_lt),
-        Comparison::LessEqual => order().is_some_and(Ordering::is_le),
-        Comparison::Greater => order().is_some_and(Ordering::is_gt),
-        Comparison::GreaterEqual => order().is_some_and(Ordering::is_ge),
-        Comparison::Contains => text(right).contains(text(left)),
-        Comparison::NotContains => !text(right).contains(text(left)),
-        Comparison::Match => Patterns::default().matches(left, text(right), symbols),
-        Comparison::NotMatch => !Patterns::default().matches(left, text(right), symbols),
-    }
 }

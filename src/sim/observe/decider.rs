@@ -17,12 +17,16 @@ pub struct Decider {
 
 impl Decider {
     /// Creates a decider with the rules of an oracle.
-    pub fn new(oracle: Arc<Oracle>) -> Decider {
-        Decider {
+    ///
+    /// # Errors
+    /// `rule-mismatch` if the rules read quantities, which observations do not contain.
+    pub fn new(oracle: Arc<Oracle>) -> Result<Decider, Diagnostic> {
+        oracle.world().vocabulary.without_quantities("observations")?;
+        Ok(Decider {
             atoms: oracle.no_atoms(),
             violations: Violations::new(oracle.monitor()),
             oracle,
-        }
+        })
     }
 
     /// Returns the action of the ego. A fact holds if its number exceeds 0.5.

@@ -9,17 +9,20 @@
 //! action, the observer fixes the action predicates in the bodies of all clauses: only this action holds, and only for
 //! the ego. The others' next actions are not observable, so no action holds for them.
 
-use crate::city::{Action, AgentKind};
+use crate::city::{Action, Agent, AgentKind};
 use crate::city::{Cell, FieldOfView};
 use crate::datalog::Session;
 use crate::datalog::Value;
 use crate::datalog::dense::{holding, members};
 use crate::diag::Diagnostic;
-use crate::predicate::{CellTable, Definition, PairRelation, Relation, Static, Views, with_relation};
+use crate::predicate::{
+    CellTable, Definition, Measured, PairRelation, Progress, Quantity, Relation, Static, Views, with_relation,
+};
 use crate::sim::observe::rule_monitor::{
     ActionConstraint, AtomLayout, Atoms, Entities, Observed, RuleMonitor, Violations,
 };
 use crate::sim::tick::chance::{Chance, Draws};
+use crate::sim::tick::ground::word;
 use crate::sim::tick::ground_state::GroundState;
 use crate::sim::tick::simulation::Simulation;
 use crate::sim::tick::vocabulary::Actions;
@@ -53,6 +56,7 @@ enum How {
     Static(Static),
     Local(CellTable),
     Pair(PairRelation),
+    Quantity(Quantity),
 }
 
 impl Oracle {
@@ -70,6 +74,7 @@ impl Oracle {
             Definition::Static(predicate) => How::Static(predicate.clone()),
             Definition::Local(predicate) => How::Local(predicate.table()),
             Definition::Pair(pair) => How::Pair(pair.relation()),
+            Definition::Quantity(quantity) => How::Quantity(*quantity),
         };
         let definitions = vocabulary.predicates.iter().map(|predicate| &predicate.definition);
         let how: Vec<How> = definitions.map(how).collect();
@@ -87,6 +92,7 @@ impl Oracle {
         let sets = observed.flat_map(|(predicate, how)| match how {
             How::Pair(_) => layout.rows(predicate)..layout.rows(predicate) + entities,
             How::Static(_) | How::Local(_) => predicate..predicate + 1,
+            How::Quantity(_) => 0..0,
         });
         Ok(Oracle {
             entities,
@@ -104,6 +110,12 @@ impl Oracle {
     pub(super) fn no_atoms(&self) -> Atoms {
         Atoms {
             words: vec![0; self.layout.len()],
+            values: (self.how.iter())
+                .map(|how| match how {
+                    How::Quantity(quantity) => vec![None; self.entities.pow(exponent(quantity.agents()))],
+                    _ => Vec::new(),
+                })
+                .collect(),
             layout: self.layout,
         }
     }
@@ -146,20 +158,15 @@ impl Oracle {
         self.columns.len() * self.entities
     }
 
-    /// Returns the observed predicates, in order, with the length of each in the vector.
+    /// Returns the observed predicates, in order, with the length of each in the vector. Quantities are not among them.
     pub fn columns(&self) -> impl Iterator<Item = (usize, usize)> {
         let vocabulary = &self.world.vocabulary;
         let observed = vocabulary
             .predicates
             .iter()
             .enumerate()
-            .filter(|(position, _)| *position != vocabulary.sees);
-        observed.map(|(position, predicate)| {
-            (
-                position,
-                self.entities.pow(u32::try_from(predicate.arity).expect("1 or 2")),
-            )
-        })
+            .filter(|(position, predicate)| *position != vocabulary.sees && predicate.value.is_none());
+        observed.map(|(position, predicate)| (position, self.entities.pow(exponent(predicate.arity))))
     }
 }
 
@@ -287,7 +294,7 @@ impl Observer {
         if oracle.nearest_first {
             sort_by_distance(ego_cell, &mut self.bodies[1..]);
         }
-        let changed = self.compute(chance);
+        let changed = self.compute(city.agents(), chance);
         // In most steps nothing changes.
         if changed || self.bodies.len() != before {
             self.violations.forget();
@@ -295,7 +302,7 @@ impl Observer {
     }
 
     /// Computes the facts about the observed entities. Returns whether any fact has changed.
-    fn compute(&mut self, chance: &impl Chance) -> bool {
+    fn compute(&mut self, agents: &[Agent], chance: &impl Chance) -> bool {
         let (oracle, bodies) = (&*self.oracle, &self.bodies);
         let (mut changed, mut rows) = (false, [0; OBSERVED_MAX]);
         let rows = &mut rows[..oracle.entities];
@@ -308,6 +315,20 @@ impl Observer {
                     holding(holds)
                 }
                 How::Local(table) => holding(bodies.iter().map(|body| table.holds(body.junction, body.kind))),
+                How::Quantity(quantity) => {
+                    let measured = |body: &AgentState| Measured {
+                        subject: body.subject(),
+                        progress: Progress::of(&agents[body.agent as usize]),
+                    };
+                    let bodies: Vec<Measured> = bodies.iter().map(measured).collect();
+                    let values = &mut self.atoms.values[predicate];
+                    for (place, known) in values.iter_mut().enumerate() {
+                        let value = measure(*quantity, chance.tick(), &bodies, oracle.entities, place);
+                        changed |= *known != value;
+                        *known = value;
+                    }
+                    continue;
+                }
                 // `Sees` is the only predicate that relates an agent to itself.
                 How::Pair(relation) => {
                     rows.fill(0);
@@ -352,7 +373,7 @@ impl Observer {
 
     /// Returns the length of a row of the `state` observation; see [`Observer::write_state`].
     pub fn state_width(oracle: &Oracle) -> usize {
-        let unary = oracle.how.iter().filter(|how| !matches!(how, How::Pair(_)));
+        let unary = oracle.how.iter().filter(|how| !matches!(how, How::Pair(_) | How::Quantity(_)));
         8 + unary.count()
     }
 
@@ -382,7 +403,7 @@ impl Observer {
             let unary = oracle.how.iter().enumerate().filter_map(|(predicate, how)| match how {
                 How::Static(_) => Some(is_steadily(&self.steady, self.words, body, predicate)),
                 How::Local(table) => Some(table.holds(body.junction, body.kind)),
-                How::Pair(_) => None,
+                How::Pair(_) | How::Quantity(_) => None,
             });
             for (holds, value) in unary.zip(&mut row[8..]) {
                 *value = f32::from(u8::from(holds));
@@ -485,4 +506,20 @@ fn observed<'a>(atoms: &'a Atoms, bodies: &'a [AgentState], city: &'a Simulation
         given: None,
         cancel: city.cancel(),
     }
+}
+
+/// Returns the value of a quantity at a place of [`Atoms::values`].
+fn measure(quantity: Quantity, tick: u64, bodies: &[Measured], most: usize, place: usize) -> Option<Value> {
+    let measure = match quantity.agents() {
+        0 => quantity.measure(tick, &[]),
+        1 => quantity.measure(tick, &[bodies.get(place)?]),
+        _ if place / most == place % most => None,
+        _ => quantity.measure(tick, &[bodies.get(place / most)?, bodies.get(place % most)?]),
+    };
+    measure.map(word)
+}
+
+/// Returns a number of agents as an exponent.
+fn exponent(agents: usize) -> u32 {
+    u32::try_from(agents).expect("at most 2")
 }

@@ -11,13 +11,13 @@ use crate::city::Agent;
 use crate::datalog;
 use crate::datalog::Program;
 use crate::datalog::dense::{
-    Argument, BinaryFacts, BitState, Dense, Input, List, Set, TrackFirings, choose, first, has, members,
+    Argument, BinaryFacts, BitState, Input, List, Set, TrackFirings, first, has, members,
 };
-use crate::datalog::{ClauseId, Limits, Literal, PredicateId, Rules};
+use crate::datalog::{ClauseId, Limits, Literal, PredicateId, Rules, Value};
 use crate::diag::Diagnostic;
-use crate::sim::tick::executor::compile;
+use crate::sim::tick::executor::{DenseRules, compile};
 use crate::sim::tick::ground::Facts;
-use crate::sim::tick::ground_state::GroundState;
+use crate::sim::tick::ground_state::{GroundPredicate, GroundState};
 use crate::sim::tick::vocabulary::{Actions, Vocabulary};
 use crate::sim::tick::window::AgentState;
 
@@ -52,7 +52,7 @@ enum How {
 #[derive(Debug)]
 struct Conditions {
     /// The rules without action literals in bodies.
-    rules: Box<DenseRules>,
+    rules: Box<BoundRules>,
     /// The clauses in stratum order: earlier clauses derive the actions that a clause reads.
     clauses: Vec<Condition>,
 }
@@ -80,22 +80,32 @@ impl Condition {
 /// Rules with their executor.
 #[derive(Debug)]
 enum Evaluator {
-    Dense(Box<DenseRules>),
+    Dense(Box<BoundRules>),
     Relational {
         program: Program,
-        /// The predicates with their arity: first the predicates of the vocabulary, then the imposed actions.
-        predicates: Vec<Option<(PredicateId, usize)>>,
+        /// First the predicates of the vocabulary, then the imposed actions.
+        predicates: Vec<Option<GroundPredicate>>,
         limits: Limits,
     },
 }
 
 #[derive(Debug)]
-struct DenseRules {
-    dense: Dense,
-    /// The source of each input of the program: a predicate of the vocabulary or, after those, an imposed action, and
-    /// whether the input is its diagonal.
-    inputs: Vec<Option<(usize, bool)>>,
-    lists: Vec<(Option<usize>, Argument)>,
+struct BoundRules {
+    rules: DenseRules,
+    /// Each input of the program, and whether it is the diagonal.
+    inputs: Vec<(Given, bool)>,
+    lists: Vec<(Given, Argument)>,
+}
+
+/// Where the facts of an input come from.
+#[derive(Clone, Copy, Debug)]
+enum Given {
+    /// It has none.
+    Nowhere,
+    /// A predicate of the vocabulary or, after those, an imposed action.
+    Predicate(usize),
+    /// A condition on quantities.
+    Condition(usize),
 }
 
 /// Returns the rules with the action predicates of all bodies replaced by input predicates, and these predicates. They
@@ -210,7 +220,7 @@ impl Conditions {
                 None => return None,
             }
         }
-        let rules = DenseRules::new(&others, vocabulary, [None; 4], TrackFirings::Each)?;
+        let rules = BoundRules::new(&others, vocabulary, [None; 4], TrackFirings::Each)?;
         Some(Conditions {
             rules: Box::new(rules),
             clauses,
@@ -228,11 +238,11 @@ impl Conditions {
         if *known {
             return;
         }
-        let bit_state = bit_state.get_or_insert_with(|| Box::new(BitState::new(&self.rules.dense, 0)));
+        let bit_state = bit_state.get_or_insert_with(|| Box::new(BitState::new(&self.rules.rules.dense, 0)));
         self.rules.run(bit_state, observed);
         let holds = |clause| {
             bit_state
-                .fired(&self.rules.dense, clause)
+                .fired(&self.rules.rules.dense, clause)
                 .is_some_and(|set| has(set, 0))
         };
         let clauses = self.clauses.iter().enumerate();
@@ -266,7 +276,7 @@ impl Conditions {
     }
 }
 
-impl DenseRules {
+impl BoundRules {
     /// The maximum number of observed entities.
     const ENTITIES: usize = 64;
 
@@ -276,47 +286,55 @@ impl DenseRules {
         vocabulary: &Vocabulary,
         given: [Option<PredicateId>; 4],
         counting: TrackFirings,
-    ) -> Option<DenseRules> {
-        let dense = compile(rules, vocabulary, counting).ok()?;
+    ) -> Option<BoundRules> {
+        let compiled = compile(rules, vocabulary, counting).ok()?;
+        let dense = &compiled.dense;
         let egos = if dense.is_local() { 1 } else { Self::ENTITIES };
-        if !choose(rules).costly(rules, Self::ENTITIES, egos).is_empty() {
+        if !compiled.costly(Self::ENTITIES, egos).is_empty() {
             return None;
         }
         let bound = vocabulary.predicates.iter().map(|predicate| predicate.id);
         let bound: Vec<Option<PredicateId>> = bound.chain(given).collect();
-        let place = |predicate: PredicateId| bound.iter().position(|bound| *bound == Some(predicate));
-        let input = |input: &Input| match *input {
-            Input::Unary(predicate) => place(predicate).map(|place| (place, false)),
-            Input::Diagonal(predicate) => place(predicate).map(|place| (place, true)),
+        let place = |predicate: PredicateId| {
+            let known = bound.iter().position(|bound| *bound == Some(predicate));
+            let condition = || compiled.conditions.find(predicate).map(Given::Condition);
+            known.map(Given::Predicate).or_else(condition).unwrap_or(Given::Nowhere)
         };
-        Some(DenseRules {
+        let input = |input: &Input| match *input {
+            Input::Unary(predicate) => (place(predicate), false),
+            Input::Diagonal(predicate) => (place(predicate), true),
+        };
+        Some(BoundRules {
             inputs: dense.inputs().iter().map(input).collect(),
             lists: (dense.lists().iter())
                 .map(|&List(predicate, axis)| (place(predicate), axis))
                 .collect(),
-            dense,
+            rules: compiled,
         })
     }
 
     /// Evaluates the rules for the first entity.
     fn run(&self, bit_state: &mut BitState<1>, observed: Observed<'_>) {
-        let (atoms, count) = (observed.atoms, observed.entities.count());
+        let (atoms, count, dense) = (observed.atoms, observed.entities.count(), &self.rules.dense);
         if bit_state.count() != count {
-            bit_state.reset(&self.dense, count);
-            if self.dense.is_local() {
+            bit_state.reset(dense, count);
+            if dense.is_local() {
                 bit_state.set_egos(first(1));
             }
         }
-        for (input, source) in self.inputs.iter().enumerate() {
-            let set = match *source {
-                None => 0,
-                Some((predicate, false)) => observed.unary(predicate),
-                Some((predicate, true)) => (0..count).fold(0, |set, at| set | atoms.row(predicate, at) & 1 << at),
+        let related = Related { atoms, rules: self };
+        for (input, &(given, diagonal)) in self.inputs.iter().enumerate() {
+            let set = match given {
+                Given::Nowhere => 0,
+                Given::Predicate(predicate) if !diagonal => observed.unary(predicate),
+                Given::Predicate(predicate) => (0..count).fold(0, |set, at| set | atoms.row(predicate, at) & 1 << at),
+                Given::Condition(condition) => {
+                    (0..count).fold(0, |set, at| set | u64::from(related.meets(condition, [at, at])) << at)
+                }
             };
-            bit_state.set_input(&self.dense, input, [set]);
+            bit_state.set_input(dense, input, [set]);
         }
-        let lists = &self.lists;
-        let run = bit_state.run(&self.dense, &Related { atoms, lists });
+        let run = bit_state.run(dense, &related);
         run.expect("no clause is costly");
     }
 }
@@ -329,17 +347,19 @@ impl Evaluator {
         given: [Option<PredicateId>; 4],
         counting: TrackFirings,
     ) -> Evaluator {
-        if let Some(rules) = DenseRules::new(program.rules(), vocabulary, given, counting) {
+        if let Some(rules) = BoundRules::new(program.rules(), vocabulary, given, counting) {
             return Evaluator::Dense(Box::new(rules));
         }
-        let predicates = vocabulary.predicates.iter();
-        let predicates = predicates.map(|predicate| predicate.id.map(|id| (id, predicate.arity)));
-        let given = given
-            .into_iter()
-            .map(|predicate| predicate.map(|predicate| (predicate, 1)));
+        let given = given.into_iter().map(|id| {
+            Some(GroundPredicate {
+                id: id?,
+                arity: 1,
+                value: None,
+            })
+        });
         Evaluator::Relational {
             program,
-            predicates: predicates.chain(given).collect(),
+            predicates: GroundPredicate::of(vocabulary).chain(given).collect(),
             limits,
         }
     }
@@ -377,6 +397,9 @@ impl RuleMonitor {
 pub(super) struct Atoms {
     /// The sets of entities, see [`AtomLayout`].
     pub words: Vec<u64>,
+    /// For each quantity of the vocabulary, its values for the entities, or for each pair of them, [`AtomLayout::entities`] to a
+    /// row, or for the city; empty for other predicates.
+    pub values: Vec<Vec<Option<Value>>>,
     pub layout: AtomLayout,
 }
 
@@ -416,6 +439,12 @@ impl Atoms {
         }
     }
 
+    /// Returns the value of a quantity for the entities.
+    fn value(&self, predicate: usize, entities: &[usize]) -> Option<Value> {
+        let place = entities.iter().fold(0, |place, entity| place * self.layout.entities + entity);
+        self.values[predicate].get(place).copied().flatten()
+    }
+
     /// Returns the rows of a predicate over two agents.
     pub fn rows_mut(&mut self, predicate: usize) -> &mut [u64] {
         &mut self.words[self.layout.rows(predicate)..][..self.layout.entities]
@@ -425,19 +454,43 @@ impl Atoms {
 /// Provides binary facts to a dense program.
 struct Related<'a> {
     atoms: &'a Atoms,
-    lists: &'a [(Option<usize>, Argument)],
+    rules: &'a BoundRules,
+}
+
+impl Related<'_> {
+    /// Returns whether entities meet a condition on quantities.
+    fn meets(&self, condition: usize, of: [usize; 2]) -> bool {
+        (self.rules.rules.conditions).holds(condition, |predicate, _, places| {
+            let mut entities = [0; 2];
+            for (entity, place) in entities.iter_mut().zip(places) {
+                *entity = of[*place];
+            }
+            self.atoms.value(predicate, &entities[..places.len()])
+        })
+    }
+
+    /// Returns whether an input relates two entities.
+    fn relates(&self, given: Given, first: usize, second: usize) -> bool {
+        match given {
+            Given::Nowhere => false,
+            Given::Predicate(predicate) => self.atoms.row(predicate, first) >> second & 1 != 0,
+            Given::Condition(condition) => self.meets(condition, [first, second]),
+        }
+    }
 }
 
 impl BinaryFacts<1> for Related<'_> {
     #[inline]
     fn narrow(&self, list: usize, at: usize, among: Set<1>) -> Set<1> {
-        match self.lists[list] {
-            (None, _) => [0],
-            (Some(predicate), Argument::Second) => [among[0] & self.atoms.row(predicate, at)],
-            (Some(predicate), Argument::First) => {
-                let related = |first: &usize| self.atoms.row(predicate, *first) >> at & 1 != 0;
-                [members(&among).filter(related).fold(0, |set, first| set | 1 << first)]
-            }
+        let related = |first: usize, second: usize, given| self.relates(given, first, second);
+        let keep = |related: &dyn Fn(usize) -> bool| {
+            let related = members(&among).filter(|other| related(*other));
+            [related.fold(0, |set, other| set | 1 << other)]
+        };
+        match self.rules.lists[list] {
+            (Given::Predicate(predicate), Argument::Second) => [among[0] & self.atoms.row(predicate, at)],
+            (given, Argument::Second) => keep(&|other| related(at, other, given)),
+            (given, Argument::First) => keep(&|other| related(other, at, given)),
         }
     }
 }
@@ -513,7 +566,29 @@ impl Observed<'_> {
             rows.sort_unstable();
             rows
         });
-        Facts { rows: rows.collect() }
+        let mut facts = Facts::of(rows.collect());
+        for (predicate, values) in self.atoms.values.iter().enumerate() {
+            self.add_values(predicate, values, &mut facts);
+        }
+        facts
+    }
+
+    /// Adds the values of a quantity.
+    fn add_values(&self, predicate: usize, values: &[Option<Value>], facts: &mut Facts) {
+        let most = self.atoms.layout.entities;
+        let agent = |entity: usize| self.entities.position(entity);
+        let row = |place: usize| match values.len() {
+            1 => Some([0, 0]),
+            alone if alone == most => (place < self.entities.count()).then(|| [agent(place), 0]),
+            _ => {
+                let pair = [place / most, place % most];
+                (pair.iter().all(|entity| *entity < self.entities.count())).then(|| pair.map(agent))
+            }
+        };
+        let known = values.iter().enumerate().filter_map(|(place, value)| Some((row(place)?, (*value)?)));
+        let mut known: Vec<([u32; 2], Value)> = known.collect();
+        known.sort_unstable();
+        (facts.rows[predicate], facts.values[predicate]) = known.into_iter().unzip();
     }
 }
 
@@ -541,7 +616,7 @@ pub(super) enum State {
 impl State {
     fn new(evaluator: &Evaluator) -> State {
         match evaluator {
-            Evaluator::Dense(rules) => State::Dense(Box::new(BitState::new(&rules.dense, 0))),
+            Evaluator::Dense(rules) => State::Dense(Box::new(BitState::new(&rules.rules.dense, 0))),
             Evaluator::Relational { .. } => State::Relational(None),
         }
     }
@@ -580,7 +655,7 @@ impl State {
             (State::Dense(bit_state), Evaluator::Dense(rules)) => {
                 let holds = |action: &Action| {
                     let predicate = vocabulary.action(*action);
-                    predicate.is_some_and(|action| bit_state.set(&rules.dense, action).is_some_and(|set| has(set, 0)))
+                    predicate.is_some_and(|action| bit_state.set(&rules.rules.dense, action).is_some_and(|set| has(set, 0)))
                 };
                 Action::ALL.into_iter().filter(holds).collect()
             }
@@ -593,7 +668,7 @@ impl State {
     fn fired(&self, evaluator: &Evaluator, clause: ClauseId, ego: usize) -> bool {
         match (self, evaluator) {
             (State::Dense(bit_state), Evaluator::Dense(rules)) => {
-                bit_state.fired(&rules.dense, clause).is_some_and(|set| has(set, 0))
+                bit_state.fired(&rules.rules.dense, clause).is_some_and(|set| has(set, 0))
             }
             (State::Relational(Some(state)), _) => {
                 let value = state.value(ego);

@@ -3,7 +3,9 @@
 
 use crate::city::{Action, AgentKind};
 use crate::city::{Cell, CityMap, Heading};
+use crate::datalog::Value;
 use crate::diag::{self, Diagnostic, Faults, SourceId, Sources, Span, did_you_mean, json_error, listed};
+use crate::predicate::{Progress, Unit};
 use crate::sim::codes;
 use crate::sim::tick::ground::MAX_ENTITIES;
 use indexmap::IndexMap;
@@ -56,6 +58,8 @@ pub struct SceneAgent {
     pub at: Cell,
     /// The direction of the last move.
     pub heading: Option<Heading>,
+    /// What only quantities read.
+    pub progress: Progress,
     /// The source position of the agent.
     pub span: Span,
 }
@@ -65,8 +69,11 @@ pub struct SceneAgent {
 pub struct GivenPredicate {
     /// The name of the predicate.
     pub name: String,
-    /// Rows of positions in the scene's agents or entities, sorted.
-    pub rows: Vec<Vec<usize>>,
+    /// Rows of positions in the scene's agents or entities, with 0 in columns that the predicate does not have; sorted,
+    /// each once.
+    pub rows: Vec<[u32; 2]>,
+    /// The value of each row, if the predicate is a quantity. For a heading, its position in [`Heading::ALL`].
+    pub values: Vec<Value>,
 }
 
 /// A scene of entities and facts.
@@ -113,6 +120,12 @@ struct RawAgent<'a> {
     concepts: Vec<&'a RawValue>,
     #[serde(borrow)]
     priority: Option<&'a RawValue>,
+    #[serde(borrow)]
+    speed: Option<&'a RawValue>,
+    #[serde(borrow)]
+    waited: Option<&'a RawValue>,
+    #[serde(borrow)]
+    remaining: Option<&'a RawValue>,
 }
 
 #[derive(Deserialize)]
@@ -164,8 +177,8 @@ impl<'de: 'a, 'a> Deserialize<'de> for Entries<'a> {
 
 /// The predicates and concepts that a scene may use.
 pub struct Terms<'a> {
-    /// Base predicates with their arity.
-    pub predicates: Vec<(&'a str, usize)>,
+    /// Base predicates with the number of agents in a row and, for a quantity, the type of the value.
+    pub predicates: Vec<(&'a str, usize, Option<Unit>)>,
     /// Concepts with the kind of agent that carries them.
     pub concepts: Vec<(AgentKind, &'a str)>,
 }
@@ -278,18 +291,26 @@ impl<'a> Reader<'a> {
         let heading = keep(&mut faults, agent.heading.map(|raw| self.heading(raw)).transpose());
         let at = keep(&mut faults, self.value::<[i32; 2]>(agent.at));
         let priority = keep(&mut faults, agent.priority.map_or(Ok(0), |raw| self.value(raw)));
+        let mut count = |raw: Option<&'a RawValue>| keep(&mut faults, raw.map_or(Ok(0), |raw| self.value::<u32>(raw)));
+        let [speed, waited, remaining] = [agent.speed, agent.waited, agent.remaining].map(&mut count);
         let concepts = kind.and_then(|kind| {
             let concepts = agent.concepts.iter().map(|raw| self.concept(raw, kind));
             keep(&mut faults, all(concepts))
         });
-        match (kind, heading, at, priority, concepts) {
-            (Some(kind), Some(heading), Some([row, col]), Some(priority), Some(concepts)) => Ok(SceneAgent {
+        let progress = speed.zip(waited).zip(remaining).map(|((speed, waited), remaining)| Progress {
+            speed,
+            waited,
+            remaining,
+        });
+        match (kind, heading, at, priority.zip(progress), concepts) {
+            (Some(kind), Some(heading), Some([row, col]), Some((priority, progress)), Some(concepts)) => Ok(SceneAgent {
                 id: agent.id,
                 kind,
                 concepts,
                 priority,
                 at: Cell::new(row, col),
                 heading,
+                progress,
                 span: self.span(raw),
             }),
             _ => Err(faults),
@@ -421,35 +442,70 @@ impl<'a> Reader<'a> {
         what: &str,
     ) -> Read<Vec<GivenPredicate>> {
         all(entries.into_iter().map(|(name, raw)| {
-            let Some(&(_, arity)) = self.terms.predicates.iter().find(|(known, _)| *known == name) else {
+            let Some(&(_, arity, unit)) = self.terms.predicates.iter().find(|(known, ..)| *known == name) else {
                 let message = format!("`{name}` is not a base predicate");
                 let fault = Diagnostic::new(codes::INVALID_SCENE, message).at(self.key_span(raw), "unknown predicate");
-                let known = self.terms.predicates.iter().map(|(known, _)| *known);
+                let known = self.terms.predicates.iter().map(|(known, ..)| *known);
                 return Err(vec![match did_you_mean(&name, known.clone()) {
                     Some(known) => fault.help(format!("did you mean `{known}`?")),
                     None => fault.help(format!("base predicates are: {}", listed(&known.collect::<Vec<_>>()))),
                 }]);
             };
-            let rows: Vec<&RawValue> = self.value(raw)?;
-            let mut rows = all(rows.into_iter().map(|row| self.row(row, arity, names, what)))?;
+            let written: Vec<&RawValue> = self.value(raw)?;
+            let mut rows = all(written.iter().map(|row| self.row(row, (arity, unit), names, what)))?;
+            let mut spans: HashMap<[u32; 2], &RawValue> = HashMap::new();
+            for (&(row, value), &raw) in rows.iter().zip(&written) {
+                // A quantity has one value.
+                if let Some(first) = spans.insert(row, raw)
+                    && unit.is_some()
+                    && rows.iter().any(|&(other, known)| other == row && known != value)
+                {
+                    let fault = self.fault(raw, format!("a second value of `{name}`"), "given again here");
+                    return Err(vec![fault.also(self.span(first), "first given here")]);
+                }
+            }
             rows.sort_unstable();
             rows.dedup();
-            Ok(GivenPredicate { name, rows })
+            let (rows, values): (Vec<_>, Vec<_>) = rows.into_iter().unzip();
+            Ok(GivenPredicate {
+                name,
+                rows,
+                values: if unit.is_some() { values } else { Vec::new() },
+            })
         }))
     }
 
-    /// Parses a row: a list of names, or a single name.
-    fn row(&self, raw: &'a RawValue, arity: usize, names: &HashMap<String, usize>, what: &str) -> Read<Vec<usize>> {
+    /// Parses a row: a list of names, then the value of a quantity; or the only one of these.
+    fn row(
+        &self,
+        raw: &'a RawValue,
+        (arity, unit): (usize, Option<Unit>),
+        names: &HashMap<String, usize>,
+        what: &str,
+    ) -> Read<([u32; 2], Value)> {
         let terms = if raw.get().starts_with('[') {
             self.value::<Vec<&RawValue>>(raw)?
         } else {
             vec![raw]
         };
-        if terms.len() != arity {
-            let message = format!("a row of {} names; the predicate takes {arity}", terms.len());
-            return Err(vec![self.fault(raw, message, "wrong number of names")]);
+        if terms.len() != arity + usize::from(unit.is_some()) {
+            let message = match unit {
+                None => format!("a row of {} names; the predicate takes {arity}", terms.len()),
+                Some(_) => format!("a row of {}; the quantity takes {arity} names and a value", terms.len()),
+            };
+            return Err(vec![self.fault(raw, message, "wrong length")]);
         }
-        all(terms.into_iter().map(|term| self.named(term, names, what)))
+        let mut row = [0; 2];
+        for (position, term) in row.iter_mut().zip(&terms[..arity]) {
+            *position = u32::try_from(self.named(term, names, what)?).expect("fewer than 2^32 entities");
+        }
+        let value = match unit {
+            None => Value::default(),
+            Some(Unit::Number) => Value::number(self.value(terms[arity])?),
+            Some(Unit::Float) => Value::float(self.value(terms[arity])?),
+            Some(Unit::Heading) => Value(self.heading(terms[arity])? as u32),
+        };
+        Ok((row, value))
     }
 
     fn value<T: Deserialize<'a>>(&self, raw: &'a RawValue) -> Read<T> {

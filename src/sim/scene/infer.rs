@@ -1,24 +1,23 @@
 //! Inference: the decisions of the rules in one scene.
 
 use crate::cancel::Cancel;
-use crate::city::Action;
-use crate::city::CityMap;
+use crate::city::{Action, CityMap, Heading};
 use crate::config::{Scenario, load_map};
-use crate::datalog::dense::{BinaryFacts, BitFacts, BitState, Dense, Set, TooManySteps, TrackFirings, has};
+use crate::datalog::dense::{BinaryFacts, BitFacts, BitState, Set, TooManySteps, TrackFirings, has};
 use crate::datalog::explain::Explainer;
-use crate::datalog::{self, EvalError, Limits, Program, Session, constraints, internal::size};
+use crate::datalog::{self, EvalError, Limits, Program, Session, Value, constraints, internal::size};
 use crate::diag::{self, Diagnostic, Limit, SourceId, Sources, Span};
 use crate::files::ReadFile;
-use crate::predicate::Entity;
+use crate::predicate::{Entity, Unit};
 use crate::rng::Seed;
 use crate::sim::codes;
 use crate::sim::scene::format::{GeometricScene, GivenPredicate, Scene, SymbolicScene, Terms, parse_scene};
 use crate::sim::tick::asked::AskedFact;
 use crate::sim::tick::chance::Draws;
-use crate::sim::tick::executor::{Choice, Executor, compile, given_up, of_rules};
+use crate::sim::tick::executor::{Choice, DenseRules, Executor, compile, given_up, of_rules};
 use crate::sim::tick::ground::{Facts, MAX_ENTITIES, ground_with};
 use crate::sim::tick::ground_state::GroundState;
-use crate::sim::tick::vocabulary::{Actions, Vocabulary};
+use crate::sim::tick::vocabulary::{Actions, BasePredicate, Vocabulary};
 use crate::sim::tick::width::{Width, in_words};
 use crate::sim::tick::world::TICK_LIMITS;
 use serde_json::json;
@@ -46,8 +45,8 @@ pub struct Inference {
     limits: Limits,
     /// The sources of the rules, for messages; see [`Inference::name_clauses`].
     rule_sources: Option<Sources>,
-    /// The dense program; `None` if a session decides.
-    dense: Option<Dense>,
+    /// The rules for the dense executor; `None` if a session decides.
+    dense: Option<DenseRules>,
 }
 
 /// The explanations of a fact, as JSON, or why there are none.
@@ -87,7 +86,7 @@ pub struct EgoAnswer {
     pub id: String,
     /// The names of all entities in its field of view: itself first, the others in list order.
     pub sees: Vec<String>,
-    /// The true atoms over these entities, by base predicate, without `Sees`.
+    /// The true atoms over these entities, by base predicate, without `Sees`. The row of a quantity ends with its value.
     pub atoms: Vec<(String, Vec<Vec<String>>)>,
     /// The derived actions, without the default.
     pub derived: Actions,
@@ -108,9 +107,12 @@ impl Answer<'_> {
         self.scene.egos.iter().zip(&self.derived).map(move |(&ego, &derived)| {
             let view = View::of(&self.vocabulary, &self.scene, ego);
             let name = |entity: &usize| names[*entity].clone();
-            let atoms = view.atoms().map(|(predicate, arity, rows)| {
-                let rows = rows.iter().map(|row| row[..arity].iter().map(name).collect());
-                (predicate.to_owned(), rows.collect())
+            let atoms = view.atoms().map(|(predicate, rows)| {
+                let rows = rows.iter().map(|row| {
+                    let value = row.value().map(|value| value.as_str().map_or(value.to_string(), str::to_owned));
+                    row.entities.iter().map(name).chain(value).collect()
+                });
+                (predicate.name.clone(), rows.collect())
             });
             EgoAnswer {
                 id: name(&ego),
@@ -142,14 +144,9 @@ impl Answer<'_> {
                 out.write_all(names[entity].as_bytes())
             })?;
             out.write_all(b",\"true\":{")?;
-            for (position, (predicate, arity, rows)) in view.atoms().enumerate() {
-                write!(out, "{}{}:", comma(position), quoted(predicate))?;
-                write_list(out, &rows, |out, row| match row[..arity] {
-                    [only] => out.write_all(names[only].as_bytes()),
-                    _ => write_list(out, &row[..arity], |out, &entity| {
-                        out.write_all(names[entity].as_bytes())
-                    }),
-                })?;
+            for (position, (predicate, rows)) in view.atoms().enumerate() {
+                write!(out, "{}{}:", comma(position), quoted(&predicate.name))?;
+                write_list(out, &rows, |out, row| row.write(out, &names))?;
             }
             let actions = self.vocabulary.before_default(derived);
             let actions: Vec<&str> = actions.iter().map(Action::name).collect();
@@ -173,7 +170,7 @@ impl Answer<'_> {
         let mut rows = 0;
         for &ego in &self.scene.egos {
             let view = View::of(&self.vocabulary, &self.scene, ego);
-            rows += view.entities.len() + view.atoms().map(|(.., rows)| rows.len()).sum::<usize>();
+            rows += view.entities.len() + view.atoms().map(|(_, rows)| rows.len()).sum::<usize>();
             if rows as u64 > limit / ROW_BYTES {
                 let message = format!("the answer takes more than {}", size(limit));
                 let fault = Diagnostic::new(diag::codes::LIMIT_EXCEEDED, message).exceeds(Limit::Memory(limit));
@@ -246,7 +243,7 @@ impl Inference {
     ///
     /// # Errors
     /// `dense-unsupported` if it cannot evaluate them; the message names the reason.
-    pub fn compile(&self) -> Result<Dense, Diagnostic> {
+    pub fn compile(&self) -> Result<DenseRules, Diagnostic> {
         compile(self.program.rules(), &self.vocabulary, TrackFirings::Off)
             .map_err(|fault| of_rules(fault, self.scenario.rules.span))
     }
@@ -354,7 +351,7 @@ impl Inference {
     ) -> Result<SceneFacts, Vec<Diagnostic>> {
         let terms = Terms {
             predicates: (self.vocabulary.predicates.iter())
-                .map(|predicate| (predicate.name.as_str(), predicate.arity))
+                .map(|predicate| (predicate.name.as_str(), predicate.arity, predicate.definition.unit()))
                 .collect(),
             concepts: (self.scenario.predicates.iter())
                 .filter_map(|predicate| predicate.definition.concept())
@@ -379,6 +376,7 @@ impl Inference {
                 priority: agent.priority,
                 at: agent.at,
                 heading: agent.heading,
+                progress: agent.progress,
             })
             .collect();
         let given = |index: usize| given(&self.vocabulary, &scene.given, index);
@@ -396,8 +394,9 @@ impl Inference {
         );
         let mut facts = grounded.map_err(|stopped| vec![Diagnostic::from(stopped)])?;
         for index in 0..facts.rows.len() {
-            if let Some(rows) = given(index) {
-                facts.rows[index] = rows;
+            if let Some(known) = given(index) {
+                facts.rows[index].clone_from(&known.rows);
+                facts.values[index].clone_from(&known.values);
             }
         }
         Ok(SceneFacts {
@@ -436,11 +435,13 @@ impl Inference {
     }
 
     fn symbolic(&self, scene: SymbolicScene) -> SceneFacts {
-        let mut facts = Facts {
-            rows: (0..self.vocabulary.predicates.len())
-                .map(|index| given(&self.vocabulary, &scene.facts, index).unwrap_or_default())
-                .collect(),
-        };
+        let mut facts = Facts::new(self.vocabulary.predicates.len());
+        for (index, (rows, values)) in facts.rows.iter_mut().zip(&mut facts.values).enumerate() {
+            if let Some(known) = given(&self.vocabulary, &scene.facts, index) {
+                rows.clone_from(&known.rows);
+                values.clone_from(&known.values);
+            }
+        }
         if !scene
             .facts
             .iter()
@@ -564,12 +565,13 @@ impl Inference {
 
     fn derive_dense<const W: usize>(
         &self,
-        dense: &Dense,
+        rules: &DenseRules,
         scene: &SceneFacts,
         cancel: &Cancel,
     ) -> Result<Result<Vec<Actions>, TooManySteps>, Diagnostic> {
         let count = scene.names.len();
-        let bits: BitFacts<W> = scene.facts.to_bits(&self.vocabulary, dense, count);
+        let bits: BitFacts<W> = rules.bits(&scene.facts, &self.vocabulary, count);
+        let dense = &rules.dense;
         let mut bit_state = BitState::new(dense, count);
         bits.load(dense, &mut bit_state);
         let facts = CancellableFacts {
@@ -629,14 +631,9 @@ impl<const W: usize> BinaryFacts<W> for CancellableFacts<'_, W> {
 }
 
 /// Returns the stated rows of a predicate, if the scene has any.
-fn given(vocabulary: &Vocabulary, list: &[GivenPredicate], index: usize) -> Option<Vec<[u32; 2]>> {
+fn given<'g>(vocabulary: &Vocabulary, list: &'g [GivenPredicate], index: usize) -> Option<&'g GivenPredicate> {
     let name = &vocabulary.predicates[index].name;
-    let rows = &list.iter().find(|given| given.name == *name)?.rows;
-    let word = |row: &Vec<usize>, column: usize| {
-        let position = row.get(column).copied().unwrap_or(0);
-        u32::try_from(position).expect("fewer than 2^32 entities")
-    };
-    Some(rows.iter().map(|row| [word(row, 0), word(row, 1)]).collect())
+    list.iter().find(|given| given.name == *name)
 }
 
 /// What an ego sees.
@@ -669,24 +666,59 @@ impl<'a> View<'a> {
         }
     }
 
-    /// Returns the true atoms over the entities in view without `Sees`: the name and arity of each predicate that has
-    /// some, and its rows of entities in the order of the view.
-    fn atoms(&self) -> impl Iterator<Item = (&'a str, usize, Vec<[usize; 2]>)> {
+    /// Returns the true atoms over the entities in view without `Sees`: each predicate that has some, by its position in
+    /// the vocabulary, and its rows of entities in the order of the view, with the value of a quantity.
+    fn atoms(&self) -> impl Iterator<Item = (&'a BasePredicate, Vec<ViewRow>)> {
         let predicates = self.vocabulary.predicates.iter().enumerate();
         let others = predicates.filter(|(index, _)| *index != self.vocabulary.sees);
         others.filter_map(|(index, predicate)| {
-            // A unary predicate has 0 in the second column, which need not be in view.
-            let place = |row: &[u32; 2]| -> Option<[usize; 2]> {
-                match predicate.arity {
-                    1 => Some([self.places[row[0] as usize]?, 0]),
-                    _ => Some([self.places[row[0] as usize]?, self.places[row[1] as usize]?]),
+            // Columns that the predicate does not have contain 0, which need not be in view.
+            let place = |(at, row): (usize, &[u32; 2])| -> Option<([usize; 2], Option<Value>)> {
+                let mut places = [0; 2];
+                for (place, entity) in places.iter_mut().zip(&row[..predicate.arity]) {
+                    *place = self.places[*entity as usize]?;
                 }
+                Some((places, self.facts.values[index].get(at).copied()))
             };
-            let mut rows: Vec<[usize; 2]> = self.facts.rows[index].iter().filter_map(place).collect();
+            let mut rows: Vec<_> = self.facts.rows[index].iter().enumerate().filter_map(place).collect();
             rows.sort_unstable();
-            rows.iter_mut()
-                .for_each(|row| *row = row.map(|place| self.entities[place]));
-            (!rows.is_empty()).then_some((predicate.name.as_str(), predicate.arity, rows))
+            let rows = rows.into_iter().map(|(places, value)| ViewRow {
+                entities: places[..predicate.arity].iter().map(|place| self.entities[*place]).collect(),
+                value: value.zip(predicate.definition.unit()),
+            });
+            let rows: Vec<ViewRow> = rows.collect();
+            (!rows.is_empty()).then_some((predicate, rows))
         })
+    }
+}
+
+/// A row of a predicate in a view.
+struct ViewRow {
+    entities: Vec<usize>,
+    value: Option<(Value, Unit)>,
+}
+
+impl ViewRow {
+    /// Returns the value of a quantity as JSON.
+    fn value(&self) -> Option<serde_json::Value> {
+        self.value.map(|(value, unit)| match unit {
+            Unit::Number => json!(value.as_number()),
+            Unit::Float => json!(value.as_float()),
+            Unit::Heading => json!(Heading::ALL[value.0 as usize].name()),
+        })
+    }
+
+    /// Writes the row as JSON: a list, or its only element. `names` are those of the entities, as JSON.
+    fn write(&self, out: &mut dyn Write, names: &[String]) -> io::Result<()> {
+        let is_list = self.entities.len() + usize::from(self.value.is_some()) != 1;
+        out.write_all(if is_list { b"[" } else { b"" })?;
+        for (position, &entity) in self.entities.iter().enumerate() {
+            out.write_all(comma(position).as_bytes())?;
+            out.write_all(names[entity].as_bytes())?;
+        }
+        if let Some(value) = self.value() {
+            write!(out, "{}{value}", comma(self.entities.len()))?;
+        }
+        out.write_all(if is_list { b"]" } else { b"" })
     }
 }

@@ -201,6 +201,6 @@ pub(super) fn holds(definition: &Definition, kind: AgentKind, concepts: &[String
     match definition {
         Definition::Static(predicate) => predicate.holds(kind, concepts),
         Definition::Local(predicate) => Local::table(predicate).holds(junction, kind),
-        Definition::Pair(_) => false,
+        Definition::Pair(_) | Definition::Quantity(_) => false,
     }
 }

@@ -10,6 +10,9 @@ impl Purpose {
 
 /// Decides whether a predicate with a probability holds now for an ordered pair of entities.
 pub trait Chance {
+    /// Returns the number of the tick that is now.
+    fn tick(&self) -> u64;
+
     /// Returns whether the predicate holds. `predicate` is its position in the vocabulary; `probability` is in 0..=1.
     fn happens(&self, predicate: usize, first: usize, second: usize, probability: f64) -> bool;
 
@@ -28,6 +31,10 @@ pub(crate) struct Draws {
 }
 
 impl Chance for Draws {
+    fn tick(&self) -> u64 {
+        self.time
+    }
+
     fn happens(&self, predicate: usize, first: usize, second: usize, probability: f64) -> bool {
         // The index has 16 bits for the predicate and 24 bits per entity, more than any scene needs.
         let index = (predicate as u64) << 48 | (first as u64) << 24 | second as u64;

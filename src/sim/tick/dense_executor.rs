@@ -6,11 +6,10 @@ use crate::datalog::dense::{Set, TooManySteps, TrackFirings, has, members};
 use crate::datalog::{ClauseId, PredicateId};
 use crate::diag::Diagnostic;
 use crate::diag::codes;
-use crate::sim::tick::chance::Draws;
 use crate::sim::tick::executor::not_dense;
 use crate::sim::tick::vocabulary::{Actions, Vocabulary};
 use crate::sim::tick::width::{Width, in_words};
-use crate::sim::tick::window::{AgentState, Grounder, Near, Position, Window};
+use crate::sim::tick::window::{AgentState, Grounder, Near, Now, Position, Window};
 use crate::sim::tick::world::World;
 use rayon::prelude::*;
 use std::ops::Range;
@@ -113,7 +112,7 @@ impl Reading {
 
     /// Adds the decisions of a window for its `egos` to `out`, and the firings of its clauses to `firings`.
     fn read<const W: usize>(&self, window: &Window<W>, egos: &Set<W>, out: &Decisions, firings: &mut [usize]) {
-        let dense = &self.grounder.dense;
+        let dense = &self.grounder.rules.dense;
         for &(action, predicate) in &self.actions {
             if let Some(set) = window.bit_state.set(dense, predicate) {
                 debug_assert!(members(set).all(|entity| has(egos, entity)));
@@ -195,7 +194,7 @@ impl DenseExecutor {
             _ => TrackFirings::Each,
         };
         let plan = world.plan(counting)?;
-        let dense = &plan.dense;
+        let dense = &plan.rules.dense;
         let sees = world.vocabulary.predicates[world.vocabulary.sees].id;
         let in_tiles = dense.is_local() && sees.is_some_and(|sees| dense.is_guarded_by(sees));
         let width = Width::of(agents.len());
@@ -251,15 +250,14 @@ impl DenseExecutor {
     pub fn decide(
         &mut self,
         map: &CityMap,
-        agents: &[Agent],
-        draws: Draws,
+        now: Now<'_>,
         out: &mut Decisions,
     ) -> Result<(), Undecided> {
         out.clear();
         let decided = match &mut self.shape {
             Shape::Few(few) => {
-                let window = few.load(&self.reading.grounder, map, agents);
-                match window.run_few(&self.reading.grounder, draws) {
+                let window = few.load(&self.reading.grounder, map, now.agents);
+                match window.run_few(&self.reading.grounder, now) {
                     Ok(()) => {
                         self.reading.read_all(window, out);
                         Ok(())
@@ -267,8 +265,8 @@ impl DenseExecutor {
                     Err(error) => Err(Undecided::from(error)),
                 }
             }
-            Shape::One(one) => one.decide(&self.reading, draws, out).map_err(Undecided::from),
-            Shape::Tiles(tiles) => tiles.decide(&self.reading, map, draws, out),
+            Shape::One(one) => one.decide(&self.reading, now, out).map_err(Undecided::from),
+            Shape::Tiles(tiles) => tiles.decide(&self.reading, map, now, out),
         };
         if decided.is_err() {
             out.clear();
@@ -277,11 +275,11 @@ impl DenseExecutor {
     }
 
     /// Computes all facts that the rules may read and returns their number. `None` for a city in tiles.
-    pub fn count_facts(&mut self, map: &CityMap, agents: &[Agent], draws: Draws) -> Option<u64> {
+    pub fn count_facts(&mut self, map: &CityMap, now: Now<'_>) -> Option<u64> {
         let grounder = &self.reading.grounder;
         match &mut self.shape {
-            Shape::Few(few) => Some(few.load(grounder, map, agents).count_few(grounder, draws)),
-            Shape::One(one) => Some(one.count_facts(grounder, draws)),
+            Shape::Few(few) => Some(few.load(grounder, map, now.agents).count_few(grounder, now)),
+            Shape::One(one) => Some(one.count_facts(grounder, now)),
             Shape::Tiles(_) => None,
         }
     }
@@ -323,9 +321,9 @@ fn list_bodies(bodies: &mut Vec<AgentState>, grounder: &mut Grounder, map: &City
 /// A whole city in one window.
 trait OneWindow: Send + Sync {
     fn restart(&mut self, grounder: &mut Grounder, map: &CityMap, agents: &[Agent]);
-    fn decide(&mut self, reading: &Reading, draws: Draws, out: &mut Decisions) -> Result<(), TooManySteps>;
+    fn decide(&mut self, reading: &Reading, now: Now<'_>, out: &mut Decisions) -> Result<(), TooManySteps>;
     fn follow(&mut self, grounder: &Grounder, map: &CityMap, positions: &[Position]);
-    fn count_facts(&mut self, grounder: &Grounder, draws: Draws) -> u64;
+    fn count_facts(&mut self, grounder: &Grounder, now: Now<'_>) -> u64;
 }
 
 struct One<const W: usize> {
@@ -353,8 +351,8 @@ impl<const W: usize> OneWindow for One<W> {
         self.fill(grounder, map);
     }
 
-    fn decide(&mut self, reading: &Reading, draws: Draws, out: &mut Decisions) -> Result<(), TooManySteps> {
-        self.window.run(&reading.grounder, draws)?;
+    fn decide(&mut self, reading: &Reading, now: Now<'_>, out: &mut Decisions) -> Result<(), TooManySteps> {
+        self.window.run(&reading.grounder, now)?;
         reading.read_all(&self.window, out);
         Ok(())
     }
@@ -365,8 +363,8 @@ impl<const W: usize> OneWindow for One<W> {
         }
     }
 
-    fn count_facts(&mut self, grounder: &Grounder, draws: Draws) -> u64 {
-        self.window.count_facts(grounder, draws)
+    fn count_facts(&mut self, grounder: &Grounder, now: Now<'_>) -> u64 {
+        self.window.count_facts(grounder, now)
     }
 }
 
@@ -487,7 +485,7 @@ impl Tiles {
         }
     }
 
-    fn decide(&mut self, reading: &Reading, map: &CityMap, draws: Draws, out: &mut Decisions) -> Result<(), Undecided> {
+    fn decide(&mut self, reading: &Reading, map: &CityMap, now: Now<'_>, out: &mut Decisions) -> Result<(), Undecided> {
         self.sort();
         for worker in &mut self.workers {
             let firings = &mut worker.get_mut().expect("no thread has panicked").firings;
@@ -508,7 +506,7 @@ impl Tiles {
                     rows: self.side,
                     cols: self.side,
                 };
-                self.decide_tile(tile, &mut worker, reading, map, draws, out).err()
+                self.decide_tile(tile, &mut worker, reading, map, now, out).err()
             })
         };
         // Reports the first error in tile order, so that the number of threads does not matter.
@@ -535,7 +533,7 @@ impl Tiles {
         worker: &mut Worker,
         reading: &Reading,
         map: &CityMap,
-        draws: Draws,
+        now: Now<'_>,
         out: &Decisions,
     ) -> Result<(), Undecided> {
         let found = &mut worker.found;
@@ -566,7 +564,7 @@ impl Tiles {
         }
         let evaluate = Evaluate {
             reading,
-            draws,
+            now,
             out,
             window,
             egos,
@@ -587,7 +585,7 @@ impl Tiles {
                             cols,
                         };
                         if rows > 0 && cols > 0 {
-                            self.decide_tile(part, worker, reading, map, draws, out)?;
+                            self.decide_tile(part, worker, reading, map, now, out)?;
                         }
                     }
                 }
@@ -626,7 +624,7 @@ impl Tiles {
 /// Evaluates the window of a tile.
 struct Evaluate<'a> {
     reading: &'a Reading,
-    draws: Draws,
+    now: Now<'a>,
     out: &'a Decisions,
     window: Area,
     /// The number of entities to decide for; they come first.
@@ -645,7 +643,7 @@ impl Evaluate<'_> {
         window.fill(&self.reading.grounder, first, [rows, cols]);
         let egos = crate::datalog::dense::first(self.egos);
         window.bit_state.set_egos(egos);
-        let decided = window.run(&self.reading.grounder, self.draws);
+        let decided = window.run(&self.reading.grounder, self.now);
         if decided.is_ok() {
             self.reading.read(window, &egos, self.out, firings);
         }

@@ -1,9 +1,14 @@
 //! The choice of executor, and the compilation of rules for the dense one.
 
-use crate::datalog::Rules;
-use crate::datalog::dense::{Dense, TooManySteps, TrackFirings, choose};
+use crate::city::Heading;
+use crate::datalog::dense::{
+    self, BitFacts, Condition, Dense, Lifted, TooManySteps, TrackFirings, choose, lift,
+};
+use crate::datalog::{ClauseId, PredicateId, Rules, Value};
 use crate::diag::{self, Diagnostic, Span};
+use crate::predicate::Quantity;
 use crate::sim::codes;
+use crate::sim::tick::ground::Facts;
 use crate::sim::tick::vocabulary::Vocabulary;
 
 /// The executor that evaluates the rules.
@@ -79,17 +84,113 @@ pub(crate) fn of_rules(fault: Diagnostic, rules: Span) -> Diagnostic {
     }
 }
 
+/// Rules compiled for the dense executor, with the conditions on quantities that they read.
+#[derive(Debug)]
+pub struct DenseRules {
+    /// The program of the dense executor.
+    pub dense: Dense,
+    /// The conditions, which are inputs of the program.
+    pub(crate) conditions: Conditions,
+    strata: dense::Choice,
+}
+
+impl DenseRules {
+    /// Returns [`dense::Choice::costly`].
+    pub(crate) fn costly(&self, entities: usize, egos: usize) -> Vec<ClauseId> {
+        self.strata.costly(&self.conditions.rules, entities, egos)
+    }
+
+    /// Returns, as bits, the facts about `count` entities that the rules read.
+    pub fn bits<const W: usize>(&self, facts: &Facts, vocabulary: &Vocabulary, count: usize) -> BitFacts<W> {
+        let mut bits = BitFacts::new(&self.dense, count);
+        for (predicate, rows) in vocabulary.predicates.iter().zip(&facts.rows) {
+            if let (Some(declared), None) = (predicate.id, predicate.value) {
+                for row in rows {
+                    bits.insert(&self.dense, declared, &row.map(|entity| entity as usize)[..predicate.arity]);
+                }
+            }
+        }
+        self.conditions.add_to(&mut bits, &self.dense, facts, count);
+        bits
+    }
+}
+
+/// The conditions on quantities that rules read.
+#[derive(Debug)]
+pub(crate) struct Conditions {
+    list: Vec<Condition>,
+    /// The rules that read the hidden predicates of the conditions.
+    rules: Rules,
+    /// The symbols of the headings, in the order of [`Heading::ALL`].
+    headings: [Value; 4],
+    /// The positions in the vocabulary of the quantities.
+    quantities: Vec<(PredicateId, usize, Quantity)>,
+}
+
+impl Conditions {
+    /// Returns the position of the condition with this hidden predicate.
+    pub fn find(&self, predicate: PredicateId) -> Option<usize> {
+        self.list.iter().position(|condition| condition.predicate == predicate)
+    }
+
+    /// Returns whether a condition holds. `value` returns the value, as in [`Facts::values`], of the quantity at this
+    /// position in the vocabulary for the entities at these places: 0 for the first of the condition, 1 for the second.
+    #[inline]
+    pub fn holds(&self, condition: usize, value: impl Fn(usize, Quantity, &[usize]) -> Option<Value>) -> bool {
+        self.list[condition].holds(&self.rules.symbols, |predicate, entities| {
+            let &(_, position, quantity) = self.quantities.iter().find(|(id, ..)| *id == predicate)?;
+            let value = value(position, quantity, entities)?;
+            Some(match quantity {
+                Quantity::Heading => self.headings[value.0 as usize],
+                _ => value,
+            })
+        })
+    }
+
+    /// Adds the facts of all conditions that a program reads to `bits`. `count` is the number of entities.
+    pub fn add_to<const W: usize>(&self, bits: &mut BitFacts<W>, dense: &Dense, facts: &Facts, count: usize) {
+        let entity = |entity: usize| u32::try_from(entity).expect("fewer than 2^32 entities");
+        for (position, condition) in self.list.iter().enumerate() {
+            let holds = |places: [usize; 2]| {
+                self.holds(position, |quantity, _, entities| {
+                    let mut agents = [0; 2];
+                    for (agent, place) in agents.iter_mut().zip(entities) {
+                        *agent = entity(places[*place]);
+                    }
+                    facts.value(quantity, agents)
+                })
+            };
+            for x in 0..count {
+                match condition.entities {
+                    1 if holds([x, x]) => bits.insert(dense, condition.predicate, &[x]),
+                    1 => {}
+                    _ => (0..count)
+                        .filter(|&y| holds([x, y]))
+                        .for_each(|y| bits.insert(dense, condition.predicate, &[x, y])),
+                }
+            }
+        }
+    }
+}
+
 /// Compiles the rules for the dense executor.
 ///
 /// # Errors
 /// `dense-unsupported` if it cannot evaluate them; the message names the reason, at its place in the rules.
-pub(crate) fn compile(rules: &Rules, vocabulary: &Vocabulary, counting: TrackFirings) -> Result<Dense, Diagnostic> {
-    let choice = choose(rules);
+pub(crate) fn compile(rules: &Rules, vocabulary: &Vocabulary, counting: TrackFirings) -> Result<DenseRules, Diagnostic> {
+    let quantities = vocabulary.predicates.iter().enumerate();
+    let quantities = quantities.filter_map(|(position, known)| Some((known.id?, position, known.quantity()?)));
+    let quantities: Vec<(PredicateId, usize, Quantity)> = quantities.collect();
+    let lifted = lift(rules, |predicate| {
+        let known = quantities.iter().find(|(id, ..)| *id == predicate);
+        known.map(|(.., quantity)| quantity.agents())
+    });
+    let choice = choose(&lifted.rules);
     let reasons = || choice.relational.iter().flatten();
     let root = reasons().find(|reason| reason.reads.is_none());
     if let Some(reason) = root.or_else(|| reasons().next()) {
         let clause = rules.clauses[reason.clause.index()].span;
-        let mut fault = not_dense(&reason.show(rules)).at(reason.span, "this is not supported");
+        let mut fault = not_dense(&reason.show(&lifted.rules)).at(reason.span, "this is not supported");
         if clause.start != reason.span.start {
             fault = fault.also(clause, "in this clause");
         }
@@ -99,5 +200,15 @@ pub(crate) fn compile(rules: &Rules, vocabulary: &Vocabulary, counting: TrackFir
         let mut predicates = vocabulary.predicates.iter();
         predicates.any(|predicate| predicate.id == Some(declared) && predicate.definition.is_static())
     };
-    Ok(Dense::new(rules, &choice, counting, steady))
+    let Lifted { rules, conditions } = lifted;
+    Ok(DenseRules {
+        dense: Dense::new(&rules, &choice, counting, steady),
+        strata: choice,
+        conditions: Conditions {
+            list: conditions,
+            headings: Heading::ALL.map(|heading| Value(rules.symbols.intern(heading.name()).0)),
+            rules,
+            quantities,
+        },
+    })
 }

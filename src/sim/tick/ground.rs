@@ -4,11 +4,11 @@
 
 use crate::cancel::Cancel;
 use crate::city::CityMap;
-use crate::datalog::dense::{BitFacts, Dense};
 use crate::datalog::internal::size;
 use crate::diag::codes;
 use crate::diag::{Diagnostic, Limit};
-use crate::predicate::{Definition, Entity, PairKind, Relation, Sight, Subject, with_pair};
+use crate::datalog::Value;
+use crate::predicate::{Definition, Entity, Measure, Measured, PairKind, Quantity, Relation, Sight, Subject, with_pair};
 use crate::sim::tick::chance::Chance;
 use crate::sim::tick::vocabulary::Vocabulary;
 
@@ -18,30 +18,42 @@ pub const MAX_ENTITIES: usize = 2000;
 
 /// The true rows of each predicate of a [`Vocabulary`], in its order.
 ///
-/// A row holds positions in the list of entities. The second position is 0 for a unary predicate. Rows are sorted.
+/// A row holds positions in the list of entities, and 0 in columns that a predicate does not have. Rows are sorted, and
+/// each occurs once.
 #[derive(Clone, Debug, Default, PartialEq, Eq)]
 pub struct Facts {
     /// The rows of each predicate.
     pub rows: Vec<Vec<[u32; 2]>>,
+    /// For each predicate with a value, that of each row, in their order; empty for others. For a heading, its position
+    /// in [`Heading::ALL`].
+    pub values: Vec<Vec<Value>>,
 }
 
 impl Facts {
-    /// Returns the bytes of the rows.
-    pub(crate) fn bytes(&self) -> u64 {
-        self.rows.iter().map(|rows| size_of_val(&rows[..]) as u64).sum()
+    /// Creates facts without rows about this number of predicates.
+    pub fn new(predicates: usize) -> Facts {
+        Facts::of(vec![Vec::new(); predicates])
     }
 
-    /// Returns, as bits, the facts about `count` entities that a dense program reads.
-    pub fn to_bits<const W: usize>(&self, vocabulary: &Vocabulary, dense: &Dense, count: usize) -> BitFacts<W> {
-        let mut bits = BitFacts::new(dense, count);
-        for (predicate, rows) in vocabulary.predicates.iter().zip(&self.rows) {
-            if let Some(declared) = predicate.id {
-                for row in rows {
-                    bits.insert(dense, declared, &row.map(|entity| entity as usize)[..predicate.arity]);
-                }
-            }
+    /// Creates facts of predicates without values.
+    pub fn of(rows: Vec<Vec<[u32; 2]>>) -> Facts {
+        Facts {
+            values: vec![Vec::new(); rows.len()],
+            rows,
         }
-        bits
+    }
+
+    /// Returns the value of a quantity for these agents; the rest of `agents` is 0.
+    pub(crate) fn value(&self, predicate: usize, agents: [u32; 2]) -> Option<Value> {
+        let row = self.rows[predicate].binary_search(&agents).ok()?;
+        self.values[predicate].get(row).copied()
+    }
+
+    /// Returns the bytes of the rows.
+    pub(crate) fn bytes(&self) -> u64 {
+        let rows = self.rows.iter().map(|rows| size_of_val(&rows[..]));
+        let values = self.values.iter().map(|values| size_of_val(&values[..]));
+        rows.chain(values).sum::<usize>() as u64
     }
 }
 
@@ -95,9 +107,7 @@ pub(crate) fn ground_with(
     skip: impl Fn(usize) -> bool,
     (limit, cancel): (u64, &Cancel),
 ) -> Result<Facts, Stopped> {
-    let mut facts = Facts {
-        rows: vec![Vec::new(); vocabulary.predicates.len()],
-    };
+    let mut facts = Facts::new(vocabulary.predicates.len());
     let sight = Sight { map, half_width: view };
     let subjects: Vec<Subject> = entities.iter().map(Entity::subject).collect();
     for (index, predicate) in vocabulary.predicates.iter().enumerate() {
@@ -117,6 +127,10 @@ pub(crate) fn ground_with(
             Definition::Pair(pair) => {
                 let draw = |x, y, probability| chance.decides(index, x, y, probability);
                 with_pair!(pair, kind => binary(rows, kind, sight, &subjects, stop, draw))
+            }
+            Definition::Quantity(quantity) => {
+                let measured: Vec<Measured> = entities.iter().map(Entity::measured).collect();
+                measure(rows, &mut facts.values[index], *quantity, chance.tick(), &measured, stop)
             }
         }?;
     }
@@ -161,6 +175,41 @@ fn binary<K: PairKind>(
         }
     }
     Ok(())
+}
+
+/// Adds the rows of a quantity and their values. Asks `stop` before each first entity.
+fn measure(
+    rows: &mut Vec<[u32; 2]>,
+    values: &mut Vec<Value>,
+    quantity: Quantity,
+    tick: u64,
+    entities: &[Measured],
+    stop: impl Fn(&[[u32; 2]]) -> Result<(), Stopped>,
+) -> Result<(), Stopped> {
+    let mut add = |row, agents: &[&Measured]| {
+        if let Some(measure) = quantity.measure(tick, agents) {
+            rows.push(row);
+            values.push(word(measure));
+        }
+        stop(rows)
+    };
+    match quantity.agents() {
+        0 => add([0, 0], &[]),
+        1 => entities.iter().enumerate().try_for_each(|(x, first)| add([number(x), 0], &[first])),
+        _ => (entities.iter().enumerate()).try_for_each(|(x, first)| {
+            let mut others = entities.iter().enumerate().filter(|(y, _)| *y != x);
+            others.try_for_each(|(y, second)| add([number(x), number(y)], &[first, second]))
+        }),
+    }
+}
+
+/// Returns a value as in [`Facts::values`].
+pub(crate) fn word(measure: Measure) -> Value {
+    match measure {
+        Measure::Number(number) => Value::number(number),
+        Measure::Float(float) => Value::float(float),
+        Measure::Heading(heading) => Value(heading as u32),
+    }
 }
 
 fn number(index: usize) -> u32 {

@@ -1,8 +1,8 @@
 //! Facts of a city or a scene in a session, updated by differences.
 
 use crate::cancel::Cancel;
-use crate::city::Action;
-use crate::datalog::{EvalError, Limits, PredicateId, Program, Session, Value};
+use crate::city::{Action, Heading};
+use crate::datalog::{BaseType, EvalError, Limits, PredicateId, Program, Session, Value};
 use crate::sim::tick::ground::Facts;
 use crate::sim::tick::vocabulary::{Actions, Vocabulary};
 use std::collections::HashMap;
@@ -12,10 +12,40 @@ pub struct GroundState {
     session: Session,
     entities: Vec<Value>,
     positions: HashMap<Value, usize>,
-    predicates: Vec<Option<(PredicateId, usize)>>,
+    predicates: Vec<Option<GroundPredicate>>,
+    /// The symbols of the headings, in the order of [`Heading::ALL`].
+    headings: [Value; 4],
     facts: Facts,
     /// The limits of each evaluation, whose memory the facts share.
     limits: Limits,
+}
+
+/// A predicate whose facts are grounded.
+#[derive(Clone, Copy, Debug)]
+pub(crate) struct GroundPredicate {
+    pub id: PredicateId,
+    /// The number of columns for entities.
+    pub arity: usize,
+    /// The base type of the last column, if it holds a value.
+    pub value: Option<BaseType>,
+}
+
+impl GroundPredicate {
+    /// Returns the number of columns.
+    fn columns(self) -> usize {
+        self.arity + usize::from(self.value.is_some())
+    }
+
+    /// Returns the predicates of a vocabulary, in its order; `None` for those that the rules do not declare.
+    pub fn of(vocabulary: &Vocabulary) -> impl Iterator<Item = Option<GroundPredicate>> {
+        vocabulary.predicates.iter().map(|predicate| {
+            Some(GroundPredicate {
+                id: predicate.id?,
+                arity: predicate.arity,
+                value: predicate.value,
+            })
+        })
+    }
 }
 
 impl GroundState {
@@ -26,31 +56,28 @@ impl GroundState {
         limits: Limits,
         names: impl Iterator<Item = &'n str>,
     ) -> Self {
-        let predicates = vocabulary.predicates.iter();
-        let predicates = predicates.map(|predicate| predicate.id.map(|declared| (declared, predicate.arity)));
-        GroundState::over(program, predicates.collect(), limits, names)
+        GroundState::over(program, GroundPredicate::of(vocabulary).collect(), limits, names)
     }
 
-    /// Variant of [`new`](Self::new) for the given predicates, with one or two columns each.
+    /// Variant of [`new`](Self::new) for the given predicates.
     pub(crate) fn over<'n>(
         program: &Program,
-        predicates: Vec<Option<(PredicateId, usize)>>,
+        predicates: Vec<Option<GroundPredicate>>,
         limits: Limits,
         names: impl Iterator<Item = &'n str>,
     ) -> Self {
         let mut session = program.session();
         let entities: Vec<Value> = names.map(|name| session.intern(name)).collect();
         GroundState {
-            session,
             positions: entities
                 .iter()
                 .enumerate()
                 .map(|(index, &value)| (value, index))
                 .collect(),
             entities,
-            facts: Facts {
-                rows: vec![Vec::new(); predicates.len()],
-            },
+            headings: Heading::ALL.map(|heading| session.intern(heading.name())),
+            session,
+            facts: Facts::new(predicates.len()),
             predicates,
             limits,
         }
@@ -81,20 +108,19 @@ impl GroundState {
             return Err(EvalError::TooManyInputs { limit });
         }
         for (index, predicate) in self.predicates.iter().enumerate() {
-            let Some((predicate, arity)) = *predicate else { continue };
-            let (old, new) = (&self.facts.rows[index], &facts.rows[index]);
-            let row = |row: &[u32; 2]| row.map(|entity| self.entities[entity as usize]);
-            for removed in old.iter().filter(|row| new.binary_search(row).is_err()) {
-                let row = row(removed);
-                self.session
-                    .retract(predicate, &row[..arity])
-                    .expect("bound predicates fit");
+            let Some(predicate) = *predicate else { continue };
+            let (old, new) = (&self.facts, facts);
+            let changed = |row: &(usize, [u32; 2]), of: &Facts, other: &Facts| match predicate.value {
+                None => other.rows[index].binary_search(&row.1).is_err(),
+                Some(_) => other.value(index, row.1) != Some(of.values[index][row.0]),
+            };
+            for row in old.rows[index].iter().copied().enumerate().filter(|row| changed(row, old, new)) {
+                let words = self.words(predicate, row.1, old.values[index].get(row.0));
+                (self.session.retract(predicate.id, &words[..predicate.columns()])).expect("bound predicates fit");
             }
-            for added in new.iter().filter(|row| old.binary_search(row).is_err()) {
-                let row = row(added);
-                self.session
-                    .insert(predicate, &row[..arity])
-                    .expect("bound predicates fit");
+            for row in new.rows[index].iter().copied().enumerate().filter(|row| changed(row, new, old)) {
+                let words = self.words(predicate, row.1, new.values[index].get(row.0));
+                (self.session.insert(predicate.id, &words[..predicate.columns()])).expect("bound predicates fit");
             }
         }
         self.session.set_limits(Limits {
@@ -111,6 +137,21 @@ impl GroundState {
         }
         self.facts.clone_from(facts);
         Ok(())
+    }
+
+    /// Returns the row of a session for a row of [`Facts`].
+    fn words(&self, predicate: GroundPredicate, row: [u32; 2], value: Option<&Value>) -> [Value; 3] {
+        let mut words = [Value::default(); 3];
+        for (word, entity) in words.iter_mut().zip(&row[..predicate.arity]) {
+            *word = self.entities[*entity as usize];
+        }
+        if let (Some(base), Some(&value)) = (predicate.value, value) {
+            words[predicate.arity] = match base {
+                BaseType::Symbol => self.headings[value.0 as usize],
+                _ => value,
+            };
+        }
+        words
     }
 
     /// Returns the derived actions of an entity.
@@ -164,9 +205,7 @@ mod tests {
             .iter()
             .position(|predicate| predicate.name == "IsBus")
             .expect("it is in use");
-        let nothing = Facts {
-            rows: vec![Vec::new(); vocabulary.predicates.len()],
-        };
+        let nothing = Facts::new(vocabulary.predicates.len());
         let mut one_bus = nothing.clone();
         one_bus.rows[bus].push([0, 0]);
 

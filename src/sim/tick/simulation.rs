@@ -8,7 +8,7 @@ use crate::config::codes;
 use crate::datalog::Session;
 use crate::datalog::{ClauseId, Value};
 use crate::diag::{self, Diagnostic};
-use crate::predicate::Entity;
+use crate::predicate::{Entity, Progress};
 use crate::rng::Seed;
 use crate::sim::tick::chance::Draws;
 use crate::sim::tick::dense_executor::{Decisions, DenseExecutor, Undecided, WHOLE_MAX};
@@ -16,7 +16,7 @@ use crate::sim::tick::executor::{Choice, Executor, given_up, of_rules};
 use crate::sim::tick::ground::{Facts, MAX_ENTITIES, ground_with};
 use crate::sim::tick::ground_state::GroundState;
 use crate::sim::tick::vocabulary::{Actions, Vocabulary};
-use crate::sim::tick::window::Position;
+use crate::sim::tick::window::{Now, Position};
 use crate::sim::tick::world::World;
 use crate::threads::Pool;
 use crate::yaml;
@@ -95,6 +95,10 @@ pub struct TickReport {
 pub struct AgentTick {
     /// The heading before the move. The cell before the move is in `moved`.
     pub heading: Option<Heading>,
+    /// The number of cells moved in the tick before.
+    pub speed: u8,
+    /// The number of ticks without a move before this one.
+    pub waited: u32,
     /// The derived actions, without the default.
     pub derived: Actions,
     /// The action in effect: decided by the rules or imposed by the caller.
@@ -502,9 +506,13 @@ impl Simulation {
         let threads = threads_of(self.threads.as_ref())?;
         if let Some(dense) = &mut self.dense {
             let decisions = &mut self.decisions;
+            let now = Now {
+                draws,
+                agents: &self.agents,
+            };
             let decided = match &threads {
-                Some(pool) => pool.install(|| dense.decide(map, &self.agents, draws, decisions)),
-                None => dense.decide(map, &self.agents, draws, decisions),
+                Some(pool) => pool.install(|| dense.decide(map, now, decisions)),
+                None => dense.decide(map, now, decisions),
             };
             match decided {
                 Ok(()) => {}
@@ -705,21 +713,37 @@ impl Simulation {
     /// Computes, as bits, all facts about the present state that the rules may read, and returns their number. `None`
     /// unless the dense executor evaluates the whole city in one window.
     pub fn count_facts(&mut self) -> Option<u64> {
-        let draws = Draws {
-            seed: self.seed,
-            time: self.tick,
+        let now = Now {
+            draws: Draws {
+                seed: self.seed,
+                time: self.tick,
+            },
+            agents: &self.agents,
         };
-        self.dense.as_mut()?.count_facts(self.world.map(), &self.agents, draws)
+        self.dense.as_mut()?.count_facts(self.world.map(), now)
     }
 
     /// Returns the agents as they were when the last tick was decided.
     fn decided_entities(&self) -> Vec<Entity<'_>> {
-        let before = |(agent, done): (_, &AgentTick)| Entity {
-            at: done.moved.from,
-            heading: done.heading,
-            ..entity(agent)
-        };
-        self.agents.iter().zip(&self.report.agents).map(before).collect()
+        self.agents.iter().zip(&self.report.agents).map(decided).collect()
+    }
+}
+
+/// Returns an agent as it was before a tick.
+fn decided<'a>((agent, done): (&'a Agent, &AgentTick)) -> Entity<'a> {
+    Entity {
+        at: done.moved.from,
+        heading: done.heading,
+        progress: Progress {
+            speed: done.speed.into(),
+            waited: done.waited,
+            // It sets out from its goal.
+            remaining: match done.moved.replanned {
+                true => 0,
+                false => agent.remaining() + done.moved.cells(),
+            },
+        },
+        ..entity(agent)
     }
 }
 
@@ -827,6 +851,8 @@ impl Moving<'_> {
         let action = self.controlled[index].unwrap_or_else(|| self.vocabulary.decide(derived));
         *done = AgentTick {
             heading: agent.heading,
+            speed: agent.speed,
+            waited: agent.waited,
             derived: self.vocabulary.before_default(derived),
             action,
             moved: advance(agent, index, action, &self.surroundings),
@@ -839,6 +865,8 @@ impl AgentTick {
     fn resting(agent: &Agent) -> AgentTick {
         AgentTick {
             heading: agent.heading,
+            speed: agent.speed,
+            waited: agent.waited,
             derived: Actions::default(),
             action: Action::Stop,
             moved: Moved {
@@ -876,5 +904,6 @@ fn entity(agent: &Agent) -> Entity<'_> {
         priority: agent.priority,
         at: agent.cell,
         heading: agent.heading,
+        progress: Progress::of(agent),
     }
 }

@@ -7,7 +7,7 @@ use crate::datalog::Program;
 use crate::datalog::codes;
 use crate::datalog::{BaseType, Literal, Predicate, PredicateId};
 use crate::diag::{Diagnostic, did_you_mean};
-use crate::predicate::{Definition, Sees};
+use crate::predicate::{Definition, Quantity, Sees, Unit};
 
 /// A set of actions.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Hash)]
@@ -65,10 +65,36 @@ pub struct BasePredicate {
     pub name: String,
     /// The computation of its facts.
     pub definition: Definition,
-    /// The number of columns, 1 or 2.
+    /// The number of columns for agents, at most 2. They come first.
     pub arity: usize,
+    /// The base type of the last column, if it holds a value.
+    pub value: Option<BaseType>,
     /// The id in the program; `None` if the rules do not declare it as input.
     pub id: Option<PredicateId>,
+}
+
+impl BasePredicate {
+    /// Returns the quantity that the predicate holds, if it holds one.
+    pub fn quantity(&self) -> Option<Quantity> {
+        match self.definition {
+            Definition::Quantity(quantity) => Some(quantity),
+            _ => None,
+        }
+    }
+
+    /// Returns the number of columns.
+    pub fn columns(&self) -> usize {
+        self.arity + usize::from(self.value.is_some())
+    }
+}
+
+/// Returns the base type of a column of values.
+fn base_of(unit: Unit) -> BaseType {
+    match unit {
+        Unit::Number => BaseType::Number,
+        Unit::Float => BaseType::Float,
+        Unit::Heading => BaseType::Symbol,
+    }
 }
 
 /// The base predicates and actions of a scenario, bound to a program.
@@ -90,17 +116,17 @@ impl Vocabulary {
     ///
     /// # Errors
     /// `rule-mismatch` if the configuration lacks an input that a rule reads, a predicate has another number of columns
-    /// or a column that is not a symbol, a predicate is declared but not as input, or the rules declare no action.
+    /// or a column of another type, a predicate is declared but not as input, or the rules declare no action.
     pub fn bind(scenario: &Scenario, program: &Program) -> Result<Vocabulary, Vec<Diagnostic>> {
         let rules = program.rules();
         let mut faults = Vec::new();
         let mut predicates = Vec::new();
         for PredicateConfig { name, definition } in &scenario.predicates {
-            let arity = definition.arity();
+            let (arity, value) = (definition.arity(), definition.unit().map(base_of));
             let id = program.predicate(&name.value).filter(|&id| {
                 let declared = &rules.predicates[id.index()];
                 declared.input
-                    && fits(declared, arity, &mut faults, || {
+                    && fits(declared, arity, value, &mut faults, || {
                         Diagnostic::new(
                             codes::RULE_MISMATCH,
                             format!(
@@ -115,6 +141,7 @@ impl Vocabulary {
                 name: name.value.clone(),
                 definition: definition.clone(),
                 arity,
+                value,
                 id,
             });
         }
@@ -128,7 +155,7 @@ impl Vocabulary {
 
         let actions = Action::ALL.map(|action| {
             program.predicate(action.name()).filter(|&id| {
-                fits(&rules.predicates[id.index()], 1, &mut faults, || {
+                fits(&rules.predicates[id.index()], 1, None, &mut faults, || {
                     Diagnostic::new(
                         codes::RULE_MISMATCH,
                         format!("the action `{}` must be a predicate over one agent", action.name()),
@@ -162,6 +189,18 @@ impl Vocabulary {
     /// Returns whether the rules declare the predicate at this position as input.
     pub fn is_read(&self, predicate: usize) -> bool {
         self.predicates[predicate].id.is_some()
+    }
+
+    /// Checks that the rules read no quantities. `what` holds facts without values, in the plural.
+    ///
+    /// # Errors
+    /// `rule-mismatch` if they read one.
+    pub fn without_quantities(&self, what: &str) -> Result<(), Diagnostic> {
+        let read = self.predicates.iter().find(|known| known.id.is_some() && known.value.is_some());
+        read.map_or(Ok(()), |known| {
+            let message = format!("{what} contain no quantities, but the rules declare `{}` as input", known.name);
+            Err(Diagnostic::new(codes::RULE_MISMATCH, message).help("use rules without quantities here"))
+        })
     }
 
     /// Returns whether the facts of a predicate are known: the configuration defines it, or it is not an input.
@@ -207,17 +246,29 @@ fn decisions(config: &ActionsConfig) -> [Action; 16] {
     })
 }
 
-/// Returns whether a predicate has `arity` columns of symbols. Otherwise it adds a diagnostic to `faults`.
-fn fits(predicate: &Predicate, arity: usize, faults: &mut Vec<Diagnostic>, fault: impl FnOnce() -> Diagnostic) -> bool {
-    let symbols = predicate.columns.iter().all(|column| column.base == BaseType::Symbol);
-    if predicate.arity() == arity && symbols {
+/// Returns whether a predicate has `arity` columns of symbols, and then one of the type `value`, if there is one.
+/// Otherwise it adds a diagnostic to `faults`.
+fn fits(
+    predicate: &Predicate,
+    arity: usize,
+    value: Option<BaseType>,
+    faults: &mut Vec<Diagnostic>,
+    fault: impl FnOnce() -> Diagnostic,
+) -> bool {
+    let expected = || std::iter::repeat_n(BaseType::Symbol, arity).chain(value);
+    if predicate.columns.iter().map(|column| column.base).eq(expected()) {
         return true;
     }
     let plural = if arity == 1 { "column" } else { "columns" };
+    let help = match (arity, value) {
+        (_, None) => format!("declare it with {arity} {plural} of type agent"),
+        (0, Some(value)) => format!("declare it with one column of type {}", value.name()),
+        (_, Some(value)) => format!("declare it with {arity} {plural} of type agent, then one of type {}", value.name()),
+    };
     faults.push(
         fault()
             .at(predicate.span, format!("declared with {} here", describe(predicate)))
-            .help(format!("declare it with {arity} {plural} of type agent")),
+            .help(help),
     );
     false
 }

@@ -7,14 +7,18 @@
 
 use crate::city::AgentKind;
 use crate::city::{Agent, Cell, CityMap, Heading, Junction};
+use crate::datalog::Value;
 use crate::datalog::dense::{
-    Argument, BinaryFacts, BitState, Dense, Input, List, Set, TooManySteps, and, first, holding, is_empty, members,
+    Argument, BinaryFacts, BitState, Input, List, Set, TooManySteps, and, first, holding, is_empty, members,
     without,
 };
 use crate::predicate::{
-    CellTable, Definition, Pair, PairRelation, Reach, Relation, Static, Subject, Views, headings, with_relation,
+    CellTable, Definition, Measured, Pair, PairRelation, Progress, Quantity, Reach, Relation, Static, Subject, Views,
+    headings, with_relation,
 };
 use crate::sim::tick::chance::{Chance, Draws};
+use crate::sim::tick::executor::DenseRules;
+use crate::sim::tick::ground::word;
 use crate::sim::tick::vocabulary::Vocabulary;
 use std::collections::BTreeMap;
 use std::ops::Deref;
@@ -86,12 +90,40 @@ impl AgentState {
     }
 }
 
+/// The state of the city that windows read besides their bodies.
+#[derive(Clone, Copy)]
+pub(crate) struct Now<'a> {
+    pub draws: Draws,
+    /// All agents, in list order. Only quantities read them.
+    pub agents: &'a [Agent],
+}
+
+impl Now<'_> {
+    /// Returns the value of a quantity for the agents at these places of `bodies`.
+    fn value(&self, quantity: Quantity, bodies: [&AgentState; 2], places: &[usize]) -> Option<Value> {
+        let measured = bodies.map(|body| Measured {
+            subject: body.subject(),
+            progress: Progress::of(&self.agents[body.agent as usize]),
+        });
+        let measure = match *places {
+            [x] => quantity.measure(self.draws.time, &[&measured[x]]),
+            // Two agents are different ones.
+            [x, y] if bodies[x].agent == bodies[y].agent => None,
+            [x, y] => quantity.measure(self.draws.time, &[&measured[x], &measured[y]]),
+            _ => quantity.measure(self.draws.time, &[]),
+        };
+        measure.map(word)
+    }
+}
+
 /// A list that a dense program reads.
 #[derive(Clone, Debug)]
 struct Requested {
     /// The position in the vocabulary and the fast form; `None` if the vocabulary lacks the predicate, which then never
     /// holds.
     predicate: Option<(usize, PairRelation)>,
+    /// The condition on quantities, if the list is of one.
+    condition: Option<usize>,
     axis: Argument,
     /// The places of possible members, relative to an entity of each kind: without a heading, and with each heading.
     reaches: [[Reach; 5]; 2],
@@ -107,7 +139,9 @@ struct Requested {
 /// cache when many cities take turns.
 #[derive(Debug)]
 pub(super) struct Plan {
-    pub dense: Dense,
+    pub rules: DenseRules,
+    /// The inputs that are conditions on quantities: their positions in the inputs and among the conditions.
+    conditional: Vec<(usize, usize)>,
     /// The inputs that depend on an agent's kind and concepts.
     fixed: Vec<(usize, Static)>,
     /// The inputs that depend on an agent's cell.
@@ -147,10 +181,11 @@ impl Plan {
     /// The maximum number of likely classes.
     const LIKELY: usize = 64;
 
-    /// Plans the computation of `dense`. All inputs of `dense` that have facts must be predicates of the vocabulary.
+    /// Plans the computation of the inputs of `rules`. Those that have facts must be predicates of the vocabulary or
+    /// conditions.
     /// `agents` are the kinds and concepts of the agents to expect.
     pub fn new<'a>(
-        dense: Dense,
+        rules: DenseRules,
         vocabulary: &Vocabulary,
         view: u32,
         agents: impl Iterator<Item = (AgentKind, &'a Arc<[String]>)>,
@@ -162,22 +197,25 @@ impl Plan {
             Some((position, &vocabulary.predicates[position].definition))
         };
         let views = Views::new(view);
-        let (mut fixed, mut local, mut always) = (Vec::new(), Vec::new(), Vec::new());
+        let (mut fixed, mut local, mut always, mut conditional) = (Vec::new(), Vec::new(), Vec::new(), Vec::new());
+        let DenseRules { dense, conditions, .. } = &rules;
         for (input, requested) in dense.inputs().iter().enumerate() {
             let (Input::Unary(wanted) | Input::Diagonal(wanted)) = *requested;
+            conditional.extend(conditions.find(wanted).map(|condition| (input, condition)));
             match find(wanted) {
                 Some((_, Definition::Static(predicate))) => fixed.push((input, predicate.clone())),
                 Some((_, Definition::Local(predicate))) => local.push((input, predicate.table())),
                 Some((_, Definition::Pair(pair))) if pair.is_reflexive() => always.push(input),
-                Some((_, Definition::Pair(_))) | None => {}
+                Some((_, Definition::Pair(_) | Definition::Quantity(_))) | None => {}
             }
         }
         let lists: Vec<Requested> = (dense.lists().iter())
             .map(|&List(wanted, axis)| {
                 let predicate = find(wanted).and_then(|(position, definition)| match definition {
                     Definition::Pair(pair) => Some((position, pair)),
-                    Definition::Static(_) | Definition::Local(_) => None,
+                    Definition::Static(_) | Definition::Local(_) | Definition::Quantity(_) => None,
                 });
+                let condition = conditions.find(wanted);
                 let forward = axis == Argument::Second;
                 let is_view = forward && matches!(predicate, Some((_, Pair::Sees(_))));
                 let predicate = predicate.map(|(position, pair)| (position, pair.relation()));
@@ -186,15 +224,17 @@ impl Plan {
                 Requested {
                     reaches: AgentKind::ALL.map(|kind| {
                         headings().map(|heading| match (relation, axis) {
+                            (None, _) if condition.is_some() => Reach::Anywhere,
                             (None, _) => Reach::Nowhere,
                             (Some(relation), Argument::Second) => relation.reach(&views, kind, heading),
                             (Some(relation), Argument::First) => relation.reach_back(),
                         })
                     }),
                     fills_reach: forward && relation.is_some_and(PairRelation::fills_reach),
-                    in_view: forward && !is_view && predicate.as_ref().is_none_or(in_view),
+                    in_view: forward && !is_view && condition.is_none() && predicate.as_ref().is_none_or(in_view),
                     is_view,
                     predicate,
+                    condition,
                     axis,
                 }
             })
@@ -218,7 +258,8 @@ impl Plan {
             always,
             lists,
             views,
-            dense,
+            rules,
+            conditional,
             likely,
             likely_inputs: Vec::new(),
         };
@@ -234,6 +275,11 @@ impl Plan {
             .iter()
             .filter(|(_, predicate)| predicate.holds(kind, concepts));
         holds.map(|(input, _)| *input).collect()
+    }
+
+    /// Returns whether agents meet a condition on quantities.
+    fn meets(&self, condition: usize, now: Now<'_>, bodies: [&AgentState; 2]) -> bool {
+        (self.rules.conditions).holds(condition, |_, quantity, places| now.value(quantity, bodies, places))
     }
 
     /// Returns the maximum number of cells that agents see in any direction.
@@ -282,7 +328,7 @@ impl Grounder {
     /// Writes the inputs that do not depend on cells, as sets of entities with these classes, and clears the others.
     fn fill_steady<const W: usize>(&self, classes: impl ExactSizeIterator<Item = u32>, inputs: &mut Vec<Set<W>>) {
         inputs.clear();
-        inputs.resize(self.dense.inputs().len(), [0; W]);
+        inputs.resize(self.rules.dense.inputs().len(), [0; W]);
         for &input in &self.always {
             inputs[input] = first(classes.len());
         }
@@ -386,7 +432,7 @@ impl<const W: usize> Window<W> {
     pub fn new(grounder: &Grounder) -> Self {
         Window {
             bodies: Vec::new(),
-            bit_state: BitState::new(&grounder.dense, 0),
+            bit_state: BitState::new(&grounder.rules.dense, 0),
             inputs: Vec::new(),
             place: Place {
                 first: Cell::new(0, 0),
@@ -424,7 +470,7 @@ impl<const W: usize> Window<W> {
     /// If the window cannot hold all bodies.
     fn fill_inputs(&mut self, grounder: &Grounder) {
         let count = self.bodies.len();
-        self.bit_state.reset(&grounder.dense, count);
+        self.bit_state.reset(&grounder.rules.dense, count);
         grounder.fill_steady(self.bodies.iter().map(|body| body.class), &mut self.inputs);
         for entity in 0..count {
             self.look(grounder, entity);
@@ -456,20 +502,20 @@ impl<const W: usize> Window<W> {
     }
 
     /// Rebuilds all sets from `bodies`, computes all facts that the rules may read, and returns their number.
-    pub fn count_facts(&mut self, grounder: &Grounder, draws: Draws) -> u64 {
+    pub fn count_facts(&mut self, grounder: &Grounder, now: Now<'_>) -> u64 {
         let lines = |lists: &[Set<W>]| i32::try_from(lists.len() - 1).expect("an area has fewer than 2^31 lines");
         let size = [lines(&self.place.rows), lines(&self.place.cols)];
         self.fill(grounder, self.place.first, size);
-        self.count_in(grounder, draws, &self.place)
+        self.count_in(grounder, now, &self.place)
     }
 
     /// Returns the number of all facts that the rules may read.
-    fn count_in(&self, grounder: &Grounder, draws: Draws, place: &impl Surrounding<W>) -> u64 {
+    fn count_in(&self, grounder: &Grounder, now: Now<'_>, place: &impl Surrounding<W>) -> u64 {
         let scene = Scene {
             plan: grounder,
             bodies: &self.bodies,
             place,
-            draws,
+            now,
         };
         let all = first(self.bodies.len());
         let lists = (0..grounder.lists.len())
@@ -483,14 +529,14 @@ impl<const W: usize> Window<W> {
     ///
     /// # Errors
     /// As [`BitState::run`].
-    pub fn run(&mut self, grounder: &Grounder, draws: Draws) -> Result<(), TooManySteps> {
+    pub fn run(&mut self, grounder: &Grounder, now: Now<'_>) -> Result<(), TooManySteps> {
         let Window {
             bodies,
             bit_state,
             inputs,
             place,
         } = self;
-        run_in(grounder, draws, (bodies, inputs), &*place, bit_state)
+        run_in(grounder, now, (bodies, inputs), &*place, bit_state)
     }
 }
 
@@ -498,21 +544,25 @@ impl<const W: usize> Window<W> {
 #[inline(always)]
 fn run_in<const W: usize>(
     grounder: &Grounder,
-    draws: Draws,
+    now: Now<'_>,
     (bodies, inputs): (&[AgentState], &[Set<W>]),
     place: &impl Surrounding<W>,
     bit_state: &mut BitState<W>,
 ) -> Result<(), TooManySteps> {
     for (input, set) in inputs.iter().enumerate() {
-        bit_state.set_input(&grounder.dense, input, *set);
+        bit_state.set_input(&grounder.rules.dense, input, *set);
+    }
+    for &(input, condition) in &grounder.conditional {
+        let holds = |body| grounder.meets(condition, now, [body, body]);
+        bit_state.set_input(&grounder.rules.dense, input, set_of(bodies.iter().map(holds)));
     }
     let scene = Scene {
         plan: grounder,
         bodies,
         place,
-        draws,
+        now,
     };
-    bit_state.run(&grounder.dense, &scene)
+    bit_state.run(&grounder.rules.dense, &scene)
 }
 
 /// Windows of at most [`Near::MAX`] entities that keep no index of places. Each run loads all agents first, so that the
@@ -534,7 +584,7 @@ impl Window<1> {
             inputs[input] = [holding(holds)];
         }
         if self.bit_state.count() != agents.len() {
-            self.bit_state.reset(&grounder.dense, agents.len());
+            self.bit_state.reset(&grounder.rules.dense, agents.len());
         }
     }
 
@@ -542,7 +592,7 @@ impl Window<1> {
     ///
     /// # Errors
     /// As [`BitState::run`].
-    pub fn run_few(&mut self, grounder: &Grounder, draws: Draws) -> Result<(), TooManySteps> {
+    pub fn run_few(&mut self, grounder: &Grounder, now: Now<'_>) -> Result<(), TooManySteps> {
         let near = Near::new(&self.bodies, grounder.farthest_reach);
         let Window {
             bodies,
@@ -550,12 +600,12 @@ impl Window<1> {
             inputs,
             ..
         } = self;
-        run_in(grounder, draws, (bodies, inputs), &near, bit_state)
+        run_in(grounder, now, (bodies, inputs), &near, bit_state)
     }
 
     /// Computes all facts that the rules may read, and returns their number.
-    pub fn count_few(&self, grounder: &Grounder, draws: Draws) -> u64 {
-        self.count_in(grounder, draws, &Near::new(&self.bodies, grounder.farthest_reach))
+    pub fn count_few(&self, grounder: &Grounder, now: Now<'_>) -> u64 {
+        self.count_in(grounder, now, &Near::new(&self.bodies, grounder.farthest_reach))
     }
 }
 
@@ -627,7 +677,7 @@ struct Scene<'a, S> {
     plan: &'a Plan,
     bodies: &'a [AgentState],
     place: &'a S,
-    draws: Draws,
+    now: Now<'a>,
 }
 
 impl<const W: usize, S: Surrounding<W>> BinaryFacts<W> for Scene<'_, S> {
@@ -685,7 +735,17 @@ impl<S> Scene<'_, S> {
     #[inline(never)]
     fn refine<const W: usize>(&self, list: &Requested, at: usize, near: Set<W>) -> Set<W> {
         let Some((predicate, relation)) = &list.predicate else {
-            return [0; W];
+            let Some(condition) = list.condition else {
+                return [0; W];
+            };
+            let [at, bodies] = [&self.bodies[at..=at], self.bodies];
+            return keep(near, |other| {
+                let pair = match list.axis {
+                    Argument::Second => [&at[0], &bodies[other]],
+                    Argument::First => [&bodies[other], &at[0]],
+                };
+                self.plan.meets(condition, self.now, pair)
+            });
         };
         with_relation!(relation, relation => match list.axis {
             Argument::Second => self.seconds(*predicate, relation, at, near),
@@ -722,8 +782,17 @@ impl<S> Scene<'_, S> {
     }
 
     fn decides(&self, predicate: usize, x: &AgentState, y: &AgentState, probability: f64) -> bool {
-        (self.draws).decides(predicate, x.agent as usize, y.agent as usize, probability)
+        (self.now.draws).decides(predicate, x.agent as usize, y.agent as usize, probability)
     }
+}
+
+/// Returns the set of the entities for which `holds` is true, in their order.
+fn set_of<const W: usize>(holds: impl Iterator<Item = bool>) -> Set<W> {
+    let mut set = [0; W];
+    for (entity, holds) in holds.enumerate() {
+        set[entity / 64] |= u64::from(holds) << (entity % 64);
+    }
+    set
 }
 
 /// Returns the members for which `holds` returns true.

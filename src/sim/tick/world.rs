@@ -4,10 +4,10 @@ use crate::city::{Action, AgentKind, AgentSet, Split};
 use crate::city::{CityMap, Places, Router};
 use crate::config::Scenario;
 use crate::datalog::ClauseId;
-use crate::datalog::dense::{Dense, TrackFirings};
+use crate::datalog::dense::TrackFirings;
 use crate::datalog::{Limits, Program};
 use crate::diag::Diagnostic;
-use crate::sim::tick::executor::compile;
+use crate::sim::tick::executor::{DenseRules, compile};
 use crate::sim::tick::vocabulary::Vocabulary;
 use crate::sim::tick::window::Plan;
 use std::sync::{Arc, OnceLock};
@@ -101,7 +101,7 @@ impl World {
     ///
     /// # Errors
     /// `dense-unsupported` if it cannot evaluate them; the message names the reason.
-    pub fn compile(&self, counting: TrackFirings) -> Result<Dense, Diagnostic> {
+    pub fn compile(&self, counting: TrackFirings) -> Result<DenseRules, Diagnostic> {
         compile(self.program.rules(), &self.vocabulary, counting)
     }
 

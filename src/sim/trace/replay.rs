@@ -2,15 +2,15 @@
 
 use crate::city::{Action, AgentKind};
 use crate::city::{Cell, Heading};
-use crate::datalog::{Limits, Session, Value};
+use crate::datalog::{BaseType, Limits, Session, Value};
 use crate::diag::{Diagnostic, json_error};
-use crate::predicate::Entity;
+use crate::predicate::{Entity, Progress};
 use crate::sim::codes;
 use crate::sim::tick::chance::Chance;
 use crate::sim::tick::ground::{Facts, ground};
 use crate::sim::tick::ground_state::GroundState;
 use crate::sim::tick::simulation::Snapshot;
-use crate::sim::tick::vocabulary::Actions;
+use crate::sim::tick::vocabulary::{Actions, BasePredicate};
 use crate::sim::tick::world::World;
 use crate::sim::trace::archive::Archive;
 use crate::sim::trace::writer::{Driven, TRACE_VERSION};
@@ -66,9 +66,18 @@ pub struct TraceTick {
     pub tick: u64,
     /// The state and decision of each agent, in the order of the header.
     pub agents: Vec<TraceState>,
-    /// The rows of the predicates that hold with a probability.
+    /// The rows of the predicates that the states of the agents do not determine: those that hold with a probability, and
+    /// quantities with their values.
     #[serde(default)]
-    given: BTreeMap<String, Vec<Vec<String>>>,
+    given: BTreeMap<String, Vec<Vec<GivenTerm>>>,
+}
+
+/// A term of a row in a [`TraceTick`].
+#[derive(Clone, Debug, Deserialize)]
+#[serde(untagged)]
+enum GivenTerm {
+    Name(String),
+    Value(i32),
 }
 
 /// The state and decision of an agent in a [`TraceTick`].
@@ -253,31 +262,44 @@ impl Replay {
                 priority: agent.priority,
                 at,
                 heading,
+                progress: Progress::default(),
             });
         }
         let vocabulary = &self.world.vocabulary;
         let given = |index: usize| tick.given.get(&vocabulary.predicates[index].name);
         let view = self.world.scenario.view;
-        let mut facts = ground(vocabulary, map, view, &entities, &Never, |index| given(index).is_some());
+        let mut facts = ground(vocabulary, map, view, &entities, &Recorded(tick.tick), |index| given(index).is_some());
         for (index, predicate) in vocabulary.predicates.iter().enumerate() {
             let Some(rows) = given(index) else { continue };
-            for row in rows {
-                let places: Option<Vec<u32>> = (row.iter())
-                    .map(|name| self.positions.get(name).and_then(|&place| u32::try_from(place).ok()))
-                    .collect();
-                match places.as_deref() {
-                    Some(&[x, y]) if predicate.arity == 2 => facts.rows[index].push([x, y]),
-                    Some(&[x]) if predicate.arity == 1 => facts.rows[index].push([x, 0]),
-                    _ => return Err(invalid(format!("{row:?} is not a row of `{}`", predicate.name))),
-                }
-            }
-            facts.rows[index].sort_unstable();
-            facts.rows[index].dedup();
+            let read = rows.iter().map(|row| {
+                let faulty = || invalid(format!("{row:?} is not a row of `{}`", predicate.name));
+                self.given(row, predicate).ok_or_else(faulty)
+            });
+            let mut read = read.collect::<Result<Vec<([u32; 2], Option<Value>)>, _>>()?;
+            read.sort_unstable();
+            read.dedup_by_key(|(row, _)| *row);
+            facts.values[index] = read.iter().filter_map(|(_, value)| *value).collect();
+            facts.rows[index] = read.into_iter().map(|(row, _)| row).collect();
         }
         let set = self.state.set(&facts);
         set.map_err(|error| error.diagnostic(self.world.program.rules()))?;
         self.facts = facts;
         Ok(())
+    }
+
+    /// Reads a row of a predicate; `None` if it is none.
+    fn given(&self, row: &[GivenTerm], predicate: &BasePredicate) -> Option<([u32; 2], Option<Value>)> {
+        let mut places = [0; 2];
+        let (agents, value) = row.split_at_checked(predicate.arity)?;
+        for (place, agent) in places.iter_mut().zip(agents) {
+            let GivenTerm::Name(name) = agent else { return None };
+            *place = u32::try_from(*self.positions.get(name)?).ok()?;
+        }
+        match (value, predicate.value) {
+            ([], None) => Some((places, None)),
+            ([GivenTerm::Value(number)], Some(BaseType::Number)) => Some((places, Some(Value::number(*number)))),
+            _ => None,
+        }
     }
 
     /// Returns the base facts of the state, by the predicates of the vocabulary.
@@ -346,10 +368,14 @@ impl Replay {
     }
 }
 
-/// Never draws: the trace records the rows of predicates with a probability.
-struct Never;
+/// The number of a tick whose trace records the rows of predicates with a probability.
+struct Recorded(u64);
 
-impl Chance for Never {
+impl Chance for Recorded {
+    fn tick(&self) -> u64 {
+        self.0
+    }
+
     fn happens(&self, _: usize, _: usize, _: usize, _: f64) -> bool {
         false
     }

@@ -28,8 +28,8 @@ pub struct Driven {
 /// Writes a trace to an output.
 pub struct TraceWriter<W: Write> {
     out: W,
-    /// Predicates that hold with a probability. The trace records their rows, since a replay cannot recompute them.
-    drawn: Vec<usize>,
+    /// The predicates whose rows a replay cannot recompute: those that hold with a probability, and some quantities.
+    recorded: Vec<usize>,
 }
 
 impl<W: Write> TraceWriter<W> {
@@ -90,11 +90,11 @@ impl<W: Write> TraceWriter<W> {
             "rule_files": archive.rule_files,
         });
         writeln!(out, "{header}")?;
-        let drawn = (world.vocabulary.predicates.iter().enumerate())
-            .filter(|(_, predicate)| predicate.definition.is_drawn())
+        let recorded = (world.vocabulary.predicates.iter().enumerate())
+            .filter(|(_, predicate)| predicate.definition.is_recorded())
             .map(|(index, _)| index)
             .collect();
-        Ok(TraceWriter { out, drawn })
+        Ok(TraceWriter { out, recorded })
     }
 
     /// Writes the last tick of a simulation: the state before (`at`, `heading`, `goal`), the decision, and the cell
@@ -138,12 +138,17 @@ impl<W: Write> TraceWriter<W> {
         }
         let names = simulation.agents();
         let predicates = &simulation.world().vocabulary.predicates;
-        let facts = simulation.facts(|index| self.drawn.contains(&index));
+        let facts = simulation.facts(|index| self.recorded.contains(&index));
         let facts = facts.map_err(|fault| io::Error::other(fault.message))?;
-        let given: Map<String, Value> = (self.drawn.iter())
+        let given: Map<String, Value> = (self.recorded.iter())
             .map(|&index| {
                 let name = |agent: u32| names[agent as usize].name().to_string();
-                let rows = facts.rows[index].iter().map(|row| json!(row.map(name)));
+                let values = facts.values[index].iter().map(|value| json!(value.as_number()));
+                let values = values.map(Some).chain(std::iter::repeat(None));
+                let rows = facts.rows[index].iter().zip(values).map(|(row, value)| {
+                    let names = row[..predicates[index].arity].iter().map(|agent| json!(name(*agent)));
+                    names.chain(value).collect::<Value>()
+                });
                 (predicates[index].name.clone(), rows.collect())
             })
             .collect();

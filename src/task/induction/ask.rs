@@ -215,9 +215,7 @@ impl<'a> RuleOracle<'a> {
     /// action that the task lacks.
     pub fn action(&self, state: &State, cancel: &Cancel) -> Result<usize, OracleError> {
         let known = self.inference.vocabulary();
-        let mut facts = Facts {
-            rows: vec![Vec::new(); known.predicates.len()],
-        };
+        let mut facts = Facts::new(known.predicates.len());
         let entities = 0..state.entities() as u32;
         facts.rows[known.sees] = entities
             .clone()

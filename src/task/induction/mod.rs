@@ -248,7 +248,8 @@ impl InductionTask {
     /// Returns the atoms of an observation of `entities` entities, in the order of its numbers, such as `IsCar(0)`.
     pub fn observed_atoms(&self, entities: usize) -> Vec<String> {
         let known = &self.world.vocabulary;
-        let observed = known.predicates.iter().enumerate().filter(|(at, _)| *at != known.sees);
+        let observed = known.predicates.iter().enumerate();
+        let observed = observed.filter(|(at, predicate)| *at != known.sees && predicate.value.is_none());
         let atoms = observed.flat_map(|(_, predicate)| {
             tuples(predicate.arity, entities).map(|entities| {
                 let numbers: Vec<String> = entities.iter().map(usize::to_string).collect();
@@ -295,7 +296,8 @@ impl InductionTask {
         let known = &self.world.vocabulary;
         let mut facts: Vec<(usize, [usize; 2])> = Vec::new();
         let (mut rest, mut learned) = (observation, 0);
-        for (_, predicate) in known.predicates.iter().enumerate().filter(|(at, _)| *at != known.sees) {
+        let observed = known.predicates.iter().enumerate();
+        for (_, predicate) in observed.filter(|(at, predicate)| *at != known.sees && predicate.value.is_none()) {
             let (values, after) = rest.split_at(entities.pow(predicate.arity as u32));
             rest = after;
             if predicate.id.is_none() {
@@ -318,8 +320,9 @@ impl InductionTask {
 
 /// Returns the predicates that clauses may use, with their positions: those that the rules declare, except `Sees`.
 fn observed(known: &sim::Vocabulary) -> impl Iterator<Item = (usize, &sim::BasePredicate)> {
-    let declared =
-        |(position, predicate): &(usize, &sim::BasePredicate)| *position != known.sees && predicate.id.is_some();
+    let declared = |(position, predicate): &(usize, &sim::BasePredicate)| {
+        *position != known.sees && predicate.id.is_some() && predicate.value.is_none()
+    };
     known.predicates.iter().enumerate().filter(declared)
 }
 

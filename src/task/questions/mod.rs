@@ -560,7 +560,7 @@ impl<'w> QuestionSearch<'w> {
             rows.sort_unstable();
             rows
         });
-        let facts = Facts { rows: rows.collect() };
+        let facts = Facts::of(rows.collect());
         let agent = u32::try_from(ego).expect("fewer than 2^32 agents");
         Question {
             ego: place(agent).expect("every agent sees itself") as usize,

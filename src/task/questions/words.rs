@@ -59,7 +59,7 @@ pub(super) fn beside_picture(predicates: &[(String, Definition)], question: &Que
         text += &format!("It does not show which agent {verbs}; what is not stated about that is false.\n");
     }
     let question = Question {
-        facts: Facts { rows },
+        facts: Facts::of(rows),
         ..question.clone()
     };
     for agent in 0..names.len() {

@@ -578,9 +578,7 @@ pub fn samples(
         });
         Ok(Sample {
             tick: rows.tick,
-            facts: Facts {
-                rows: facts.collect::<Result<_, Diagnostic>>()?,
-            },
+            facts: Facts::of(facts.collect::<Result<_, Diagnostic>>()?),
             names: names[rows.entities.clone()].to_vec(),
             labels: labels[rows.entities].iter().map(label).collect::<Result<_, _>>()?,
         })

@@ -113,6 +113,10 @@ struct Draws<'a> {
 }
 
 impl Chance for Draws<'_> {
+    fn tick(&self) -> u64 {
+        0
+    }
+
     fn happens(&self, predicate: usize, first: usize, second: usize, _: f64) -> bool {
         let n = self.task.oracle().entities();
         let columns = self.task.oracle().columns();

@@ -14,7 +14,7 @@ use crate::symbol::Symbol;
 use crate::syntax::ast::{BaseType, Comparison};
 use crate::value::{Patterns, Value};
 use std::cell::{Cell, OnceCell, RefCell};
-use std::cmp::{Ordering, Reverse};
+use std::cmp::Reverse;
 use std::collections::HashMap;
 use std::collections::hash_map::Entry;
 use std::rc::Rc;
@@ -581,27 +581,10 @@ impl<'s> ProofSearch<'s> {
 
     fn compare(&self, op: Comparison, left: Value, right: Value, base: BaseType) -> bool {
         let symbols = self.session.symbols();
-        let text = |value: Value| symbols.resolve(Symbol(value.0)).unwrap_or_default();
-        // A NaN is neither less nor greater than any float.
-        let order = || match base {
-            BaseType::Number => Some(left.as_number().cmp(&right.as_number())),
-            BaseType::Symbol => Some(text(left).cmp(text(right))),
-            BaseType::Unsigned => Some(left.0.cmp(&right.0)),
-            BaseType::Float => left.as_float().partial_cmp(&right.as_float()),
-        };
-        let matches = || self.patterns.borrow_mut().matches(left, text(right), symbols);
-        match op {
-            Comparison::Equal => left == right,
-            Comparison::NotEqual => left != right,
-            Comparison::Less => order().is_some_and(Ordering::is_lt),
-            Comparison::LessEqual => order().is_some_and(Ordering::is_le),
-            Comparison::Greater => order().is_some_and(Ordering::is_gt),
-            Comparison::GreaterEqual => order().is_some_and(Ordering::is_ge),
-            Comparison::Match => matches(),
-            Comparison::NotMatch => !matches(),
-            Comparison::Contains => text(right).contains(text(left)),
-            Comparison::NotContains => !text(right).contains(text(left)),
-        }
+        op.holds(base, left, right, symbols, || {
+            let text = symbols.resolve(Symbol(right.0)).unwrap_or_default();
+            self.patterns.borrow_mut().matches(left, text, symbols)
+        })
     }
 
     /// Returns the nearest binding of a clause that does not hold, and the literals that fail under it. See

@@ -1,0 +1,408 @@
+//! Conditions on values: replaces the literals of a clause that read values of entities by one atom over the entities.
+//!
+//! ```text
+//! Slow(X) :- IsCar(X), Waited(X, n), n > 40.      becomes    Slow(X) :- IsCar(X), +condition(X).
+//! ```
+//!
+//! The executor stores no values. The caller decides with [`Condition::holds`] for which entities a condition holds, and
+//! provides these as facts of its hidden predicate. A condition concerns one entity or two.
+
+use crate::check::{Atom, Clause, Literal, Predicate, PredicateId, Rules, Term, VarId};
+use crate::syntax::ast::{BaseType, Comparison};
+use crate::syntax::functor::Functor;
+use crate::symbol::Symbols;
+use crate::value::{Patterns, Value};
+use std::collections::BTreeMap;
+
+/// A condition on the values of one entity or two.
+#[derive(Clone, Debug)]
+pub struct Condition {
+    /// The hidden predicate, over one entity or two.
+    pub predicate: PredicateId,
+    /// The number of entities, 1 or 2.
+    pub entities: usize,
+    steps: Vec<Step>,
+}
+
+/// A value in a condition: that of a variable or a constant.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, PartialOrd, Ord)]
+enum Operand {
+    Variable(usize),
+    Constant(Value),
+}
+
+/// A step of a condition. Variables that it reads have a value.
+#[derive(Clone, Debug, PartialEq, Eq, PartialOrd, Ord)]
+enum Step {
+    /// Reads the value of a predicate for entities, by their places.
+    Load {
+        predicate: PredicateId,
+        entities: Vec<usize>,
+        to: usize,
+    },
+    /// The predicate has a value for the entities: this one, if it names one. Or, unless `holds`, it has not.
+    Has {
+        predicate: PredicateId,
+        entities: Vec<usize>,
+        value: Option<Operand>,
+        holds: bool,
+    },
+    Copy {
+        from: Operand,
+        to: usize,
+    },
+    Compare {
+        op: Comparison,
+        base: BaseType,
+        left: Operand,
+        right: Operand,
+    },
+    Compute {
+        functor: Functor,
+        base: BaseType,
+        arguments: Vec<Operand>,
+        to: usize,
+    },
+}
+
+/// Rules that read values in conditions only, as far as possible.
+#[derive(Clone, Debug)]
+pub struct Lifted {
+    /// The rules. Clauses have the positions that they had before.
+    pub rules: Rules,
+    /// The conditions, each once.
+    pub conditions: Vec<Condition>,
+}
+
+impl Condition {
+    /// Returns whether the condition holds. `value` returns the value of a predicate for the entities at these places:
+    /// 0 for the first of the condition, 1 for the second.
+    pub fn holds(&self, symbols: &Symbols, value: impl Fn(PredicateId, &[usize]) -> Option<Value>) -> bool {
+        let mut values = [Value::default(); Condition::VARIABLES_MAX];
+        let get = |values: &[Value], operand: Operand| match operand {
+            Operand::Variable(variable) => values[variable],
+            Operand::Constant(value) => value,
+        };
+        self.steps.iter().all(|step| match step {
+            Step::Load { predicate, entities, to } => {
+                let found = value(*predicate, entities);
+                values[*to] = found.unwrap_or_default();
+                found.is_some()
+            }
+            Step::Has {
+                predicate,
+                entities,
+                value: wanted,
+                holds,
+            } => {
+                let found = value(*predicate, entities);
+                let has = found.is_some_and(|found| wanted.is_none_or(|wanted| get(&values, wanted) == found));
+                has == *holds
+            }
+            Step::Copy { from, to } => {
+                values[*to] = get(&values, *from);
+                true
+            }
+            Step::Compare { op, base, left, right } => {
+                let (left, right) = (get(&values, *left), get(&values, *right));
+                op.holds(*base, left, right, symbols, || Patterns::match_once(left, right, symbols))
+            }
+            Step::Compute {
+                functor,
+                base,
+                arguments,
+                to,
+            } => {
+                let arguments: Vec<Value> = arguments.iter().map(|operand| get(&values, *operand)).collect();
+                let found = functor.apply(*base, &arguments, symbols);
+                values[*to] = found.unwrap_or_default();
+                found.is_some()
+            }
+        })
+    }
+
+    /// The maximum number of variables for values.
+    const VARIABLES_MAX: usize = 16;
+}
+
+/// Replaces literals on values by conditions. `entities` returns for a predicate whose last column is a value the number
+/// of columns before it, which hold entities, at most two; each row of entities has at most one value.
+///
+/// Literals remain if they relate values of more than two entities, if other literals read these values, or if they
+/// name an entity by a constant.
+pub fn lift(rules: &Rules, entities: impl Fn(PredicateId) -> Option<usize>) -> Lifted {
+    let mut predicates = rules.predicates.clone();
+    let mut conditions = Vec::new();
+    let mut known: BTreeMap<(usize, Vec<Step>), PredicateId> = BTreeMap::new();
+    let mut condition = |clause: &Clause, group: &[usize]| {
+        let made = Body::of(clause, group, &entities)?;
+        let head = &rules.predicates[clause.head.predicate.index()];
+        let literals = || group.iter().filter_map(|&literal| clause.body[literal].atom());
+        let read = literals().map(|atom| &rules.predicates[atom.predicate.index()]);
+        let mut first_columns = read.chain([head]).filter_map(|predicate| predicate.columns.first());
+        let entity = first_columns.find(|column| column.base == BaseType::Symbol)?;
+        let next = PredicateId(u32::try_from(predicates.len()).expect("fewer than 2^32 predicates"));
+        let predicate = *known.entry((made.terms.len(), made.steps.clone())).or_insert(next);
+        if predicate == next {
+            predicates.push(Predicate {
+                input: true,
+                derived: false,
+                ..Predicate::made(
+                    format!("+condition {}", conditions.len()),
+                    vec![entity.clone(); made.terms.len()],
+                    "a condition on values".to_owned(),
+                    clause.span,
+                )
+            });
+            conditions.push(Condition {
+                predicate,
+                entities: made.terms.len(),
+                steps: made.steps,
+            });
+        }
+        Some(Literal::Positive(Atom {
+            predicate,
+            terms: made.terms,
+            span: literals().next().map_or(clause.span, |atom| atom.span),
+        }))
+    };
+    let clauses = rules.clauses.iter().map(|clause| {
+        let mut body: Vec<Option<Literal>> = clause.body.iter().cloned().map(Some).collect();
+        for group in groups(clause, &entities) {
+            if let Some(literal) = condition(clause, &group) {
+                group.iter().for_each(|&member| body[member] = None);
+                body[group[0]] = Some(literal);
+            }
+        }
+        Clause {
+            body: body.into_iter().flatten().collect(),
+            ..clause.clone()
+        }
+    });
+    let clauses = clauses.collect();
+    Lifted {
+        rules: Rules {
+            clauses,
+            predicates,
+            ..rules.clone()
+        },
+        conditions,
+    }
+}
+
+/// Returns the groups of literals of a clause that share variables for values, by their positions. Each group reads a
+/// value, and no other literal reads a variable of it.
+fn groups(clause: &Clause, entities: &impl Fn(PredicateId) -> Option<usize>) -> Vec<Vec<usize>> {
+    // The variables that occur elsewhere than as values.
+    let mut others = vec![false; clause.variables.len()];
+    let mut mark = |term: &Term| {
+        if let Term::Variable(variable) = term {
+            others[variable.index()] = true;
+        }
+    };
+    clause.head.terms.iter().for_each(&mut mark);
+    for literal in &clause.body {
+        match literal {
+            Literal::Positive(atom) | Literal::Negative(atom) if let Some(count) = entities(atom.predicate) => {
+                atom.terms[..count].iter().for_each(&mut mark);
+            }
+            Literal::Compare { .. } | Literal::Compute { .. } => {}
+            _ => literal.terms().for_each(&mut mark),
+        }
+    }
+    let values = |literal: &Literal| -> Vec<VarId> {
+        match literal {
+            Literal::Positive(atom) | Literal::Negative(atom) => match entities(atom.predicate) {
+                Some(count) => atom.terms[count..].iter().filter_map(Term::variable).collect(),
+                None => Vec::new(),
+            },
+            Literal::Compare { .. } | Literal::Compute { .. } => literal.variables().collect(),
+            Literal::Aggregate { .. } | Literal::Guard(_) => Vec::new(),
+        }
+    };
+    let reads = |literal: &Literal| match literal {
+        Literal::Positive(atom) | Literal::Negative(atom) => entities(atom.predicate).is_some(),
+        _ => false,
+    };
+    let mut groups: Vec<(Vec<usize>, Vec<VarId>)> = Vec::new();
+    for (position, literal) in clause.body.iter().enumerate() {
+        let variables = values(literal);
+        if !reads(literal) && variables.iter().all(|variable| others[variable.index()]) {
+            continue;
+        }
+        let mut joined = (vec![position], variables);
+        groups.retain(|(members, known)| {
+            let apart = known.iter().all(|variable| !joined.1.contains(variable));
+            if !apart {
+                joined.0.extend(members);
+                joined.1.extend(known);
+            }
+            apart
+        });
+        groups.push(joined);
+    }
+    let whole = |(members, variables): &(Vec<usize>, Vec<VarId>)| {
+        variables.iter().all(|variable| !others[variable.index()])
+            && members.iter().any(|&member| reads(&clause.body[member]))
+    };
+    let whole = groups.into_iter().filter(whole);
+    let sorted = whole.map(|(mut members, _)| {
+        members.sort_unstable();
+        members
+    });
+    sorted.collect()
+}
+
+/// The entities and steps of a condition.
+#[derive(Default)]
+struct Body {
+    terms: Vec<Term>,
+    steps: Vec<Step>,
+    /// The variables with a value, in the order of the steps that find it; `None` for the result of a functor that is
+    /// only compared.
+    bound: Vec<Option<VarId>>,
+}
+
+impl Body {
+    /// Translates a group of literals; `None` if it is no condition on one or two entities.
+    fn of(clause: &Clause, group: &[usize], entities: &impl Fn(PredicateId) -> Option<usize>) -> Option<Body> {
+        let mut body = Body::default();
+        let mut rest: Vec<&Literal> = group.iter().map(|&literal| &clause.body[literal]).collect();
+        // Atoms first: they bind variables.
+        rest.sort_by_key(|literal| !matches!(literal, Literal::Positive(_)));
+        while !rest.is_empty() {
+            let mut left = Vec::new();
+            let before = rest.len();
+            for literal in rest {
+                if !body.add(literal, entities)? {
+                    left.push(literal);
+                }
+            }
+            if left.len() == before {
+                return None;
+            }
+            rest = left;
+        }
+        if body.terms.is_empty() {
+            // A condition on the city alone holds for each entity.
+            let ego = clause.head.terms.first().filter(|term| matches!(term, Term::Variable(_)));
+            body.terms.push(*ego?);
+        }
+        (body.bound.len() <= Condition::VARIABLES_MAX).then_some(body)
+    }
+
+    /// Adds a literal if the variables that it reads have a value. Returns whether they have one; `None` if no condition
+    /// can contain the literal.
+    fn add(&mut self, literal: &Literal, entities: &impl Fn(PredicateId) -> Option<usize>) -> Option<bool> {
+        match literal {
+            Literal::Positive(atom) | Literal::Negative(atom) => {
+                let holds = matches!(literal, Literal::Positive(_));
+                let predicate = atom.predicate;
+                let last = atom.terms[entities(predicate)?];
+                let value = match last {
+                    Term::Wildcard => None,
+                    last => match self.operand(last) {
+                        None if !holds => return Some(false),
+                        known => known,
+                    },
+                };
+                let entities = self.entities(&atom.terms[..entities(predicate)?])?;
+                let step = match (last, value) {
+                    (Term::Variable(variable), None) => Step::Load {
+                        predicate,
+                        entities,
+                        to: self.bind(Some(variable)),
+                    },
+                    _ => Step::Has {
+                        predicate,
+                        entities,
+                        value,
+                        holds,
+                    },
+                };
+                self.steps.push(step);
+            }
+            &Literal::Compare {
+                op,
+                left,
+                right,
+                base,
+                ..
+            } => {
+                let step = match (self.operand(left), self.operand(right)) {
+                    (Some(left), Some(right)) => Step::Compare { op, base, left, right },
+                    (Some(from), None) if op == Comparison::Equal => Step::Copy {
+                        from,
+                        to: self.bind(right.variable()),
+                    },
+                    (None, Some(from)) if op == Comparison::Equal => Step::Copy {
+                        from,
+                        to: self.bind(left.variable()),
+                    },
+                    _ => return Some(false),
+                };
+                self.steps.push(step);
+            }
+            &Literal::Compute {
+                to,
+                functor,
+                base,
+                ref arguments,
+                ..
+            } => {
+                let operands: Option<Vec<Operand>> = arguments.iter().map(|term| self.operand(*term)).collect();
+                let Some(arguments) = operands else {
+                    return Some(false);
+                };
+                let expected = self.operand(to);
+                let place = self.bind(to.variable().filter(|_| expected.is_none()));
+                self.steps.push(Step::Compute {
+                    functor,
+                    base,
+                    arguments,
+                    to: place,
+                });
+                // Equal values have equal words, so the base type does not matter.
+                self.steps.extend(expected.map(|right| Step::Compare {
+                    op: Comparison::Equal,
+                    base: BaseType::Unsigned,
+                    left: Operand::Variable(place),
+                    right,
+                }));
+            }
+            Literal::Aggregate { .. } | Literal::Guard(_) => return None,
+        }
+        Some(true)
+    }
+
+    /// Returns the places of entities; `None` for more than two, and for constants.
+    fn entities(&mut self, terms: &[Term]) -> Option<Vec<usize>> {
+        let place = |term: &Term| {
+            let known = self.terms.iter().position(|known| known == term && *term != Term::Wildcard);
+            if known.is_none() {
+                self.terms.push(*term);
+            }
+            let is_entity = !matches!(term, Term::Constant(_)) && self.terms.len() <= 2;
+            is_entity.then(|| known.unwrap_or(self.terms.len() - 1))
+        };
+        terms.iter().map(place).collect()
+    }
+
+    /// Returns the value of a term, if it has one.
+    fn operand(&self, term: Term) -> Option<Operand> {
+        match term {
+            Term::Constant(value) => Some(Operand::Constant(value)),
+            Term::Variable(variable) => {
+                let place = self.bound.iter().position(|bound| *bound == Some(variable));
+                place.map(Operand::Variable)
+            }
+            Term::Wildcard => None,
+        }
+    }
+
+    /// Gives a variable the next place.
+    fn bind(&mut self, variable: Option<VarId>) -> usize {
+        self.bound.push(variable);
+        self.bound.len() - 1
+    }
+}

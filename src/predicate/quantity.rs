@@ -1,0 +1,172 @@
+//! `{quantity: waited}`: a value of an agent, of two agents, or of the city. It is the last column of the predicate.
+//!
+//! A quantity has at most one value for the agents before it.
+
+use crate::city::{Agent, Heading};
+#[cfg(test)]
+use crate::predicate::Definition;
+use crate::predicate::{Phrase, PredicateKind, Subject, Syntax};
+use crate::yaml::read::choice;
+use serde::{Serialize, Serializer};
+
+/// A quantity.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub enum Quantity {
+    /// The number of cells that the agent moved in the last tick; 0 in the first tick.
+    Speed,
+    /// The direction of the agent's last move; no value before the first move on a route.
+    Heading,
+    /// The agent's priority; a smaller number goes first.
+    Priority,
+    /// The number of ticks since the agent's last move, or since the start of the run.
+    Waited,
+    /// The number of cells to the agent's goal along its route.
+    Remaining,
+    /// The Euclidean distance of two different agents in cells.
+    Distance,
+    /// The number of the tick, from 0.
+    Tick,
+}
+
+/// The value of a quantity.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub(crate) enum Measure {
+    Number(i32),
+    Float(f32),
+    Heading(Heading),
+}
+
+/// The type of the values of a quantity.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub enum Unit {
+    /// A whole number.
+    Number,
+    /// A number with single precision.
+    Float,
+    /// The name of a heading: `Left`, `Right`, `Up` or `Down`.
+    Heading,
+}
+
+/// What an agent did before the present tick and what is before it. Only quantities read it.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
+pub struct Progress {
+    /// See [`Quantity::Speed`].
+    pub speed: u32,
+    /// See [`Quantity::Waited`].
+    pub waited: u32,
+    /// See [`Quantity::Remaining`].
+    pub remaining: u32,
+}
+
+impl Progress {
+    /// Returns the progress of an agent.
+    pub(crate) fn of(agent: &Agent) -> Progress {
+        Progress {
+            speed: agent.speed.into(),
+            waited: agent.waited,
+            remaining: agent.remaining(),
+        }
+    }
+}
+
+impl Quantity {
+    /// All quantities.
+    pub const ALL: [Quantity; 7] = [
+        Quantity::Speed,
+        Quantity::Heading,
+        Quantity::Priority,
+        Quantity::Waited,
+        Quantity::Remaining,
+        Quantity::Distance,
+        Quantity::Tick,
+    ];
+
+    /// Returns the name in a configuration.
+    pub const fn name(self) -> &'static str {
+        match self {
+            Quantity::Speed => "speed",
+            Quantity::Heading => "heading",
+            Quantity::Priority => "priority",
+            Quantity::Waited => "waited",
+            Quantity::Remaining => "remaining",
+            Quantity::Distance => "distance",
+            Quantity::Tick => "tick",
+        }
+    }
+
+    /// Returns the number of agents that have the quantity together: 0 if it belongs to the city.
+    pub const fn agents(self) -> usize {
+        match self {
+            Quantity::Tick => 0,
+            Quantity::Distance => 2,
+            _ => 1,
+        }
+    }
+
+    /// Returns the type of the values.
+    pub const fn unit(self) -> Unit {
+        match self {
+            Quantity::Distance => Unit::Float,
+            Quantity::Heading => Unit::Heading,
+            _ => Unit::Number,
+        }
+    }
+
+    /// Returns whether the value follows from the cells, headings and priorities of agents and the number of the tick.
+    pub(crate) const fn is_visible(self) -> bool {
+        !matches!(self, Quantity::Speed | Quantity::Waited | Quantity::Remaining)
+    }
+
+    /// Returns the value for these agents, as many as [`agents`](Quantity::agents).
+    pub(crate) fn measure(self, tick: u64, agents: &[&Measured]) -> Option<Measure> {
+        let count = |number: u32| Some(Measure::Number(i32::try_from(number).unwrap_or(i32::MAX)));
+        match (self, agents) {
+            (Quantity::Tick, _) => count(u32::try_from(tick).unwrap_or(u32::MAX)),
+            (Quantity::Speed, [x, ..]) => count(x.progress.speed),
+            (Quantity::Waited, [x, ..]) => count(x.progress.waited),
+            (Quantity::Remaining, [x, ..]) => count(x.progress.remaining),
+            (Quantity::Priority, [x, ..]) => Some(Measure::Number(x.subject.priority)),
+            (Quantity::Heading, [x, ..]) => x.subject.heading.map(Measure::Heading),
+            #[allow(clippy::cast_possible_truncation)] // a column of type float has single precision
+            (Quantity::Distance, [x, y]) => Some(Measure::Float(x.subject.at.distance(y.subject.at) as f32)),
+            _ => None,
+        }
+    }
+}
+
+/// The state of an agent that quantities read.
+#[derive(Clone, Copy, Debug)]
+pub(crate) struct Measured {
+    pub subject: Subject,
+    pub progress: Progress,
+}
+
+impl Serialize for Quantity {
+    fn serialize<S: Serializer>(&self, serializer: S) -> Result<S::Ok, S::Error> {
+        serializer.serialize_str(self.name())
+    }
+}
+
+impl PredicateKind for Quantity {
+    const SYNTAX: Syntax = Syntax::Keys(&["quantity"], |nodes, faults| {
+        let choices = Quantity::ALL.map(|quantity| (quantity.name(), quantity));
+        choice(nodes[0], &choices, faults).map(Quantity::into)
+    });
+
+    fn phrase(&self) -> Phrase {
+        Phrase::new(match self {
+            Quantity::Speed => "moved this number of cells in the last tick:",
+            Quantity::Heading => "heads",
+            Quantity::Priority => "has the priority",
+            Quantity::Waited => "has not moved for this number of ticks:",
+            Quantity::Remaining => "has this number of cells before it:",
+            Quantity::Distance => "has this distance in cells from",
+            Quantity::Tick => "The tick is",
+        })
+    }
+
+    #[cfg(test)]
+    fn samples() -> Vec<Definition> {
+        Quantity::ALL.map(Definition::Quantity).to_vec()
+    }
+}
