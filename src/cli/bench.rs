@@ -665,7 +665,10 @@ fn infer_scenes(arguments: &Arguments, city: LoadedCity, path: &Path, sources: &
             let states: Vec<BitFacts<1>> = (scenes.iter())
                 .map(|scene| rules.bits(&scene.facts, inference.vocabulary(), most))
                 .collect();
-            (Executor::Dense, evaluate(arguments.seconds, &rules.dense, &states, most)?)
+            (
+                Executor::Dense,
+                evaluate(arguments.seconds, &rules.dense, &states, most)?,
+            )
         }
         None => (
             Executor::Relational,

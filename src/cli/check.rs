@@ -12,7 +12,7 @@ use crate::cli::trace::TraceReader;
 use crate::datalog::dense::{self, Unsupported};
 use crate::datalog::diff::{Cut, Equivalence};
 use crate::datalog::explain::ExplanationPrinter;
-use crate::datalog::{Clause, ClauseId, InputPolicy, PredicateId, Program, Rules};
+use crate::datalog::{BaseType, Clause, ClauseId, Column, InputPolicy, PredicateId, Program, Rules};
 use crate::diag::{Diagnostic, Sources, to_json};
 use crate::files::ReadFile;
 use crate::sim::{
@@ -281,6 +281,19 @@ impl Report {
     }
 }
 
+/// Returns the rules as the dense executor reads them: with conditions instead of literals on quantities, which are the
+/// input predicates that end with a column of another type than those of agents.
+fn with_conditions(rules: &Rules) -> Rules {
+    let quantity = |predicate: PredicateId| {
+        let predicate = &rules.predicates[predicate.index()];
+        let (value, agents) = predicate.columns.split_last()?;
+        let is_agent = |column: &Column| column.base == BaseType::Symbol && column.ty != value.ty;
+        let is_quantity = predicate.input && agents.len() <= 2 && agents.iter().all(is_agent);
+        (is_quantity && (value.base != BaseType::Symbol || !agents.is_empty())).then_some(agents.len())
+    };
+    dense::lift(rules, quantity).rules
+}
+
 /// Returns the names of the visible predicates of each stratum, in evaluation order.
 fn strata(rules: &Rules) -> Vec<Vec<&str>> {
     executors(rules).into_iter().map(|(names, _)| names).collect()
@@ -289,7 +302,7 @@ fn strata(rules: &Rules) -> Vec<Vec<&str>> {
 /// Returns for each stratum the names of its visible predicates and why the dense executor cannot evaluate it, if it
 /// cannot.
 fn executors(rules: &Rules) -> Vec<(Vec<&str>, Option<Unsupported>)> {
-    let reasons = dense::choose(rules).relational;
+    let reasons = dense::choose(&with_conditions(rules)).relational;
     let strata = rules.strata.iter().map(|stratum| {
         let shown = |predicate: &&PredicateId| !rules.predicates[predicate.index()].hidden;
         let shown = stratum.predicates.iter().filter(shown);
@@ -302,6 +315,7 @@ fn executors(rules: &Rules) -> Vec<(Vec<&str>, Option<Unsupported>)> {
 
 /// Describes a reason with the place of the clause at its root.
 fn because(reason: &Unsupported, rules: &Rules, sources: &Sources) -> String {
+    let rules = &with_conditions(rules);
     format!("{} at {}", reason.show(rules), sources.locate(reason.span))
 }
 
@@ -310,6 +324,7 @@ const CROWD: usize = 64;
 
 /// Returns the clauses for which the dense executor may give up; none if it does not evaluate all strata.
 fn costly(rules: &Rules) -> Vec<ClauseId> {
+    let rules = &with_conditions(rules);
     let choice = dense::choose(rules);
     match choice.all_dense() {
         true => choice.costly(rules, CROWD, CROWD),

@@ -1,16 +1,20 @@
 //! Quantities: base predicates with values, in rules, runs, scenes, traces and observations.
 
-use crate::shipped_world::world;
-use logicity::city::Split;
-use logicity::config::{PredicateConfig, Scenario};
+use crate::shipped_world::configured;
+use logicity::builtin::BuiltinFiles;
+use logicity::city::{Action, Split};
+use logicity::config::Scenario;
 use logicity::datalog::Value;
-use logicity::located::Located;
+use logicity::diag::{Sources, render};
 use logicity::predicate::Quantity;
 use logicity::rng::{Purpose, RngExt, Seed};
-use logicity::sim::{Executor, Settings, Simulation, World};
+use logicity::sim::{
+    Decider, Executor, Inference, Observer, Oracle, Replay, Settings, Simulation, TraceHeader, TraceTick, TraceWriter,
+    World,
+};
 use std::sync::Arc;
 
-/// The declarations of all quantities, which have the names of [`name`].
+/// The declarations of all quantities.
 const DECLARED: &str = ".include \"vocabulary.dl\"
 .decl Speed, Priority, Waited, Remaining(x: agent, n: number)
 .decl Heading(x: agent, h: symbol)
@@ -19,22 +23,14 @@ const DECLARED: &str = ".include \"vocabulary.dl\"
 .input Speed, Priority, Waited, Remaining, Heading, Distance, Tick
 ";
 
-/// The name of the predicate of a quantity in these tests.
-fn name(quantity: Quantity) -> String {
-    let name = quantity.name();
-    name[..1].to_uppercase() + &name[1..]
-}
-
-/// Defines all quantities.
-fn define(scenario: &mut Scenario) {
-    let span = scenario.predicates[0].name.span;
-    scenario.predicates.extend(Quantity::ALL.map(|quantity| PredicateConfig {
-        name: Located {
-            value: name(quantity),
-            span,
-        },
-        definition: quantity.into(),
-    }));
+/// Expert mode with all quantities, these rules, and the changes of `edit`.
+fn with_quantities(rules: &str, edit: impl FnOnce(&mut Scenario)) -> (Arc<World>, Sources) {
+    let definitions = Quantity::ALL.map(|quantity| {
+        let name = quantity.name();
+        format!("    {}{}: {{quantity: {name}}}\n", name[..1].to_uppercase(), &name[1..])
+    });
+    let config = format!("base: expert\npredicates:\n  define:\n{}", definitions.concat());
+    configured(&config, &format!("{DECLARED}{rules}"), edit)
 }
 
 /// Repeats the agents of the test split on the whole map.
@@ -89,7 +85,7 @@ fn random_rules(random: &mut impl RngExt) -> String {
             clauses += &format!("{head}(X) :- {}.\n", body.join(", "));
         }
     }
-    format!("{DECLARED}{clauses}")
+    clauses
 }
 
 fn simulation(world: &Arc<World>, executor: Executor, threads: usize) -> Simulation {
@@ -105,10 +101,12 @@ fn simulation(world: &Arc<World>, executor: Executor, threads: usize) -> Simulat
 #[test]
 fn executors_agree_on_random_rules_with_quantities() {
     let (mut actions, mut fired) = ([0; 4], 0);
-    for (case, &(times, threads)) in [(1, 1), (1, 1), (1, 1), (5, 1), (5, 1), (20, 1), (20, 2)].iter().enumerate() {
+    for (case, &(times, threads)) in [(1, 1), (1, 1), (1, 1), (5, 1), (5, 1), (20, 1), (20, 2)]
+        .iter()
+        .enumerate()
+    {
         let rules = random_rules(&mut Seed(case as u64).stream(Purpose::TEST, 0, 0));
-        let world = world("expert", Some(&rules), |scenario| {
-            define(scenario);
+        let (world, _) = with_quantities(&rules, |scenario| {
             if times > 1 {
                 multiply(scenario, times);
             }
@@ -126,14 +124,16 @@ fn executors_agree_on_random_rules_with_quantities() {
             fired += dense.firings().iter().filter(|count| **count > 0).count();
         }
     }
-    assert!(actions.iter().all(|count| *count > 100) && fired > 500, "{actions:?} {fired}");
+    assert!(
+        actions.iter().all(|count| *count > 100) && fired > 500,
+        "{actions:?} {fired}"
+    );
 }
 
 /// Quantities are what a spectator of the run counts.
 #[test]
 fn quantities_count_what_the_reports_of_the_ticks_show() {
-    let rules = format!("{DECLARED}Stop(X) :- CollidingClose(X, Y), Waited(X, n), n < 9.");
-    let world = world("expert", Some(&rules), define);
+    let (world, _) = with_quantities("Stop(X) :- CollidingClose(X, Y), Waited(X, n), n < 9.", |_| ());
     let mut city = simulation(&world, Executor::Auto, 1);
     let position = |quantity: Quantity| {
         let mut known = world.vocabulary.predicates.iter();
@@ -149,20 +149,36 @@ fn quantities_count_what_the_reports_of_the_ticks_show() {
         let values = |quantity| {
             let (rows, values) = (&facts.rows[position(quantity)], &facts.values[position(quantity)]);
             assert_eq!(rows.len(), values.len());
-            rows.iter().zip(values).map(|(row, value)| (row.map(|agent| agent as usize), *value))
+            rows.iter()
+                .zip(values)
+                .map(|(row, value)| (row.map(|agent| agent as usize), *value))
         };
         let numbers = |quantity| values(quantity).map(|(_, value)| value.as_number()).collect::<Vec<_>>();
-        assert_eq!(values(Quantity::Tick).collect::<Vec<_>>(), [([0, 0], Value::number(tick))]);
+        assert_eq!(
+            values(Quantity::Tick).collect::<Vec<_>>(),
+            [([0, 0], Value::number(tick))]
+        );
         assert_eq!(numbers(Quantity::Waited), waited);
         assert_eq!(numbers(Quantity::Speed), speed);
-        let remaining = before.iter().map(|agent| agent.route().cells().count() - 1 - agent.position());
-        assert_eq!(numbers(Quantity::Remaining), remaining.map(|cells| cells as i32).collect::<Vec<_>>());
-        assert_eq!(numbers(Quantity::Priority), before.iter().map(|agent| agent.priority).collect::<Vec<_>>());
+        let remaining = before
+            .iter()
+            .map(|agent| agent.route().cells().count() - 1 - agent.position());
+        assert_eq!(
+            numbers(Quantity::Remaining),
+            remaining.map(|cells| cells as i32).collect::<Vec<_>>()
+        );
+        assert_eq!(
+            numbers(Quantity::Priority),
+            before.iter().map(|agent| agent.priority).collect::<Vec<_>>()
+        );
         for ([agent, _], value) in values(Quantity::Heading) {
             assert_eq!(before[agent].heading.unwrap() as u32, value.0);
         }
         for ([x, y], value) in values(Quantity::Distance) {
-            let (dx, dy) = (before[x].cell.row - before[y].cell.row, before[x].cell.col - before[y].cell.col);
+            let (dx, dy) = (
+                before[x].cell.row - before[y].cell.row,
+                before[x].cell.col - before[y].cell.col,
+            );
             let distance = f64::from(dx * dx + dy * dy).sqrt();
             assert!((f64::from(value.as_float()) - distance).abs() < 1e-4);
         }
@@ -174,4 +190,139 @@ fn quantities_count_what_the_reports_of_the_ticks_show() {
         }
     }
     assert!(longest > 5, "{longest}");
+}
+
+/// A trace records the quantities that the states of the agents do not determine, and its replay has all values.
+#[test]
+fn replays_of_traces_have_the_quantities_of_the_run() {
+    let rules = random_rules(&mut Seed(1).stream(Purpose::TEST, 0, 0));
+    let (world, sources) = with_quantities(&rules, |_| ());
+    let mut city = simulation(&world, Executor::Auto, 1);
+    let mut trace = TraceWriter::new(Vec::new(), &city, &sources, &[]).unwrap();
+    let mut facts = Vec::new();
+    for _ in 0..30 {
+        city.tick(&[]).unwrap();
+        trace.tick(&city).unwrap();
+        facts.push(city.facts(|_| true).unwrap());
+    }
+    let text = String::from_utf8(trace.into_inner()).unwrap();
+    let mut lines = text.lines();
+    // The header names the rules of the configuration; only its list of agents matters here.
+    let mut header: serde_json::Value = serde_json::from_str(lines.next().unwrap()).unwrap();
+    header["version"] = 1.into();
+    header["rules"] = "rules.dl".into();
+    let header = TraceHeader::read(&header.to_string()).unwrap();
+    let mut replay = Replay::new(Arc::clone(&world), &header).unwrap();
+    for (line, facts) in lines.zip(&facts) {
+        replay.set(&TraceTick::read(line).unwrap()).unwrap();
+        assert_eq!(replay.facts(), facts);
+    }
+    let line = text.lines().nth(1).unwrap();
+    for (from, to) in [("[\"Car_1\",", "[\"Car_99\","), ("\"Waited\":[[", "\"Waited\":[[1,")] {
+        assert!(line.contains(from));
+        let fault = replay
+            .set(&TraceTick::read(&line.replace(from, to)).unwrap())
+            .unwrap_err();
+        assert!(fault.message.contains("is not a row of"), "{}", fault.message);
+    }
+}
+
+/// Wanted actions of observed agents are those of a session with the same facts.
+#[test]
+fn observers_decide_on_quantities_as_sessions_do() {
+    let mut derived = 0;
+    for case in 0..6 {
+        let rules = random_rules(&mut Seed(case).stream(Purpose::TEST, 0, 0));
+        // Reading an action makes the monitor evaluate the rules twice.
+        let apart = if case % 2 == 0 {
+            ""
+        } else {
+            ".decl Halts(x: agent)\nHalts(X) :- Stop(X).\n"
+        };
+        let (world, _) = with_quantities(&(rules + apart), |_| ());
+        let oracle = Arc::new(Oracle::new(Arc::clone(&world), 6).unwrap());
+        assert!(Decider::new(Arc::clone(&oracle)).is_err());
+        let mut city = simulation(&world, Executor::Auto, 1);
+        let mut observers: Vec<Observer> = (0..city.agents().len())
+            .map(|ego| Observer::new(Arc::clone(&oracle), ego))
+            .collect();
+        observers.iter_mut().for_each(|observer| observer.begin(&city));
+        for _ in 0..12 {
+            for observer in &mut observers {
+                observer.look(&city);
+                let found = observer.derived(&city).unwrap();
+                let (session, ego) = observer.session(&city).unwrap();
+                let holds = |action: &Action| session.contains(world.vocabulary.action(*action).unwrap(), [ego]);
+                let expected = Action::ALL.into_iter().filter(holds).collect();
+                let expected = world.vocabulary.before_default(expected);
+                assert_eq!(found, expected);
+                derived += found.len();
+            }
+            city.tick(&[]).unwrap();
+        }
+    }
+    assert!(derived > 300, "{derived}");
+}
+
+/// Returns the answer to a scene, or its faults as text.
+fn answer(rules: &str, executor: Executor, scene: &str) -> Result<serde_json::Value, String> {
+    let (world, _) = with_quantities(rules, |_| ());
+    let (scenario, program) = (world.scenario.clone(), world.program.clone());
+    let mut inference = Inference::new(scenario, program, Seed(0), executor, BuiltinFiles).unwrap();
+    let mut sources = Sources::new();
+    let source = sources.add("scene", scene.to_owned());
+    match inference.answer(&sources, source) {
+        Ok(answer) => Ok(answer.to_json(u64::MAX).unwrap()),
+        Err(faults) => Err(render(&faults, &sources, false)),
+    }
+}
+
+#[test]
+fn scenes_state_quantities() {
+    const RULES: &str = "Stop(X) :- Waited(X, n), Waited(Y, m), n < m.
+Slow(X) :- Heading(X, \"Up\"), Tick(t), t >= 5.
+Fast(X) :- Distance(X, Y, d), d < 3.5, Remaining(Y, 7).
+";
+    let agents = r#"{"map": "square-5x5", "tick": 5, "agents": [
+        {"id": "Car_1", "type": "Car", "at": [102, 20], "heading": "Up", "waited": 1},
+        {"id": "Car_2", "type": "Car", "at": [102, 23], "speed": 2, "waited": 3, "remaining": 7}]}"#;
+    let symbols = r#"{"entities": ["e0", "e1"], "ego": "e0", "facts": {
+        "Waited": [["e0", 1], ["e1", 3]], "Heading": [["e0", "Up"]], "Tick": [5], "Distance": [["e0", "e1", 3.5]]}}"#;
+    for executor in [Executor::Dense, Executor::Relational] {
+        let found = answer(RULES, executor, agents).unwrap();
+        assert_eq!(
+            found["egos"]["Car_1"]["derived"],
+            serde_json::json!(["Slow", "Fast", "Stop"])
+        );
+        let known = &found["egos"]["Car_2"]["true"];
+        assert_eq!(known["Speed"], serde_json::json!([["Car_2", 2], ["Car_1", 0]]));
+        assert_eq!(known["Tick"], serde_json::json!([5]));
+        assert_eq!(
+            known["Distance"],
+            serde_json::json!([["Car_2", "Car_1", 3.0], ["Car_1", "Car_2", 3.0]])
+        );
+        assert_eq!(known["Heading"], serde_json::json!([["Car_1", "Up"]]));
+        let found = answer(RULES, executor, symbols).unwrap();
+        assert_eq!(found["egos"]["e0"]["derived"], serde_json::json!(["Slow", "Stop"]));
+        assert_eq!(
+            found["egos"]["e0"]["true"]["Distance"],
+            serde_json::json!([["e0", "e1", 3.5]])
+        );
+    }
+    let faulty = |facts: &str| {
+        let scene = format!(r#"{{"entities": ["e0"], "ego": "e0", "facts": {facts}}}"#);
+        answer(RULES, Executor::Auto, &scene).unwrap_err()
+    };
+    for (facts, message) in [
+        (r#"{"Waited": [["e0", 1], ["e0", 2]]}"#, "a second value of `Waited`"),
+        (
+            r#"{"Waited": ["e0"]}"#,
+            "a row of 1; the quantity takes 1 names and a value",
+        ),
+        (r#"{"Waited": [["e0", 1.5]]}"#, "not a scene"),
+        (r#"{"Heading": [["e0", "North"]]}"#, "`North` is not a heading"),
+    ] {
+        let found = faulty(facts);
+        assert!(found.contains(message), "{found}");
+    }
 }

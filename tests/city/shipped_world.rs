@@ -37,6 +37,15 @@ pub fn with_sources(config: &str, text: Option<&str>) -> (Arc<World>, Sources) {
     load(config, &BuiltinFiles, text, |_| ()).expect("it is built in")
 }
 
+/// A world of the configuration with this text and these rules, changed by `edit`, and its sources.
+pub fn configured(config: &str, rules: &str, edit: impl FnOnce(&mut Scenario)) -> (Arc<World>, Sources) {
+    let read = |path: &Path| match path.to_str() {
+        Some("mine.yaml") => Ok(config.to_owned()),
+        _ => BuiltinFiles.read(path),
+    };
+    load("mine.yaml", &read, Some(rules), edit).unwrap_or_else(|faults| panic!("{faults:?}"))
+}
+
 /// Safe Path Following in a built-in configuration, with its rules or those of `text`.
 pub fn task(config: &str, text: Option<&str>) -> Arc<SpfTask> {
     let (world, sources) = load(config, &BuiltinFiles, text, |_| ()).expect("it is built in");

@@ -8,9 +8,9 @@
 //! provides these as facts of its hidden predicate. A condition concerns one entity or two.
 
 use crate::check::{Atom, Clause, Literal, Predicate, PredicateId, Rules, Term, VarId};
+use crate::symbol::Symbols;
 use crate::syntax::ast::{BaseType, Comparison};
 use crate::syntax::functor::Functor;
-use crate::symbol::Symbols;
 use crate::value::{Patterns, Value};
 use std::collections::BTreeMap;
 
@@ -84,7 +84,11 @@ impl Condition {
             Operand::Constant(value) => value,
         };
         self.steps.iter().all(|step| match step {
-            Step::Load { predicate, entities, to } => {
+            Step::Load {
+                predicate,
+                entities,
+                to,
+            } => {
                 let found = value(*predicate, entities);
                 values[*to] = found.unwrap_or_default();
                 found.is_some()
@@ -105,7 +109,9 @@ impl Condition {
             }
             Step::Compare { op, base, left, right } => {
                 let (left, right) = (get(&values, *left), get(&values, *right));
-                op.holds(*base, left, right, symbols, || Patterns::match_once(left, right, symbols))
+                op.holds(*base, left, right, symbols, || {
+                    Patterns::match_once(left, right, symbols)
+                })
             }
             Step::Compute {
                 functor,
@@ -285,7 +291,11 @@ impl Body {
         }
         if body.terms.is_empty() {
             // A condition on the city alone holds for each entity.
-            let ego = clause.head.terms.first().filter(|term| matches!(term, Term::Variable(_)));
+            let ego = clause
+                .head
+                .terms
+                .first()
+                .filter(|term| matches!(term, Term::Variable(_)));
             body.terms.push(*ego?);
         }
         (body.bound.len() <= Condition::VARIABLES_MAX).then_some(body)
@@ -323,11 +333,7 @@ impl Body {
                 self.steps.push(step);
             }
             &Literal::Compare {
-                op,
-                left,
-                right,
-                base,
-                ..
+                op, left, right, base, ..
             } => {
                 let step = match (self.operand(left), self.operand(right)) {
                     (Some(left), Some(right)) => Step::Compare { op, base, left, right },
@@ -378,7 +384,10 @@ impl Body {
     /// Returns the places of entities; `None` for more than two, and for constants.
     fn entities(&mut self, terms: &[Term]) -> Option<Vec<usize>> {
         let place = |term: &Term| {
-            let known = self.terms.iter().position(|known| known == term && *term != Term::Wildcard);
+            let known = self
+                .terms
+                .iter()
+                .position(|known| known == term && *term != Term::Wildcard);
             if known.is_none() {
                 self.terms.push(*term);
             }

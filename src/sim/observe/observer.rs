@@ -373,7 +373,10 @@ impl Observer {
 
     /// Returns the length of a row of the `state` observation; see [`Observer::write_state`].
     pub fn state_width(oracle: &Oracle) -> usize {
-        let unary = oracle.how.iter().filter(|how| !matches!(how, How::Pair(_) | How::Quantity(_)));
+        let unary = oracle
+            .how
+            .iter()
+            .filter(|how| !matches!(how, How::Pair(_) | How::Quantity(_)));
         8 + unary.count()
     }
 

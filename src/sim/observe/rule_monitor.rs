@@ -10,9 +10,7 @@ use crate::city::Action;
 use crate::city::Agent;
 use crate::datalog;
 use crate::datalog::Program;
-use crate::datalog::dense::{
-    Argument, BinaryFacts, BitState, Input, List, Set, TrackFirings, first, has, members,
-};
+use crate::datalog::dense::{Argument, BinaryFacts, BitState, Input, List, Set, TrackFirings, first, has, members};
 use crate::datalog::{ClauseId, Limits, Literal, PredicateId, Rules, Value};
 use crate::diag::Diagnostic;
 use crate::sim::tick::executor::{DenseRules, compile};
@@ -441,7 +439,9 @@ impl Atoms {
 
     /// Returns the value of a quantity for the entities.
     fn value(&self, predicate: usize, entities: &[usize]) -> Option<Value> {
-        let place = entities.iter().fold(0, |place, entity| place * self.layout.entities + entity);
+        let place = entities
+            .iter()
+            .fold(0, |place, entity| place * self.layout.entities + entity);
         self.values[predicate].get(place).copied().flatten()
     }
 
@@ -567,7 +567,8 @@ impl Observed<'_> {
             rows
         });
         let mut facts = Facts::of(rows.collect());
-        for (predicate, values) in self.atoms.values.iter().enumerate() {
+        let quantities = self.atoms.values.iter().enumerate();
+        for (predicate, values) in quantities.filter(|(_, values)| !values.is_empty()) {
             self.add_values(predicate, values, &mut facts);
         }
         facts
@@ -585,7 +586,10 @@ impl Observed<'_> {
                 (pair.iter().all(|entity| *entity < self.entities.count())).then(|| pair.map(agent))
             }
         };
-        let known = values.iter().enumerate().filter_map(|(place, value)| Some((row(place)?, (*value)?)));
+        let known = values
+            .iter()
+            .enumerate()
+            .filter_map(|(place, value)| Some((row(place)?, (*value)?)));
         let mut known: Vec<([u32; 2], Value)> = known.collect();
         known.sort_unstable();
         (facts.rows[predicate], facts.values[predicate]) = known.into_iter().unzip();
@@ -655,7 +659,8 @@ impl State {
             (State::Dense(bit_state), Evaluator::Dense(rules)) => {
                 let holds = |action: &Action| {
                     let predicate = vocabulary.action(*action);
-                    predicate.is_some_and(|action| bit_state.set(&rules.rules.dense, action).is_some_and(|set| has(set, 0)))
+                    predicate
+                        .is_some_and(|action| bit_state.set(&rules.rules.dense, action).is_some_and(|set| has(set, 0)))
                 };
                 Action::ALL.into_iter().filter(holds).collect()
             }
@@ -667,9 +672,9 @@ impl State {
     /// Returns whether a clause derives its head for the ego.
     fn fired(&self, evaluator: &Evaluator, clause: ClauseId, ego: usize) -> bool {
         match (self, evaluator) {
-            (State::Dense(bit_state), Evaluator::Dense(rules)) => {
-                bit_state.fired(&rules.rules.dense, clause).is_some_and(|set| has(set, 0))
-            }
+            (State::Dense(bit_state), Evaluator::Dense(rules)) => bit_state
+                .fired(&rules.rules.dense, clause)
+                .is_some_and(|set| has(set, 0)),
             (State::Relational(Some(state)), _) => {
                 let value = state.value(ego);
                 state.session().fired(clause).iter().any(|row| row[0] == value)

@@ -297,22 +297,27 @@ impl<'a> Reader<'a> {
             let concepts = agent.concepts.iter().map(|raw| self.concept(raw, kind));
             keep(&mut faults, all(concepts))
         });
-        let progress = speed.zip(waited).zip(remaining).map(|((speed, waited), remaining)| Progress {
-            speed,
-            waited,
-            remaining,
-        });
+        let progress = speed
+            .zip(waited)
+            .zip(remaining)
+            .map(|((speed, waited), remaining)| Progress {
+                speed,
+                waited,
+                remaining,
+            });
         match (kind, heading, at, priority.zip(progress), concepts) {
-            (Some(kind), Some(heading), Some([row, col]), Some((priority, progress)), Some(concepts)) => Ok(SceneAgent {
-                id: agent.id,
-                kind,
-                concepts,
-                priority,
-                at: Cell::new(row, col),
-                heading,
-                progress,
-                span: self.span(raw),
-            }),
+            (Some(kind), Some(heading), Some([row, col]), Some((priority, progress)), Some(concepts)) => {
+                Ok(SceneAgent {
+                    id: agent.id,
+                    kind,
+                    concepts,
+                    priority,
+                    at: Cell::new(row, col),
+                    heading,
+                    progress,
+                    span: self.span(raw),
+                })
+            }
             _ => Err(faults),
         }
     }

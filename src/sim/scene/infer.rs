@@ -109,7 +109,9 @@ impl Answer<'_> {
             let name = |entity: &usize| names[*entity].clone();
             let atoms = view.atoms().map(|(predicate, rows)| {
                 let rows = rows.iter().map(|row| {
-                    let value = row.value().map(|value| value.as_str().map_or(value.to_string(), str::to_owned));
+                    let value = row
+                        .value()
+                        .map(|value| value.as_str().map_or(value.to_string(), str::to_owned));
                     row.entities.iter().map(name).chain(value).collect()
                 });
                 (predicate.name.clone(), rows.collect())
@@ -683,7 +685,10 @@ impl<'a> View<'a> {
             let mut rows: Vec<_> = self.facts.rows[index].iter().enumerate().filter_map(place).collect();
             rows.sort_unstable();
             let rows = rows.into_iter().map(|(places, value)| ViewRow {
-                entities: places[..predicate.arity].iter().map(|place| self.entities[*place]).collect(),
+                entities: places[..predicate.arity]
+                    .iter()
+                    .map(|place| self.entities[*place])
+                    .collect(),
                 value: value.zip(predicate.definition.unit()),
             });
             let rows: Vec<ViewRow> = rows.collect();

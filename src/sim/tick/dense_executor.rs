@@ -247,12 +247,7 @@ impl DenseExecutor {
     ///
     /// # Errors
     /// See [`Undecided`].
-    pub fn decide(
-        &mut self,
-        map: &CityMap,
-        now: Now<'_>,
-        out: &mut Decisions,
-    ) -> Result<(), Undecided> {
+    pub fn decide(&mut self, map: &CityMap, now: Now<'_>, out: &mut Decisions) -> Result<(), Undecided> {
         out.clear();
         let decided = match &mut self.shape {
             Shape::Few(few) => {

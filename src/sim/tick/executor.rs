@@ -1,9 +1,7 @@
 //! The choice of executor, and the compilation of rules for the dense one.
 
 use crate::city::Heading;
-use crate::datalog::dense::{
-    self, BitFacts, Condition, Dense, Lifted, TooManySteps, TrackFirings, choose, lift,
-};
+use crate::datalog::dense::{self, BitFacts, Condition, Dense, Lifted, TooManySteps, TrackFirings, choose, lift};
 use crate::datalog::{ClauseId, PredicateId, Rules, Value};
 use crate::diag::{self, Diagnostic, Span};
 use crate::predicate::Quantity;
@@ -106,7 +104,11 @@ impl DenseRules {
         for (predicate, rows) in vocabulary.predicates.iter().zip(&facts.rows) {
             if let (Some(declared), None) = (predicate.id, predicate.value) {
                 for row in rows {
-                    bits.insert(&self.dense, declared, &row.map(|entity| entity as usize)[..predicate.arity]);
+                    bits.insert(
+                        &self.dense,
+                        declared,
+                        &row.map(|entity| entity as usize)[..predicate.arity],
+                    );
                 }
             }
         }
@@ -177,7 +179,11 @@ impl Conditions {
 ///
 /// # Errors
 /// `dense-unsupported` if it cannot evaluate them; the message names the reason, at its place in the rules.
-pub(crate) fn compile(rules: &Rules, vocabulary: &Vocabulary, counting: TrackFirings) -> Result<DenseRules, Diagnostic> {
+pub(crate) fn compile(
+    rules: &Rules,
+    vocabulary: &Vocabulary,
+    counting: TrackFirings,
+) -> Result<DenseRules, Diagnostic> {
     let quantities = vocabulary.predicates.iter().enumerate();
     let quantities = quantities.filter_map(|(position, known)| Some((known.id?, position, known.quantity()?)));
     let quantities: Vec<(PredicateId, usize, Quantity)> = quantities.collect();

@@ -4,11 +4,13 @@
 
 use crate::cancel::Cancel;
 use crate::city::CityMap;
+use crate::datalog::Value;
 use crate::datalog::internal::size;
 use crate::diag::codes;
 use crate::diag::{Diagnostic, Limit};
-use crate::datalog::Value;
-use crate::predicate::{Definition, Entity, Measure, Measured, PairKind, Quantity, Relation, Sight, Subject, with_pair};
+use crate::predicate::{
+    Definition, Entity, Measure, Measured, PairKind, Quantity, Relation, Sight, Subject, with_pair,
+};
 use crate::sim::tick::chance::Chance;
 use crate::sim::tick::vocabulary::Vocabulary;
 
@@ -130,7 +132,14 @@ pub(crate) fn ground_with(
             }
             Definition::Quantity(quantity) => {
                 let measured: Vec<Measured> = entities.iter().map(Entity::measured).collect();
-                measure(rows, &mut facts.values[index], *quantity, chance.tick(), &measured, stop)
+                measure(
+                    rows,
+                    &mut facts.values[index],
+                    *quantity,
+                    chance.tick(),
+                    &measured,
+                    stop,
+                )
             }
         }?;
     }
@@ -195,7 +204,10 @@ fn measure(
     };
     match quantity.agents() {
         0 => add([0, 0], &[]),
-        1 => entities.iter().enumerate().try_for_each(|(x, first)| add([number(x), 0], &[first])),
+        1 => entities
+            .iter()
+            .enumerate()
+            .try_for_each(|(x, first)| add([number(x), 0], &[first])),
         _ => (entities.iter().enumerate()).try_for_each(|(x, first)| {
             let mut others = entities.iter().enumerate().filter(|(y, _)| *y != x);
             others.try_for_each(|(y, second)| add([number(x), number(y)], &[first, second]))

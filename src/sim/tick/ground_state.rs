@@ -114,11 +114,21 @@ impl GroundState {
                 None => other.rows[index].binary_search(&row.1).is_err(),
                 Some(_) => other.value(index, row.1) != Some(of.values[index][row.0]),
             };
-            for row in old.rows[index].iter().copied().enumerate().filter(|row| changed(row, old, new)) {
+            for row in old.rows[index]
+                .iter()
+                .copied()
+                .enumerate()
+                .filter(|row| changed(row, old, new))
+            {
                 let words = self.words(predicate, row.1, old.values[index].get(row.0));
                 (self.session.retract(predicate.id, &words[..predicate.columns()])).expect("bound predicates fit");
             }
-            for row in new.rows[index].iter().copied().enumerate().filter(|row| changed(row, new, old)) {
+            for row in new.rows[index]
+                .iter()
+                .copied()
+                .enumerate()
+                .filter(|row| changed(row, new, old))
+            {
                 let words = self.words(predicate, row.1, new.values[index].get(row.0));
                 (self.session.insert(predicate.id, &words[..predicate.columns()])).expect("bound predicates fit");
             }

@@ -196,9 +196,15 @@ impl Vocabulary {
     /// # Errors
     /// `rule-mismatch` if they read one.
     pub fn without_quantities(&self, what: &str) -> Result<(), Diagnostic> {
-        let read = self.predicates.iter().find(|known| known.id.is_some() && known.value.is_some());
+        let read = self
+            .predicates
+            .iter()
+            .find(|known| known.id.is_some() && known.value.is_some());
         read.map_or(Ok(()), |known| {
-            let message = format!("{what} contain no quantities, but the rules declare `{}` as input", known.name);
+            let message = format!(
+                "{what} contain no quantities, but the rules declare `{}` as input",
+                known.name
+            );
             Err(Diagnostic::new(codes::RULE_MISMATCH, message).help("use rules without quantities here"))
         })
     }
@@ -263,7 +269,10 @@ fn fits(
     let help = match (arity, value) {
         (_, None) => format!("declare it with {arity} {plural} of type agent"),
         (0, Some(value)) => format!("declare it with one column of type {}", value.name()),
-        (_, Some(value)) => format!("declare it with {arity} {plural} of type agent, then one of type {}", value.name()),
+        (_, Some(value)) => format!(
+            "declare it with {arity} {plural} of type agent, then one of type {}",
+            value.name()
+        ),
     };
     faults.push(
         fault()

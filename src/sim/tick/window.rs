@@ -9,8 +9,7 @@ use crate::city::AgentKind;
 use crate::city::{Agent, Cell, CityMap, Heading, Junction};
 use crate::datalog::Value;
 use crate::datalog::dense::{
-    Argument, BinaryFacts, BitState, Input, List, Set, TooManySteps, and, first, holding, is_empty, members,
-    without,
+    Argument, BinaryFacts, BitState, Input, List, Set, TooManySteps, and, first, holding, is_empty, members, without,
 };
 use crate::predicate::{
     CellTable, Definition, Measured, Pair, PairRelation, Progress, Quantity, Reach, Relation, Static, Subject, Views,

@@ -268,7 +268,9 @@ impl Replay {
         let vocabulary = &self.world.vocabulary;
         let given = |index: usize| tick.given.get(&vocabulary.predicates[index].name);
         let view = self.world.scenario.view;
-        let mut facts = ground(vocabulary, map, view, &entities, &Recorded(tick.tick), |index| given(index).is_some());
+        let mut facts = ground(vocabulary, map, view, &entities, &Recorded(tick.tick), |index| {
+            given(index).is_some()
+        });
         for (index, predicate) in vocabulary.predicates.iter().enumerate() {
             let Some(rows) = given(index) else { continue };
             let read = rows.iter().map(|row| {
