@@ -2,6 +2,7 @@
 
 use crate::check::{Atom, ClauseId, Literal, PredicateId, Rules, Stratum, Term};
 use crate::dense::body::{DenseBody, PAIR, decompose};
+use crate::dense::count::{BoundedCount, bounded_counts, is_stored};
 use crate::dense::program::Dense;
 use crate::diag::Span;
 use crate::syntax::ast::{BaseType, Comparison};
@@ -83,7 +84,7 @@ pub enum Construct {
     Expression,
     /// A comparison other than `=` and `!=` of two variables for symbols.
     Comparison,
-    /// An aggregate.
+    /// An aggregate, except a count of entities that is only compared with constants.
     Aggregate(AggregateOp),
     /// A negated atom without a variable.
     NoVariable,
@@ -132,9 +133,9 @@ impl Unsupported {
             Construct::Constant => {
                 Some("give the agent a concept in the configuration and test that, instead of naming the agent")
             }
-            Construct::Aggregate(AggregateOp::Count) => Some(
-                "for a lower bound such as two, write that many atoms with different variables: `P(Y), P(Z), Y != Z`",
-            ),
+            Construct::Aggregate(AggregateOp::Count) => {
+                Some("count the agents that a predicate relates to one agent, and compare the count with constants")
+            }
             Construct::Variables => Some("derive a part of the body in a predicate of its own"),
             Construct::NotSymbols(_)
             | Construct::Expression
@@ -249,7 +250,19 @@ fn obstacle(rules: &Rules, stratum: &Stratum) -> Option<Unsupported> {
         let many = clause.variables.len() + wildcards > Dense::VARIABLES_MAX;
         let found = many.then_some((Construct::Variables, clause.span));
         // Expressions and aggregates are the reason for columns of numbers.
-        let body = || clause.body.iter().filter_map(|literal| obstacle_in(rules, literal));
+        let counts: Vec<BoundedCount> = bounded_counts(clause);
+        let counts = || counts.iter().filter(|count| is_stored(rules, count));
+        let counted = |position: usize| counts().any(|count| count.literals.contains(&position));
+        let literals = || clause.body.iter().enumerate();
+        let others = || {
+            literals()
+                .filter(|(position, _)| !counted(*position))
+                .map(|(_, literal)| literal)
+        };
+        let body = || {
+            let aggregated = counts().filter_map(|count| unfit(rules, clause.body[count.literals[0]].atom()?));
+            aggregated.chain(others().filter_map(|literal| obstacle_in(rules, literal)))
+        };
         let computed = |(construct, _): &(Construct, Span)| {
             matches!(
                 construct,

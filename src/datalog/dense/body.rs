@@ -1,7 +1,8 @@
 //! The conditions of a clause on its variables, and searches for existential variables.
 
 use crate::check::{Atom, Clause, Literal, PredicateId, Term};
-use crate::dense::program::Argument;
+use crate::dense::count::bounded_counts;
+use crate::dense::program::{Argument, Bounds};
 use crate::syntax::ast::Comparison;
 use std::collections::{BTreeMap, BTreeSet};
 
@@ -15,6 +16,8 @@ pub(super) enum Property {
     Diagonal(PredicateId),
     /// The predicate relates some entity to it; it is in this column.
     Related(PredicateId, Argument),
+    /// The number of rows of the predicate with it in this column lies within bounds.
+    Count(PredicateId, Argument, Bounds),
 }
 
 /// A literal over variables.
@@ -67,7 +70,19 @@ impl DenseBody {
             let second = fresh();
             literals.push(Lit::Same(head[0], second, true));
         }
-        for literal in &clause.body {
+        let counts = bounded_counts(clause);
+        for count in &counts {
+            let entity = number(&Term::Variable(count.entity), &mut fresh);
+            let property = |bounds| Property::Count(count.predicate, count.column, bounds);
+            literals.extend((count.bounds.iter()).map(|&(bounds, holds)| Lit::Is(property(bounds), entity, holds)));
+        }
+        let counted = |position: &usize| counts.iter().any(|count| count.literals.contains(position));
+        let others = clause
+            .body
+            .iter()
+            .enumerate()
+            .filter(|(position, _)| !counted(position));
+        for (_, literal) in others {
             match literal {
                 Literal::Positive(Atom { predicate, terms, .. }) | Literal::Guard(Atom { predicate, terms, .. }) => {
                     let terms: Vec<Var> = terms.iter().map(|term| number(term, &mut fresh)).collect();

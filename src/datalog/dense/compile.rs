@@ -134,7 +134,10 @@ impl<'a> Compiler<'a> {
     }
 
     fn is_given(&self, property: Property) -> bool {
-        let (Property::Holds(predicate) | Property::Diagonal(predicate) | Property::Related(predicate, _)) = property;
+        let (Property::Holds(predicate)
+        | Property::Diagonal(predicate)
+        | Property::Related(predicate, _)
+        | Property::Count(predicate, ..)) = property;
         !self.derived[predicate.index()]
     }
 
@@ -146,7 +149,9 @@ impl<'a> Compiler<'a> {
                 *self.uses.entry((property, holds)).or_default() += 1;
             }
             let (predicate, of_head) = match *literal {
-                Lit::Is(Property::Related(predicate, axis), var, _) => (predicate, var == 0 && axis == Argument::First),
+                Lit::Is(Property::Related(predicate, axis) | Property::Count(predicate, axis, _), var, _) => {
+                    (predicate, var == 0 && axis == Argument::First)
+                }
                 Lit::Is(property @ (Property::Holds(predicate) | Property::Diagonal(predicate)), var, _) => {
                     if self.is_given(property) {
                         given.insert((steady(predicate), property));
@@ -158,14 +163,18 @@ impl<'a> Compiler<'a> {
             };
             self.out.local &= of_head || !self.derived[predicate.index()];
         }
-        let guards_all = |guard: &PredicateId| bodies.iter().all(|(_, body)| body.is_guarded_by(*guard));
+        let counts_all =
+            |literal: &Lit| matches!(literal, Lit::Is(property @ Property::Count(..), ..) if self.is_given(*property));
+        let counts_all = bodies.iter().any(|(_, body)| body.literals.iter().any(counts_all));
+        let guards_all = |guard: &PredicateId| !counts_all && bodies.iter().all(|(_, body)| body.is_guarded_by(*guard));
         self.out.guards = self.guards.iter().copied().filter(guards_all).collect();
         for (steady, property) in given {
             let set = self.set(if steady { Changes::Seldom } else { Changes::Often });
             self.known_properties.insert(property, set);
             self.out.inputs.push(match property {
                 Property::Diagonal(predicate) => Input::Diagonal(predicate),
-                Property::Holds(predicate) | Property::Related(predicate, _) => Input::Unary(predicate),
+                Property::Holds(predicate) => Input::Unary(predicate),
+                Property::Related(..) | Property::Count(..) => unreachable!("only sets are given"),
             });
             self.out.restless += usize::from(!steady);
         }
@@ -413,15 +422,32 @@ impl<'a> Compiler<'a> {
                 dst
             }
             Property::Related(predicate, axis) => {
-                let other = match axis {
-                    Argument::First => Argument::Second,
-                    Argument::Second => Argument::First,
-                };
                 let search = vec![Seek {
                     properties: Vec::new(),
-                    predicates: vec![(Relates::By(predicate, other), 0, true)],
+                    predicates: vec![(Relates::By(predicate, axis.other()), 0, true)],
                 }];
                 self.exists(Reg::ALL, Reg::ALL, &search)
+            }
+            Property::Count(predicate, axis, bounds) => {
+                let list = self.place(Relates::By(predicate, axis.other()));
+                let test = Test {
+                    list,
+                    to: 0,
+                    holds: true,
+                };
+                let dst = self.set(Changes::Often);
+                let demand = match list {
+                    Place::Derived(..) => Reg::EGOS,
+                    Place::Input(_) | Place::Same => Reg::ALL,
+                };
+                let test = Range::extend(&mut self.out.tests, vec![test]);
+                self.out.ops.push(Op::Rare(Rare::Count {
+                    dst,
+                    demand,
+                    test,
+                    bounds,
+                }));
+                dst
             }
         };
         self.known_properties.insert(property, set);

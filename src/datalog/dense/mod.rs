@@ -13,6 +13,7 @@
 //!
 //! - `analyze` decides which strata the executor supports and why it does not support others.
 //! - `body` splits a clause into conditions on its variables.
+//! - `count` finds bounds on counts in a body.
 //! - `condition` replaces literals on values by conditions, which the caller evaluates.
 //! - `compile` translates these to a `program`: a short list of operations on numbered sets. It shares conditions
 //!   between clauses.
@@ -27,6 +28,7 @@ mod analyze;
 mod body;
 mod compile;
 mod condition;
+mod count;
 mod facts;
 mod program;
 mod run;

@@ -55,6 +55,19 @@ pub(super) struct DemandOp {
     pub right: Reg,
 }
 
+/// The counts from `low` to `high`.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, PartialOrd, Ord)]
+pub(super) struct Bounds {
+    pub low: u32,
+    pub high: u32,
+}
+
+impl Bounds {
+    pub fn contain(self, count: u32) -> bool {
+        (self.low..=self.high).contains(&count)
+    }
+}
+
 /// A search for a member of `among` that all lists relate to an entity. Lists are positions in [`Dense::lists`].
 #[derive(Clone, Copy, Debug)]
 pub(super) struct Any<const N: usize> {
@@ -112,6 +125,13 @@ pub(super) enum Rare {
     OrRows { dst: usize, from: usize },
     /// Writes the entities that their own row contains.
     Diagonal { dst: Reg, rows: usize },
+    /// Writes the members of `demand` with a number of related entities within bounds. `test` has one condition.
+    Count {
+        dst: Reg,
+        demand: Reg,
+        test: Range,
+        bounds: Bounds,
+    },
 }
 
 /// A step of a search: finds the values of one variable. The head's first variable and those of earlier steps are
@@ -168,6 +188,16 @@ pub enum Argument {
     First,
     /// The second column.
     Second,
+}
+
+impl Argument {
+    /// Returns the other column.
+    pub(super) fn other(self) -> Argument {
+        match self {
+            Argument::First => Argument::Second,
+            Argument::Second => Argument::First,
+        }
+    }
 }
 
 /// An input set, which the caller provides.

@@ -317,5 +317,22 @@ fn execute_rare<const W: usize>(
             }
             *sets.get_mut(*dst) = set;
         }
+        Rare::Count {
+            dst,
+            demand,
+            test,
+            bounds,
+        } => {
+            let demand = *sets.get(*demand);
+            let search = search(program, sets.as_ref(), rows, count, pairs);
+            let (test, all) = (program.tests(*test), *sets.get(Reg::ALL));
+            let mut set = [0; W];
+            for at in members(&demand) {
+                let related = search.pass(test, all, &[at]);
+                let ones = related.iter().map(|word| word.count_ones()).sum();
+                set[at / 64] |= u64::from(bounds.contain(ones)) << (at % 64);
+            }
+            *sets.get_mut(*dst) = set;
+        }
     }
 }
