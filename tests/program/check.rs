@@ -403,10 +403,10 @@ fn reasons_against_the_dense_executor_name_the_clause_at_the_root() {
     };
     for (clause, reason, place, help) in [
         (
-            "Crowd(X) :- IsCar(X), 2 <= count : { Emergency(Y), NextTo(X, Y) }.",
+            "Crowd(X) :- IsCar(X), count : { Emergency(Y), NextTo(X, Y) } > count : { NextTo(X, Y) }.",
             "a clause of `Crowd` aggregates with `count`",
-            "crowd.dl:5:28",
-            Some("write that many atoms with different variables"),
+            "crowd.dl:5:23",
+            Some("compare the count with constants"),
         ),
         (
             "Crowd(X) :- Emergency(Y), NextTo(X, Y).\nCrowd(X) :- Crowd(Y), NextTo(X, Y).",
@@ -425,7 +425,7 @@ fn reasons_against_the_dense_executor_name_the_clause_at_the_root() {
              Crowd(X) :- Near(X, n), n > 2.",
             "a clause of `Near` aggregates with `count`",
             "crowd.dl:6:29",
-            Some("write that many atoms"),
+            Some("compare the count with constants"),
         ),
         (
             ".decl At(x: agent, y: agent, z: agent)\nAt(X, Y, Z) :- Emergency(X), NextTo(X, Y), NextTo(Y, Z).\n\
