@@ -27,7 +27,7 @@ pub struct Facts {
     /// The rows of each predicate.
     pub rows: Vec<Vec<[u32; 2]>>,
     /// For each predicate with a value, that of each row, in their order; empty for others. For a heading, its position
-    /// in [`Heading::ALL`].
+    /// in `Heading::ALL`.
     pub values: Vec<Vec<Value>>,
 }
 
