@@ -107,7 +107,8 @@ impl<const W: usize, P: BinaryFacts<W>> ValueSearch<'_, W, P> {
     }
 
     /// Returns the members of a set that pass tests, given the bound values.
-    #[inline]
+    // The compiler would call it otherwise, since it has several callers.
+    #[inline(always)]
     pub fn pass(&self, tests: &[Test], mut set: Set<W>, bound: &[usize]) -> Set<W> {
         for test in tests {
             let at = bound[test.to];
