@@ -101,7 +101,7 @@ fn bounded(clause: &Clause, position: usize, literal: &Literal) -> Option<Bounde
         };
         let (op, constant) = match (left, right) {
             (Term::Variable(_), Term::Constant(constant)) => (*op, constant),
-            (Term::Constant(constant), Term::Variable(_)) => (mirrored(*op), constant),
+            (Term::Constant(constant), Term::Variable(_)) => (op.mirrored(), constant),
             _ => return None,
         };
         let bounds = Bounds::of(op, constant.as_number())?;
@@ -118,17 +118,6 @@ fn bounded(clause: &Clause, position: usize, literal: &Literal) -> Option<Bounde
         found.literals.push(other);
     }
     Some(found)
-}
-
-/// Returns the comparison with its sides exchanged.
-fn mirrored(op: Comparison) -> Comparison {
-    match op {
-        Comparison::Less => Comparison::Greater,
-        Comparison::LessEqual => Comparison::GreaterEqual,
-        Comparison::Greater => Comparison::Less,
-        Comparison::GreaterEqual => Comparison::LessEqual,
-        other => other,
-    }
 }
 
 /// Returns whether the executor has the rows that a count reads: a predicate without parameters.

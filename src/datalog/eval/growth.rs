@@ -201,7 +201,7 @@ fn is_bounded(clause: &Clause, recursive: &BTreeSet<PredicateId>, passed: &Passe
         Literal::Compare { op, left, right, .. } => match (is_passed(left), is_passed(right)) {
             (true, true) => !matches!(op, Comparison::Equal),
             (true, false) => bounds(*op, way),
-            (false, true) => bounds(mirrored(*op), way),
+            (false, true) => bounds(op.mirrored(), way),
             (false, false) => false,
         },
         Literal::Compute { .. } | Literal::Aggregate { .. } => false,
@@ -214,16 +214,5 @@ fn bounds(op: Comparison, way: Way) -> bool {
         Comparison::Less | Comparison::LessEqual => way != Way::Down,
         Comparison::Greater | Comparison::GreaterEqual => way != Way::Up,
         _ => true,
-    }
-}
-
-/// Returns the operator with its sides exchanged.
-fn mirrored(op: Comparison) -> Comparison {
-    match op {
-        Comparison::Less => Comparison::Greater,
-        Comparison::LessEqual => Comparison::GreaterEqual,
-        Comparison::Greater => Comparison::Less,
-        Comparison::GreaterEqual => Comparison::LessEqual,
-        other => other,
     }
 }

@@ -360,6 +360,17 @@ pub enum Comparison {
 }
 
 impl Comparison {
+    /// Returns the comparison with its sides exchanged.
+    pub(crate) fn mirrored(self) -> Comparison {
+        match self {
+            Comparison::Less => Comparison::Greater,
+            Comparison::LessEqual => Comparison::GreaterEqual,
+            Comparison::Greater => Comparison::Less,
+            Comparison::GreaterEqual => Comparison::LessEqual,
+            other => other,
+        }
+    }
+
     /// Returns the negated comparison.
     pub fn opposite(self) -> Comparison {
         match self {

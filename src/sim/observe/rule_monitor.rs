@@ -89,7 +89,7 @@ enum Evaluator {
 
 #[derive(Debug)]
 struct BoundRules {
-    rules: DenseRules,
+    compiled: DenseRules,
     /// Each input of the program, and whether it is the diagonal.
     inputs: Vec<(Given, bool)>,
     lists: Vec<(Given, Argument)>,
@@ -236,11 +236,11 @@ impl Conditions {
         if *known {
             return;
         }
-        let bit_state = bit_state.get_or_insert_with(|| Box::new(BitState::new(&self.rules.rules.dense, 0)));
+        let bit_state = bit_state.get_or_insert_with(|| Box::new(BitState::new(&self.rules.compiled.dense, 0)));
         self.rules.run(bit_state, observed);
         let holds = |clause| {
             bit_state
-                .fired(&self.rules.rules.dense, clause)
+                .fired(&self.rules.compiled.dense, clause)
                 .is_some_and(|set| has(set, 0))
         };
         let clauses = self.clauses.iter().enumerate();
@@ -307,13 +307,13 @@ impl BoundRules {
             lists: (dense.lists().iter())
                 .map(|&List(predicate, axis)| (place(predicate), axis))
                 .collect(),
-            rules: compiled,
+            compiled,
         })
     }
 
     /// Evaluates the rules for the first entity.
     fn run(&self, bit_state: &mut BitState<1>, observed: Observed<'_>) {
-        let (atoms, count, dense) = (observed.atoms, observed.entities.count(), &self.rules.dense);
+        let (atoms, count, dense) = (observed.atoms, observed.entities.count(), &self.compiled.dense);
         if bit_state.count() != count {
             bit_state.reset(dense, count);
             if dense.is_local() {
@@ -460,7 +460,7 @@ struct Related<'a> {
 impl Related<'_> {
     /// Returns whether entities meet a condition on quantities.
     fn meets(&self, condition: usize, of: [usize; 2]) -> bool {
-        (self.rules.rules.conditions).holds(condition, |predicate, _, places| {
+        (self.rules.compiled.conditions).holds(condition, |predicate, _, places| {
             let mut entities = [0; 2];
             for (entity, place) in entities.iter_mut().zip(places) {
                 *entity = of[*place];
@@ -620,7 +620,7 @@ pub(super) enum State {
 impl State {
     fn new(evaluator: &Evaluator) -> State {
         match evaluator {
-            Evaluator::Dense(rules) => State::Dense(Box::new(BitState::new(&rules.rules.dense, 0))),
+            Evaluator::Dense(rules) => State::Dense(Box::new(BitState::new(&rules.compiled.dense, 0))),
             Evaluator::Relational { .. } => State::Relational(None),
         }
     }
@@ -659,8 +659,11 @@ impl State {
             (State::Dense(bit_state), Evaluator::Dense(rules)) => {
                 let holds = |action: &Action| {
                     let predicate = vocabulary.action(*action);
-                    predicate
-                        .is_some_and(|action| bit_state.set(&rules.rules.dense, action).is_some_and(|set| has(set, 0)))
+                    predicate.is_some_and(|action| {
+                        bit_state
+                            .set(&rules.compiled.dense, action)
+                            .is_some_and(|set| has(set, 0))
+                    })
                 };
                 Action::ALL.into_iter().filter(holds).collect()
             }
@@ -673,7 +676,7 @@ impl State {
     fn fired(&self, evaluator: &Evaluator, clause: ClauseId, ego: usize) -> bool {
         match (self, evaluator) {
             (State::Dense(bit_state), Evaluator::Dense(rules)) => bit_state
-                .fired(&rules.rules.dense, clause)
+                .fired(&rules.compiled.dense, clause)
                 .is_some_and(|set| has(set, 0)),
             (State::Relational(Some(state)), _) => {
                 let value = state.value(ego);

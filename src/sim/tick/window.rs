@@ -121,7 +121,7 @@ struct Requested {
     /// The position in the vocabulary and the fast form; `None` if the vocabulary lacks the predicate, which then never
     /// holds.
     predicate: Option<(usize, PairRelation)>,
-    /// The condition on quantities, if the list is of one.
+    /// The position of the condition, for a list of the pairs that meet a condition on quantities.
     condition: Option<usize>,
     axis: Argument,
     /// The places of possible members, relative to an entity of each kind: without a heading, and with each heading.
