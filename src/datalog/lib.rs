@@ -126,6 +126,7 @@ mod eval;
 pub mod explain;
 pub mod facts;
 pub mod files;
+mod history;
 pub mod naive;
 mod plan;
 mod plan_printer;
@@ -141,8 +142,8 @@ mod workspace;
 
 pub use analysis::{constraints, diff};
 pub use check::{
-    Atom, Clause, ClauseId, Column, Comparing, Constraint, DeclaredConstraint, Directive, InputPolicy, Literal,
-    Predicate, PredicateId, RowFormat, RowPlace, Rules, Stratum, Term, Type, TypeId, VarId,
+    Atom, Clause, ClauseId, Column, Comparing, Constraint, DeclaredConstraint, Directive, InputPolicy, Literal, Past,
+    PastOperator, Predicate, PredicateId, RowFormat, RowPlace, Rules, Stratum, Term, Type, TypeId, VarId,
 };
 pub use convert::{AsPredicate, FromRow, FromValue, IntoRow, RowError, ToValue};
 pub use eval::delta::{Delta, PredicateChange, Rows};

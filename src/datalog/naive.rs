@@ -3,7 +3,7 @@
 //! The evaluator goes through the strata in order. In each stratum it tries every clause on every combination of rows
 //! until it derives nothing new. It shares no code with the real executor and stays unoptimized; tests compare the two.
 
-use crate::check::{Atom, Clause, Literal, PredicateId, Rules, Term};
+use crate::check::{Atom, Clause, Literal, Past, PastOperator, PredicateId, Rules, Term};
 use crate::symbol::{Symbol, Symbols};
 use crate::syntax::ast::{BaseType, Comparison};
 use crate::value::{Patterns, Value};
@@ -40,6 +40,46 @@ pub fn evaluate(
         }
     }
     database
+}
+
+/// Returns the models of successive ticks with these facts, each with all facts of its tick.
+pub fn evaluate_ticks(
+    rules: &Rules,
+    symbols: &Symbols,
+    ticks: impl IntoIterator<Item = Vec<(PredicateId, Vec<Value>)>>,
+) -> Vec<Database> {
+    let mut history: Vec<Database> = Vec::new();
+    for mut facts in ticks {
+        for past in &rules.pasts {
+            let rows = remembered(past, &history);
+            facts.extend(rows.into_iter().map(|row| (past.predicate, row)));
+        }
+        history.push(evaluate(rules, symbols, facts));
+    }
+    history
+}
+
+/// Returns the rows of a hidden predicate in the tick after `history`.
+fn remembered(past: &Past, history: &[Database]) -> BTreeSet<Vec<Value>> {
+    let now = history.len();
+    let held = |predicate: PredicateId, row: &Vec<Value>, tick: usize| history[tick][predicate.index()].contains(row);
+    // The ticks of the window, as far as there are ticks.
+    let last = past.last.map_or(now, |last| last as usize);
+    let window: Vec<usize> = (past.first as usize..=last.min(now)).map(|ago| now - ago).collect();
+    let rows = history.iter().flat_map(|database| &database[past.operand.index()]);
+    let holds = |row: &&Vec<Value>| match &past.operator {
+        // once[a,b] P(x)
+        PastOperator::Once => window.iter().any(|&tick| held(past.operand, row, tick)),
+        // historically[a,b] P(x), not before the first tick
+        PastOperator::Always => last <= now && window.iter().all(|&tick| held(past.operand, row, tick)),
+        // Q(x) since[a,b] P(x)
+        PastOperator::Since(first, columns) => {
+            let key: Vec<Value> = columns.iter().map(|&column| row[column]).collect();
+            let still = |since: usize| (since + 1..now).all(|tick| held(*first, &key, tick));
+            window.iter().any(|&tick| held(past.operand, row, tick) && still(tick))
+        }
+    };
+    rows.filter(holds).cloned().collect()
 }
 
 /// Returns the head rows that a clause of the rules derives from the database.

@@ -11,6 +11,7 @@ use crate::eval::limits::{EvalError, Limits};
 use crate::eval::output::Abort;
 use crate::eval::stats::{EvalEvent, EvalStats, Strategy};
 use crate::eval::workers::{Threads, Workers};
+use crate::history::History;
 use crate::program::Program;
 use crate::symbol::Symbols;
 use crate::syntax::ast::BaseType;
@@ -30,6 +31,7 @@ pub struct Session {
     strategy: Strategy,
     workers: Workers,
     work: EvalStats,
+    history: History,
 }
 
 impl Program {
@@ -56,6 +58,7 @@ impl Program {
             strategy: Strategy::Auto,
             workers: Workers::default(),
             work: EvalStats::default(),
+            history: History::new(&self.rules().pasts),
         }
     }
 }
@@ -88,7 +91,7 @@ impl Session {
 
     /// Returns the bytes of the rows, indexes, pending changes and symbols.
     pub fn bytes(&self) -> u64 {
-        self.store.bytes() + self.symbols.bytes()
+        self.store.bytes() + self.symbols.bytes() + self.history.bytes()
     }
 
     /// Returns the bytes that the limit leaves for work on the committed rows.
@@ -228,9 +231,59 @@ impl Session {
         self.change(predicate, &row, false)
     }
 
-    /// Discards the changes since the last commit.
+    /// Discards the changes since the last commit. What earlier ticks imply for the present one stays pending.
     pub fn rollback(&mut self) {
         self.store.rollback();
+        for (predicate, row, holds) in &self.history.staged {
+            self.store.change(*predicate, row, *holds);
+        }
+    }
+
+    /// Begins the next tick and commits: temporal operators then count from the next tick. Pending changes belong to
+    /// it; all other facts stay as they are. Ticks count commits of this kind only, so several commits may follow each
+    /// other within a tick, of which the last one counts.
+    ///
+    /// ```
+    /// # use logicity_datalog::Program;
+    /// let program = Program::parse(
+    ///     ".decl button(x: symbol) .input button
+    ///      .decl light(x: symbol)
+    ///      light(x) :- once[0,2] button(x).",
+    /// )?;
+    /// let mut session = program.session();
+    /// session.insert("button", ("hall",))?;
+    /// session.commit()?; // tick 0
+    /// session.retract("button", ("hall",))?;
+    /// session.advance()?; // tick 1
+    /// session.advance()?;
+    /// assert!(session.contains("light", ("hall",)));
+    /// session.advance()?;
+    /// assert_eq!((session.tick(), session.contains("light", ("hall",))), (3, false));
+    /// # Ok::<(), Box<dyn std::error::Error>>(())
+    /// ```
+    ///
+    /// # Errors
+    /// As [`commit`](Session::commit). The next tick has begun nevertheless; the changes are still pending.
+    pub fn advance(&mut self) -> Result<Delta, EvalError> {
+        self.advance_with(&Cancel::never())
+    }
+
+    /// Cancellable variant of [`advance`](Session::advance), as [`commit_with`](Session::commit_with).
+    ///
+    /// # Errors
+    /// As [`advance`](Session::advance).
+    pub fn advance_with(&mut self, cancel: &Cancel) -> Result<Delta, EvalError> {
+        let before = self.history.staged.len();
+        self.history.advance();
+        for (predicate, row, holds) in &self.history.staged[before..] {
+            self.store.change(*predicate, row, *holds);
+        }
+        self.run_commit(None, cancel)
+    }
+
+    /// Returns the number of the present tick, from 0: how often [`advance`](Session::advance) was called.
+    pub fn tick(&self) -> u64 {
+        self.history.tick()
     }
 
     /// Applies the pending changes, derives what follows and returns the difference.
@@ -267,9 +320,13 @@ impl Session {
     }
 
     fn run_commit(&mut self, watch: Option<&dyn Fn(EvalEvent)>, cancel: &Cancel) -> Result<Delta, EvalError> {
+        let limits = Limits {
+            bytes: self.limits.bytes.saturating_sub(self.history.bytes()),
+            ..self.limits
+        };
         let options = CommitOptions {
             strategy: self.strategy,
-            limits: self.limits,
+            limits,
             workers: &self.workers,
             watch,
             cancel,
@@ -278,6 +335,7 @@ impl Session {
         match self.store.commit(&self.program.0, &self.symbols, options) {
             Ok((delta, work)) => {
                 self.work = work;
+                self.history.note(&delta);
                 Ok(delta)
             }
             Err(error) => {

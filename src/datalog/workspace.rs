@@ -18,7 +18,7 @@ use crate::symbol::{Symbol, Symbols};
 use crate::check::clause;
 use crate::check::witness::{renamed, renamed_term};
 use crate::check::{self as rules, Comparing, PredicateId, Rules};
-use crate::check::{InputPolicy, check, inline, names};
+use crate::check::{InputPolicy, check, inline, names, temporal};
 use crate::syntax::ast::BaseType;
 use crate::syntax::ast::{Atom, Clause, ColumnDecl, Decl, Item, Literal, Mark, MarkKind, Name, Place, Term, TermKind};
 use crate::syntax::ast::{names_in, names_of};
@@ -108,8 +108,8 @@ impl Workspace {
     /// Skips files that the workspace already contains.
     pub fn add(&mut self, sources: &mut Sources, entry: SourceId, read: &dyn ReadFile) {
         include::gather(&mut self.gathered, sources, entry, read, &mut self.faults);
-        // The checker replaces inline predicates in syntax trees.
-        if self.uses_inline() {
+        // The checker replaces inline predicates and temporal operators in syntax trees.
+        if self.uses_inline() || self.gathered.items.iter().any(temporal::in_item) {
             self.gathered.facts.unpack(&mut self.gathered.items);
         }
     }
@@ -187,6 +187,13 @@ impl Workspace {
     pub fn ask(&self, sources: &Sources, question: SourceId, symbols: Symbols) -> Loaded {
         let mut faults = Faults::default();
         let parsed = parser::parse_question(question, sources.text(question), &mut faults);
+        if let Some((body, place)) = &parsed
+            && body.iter().any(temporal::is_temporal)
+        {
+            let fault = Diagnostic::new(codes::INVALID_TEMPORAL, "a query concerns the present tick");
+            let help = "derive a predicate with the temporal operator by a rule, and ask for that";
+            faults.push(fault.at(place.0, "this looks back").help(help));
+        }
         match parsed.filter(|_| !faults.failed()) {
             Some((body, place)) => self.answer(&body, place, symbols),
             None => Loaded::failed(faults.finish()),
@@ -460,6 +467,10 @@ fn variables(body: &[Literal]) -> Vec<(&str, Place)> {
         match literal {
             Literal::Atom { atom, .. } => atom.terms.iter().for_each(|term| of_term(term, each)),
             Literal::Compare { left, right, .. } => [left, right].into_iter().for_each(|term| of_term(term, each)),
+            Literal::Temporal { temporal, .. } => {
+                let terms = temporal.atoms().flat_map(|atom| &atom.terms);
+                terms.for_each(|term| of_term(term, each));
+            }
             Literal::Any(alternatives) => alternatives.iter().flatten().for_each(|one| of_literal(one, each)),
         }
     }

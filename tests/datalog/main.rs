@@ -23,4 +23,5 @@ mod rewrite;
 mod root;
 mod rule_files;
 mod souffle;
+mod temporal;
 mod written_program;

@@ -497,6 +497,7 @@ impl Names {
         match literal {
             Literal::Atom { atom, .. } => self.atom(atom, Role::Uses),
             Literal::Compare { left, right, .. } => [left, right].into_iter().for_each(|term| self.term(term)),
+            Literal::Temporal { temporal, .. } => temporal.atoms().for_each(|atom| self.atom(atom, Role::Uses)),
             Literal::Any(alternatives) => alternatives.iter().flatten().for_each(|one| self.literal(one)),
         }
     }

@@ -614,6 +614,7 @@ fn sides(literal: &ast::Literal) -> Vec<&ast::Term> {
     match literal {
         ast::Literal::Atom { atom, .. } => atom.terms.iter().collect(),
         ast::Literal::Compare { left, right, .. } => vec![left, right],
+        ast::Literal::Temporal { temporal, .. } => temporal.atoms().flat_map(|atom| &atom.terms).collect(),
         ast::Literal::Any(_) => Vec::new(),
     }
 }

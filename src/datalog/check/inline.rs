@@ -237,6 +237,7 @@ pub(crate) fn each_atom<'c>(literals: &'c [Literal], each: &mut dyn FnMut(bool, 
                 each_atom_of(left, each);
                 each_atom_of(right, each);
             }
+            Literal::Temporal { negated, temporal } => temporal.atoms().for_each(|atom| each(*negated, atom)),
             Literal::Any(alternatives) => alternatives.iter().for_each(|all| each_atom(all, each)),
         }
     }
@@ -283,6 +284,8 @@ impl Inliner<'_, '_> {
                     place: *place,
                 }]
             }
+            // Temporal literals are lowered to atoms before.
+            Literal::Temporal { .. } => vec![literal.clone()],
             Literal::Atom { negated, atom } => {
                 let Some(meanings) = self.meanings.get(atom.predicate.text.as_str()) else {
                     return vec![literal.clone()];

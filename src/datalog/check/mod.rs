@@ -2,6 +2,7 @@
 //!
 //! Each stage has a file or folder. No stage stops at the first fault.
 //!
+//! - `temporal`: replaces temporal operators by atoms over hidden predicates.
 //! - `inline`: replaces inline predicates by their bodies.
 //! - `names`: declares types and predicates.
 //! - `clause`: splits disjunctions and multiple heads into clauses.
@@ -28,6 +29,7 @@ mod scope;
 pub(crate) mod strata;
 mod subsets;
 pub(crate) mod subsumption;
+pub(crate) mod temporal;
 pub(crate) mod witness;
 
 use crate::diag::Faults;
@@ -37,8 +39,8 @@ use crate::syntax::packed::FactRuns;
 use std::borrow::Cow;
 
 pub use rules::{
-    Atom, Clause, ClauseId, Column, Constraint, DeclaredConstraint, Directive, Literal, Predicate, PredicateId,
-    RowFormat, RowPlace, Rules, Stratum, Term, Type, TypeId, VarId,
+    Atom, Clause, ClauseId, Column, Constraint, DeclaredConstraint, Directive, Literal, Past, PastOperator, Predicate,
+    PredicateId, RowFormat, RowPlace, Rules, Stratum, Term, Type, TypeId, VarId,
 };
 #[cfg(feature = "optimizer")]
 pub(crate) use subsets::Budget;
@@ -71,13 +73,19 @@ pub(crate) fn check(
     symbols: Symbols,
     faults: &mut Faults,
 ) -> (Option<Rules>, Comparing) {
-    let replaced = inline::replace(&written, faults);
+    let lowered = temporal::lower(&written, faults);
+    let without_time = lowered.as_ref().map_or(&*written, |lowered| &lowered.items);
+    let replaced = inline::replace(without_time, faults);
     let syntax_is_good = !faults.failed();
-    let items = replaced.as_deref().unwrap_or(&written);
+    let items = replaced.as_deref().unwrap_or(without_time);
     let mut names = names::declare(items, complete, inputs, faults);
+    if let Some(lowered) = &lowered {
+        lowered.hide(&mut names);
+    }
     let checked = clause::check((items, &facts), &mut names, symbols, faults);
     let constraints = constraints::check(items, &mut names, faults);
-    drop((replaced, written, facts));
+    let pasts = lowered.as_ref().map_or_else(Vec::new, |lowered| lowered.pasts(&names));
+    drop((replaced, lowered, written, facts));
     names.report_unknown(faults);
     strata::check(&checked.edges, &names, faults);
     let mut compared = Comparing::default();
@@ -99,6 +107,7 @@ pub(crate) fn check(
         clauses,
         symbols: checked.symbols,
         constraints,
+        pasts,
     };
     (Some(rules), compared)
 }

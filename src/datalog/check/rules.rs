@@ -450,6 +450,35 @@ pub struct Rules {
     pub constraints: Vec<DeclaredConstraint>,
     /// The symbols of all constants.
     pub symbols: Symbols,
+    /// The memory of earlier ticks that temporal operators read.
+    pub pasts: Vec<Past>,
+}
+
+/// A hidden predicate whose rows follow from earlier ticks. Before the first tick, no row of any predicate held.
+#[derive(Clone, Debug, PartialEq, Eq)]
+pub struct Past {
+    /// The hidden predicate. No clause derives it.
+    pub predicate: PredicateId,
+    /// The predicate that the operator is about, with the same columns.
+    pub operand: PredicateId,
+    /// What must have held.
+    pub operator: PastOperator,
+    /// The first tick of the window: the number of ticks before the present, at least 1.
+    pub first: u32,
+    /// The last tick of the window; `None` for all earlier ones.
+    pub last: Option<u32>,
+}
+
+/// What must have held in a [`Past`].
+#[derive(Clone, Debug, PartialEq, Eq)]
+pub enum PastOperator {
+    /// The row held in some tick of the window.
+    Once,
+    /// The row held in all ticks of the window.
+    Always,
+    /// The row held in some tick of the window, and a row of this predicate in all ticks between that one and the
+    /// present. That row has the values of these columns.
+    Since(PredicateId, Vec<usize>),
 }
 
 impl Rules {

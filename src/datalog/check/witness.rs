@@ -142,7 +142,7 @@ impl Rewriting {
                 self.aggregates_of_term(right, outside, taken)
             }
             // The body of an aggregate has no alternatives; those of a clause are separate bodies.
-            Literal::Any(_) => Ok(()),
+            Literal::Temporal { .. } | Literal::Any(_) => Ok(()),
         }
     }
 
@@ -266,6 +266,7 @@ pub(crate) fn size(literal: &Literal) -> usize {
     1 + match literal {
         Literal::Atom { atom, .. } => atom.terms.iter().map(of_term).sum(),
         Literal::Compare { left, right, .. } => of_term(left) + of_term(right),
+        Literal::Temporal { .. } => 0,
         Literal::Any(alternatives) => alternatives.iter().flatten().map(size).sum(),
     }
 }
@@ -285,7 +286,7 @@ fn has_selection(literal: &Literal) -> bool {
         || match literal {
             Literal::Atom { atom, .. } => atom.terms.iter().any(in_term),
             Literal::Compare { left, right, .. } => in_term(left) || in_term(right),
-            Literal::Any(_) => false,
+            Literal::Temporal { .. } | Literal::Any(_) => false,
         }
 }
 
@@ -453,6 +454,10 @@ pub(crate) fn renamed(literal: &Literal, names: &Names) -> Literal {
         Literal::Compare { left, right, .. } => {
             *left = renamed_term(left, names);
             *right = renamed_term(right, names);
+        }
+        Literal::Temporal { temporal, .. } => {
+            let terms = temporal.atoms_mut().flat_map(|atom| &mut atom.terms);
+            terms.for_each(|term| *term = renamed_term(term, names));
         }
         Literal::Any(alternatives) => {
             for literal in alternatives.iter_mut().flatten() {

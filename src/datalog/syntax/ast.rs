@@ -252,8 +252,79 @@ pub enum Literal {
         /// Both sides.
         place: Place,
     },
+    /// `once[0,5] P(X)`, `P(X) since Q(X)`
+    Temporal {
+        /// Whether the literal is negated.
+        negated: bool,
+        /// The operator and its atoms.
+        temporal: Box<Temporal>,
+    },
     /// `(A(x), B(x); C(x))`: a disjunction of conjunctions. Without alternatives it is `false`.
     Any(Vec<Vec<Literal>>),
+}
+
+/// A temporal operator, applied to atoms.
+#[derive(Clone, Debug, PartialEq, Eq)]
+pub struct Temporal {
+    /// The operator.
+    pub operator: Operator,
+    /// The first and the last tick of the window, counted back from the present; `None` for all ticks so far.
+    pub window: Option<(u32, u32)>,
+    /// The atom before `since`, and only there.
+    pub held: Option<Atom>,
+    /// The atom after the operator.
+    pub atom: Atom,
+    /// The whole literal.
+    pub place: Place,
+}
+
+/// The operator of a [`Temporal`] literal.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, PartialOrd, Ord, Hash)]
+pub enum Operator {
+    /// `previous P(X)`: P held in the tick before. The window is [1,1].
+    Previous,
+    /// `once[a,b] P(X)`: P held in some tick of the window.
+    Once,
+    /// `historically[a,b] P(X)`: P held in all ticks of the window.
+    Historically,
+    /// `for[n] P(X)`: P held in the last n ticks. The window is [0,n-1].
+    For,
+    /// `P(X) since[a,b] Q(X)`: Q held in some tick of the window, and P in all ticks after that one.
+    Since,
+}
+
+impl Operator {
+    /// All operators.
+    pub const ALL: [Operator; 5] = [
+        Operator::Previous,
+        Operator::Once,
+        Operator::Historically,
+        Operator::For,
+        Operator::Since,
+    ];
+
+    /// Returns the word that writes the operator.
+    pub fn word(self) -> &'static str {
+        match self {
+            Operator::Previous => "previous",
+            Operator::Once => "once",
+            Operator::Historically => "historically",
+            Operator::For => "for",
+            Operator::Since => "since",
+        }
+    }
+}
+
+impl Temporal {
+    /// Returns the atoms, that before `since` first.
+    pub fn atoms(&self) -> impl Iterator<Item = &Atom> {
+        self.held.iter().chain([&self.atom])
+    }
+
+    /// Mutable variant of [`atoms`](Temporal::atoms).
+    pub(crate) fn atoms_mut(&mut self) -> impl Iterator<Item = &mut Atom> {
+        self.held.iter_mut().chain([&mut self.atom])
+    }
 }
 
 /// A predicate applied to arguments.
@@ -419,6 +490,10 @@ pub(crate) fn names_in<'c>(literal: &'c Literal, inside: bool, each: &mut impl F
     match literal {
         Literal::Atom { atom, .. } => atom.terms.iter().for_each(|term| names_of(term, inside, each)),
         Literal::Compare { left, right, .. } => [left, right].into_iter().for_each(|side| names_of(side, inside, each)),
+        Literal::Temporal { temporal, .. } => {
+            let terms = temporal.atoms().flat_map(|atom| &atom.terms);
+            terms.for_each(|term| names_of(term, inside, each));
+        }
         Literal::Any(alternatives) => {
             alternatives
                 .iter()

@@ -290,6 +290,8 @@ impl Layout<'_> {
             (_, Dot) => false,
             (LParen | LBracket | Bang | Dollar | At | Hash, _) => false,
             (Ident, LParen) => self.word(left) == "not",
+            // The window of a temporal operator.
+            (Ident, LBracket) => false,
             (RParen, LParen) => false,
             (_, Minus | Operator) if self.is_binary(Some(left), right) => true,
             (Minus | Operator, _) => binary,

@@ -13,7 +13,7 @@ pub(crate) mod include;
 pub(crate) mod lexer;
 pub(crate) mod packed;
 pub(crate) mod parser;
-mod printer;
+pub(crate) mod printer;
 
 use crate::diag::{Diagnostic, Faults, SourceId, Sources};
 

@@ -3,7 +3,7 @@
 use std::fmt::{self, Display, Write};
 
 use crate::syntax::ast::Comparison;
-use crate::syntax::ast::{Atom, Clause, File, Item, Literal, Term, TermKind, TypeDefinition};
+use crate::syntax::ast::{Atom, Clause, File, Item, Literal, Operator, Temporal, Term, TermKind, TypeDefinition};
 use crate::syntax::functor::Functor;
 
 /// Returns the text of a syntax tree.
@@ -139,6 +139,11 @@ impl Display for Literal {
                 Comparison::NotMatch | Comparison::NotContains => write!(f, "!{}({left}, {right})", op.opposite()),
                 _ => write!(f, "{left} {op} {right}"),
             },
+            Literal::Temporal { negated, temporal } => match (negated, &temporal.held) {
+                (true, Some(_)) => write!(f, "!({temporal})"),
+                (true, None) => write!(f, "!{temporal}"),
+                (false, _) => write!(f, "{temporal}"),
+            },
             Literal::Any(alternatives) if alternatives.is_empty() => f.write_str("false"),
             Literal::Any(alternatives) => {
                 f.write_char('(')?;
@@ -146,6 +151,26 @@ impl Display for Literal {
                 f.write_char(')')
             }
         }
+    }
+}
+
+impl Display for Temporal {
+    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        if let Some(held) = &self.held {
+            write!(f, "{held} ")?;
+        }
+        write_operator(f, self.operator, self.window)?;
+        write!(f, " {}", self.atom)
+    }
+}
+
+/// Writes a temporal operator with its window, as in `once[0,5]`.
+pub(crate) fn write_operator(f: &mut impl Write, operator: Operator, window: Option<(u32, u32)>) -> fmt::Result {
+    f.write_str(operator.word())?;
+    match (operator, window) {
+        (Operator::Previous, _) | (_, None) => Ok(()),
+        (Operator::For, Some((_, last))) => write!(f, "[{}]", u64::from(last) + 1),
+        (_, Some((first, last))) => write!(f, "[{first},{last}]"),
     }
 }
 

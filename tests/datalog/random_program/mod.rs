@@ -213,6 +213,7 @@ impl Genome {
             clauses: Vec::new(),
             strata: Vec::new(),
             constraints: Vec::new(),
+            pasts: Vec::new(),
             symbols,
         };
         for columns in &self.base {

@@ -3,7 +3,7 @@
 use crate::codes;
 use crate::diag::Diagnostic;
 use crate::syntax::ast::Comparison;
-use crate::syntax::ast::{Atom, Clause, Literal, Place, TermKind};
+use crate::syntax::ast::{Atom, Clause, Literal, Operator, Place, TermKind};
 use crate::syntax::functor::{AggregateOp, Functor};
 use crate::syntax::lexer::{CONJUNCTION, DISJUNCTION, IMPLICATION, Kind, NEGATION, Token};
 
@@ -225,8 +225,16 @@ impl Parser<'_> {
         if self.is_applied_aggregate() {
             return Err(self.applied_aggregate(start));
         }
+        if let Some(operator) = self.operator_ahead() {
+            return Ok(vec![self.temporal(start, operator, None)?]);
+        }
         if start.kind == Kind::Ident && next.kind == Kind::LParen && !self.is_term_with_parentheses() {
-            return Ok(vec![self.atom_or_symbol_test()?]);
+            return match self.atom_or_symbol_test()? {
+                Literal::Atom { atom, .. } if self.since_ahead() => {
+                    Ok(vec![self.temporal(start, Operator::Since, Some(atom))?])
+                }
+                literal => Ok(vec![literal]),
+            };
         }
         let is_alone = comparison(next.kind).is_none() && self.infix(next).is_none();
         match self.slice(start) {
@@ -260,6 +268,9 @@ impl Parser<'_> {
         let mut atom = self.atom("`(`")?;
         let Some(op) = op else {
             let after = self.token();
+            if self.since_ahead() {
+                return Ok(Literal::Atom { negated: false, atom });
+            }
             if after.kind == Kind::LParen && !after.first_on_line {
                 let help = "the name of a predicate is one word, as in `IsCar(X)`; literals are separated by commas";
                 return Err(self.expected_with("`,` or `.`", Some(help)));
@@ -491,6 +502,10 @@ fn negate_one(literal: Literal) -> Vec<Literal> {
             left,
             right,
             place,
+        }],
+        Literal::Temporal { negated, temporal } => vec![Literal::Temporal {
+            negated: !negated,
+            temporal,
         }],
         Literal::Any(alternatives) => alternatives.into_iter().flat_map(negate).collect(),
     }

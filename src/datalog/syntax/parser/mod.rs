@@ -19,6 +19,7 @@ use std::ops::RangeInclusive;
 mod clause;
 mod directive;
 mod expression;
+mod temporal;
 
 pub(crate) use clause::negate;
 

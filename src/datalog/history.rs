@@ -1,0 +1,254 @@
+//! The memory of a session: which rows of hidden predicates follow from earlier ticks.
+//!
+//! ```text
+//! tick              0  1  2  3  4  5  6
+//! P(x)              .  x  x  .  .  .  .      one run, from 1 to 2
+//! once[1,3] P(x)    .  .  x  x  x  x  .      from 1 + 1 to 2 + 3
+//! ```
+//!
+//! For each row the memory keeps runs: spans of ticks in which the row held. A run whose end no window can see any more
+//! is forgotten. A row changes in a hidden predicate some fixed number of ticks after a run begins or ends. The agenda
+//! keeps these ticks, so the work of a tick depends on what changes in it. The exception is `P since Q` for rows in
+//! which Q holds and P does not.
+
+use std::collections::{BTreeMap, BTreeSet, HashMap, HashSet};
+
+use crate::check::{Past, PastOperator, PredicateId};
+use crate::eval::delta::Delta;
+use crate::value::Value;
+
+type Row = Box<[Value]>;
+
+/// The end of a run that has not ended.
+const OPEN: u64 = u64::MAX;
+
+/// The memory of a session.
+#[derive(Clone, Debug, Default)]
+pub(crate) struct History {
+    /// The present tick.
+    tick: u64,
+    memories: Vec<Memory>,
+    /// For each watched predicate, the rows that commits of the present tick changed, and whether they hold now.
+    changes: BTreeMap<PredicateId, BTreeMap<Row, bool>>,
+    /// The changes of hidden rows that no commit has made yet.
+    pub staged: Vec<(PredicateId, Row, bool)>,
+}
+
+/// The memory of one hidden predicate.
+#[derive(Clone, Debug)]
+struct Memory {
+    past: Past,
+    /// The rows that hold in the hidden predicate.
+    holding: BTreeSet<Row>,
+    rows: HashMap<Row, Runs>,
+    /// The rows to look at in later ticks.
+    agenda: BTreeMap<u64, BTreeSet<Row>>,
+    /// For `since`: the rows of the first predicate that hold.
+    held: HashSet<Row>,
+    /// For `since`: the rows with runs, by the row of the first predicate.
+    by_held: HashMap<Row, BTreeSet<Row>>,
+    /// For `since`: the rows with runs for which the first predicate does not hold.
+    unheld: BTreeSet<Row>,
+}
+
+/// The runs of a row, in order: first and last tick. The last one may be open.
+type Runs = Vec<(u64, u64)>;
+
+impl History {
+    pub fn new(pasts: &[Past]) -> History {
+        let memory = |past: &Past| Memory {
+            past: past.clone(),
+            holding: BTreeSet::new(),
+            rows: HashMap::new(),
+            agenda: BTreeMap::new(),
+            held: HashSet::new(),
+            by_held: HashMap::new(),
+            unheld: BTreeSet::new(),
+        };
+        let watched = pasts.iter().flat_map(|past| {
+            let held = match &past.operator {
+                PastOperator::Since(held, _) => Some(*held),
+                PastOperator::Once | PastOperator::Always => None,
+            };
+            held.into_iter().chain([past.operand])
+        });
+        History {
+            tick: 0,
+            memories: pasts.iter().map(memory).collect(),
+            changes: watched.map(|predicate| (predicate, BTreeMap::new())).collect(),
+            staged: Vec::new(),
+        }
+    }
+
+    /// Returns the number of the present tick, from 0.
+    pub fn tick(&self) -> u64 {
+        self.tick
+    }
+
+    /// Notes what a commit changed.
+    pub fn note(&mut self, delta: &Delta) {
+        self.staged.clear();
+        for (predicate, changes) in &mut self.changes {
+            let Some(change) = delta.of(*predicate) else { continue };
+            for (rows, holds) in [(&change.removed, false), (&change.added, true)] {
+                for row in rows.iter() {
+                    // A second change undoes the first.
+                    if changes.remove(row).is_none() {
+                        changes.insert(row.into(), holds);
+                    }
+                }
+            }
+        }
+    }
+
+    /// Begins the next tick. Stages the changes of the hidden rows.
+    pub fn advance(&mut self) {
+        let ended = self.tick;
+        self.tick += 1;
+        let changed = |predicate: PredicateId| self.changes.get(&predicate).into_iter().flatten();
+        for memory in &mut self.memories {
+            for (row, &holds) in changed(memory.past.operand) {
+                memory.note(row, holds, ended);
+            }
+            if let PastOperator::Since(held, _) = memory.past.operator {
+                memory.note_held(changed(held), ended);
+            }
+            memory.advance(self.tick, &mut self.staged);
+        }
+        self.changes.values_mut().for_each(BTreeMap::clear);
+    }
+
+    /// Returns the bytes of the memory, about.
+    pub fn bytes(&self) -> u64 {
+        /// The bytes of a row in a map or set, besides its values.
+        const ENTRY: usize = 48;
+        /// The number of maps and sets that contain a row.
+        const COPIES: usize = 6;
+        let of_memory = |memory: &Memory| {
+            let arity = memory.rows.keys().next().map_or(0, |row| row.len());
+            (memory.rows.len() + memory.held.len()) * COPIES * (ENTRY + arity * size_of::<Value>())
+        };
+        self.memories.iter().map(of_memory).sum::<usize>() as u64
+    }
+
+    /// Returns the last tick in which a row of a hidden predicate began to hold: for an operator that looks for some
+    /// tick, the nearest tick of its window in which the operand held.
+    pub fn witness(&self, predicate: PredicateId, row: &[Value]) -> Option<u64> {
+        let memory = self.memories.iter().find(|memory| memory.past.predicate == predicate)?;
+        let runs = memory.rows.get(row)?;
+        let nearest = self.tick.checked_sub(u64::from(memory.past.first))?;
+        let begun = runs.iter().rev().find(|(start, _)| *start <= nearest)?;
+        Some(begun.1.min(nearest))
+    }
+}
+
+impl Memory {
+    /// Notes a change of the operand in tick `now`.
+    fn note(&mut self, row: &Row, holds: bool, now: u64) {
+        let runs = self.rows.entry(row.clone()).or_default();
+        match holds {
+            true => runs.push((now, OPEN)),
+            // It did not hold in this tick, so the tick before was the last one.
+            false => runs.last_mut().expect("it held").1 = now - 1,
+        }
+        let (first, last) = (u64::from(self.past.first), self.past.last.map(u64::from));
+        // `Always` waits for the whole window, and ends with its first tick.
+        let delay = match (&self.past.operator, holds) {
+            (PastOperator::Always, true) | (PastOperator::Once | PastOperator::Since(..), false) => last,
+            _ => Some(first),
+        };
+        // A run that ended is forgotten after the whole window.
+        let forgotten = last.filter(|_| !holds);
+        for delay in delay.into_iter().chain(forgotten) {
+            self.agenda.entry(now + delay).or_default().insert(row.clone());
+        }
+        if let PastOperator::Since(_, columns) = &self.past.operator {
+            let key: Row = columns.iter().map(|&column| row[column]).collect();
+            if !self.held.contains(&key) {
+                self.unheld.insert(row.clone());
+            }
+            self.by_held.entry(key).or_default().insert(row.clone());
+        }
+    }
+
+    /// Notes changes of the first predicate of `since` in tick `now`, and cuts the runs of rows for which it does not
+    /// hold.
+    fn note_held<'r>(&mut self, changes: impl Iterator<Item = (&'r Row, &'r bool)>, now: u64) {
+        for (key, &holds) in changes {
+            let rows = self.by_held.get(key).into_iter().flatten().cloned();
+            if holds {
+                self.held.insert(key.clone());
+                rows.for_each(|row| {
+                    self.unheld.remove(&row);
+                });
+            } else {
+                self.held.remove(key);
+                self.unheld.extend(rows);
+            }
+        }
+        for row in &self.unheld {
+            let runs = self.rows.get_mut(row).expect("it has runs");
+            let open = runs.last().is_some_and(|run| run.1 == OPEN);
+            runs.clear();
+            if open {
+                runs.push((now, OPEN));
+                let due = now + u64::from(self.past.first);
+                self.agenda.entry(due).or_default().insert(row.clone());
+            }
+            self.agenda.entry(now + 1).or_default().insert(row.clone());
+        }
+    }
+
+    /// Stages the hidden rows that change in tick `now`.
+    fn advance(&mut self, now: u64, staged: &mut Vec<(PredicateId, Row, bool)>) {
+        let first = u64::from(self.past.first);
+        let far = self.past.last.map(|last| now.checked_sub(u64::from(last)));
+        // The window: from `from` to `to`, as far as there are ticks.
+        let (from, to) = (far.flatten().unwrap_or(0), now.checked_sub(first));
+        let whole = far.is_some_and(|far| far.is_some());
+        while let Some(due) = self.agenda.first_entry().filter(|due| *due.key() <= now) {
+            for row in due.remove() {
+                let Some(runs) = self.rows.get_mut(&row) else { continue };
+                // What ended before the window is forgotten.
+                runs.retain(|run| run.1 >= from);
+                let begun = to.and_then(|to| runs.iter().rposition(|run| run.0 <= to));
+                let holds = match self.past.operator {
+                    PastOperator::Always => {
+                        let covers = |run: &(u64, u64)| run.0 <= from && to.is_some_and(|to| to <= run.1);
+                        whole && runs.iter().any(covers)
+                    }
+                    PastOperator::Once | PastOperator::Since(..) => {
+                        // If an earlier run is in the window, so is this one.
+                        runs.drain(..begun.unwrap_or(0));
+                        begun.is_some()
+                    }
+                };
+                if runs.is_empty() {
+                    self.forget(&row);
+                }
+                let changed = match holds {
+                    true => self.holding.insert(row.clone()),
+                    false => self.holding.remove(&row),
+                };
+                if changed {
+                    staged.push((self.past.predicate, row, holds));
+                }
+            }
+        }
+    }
+
+    /// Drops what is known about a row without runs.
+    fn forget(&mut self, row: &Row) {
+        self.rows.remove(row);
+        self.unheld.remove(row);
+        if let PastOperator::Since(_, columns) = &self.past.operator {
+            let key: Row = columns.iter().map(|&column| row[column]).collect();
+            if let Some(rows) = self.by_held.get_mut(&key) {
+                rows.remove(row);
+                if rows.is_empty() {
+                    self.by_held.remove(&key);
+                }
+            }
+        }
+    }
+}
