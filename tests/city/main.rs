@@ -25,6 +25,7 @@ mod root;
 mod schema;
 mod shipped_world;
 mod spf;
+mod temporal;
 mod training;
 mod vector;
 #[path = "../datalog/written_program.rs"]

@@ -24,6 +24,7 @@ use crate::check::names::Names;
 use crate::check::rules::{Past, PastOperator};
 use crate::syntax::ast::{
     Aggregate, Atom, Clause, ColumnDecl, Decl, Item, Literal, Name, Operator, Place, Scope, Temporal, Term, TermKind,
+    TypeDefinition,
 };
 use crate::syntax::printer::write_operator;
 
@@ -77,6 +78,7 @@ pub(crate) fn lower(items: &[Item], faults: &mut Faults) -> Option<Lowered> {
     let mut lowering = Lowering {
         columns: HashMap::new(),
         derived: HashSet::new(),
+        parents: HashMap::new(),
         scope: None,
         ego: None,
         operands: IndexMap::new(),
@@ -94,6 +96,14 @@ pub(crate) fn lower(items: &[Item], faults: &mut Faults) -> Option<Lowered> {
                 for name in names {
                     lowering.columns.insert(&name.text, columns.as_deref());
                 }
+            }
+            Item::Type(decl) => {
+                let parents = match &decl.definition {
+                    TypeDefinition::Subtype(parent) | TypeDefinition::Alias(parent) => std::slice::from_ref(parent),
+                    TypeDefinition::Union(members) => members,
+                    TypeDefinition::Faulty => &[],
+                };
+                lowering.parents.insert(&decl.name.text, parents);
             }
             Item::Clause(clause) if !clause.body.is_empty() => {
                 let heads = clause.heads.iter().map(|head| head.predicate.text.as_str());
@@ -204,6 +214,8 @@ struct Lowering<'c, 'f> {
     columns: HashMap<&'c str, Option<&'c [ColumnDecl]>>,
     /// The predicates that clauses with a body derive.
     derived: HashSet<&'c str>,
+    /// The types that the declaration of each type names.
+    parents: HashMap<&'c str, &'c [Name]>,
     /// The scope in force.
     scope: Option<&'c Name>,
     /// The first argument of the head, if a scope is in force and it is a variable.
@@ -287,9 +299,10 @@ impl<'c> Lowering<'c, '_> {
     fn temporal(&mut self, temporal: &'c Temporal) -> Atom {
         self.check_terms(temporal);
         // One literal has one view: if it concerns others, the ego is a column of both of its atoms.
-        let ego = self
-            .ego
-            .filter(|ego| temporal.atoms().any(|atom| concerns_others(atom, ego)));
+        let ego = self.ego.filter(|ego| {
+            let mut atoms = temporal.atoms();
+            atoms.any(|atom| self.in_view(atom, ego).is_some())
+        });
         let held = temporal.held.as_ref().map(|held| self.operand(held, ego));
         let operand = self.operand(&temporal.atom, ego);
         let held = held.map(|held| {
@@ -371,7 +384,7 @@ impl<'c> Lowering<'c, '_> {
             terms,
             columns: variables.len(),
         };
-        if plain && ego.is_none() && self.derived.contains(name.as_str()) {
+        if plain && (ego.is_none() || variables.len() == 1) && self.derived.contains(name.as_str()) {
             return Operand {
                 predicate: name.clone(),
                 variables,
@@ -385,19 +398,7 @@ impl<'c> Lowering<'c, '_> {
                 let types = variables.iter().map(|variable| self.type_of(variable, [atom], ego));
                 let types: Vec<Name> = types.collect();
                 self.declare(&predicate, types, atom.place);
-                let clause = Clause {
-                    heads: vec![over(&predicate, &variables, atom.place)],
-                    body: vec![Literal::Atom {
-                        negated: false,
-                        atom: atom.clone(),
-                    }],
-                    doc: String::new(),
-                    place: atom.place,
-                };
-                match ego {
-                    Some(_) => self.scoped.push((self.scope.cloned(), clause)),
-                    None => self.clauses.push(clause),
-                }
+                self.define_operand(atom, over(&predicate, &variables, atom.place), ego);
                 self.operands.insert(pattern.clone(), predicate.clone());
                 predicate
             }
@@ -407,6 +408,71 @@ impl<'c> Lowering<'c, '_> {
             variables,
             pattern,
         }
+    }
+
+    /// Adds the clause of the hidden predicate of an operand.
+    fn define_operand(&mut self, atom: &'c Atom, head: Atom, ego: Option<&'c Term>) {
+        let place = atom.place;
+        let mut atom = atom.clone();
+        let mut sees = None;
+        if let (Some(ego), Some(scope)) = (ego, self.scope)
+            && atom.terms.iter().all(|term| term.kind != ego.kind)
+        {
+            // The guard alone would not bind the ego.
+            let seen = self.in_view(&atom, ego);
+            sees = seen.map(|column| {
+                let seen = &mut atom.terms[column];
+                if seen.kind == TermKind::Wildcard {
+                    seen.kind = TermKind::Variable("_seen".to_owned());
+                }
+                over(&scope.text, &[ego, seen], place)
+            });
+        }
+        let body = sees
+            .into_iter()
+            .chain([atom])
+            .map(|atom| Literal::Atom { negated: false, atom });
+        let clause = Clause {
+            heads: vec![head],
+            body: body.collect(),
+            doc: String::new(),
+            place,
+        };
+        match ego {
+            Some(_) => self.scoped.push((self.scope.cloned(), clause)),
+            None => self.clauses.push(clause),
+        }
+    }
+
+    /// Returns the first column of an atom with a variable other than the ego, or with `_`, that the scope guards.
+    fn in_view(&self, atom: &Atom, ego: &Term) -> Option<usize> {
+        let columns = |name: &str| *self.columns.get(name)?;
+        let seen = columns(&self.scope?.text)?.get(1)?;
+        let columns = columns(&atom.predicate.text)?;
+        let guarded = |term: &Term, column: &ColumnDecl| {
+            let other = match &term.kind {
+                TermKind::Variable(_) => term.kind != ego.kind,
+                kind => *kind == TermKind::Wildcard,
+            };
+            other && (self.is_within(&seen.ty.text, &column.ty.text) || self.is_within(&column.ty.text, &seen.ty.text))
+        };
+        let mut terms = atom.terms.iter().zip(columns);
+        terms.position(|(term, column)| guarded(term, column))
+    }
+
+    /// Returns whether the definition of a type leads to another one.
+    fn is_within(&self, from: &str, to: &str) -> bool {
+        let (mut open, mut seen) = (vec![from], HashSet::new());
+        while let Some(ty) = open.pop() {
+            if ty == to {
+                return true;
+            }
+            if seen.insert(ty) {
+                let parents = self.parents.get(ty).copied().unwrap_or_default();
+                open.extend(parents.iter().map(|parent| parent.text.as_str()));
+            }
+        }
+        false
     }
 
     /// Defines the predicate of a literal.
@@ -539,15 +605,6 @@ impl<'c> Lowering<'c, '_> {
             place: variable.place,
         }
     }
-}
-
-/// Returns whether an atom has variables other than the ego, or `_`.
-fn concerns_others(atom: &Atom, ego: &Term) -> bool {
-    let other = |term: &Term| match &term.kind {
-        TermKind::Variable(_) => term.kind != ego.kind,
-        kind => *kind == TermKind::Wildcard,
-    };
-    atom.terms.iter().any(other)
 }
 
 fn name_of(term: &Term) -> &str {

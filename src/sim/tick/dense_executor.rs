@@ -7,6 +7,7 @@ use crate::datalog::{ClauseId, PredicateId};
 use crate::diag::Diagnostic;
 use crate::diag::codes;
 use crate::sim::tick::executor::not_dense;
+use crate::sim::tick::memory::{AgentRows, Watched};
 use crate::sim::tick::vocabulary::{Actions, Vocabulary};
 use crate::sim::tick::width::{Width, in_words};
 use crate::sim::tick::window::{AgentState, Grounder, Near, Now, Position, Window};
@@ -34,17 +35,20 @@ pub(super) struct Decisions {
     /// `words` words per agent: bit `i` is set if the counted clause `i` derived an action for it.
     fired: Vec<AtomicU64>,
     words: usize,
+    /// The rows that temporal operators of later ticks read.
+    pub watched: Watched,
 }
 
 impl Decisions {
     /// Creates empty decisions for this number of agents and counted clauses.
-    pub fn new(agents: usize, clauses: usize) -> Self {
+    pub fn new(agents: usize, clauses: usize, watched: Watched) -> Self {
         let words = clauses.div_ceil(64);
         Decisions {
             derived: (0..agents).map(|_| AtomicU8::new(0)).collect(),
             firings: vec![0; clauses],
             fired: (0..agents * words).map(|_| AtomicU64::new(0)).collect(),
             words,
+            watched,
         }
     }
 
@@ -57,6 +61,7 @@ impl Decisions {
         self.derived.iter_mut().for_each(|bits| *bits.get_mut() = 0);
         self.firings.fill(0);
         self.fired.iter_mut().for_each(|bits| *bits.get_mut() = 0);
+        self.watched.clear();
     }
 
     #[inline]
@@ -99,15 +104,39 @@ struct Reading {
     actions: Vec<(Action, PredicateId)>,
     /// The counted clauses, each with whether its head is an action.
     clauses: Vec<(ClauseId, bool)>,
+    /// The predicates that temporal operators are about, with their numbers of columns.
+    watched: Vec<(PredicateId, usize)>,
 }
 
 impl Reading {
     /// Variant of `read` for a window that contains the whole city.
     fn read_all<const W: usize>(&self, window: &Window<W>, out: &mut Decisions) {
-        let mut firings = std::mem::take(&mut out.firings);
+        let (mut firings, mut watched) = (std::mem::take(&mut out.firings), std::mem::take(&mut out.watched));
         let all = crate::datalog::dense::first(window.bodies.len());
         self.read(window, &all, out, &mut firings);
-        out.firings = firings;
+        self.watch(window, &all, &mut watched.rows);
+        (out.firings, out.watched) = (firings, watched);
+    }
+
+    /// Adds the rows of the watched predicates whose first column is one of `egos`.
+    fn watch<const W: usize>(&self, window: &Window<W>, egos: &Set<W>, rows: &mut [AgentRows]) {
+        let dense = &self.grounder.rules.dense;
+        let agent = |entity: usize| window.bodies[entity].agent;
+        for (&(predicate, arity), rows) in self.watched.iter().zip(rows) {
+            if arity < 2 {
+                let set = window.bit_state.set(dense, predicate);
+                rows.extend(set.into_iter().flat_map(members).map(|entity| [agent(entity), 0]));
+                continue;
+            }
+            for ego in members(egos) {
+                let row = window.bit_state.row(dense, predicate, ego);
+                rows.extend(
+                    row.into_iter()
+                        .flat_map(members)
+                        .map(|other| [agent(ego), agent(other)]),
+                );
+            }
+        }
     }
 
     /// Adds the decisions of a window for its `egos` to `out`, and the firings of its clauses to `firings`.
@@ -215,6 +244,7 @@ impl DenseExecutor {
             grounder: Grounder::new(plan),
             clauses: clauses.iter().map(|clause| (*clause, of_action(clause))).collect(),
             actions,
+            watched: world.watched().predicates().to_vec(),
         };
         if agents.len() <= Near::MAX {
             let mut few = Few::default();
@@ -391,7 +421,14 @@ struct Worker {
     wider: Window<16>,
     widest: Window<64>,
     found: Vec<AgentState>,
+    tally: Tally,
+}
+
+/// What a thread adds to the decisions at the end of a tick.
+#[derive(Default)]
+struct Tally {
     firings: Vec<usize>,
+    watched: Vec<AgentRows>,
 }
 
 /// A rectangle of cells.
@@ -432,7 +469,7 @@ impl Tiles {
                 wider: Window::new(grounder),
                 widest: Window::new(grounder),
                 found: Vec::new(),
-                firings: Vec::new(),
+                tally: Tally::default(),
             })
         };
         Tiles {
@@ -483,9 +520,11 @@ impl Tiles {
     fn decide(&mut self, reading: &Reading, map: &CityMap, now: Now<'_>, out: &mut Decisions) -> Result<(), Undecided> {
         self.sort();
         for worker in &mut self.workers {
-            let firings = &mut worker.get_mut().expect("no thread has panicked").firings;
-            firings.clear();
-            firings.resize(out.firings.len(), 0);
+            let tally = &mut worker.get_mut().expect("no thread has panicked").tally;
+            tally.firings.clear();
+            tally.firings.resize(out.firings.len(), 0);
+            tally.watched.iter_mut().for_each(Vec::clear);
+            tally.watched.resize_with(out.watched.rows.len(), Vec::new);
         }
         let lines = |cells: i32| (cells + self.side - 1) / self.side;
         let fault_in_row = |row: i32| {
@@ -514,9 +553,12 @@ impl Tiles {
             return Err(fault);
         }
         for worker in &mut self.workers {
-            let firings = &worker.get_mut().expect("no thread has panicked").firings;
-            for (sum, fired) in out.firings.iter_mut().zip(firings) {
+            let tally = &worker.get_mut().expect("no thread has panicked").tally;
+            for (sum, fired) in out.firings.iter_mut().zip(&tally.firings) {
                 *sum += fired;
+            }
+            for (all, rows) in out.watched.rows.iter_mut().zip(&tally.watched) {
+                all.extend_from_slice(rows);
             }
         }
         Ok(())
@@ -565,9 +607,9 @@ impl Tiles {
             egos,
         };
         match Width::of(found.len()) {
-            Some(Width::One) => evaluate.run(&mut worker.narrow, found, &mut worker.firings)?,
-            Some(Width::Two) => evaluate.run(&mut worker.pair, found, &mut worker.firings)?,
-            Some(Width::Four) => evaluate.run(&mut worker.wide, found, &mut worker.firings)?,
+            Some(Width::One) => evaluate.run(&mut worker.narrow, found, &mut worker.tally)?,
+            Some(Width::Two) => evaluate.run(&mut worker.pair, found, &mut worker.tally)?,
+            Some(Width::Four) => evaluate.run(&mut worker.wide, found, &mut worker.tally)?,
             _ if tile.rows > BIN || tile.cols > BIN => {
                 // Splits the tile where the city is crowded.
                 let half = |cells: i32| (cells / 2 + BIN - 1) / BIN * BIN;
@@ -585,8 +627,8 @@ impl Tiles {
                     }
                 }
             }
-            Some(Width::Sixteen) => evaluate.run(&mut worker.wider, found, &mut worker.firings)?,
-            Some(Width::SixtyFour) => evaluate.run(&mut worker.widest, found, &mut worker.firings)?,
+            Some(Width::Sixteen) => evaluate.run(&mut worker.wider, found, &mut worker.tally)?,
+            Some(Width::SixtyFour) => evaluate.run(&mut worker.widest, found, &mut worker.tally)?,
             None => {
                 let (many, Cell { row, col }) = (found.len(), tile.first);
                 let message = format!("{many} agents around the cell [{row}, {col}], the limit is {WINDOW_MAX}");
@@ -631,7 +673,7 @@ impl Evaluate<'_> {
         &self,
         window: &mut Window<W>,
         found: &mut Vec<AgentState>,
-        firings: &mut [usize],
+        tally: &mut Tally,
     ) -> Result<(), TooManySteps> {
         std::mem::swap(&mut window.bodies, found);
         let Area { first, rows, cols } = self.window;
@@ -640,7 +682,8 @@ impl Evaluate<'_> {
         window.bit_state.set_egos(egos);
         let decided = window.run(&self.reading.grounder, self.now);
         if decided.is_ok() {
-            self.reading.read(window, &egos, self.out, firings);
+            self.reading.read(window, &egos, self.out, &mut tally.firings);
+            self.reading.watch(window, &egos, &mut tally.watched);
         }
         std::mem::swap(&mut window.bodies, found);
         decided

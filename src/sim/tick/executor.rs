@@ -112,8 +112,22 @@ impl DenseRules {
                 }
             }
         }
+        let pasts = &self.conditions.rules.pasts;
+        for (past, rows) in pasts.iter().zip(&facts.past) {
+            let arity = self.conditions.rules.predicates[past.predicate.index()].arity();
+            for row in rows {
+                let row = row.map(|entity| entity as usize);
+                bits.insert(&self.dense, past.predicate, &row[..arity]);
+            }
+        }
         self.conditions.add_to(&mut bits, &self.dense, facts, count);
         bits
+    }
+
+    /// Returns the position in [`Rules::pasts`] of the memory with this hidden predicate.
+    pub(crate) fn past(&self, predicate: PredicateId) -> Option<usize> {
+        let mut pasts = self.conditions.rules.pasts.iter();
+        pasts.position(|past| past.predicate == predicate)
     }
 }
 

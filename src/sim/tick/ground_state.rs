@@ -2,8 +2,9 @@
 
 use crate::cancel::Cancel;
 use crate::city::{Action, Heading};
-use crate::datalog::{BaseType, EvalError, Limits, PredicateId, Program, Session, Value};
+use crate::datalog::{BaseType, EvalError, Limits, Past, PredicateId, Program, Session, Value};
 use crate::sim::tick::ground::Facts;
+use crate::sim::tick::memory::Watched;
 use crate::sim::tick::vocabulary::{Actions, Vocabulary};
 use std::collections::HashMap;
 
@@ -13,6 +14,8 @@ pub struct GroundState {
     entities: Vec<Value>,
     positions: HashMap<Value, usize>,
     predicates: Vec<Option<GroundPredicate>>,
+    /// The hidden predicates about earlier ticks.
+    pasts: Vec<GroundPredicate>,
     /// The symbols of the headings, in the order of [`Heading::ALL`].
     headings: [Value; 4],
     facts: Facts,
@@ -67,6 +70,12 @@ impl GroundState {
         names: impl Iterator<Item = &'n str>,
     ) -> Self {
         let mut session = program.session();
+        let rules = program.rules();
+        let past = |past: &Past| GroundPredicate {
+            id: past.predicate,
+            arity: rules.predicates[past.predicate.index()].arity(),
+            value: None,
+        };
         let entities: Vec<Value> = names.map(|name| session.intern(name)).collect();
         GroundState {
             positions: entities
@@ -79,6 +88,7 @@ impl GroundState {
             session,
             facts: Facts::new(predicates.len()),
             predicates,
+            pasts: rules.pasts.iter().map(past).collect(),
             limits,
         }
     }
@@ -133,6 +143,18 @@ impl GroundState {
                 (self.session.insert(predicate.id, &words[..predicate.columns()])).expect("bound predicates fit");
             }
         }
+        for (index, predicate) in self.pasts.iter().enumerate() {
+            let rows = |of: &Facts| of.past.get(index).cloned().unwrap_or_default();
+            let (old, new) = (rows(&self.facts), rows(facts));
+            for row in old.iter().filter(|row| new.binary_search(row).is_err()) {
+                let words = self.words(*predicate, *row, None);
+                (self.session.retract(predicate.id, &words[..predicate.arity])).expect("bound predicates fit");
+            }
+            for row in new.iter().filter(|row| old.binary_search(row).is_err()) {
+                let words = self.words(*predicate, *row, None);
+                (self.session.insert(predicate.id, &words[..predicate.arity])).expect("bound predicates fit");
+            }
+        }
         self.session.set_limits(Limits {
             bytes: limit - held,
             ..self.limits
@@ -171,6 +193,22 @@ impl GroundState {
             predicate.is_some_and(|predicate| self.session.contains(predicate, [self.entities[entity]]))
         };
         Action::ALL.into_iter().filter(holds).collect()
+    }
+
+    /// Adds the rows of the predicates that temporal operators are about.
+    pub(crate) fn watch(&self, watched: &mut Watched) {
+        watched.clear();
+        let predicates = watched.predicates().to_vec();
+        for ((predicate, arity), rows) in predicates.into_iter().zip(&mut watched.rows) {
+            rows.extend(self.session.encoded_rows(predicate).filter_map(|words| {
+                let mut row = [0; 2];
+                for (agent, word) in row.iter_mut().zip(&words[..arity]) {
+                    // A constant may name no agent.
+                    *agent = u32::try_from(self.entity(*word)?).expect("fewer than 2^32 agents");
+                }
+                Some(row)
+            }));
+        }
     }
 
     /// Returns the session.

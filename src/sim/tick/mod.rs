@@ -1,7 +1,8 @@
 //! The tick: from the state of the agents to facts, and from facts to one action per agent.
 //!
 //! `vocabulary` binds the configuration to the rules. The relational executor takes its facts from `ground` and keeps
-//! them in a `ground_state`. The dense one computes them in a `window`. See [`Executor`](crate::sim::Executor).
+//! them in a `ground_state`. The dense one computes them in a `window`. `memory` keeps what temporal operators read of
+//! earlier ticks. See [`Executor`](crate::sim::Executor).
 
 pub(super) mod asked;
 pub(super) mod chance;
@@ -9,6 +10,7 @@ mod dense_executor;
 pub(super) mod executor;
 pub(super) mod ground;
 pub(super) mod ground_state;
+pub(super) mod memory;
 pub(super) mod simulation;
 pub(super) mod vocabulary;
 pub(super) mod width;

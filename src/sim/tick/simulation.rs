@@ -15,6 +15,7 @@ use crate::sim::tick::dense_executor::{Decisions, DenseExecutor, Undecided, WHOL
 use crate::sim::tick::executor::{Choice, Executor, given_up, of_rules};
 use crate::sim::tick::ground::{Facts, MAX_ENTITIES, ground_with};
 use crate::sim::tick::ground_state::GroundState;
+use crate::sim::tick::memory::Memory;
 use crate::sim::tick::vocabulary::{Actions, Vocabulary};
 use crate::sim::tick::window::{Now, Position};
 use crate::sim::tick::world::World;
@@ -67,6 +68,8 @@ pub struct Simulation {
     /// Why the dense executor was not chosen or gave up.
     fallback: Option<Diagnostic>,
     decisions: Decisions,
+    /// What the rules read of earlier ticks in the last tick; before the first one, nothing.
+    memory: Memory,
     /// The action that the caller imposes on each agent. All `None` between ticks.
     given: Vec<Option<Action>>,
     /// The session with the facts on which tick `stated` was decided. Created on first use.
@@ -197,6 +200,9 @@ impl Simulation {
         (tick, agents): (u64, Vec<Agent>),
         cancel: &Cancel,
     ) -> Result<Simulation, Diagnostic> {
+        world
+            .vocabulary
+            .without_time(&world.program, "simulations that begin in a later tick")?;
         let mut simulation = Simulation::with_agents(world, split, seed, settings, agents, cancel)?;
         simulation.tick = tick;
         simulation.report.tick = tick;
@@ -256,7 +262,8 @@ impl Simulation {
             places,
             seed,
             tick: 0,
-            decisions: Decisions::new(agents.len(), to_count.len()),
+            memory: Memory::new(&world.program.rules().pasts, &world.watched(), agents.len()),
+            decisions: Decisions::new(agents.len(), to_count.len(), world.watched()),
             given: vec![None; agents.len()],
             positions: match &dense {
                 Some(dense) if !dense.takes_positions() => Vec::new(),
@@ -329,6 +336,7 @@ impl Simulation {
             dense.restart(self.world.map(), &self.agents);
         }
         self.decisions.clear();
+        self.memory.clear();
         self.report.tick = 0;
         for (done, agent) in self.report.agents.iter_mut().zip(&self.agents) {
             *done = AgentTick::resting(agent);
@@ -504,11 +512,16 @@ impl Simulation {
         };
         let map = self.world.map();
         let threads = threads_of(self.threads.as_ref())?;
+        // Until now the memory was that of the last tick, for explanations. After an error it is already that of this one.
+        if !self.memory.is_empty() && self.memory.ticks() < self.tick {
+            self.memory.advance(&mut self.decisions.watched);
+        }
         if let Some(dense) = &mut self.dense {
             let decisions = &mut self.decisions;
             let now = Now {
                 draws,
                 agents: &self.agents,
+                memory: &self.memory,
             };
             let decided = match &threads {
                 Some(pool) => pool.install(|| dense.decide(map, now, decisions)),
@@ -609,13 +622,15 @@ impl Simulation {
         let (vocabulary, view) = (&world.vocabulary, world.scenario.view);
         let unread = |index: usize| !vocabulary.is_read(index);
         let bounds = (world.limits.bytes, &self.cancel);
-        let facts = ground_with(vocabulary, world.map(), view, &entities, &draws, unread, bounds)?;
+        let mut facts = ground_with(vocabulary, world.map(), view, &entities, &draws, unread, bounds)?;
+        facts.past = self.memory.rows();
         let state = (self.state).get_or_insert_with(|| ground_state(&self.world, &self.agents));
         state
             .set_with(&facts, &self.cancel)
             .map_err(|error| error.diagnostic(self.world.program.rules()))?;
         self.stated = Some(draws.time);
         self.decisions.clear();
+        state.watch(&mut self.decisions.watched);
         for agent in 0..self.agents.len() {
             for action in state.derived(&self.world.vocabulary, agent).iter() {
                 self.decisions.add(agent, action);
@@ -697,7 +712,14 @@ impl Simulation {
             unwanted,
             (world.limits.bytes, cancel),
         );
-        Ok(facts?)
+        if self.memory.ticks() > self.report.tick {
+            let message = "the last tick cannot be evaluated again, since the next one has failed";
+            return Err(Diagnostic::new(diag::codes::LIMIT_EXCEEDED, message));
+        }
+        Ok(Facts {
+            past: self.memory.rows(),
+            ..facts?
+        })
     }
 
     /// Evaluates the rules on other facts with the relational executor, incrementally.
@@ -719,6 +741,7 @@ impl Simulation {
                 time: self.tick,
             },
             agents: &self.agents,
+            memory: &self.memory,
         };
         self.dense.as_mut()?.count_facts(self.world.map(), now)
     }

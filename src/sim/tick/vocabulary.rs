@@ -152,6 +152,7 @@ impl Vocabulary {
 
         faults.extend(undefined(scenario, &unknown_inputs(program, &predicates), &predicates));
         faults.extend(unfilled(scenario, program));
+        faults.extend(unremembered(program));
 
         let actions = Action::ALL.map(|action| {
             program.predicate(action.name()).filter(|&id| {
@@ -206,6 +207,20 @@ impl Vocabulary {
                 known.name
             );
             Err(Diagnostic::new(codes::RULE_MISMATCH, message).help("use rules without quantities here"))
+        })
+    }
+
+    /// Checks that the rules read no earlier ticks. `what` has one tick, in the plural.
+    ///
+    /// # Errors
+    /// `rule-mismatch` if they have a temporal operator.
+    pub fn without_time(&self, program: &Program, what: &str) -> Result<(), Diagnostic> {
+        let rules = program.rules();
+        rules.pasts.first().map_or(Ok(()), |past| {
+            let message = format!("{what} have no earlier ticks, but the rules have temporal operators");
+            let fault =
+                Diagnostic::new(codes::RULE_MISMATCH, message).help("use rules without temporal operators here");
+            Err(fault.at(rules.predicates[past.predicate.index()].span, "this looks back"))
         })
     }
 
@@ -331,6 +346,21 @@ fn unfilled(scenario: &Scenario, program: &Program) -> Vec<Diagnostic> {
         }
     }
     faults
+}
+
+/// Returns a diagnostic for each temporal operator over more than two agents, or over values.
+fn unremembered(program: &Program) -> Vec<Diagnostic> {
+    let rules = program.rules();
+    let hidden = rules.pasts.iter().map(|past| &rules.predicates[past.predicate.index()]);
+    let unfit = hidden
+        .filter(|hidden| hidden.arity() > 2 || (hidden.columns.iter()).any(|column| column.base != BaseType::Symbol));
+    let fault = |hidden: &Predicate| {
+        let message = "in a city, a temporal operator relates at most two agents";
+        let fault = Diagnostic::new(codes::RULE_MISMATCH, message);
+        let fault = fault.at(hidden.span, format!("it relates {}", describe(hidden)));
+        fault.help("define a predicate over one or two agents with this body, and apply the operator to that")
+    };
+    unfit.map(fault).collect()
 }
 
 /// Returns the input predicates that a body reads and the configuration does not define, in declaration order.

@@ -7,10 +7,10 @@
 
 use crate::city::AgentKind;
 use crate::city::{Agent, Cell, CityMap, Heading, Junction};
-use crate::datalog::Value;
 use crate::datalog::dense::{
     Argument, BinaryFacts, BitState, Input, List, Set, TooManySteps, and, first, holding, is_empty, members, without,
 };
+use crate::datalog::{PredicateId, Value};
 use crate::predicate::{
     CellTable, Definition, Measured, Pair, PairRelation, Progress, Quantity, Reach, Relation, Static, Subject, Views,
     headings, with_relation,
@@ -18,6 +18,7 @@ use crate::predicate::{
 use crate::sim::tick::chance::{Chance, Draws};
 use crate::sim::tick::executor::DenseRules;
 use crate::sim::tick::ground::word;
+use crate::sim::tick::memory::Memory;
 use crate::sim::tick::vocabulary::Vocabulary;
 use std::collections::BTreeMap;
 use std::ops::Deref;
@@ -95,6 +96,8 @@ pub(crate) struct Now<'a> {
     pub draws: Draws,
     /// All agents, in list order. Only quantities read them.
     pub agents: &'a [Agent],
+    /// What temporal operators read of earlier ticks.
+    pub memory: &'a Memory,
 }
 
 impl Now<'_> {
@@ -115,14 +118,30 @@ impl Now<'_> {
     }
 }
 
+/// A hidden predicate that a dense program reads.
+#[derive(Clone, Copy, Debug)]
+enum Hidden {
+    /// A condition on quantities, by its position.
+    Condition(usize),
+    /// What a temporal operator reads of earlier ticks, by its position in the memory.
+    Past(usize),
+}
+
+impl Hidden {
+    fn of(rules: &DenseRules, predicate: PredicateId) -> Option<Hidden> {
+        let condition = rules.conditions.find(predicate).map(Hidden::Condition);
+        condition.or_else(|| rules.past(predicate).map(Hidden::Past))
+    }
+}
+
 /// A list that a dense program reads.
 #[derive(Clone, Debug)]
 struct Requested {
     /// The position in the vocabulary and the fast form; `None` if the vocabulary lacks the predicate, which then never
     /// holds.
     predicate: Option<(usize, PairRelation)>,
-    /// The position of the condition, for a list of the pairs that meet a condition on quantities.
-    condition: Option<usize>,
+    /// For a list of a hidden predicate.
+    hidden: Option<Hidden>,
     axis: Argument,
     /// The places of possible members, relative to an entity of each kind: without a heading, and with each heading.
     reaches: [[Reach; 5]; 2],
@@ -139,8 +158,8 @@ struct Requested {
 #[derive(Debug)]
 pub(super) struct Plan {
     pub rules: DenseRules,
-    /// The inputs that are conditions on quantities: their positions in the inputs and among the conditions.
-    conditional: Vec<(usize, usize)>,
+    /// The inputs of hidden predicates, by their positions in the inputs, and whether they are diagonals.
+    hidden: Vec<(usize, Hidden, bool)>,
     /// The inputs that depend on an agent's kind and concepts.
     fixed: Vec<(usize, Static)>,
     /// The inputs that depend on an agent's cell.
@@ -196,11 +215,12 @@ impl Plan {
             Some((position, &vocabulary.predicates[position].definition))
         };
         let views = Views::new(view);
-        let (mut fixed, mut local, mut always, mut conditional) = (Vec::new(), Vec::new(), Vec::new(), Vec::new());
-        let DenseRules { dense, conditions, .. } = &rules;
+        let (mut fixed, mut local, mut always, mut hidden) = (Vec::new(), Vec::new(), Vec::new(), Vec::new());
+        let dense = &rules.dense;
         for (input, requested) in dense.inputs().iter().enumerate() {
             let (Input::Unary(wanted) | Input::Diagonal(wanted)) = *requested;
-            conditional.extend(conditions.find(wanted).map(|condition| (input, condition)));
+            let diagonal = matches!(requested, Input::Diagonal(_));
+            hidden.extend(Hidden::of(&rules, wanted).map(|hidden| (input, hidden, diagonal)));
             match find(wanted) {
                 Some((_, Definition::Static(predicate))) => fixed.push((input, predicate.clone())),
                 Some((_, Definition::Local(predicate))) => local.push((input, predicate.table())),
@@ -214,7 +234,7 @@ impl Plan {
                     Definition::Pair(pair) => Some((position, pair)),
                     Definition::Static(_) | Definition::Local(_) | Definition::Quantity(_) => None,
                 });
-                let condition = conditions.find(wanted);
+                let hidden = Hidden::of(&rules, wanted);
                 let forward = axis == Argument::Second;
                 let is_view = forward && matches!(predicate, Some((_, Pair::Sees(_))));
                 let predicate = predicate.map(|(position, pair)| (position, pair.relation()));
@@ -223,17 +243,17 @@ impl Plan {
                 Requested {
                     reaches: AgentKind::ALL.map(|kind| {
                         headings().map(|heading| match (relation, axis) {
-                            (None, _) if condition.is_some() => Reach::Anywhere,
+                            (None, _) if hidden.is_some() => Reach::Anywhere,
                             (None, _) => Reach::Nowhere,
                             (Some(relation), Argument::Second) => relation.reach(&views, kind, heading),
                             (Some(relation), Argument::First) => relation.reach_back(),
                         })
                     }),
                     fills_reach: forward && relation.is_some_and(PairRelation::fills_reach),
-                    in_view: forward && !is_view && condition.is_none() && predicate.as_ref().is_none_or(in_view),
+                    in_view: forward && !is_view && hidden.is_none() && predicate.as_ref().is_none_or(in_view),
                     is_view,
                     predicate,
-                    condition,
+                    hidden,
                     axis,
                 }
             })
@@ -258,7 +278,7 @@ impl Plan {
             lists,
             views,
             rules,
-            conditional,
+            hidden,
             likely,
             likely_inputs: Vec::new(),
         };
@@ -276,9 +296,14 @@ impl Plan {
         holds.map(|(input, _)| *input).collect()
     }
 
-    /// Returns whether agents meet a condition on quantities.
-    fn meets(&self, condition: usize, now: Now<'_>, bodies: [&AgentState; 2]) -> bool {
-        (self.rules.conditions).holds(condition, |_, quantity, places| now.value(quantity, bodies, places))
+    /// Returns whether a hidden predicate holds for agents.
+    fn meets(&self, hidden: Hidden, now: Now<'_>, bodies: [&AgentState; 2]) -> bool {
+        match hidden {
+            Hidden::Condition(condition) => {
+                (self.rules.conditions).holds(condition, |_, quantity, places| now.value(quantity, bodies, places))
+            }
+            Hidden::Past(past) => now.memory.holds(past, bodies[0].agent, bodies[1].agent),
+        }
     }
 
     /// Returns the maximum number of cells that agents see in any direction.
@@ -551,9 +576,19 @@ fn run_in<const W: usize>(
     for (input, set) in inputs.iter().enumerate() {
         bit_state.set_input(&grounder.rules.dense, input, *set);
     }
-    for &(input, condition) in &grounder.conditional {
-        let holds = |body| grounder.meets(condition, now, [body, body]);
-        bit_state.set_input(&grounder.rules.dense, input, set_of(bodies.iter().map(holds)));
+    for &(input, hidden, diagonal) in &grounder.hidden {
+        let set = match hidden {
+            Hidden::Past(past) if !diagonal => {
+                let holding = now.memory.holding(past);
+                set_of(
+                    bodies
+                        .iter()
+                        .map(|body| holding[body.agent as usize / 64] >> (body.agent % 64) & 1 != 0),
+                )
+            }
+            _ => set_of(bodies.iter().map(|body| grounder.meets(hidden, now, [body, body]))),
+        };
+        bit_state.set_input(&grounder.rules.dense, input, set);
     }
     let scene = Scene {
         plan: grounder,
@@ -734,7 +769,7 @@ impl<S> Scene<'_, S> {
     #[inline(never)]
     fn refine<const W: usize>(&self, list: &Requested, at: usize, near: Set<W>) -> Set<W> {
         let Some((predicate, relation)) = &list.predicate else {
-            let Some(condition) = list.condition else {
+            let Some(hidden) = list.hidden else {
                 return [0; W];
             };
             let [at, bodies] = [&self.bodies[at..=at], self.bodies];
@@ -743,7 +778,7 @@ impl<S> Scene<'_, S> {
                     Argument::Second => [&at[0], &bodies[other]],
                     Argument::First => [&bodies[other], &at[0]],
                 };
-                self.plan.meets(condition, self.now, pair)
+                self.plan.meets(hidden, self.now, pair)
             });
         };
         with_relation!(relation, relation => match list.axis {

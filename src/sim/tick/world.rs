@@ -8,6 +8,7 @@ use crate::datalog::dense::TrackFirings;
 use crate::datalog::{Limits, Program};
 use crate::diag::Diagnostic;
 use crate::sim::tick::executor::{DenseRules, compile};
+use crate::sim::tick::memory::Watched;
 use crate::sim::tick::vocabulary::Vocabulary;
 use crate::sim::tick::window::Plan;
 use std::sync::{Arc, OnceLock};
@@ -103,6 +104,12 @@ impl World {
     /// `dense-unsupported` if it cannot evaluate them; the message names the reason.
     pub fn compile(&self, counting: TrackFirings) -> Result<DenseRules, Diagnostic> {
         compile(self.program.rules(), &self.vocabulary, counting)
+    }
+
+    /// Returns the predicates that temporal operators are about.
+    pub(super) fn watched(&self) -> Watched {
+        let rules = self.program.rules();
+        Watched::of(&rules.pasts, |predicate| rules.predicates[predicate.index()].arity())
     }
 
     /// Returns the clauses whose firings are counted: in source order those with a body and a visible head, then the

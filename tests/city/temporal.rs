@@ -1,0 +1,161 @@
+//! Temporal operators in cities: both executors against each other and against the whole history.
+
+use crate::shipped_world::configured;
+use logicity::city::{Action, Split};
+use logicity::config::Scenario;
+use logicity::datalog::{BaseType, Value, naive};
+use logicity::diag::Sources;
+use logicity::rng::{Purpose, RngExt, Seed};
+use logicity::sim::{Executor, Settings, Simulation, World};
+use std::sync::Arc;
+
+const DECLARED: &str = ".include \"vocabulary.dl\"
+.decl Follows(x: agent, y: agent)
+Follows(X, Y) :- NextTo(X, Y), IsCar(Y), RightOf(Y, X).
+.decl Halted(x: agent)
+Halted(X) :- previous Stop(X).
+";
+
+fn world(rules: &str, edit: impl FnOnce(&mut Scenario)) -> (Arc<World>, Sources) {
+    configured("base: expert\n", &format!("{DECLARED}{rules}"), edit)
+}
+
+/// Repeats the agents of the test split on the whole map.
+fn multiply(scenario: &mut Scenario, times: u32) {
+    let mut splits = scenario.splits.iter_mut();
+    let (_, set) = splits.find(|(split, _)| *split == Split::Test).unwrap();
+    (set.region, set.repeat) = (None, times);
+}
+
+/// Random rules: clauses of actions with temporal operators about one agent or two.
+fn random_rules(random: &mut impl RngExt) -> String {
+    let window = |random: &mut dyn FnMut(u32) -> u32, longest: u32| {
+        let first = random(4);
+        format!("[{first},{}]", first + random(longest))
+    };
+    let mut clauses = String::new();
+    for head in ["Stop", "Slow", "Fast"] {
+        for _ in 0..random.random_range(1..4) {
+            let mut body = vec![["IsCar(X)", "IsAtInter(X)", "Sees(X, Z)"][random.random_range(0..3)].to_owned()];
+            for fact in 0..random.random_range(1..3) {
+                let mut draw = |below: u32| random.random_range(0..below);
+                // Some windows do not fit into a word.
+                let longest = [6, 6, 12, 90][draw(4) as usize];
+                let window = window(&mut draw, longest);
+                let literal = match draw(14) {
+                    0 => format!("once{window} IsAtInter(X)"),
+                    1 => format!("once{window} IsInInter(Y)"),
+                    2 => format!("once{window} Follows(X, Y)"),
+                    3 => format!("once{window} NextTo(Y, X)"),
+                    4 => format!("historically{window} IsCar(X), Not(once{window} Stop(X))"),
+                    5 => format!("historically{window} NextTo(X, Y)"),
+                    6 => format!("Sees(X, Y) since{window} Follows(X, Y)"),
+                    7 => format!("Halted(X) since{window} IsAtInter(X)"),
+                    8 => "previous Slow(X)".to_owned(),
+                    9 => format!("for[{}] Halted(X)", 1 + draw(5)),
+                    10 => "Not(once IsInInter(X))".to_owned(),
+                    11 => "once IsBus(Y)".to_owned(),
+                    12 => "Sees(X, Y) since IsPedestrian(Y), NextTo(X, Y)".to_owned(),
+                    _ => format!("Not(once{window} IsClose(X, _))"),
+                };
+                body.push(literal.replace('Y', &format!("Y{fact}")));
+            }
+            clauses += &format!("{head}(X) :- {}.\n", body.join(", "));
+        }
+    }
+    clauses
+}
+
+fn simulation(world: &Arc<World>, executor: Executor, threads: usize) -> Simulation {
+    let settings = Settings {
+        executor,
+        count_firings: true,
+        threads,
+    };
+    Simulation::new(Arc::clone(world), Split::Test, Seed(3), settings).unwrap()
+}
+
+/// The dense executor remembers, in cities of every shape, what the relational one does.
+#[test]
+fn executors_agree_on_random_rules_about_earlier_ticks() {
+    let (mut actions, mut fired) = ([0; 4], 0);
+    for (case, &(times, threads)) in [(1, 1), (1, 1), (1, 1), (1, 1), (5, 1), (5, 1), (20, 1), (20, 2)]
+        .iter()
+        .enumerate()
+    {
+        let rules = random_rules(&mut Seed(case as u64).stream(Purpose::TEST, 0, 0));
+        let (world, _) = world(&rules, |scenario| {
+            if times > 1 {
+                multiply(scenario, times);
+            }
+        });
+        let mut dense = simulation(&world, Executor::Dense, threads);
+        let mut relational = simulation(&world, Executor::Relational, 1);
+        for run in 0..2 {
+            for tick in 0..if times < 20 { 110 } else { 12 } {
+                let expected = relational.tick(&[]).unwrap().clone();
+                let found = dense.tick(&[]).unwrap();
+                for (agent, (one, other)) in expected.agents.iter().zip(&found.agents).enumerate() {
+                    assert_eq!(one, other, "agent {agent} in tick {tick} under\n{rules}");
+                    actions[one.action as usize] += 1;
+                }
+                assert_eq!(dense.firings(), relational.firings(), "tick {tick} under\n{rules}");
+                fired += dense.firings().iter().filter(|count| **count > 0).count();
+            }
+            // A new run remembers nothing.
+            for city in [&mut dense, &mut relational] {
+                city.restart_drawn(Seed(10 + run), |_| ()).unwrap();
+            }
+        }
+    }
+    assert!(
+        actions.iter().all(|count| *count > 100) && fired > 500,
+        "{actions:?} {fired}"
+    );
+}
+
+/// In every tick, the city derives what the specification derives from the facts of all ticks so far.
+#[test]
+fn cities_agree_with_the_whole_history() {
+    let mut derived = 0;
+    for case in 20..26 {
+        let rules = random_rules(&mut Seed(case).stream(Purpose::TEST, 0, 0));
+        let (world, _) = world(&rules, |_| ());
+        let mut city = simulation(&world, Executor::Dense, 1);
+        let checked = world.program.rules();
+        let names: Vec<Value> = (city.agents().iter())
+            .map(|agent| Value(checked.symbols.intern(&agent.name().to_string()).0))
+            .collect();
+        let (mut ticks, mut found) = (Vec::new(), Vec::new());
+        for _ in 0..14 {
+            let report = city.tick(&[]).unwrap().clone();
+            found.push(report.agents.iter().map(|agent| agent.derived).collect::<Vec<_>>());
+            let facts = city.facts(|_| true).unwrap();
+            let mut held = Vec::new();
+            for (known, rows) in world.vocabulary.predicates.iter().zip(&facts.rows) {
+                let Some(id) = known.id else { continue };
+                let columns = &checked.predicates[id.index()].columns;
+                assert!(columns.iter().all(|column| column.base == BaseType::Symbol));
+                held.extend(rows.iter().map(|row| {
+                    let row = row[..known.arity].iter().map(|agent| names[*agent as usize]);
+                    (id, row.collect::<Vec<Value>>())
+                }));
+            }
+            ticks.push(held);
+        }
+        let models = naive::evaluate_ticks(checked, &checked.symbols, ticks);
+        for (tick, (model, found)) in models.iter().zip(&found).enumerate() {
+            for (agent, found) in found.iter().enumerate() {
+                let holds = |action: &Action| {
+                    let predicate = world.vocabulary.action(*action);
+                    predicate.is_some_and(|predicate| model[predicate.index()].contains(&vec![names[agent]]))
+                };
+                let expected = Action::ALL.into_iter().filter(holds).collect();
+                let expected = world.vocabulary.before_default(expected);
+                assert_eq!(*found, expected, "agent {agent} in tick {tick} under\n{rules}");
+                derived += found.len();
+            }
+        }
+    }
+    assert!(derived > 300, "{derived}");
+}
