@@ -32,6 +32,8 @@ pub(crate) struct History {
     changes: BTreeMap<PredicateId, BTreeMap<Row, bool>>,
     /// The changes of hidden rows that no commit has made yet.
     pub staged: Vec<(PredicateId, Row, bool)>,
+    /// The ticks of rows that the caller inserted; see [`Session::insert_past`](crate::Session::insert_past).
+    pub given: HashMap<(PredicateId, Row), u64>,
 }
 
 /// The memory of one hidden predicate.
@@ -77,6 +79,7 @@ impl History {
             memories: pasts.iter().map(memory).collect(),
             changes: watched.map(|predicate| (predicate, BTreeMap::new())).collect(),
             staged: Vec::new(),
+            given: HashMap::new(),
         }
     }
 
@@ -131,14 +134,18 @@ impl History {
         self.memories.iter().map(of_memory).sum::<usize>() as u64
     }
 
-    /// Returns the last tick in which a row of a hidden predicate began to hold: for an operator that looks for some
-    /// tick, the nearest tick of its window in which the operand held.
+    /// Returns the nearest tick of the window in which the operand of a row held, or the first one if it held in all.
     pub fn witness(&self, predicate: PredicateId, row: &[Value]) -> Option<u64> {
         let memory = self.memories.iter().find(|memory| memory.past.predicate == predicate)?;
+        if let Some(tick) = self.given.get(&(predicate, row.into())) {
+            return Some(*tick);
+        }
         let runs = memory.rows.get(row)?;
         let nearest = self.tick.checked_sub(u64::from(memory.past.first))?;
-        let begun = runs.iter().rev().find(|(start, _)| *start <= nearest)?;
-        Some(begun.1.min(nearest))
+        match (&memory.past.operator, memory.past.last) {
+            (PastOperator::Always, Some(last)) => self.tick.checked_sub(u64::from(last)),
+            _ => runs.iter().rfind(|run| run.0 <= nearest).map(|run| run.1.min(nearest)),
+        }
     }
 }
 

@@ -281,6 +281,23 @@ impl Session {
         self.run_commit(None, cancel)
     }
 
+    /// Inserts a row of a predicate of [`Rules::pasts`](crate::Rules), with the tick that explanations name. The caller
+    /// keeps the memory of earlier ticks itself and does not call [`advance`](Session::advance).
+    ///
+    /// # Errors
+    /// As [`insert`](Session::insert).
+    pub fn insert_past(&mut self, predicate: PredicateId, row: &[Value], tick: u64) -> Result<(), RowError> {
+        self.insert(predicate, row)?;
+        self.history.given.insert((predicate, row.into()), tick);
+        Ok(())
+    }
+
+    /// Returns the tick that explains a row of a predicate of [`Rules::pasts`](crate::Rules): the nearest tick of its
+    /// window in which the operand held, or the first one if it held in all of them.
+    pub(crate) fn witness(&self, predicate: PredicateId, row: &[Value]) -> Option<u64> {
+        self.history.witness(predicate, row)
+    }
+
     /// Returns the number of the present tick, from 0: how often [`advance`](Session::advance) was called.
     pub fn tick(&self) -> u64 {
         self.history.tick()

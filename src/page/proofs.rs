@@ -170,7 +170,7 @@ fn short(node: &Value, clauses: &[usize], numbers: &[Option<u32>]) -> Value {
 fn clauses_of(node: &Node) -> Vec<ClauseId> {
     match node {
         Node::Fact(fact) => match &fact.origin {
-            Origin::Input => Vec::new(),
+            Origin::Input | Origin::Past(_) => Vec::new(),
             Origin::Source(clause) => vec![*clause],
             Origin::Derived(derivation) => vec![derivation.clause],
         },
@@ -243,6 +243,8 @@ fn write_key(node: &Node, numbers: &[Option<u32>], key: &mut Vec<u32>) {
             key.extend(fact.row.iter().map(|value| value.0));
             match &fact.origin {
                 Origin::Input => key.push(0),
+                // A tick has fewer than 2^64 numbers of its kind before it, so its halves identify it.
+                Origin::Past(tick) => key.extend([3, (tick >> 32) as u32, (tick & u64::from(u32::MAX)) as u32]),
                 Origin::Source(clause) => key.extend([1, clause.0]),
                 Origin::Derived(derivation) => {
                     key.extend([2, derivation.clause.0]);

@@ -3,10 +3,13 @@
 use crate::shipped_world::configured;
 use logicity::city::{Action, Split};
 use logicity::config::Scenario;
+use logicity::datalog::explain::ExplanationPrinter;
 use logicity::datalog::{BaseType, Value, naive};
 use logicity::diag::Sources;
 use logicity::rng::{Purpose, RngExt, Seed};
-use logicity::sim::{Executor, Settings, Simulation, World};
+use logicity::sim::{
+    Decider, Executor, Observer, Oracle, Replay, Settings, Simulation, TraceHeader, TraceTick, TraceWriter, World,
+};
 use std::sync::Arc;
 
 const DECLARED: &str = ".include \"vocabulary.dl\"
@@ -155,6 +158,115 @@ fn cities_agree_with_the_whole_history() {
                 assert_eq!(*found, expected, "agent {agent} in tick {tick} under\n{rules}");
                 derived += found.len();
             }
+        }
+    }
+    assert!(derived > 300, "{derived}");
+}
+
+/// A trace records what the rules read of earlier ticks, and explanations name these ticks.
+#[test]
+fn traces_and_explanations_name_the_ticks() {
+    let rules = "/// R1: a car that stopped waits two ticks more
+Stop(X) :- IsCar(X), once[1,2] Stop(X), Not(historically[1,3] Stop(X)).
+Stop(X) :- IsAtInter(X), IsInInter(Y).
+Slow(X) :- Not(Stop(X)), historically[1,3] IsCar(X), IsCar(X) since[1,9] IsAtInter(X).
+";
+    let (world, sources) = world(rules, |_| ());
+    let mut city = simulation(&world, Executor::Auto, 1);
+    let mut trace = TraceWriter::new(Vec::new(), &city, &sources, &[]).unwrap();
+    let mut facts = Vec::new();
+    for _ in 0..30 {
+        city.tick(&[]).unwrap();
+        trace.tick(&city).unwrap();
+        facts.push(city.facts(|_| true).unwrap());
+    }
+    let text = String::from_utf8(trace.into_inner()).unwrap();
+    let mut lines = text.lines();
+    // The header names the rules of the configuration; only its list of agents matters here.
+    let mut header: serde_json::Value = serde_json::from_str(lines.next().unwrap()).unwrap();
+    header["version"] = 1.into();
+    header["rules"] = "rules.dl".into();
+    let header = TraceHeader::read(&header.to_string()).unwrap();
+    let mut replay = Replay::new(Arc::clone(&world), &header).unwrap();
+    let rules = world.program.rules();
+    let mut found = String::new();
+    for ((line, facts), tick) in lines.zip(&facts).zip(0_u64..) {
+        replay.set(&TraceTick::read(line).unwrap()).unwrap();
+        assert_eq!(replay.facts(), facts);
+        for (past, rows) in rules.pasts.iter().zip(&facts.past) {
+            for (_, then) in rows {
+                let ago = tick - then;
+                let window = u64::from(past.first)..=past.last.map_or(tick, u64::from);
+                assert!(window.contains(&ago), "{past:?} {tick} {then}");
+            }
+        }
+        for agent in 0..replay.agents().len() {
+            for action in [Action::Stop, Action::Slow] {
+                let predicate = world.vocabulary.action(action).unwrap();
+                let Some(proof) = replay.session().explain(predicate, &[replay.value(agent)]).unwrap() else {
+                    continue;
+                };
+                let printer = ExplanationPrinter::new(rules, replay.session().symbols(), &sources);
+                found += &printer.tree(&proof);
+            }
+        }
+    }
+    for words in [
+        "once[1,2] Stop(\"Car_",
+        ")  in tick 25",
+        "historically[1,3] IsCar(\"Car_",
+        ")  in the ticks 23 to 25",
+        "so far IsCar since[1,9] IsAtInter(\"Car_",
+        ")  since tick 22",
+    ] {
+        assert!(found.contains(words), "{words} in\n{found}");
+    }
+    let line = text.lines().nth(4).unwrap();
+    let missing = line.replace("once[1,2] Stop", "once[1,3] Stop");
+    let fault = replay.set(&TraceTick::read(&missing).unwrap()).unwrap_err();
+    assert!(
+        fault.message.contains("does not record `once[1,2] Stop`"),
+        "{}",
+        fault.message
+    );
+}
+
+/// Wanted actions of observed agents are those of a session with the same facts and the same memory.
+#[test]
+fn observers_remember_what_the_city_does() {
+    let mut derived = 0;
+    for case in 30..36 {
+        let rules = random_rules(&mut Seed(case).stream(Purpose::TEST, 0, 0));
+        // Reading an action makes the monitor evaluate the rules twice.
+        let apart = if case % 2 == 0 {
+            ""
+        } else {
+            ".decl Halts(x: agent)\nHalts(X) :- Stop(X).\n"
+        };
+        let (world, _) = world(&(rules + apart), |_| ());
+        let oracle = Arc::new(Oracle::new(Arc::clone(&world), 6).unwrap());
+        let refused = Decider::new(Arc::clone(&oracle)).map(|_| ()).unwrap_err();
+        assert_eq!(
+            refused.message,
+            "observations have no earlier ticks, but the rules have temporal operators"
+        );
+        let mut city = simulation(&world, Executor::Auto, 1);
+        let mut observers: Vec<Observer> = (0..city.agents().len())
+            .map(|ego| Observer::new(Arc::clone(&oracle), ego))
+            .collect();
+        observers.iter_mut().for_each(|observer| observer.begin(&city));
+        for _ in 0..14 {
+            for observer in &mut observers {
+                observer.look(&city);
+                let found = observer.derived(&city).unwrap();
+                let (session, ego) = observer.session(&city).unwrap();
+                let holds = |action: &Action| session.contains(world.vocabulary.action(*action).unwrap(), [ego]);
+                let expected = Action::ALL.into_iter().filter(holds).collect();
+                let expected = world.vocabulary.before_default(expected);
+                assert_eq!(found, expected);
+                derived += found.len();
+            }
+            city.tick(&[]).unwrap();
         }
     }
     assert!(derived > 300, "{derived}");

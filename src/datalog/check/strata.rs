@@ -89,6 +89,10 @@ pub(crate) fn check(edges: &[Edge], names: &Names, faults: &mut Faults) {
                 name(edge.from)
             ),
         };
+        let looks_back = |edge: &Edge| names.predicate(edge.to).hidden && name(edge.to).contains(' ');
+        if looks_back(edge) || back.iter().any(|&step| looks_back(&edges[step])) {
+            fault = fault.help("a window that begins with 0 contains the present tick; let it begin with 1");
+        }
         faults.push(
             fault
                 .help(help)

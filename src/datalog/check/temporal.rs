@@ -46,6 +46,22 @@ struct NamedPast {
     last: Option<u32>,
 }
 
+impl NamedPast {
+    /// Returns whether both remember the same.
+    fn remembers_as(&self, other: &NamedPast) -> bool {
+        let what = |past: &NamedPast| {
+            (
+                past.operator,
+                past.operand.clone(),
+                past.held.clone(),
+                past.first,
+                past.last,
+            )
+        };
+        what(self) == what(other)
+    }
+}
+
 /// Returns whether a literal has a temporal operator.
 pub(crate) fn is_temporal(literal: &Literal) -> bool {
     fn in_term(term: &Term) -> bool {
@@ -177,7 +193,7 @@ impl Lowered {
                 operand: id(&past.operand)?,
                 operator: match (past.operator, &past.held) {
                     (_, Some((held, columns))) => PastOperator::Since(id(held)?, columns.clone()),
-                    (Operator::Historically | Operator::For, None) => PastOperator::Always,
+                    (Operator::Historically, None) => PastOperator::Always,
                     _ => PastOperator::Once,
                 },
                 first: past.first,
@@ -492,7 +508,7 @@ impl<'c> Lowering<'c, '_> {
             .iter()
             .map(|variable| self.type_of(variable, temporal.atoms(), self.ego));
         let types: Vec<Name> = types.collect();
-        let name = |first: u32| {
+        let name = |operator: Operator, first: u32| {
             let before = temporal.held.iter().map(|held| format!("{} ", held.predicate.text));
             let mut name: String = before.collect();
             write_operator(&mut name, operator, last.map(|last| (first, last))).expect("a string takes all text");
@@ -503,24 +519,32 @@ impl<'c> Lowering<'c, '_> {
         let includes_present = first == 0;
         let remembers = last.is_none_or(|last| last > 0);
         let past = remembers.then(|| {
-            let name = match operator {
-                // `for[10]` is `historically[0,9]`.
-                Operator::For => {
-                    let mut name = String::new();
-                    write_operator(&mut name, Operator::Historically, last.map(|last| (1, last))).expect("as above");
-                    format!("{name} {}", temporal.atom.predicate.text)
-                }
-                _ => name(first.max(1)),
+            let past = NamedPast {
+                predicate: String::new(),
+                // `for[10]` is `historically[0,9]`, and `previous` is `once[1,1]`.
+                operator: match operator {
+                    Operator::For => Operator::Historically,
+                    Operator::Previous => Operator::Once,
+                    other => other,
+                },
+                operand: operand.predicate.clone(),
+                held: held.map(|(held, columns)| (held.predicate.clone(), columns.clone())),
+                first: first.max(1),
+                last,
+            };
+            if let Some(known) = self.pasts.iter().find(|known| known.remembers_as(&past)) {
+                return known.predicate.clone();
+            }
+            let name = match past.operator {
+                Operator::Since if !includes_present => format!("so far {}", name(operator, first)),
+                Operator::Once if operator == Operator::Previous => name(operator, first),
+                other => name(other, first.max(1)),
             };
             let predicate = self.fresh(name);
             self.declare(&predicate, types.clone(), place);
             self.pasts.push(NamedPast {
                 predicate: predicate.clone(),
-                operator,
-                operand: operand.predicate.clone(),
-                held: held.map(|(held, columns)| (held.predicate.clone(), columns.clone())),
-                first: first.max(1),
-                last,
+                ..past
             });
             predicate
         });
@@ -541,7 +565,7 @@ impl<'c> Lowering<'c, '_> {
             (_, None, Some((past, _))) => vec![vec![now], vec![past]],
             (_, _, None) => vec![vec![now]],
         };
-        let predicate = self.fresh(name(first));
+        let predicate = self.fresh(name(operator, first));
         self.declare(&predicate, types, place);
         for body in bodies {
             self.clauses.push(Clause {

@@ -1,7 +1,7 @@
 //! Explanations as text for readers and as JSON for programs.
 
 use crate::check::witness::written;
-use crate::check::{Atom, Clause, ClauseId, Literal, PredicateId, Rules, Term};
+use crate::check::{Atom, Clause, ClauseId, Literal, PastOperator, PredicateId, Rules, Term};
 use crate::diag::Sources;
 use crate::explain::{
     Absence, AbsenceReason, Explanation, Fact, FailureKind, Miss, Node, NodeId, Obstacle, Origin, Premise,
@@ -98,8 +98,8 @@ impl<'a> ExplanationPrinter<'a> {
     ///
     /// The first node is the subject of the query; nodes refer to others by position.
     ///
-    /// A node is `{"holds", "height", "by": "input" | "text" | "clause" | "range", "clause", "binding", "premises"}` or
-    /// `{"absent", "because": "not-a-fact" | "no-clause" | "not-looked-into" | "range", "clauses": [{"clause",
+    /// A node is `{"holds", "height", "by": "input" | "past" | "text" | "clause" | "range", "tick", "clause", "binding",
+    /// "premises"}` or `{"absent", "because": "not-a-fact" | "no-clause" | "not-looked-into" | "range", "clauses": [{"clause",
     /// "binding", "fails"}]}`.
     ///
     /// An entry of `premises` and `fails` has the `literal` under the binding and the `kind`: `fact`, `in-view`, `not`,
@@ -127,6 +127,10 @@ impl<'a> ExplanationPrinter<'a> {
         }
         match &fact.origin {
             Origin::Input => json!({ "holds": holds, "height": fact.height, "by": "input" }),
+            Origin::Past(tick) => json!({
+                "holds": format!("{holds}{}", self.ticks(fact.predicate, *tick)), "height": fact.height, "by": "past",
+                "tick": tick,
+            }),
             Origin::Source(clause) => json!({
                 "holds": holds, "height": fact.height, "by": "text", "clause": self.clause_json(*clause),
             }),
@@ -368,9 +372,23 @@ impl<'a> ExplanationPrinter<'a> {
         self.row_within(predicate, pattern, 0)
     }
 
+    /// Returns the words for the ticks in which the operand of a temporal operator held.
+    fn ticks(&self, predicate: PredicateId, tick: u64) -> String {
+        let past = self.rules.pasts.iter().find(|past| past.predicate == predicate);
+        let ticks = match past.map(|past| (&past.operator, past.first, past.last)) {
+            Some((PastOperator::Always, first, Some(last))) if last > first => {
+                format!("in the ticks {tick} to {}", tick + u64::from(last - first))
+            }
+            Some((PastOperator::Since(..), ..)) => format!("since tick {tick}"),
+            _ => format!("in tick {tick}"),
+        };
+        format!("  {ticks}")
+    }
+
     fn row_within(&self, id: PredicateId, pattern: &[Option<Value>], depth: usize) -> String {
         let predicate = &self.rules.predicates[id.index()];
-        if predicate.hidden && predicate.derived {
+        // Those of temporal operators have readable names.
+        if predicate.hidden && predicate.derived && predicate.name.starts_with('+') {
             return self.unfold(id, pattern, depth);
         }
         let columns = predicate.columns.iter().zip(pattern);
@@ -602,6 +620,7 @@ impl Drawing<'_> {
                 let mut item = Item::leaf(self.printer.row(fact.predicate, &pattern));
                 match &fact.origin {
                     Origin::Input => {}
+                    Origin::Past(tick) => item.text += &self.printer.ticks(fact.predicate, *tick),
                     Origin::Source(clause) => {
                         let clause = &self.printer.rules.clauses[clause.index()];
                         item.text = format!("{}  [{}]", item.text, self.printer.place(clause));
@@ -810,6 +829,11 @@ impl Drawing<'_> {
                         Node::Fact(Fact {
                             origin: Origin::Input, ..
                         }) => {}
+                        Node::Fact(Fact {
+                            predicate,
+                            origin: Origin::Past(tick),
+                            ..
+                        }) => item.text += &self.printer.ticks(*predicate, *tick),
                         Node::Fact(_) => item.children.push(self.node(id, depth + 1)),
                     }
                 }

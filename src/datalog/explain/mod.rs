@@ -100,6 +100,9 @@ pub struct Fact {
 pub enum Origin {
     /// The caller inserted it.
     Input,
+    /// It follows from earlier ticks, for a predicate of [`Rules::pasts`](crate::Rules): the nearest tick of the window in
+    /// which the operand held, or the first one if it held in all.
+    Past(u64),
     /// The source contains it.
     Source(ClauseId),
     /// A clause derives it.
@@ -526,7 +529,10 @@ impl Making {
     ) -> Result<Fact, ExplainError> {
         let (height, origin) = search.origin(predicate, &row)?;
         let origin = match origin {
-            search::heights::Best::Input => Origin::Input,
+            search::heights::Best::Input => match search.session.witness(predicate, &row) {
+                Some(tick) => Origin::Past(tick),
+                None => Origin::Input,
+            },
             search::heights::Best::Source(clause) => Origin::Source(clause),
             search::heights::Best::Derived { clause, binding, rows } => {
                 let body = &search.rules().clauses[clause.index()].body;

@@ -19,9 +19,11 @@ impl Decider {
     /// Creates a decider with the rules of an oracle.
     ///
     /// # Errors
-    /// `rule-mismatch` if the rules read quantities, which observations do not contain.
+    /// `rule-mismatch` if the rules read quantities or earlier ticks, which observations do not contain.
     pub fn new(oracle: Arc<Oracle>) -> Result<Decider, Diagnostic> {
-        oracle.world().vocabulary.without_quantities("observations")?;
+        let world = oracle.world();
+        world.vocabulary.without_quantities("observations")?;
+        world.vocabulary.without_time(&world.program, "observations")?;
         Ok(Decider {
             atoms: oracle.no_atoms(),
             violations: Violations::new(oracle.monitor()),
@@ -67,6 +69,7 @@ impl Decider {
             atoms: &self.atoms,
             entities: Entities::Numbered { present, most },
             given: None,
+            memory: None,
             cancel,
         };
         let derived = self.violations.derived(oracle.monitor(), vocabulary, observed)?;

@@ -295,8 +295,8 @@ impl Observer {
             sort_by_distance(ego_cell, &mut self.bodies[1..]);
         }
         let changed = self.compute(city.agents(), chance);
-        // In most steps nothing changes.
-        if changed || self.bodies.len() != before {
+        // In most steps nothing changes, except what is remembered.
+        if changed || !city.remembered().is_empty() || self.bodies.len() != before {
             self.violations.forget();
         }
     }
@@ -507,6 +507,7 @@ fn observed<'a>(atoms: &'a Atoms, bodies: &'a [AgentState], city: &'a Simulation
             agents: city.agents(),
         },
         given: None,
+        memory: Some(city.remembered()),
         cancel: city.cancel(),
     }
 }

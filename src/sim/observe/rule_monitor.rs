@@ -16,6 +16,7 @@ use crate::diag::Diagnostic;
 use crate::sim::tick::executor::{DenseRules, compile};
 use crate::sim::tick::ground::Facts;
 use crate::sim::tick::ground_state::{GroundPredicate, GroundState};
+use crate::sim::tick::memory::Memory;
 use crate::sim::tick::vocabulary::{Actions, Vocabulary};
 use crate::sim::tick::window::AgentState;
 
@@ -104,6 +105,8 @@ enum Given {
     Predicate(usize),
     /// A condition on quantities.
     Condition(usize),
+    /// What a temporal operator reads of earlier ticks.
+    Past(usize),
 }
 
 /// Returns the rules with the action predicates of all bodies replaced by input predicates, and these predicates. They
@@ -296,7 +299,12 @@ impl BoundRules {
         let place = |predicate: PredicateId| {
             let known = bound.iter().position(|bound| *bound == Some(predicate));
             let condition = || compiled.conditions.find(predicate).map(Given::Condition);
-            known.map(Given::Predicate).or_else(condition).unwrap_or(Given::Nowhere)
+            let past = || compiled.past(predicate).map(Given::Past);
+            known
+                .map(Given::Predicate)
+                .or_else(condition)
+                .or_else(past)
+                .unwrap_or(Given::Nowhere)
         };
         let input = |input: &Input| match *input {
             Input::Unary(predicate) => (place(predicate), false),
@@ -320,7 +328,7 @@ impl BoundRules {
                 bit_state.set_egos(first(1));
             }
         }
-        let related = Related { atoms, rules: self };
+        let related = Related { observed, rules: self };
         for (input, &(given, diagonal)) in self.inputs.iter().enumerate() {
             let set = match given {
                 Given::Nowhere => 0,
@@ -329,6 +337,14 @@ impl BoundRules {
                 Given::Condition(condition) => {
                     (0..count).fold(0, |set, at| set | u64::from(related.meets(condition, [at, at])) << at)
                 }
+                Given::Past(past) if !diagonal => (0..count).fold(0, |set, at| {
+                    set | u64::from(
+                        observed
+                            .memory
+                            .is_some_and(|memory| memory.holds_alone(past, observed.entities.position(at))),
+                    ) << at
+                }),
+                Given::Past(_) => (0..count).fold(0, |set, at| set | u64::from(related.relates(given, at, at)) << at),
             };
             bit_state.set_input(dense, input, [set]);
         }
@@ -453,7 +469,7 @@ impl Atoms {
 
 /// Provides binary facts to a dense program.
 struct Related<'a> {
-    atoms: &'a Atoms,
+    observed: Observed<'a>,
     rules: &'a BoundRules,
 }
 
@@ -465,7 +481,7 @@ impl Related<'_> {
             for (entity, place) in entities.iter_mut().zip(places) {
                 *entity = of[*place];
             }
-            self.atoms.value(predicate, &entities[..places.len()])
+            self.observed.atoms.value(predicate, &entities[..places.len()])
         })
     }
 
@@ -473,8 +489,12 @@ impl Related<'_> {
     fn relates(&self, given: Given, first: usize, second: usize) -> bool {
         match given {
             Given::Nowhere => false,
-            Given::Predicate(predicate) => self.atoms.row(predicate, first) >> second & 1 != 0,
+            Given::Predicate(predicate) => self.observed.atoms.row(predicate, first) >> second & 1 != 0,
             Given::Condition(condition) => self.meets(condition, [first, second]),
+            Given::Past(past) => {
+                let [x, y] = [first, second].map(|entity| self.observed.entities.position(entity));
+                self.observed.memory.is_some_and(|memory| memory.holds(past, x, y))
+            }
         }
     }
 }
@@ -488,7 +508,7 @@ impl BinaryFacts<1> for Related<'_> {
             [related.fold(0, |set, other| set | 1 << other)]
         };
         match self.rules.lists[list] {
-            (Given::Predicate(predicate), Argument::Second) => [among[0] & self.atoms.row(predicate, at)],
+            (Given::Predicate(predicate), Argument::Second) => [among[0] & self.observed.atoms.row(predicate, at)],
             (given, Argument::Second) => keep(&|other| related(at, other, given)),
             (given, Argument::First) => keep(&|other| related(other, at, given)),
         }
@@ -541,6 +561,8 @@ pub(super) struct Observed<'a> {
     pub entities: Entities<'a>,
     /// The imposed action of the ego, if the rules take it as input.
     pub given: Option<Action>,
+    /// What the rules read of earlier ticks; `None` without a city.
+    pub memory: Option<&'a Memory>,
     /// Polled by the relational executor.
     pub cancel: &'a Cancel,
 }
@@ -570,6 +592,10 @@ impl Observed<'_> {
         let quantities = self.atoms.values.iter().enumerate();
         for (predicate, values) in quantities.filter(|(_, values)| !values.is_empty()) {
             self.add_values(predicate, values, &mut facts);
+        }
+        if let Some(memory) = self.memory {
+            let observed: Vec<u32> = (0..self.entities.count()).map(agent).collect();
+            facts.past = memory.rows_among(&observed);
         }
         facts
     }

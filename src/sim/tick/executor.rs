@@ -115,7 +115,7 @@ impl DenseRules {
         let pasts = &self.conditions.rules.pasts;
         for (past, rows) in pasts.iter().zip(&facts.past) {
             let arity = self.conditions.rules.predicates[past.predicate.index()].arity();
-            for row in rows {
+            for (row, _) in rows {
                 let row = row.map(|entity| entity as usize);
                 bits.insert(&self.dense, past.predicate, &row[..arity]);
             }

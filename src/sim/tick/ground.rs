@@ -29,9 +29,9 @@ pub struct Facts {
     /// For each predicate with a value, that of each row, in their order; empty for others. For a heading, its position
     /// in `Heading::ALL`.
     pub values: Vec<Vec<Value>>,
-    /// The rows of each hidden predicate about earlier ticks, in the order of [`Rules::pasts`](crate::datalog::Rules);
-    /// empty before the first tick.
-    pub past: Vec<Vec<[u32; 2]>>,
+    /// The rows of each hidden predicate about earlier ticks, in the order of [`Rules::pasts`](crate::datalog::Rules),
+    /// with the ticks that explain them; empty before the first tick.
+    pub past: Vec<Vec<([u32; 2], u64)>>,
 }
 
 impl Facts {
@@ -57,7 +57,8 @@ impl Facts {
 
     /// Returns the bytes of the rows.
     pub(crate) fn bytes(&self) -> u64 {
-        let rows = self.rows.iter().chain(&self.past).map(|rows| size_of_val(&rows[..]));
+        let rows = self.rows.iter().map(|rows| size_of_val(&rows[..]));
+        let rows = rows.chain(self.past.iter().map(|rows| size_of_val(&rows[..])));
         let values = self.values.iter().map(|values| size_of_val(&values[..]));
         rows.chain(values).sum::<usize>() as u64
     }

@@ -146,13 +146,17 @@ impl GroundState {
         for (index, predicate) in self.pasts.iter().enumerate() {
             let rows = |of: &Facts| of.past.get(index).cloned().unwrap_or_default();
             let (old, new) = (rows(&self.facts), rows(facts));
-            for row in old.iter().filter(|row| new.binary_search(row).is_err()) {
-                let words = self.words(*predicate, *row, None);
-                (self.session.retract(predicate.id, &words[..predicate.arity])).expect("bound predicates fit");
+            for (row, _) in old {
+                if new.binary_search_by_key(&row, |(row, _)| *row).is_err() {
+                    let words = self.words(*predicate, row, None);
+                    (self.session.retract(predicate.id, &words[..predicate.arity])).expect("bound predicates fit");
+                }
             }
-            for row in new.iter().filter(|row| old.binary_search(row).is_err()) {
-                let words = self.words(*predicate, *row, None);
-                (self.session.insert(predicate.id, &words[..predicate.arity])).expect("bound predicates fit");
+            // Also those that hold already, since their ticks change.
+            for (row, tick) in new {
+                let words = self.words(*predicate, row, None);
+                let inserted = self.session.insert_past(predicate.id, &words[..predicate.arity], tick);
+                inserted.expect("bound predicates fit");
             }
         }
         self.session.set_limits(Limits {

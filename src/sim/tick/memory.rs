@@ -50,6 +50,15 @@ impl Watched {
         self.rows.iter_mut().for_each(Vec::clear);
     }
 
+    /// Sorts the rows over two agents, as [`Memory::advance`] needs them.
+    pub fn sort(&mut self) {
+        for (rows, (_, arity)) in self.rows.iter_mut().zip(&self.predicates) {
+            if *arity == 2 && !rows.is_sorted() {
+                rows.sort_unstable();
+            }
+        }
+    }
+
     fn position(&self, predicate: PredicateId) -> usize {
         let found = self.predicates.binary_search_by_key(&predicate, |(known, _)| *known);
         found.expect("it is watched")
@@ -148,13 +157,8 @@ impl Memory {
         }
     }
 
-    /// Ends a tick in which these rows held.
-    pub fn advance(&mut self, watched: &mut Watched) {
-        for (rows, (_, arity)) in watched.rows.iter_mut().zip(&watched.predicates) {
-            if *arity == 2 && !rows.is_sorted() {
-                rows.sort_unstable();
-            }
-        }
+    /// Ends a tick in which these rows held; they are [sorted](Watched::sort).
+    pub fn advance(&mut self, watched: &Watched) {
         let sets: Vec<Vec<u64>> = (watched.rows.iter().zip(&watched.predicates))
             .map(|(rows, (_, arity))| match arity {
                 2 => Vec::new(),
@@ -168,9 +172,10 @@ impl Memory {
         }
     }
 
-    /// Returns the agents for which a hidden predicate over at most one agent holds, one bit each.
-    pub fn holding(&self, past: usize) -> &[u64] {
-        &self.records[past].holding
+    /// Returns whether a hidden predicate over at most one agent holds for this one.
+    #[inline]
+    pub fn holds_alone(&self, past: usize, agent: u32) -> bool {
+        self.records[past].holding[agent as usize / 64] >> (agent % 64) & 1 != 0
     }
 
     /// Returns whether a hidden predicate over two agents holds for these.
@@ -191,29 +196,52 @@ impl Memory {
         }
     }
 
-    /// Returns the rows of each hidden predicate, sorted.
-    pub fn rows(&self) -> Vec<AgentRows> {
-        let number = |index: usize| u32::try_from(index).expect("fewer than 2^32 agents");
-        let rows = |(past, record): (usize, &Record)| -> AgentRows {
-            if record.arity < 2 {
-                let agents = (0..self.agents).filter(|agent| record.holding[agent / 64] >> (agent % 64) & 1 != 0);
-                return agents.map(|agent| [number(agent), 0]).collect();
-            }
-            let others = |x: usize| -> Vec<u32> {
-                match &record.registers {
-                    Registers::PairBits(rows) => rows[x].iter().map(|(other, _)| *other).collect(),
-                    Registers::PairSpans(rows) => rows[x].keys().copied().collect(),
-                    Registers::Bits(_) | Registers::Spans(_) => Vec::new(),
-                }
-            };
-            let pairs = (0..self.agents).flat_map(|x| others(x).into_iter().map(move |y| [number(x), y]));
-            pairs.filter(|[x, y]| self.holds(past, *x, *y)).collect()
-        };
-        self.records.iter().enumerate().map(rows).collect()
+    /// Returns the rows of each hidden predicate, sorted, with the ticks that explain them: the nearest tick of the
+    /// window in which the operand held, or the first one if it held in all.
+    pub fn rows(&self) -> Vec<Vec<([u32; 2], u64)>> {
+        self.records.iter().map(|record| record.rows(self.ticks)).collect()
+    }
+
+    /// Returns the [rows](Memory::rows) over some of the agents.
+    pub fn rows_among(&self, agents: &[u32]) -> Vec<Vec<([u32; 2], u64)>> {
+        let mut all = self.rows();
+        for (rows, record) in all.iter_mut().zip(&self.records) {
+            let arity = record.arity;
+            rows.retain(|(row, _)| row[..arity].iter().all(|agent| agents.contains(agent)));
+        }
+        all
     }
 }
 
 impl Record {
+    fn rows(&self, now: u64) -> Vec<([u32; 2], u64)> {
+        let number = |index: usize| u32::try_from(index).expect("fewer than 2^32 agents");
+        let of_bits = |row: [u32; 2], bits: u64| Some((row, self.past.witness_bits(bits, now)?));
+        let of_spans = |row: [u32; 2], spans: &Spans| Some((row, self.past.witness_spans(spans, now)?));
+        match &self.registers {
+            Registers::Bits(all) => {
+                let rows = all.iter().enumerate();
+                rows.filter_map(|(agent, bits)| of_bits([number(agent), 0], *bits))
+                    .collect()
+            }
+            Registers::Spans(all) => {
+                let rows = all.iter().enumerate();
+                rows.filter_map(|(agent, spans)| of_spans([number(agent), 0], spans))
+                    .collect()
+            }
+            Registers::PairBits(all) => {
+                let rows = all.iter().enumerate();
+                let pairs = rows.flat_map(|(x, row)| row.iter().map(move |(y, bits)| ([number(x), *y], *bits)));
+                pairs.filter_map(|(row, bits)| of_bits(row, bits)).collect()
+            }
+            Registers::PairSpans(all) => {
+                let rows = all.iter().enumerate();
+                let pairs = rows.flat_map(|(x, row)| row.iter().map(move |(y, spans)| ([number(x), *y], spans)));
+                pairs.filter_map(|(row, spans)| of_spans(row, spans)).collect()
+            }
+        }
+    }
+
     fn advance(&mut self, watched: &Watched, sets: &[Vec<u64>], ended: u64) {
         let Record {
             past,
@@ -301,6 +329,9 @@ trait Window {
     fn bits(&self) -> u64;
     fn holds_bits(&self, bits: u64) -> bool;
     fn holds_spans(&self, spans: &Spans, now: u64) -> bool;
+    /// Returns the tick that explains a row, if it holds; see [`Memory::rows`].
+    fn witness_bits(&self, bits: u64, now: u64) -> Option<u64>;
+    fn witness_spans(&self, spans: &Spans, now: u64) -> Option<u64>;
     /// Adds the tick that ended, in which the row held or not, and forgets what no later window contains. `keeps`:
     /// whether earlier ticks count.
     fn extend(&self, spans: &mut Spans, holds: bool, keeps: bool, ended: u64);
@@ -338,6 +369,28 @@ impl Window for Past {
             PastOperator::Once | PastOperator::Since(..) => {
                 let from = from.flatten().unwrap_or(0);
                 spans.iter().any(|span| span.0 <= to && from <= span.1)
+            }
+        }
+    }
+
+    fn witness_bits(&self, bits: u64, now: u64) -> Option<u64> {
+        let nearest = match self.operator {
+            PastOperator::Always => self.last?,
+            PastOperator::Once | PastOperator::Since(..) => (bits & self.bits()).trailing_zeros() + 1,
+        };
+        self.holds_bits(bits).then(|| now - u64::from(nearest))
+    }
+
+    fn witness_spans(&self, spans: &Spans, now: u64) -> Option<u64> {
+        if !self.holds_spans(spans, now) {
+            return None;
+        }
+        let nearest = now - u64::from(self.first);
+        match self.operator {
+            PastOperator::Always => Some(now - u64::from(self.last?)),
+            PastOperator::Once | PastOperator::Since(..) => {
+                let span = spans.iter().rfind(|span| span.0 <= nearest);
+                span.map(|span| span.1.min(nearest))
             }
         }
     }

@@ -25,7 +25,7 @@ use ndarray::Array3;
 use rayon::ThreadPool;
 use rayon::prelude::*;
 use std::io;
-use std::sync::{Arc, mpsc};
+use std::sync::{Arc, OnceLock, mpsc};
 use std::time::Duration;
 
 /// Settings of a [`Simulation`]. They do not affect its results.
@@ -70,6 +70,8 @@ pub struct Simulation {
     decisions: Decisions,
     /// What the rules read of earlier ticks in the last tick; before the first one, nothing.
     memory: Memory,
+    /// What they read in the next tick, made on demand.
+    next_memory: OnceLock<Memory>,
     /// The action that the caller imposes on each agent. All `None` between ticks.
     given: Vec<Option<Action>>,
     /// The session with the facts on which tick `stated` was decided. Created on first use.
@@ -262,6 +264,7 @@ impl Simulation {
             places,
             seed,
             tick: 0,
+            next_memory: OnceLock::new(),
             memory: Memory::new(&world.program.rules().pasts, &world.watched(), agents.len()),
             decisions: Decisions::new(agents.len(), to_count.len(), world.watched()),
             given: vec![None; agents.len()],
@@ -337,6 +340,7 @@ impl Simulation {
         }
         self.decisions.clear();
         self.memory.clear();
+        self.next_memory.take();
         self.report.tick = 0;
         for (done, agent) in self.report.agents.iter_mut().zip(&self.agents) {
             *done = AgentTick::resting(agent);
@@ -513,8 +517,10 @@ impl Simulation {
         let map = self.world.map();
         let threads = threads_of(self.threads.as_ref())?;
         // Until now the memory was that of the last tick, for explanations. After an error it is already that of this one.
-        if !self.memory.is_empty() && self.memory.ticks() < self.tick {
-            self.memory.advance(&mut self.decisions.watched);
+        if let Some(next) = self.next_memory.take() {
+            self.memory = next;
+        } else if self.must_remember() {
+            self.memory.advance(&self.decisions.watched);
         }
         if let Some(dense) = &mut self.dense {
             let decisions = &mut self.decisions;
@@ -544,6 +550,7 @@ impl Simulation {
         if self.dense.is_none() {
             self.decide_by_facts(draws)?;
         }
+        self.decisions.watched.sort();
         ended(Phase::Decide);
         self.advance(controls, threads.as_deref());
         ended(Phase::Move);
@@ -558,6 +565,23 @@ impl Simulation {
         self.report.tick = self.tick;
         self.tick += 1;
         Ok(&self.report)
+    }
+
+    /// Returns whether the memory lacks the last tick.
+    fn must_remember(&self) -> bool {
+        !self.memory.is_empty() && self.memory.ticks() < self.tick
+    }
+
+    /// Returns what the rules read of earlier ticks in the next tick.
+    pub(crate) fn remembered(&self) -> &Memory {
+        if !self.must_remember() {
+            return &self.memory;
+        }
+        self.next_memory.get_or_init(|| {
+            let mut next = self.memory.clone();
+            next.advance(&self.decisions.watched);
+            next
+        })
     }
 
     /// Applies the decisions and `controls` and moves all agents.

@@ -579,12 +579,7 @@ fn run_in<const W: usize>(
     for &(input, hidden, diagonal) in &grounder.hidden {
         let set = match hidden {
             Hidden::Past(past) if !diagonal => {
-                let holding = now.memory.holding(past);
-                set_of(
-                    bodies
-                        .iter()
-                        .map(|body| holding[body.agent as usize / 64] >> (body.agent % 64) & 1 != 0),
-                )
+                set_of(bodies.iter().map(|body| now.memory.holds_alone(past, body.agent)))
             }
             _ => set_of(bodies.iter().map(|body| grounder.meets(hidden, now, [body, body]))),
         };

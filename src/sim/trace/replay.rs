@@ -66,8 +66,8 @@ pub struct TraceTick {
     pub tick: u64,
     /// The state and decision of each agent, in the order of the header.
     pub agents: Vec<TraceState>,
-    /// The rows of the predicates that the states of the agents do not determine: those that hold with a probability, and
-    /// quantities with their values.
+    /// The rows of the predicates that the states of the agents do not determine: those that hold with a probability,
+    /// quantities with their values, and what temporal operators read of earlier ticks, with the ticks that explain it.
     #[serde(default)]
     given: BTreeMap<String, Vec<Vec<GivenTerm>>>,
 }
@@ -77,7 +77,7 @@ pub struct TraceTick {
 #[serde(untagged)]
 enum GivenTerm {
     Name(String),
-    Value(i32),
+    Value(i64),
 }
 
 /// The state and decision of an agent in a [`TraceTick`].
@@ -283,10 +283,41 @@ impl Replay {
             facts.values[index] = read.iter().filter_map(|(_, value)| *value).collect();
             facts.rows[index] = read.into_iter().map(|(row, _)| row).collect();
         }
+        let rules = self.world.program.rules();
+        for past in &rules.pasts {
+            let hidden = &rules.predicates[past.predicate.index()];
+            let Some(rows) = tick.given.get(&hidden.name) else {
+                let message = format!(
+                    "tick {} does not record `{}`, which the rules read",
+                    tick.tick, hidden.name
+                );
+                return Err(invalid(message).help("use the rules of the run"));
+            };
+            let read = rows.iter().map(|row| {
+                let faulty = || invalid(format!("{row:?} is not a row of `{}`", hidden.name));
+                self.given_past(row, hidden.arity()).ok_or_else(faulty)
+            });
+            let mut read = read.collect::<Result<Vec<([u32; 2], u64)>, _>>()?;
+            read.sort_unstable();
+            read.dedup_by_key(|(row, _)| *row);
+            facts.past.push(read);
+        }
         let set = self.state.set(&facts);
         set.map_err(|error| error.diagnostic(self.world.program.rules()))?;
         self.facts = facts;
         Ok(())
+    }
+
+    /// Reads a row of a hidden predicate about earlier ticks, with the tick that explains it; `None` if it is none.
+    fn given_past(&self, row: &[GivenTerm], arity: usize) -> Option<([u32; 2], u64)> {
+        let (tick, agents) = row.split_last()?;
+        let GivenTerm::Value(tick) = tick else { return None };
+        let mut places = [0; 2];
+        for (place, agent) in places.iter_mut().zip(agents) {
+            let GivenTerm::Name(name) = agent else { return None };
+            *place = u32::try_from(*self.positions.get(name)?).ok()?;
+        }
+        (agents.len() == arity).then_some((places, u64::try_from(*tick).ok()?))
     }
 
     /// Reads a row of a predicate; `None` if it is none.
@@ -299,7 +330,9 @@ impl Replay {
         }
         match (value, predicate.value) {
             ([], None) => Some((places, None)),
-            ([GivenTerm::Value(number)], Some(BaseType::Number)) => Some((places, Some(Value::number(*number)))),
+            ([GivenTerm::Value(number)], Some(BaseType::Number)) => {
+                Some((places, Some(Value::number(i32::try_from(*number).ok()?))))
+            }
             _ => None,
         }
     }

@@ -140,9 +140,11 @@ impl<W: Write> TraceWriter<W> {
         let predicates = &simulation.world().vocabulary.predicates;
         let facts = simulation.facts(|index| self.recorded.contains(&index));
         let facts = facts.map_err(|fault| io::Error::other(fault.message))?;
+        let name = |agent: u32| names[agent as usize].name().to_string();
+        let rules = simulation.world().program.rules();
+        let pasts = rules.pasts.iter();
         let given: Map<String, Value> = (self.recorded.iter())
             .map(|&index| {
-                let name = |agent: u32| names[agent as usize].name().to_string();
                 let values = facts.values[index].iter().map(|value| json!(value.as_number()));
                 let values = values.map(Some).chain(std::iter::repeat(None));
                 let rows = facts.rows[index].iter().zip(values).map(|(row, value)| {
@@ -151,6 +153,14 @@ impl<W: Write> TraceWriter<W> {
                 });
                 (predicates[index].name.clone(), rows.collect())
             })
+            .chain(pasts.zip(&facts.past).map(|(past, rows)| {
+                let hidden = &rules.predicates[past.predicate.index()];
+                let rows = rows.iter().map(|(row, tick)| {
+                    let names = row[..hidden.arity()].iter().map(|agent| json!(name(*agent)));
+                    names.chain([json!(tick)]).collect::<Value>()
+                });
+                (hidden.name.clone(), rows.collect())
+            }))
             .collect();
         writeln!(
             self.out,
