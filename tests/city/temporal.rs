@@ -1,14 +1,17 @@
 //! Temporal operators in cities: both executors against each other and against the whole history.
 
 use crate::shipped_world::configured;
+use logicity::builtin::BuiltinFiles;
+use logicity::cancel::Cancel;
 use logicity::city::{Action, Split};
 use logicity::config::Scenario;
 use logicity::datalog::explain::ExplanationPrinter;
-use logicity::datalog::{BaseType, Value, naive};
-use logicity::diag::Sources;
+use logicity::datalog::{BaseType, Value, diff, naive};
+use logicity::diag::{Sources, render};
 use logicity::rng::{Purpose, RngExt, Seed};
 use logicity::sim::{
-    Decider, Executor, Observer, Oracle, Replay, Settings, Simulation, TraceHeader, TraceTick, TraceWriter, World,
+    Decider, Executor, Finding, Inference, Observer, Oracle, Replay, Settings, Simulation, TraceHeader, TraceTick,
+    TraceWriter, World, conflicts,
 };
 use std::sync::Arc;
 
@@ -216,7 +219,7 @@ Slow(X) :- Not(Stop(X)), historically[1,3] IsCar(X), IsCar(X) since[1,9] IsAtInt
         ")  in tick 25",
         "historically[1,3] IsCar(\"Car_",
         ")  in the ticks 23 to 25",
-        "so far IsCar since[1,9] IsAtInter(\"Car_",
+        "so far IsCar(\"Car_9\") since[1,9] IsAtInter(\"Car_9\")",
         ")  since tick 22",
     ] {
         assert!(found.contains(words), "{words} in\n{found}");
@@ -270,4 +273,81 @@ fn observers_remember_what_the_city_does() {
         }
     }
     assert!(derived > 300, "{derived}");
+}
+
+/// A list of scenes is a list of ticks. Entities of the same name are the same one; what an agent saw stays known after
+/// it is out of view.
+#[test]
+fn lists_of_scenes_are_ticks() {
+    const RULES: &str = "Stop(X) :- once[0,1] IsBus(_).
+Slow(X) :- IsCar(Y) since[0,5] IsTiro(Y), Not(previous Stop(X)).
+Fast(X) :- for[3] IsCar(X).
+";
+    let (world, _) = world(RULES, |_| ());
+    let answer = |executor: Executor, text: &str| {
+        let (scenario, program) = (world.scenario.clone(), world.program.clone());
+        let mut inference = Inference::new(scenario, program, Seed(0), executor, BuiltinFiles).unwrap();
+        let mut sources = Sources::new();
+        let source = sources.add("scene", text.to_owned());
+        match inference.answer(&sources, source) {
+            Ok(answer) => Ok(answer.to_json(u64::MAX).unwrap()["egos"]["a"]["derived"].clone()),
+            Err(faults) => Err(render(&faults, &sources, false)),
+        }
+    };
+    let bus = r#"{"entities": ["a", "b"], "ego": "a", "facts": {"IsCar": ["a", "b"], "IsBus": ["b"]}}"#;
+    let tiro = r#"{"entities": ["c", "a"], "ego": "a", "facts": {"IsCar": ["c", "a"], "IsTiro": ["c"]}}"#;
+    let car = r#"{"entities": ["a", "c"], "ego": "a", "facts": {"IsCar": ["a", "c"]}}"#;
+    let alone = r#"{"entities": ["a"], "ego": "a", "facts": {"IsCar": ["a"]}}"#;
+    for executor in [Executor::Dense, Executor::Relational] {
+        for (ticks, derived) in [
+            (vec![alone], serde_json::json!([])),
+            (vec![bus], serde_json::json!(["Stop"])),
+            (vec![bus, alone], serde_json::json!(["Stop"])),
+            (vec![bus, alone, alone], serde_json::json!(["Fast"])),
+            (vec![tiro, car], serde_json::json!(["Slow"])),
+            (vec![tiro, alone, car], serde_json::json!(["Fast"])),
+            (vec![bus, tiro], serde_json::json!(["Stop"])),
+            (vec![tiro, car, car, car], serde_json::json!(["Slow", "Fast"])),
+        ] {
+            let text = format!("[{}]", ticks.join(", "));
+            assert_eq!(answer(executor, &text), Ok(derived), "{text}");
+        }
+        let fault = answer(executor, "[]").unwrap_err();
+        assert!(fault.contains("a list without scenes"), "{fault}");
+        let fault = answer(executor, &format!("[{alone}, {{}}]")).unwrap_err();
+        assert!(fault.contains("a scene without agents or entities"), "{fault}");
+    }
+}
+
+/// What has one tick only refuses rules that look back.
+#[test]
+fn single_ticks_refuse_rules_that_look_back() {
+    let (world, _) = world("Stop(X) :- previous Stop(X).", |_| ());
+    let rules = world.program.rules();
+    let fault = diff::diff(rules, rules, &diff::Options::default()).unwrap_err();
+    assert_eq!(fault[0].message, "rules with temporal operators cannot be compared");
+    let city = simulation(&world, Executor::Auto, 1);
+    let state = (3, city.agents().to_vec());
+    let settings = Settings::default();
+    let resumed = Simulation::resume(
+        Arc::clone(&world),
+        Split::Test,
+        Seed(3),
+        settings,
+        state,
+        &Cancel::never(),
+    );
+    let fault = resumed.map(|_| ()).unwrap_err();
+    assert!(
+        fault
+            .message
+            .starts_with("simulations that begin in a later tick have no earlier ticks")
+    );
+    // Conflicts concern every possible past.
+    let overlaps = conflicts(rules).unwrap();
+    assert!(
+        overlaps
+            .iter()
+            .all(|overlap| !matches!(overlap.finding, Finding::NotFound(_)))
+    );
 }

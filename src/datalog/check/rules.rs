@@ -488,6 +488,15 @@ impl Rules {
         Some(PredicateId(u32::try_from(index).expect("fewer than 2^32 predicates")))
     }
 
+    /// Returns the rules of a single tick: what they read of earlier ticks is input.
+    pub fn of_one_tick(&self) -> Rules {
+        let mut rules = self.clone();
+        for past in rules.pasts.drain(..) {
+            rules.predicates[past.predicate.index()].input = true;
+        }
+        rules
+    }
+
     /// Returns whether the predicate has [parameters](Predicate::parameters).
     pub(crate) fn is_correlated(&self, predicate: PredicateId) -> bool {
         let predicate = self.predicates.get(predicate.index());

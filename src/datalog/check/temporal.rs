@@ -21,7 +21,7 @@ use crate::codes;
 use crate::diag::{Diagnostic, Faults};
 
 use crate::check::names::Names;
-use crate::check::rules::{Past, PastOperator};
+use crate::check::rules::{Past, PastOperator, Predicate};
 use crate::syntax::ast::{
     Aggregate, Atom, Clause, ColumnDecl, Decl, Item, Literal, Name, Operator, Place, Scope, Temporal, Term, TermKind,
     TypeDefinition,
@@ -413,7 +413,8 @@ impl<'c> Lowering<'c, '_> {
                 let predicate = self.fresh(format!("now {name}"));
                 let types = variables.iter().map(|variable| self.type_of(variable, [atom], ego));
                 let types: Vec<Name> = types.collect();
-                self.declare(&predicate, types, atom.place);
+                let shown = template(atom, &variables) + &in_view_of(ego, &[atom]);
+                self.declare(&predicate, types, shown, atom.place);
                 self.define_operand(atom, over(&predicate, &variables, atom.place), ego);
                 self.operands.insert(pattern.clone(), predicate.clone());
                 predicate
@@ -511,10 +512,25 @@ impl<'c> Lowering<'c, '_> {
         let name = |operator: Operator, first: u32| {
             let before = temporal.held.iter().map(|held| format!("{} ", held.predicate.text));
             let mut name: String = before.collect();
-            write_operator(&mut name, operator, last.map(|last| (first, last))).expect("a string takes all text");
-            // All ticks so far, without the present.
-            let open = if last.is_none() && first > 0 { "[1,]" } else { "" };
-            format!("{name}{open} {}", temporal.atom.predicate.text)
+            write_window(&mut name, operator, first, last);
+            format!("{name} {}", temporal.atom.predicate.text)
+        };
+        let ego = self
+            .ego
+            .filter(|ego| variables.first().is_some_and(|first| first.kind == ego.kind));
+        let shown = |operator: Operator, first: u32| {
+            let mut text: String = temporal
+                .held
+                .iter()
+                .map(|held| template(held, variables) + " ")
+                .collect();
+            write_window(&mut text, operator, first, last);
+            let atoms: Vec<&Atom> = temporal.atoms().collect();
+            format!(
+                "{text} {}{}",
+                template(&temporal.atom, variables),
+                in_view_of(ego, &atoms)
+            )
         };
         let includes_present = first == 0;
         let remembers = last.is_none_or(|last| last > 0);
@@ -541,7 +557,16 @@ impl<'c> Lowering<'c, '_> {
                 other => name(other, first.max(1)),
             };
             let predicate = self.fresh(name);
-            self.declare(&predicate, types.clone(), place);
+            let so_far = if operator == Operator::Since && !includes_present {
+                "so far "
+            } else {
+                ""
+            };
+            let shown = match operator {
+                Operator::Previous => shown(operator, first),
+                _ => so_far.to_owned() + &shown(past.operator, first.max(1)),
+            };
+            self.declare(&predicate, types.clone(), shown, place);
             self.pasts.push(NamedPast {
                 predicate: predicate.clone(),
                 ..past
@@ -566,7 +591,7 @@ impl<'c> Lowering<'c, '_> {
             (_, _, None) => vec![vec![now]],
         };
         let predicate = self.fresh(name(operator, first));
-        self.declare(&predicate, types, place);
+        self.declare(&predicate, types, shown(operator, first), place);
         for body in bodies {
             self.clauses.push(Clause {
                 heads: vec![over(&predicate, variables, place)],
@@ -590,7 +615,8 @@ impl<'c> Lowering<'c, '_> {
         numbered
     }
 
-    fn declare(&mut self, predicate: &str, types: Vec<Name>, place: Place) {
+    /// Declares a hidden predicate that is shown as this [`template`].
+    fn declare(&mut self, predicate: &str, types: Vec<Name>, shown: String, place: Place) {
         let columns = types.into_iter().enumerate().map(|(column, ty)| ColumnDecl {
             name: Name {
                 text: format!("x{}", column + 1),
@@ -605,7 +631,7 @@ impl<'c> Lowering<'c, '_> {
             }],
             columns: Some(columns.collect()),
             qualifiers: Vec::new(),
-            doc: String::new(),
+            doc: shown,
         });
     }
 
@@ -629,6 +655,59 @@ impl<'c> Lowering<'c, '_> {
             place: variable.place,
         }
     }
+}
+
+/// Writes an operator with its window.
+fn write_window(text: &mut String, operator: Operator, first: u32, last: Option<u32>) {
+    write_operator(text, operator, last.map(|last| (first, last))).expect("a string takes all text");
+    if last.is_none() && first > 0 {
+        // All ticks so far, without the present.
+        text.push_str("[1,]");
+    }
+}
+
+/// Stands before and after the number of a column in a template. No text of a source contains it.
+const COLUMN: char = '\0';
+
+/// Returns an atom with the numbers of columns in place of its variables.
+fn template(atom: &Atom, columns: &[&Term]) -> String {
+    let term = |term: &Term| match columns.iter().position(|column| column.kind == term.kind) {
+        Some(column) => format!("{COLUMN}{column}{COLUMN}"),
+        None => term.to_string(),
+    };
+    let terms: Vec<String> = atom.terms.iter().map(term).collect();
+    format!("{}({})", atom.predicate.text, terms.join(", "))
+}
+
+/// Returns whose view a template is about, if its atoms do not say it.
+fn in_view_of(ego: Option<&Term>, atoms: &[&Atom]) -> String {
+    let names = |ego: &Term| {
+        atoms
+            .iter()
+            .any(|atom| atom.terms.iter().any(|term| term.kind == ego.kind))
+    };
+    match ego {
+        Some(ego) if !names(ego) => format!(" in the view of {COLUMN}0{COLUMN}"),
+        _ => String::new(),
+    }
+}
+
+/// Returns an atom of a hidden predicate of this module as the author wrote the literal; `None` for other predicates.
+pub(crate) fn shown(predicate: &Predicate, arguments: &[String]) -> Option<String> {
+    if !predicate.hidden || predicate.name.starts_with('+') {
+        return None;
+    }
+    let parts = predicate.doc.split(COLUMN).enumerate();
+    let part = |(position, part): (usize, &str)| match position % 2 {
+        0 => part.to_owned(),
+        _ => {
+            let column = part.parse::<usize>().ok();
+            column
+                .and_then(|column| arguments.get(column).cloned())
+                .unwrap_or_default()
+        }
+    };
+    Some(parts.map(part).collect())
 }
 
 fn name_of(term: &Term) -> &str {

@@ -1,7 +1,7 @@
 //! Explanations as text for readers and as JSON for programs.
 
 use crate::check::witness::written;
-use crate::check::{Atom, Clause, ClauseId, Literal, PastOperator, PredicateId, Rules, Term};
+use crate::check::{Atom, Clause, ClauseId, Literal, PastOperator, Predicate, PredicateId, Rules, Term, temporal};
 use crate::diag::Sources;
 use crate::explain::{
     Absence, AbsenceReason, Explanation, Fact, FailureKind, Miss, Node, NodeId, Obstacle, Origin, Premise,
@@ -220,7 +220,7 @@ impl<'a> ExplanationPrinter<'a> {
         let clause = &self.rules.clauses[clause.index()];
         let head = &self.rules.predicates[clause.head.predicate.index()];
         json!({
-            "head": if head.hidden { &head.doc } else { &head.name },
+            "head": if is_unfolded(head) { &head.doc } else { &head.name },
             "file": self.sources.name(clause.span.source),
             "line": self.sources.position(clause.span).line,
             "doc": clause.doc,
@@ -387,8 +387,7 @@ impl<'a> ExplanationPrinter<'a> {
 
     fn row_within(&self, id: PredicateId, pattern: &[Option<Value>], depth: usize) -> String {
         let predicate = &self.rules.predicates[id.index()];
-        // Those of temporal operators have readable names.
-        if predicate.hidden && predicate.derived && predicate.name.starts_with('+') {
+        if is_unfolded(predicate) {
             return self.unfold(id, pattern, depth);
         }
         let columns = predicate.columns.iter().zip(pattern);
@@ -400,6 +399,9 @@ impl<'a> ExplanationPrinter<'a> {
 
     /// Returns an atom of a predicate that is not unfolded.
     fn named_atom(&self, id: PredicateId, arguments: &[String]) -> String {
+        if let Some(shown) = temporal::shown(&self.rules.predicates[id.index()], arguments) {
+            return shown;
+        }
         let arguments = arguments.join(", ");
         match self.rules.predicates.iter().find(|predicate| predicate.edb == Some(id)) {
             Some(owner) => format!("given {}({arguments})", owner.name),
@@ -531,7 +533,7 @@ impl<'a> ExplanationPrinter<'a> {
         target: Option<(usize, &str)>,
     ) -> String {
         let predicate = &self.rules.predicates[atom.predicate.index()];
-        if predicate.hidden && predicate.derived {
+        if is_unfolded(predicate) {
             return self.unfold(atom.predicate, &super::search::pattern(atom, binding), depth);
         }
         let columns = predicate.columns.iter().zip(&atom.terms);
@@ -551,6 +553,11 @@ impl<'a> ExplanationPrinter<'a> {
             (None, _) => "_".to_owned(),
         }
     }
+}
+
+/// Returns whether the definition of a hidden predicate stands for it.
+fn is_unfolded(predicate: &Predicate) -> bool {
+    predicate.hidden && predicate.derived && predicate.name.starts_with('+')
 }
 
 /// Returns the base type of the argument at a position, given that of the first argument.

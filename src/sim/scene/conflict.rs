@@ -82,6 +82,8 @@ pub enum Finding {
 /// # Errors
 /// If [`diff`] rejects the rules.
 pub fn conflicts(rules: &Rules) -> Result<Vec<Overlap>, Vec<Diagnostic>> {
+    // Every past is possible.
+    let rules = &rules.of_one_tick();
     let action = |action: Action| {
         let predicate = rules.predicate(action.name())?;
         let columns = &rules.predicates[predicate.index()].columns;

@@ -183,18 +183,18 @@ pub struct Terms<'a> {
     pub concepts: Vec<(AgentKind, &'a str)>,
 }
 
-/// Parses a scene.
+/// Parses a scene, or a list of scenes in successive ticks, of which there is at least one.
 ///
 /// # Errors
-/// All errors of the scene: `invalid-scene` at their positions, `limit-exceeded` for more than [`MAX_ENTITIES`] agents
+/// All errors of the scenes: `invalid-scene` at their positions, `limit-exceeded` for more than [`MAX_ENTITIES`] agents
 /// or entities.
-pub fn parse_scene(sources: &Sources, source: SourceId, terms: &Terms<'_>) -> Result<Scene, Vec<Diagnostic>> {
+pub fn parse_scenes(sources: &Sources, source: SourceId, terms: &Terms<'_>) -> Result<Vec<Scene>, Vec<Diagnostic>> {
     let reader = Reader {
         source,
         text: sources.text(source),
         terms,
     };
-    (reader.scene()).map_err(|faults| faults.into_iter().collect::<Faults>().finish())
+    (reader.scenes()).map_err(|faults| faults.into_iter().collect::<Faults>().finish())
 }
 
 /// A parsed value, or all errors in it.
@@ -219,8 +219,20 @@ struct Reader<'a> {
 }
 
 impl<'a> Reader<'a> {
-    fn scene(&self) -> Read<Scene> {
+    fn scenes(&self) -> Read<Vec<Scene>> {
         let whole: &RawValue = self.read(self.text, 0)?;
+        if !whole.get().starts_with('[') {
+            return Ok(vec![self.scene(whole)?]);
+        }
+        let list: Vec<&RawValue> = self.value(whole)?;
+        if list.is_empty() {
+            let label = "expected the scenes of successive ticks, the present one last";
+            return Err(vec![self.fault(whole, "a list without scenes".into(), label)]);
+        }
+        all(list.into_iter().map(|scene| self.scene(scene)))
+    }
+
+    fn scene(&self, whole: &'a RawValue) -> Read<Scene> {
         if !whole.get().starts_with('{') {
             return Err(vec![self.fault(whole, "a scene is a JSON object".into(), FORMS)]);
         }

@@ -5,18 +5,19 @@ use crate::city::{Action, CityMap, Heading};
 use crate::config::{Scenario, load_map};
 use crate::datalog::dense::{BinaryFacts, BitFacts, BitState, Set, TooManySteps, TrackFirings, has};
 use crate::datalog::explain::Explainer;
-use crate::datalog::{self, EvalError, Limits, Program, Session, Value, constraints, internal::size};
+use crate::datalog::{self, EvalError, Limits, PredicateId, Program, Session, Value, constraints, internal::size};
 use crate::diag::{self, Diagnostic, Limit, SourceId, Sources, Span};
 use crate::files::ReadFile;
 use crate::predicate::{Entity, Unit};
 use crate::rng::Seed;
 use crate::sim::codes;
-use crate::sim::scene::format::{GeometricScene, GivenPredicate, Scene, SymbolicScene, Terms, parse_scene};
+use crate::sim::scene::format::{GeometricScene, GivenPredicate, Scene, SymbolicScene, Terms, parse_scenes};
 use crate::sim::tick::asked::AskedFact;
 use crate::sim::tick::chance::Draws;
 use crate::sim::tick::executor::{Choice, DenseRules, Executor, compile, given_up, of_rules};
 use crate::sim::tick::ground::{Facts, MAX_ENTITIES, ground_with};
 use crate::sim::tick::ground_state::GroundState;
+use crate::sim::tick::memory::{Memory, Watched};
 use crate::sim::tick::vocabulary::{Actions, BasePredicate, Vocabulary};
 use crate::sim::tick::width::{Width, in_words};
 use crate::sim::tick::world::TICK_LIMITS;
@@ -360,10 +361,82 @@ impl Inference {
                 .map(|concept| (concept.of, concept.concept.as_str()))
                 .collect(),
         };
-        match parse_scene(sources, source, &terms)? {
-            Scene::Geometric(scene) => self.geometric(scene, cancel),
-            Scene::Symbolic(scene) => Ok(self.symbolic(scene)),
+        let mut ticks = Vec::new();
+        for scene in parse_scenes(sources, source, &terms)? {
+            ticks.push(match scene {
+                Scene::Geometric(scene) => self.geometric(scene, cancel)?,
+                Scene::Symbolic(scene) => self.symbolic(scene),
+            });
         }
+        let mut present = ticks.pop().expect("there is a scene");
+        let whole = Span::new(source, 0..sources.text(source).len());
+        let past = self.past(&ticks, &present, cancel);
+        present.facts.past = past.map_err(|fault| vec![fault.at(whole, "in an earlier tick of this list")])?;
+        Ok(present)
+    }
+
+    /// Returns what temporal operators read of earlier scenes in the present one.
+    fn past(
+        &self,
+        earlier: &[SceneFacts],
+        present: &SceneFacts,
+        cancel: &Cancel,
+    ) -> Result<Vec<Vec<([u32; 2], u64)>>, Diagnostic> {
+        let rules = self.program.rules();
+        if rules.pasts.is_empty() || earlier.is_empty() {
+            return Ok(Vec::new());
+        }
+        // Entities of the same name are the same one.
+        let mut known: HashMap<&str, u32> = HashMap::new();
+        let scenes = earlier.iter().chain([present]);
+        let scenes = scenes.map(|scene| scene.names.iter().map(String::as_str).collect());
+        let scenes: Vec<Vec<&str>> = scenes.collect();
+        for name in scenes.iter().flatten() {
+            let next = u32::try_from(known.len()).expect("fewer than 2^32 entities");
+            known.entry(name).or_insert(next);
+        }
+        let arity = |predicate: PredicateId| rules.predicates[predicate.index()].arity();
+        let mut watched = Watched::of(&rules.pasts, arity);
+        let mut memory = Memory::new(&rules.pasts, &watched, known.len());
+        for (scene, names) in earlier.iter().zip(&scenes) {
+            let mut scene = scene.clone();
+            scene.facts.past = self.renumbered(&memory, &known, names);
+            self.evaluated(&scene, cancel)?.watch(&mut watched);
+            let predicates = watched.predicates().to_vec();
+            for ((_, arity), rows) in predicates.into_iter().zip(&mut watched.rows) {
+                for entity in rows.iter_mut().flat_map(|row| &mut row[..arity]) {
+                    *entity = known[names[*entity as usize]];
+                }
+            }
+            watched.sort();
+            memory.advance(&watched);
+        }
+        Ok(self.renumbered(&memory, &known, &scenes[earlier.len()]))
+    }
+
+    /// Returns the rows of a memory over the entities of a scene with these names.
+    fn renumbered(&self, memory: &Memory, known: &HashMap<&str, u32>, names: &[&str]) -> Vec<Vec<([u32; 2], u64)>> {
+        let mut places = vec![None; known.len()];
+        for (place, name) in (0_u32..).zip(names) {
+            places[known[name] as usize] = Some(place);
+        }
+        let rules = self.program.rules();
+        let mut all = memory.rows();
+        for (rows, past) in all.iter_mut().zip(&rules.pasts) {
+            let arity = rules.predicates[past.predicate.index()].arity();
+            rows.retain_mut(|(row, _)| {
+                let mut entities = row[..arity].iter_mut();
+                entities.all(|entity| match places[*entity as usize] {
+                    Some(place) => {
+                        *entity = place;
+                        true
+                    }
+                    None => false,
+                })
+            });
+            rows.sort_unstable();
+        }
+        all
     }
 
     fn geometric(&mut self, scene: GeometricScene, cancel: &Cancel) -> Result<SceneFacts, Vec<Diagnostic>> {

@@ -25,6 +25,7 @@ mod unsat_core;
 
 use crate::check::subsumption::within_theory;
 use crate::check::{Literal, PredicateId, Rules, Term};
+use crate::codes;
 use crate::diag::Diagnostic;
 use crate::naive;
 use crate::symbol::{Symbol, Symbols};
@@ -134,9 +135,22 @@ const MODELS_MAX: usize = 4;
 /// Compares two rule sets.
 ///
 /// # Errors
-/// If a rule set exceeds the limits of planning. If a base predicate has different columns on the two sides, or is
+/// If a rule set exceeds the limits of planning, or has temporal operators. If a base predicate has different columns on the two sides, or is
 /// input on one side and derived on the other. If a predicate to compare is not declared on both sides.
 pub fn diff(left: &Rules, right: &Rules, options: &Options) -> Result<Equivalence, Vec<Diagnostic>> {
+    let looks_back = |rules: &Rules| {
+        let past = rules.pasts.first()?;
+        let fault = Diagnostic::new(codes::UNSUPPORTED, "rules with temporal operators cannot be compared");
+        let fault = fault.at(
+            rules.predicates[past.predicate.index()].span,
+            "this reads earlier ticks",
+        );
+        Some(fault.help("a comparison concerns single scenes; remove the clauses that look back from both sides"))
+    };
+    let faults: Vec<Diagnostic> = [left, right].into_iter().filter_map(looks_back).collect();
+    if !faults.is_empty() {
+        return Err(faults);
+    }
     let pair = Pair::new(left, right, options)?;
     let mut budget = Remaining::new(options);
     let same = Equivalence::Equivalent { entities: None };
