@@ -127,6 +127,40 @@ impl Condition {
         })
     }
 
+    /// Returns the condition as comparisons of numbers of one entity with constants: each value, by its predicate, has
+    /// this relation to this number. `None` if it is more than that.
+    pub fn thresholds(&self) -> Option<Vec<(PredicateId, Comparison, i32)>> {
+        if self.entities != 1 {
+            return None;
+        }
+        let mut loaded = BTreeMap::new();
+        let mut compared: Vec<(PredicateId, Comparison, i32)> = Vec::new();
+        for step in &self.steps {
+            match step {
+                Step::Load { predicate, to, .. } => _ = loaded.insert(*to, *predicate),
+                Step::Compare {
+                    op,
+                    base: BaseType::Number,
+                    left,
+                    right,
+                } => {
+                    let (op, variable, constant) = match (left, right) {
+                        (Operand::Variable(variable), Operand::Constant(constant)) => (*op, variable, constant),
+                        (Operand::Constant(constant), Operand::Variable(variable)) => {
+                            (op.mirrored(), variable, constant)
+                        }
+                        _ => return None,
+                    };
+                    compared.push((*loaded.get(variable)?, op, constant.as_number()));
+                }
+                _ => return None,
+            }
+        }
+        // A value that is loaded only must exist.
+        let is_compared = |loaded: &PredicateId| compared.iter().any(|(compared, ..)| compared == loaded);
+        loaded.values().all(is_compared).then_some(compared)
+    }
+
     /// The maximum number of variables for values.
     const VARIABLES_MAX: usize = 16;
 }

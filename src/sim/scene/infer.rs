@@ -396,19 +396,13 @@ impl Inference {
             known.entry(name).or_insert(next);
         }
         let arity = |predicate: PredicateId| rules.predicates[predicate.index()].arity();
-        let mut watched = Watched::of(&rules.pasts, arity);
-        let mut memory = Memory::new(&rules.pasts, &watched, known.len());
+        let mut watched = Watched::of(&rules.pasts, known.len(), arity);
+        let mut memory = Memory::new(&rules.pasts, &watched);
         for (scene, names) in earlier.iter().zip(&scenes) {
             let mut scene = scene.clone();
             scene.facts.past = self.renumbered(&memory, &known, names);
-            self.evaluated(&scene, cancel)?.watch(&mut watched);
-            let predicates = watched.predicates().to_vec();
-            for ((_, arity), rows) in predicates.into_iter().zip(&mut watched.rows) {
-                for entity in rows.iter_mut().flat_map(|row| &mut row[..arity]) {
-                    *entity = known[names[*entity as usize]];
-                }
-            }
-            watched.sort();
+            let state = self.evaluated(&scene, cancel)?;
+            state.watch_as(&mut watched, |entity| known[names[entity]] as usize);
             memory.advance(&watched);
         }
         Ok(self.renumbered(&memory, &known, &scenes[earlier.len()]))

@@ -7,7 +7,7 @@ use crate::datalog::{ClauseId, PredicateId};
 use crate::diag::Diagnostic;
 use crate::diag::codes;
 use crate::sim::tick::executor::not_dense;
-use crate::sim::tick::memory::{AgentRows, Watched};
+use crate::sim::tick::memory::Watched;
 use crate::sim::tick::vocabulary::{Actions, Vocabulary};
 use crate::sim::tick::width::{Width, in_words};
 use crate::sim::tick::window::{AgentState, Grounder, Near, Now, Position, Window};
@@ -114,27 +114,47 @@ impl Reading {
         let (mut firings, mut watched) = (std::mem::take(&mut out.firings), std::mem::take(&mut out.watched));
         let all = crate::datalog::dense::first(window.bodies.len());
         self.read(window, &all, out, &mut firings);
-        self.watch(window, &all, &mut watched.rows);
+        self.watch_all(window, &mut watched);
         (out.firings, out.watched) = (firings, watched);
     }
 
-    /// Adds the rows of the watched predicates whose first column is one of `egos`.
-    fn watch<const W: usize>(&self, window: &Window<W>, egos: &Set<W>, rows: &mut [AgentRows]) {
+    /// Sets the rows of the watched predicates in a window that contains the whole city.
+    fn watch_all<const W: usize>(&self, window: &Window<W>, watched: &mut Watched) {
+        let dense = &self.grounder.rules.dense;
+        for (position, &(predicate, arity)) in self.watched.iter().enumerate() {
+            if arity < 2 {
+                if let Some(set) = window.bit_state.set(dense, predicate) {
+                    watched.set(position, set);
+                }
+                continue;
+            }
+            for ego in 0..window.bodies.len() {
+                if let Some(row) = window.bit_state.row(dense, predicate, ego) {
+                    watched.add_row(position, ego, row);
+                }
+            }
+        }
+    }
+
+    /// Adds the rows of the watched predicates whose first column is one of `egos`, each with the position of its
+    /// predicate.
+    fn watch<const W: usize>(&self, window: &Window<W>, egos: &Set<W>, rows: &mut Vec<(usize, [u32; 2])>) {
         let dense = &self.grounder.rules.dense;
         let agent = |entity: usize| window.bodies[entity].agent;
-        for (&(predicate, arity), rows) in self.watched.iter().zip(rows) {
+        for (position, &(predicate, arity)) in self.watched.iter().enumerate() {
             if arity < 2 {
                 let set = window.bit_state.set(dense, predicate);
-                rows.extend(set.into_iter().flat_map(members).map(|entity| [agent(entity), 0]));
+                rows.extend(
+                    set.into_iter()
+                        .flat_map(members)
+                        .map(|entity| (position, [agent(entity), 0])),
+                );
                 continue;
             }
             for ego in members(egos) {
                 let row = window.bit_state.row(dense, predicate, ego);
-                rows.extend(
-                    row.into_iter()
-                        .flat_map(members)
-                        .map(|other| [agent(ego), agent(other)]),
-                );
+                let row = row.into_iter().flat_map(members);
+                rows.extend(row.map(|other| (position, [agent(ego), agent(other)])));
             }
         }
     }
@@ -244,7 +264,7 @@ impl DenseExecutor {
             grounder: Grounder::new(plan),
             clauses: clauses.iter().map(|clause| (*clause, of_action(clause))).collect(),
             actions,
-            watched: world.watched().predicates().to_vec(),
+            watched: world.watched(0).predicates().to_vec(),
         };
         if agents.len() <= Near::MAX {
             let mut few = Few::default();
@@ -377,7 +397,7 @@ impl<const W: usize> OneWindow for One<W> {
     }
 
     fn decide(&mut self, reading: &Reading, now: Now<'_>, out: &mut Decisions) -> Result<(), TooManySteps> {
-        self.window.run(&reading.grounder, now)?;
+        self.window.run(&reading.grounder, now, true)?;
         reading.read_all(&self.window, out);
         Ok(())
     }
@@ -428,7 +448,7 @@ struct Worker {
 #[derive(Default)]
 struct Tally {
     firings: Vec<usize>,
-    watched: Vec<AgentRows>,
+    watched: Vec<(usize, [u32; 2])>,
 }
 
 /// A rectangle of cells.
@@ -523,8 +543,7 @@ impl Tiles {
             let tally = &mut worker.get_mut().expect("no thread has panicked").tally;
             tally.firings.clear();
             tally.firings.resize(out.firings.len(), 0);
-            tally.watched.iter_mut().for_each(Vec::clear);
-            tally.watched.resize_with(out.watched.rows.len(), Vec::new);
+            tally.watched.clear();
         }
         let lines = |cells: i32| (cells + self.side - 1) / self.side;
         let fault_in_row = |row: i32| {
@@ -557,9 +576,10 @@ impl Tiles {
             for (sum, fired) in out.firings.iter_mut().zip(&tally.firings) {
                 *sum += fired;
             }
-            for (all, rows) in out.watched.rows.iter_mut().zip(&tally.watched) {
-                all.extend_from_slice(rows);
-            }
+            tally
+                .watched
+                .iter()
+                .for_each(|(position, row)| out.watched.add(*position, *row));
         }
         Ok(())
     }
@@ -680,7 +700,7 @@ impl Evaluate<'_> {
         window.fill(&self.reading.grounder, first, [rows, cols]);
         let egos = crate::datalog::dense::first(self.egos);
         window.bit_state.set_egos(egos);
-        let decided = window.run(&self.reading.grounder, self.now);
+        let decided = window.run(&self.reading.grounder, self.now, false);
         if decided.is_ok() {
             self.reading.read(window, &egos, self.out, &mut tally.firings);
             self.reading.watch(window, &egos, &mut tally.watched);

@@ -2,9 +2,9 @@
 
 use crate::city::Heading;
 use crate::datalog::dense::{self, BitFacts, Condition, Dense, Lifted, TooManySteps, TrackFirings, choose, lift};
-use crate::datalog::{ClauseId, PredicateId, Rules, Value};
+use crate::datalog::{ClauseId, Comparison, PredicateId, Rules, Value};
 use crate::diag::{self, Diagnostic, Span};
-use crate::predicate::Quantity;
+use crate::predicate::{Quantity, Unit};
 use crate::sim::codes;
 use crate::sim::tick::ground::Facts;
 use crate::sim::tick::vocabulary::Vocabulary;
@@ -131,6 +131,22 @@ impl DenseRules {
     }
 }
 
+/// The condition that a quantity lies in a range, or outside of it.
+#[derive(Clone, Copy, Debug)]
+pub(crate) struct Threshold {
+    pub quantity: Quantity,
+    low: i32,
+    high: i32,
+    inside: bool,
+}
+
+impl Threshold {
+    #[inline]
+    pub fn holds(&self, number: i32) -> bool {
+        (self.low <= number && number <= self.high) == self.inside
+    }
+}
+
 /// The conditions on quantities that rules read.
 #[derive(Debug)]
 pub(crate) struct Conditions {
@@ -147,6 +163,31 @@ impl Conditions {
     /// Returns the position of the condition with this hidden predicate.
     pub fn find(&self, predicate: PredicateId) -> Option<usize> {
         self.list.iter().position(|condition| condition.predicate == predicate)
+    }
+
+    /// Returns a condition as ranges of whole numbers of one agent; `None` if it is more than that.
+    pub fn thresholds(&self, condition: usize) -> Option<Vec<Threshold>> {
+        let compared = self.list[condition].thresholds()?;
+        let threshold = |(predicate, op, number): (PredicateId, Comparison, i32)| {
+            let &(.., quantity) = self.quantities.iter().find(|(id, ..)| *id == predicate)?;
+            // Below the lowest number there is none.
+            let (low, high, inside) = match op {
+                Comparison::Equal => (number, number, true),
+                Comparison::NotEqual => (number, number, false),
+                Comparison::Less => (number, i32::MAX, false),
+                Comparison::LessEqual => (i32::MIN, number, true),
+                Comparison::Greater => (i32::MIN, number, false),
+                Comparison::GreaterEqual => (number, i32::MAX, true),
+                _ => return None,
+            };
+            (quantity.unit() == Unit::Number).then_some(Threshold {
+                quantity,
+                low,
+                high,
+                inside,
+            })
+        };
+        compared.into_iter().map(threshold).collect()
     }
 
     /// Returns whether a condition holds. `value` returns the value, as in [`Facts::values`], of the quantity at this

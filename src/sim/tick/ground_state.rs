@@ -201,18 +201,27 @@ impl GroundState {
 
     /// Adds the rows of the predicates that temporal operators are about.
     pub(crate) fn watch(&self, watched: &mut Watched) {
+        self.watch_as(watched, |entity| entity);
+    }
+
+    /// Variant of [`watch`](Self::watch) with another number for each entity.
+    pub(crate) fn watch_as(&self, watched: &mut Watched, number: impl Fn(usize) -> usize) {
         watched.clear();
-        let predicates = watched.predicates().to_vec();
-        for ((predicate, arity), rows) in predicates.into_iter().zip(&mut watched.rows) {
-            rows.extend(self.session.encoded_rows(predicate).filter_map(|words| {
+        for position in 0..watched.predicates().len() {
+            let (predicate, arity) = watched.predicates()[position];
+            for words in self.session.encoded_rows(predicate) {
                 let mut row = [0; 2];
-                for (agent, word) in row.iter_mut().zip(&words[..arity]) {
+                let agents = row.iter_mut().zip(&words[..arity]).try_for_each(|(agent, word)| {
                     // A constant may name no agent.
-                    *agent = u32::try_from(self.entity(*word)?).expect("fewer than 2^32 agents");
+                    *agent = u32::try_from(number(self.entity(*word)?)).expect("fewer than 2^32 agents");
+                    Some(())
+                });
+                if agents.is_some() {
+                    watched.add(position, row);
                 }
-                Some(row)
-            }));
+            }
         }
+        watched.sort();
     }
 
     /// Returns the session.

@@ -1,30 +1,72 @@
 //! The memory of a city: what temporal operators read of earlier ticks.
 //!
-//! Each row of a [`Past`] has a register. A short window is a shift register of bits: bit `i` tells about the tick `i + 1`
-//! ticks before the present one. For a longer window, and for one without an end, the register lists the spans of ticks
-//! in which the operand held. Sessions keep the same memory in another form; tests compare both.
+//! A row of agents is a bit, and words of rows are processed together. For each row a [`Timer`] counts the ticks for
+//! which its hidden predicate still holds; its bits lie in planes, one for each digit of all counters:
+//!
+//! ```text
+//! once[1,5] P(x)            P starts the timer of x at 5
+//! once[3,7] P(x)            the same, two ticks later
+//! P(x) since[1,5] Q(x)      Q starts it, and a tick without P ends it
+//! historically[1,5] P(x)    a tick without P starts it, and the predicate holds while it does not run
+//! ```
+//!
+//! Pairs of many agents, and windows that begin long ago, are kept as [`Spans`] of ticks instead. Sessions keep the same
+//! memory in a third form; tests compare all three.
 
 use crate::datalog::{Past, PastOperator, PredicateId};
-use std::collections::BTreeMap;
+use std::collections::{BTreeMap, VecDeque};
 
-/// The longest window, in ticks, that a shift register covers.
-const BITS: u32 = u64::BITS;
+/// The most agents whose pairs are kept as bits.
+const PAIRS_MAX: usize = 512;
 
-/// Rows of agents, by their positions in the list. Columns that a predicate does not have contain 0.
-pub(crate) type AgentRows = Vec<[u32; 2]>;
+/// The longest delay of a window that is kept as bits.
+const DELAY_MAX: u32 = 64;
+
+/// Rows of at most two agents, by their positions in the list. Columns that a predicate does not have contain 0.
+#[derive(Clone, Debug)]
+pub(crate) enum Rows {
+    /// A bit for each agent or, over two agents, for each second one in `words` words for each first one; a single bit
+    /// over none.
+    Bits(Vec<u64>),
+    /// Rows over two agents.
+    List(Vec<[u32; 2]>),
+}
+
+impl Rows {
+    /// Returns the rows of a predicate with this number of columns, in a city of this number of agents, without rows.
+    fn new(arity: usize, agents: usize) -> Rows {
+        match arity {
+            2 if agents > PAIRS_MAX => Rows::List(Vec::new()),
+            2 => Rows::Bits(vec![0; agents * words(agents)]),
+            1 => Rows::Bits(vec![0; words(agents)]),
+            _ => Rows::Bits(vec![0]),
+        }
+    }
+}
+
+/// Returns the number of words with a bit for each agent.
+fn words(agents: usize) -> usize {
+    agents.div_ceil(64)
+}
+
+fn number(index: usize) -> u32 {
+    u32::try_from(index).expect("fewer than 2^32 agents")
+}
 
 /// The rows that hold in the present tick for each watched predicate.
 #[derive(Clone, Debug, Default)]
 pub(crate) struct Watched {
+    agents: usize,
     /// The predicates, in ascending order, with their numbers of columns.
     predicates: Vec<(PredicateId, usize)>,
     /// Their rows.
-    pub rows: Vec<AgentRows>,
+    rows: Vec<Rows>,
 }
 
 impl Watched {
-    /// Lists the predicates that the windows of `pasts` are about. `arity` returns the number of columns.
-    pub fn of(pasts: &[Past], arity: impl Fn(PredicateId) -> usize) -> Watched {
+    /// Lists the predicates that the windows of `pasts` are about, for a city of this number of agents. `arity` returns
+    /// the number of columns.
+    pub fn of(pasts: &[Past], agents: usize, arity: impl Fn(PredicateId) -> usize) -> Watched {
         let held = |past: &Past| match past.operator {
             PastOperator::Since(held, _) => Some(held),
             PastOperator::Once | PastOperator::Always => None,
@@ -36,7 +78,8 @@ impl Watched {
         predicates.sort_unstable();
         predicates.dedup();
         Watched {
-            rows: vec![AgentRows::new(); predicates.len()],
+            agents,
+            rows: predicates.iter().map(|(_, arity)| Rows::new(*arity, agents)).collect(),
             predicates,
         }
     }
@@ -47,14 +90,52 @@ impl Watched {
     }
 
     pub fn clear(&mut self) {
-        self.rows.iter_mut().for_each(Vec::clear);
+        for rows in &mut self.rows {
+            match rows {
+                Rows::Bits(bits) => bits.fill(0),
+                Rows::List(list) => list.clear(),
+            }
+        }
     }
 
-    /// Sorts the rows over two agents, as [`Memory::advance`] needs them.
+    /// Adds a row of the predicate at this position. Rows over two agents of a large city may come in any order.
+    #[inline]
+    pub fn add(&mut self, position: usize, [x, y]: [u32; 2]) {
+        match &mut self.rows[position] {
+            Rows::Bits(bits) if self.predicates[position].1 == 2 => {
+                bits[x as usize * words(self.agents) + y as usize / 64] |= 1 << (y % 64);
+            }
+            Rows::Bits(bits) => bits[x as usize / 64] |= 1 << (x % 64),
+            Rows::List(list) => list.push([x, y]),
+        }
+    }
+
+    /// Adds the rows that begin with `x` of the predicate at this position, which has two columns; `set` has a bit for
+    /// each second agent.
+    pub fn add_row(&mut self, position: usize, x: usize, set: &[u64]) {
+        let words = words(self.agents);
+        match &mut self.rows[position] {
+            Rows::Bits(bits) => bits[x * words..][..words].copy_from_slice(&set[..words]),
+            Rows::List(list) => {
+                let others = (0..self.agents).filter(|y| set[y / 64] >> (y % 64) & 1 != 0);
+                list.extend(others.map(|y| [number(x), number(y)]));
+            }
+        }
+    }
+
+    /// Sets the rows of the predicate at this position, which has at most one column; `set` has a bit for each agent.
+    pub fn set(&mut self, position: usize, set: &[u64]) {
+        if let Rows::Bits(bits) = &mut self.rows[position] {
+            let words = bits.len();
+            bits.copy_from_slice(&set[..words]);
+        }
+    }
+
+    /// Sorts the rows, as [`Memory::advance`] needs them.
     pub fn sort(&mut self) {
-        for (rows, (_, arity)) in self.rows.iter_mut().zip(&self.predicates) {
-            if *arity == 2 && !rows.is_sorted() {
-                rows.sort_unstable();
+        for rows in &mut self.rows {
+            if let Rows::List(list) = rows {
+                list.sort_unstable();
             }
         }
     }
@@ -62,6 +143,18 @@ impl Watched {
     fn position(&self, predicate: PredicateId) -> usize {
         let found = self.predicates.binary_search_by_key(&predicate, |(known, _)| *known);
         found.expect("it is watched")
+    }
+
+    /// Returns whether the predicate at this position has the row.
+    #[inline]
+    fn holds(&self, position: usize, [x, y]: [u32; 2]) -> bool {
+        match &self.rows[position] {
+            Rows::Bits(bits) if self.predicates[position].1 == 2 => {
+                bits[x as usize * words(self.agents) + y as usize / 64] >> (y % 64) & 1 != 0
+            }
+            Rows::Bits(bits) => bits[x as usize / 64] >> (x % 64) & 1 != 0,
+            Rows::List(list) => list.binary_search(&[x, y]).is_ok(),
+        }
     }
 }
 
@@ -82,33 +175,177 @@ struct Record {
     operand: usize,
     held: Option<usize>,
     arity: usize,
-    registers: Registers,
-    /// For a predicate over at most one agent, the agents for which it holds, one bit each.
-    holding: Vec<u64>,
+    kept: Kept,
 }
 
 #[derive(Clone, Debug)]
-enum Registers {
-    /// Over at most one agent: a register for each agent.
-    Bits(Vec<u64>),
-    /// Over at most one agent, with a long window.
-    Spans(Vec<Spans>),
-    /// Over two agents: for each first one the second ones in ascending order, with their registers.
-    PairBits(Vec<Vec<(u32, u64)>>),
-    /// Over two agents, with a long window.
-    PairSpans(Vec<BTreeMap<u32, Spans>>),
+enum Kept {
+    Timer(Timer),
+    Spans(BTreeMap<[u32; 2], Spans>),
 }
 
 /// The spans of ticks in which a row held, in order: the first and the last tick of each.
 type Spans = Vec<(u64, u64)>;
 
+/// A counter for each row of a predicate, as [`Rows::Bits`].
+#[derive(Clone, Debug)]
+struct Timer {
+    /// The number of ticks before the present one of the first tick of the window.
+    first: u32,
+    /// The number of ticks for which an event counts; `None` for ever.
+    length: Option<u32>,
+    /// The digits of the counters, the lowest first; none if events count for ever.
+    planes: Vec<Vec<u64>>,
+    /// The rows whose counter is not 0, or that had an event that counts for ever.
+    running: Vec<u64>,
+    /// Events that wait for the first tick of the window, the oldest first.
+    delayed: VecDeque<Vec<u64>>,
+    /// If events count for ever: the tick of the event that started the timer of each row.
+    begun: Vec<u64>,
+    /// The bits that stand for rows.
+    rows: Vec<u64>,
+    /// Whether the hidden predicate holds while the timer does not run.
+    inverse: bool,
+    /// The rows for which it holds.
+    holding: Vec<u64>,
+    /// Buffers.
+    event: Vec<u64>,
+    borrow: Vec<u64>,
+}
+
+impl Timer {
+    fn new(past: &Past, arity: usize, agents: usize) -> Timer {
+        let row: Vec<u64> = (0..words(agents)).map(|word| ones(agents - word * 64)).collect();
+        let rows = match arity {
+            2 => row.repeat(agents),
+            1 => row,
+            _ => vec![1],
+        };
+        let length = past.last.map(|last| last - past.first + 1);
+        let digits = length.map_or(0, |length| u32::BITS - length.leading_zeros());
+        let empty = vec![0; rows.len()];
+        let mut timer = Timer {
+            first: past.first,
+            length,
+            planes: vec![empty.clone(); digits as usize],
+            running: empty.clone(),
+            delayed: vec![empty.clone(); past.first as usize - 1].into(),
+            begun: match length {
+                Some(_) => Vec::new(),
+                None => vec![0; rows.len() * 64],
+            },
+            inverse: past.operator == PastOperator::Always,
+            holding: empty.clone(),
+            event: empty.clone(),
+            borrow: empty,
+            rows,
+        };
+        timer.clear();
+        timer
+    }
+
+    /// Forgets all ticks.
+    fn clear(&mut self) {
+        // Before the first tick nothing held. So for `historically`, each row had an event in each tick.
+        let before = |rows: u64| if self.inverse { rows } else { 0 };
+        for (running, rows) in self.running.iter_mut().zip(&self.rows) {
+            *running = before(*rows);
+        }
+        let (running, length) = (&self.running, self.length.unwrap_or(0));
+        for (digit, plane) in self.planes.iter_mut().enumerate() {
+            match length >> digit & 1 {
+                0 => plane.fill(0),
+                _ => plane.copy_from_slice(running),
+            }
+        }
+        self.delayed
+            .iter_mut()
+            .for_each(|events| events.copy_from_slice(running));
+        self.holding.fill(0);
+    }
+
+    /// Ends a tick with these rows of the operand. `keep` are the rows for which earlier events count.
+    fn advance(&mut self, operand: &[u64], keep: Option<&[u64]>, ended: u64) {
+        if let Some(keep) = keep {
+            for kept in self
+                .delayed
+                .iter_mut()
+                .chain(&mut self.planes)
+                .chain([&mut self.running])
+            {
+                kept.iter_mut().zip(keep).for_each(|(kept, keep)| *kept &= keep);
+            }
+        }
+        let mut event = std::mem::take(&mut self.event);
+        for ((event, operand), rows) in event.iter_mut().zip(operand).zip(&self.rows) {
+            *event = if self.inverse { rows & !operand } else { *operand };
+        }
+        if let Some(oldest) = self.delayed.pop_front() {
+            self.delayed.push_back(std::mem::replace(&mut event, oldest));
+        }
+        match self.length {
+            Some(length) => self.count(&event, length),
+            // Before that tick there are no events.
+            None => self.begin(&event, (ended + 1).saturating_sub(u64::from(self.first))),
+        }
+        self.event = event;
+        for ((holding, running), rows) in self.holding.iter_mut().zip(&self.running).zip(&self.rows) {
+            *holding = if self.inverse { rows & !running } else { *running };
+        }
+    }
+
+    /// Counts down, and starts the timers of rows with an event.
+    fn count(&mut self, event: &[u64], length: u32) {
+        self.borrow.copy_from_slice(&self.running);
+        self.running.fill(0);
+        for (digit, plane) in self.planes.iter_mut().enumerate() {
+            let start = if length >> digit & 1 != 0 { u64::MAX } else { 0 };
+            let words = plane.iter_mut().zip(event).zip(&mut self.borrow).zip(&mut self.running);
+            for (((digit, event), borrow), running) in words {
+                let before = *digit;
+                *digit = (before ^ *borrow) & !event | event & start;
+                *borrow &= !before;
+                *running |= *digit;
+            }
+        }
+    }
+
+    /// Starts the timers, which never end, of rows with an event in this tick.
+    fn begin(&mut self, event: &[u64], tick: u64) {
+        for (word, (event, running)) in event.iter().zip(&mut self.running).enumerate() {
+            let mut new = event & !*running;
+            *running |= event;
+            while new != 0 {
+                self.begun[word * 64 + new.trailing_zeros() as usize] = tick;
+                new &= new - 1;
+            }
+        }
+    }
+
+    /// Returns the tick that explains a row that holds, given by the position of its bit.
+    fn witness(&self, bit: usize, now: u64) -> u64 {
+        let Some(length) = self.length else {
+            return self.begun[bit];
+        };
+        let window = u64::from(self.first) + u64::from(length);
+        if self.inverse {
+            return now + 1 - window;
+        }
+        let digits = self.planes.iter().enumerate();
+        let left = digits.map(|(digit, plane)| (plane[bit / 64] >> (bit % 64) & 1) << digit);
+        // It started with the whole length, and since then one was taken off in each tick.
+        now + left.sum::<u64>() - window
+    }
+}
+
 impl Memory {
-    /// Creates the memory of a city of this number of agents before its first tick.
-    pub fn new(pasts: &[Past], watched: &Watched, agents: usize) -> Memory {
+    /// Creates the memory of a city before its first tick. `watched` is of the same city.
+    pub fn new(pasts: &[Past], watched: &Watched) -> Memory {
+        let agents = watched.agents;
         let record = |past: &Past| {
             let operand = watched.position(past.operand);
             let arity = watched.predicates[operand].1;
-            let short = past.last.is_some_and(|last| last <= BITS);
+            let are_bits = matches!(watched.rows[operand], Rows::Bits(_)) && past.first <= DELAY_MAX;
             Record {
                 past: past.clone(),
                 operand,
@@ -117,13 +354,10 @@ impl Memory {
                     PastOperator::Once | PastOperator::Always => None,
                 },
                 arity,
-                registers: match (arity == 2, short) {
-                    (false, true) => Registers::Bits(vec![0; agents]),
-                    (false, false) => Registers::Spans(vec![Spans::new(); agents]),
-                    (true, true) => Registers::PairBits(vec![Vec::new(); agents]),
-                    (true, false) => Registers::PairSpans(vec![BTreeMap::new(); agents]),
+                kept: match are_bits {
+                    true => Kept::Timer(Timer::new(past, arity, agents)),
+                    false => Kept::Spans(BTreeMap::new()),
                 },
-                holding: vec![0; agents.div_ceil(64)],
             }
         };
         Memory {
@@ -147,280 +381,364 @@ impl Memory {
     pub fn clear(&mut self) {
         self.ticks = 0;
         for record in &mut self.records {
-            record.holding.fill(0);
-            match &mut record.registers {
-                Registers::Bits(bits) => bits.fill(0),
-                Registers::Spans(spans) => spans.iter_mut().for_each(Vec::clear),
-                Registers::PairBits(rows) => rows.iter_mut().for_each(Vec::clear),
-                Registers::PairSpans(rows) => rows.iter_mut().for_each(BTreeMap::clear),
+            match &mut record.kept {
+                Kept::Timer(timer) => timer.clear(),
+                Kept::Spans(rows) => rows.clear(),
             }
         }
     }
 
     /// Ends a tick in which these rows held; they are [sorted](Watched::sort).
     pub fn advance(&mut self, watched: &Watched) {
-        let sets: Vec<Vec<u64>> = (watched.rows.iter().zip(&watched.predicates))
-            .map(|(rows, (_, arity))| match arity {
-                2 => Vec::new(),
-                _ => set_of(rows, self.agents),
-            })
-            .collect();
-        let ended = self.ticks;
-        self.ticks += 1;
         for record in &mut self.records {
-            record.advance(watched, &sets, ended);
+            record.advance(watched, self.ticks);
         }
+        self.ticks += 1;
+    }
+
+    /// Returns the agents for which a hidden predicate over at most one agent holds, one bit each; `None` if they are not
+    /// kept so.
+    #[inline]
+    pub fn holding(&self, past: usize) -> Option<&[u64]> {
+        match &self.records[past].kept {
+            Kept::Timer(timer) => Some(&timer.holding),
+            Kept::Spans(_) => None,
+        }
+    }
+
+    /// Returns the agents to which a hidden predicate relates agent `x`, one bit each; `None` if they are not kept so.
+    #[inline]
+    pub fn holding_row(&self, past: usize, x: usize) -> Option<&[u64]> {
+        let words = words(self.agents);
+        Some(&self.holding(past)?[x * words..][..words])
     }
 
     /// Returns whether a hidden predicate over at most one agent holds for this one.
     #[inline]
     pub fn holds_alone(&self, past: usize, agent: u32) -> bool {
-        self.records[past].holding[agent as usize / 64] >> (agent % 64) & 1 != 0
+        match self.holding(past) {
+            Some(holding) => holding[agent as usize / 64] >> (agent % 64) & 1 != 0,
+            None => self.holds_spans(past, [agent, 0]),
+        }
     }
 
     /// Returns whether a hidden predicate over two agents holds for these.
     #[inline]
     pub fn holds(&self, past: usize, x: u32, y: u32) -> bool {
-        let record = &self.records[past];
-        match &record.registers {
-            Registers::PairBits(rows) => {
-                let row = &rows[x as usize];
-                let found = row.binary_search_by_key(&y, |(other, _)| *other);
-                found.is_ok_and(|found| record.past.holds_bits(row[found].1))
-            }
-            Registers::PairSpans(rows) => {
-                let spans = rows[x as usize].get(&y);
-                spans.is_some_and(|spans| record.past.holds_spans(spans, self.ticks))
-            }
-            Registers::Bits(_) | Registers::Spans(_) => false,
+        match self.holding_row(past, x as usize) {
+            Some(row) => row[y as usize / 64] >> (y % 64) & 1 != 0,
+            None => self.holds_spans(past, [x, y]),
         }
     }
 
-    /// Returns the rows of each hidden predicate, sorted, with the ticks that explain them: the nearest tick of the
-    /// window in which the operand held, or the first one if it held in all.
+    fn holds_spans(&self, past: usize, row: [u32; 2]) -> bool {
+        let record = &self.records[past];
+        match &record.kept {
+            Kept::Spans(rows) => rows
+                .get(&row)
+                .is_some_and(|spans| holds(&record.past, spans, self.ticks)),
+            Kept::Timer(_) => false,
+        }
+    }
+
+    /// Returns the rows of each hidden predicate, sorted, with the ticks that explain them: a tick of the window in which
+    /// the operand held, or the first one if it held in all.
     pub fn rows(&self) -> Vec<Vec<([u32; 2], u64)>> {
-        self.records.iter().map(|record| record.rows(self.ticks)).collect()
+        let rows = |record: &Record| record.rows(self.agents, self.ticks);
+        self.records.iter().map(rows).collect()
     }
 
     /// Returns the [rows](Memory::rows) over some of the agents.
     pub fn rows_among(&self, agents: &[u32]) -> Vec<Vec<([u32; 2], u64)>> {
         let mut all = self.rows();
         for (rows, record) in all.iter_mut().zip(&self.records) {
-            let arity = record.arity;
-            rows.retain(|(row, _)| row[..arity].iter().all(|agent| agents.contains(agent)));
+            rows.retain(|(row, _)| row[..record.arity].iter().all(|agent| agents.contains(agent)));
         }
         all
     }
 }
 
 impl Record {
-    fn rows(&self, now: u64) -> Vec<([u32; 2], u64)> {
-        let number = |index: usize| u32::try_from(index).expect("fewer than 2^32 agents");
-        let of_bits = |row: [u32; 2], bits: u64| Some((row, self.past.witness_bits(bits, now)?));
-        let of_spans = |row: [u32; 2], spans: &Spans| Some((row, self.past.witness_spans(spans, now)?));
-        match &self.registers {
-            Registers::Bits(all) => {
-                let rows = all.iter().enumerate();
-                rows.filter_map(|(agent, bits)| of_bits([number(agent), 0], *bits))
-                    .collect()
+    fn advance(&mut self, watched: &Watched, ended: u64) {
+        let keep = match (&self.past.operator, self.held) {
+            (PastOperator::Since(_, columns), Some(held)) => Some((held, columns.as_slice())),
+            _ => None,
+        };
+        match (&mut self.kept, &watched.rows[self.operand]) {
+            (Kept::Timer(timer), Rows::Bits(operand)) => {
+                let keep = keep.map(|(held, columns)| kept_rows(watched, held, columns, self.arity));
+                timer.advance(operand, keep.as_deref(), ended);
             }
-            Registers::Spans(all) => {
-                let rows = all.iter().enumerate();
-                rows.filter_map(|(agent, spans)| of_spans([number(agent), 0], spans))
-                    .collect()
+            (Kept::Spans(rows), operand) => {
+                let holds = |row: [u32; 2]| watched.holds(self.operand, row);
+                let keeps = |row: [u32; 2]| keep.is_none_or(|(held, columns)| watched.holds(held, key(row, columns)));
+                match operand {
+                    Rows::List(list) => list.iter().for_each(|row| _ = rows.entry(*row).or_default()),
+                    Rows::Bits(bits) => {
+                        set_rows(bits, watched.agents, self.arity).for_each(|row| _ = rows.entry(row).or_default());
+                    }
+                }
+                rows.retain(|row, spans| {
+                    extend(&self.past, spans, holds(*row), keeps(*row), ended);
+                    !spans.is_empty()
+                });
             }
-            Registers::PairBits(all) => {
-                let rows = all.iter().enumerate();
-                let pairs = rows.flat_map(|(x, row)| row.iter().map(move |(y, bits)| ([number(x), *y], *bits)));
-                pairs.filter_map(|(row, bits)| of_bits(row, bits)).collect()
-            }
-            Registers::PairSpans(all) => {
-                let rows = all.iter().enumerate();
-                let pairs = rows.flat_map(|(x, row)| row.iter().map(move |(y, spans)| ([number(x), *y], spans)));
-                pairs.filter_map(|(row, spans)| of_spans(row, spans)).collect()
-            }
+            (Kept::Timer(_), Rows::List(_)) => unreachable!("a timer is made for rows as bits"),
         }
     }
 
-    fn advance(&mut self, watched: &Watched, sets: &[Vec<u64>], ended: u64) {
-        let Record {
-            past,
-            operand,
-            held,
-            registers,
-            holding,
-            ..
-        } = self;
-        // Whether the row before `since` held, for a row of the operand.
-        let keeps = |row: [u32; 2]| {
-            let (Some(held), PastOperator::Since(_, columns)) = (*held, &past.operator) else {
-                return true;
+    fn rows(&self, agents: usize, now: u64) -> Vec<([u32; 2], u64)> {
+        match &self.kept {
+            Kept::Timer(timer) => {
+                let stride = if self.arity == 2 { words(agents) * 64 } else { 0 };
+                let bit = |[x, y]: [u32; 2]| match stride {
+                    0 => x as usize,
+                    stride => x as usize * stride + y as usize,
+                };
+                let rows = set_rows(&timer.holding, agents, self.arity);
+                rows.map(|row| (row, timer.witness(bit(row), now))).collect()
+            }
+            Kept::Spans(rows) => {
+                let holding = rows.iter().filter(|(_, spans)| holds(&self.past, spans, now));
+                holding
+                    .map(|(row, spans)| (*row, witness(&self.past, spans, now)))
+                    .collect()
+            }
+        }
+    }
+}
+
+/// Returns the rows whose bits are set, in order.
+fn set_rows(bits: &[u64], agents: usize, arity: usize) -> impl Iterator<Item = [u32; 2]> {
+    let words = words(agents).max(1);
+    let set = bits.iter().enumerate().flat_map(|(word, bits)| {
+        let bits = *bits;
+        (0..64)
+            .filter(move |bit| bits >> bit & 1 != 0)
+            .map(move |bit| (word, bit))
+    });
+    set.map(move |(word, bit)| match arity {
+        2 => [number(word / words), number(word % words * 64 + bit)],
+        _ => [number(word * 64 + bit), 0],
+    })
+}
+
+/// Returns the row of the predicate before `since`, whose columns are these columns of a row.
+fn key(row: [u32; 2], columns: &[usize]) -> [u32; 2] {
+    let mut key = [0; 2];
+    for (value, column) in key.iter_mut().zip(columns) {
+        *value = row[*column];
+    }
+    key
+}
+
+/// Returns, as bits, the rows over `arity` agents for which the predicate before `since` holds.
+fn kept_rows(watched: &Watched, held: usize, columns: &[usize], arity: usize) -> Vec<u64> {
+    let (agents, words) = (watched.agents, words(watched.agents));
+    let Rows::Bits(bits) = &watched.rows[held] else {
+        unreachable!("the predicate has no more columns than the operand");
+    };
+    match (arity, columns) {
+        (2, [0, 1]) | (0 | 1, [0]) => bits.clone(),
+        (2, [1]) => bits.repeat(agents),
+        (2, [0]) => {
+            let row = |x: usize| if bits[x / 64] >> (x % 64) & 1 != 0 { u64::MAX } else { 0 };
+            (0..agents).flat_map(|x| std::iter::repeat_n(row(x), words)).collect()
+        }
+        _ => {
+            let mut kept = Rows::new(arity, agents);
+            let firsts = if arity == 0 { 1 } else { agents };
+            let seconds = if arity == 2 { agents } else { 1 };
+            if let Rows::Bits(kept) = &mut kept {
+                for (x, y) in (0..firsts).flat_map(|x| (0..seconds).map(move |y| (x, y))) {
+                    let holds = watched.holds(held, key([number(x), number(y)], columns));
+                    let (word, bit) = if arity == 2 {
+                        (x * words + y / 64, y % 64)
+                    } else {
+                        (x / 64, x % 64)
+                    };
+                    kept[word] |= u64::from(holds) << bit;
+                }
+                return std::mem::take(kept);
+            }
+            unreachable!("a timer is made for rows as bits")
+        }
+    }
+}
+
+/// Returns whether the hidden predicate holds for a row with these spans.
+fn holds(past: &Past, spans: &Spans, now: u64) -> bool {
+    let Some(to) = now.checked_sub(u64::from(past.first)) else {
+        return false;
+    };
+    let from = past.last.map(|last| now.checked_sub(u64::from(last)));
+    match past.operator {
+        PastOperator::Always => {
+            let covers = |from: u64| spans.iter().any(|span| span.0 <= from && to <= span.1);
+            from.flatten().is_some_and(covers)
+        }
+        PastOperator::Once | PastOperator::Since(..) => {
+            let from = from.flatten().unwrap_or(0);
+            spans.iter().any(|span| span.0 <= to && from <= span.1)
+        }
+    }
+}
+
+/// Returns the tick that explains a row that holds.
+fn witness(past: &Past, spans: &Spans, now: u64) -> u64 {
+    let nearest = now - u64::from(past.first);
+    match (&past.operator, past.last) {
+        (PastOperator::Always, Some(last)) => now - u64::from(last),
+        _ => {
+            let span = spans.iter().rfind(|span| span.0 <= nearest);
+            span.map_or(nearest, |span| span.1.min(nearest))
+        }
+    }
+}
+
+/// Adds the tick that ended, in which a row held or not, to its spans, and forgets what no later window contains.
+/// `keeps`: whether earlier ticks count.
+fn extend(past: &Past, spans: &mut Spans, holds: bool, keeps: bool, ended: u64) {
+    if !keeps {
+        spans.clear();
+    }
+    match spans.last_mut() {
+        Some(last) if holds && last.1 + 1 == ended => last.1 = ended,
+        _ if holds => spans.push((ended, ended)),
+        _ => {}
+    }
+    let now = ended + 1;
+    let from = past.last.map_or(0, |last| now.saturating_sub(u64::from(last)));
+    spans.retain(|span| span.1 >= from);
+    if past.operator != PastOperator::Always {
+        // If an earlier span is in the window, so is the last one that began before its end.
+        let to = now.checked_sub(u64::from(past.first));
+        let begun = to.and_then(|to| spans.iter().rposition(|span| span.0 <= to));
+        spans.drain(..begun.unwrap_or(0));
+    }
+}
+
+/// Returns a word with this number of bits, at most all.
+fn ones(count: usize) -> u64 {
+    match count {
+        64.. => u64::MAX,
+        count => (1 << count) - 1,
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::rng::{Purpose, RngExt, Seed};
+
+    /// Whether a row holds in the tick after these, by the words of the language reference.
+    fn specified(past: &Past, operand: &[bool], held: &[bool]) -> bool {
+        let now = operand.len();
+        let window = past.first as usize..=past.last.map_or(now, |last| last as usize).min(now);
+        let ticks = || window.clone().map(|ago| now - ago);
+        match past.operator {
+            PastOperator::Once => ticks().any(|tick| operand[tick]),
+            PastOperator::Always => past.last.unwrap() as usize <= now && ticks().all(|tick| operand[tick]),
+            PastOperator::Since(..) => ticks().any(|tick| operand[tick] && held[tick + 1..].iter().all(|held| *held)),
+        }
+    }
+
+    #[test]
+    fn timers_and_spans_agree_with_the_whole_history() {
+        let mut counts = [0; 2];
+        for case in 0..240 {
+            let mut random = Seed(case).stream(Purpose::TEST, 0, 0);
+            // Pairs of so many agents are no bits.
+            let agents = if case % 60 == 0 {
+                PAIRS_MAX + 3
+            } else {
+                [3, 64, 70][case as usize % 3]
             };
-            let mut key = [0; 2];
-            for (value, column) in key.iter_mut().zip(columns) {
-                *value = row[*column];
+            let arity = random.random_range(0..3);
+            let first = [1, 2, 5, DELAY_MAX + 1][random.random_range(0..4)];
+            let last = first + random.random_range(0..9);
+            let columns: Vec<usize> = match arity {
+                2 => [vec![], vec![0], vec![1], vec![0, 1], vec![1, 0]][random.random_range(0..5)].clone(),
+                1 => [vec![], vec![0]][random.random_range(0..2)].clone(),
+                _ => vec![],
+            };
+            let [operand, held] = [PredicateId(1), PredicateId(2)];
+            let since = PastOperator::Since(held, columns.clone());
+            let (operator, last) = match random.random_range(0..5) {
+                0 => (PastOperator::Once, None),
+                1 => (PastOperator::Once, Some(last)),
+                2 => (PastOperator::Always, Some(last)),
+                3 => (since, None),
+                _ => (since, Some(last)),
+            };
+            let past = Past {
+                predicate: PredicateId(0),
+                operand,
+                operator,
+                first,
+                last,
+            };
+            let arity_of = |predicate| if predicate == operand { arity } else { columns.len() };
+            let mut watched = Watched::of(std::slice::from_ref(&past), agents, arity_of);
+            let mut memory = Memory::new(std::slice::from_ref(&past), &watched);
+            let row = |random: &mut dyn FnMut() -> u32, arity: usize| -> [u32; 2] {
+                let mut row = [0; 2];
+                row[..arity]
+                    .iter_mut()
+                    .for_each(|agent| *agent = random() % agents.min(3) as u32);
+                row
+            };
+            let mut histories: BTreeMap<[u32; 2], (Vec<bool>, Vec<bool>)> = BTreeMap::new();
+            for _ in 0..8 {
+                let mut draw = || random.random_range(0..3);
+                histories.entry(row(&mut draw, arity)).or_default();
             }
-            match watched.predicates[held].1 {
-                2 => watched.rows[held].binary_search(&key).is_ok(),
-                _ => sets[held][key[0] as usize / 64] >> (key[0] % 64) & 1 != 0,
-            }
-        };
-        let set = &sets[*operand];
-        let number = |agent: usize| u32::try_from(agent).expect("fewer than 2^32 agents");
-        match registers {
-            Registers::Bits(bits) => {
-                holding.fill(0);
-                for (agent, bits) in bits.iter_mut().enumerate() {
-                    let kept = if keeps([number(agent), 0]) { *bits << 1 } else { 0 };
-                    *bits = kept | (set[agent / 64] >> (agent % 64) & 1);
-                    holding[agent / 64] |= u64::from(past.holds_bits(*bits)) << (agent % 64);
-                }
-            }
-            Registers::Spans(all) => {
-                holding.fill(0);
-                for (agent, spans) in all.iter_mut().enumerate() {
-                    let holds = set[agent / 64] >> (agent % 64) & 1 != 0;
-                    past.extend(spans, holds, keeps([number(agent), 0]), ended);
-                    holding[agent / 64] |= u64::from(past.holds_spans(spans, ended + 1)) << (agent % 64);
-                }
-            }
-            Registers::PairBits(all) => {
-                let mut rows = watched.rows[*operand].as_slice();
-                for (x, known) in all.iter_mut().enumerate() {
-                    let x = number(x);
-                    let (own, rest) = rows.split_at(rows.partition_point(|row| row[0] <= x));
-                    rows = rest;
-                    for (y, bits) in known.iter_mut() {
-                        *bits = if keeps([x, *y]) { *bits << 1 } else { 0 };
+            for tick in 0..u64::from(first) + 24 {
+                let mut keys: BTreeMap<[u32; 2], bool> = BTreeMap::new();
+                watched.clear();
+                for (row, (held_in, kept_in)) in &mut histories {
+                    let holds = random.random_bool(0.5);
+                    held_in.push(holds);
+                    let kept = *keys
+                        .entry(key(*row, &columns))
+                        .or_insert_with(|| random.random_bool(0.8));
+                    kept_in.push(kept);
+                    if holds {
+                        watched.add(watched.position(operand), *row);
                     }
-                    for [_, y] in own {
-                        match known.binary_search_by_key(y, |(other, _)| *other) {
-                            Ok(place) => known[place].1 |= 1,
-                            Err(place) => known.insert(place, (*y, 1)),
-                        }
-                    }
-                    let reach = past.reach();
-                    known.retain(|(_, bits)| bits & reach != 0);
                 }
-            }
-            Registers::PairSpans(all) => {
-                let mut rows = watched.rows[*operand].as_slice();
-                for (x, known) in all.iter_mut().enumerate() {
-                    let x = number(x);
-                    let (own, rest) = rows.split_at(rows.partition_point(|row| row[0] <= x));
-                    rows = rest;
-                    own.iter().for_each(|[_, y]| _ = known.entry(*y).or_default());
-                    known.retain(|y, spans| {
-                        let holds = own.binary_search(&[x, *y]).is_ok();
-                        past.extend(spans, holds, keeps([x, *y]), ended);
-                        !spans.is_empty()
-                    });
+                if let PastOperator::Since(..) = past.operator {
+                    let kept = keys.iter().filter(|(_, kept)| **kept);
+                    kept.for_each(|(key, _)| watched.add(watched.position(held), *key));
                 }
+                watched.sort();
+                memory.advance(&watched);
+                let found = memory.rows().remove(0);
+                let expected: Vec<[u32; 2]> = (histories.iter())
+                    .filter(|(_, (operand, held))| specified(&past, operand, held))
+                    .map(|(row, _)| *row)
+                    .collect();
+                let rows: Vec<[u32; 2]> = found.iter().map(|(row, _)| *row).collect();
+                assert_eq!(rows, expected, "tick {tick} of case {case}: {past:?}");
+                for (row, witness) in found {
+                    let ago = memory.ticks() - witness;
+                    let window = u64::from(past.first)..=past.last.map_or(u64::MAX, u64::from);
+                    assert!(
+                        window.contains(&ago) && histories[&row].0[witness as usize],
+                        "{past:?} {witness}"
+                    );
+                    let holds = match arity {
+                        2 => memory.holds(0, row[0], row[1]),
+                        _ => memory.holds_alone(0, row[0]),
+                    };
+                    assert!(holds);
+                }
+                counts[0] += histories.len() - expected.len();
+                counts[1] += expected.len();
             }
+            memory.clear();
+            assert!(memory.rows()[0].is_empty());
         }
+        assert!(counts.iter().all(|count| *count > 5000), "{counts:?}");
     }
-}
-
-/// Whether the register of a row says that the hidden predicate holds.
-trait Window {
-    /// Returns the bits of a shift register that the window may contain now or later.
-    fn reach(&self) -> u64;
-    /// Returns the bits that are in the window.
-    fn bits(&self) -> u64;
-    fn holds_bits(&self, bits: u64) -> bool;
-    fn holds_spans(&self, spans: &Spans, now: u64) -> bool;
-    /// Returns the tick that explains a row, if it holds; see [`Memory::rows`].
-    fn witness_bits(&self, bits: u64, now: u64) -> Option<u64>;
-    fn witness_spans(&self, spans: &Spans, now: u64) -> Option<u64>;
-    /// Adds the tick that ended, in which the row held or not, and forgets what no later window contains. `keeps`:
-    /// whether earlier ticks count.
-    fn extend(&self, spans: &mut Spans, holds: bool, keeps: bool, ended: u64);
-}
-
-impl Window for Past {
-    #[inline]
-    fn reach(&self) -> u64 {
-        u64::MAX >> (BITS - self.last.unwrap_or(BITS).min(BITS))
-    }
-
-    #[inline]
-    fn bits(&self) -> u64 {
-        self.reach() & (u64::MAX << (self.first - 1))
-    }
-
-    #[inline]
-    fn holds_bits(&self, bits: u64) -> bool {
-        match self.operator {
-            PastOperator::Always => !bits & self.bits() == 0,
-            PastOperator::Once | PastOperator::Since(..) => bits & self.bits() != 0,
-        }
-    }
-
-    fn holds_spans(&self, spans: &Spans, now: u64) -> bool {
-        let Some(to) = now.checked_sub(u64::from(self.first)) else {
-            return false;
-        };
-        let from = self.last.map(|last| now.checked_sub(u64::from(last)));
-        match self.operator {
-            PastOperator::Always => {
-                let covers = |from: u64| spans.iter().any(|span| span.0 <= from && to <= span.1);
-                from.flatten().is_some_and(covers)
-            }
-            PastOperator::Once | PastOperator::Since(..) => {
-                let from = from.flatten().unwrap_or(0);
-                spans.iter().any(|span| span.0 <= to && from <= span.1)
-            }
-        }
-    }
-
-    fn witness_bits(&self, bits: u64, now: u64) -> Option<u64> {
-        let nearest = match self.operator {
-            PastOperator::Always => self.last?,
-            PastOperator::Once | PastOperator::Since(..) => (bits & self.bits()).trailing_zeros() + 1,
-        };
-        self.holds_bits(bits).then(|| now - u64::from(nearest))
-    }
-
-    fn witness_spans(&self, spans: &Spans, now: u64) -> Option<u64> {
-        if !self.holds_spans(spans, now) {
-            return None;
-        }
-        let nearest = now - u64::from(self.first);
-        match self.operator {
-            PastOperator::Always => Some(now - u64::from(self.last?)),
-            PastOperator::Once | PastOperator::Since(..) => {
-                let span = spans.iter().rfind(|span| span.0 <= nearest);
-                span.map(|span| span.1.min(nearest))
-            }
-        }
-    }
-
-    fn extend(&self, spans: &mut Spans, holds: bool, keeps: bool, ended: u64) {
-        if !keeps {
-            spans.clear();
-        }
-        match spans.last_mut() {
-            Some(last) if holds && last.1 + 1 == ended => last.1 = ended,
-            _ if holds => spans.push((ended, ended)),
-            _ => {}
-        }
-        let now = ended + 1;
-        let from = self.last.map_or(0, |last| now.saturating_sub(u64::from(last)));
-        spans.retain(|span| span.1 >= from);
-        if self.operator != PastOperator::Always {
-            // If an earlier span is in the window, so is the last one that began before its end.
-            let to = now.checked_sub(u64::from(self.first));
-            let begun = to.and_then(|to| spans.iter().rposition(|span| span.0 <= to));
-            spans.drain(..begun.unwrap_or(0));
-        }
-    }
-}
-
-/// Returns the agents of rows over one agent, one bit each.
-fn set_of(rows: &[[u32; 2]], agents: usize) -> Vec<u64> {
-    let mut set = vec![0; agents.div_ceil(64)];
-    for [agent, _] in rows {
-        set[*agent as usize / 64] |= 1 << (agent % 64);
-    }
-    set
 }

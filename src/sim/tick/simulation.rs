@@ -265,8 +265,8 @@ impl Simulation {
             seed,
             tick: 0,
             next_memory: OnceLock::new(),
-            memory: Memory::new(&world.program.rules().pasts, &world.watched(), agents.len()),
-            decisions: Decisions::new(agents.len(), to_count.len(), world.watched()),
+            memory: Memory::new(&world.program.rules().pasts, &world.watched(agents.len())),
+            decisions: Decisions::new(agents.len(), to_count.len(), world.watched(agents.len())),
             given: vec![None; agents.len()],
             positions: match &dense {
                 Some(dense) if !dense.takes_positions() => Vec::new(),

@@ -16,7 +16,7 @@ use crate::predicate::{
     headings, with_relation,
 };
 use crate::sim::tick::chance::{Chance, Draws};
-use crate::sim::tick::executor::DenseRules;
+use crate::sim::tick::executor::{DenseRules, Threshold};
 use crate::sim::tick::ground::word;
 use crate::sim::tick::memory::Memory;
 use crate::sim::tick::vocabulary::Vocabulary;
@@ -101,6 +101,25 @@ pub(crate) struct Now<'a> {
 }
 
 impl Now<'_> {
+    /// Returns whether the numbers of an agent are within all thresholds.
+    #[inline]
+    fn is_within(&self, thresholds: &[Threshold], body: &AgentState) -> bool {
+        let agent = &self.agents[body.agent as usize];
+        let count = |number: u32| i32::try_from(number).unwrap_or(i32::MAX);
+        thresholds.iter().all(|threshold| {
+            threshold.holds(match threshold.quantity {
+                Quantity::Waited => count(agent.waited),
+                Quantity::Speed => i32::from(agent.speed),
+                Quantity::Priority => body.priority,
+                Quantity::Tick => i32::try_from(self.draws.time).unwrap_or(i32::MAX),
+                quantity => match self.value(quantity, [body; 2], &[0]) {
+                    Some(value) => value.as_number(),
+                    None => return false,
+                },
+            })
+        })
+    }
+
     /// Returns the value of a quantity for the agents at these places of `bodies`.
     fn value(&self, quantity: Quantity, bodies: [&AgentState; 2], places: &[usize]) -> Option<Value> {
         let measured = bodies.map(|body| Measured {
@@ -119,8 +138,10 @@ impl Now<'_> {
 }
 
 /// A hidden predicate that a dense program reads.
-#[derive(Clone, Copy, Debug)]
+#[derive(Clone, Debug)]
 enum Hidden {
+    /// A condition on whole numbers of one agent.
+    Thresholds(Vec<Threshold>),
     /// A condition on quantities, by its position.
     Condition(usize),
     /// What a temporal operator reads of earlier ticks, by its position in the memory.
@@ -129,7 +150,10 @@ enum Hidden {
 
 impl Hidden {
     fn of(rules: &DenseRules, predicate: PredicateId) -> Option<Hidden> {
-        let condition = rules.conditions.find(predicate).map(Hidden::Condition);
+        let condition = rules.conditions.find(predicate).map(|condition| {
+            let thresholds = rules.conditions.thresholds(condition).map(Hidden::Thresholds);
+            thresholds.unwrap_or(Hidden::Condition(condition))
+        });
         condition.or_else(|| rules.past(predicate).map(Hidden::Past))
     }
 }
@@ -297,8 +321,9 @@ impl Plan {
     }
 
     /// Returns whether a hidden predicate holds for agents.
-    fn meets(&self, hidden: Hidden, now: Now<'_>, bodies: [&AgentState; 2]) -> bool {
-        match hidden {
+    fn meets(&self, hidden: &Hidden, now: Now<'_>, bodies: [&AgentState; 2]) -> bool {
+        match *hidden {
+            Hidden::Thresholds(ref thresholds) => now.is_within(thresholds, bodies[0]),
             Hidden::Condition(condition) => {
                 (self.rules.conditions).holds(condition, |_, quantity, places| now.value(quantity, bodies, places))
             }
@@ -540,6 +565,7 @@ impl<const W: usize> Window<W> {
             bodies: &self.bodies,
             place,
             now,
+            whole: false,
         };
         let all = first(self.bodies.len());
         let lists = (0..grounder.lists.len())
@@ -549,22 +575,22 @@ impl<const W: usize> Window<W> {
         self.inputs.iter().copied().chain(lists).map(ones).sum()
     }
 
-    /// Evaluates the rules.
+    /// Evaluates the rules. `whole`: the bodies are all agents, in list order.
     ///
     /// # Errors
     /// As [`BitState::run`].
-    pub fn run(&mut self, grounder: &Grounder, now: Now<'_>) -> Result<(), TooManySteps> {
+    pub fn run(&mut self, grounder: &Grounder, now: Now<'_>, whole: bool) -> Result<(), TooManySteps> {
         let Window {
             bodies,
             bit_state,
             inputs,
             place,
         } = self;
-        run_in(grounder, now, (bodies, inputs), &*place, bit_state)
+        run_in(grounder, now, (bodies, inputs), &*place, bit_state, whole)
     }
 }
 
-/// Evaluates the rules over entities with these inputs.
+/// Evaluates the rules over entities with these inputs. `whole`: the entities are all agents, in list order.
 #[inline(always)]
 fn run_in<const W: usize>(
     grounder: &Grounder,
@@ -572,24 +598,28 @@ fn run_in<const W: usize>(
     (bodies, inputs): (&[AgentState], &[Set<W>]),
     place: &impl Surrounding<W>,
     bit_state: &mut BitState<W>,
+    whole: bool,
 ) -> Result<(), TooManySteps> {
     for (input, set) in inputs.iter().enumerate() {
         bit_state.set_input(&grounder.rules.dense, input, *set);
     }
-    for &(input, hidden, diagonal) in &grounder.hidden {
+    for (input, hidden, diagonal) in &grounder.hidden {
         let set = match hidden {
-            Hidden::Past(past) if !diagonal => {
-                set_of(bodies.iter().map(|body| now.memory.holds_alone(past, body.agent)))
-            }
+            Hidden::Thresholds(thresholds) => set_of(bodies.iter().map(|body| now.is_within(thresholds, body))),
+            Hidden::Past(past) if !diagonal => match now.memory.holding(*past).filter(|_| whole) {
+                Some(holding) => set_of_words(holding),
+                None => set_of(bodies.iter().map(|body| now.memory.holds_alone(*past, body.agent))),
+            },
             _ => set_of(bodies.iter().map(|body| grounder.meets(hidden, now, [body, body]))),
         };
-        bit_state.set_input(&grounder.rules.dense, input, set);
+        bit_state.set_input(&grounder.rules.dense, *input, set);
     }
     let scene = Scene {
         plan: grounder,
         bodies,
         place,
         now,
+        whole,
     };
     bit_state.run(&grounder.rules.dense, &scene)
 }
@@ -629,7 +659,7 @@ impl Window<1> {
             inputs,
             ..
         } = self;
-        run_in(grounder, now, (bodies, inputs), &near, bit_state)
+        run_in(grounder, now, (bodies, inputs), &near, bit_state, true)
     }
 
     /// Computes all facts that the rules may read, and returns their number.
@@ -707,6 +737,8 @@ struct Scene<'a, S> {
     bodies: &'a [AgentState],
     place: &'a S,
     now: Now<'a>,
+    /// Whether the entities are all agents, in list order.
+    whole: bool,
 }
 
 impl<const W: usize, S: Surrounding<W>> BinaryFacts<W> for Scene<'_, S> {
@@ -764,9 +796,14 @@ impl<S> Scene<'_, S> {
     #[inline(never)]
     fn refine<const W: usize>(&self, list: &Requested, at: usize, near: Set<W>) -> Set<W> {
         let Some((predicate, relation)) = &list.predicate else {
-            let Some(hidden) = list.hidden else {
+            let Some(hidden) = &list.hidden else {
                 return [0; W];
             };
+            if let (Hidden::Past(past), Argument::Second, true) = (hidden, list.axis, self.whole)
+                && let Some(row) = self.now.memory.holding_row(*past, at)
+            {
+                return and(near, &set_of_words(row));
+            }
             let [at, bodies] = [&self.bodies[at..=at], self.bodies];
             return keep(near, |other| {
                 let pair = match list.axis {
@@ -813,6 +850,11 @@ impl<S> Scene<'_, S> {
     fn decides(&self, predicate: usize, x: &AgentState, y: &AgentState, probability: f64) -> bool {
         (self.now.draws).decides(predicate, x.agent as usize, y.agent as usize, probability)
     }
+}
+
+/// Returns the set of the entities whose bits are set.
+fn set_of_words<const W: usize>(words: &[u64]) -> Set<W> {
+    std::array::from_fn(|word| words.get(word).copied().unwrap_or(0))
 }
 
 /// Returns the set of the entities for which `holds` is true, in their order.

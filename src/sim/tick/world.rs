@@ -106,10 +106,12 @@ impl World {
         compile(self.program.rules(), &self.vocabulary, counting)
     }
 
-    /// Returns the predicates that temporal operators are about.
-    pub(super) fn watched(&self) -> Watched {
+    /// Returns the predicates that temporal operators are about, for this number of agents.
+    pub(super) fn watched(&self, agents: usize) -> Watched {
         let rules = self.program.rules();
-        Watched::of(&rules.pasts, |predicate| rules.predicates[predicate.index()].arity())
+        Watched::of(&rules.pasts, agents, |predicate| {
+            rules.predicates[predicate.index()].arity()
+        })
     }
 
     /// Returns the clauses whose firings are counted: in source order those with a body and a visible head, then the
