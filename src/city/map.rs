@@ -163,7 +163,7 @@ impl Layout {
     }
 }
 
-/// The class of a coordinate on its axis, in bits: its [`Zone`] and the two flags below.
+/// The class of a coordinate on its axis, in bits: its [`Strip`] and the two flags below.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 struct CoordinateClass(u8);
 
@@ -172,13 +172,13 @@ const AT_EDGE: u8 = 1 << 4;
 /// The coordinate across the street is that of a lane.
 const ON_LANE: u8 = 1 << 5;
 /// The bits that determine the content of a cell.
-const ZONE_AND_EDGE: u8 = AT_EDGE | 0xf;
+const STRIP_AND_EDGE: u8 = AT_EDGE | 0xf;
 
-/// The zones of an axis. "Before" and "after" are relative to the mid line of the nearest street: coordinates before it
+/// The strips of an axis. "Before" and "after" are relative to the mid line of the nearest street: coordinates before it
 /// are smaller.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 #[repr(u8)]
-pub(super) enum Zone {
+pub(super) enum Strip {
     /// A building in the block's first row or column.
     FirstBuilding,
     /// The sidewalk between buildings.
@@ -195,91 +195,91 @@ pub(super) enum Zone {
     LineAfter,
 }
 
-impl Zone {
-    const ALL: [Zone; 10] = [
-        Zone::FirstBuilding,
-        Zone::Inner,
-        Zone::SecondBuilding,
-        Zone::LineBefore,
-        Zone::SidewalkBefore,
-        Zone::StreetBefore,
-        Zone::MidLine,
-        Zone::StreetAfter,
-        Zone::SidewalkAfter,
-        Zone::LineAfter,
+impl Strip {
+    const ALL: [Strip; 10] = [
+        Strip::FirstBuilding,
+        Strip::Inner,
+        Strip::SecondBuilding,
+        Strip::LineBefore,
+        Strip::SidewalkBefore,
+        Strip::StreetBefore,
+        Strip::MidLine,
+        Strip::StreetAfter,
+        Strip::SidewalkAfter,
+        Strip::LineAfter,
     ];
 
     pub(super) const fn in_street(self) -> bool {
-        matches!(self, Zone::StreetBefore | Zone::MidLine | Zone::StreetAfter)
+        matches!(self, Strip::StreetBefore | Strip::MidLine | Strip::StreetAfter)
     }
 
     const fn in_building(self) -> bool {
-        matches!(self, Zone::FirstBuilding | Zone::SecondBuilding)
+        matches!(self, Strip::FirstBuilding | Strip::SecondBuilding)
     }
 
-    /// Whether the zone lies between the outer sidewalks of a block.
+    /// Whether the strip lies between the outer sidewalks of a block.
     pub(super) const fn in_block(self) -> bool {
-        self.in_building() || matches!(self, Zone::Inner)
+        self.in_building() || matches!(self, Strip::Inner)
     }
 
     const fn on_line(self) -> bool {
-        matches!(self, Zone::LineBefore | Zone::LineAfter)
+        matches!(self, Strip::LineBefore | Strip::LineAfter)
     }
 
     const fn before_mid_line(self) -> bool {
-        matches!(self, Zone::LineBefore | Zone::SidewalkBefore | Zone::StreetBefore)
+        matches!(self, Strip::LineBefore | Strip::SidewalkBefore | Strip::StreetBefore)
     }
 
     pub(super) const fn after_mid_line(self) -> bool {
-        matches!(self, Zone::LineAfter | Zone::SidewalkAfter | Zone::StreetAfter)
+        matches!(self, Strip::LineAfter | Strip::SidewalkAfter | Strip::StreetAfter)
     }
 }
 
 impl Layout {
-    /// Returns the zone of a coordinate and the nearest street; inside a block, the block, whose number is that of the
+    /// Returns the strip of a coordinate and the nearest street; inside a block, the block, whose number is that of the
     /// street before it.
-    pub(super) fn zone(&self, at: i32) -> (Zone, i32) {
+    pub(super) fn strip(&self, at: i32) -> (Strip, i32) {
         let number = at.div_euclid(self.period());
         let middle = self.mid_line(number);
         let (street, built) = (self.street_span(number), self.built_span(number));
-        let zone = if at < middle {
-            Zone::StreetBefore
+        let strip = if at < middle {
+            Strip::StreetBefore
         } else if at == middle {
-            Zone::MidLine
+            Strip::MidLine
         } else if at < street.end {
-            Zone::StreetAfter
+            Strip::StreetAfter
         } else if at < built.start - 1 {
-            Zone::SidewalkAfter
+            Strip::SidewalkAfter
         } else if at == built.start - 1 {
-            Zone::LineAfter
+            Strip::LineAfter
         } else if at == built.end {
-            Zone::LineBefore
+            Strip::LineBefore
         } else if at > built.end {
-            Zone::SidewalkBefore
+            Strip::SidewalkBefore
         } else if at < built.start + self.building {
-            Zone::FirstBuilding
+            Strip::FirstBuilding
         } else if at < built.start + self.building + self.inner_sidewalk {
-            Zone::Inner
+            Strip::Inner
         } else {
-            Zone::SecondBuilding
+            Strip::SecondBuilding
         };
-        (zone, number + i32::from(at >= built.end))
+        (strip, number + i32::from(at >= built.end))
     }
 
     /// Returns the class of each coordinate of an axis with this number of blocks.
     fn parts(&self, blocks: i32) -> Box<[CoordinateClass]> {
         let size = self.street_start(blocks) + self.street;
         let part = |at| {
-            let (zone, street) = self.zone(at);
+            let (strip, street) = self.strip(at);
             let at_edge = street == 0 || street == blocks;
-            let on_lane = zone.in_street() && (at - self.mid_line(street)).abs() == self.lane_offset();
-            CoordinateClass(zone as u8 | (u8::from(at_edge) * AT_EDGE) | (u8::from(on_lane) * ON_LANE))
+            let on_lane = strip.in_street() && (at - self.mid_line(street)).abs() == self.lane_offset();
+            CoordinateClass(strip as u8 | (u8::from(at_edge) * AT_EDGE) | (u8::from(on_lane) * ON_LANE))
         };
         (0..size).map(part).collect()
     }
 }
 
-/// The content of a cell as its two zones determine it: a [`Ground`] in the lower two bits, and flags.
+/// The content of a cell as its two strips determine it: a [`Ground`] in the lower two bits, and flags.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 struct Square(u8);
 
@@ -292,11 +292,11 @@ const MID_LINE: u8 = 1 << 5;
 const BUILDING: u8 = 1 << 6;
 
 impl Square {
-    /// Returns the content of a cell with these zones. The flags say whether the nearest streets run along an edge of
+    /// Returns the content of a cell with these strips. The flags say whether the nearest streets run along an edge of
     /// the world.
-    fn of((row, row_at_edge): (Zone, bool), (col, col_at_edge): (Zone, bool)) -> Square {
+    fn of((row, row_at_edge): (Strip, bool), (col, col_at_edge): (Strip, bool)) -> Square {
         // A walking street crosses every traffic street that does not run along an edge.
-        let crosses = |street: Zone, at_edge: bool, other: Zone| {
+        let crosses = |street: Strip, at_edge: bool, other: Strip| {
             street.in_street() && !at_edge && !other.in_street() && !other.in_block()
         };
         let building = row.in_building() && col.in_building();
@@ -309,7 +309,7 @@ impl Square {
         } else {
             Ground::Walking
         };
-        let mid_line = |street: Zone, other: Zone| street == Zone::MidLine && other.in_block();
+        let mid_line = |street: Strip, other: Strip| street == Strip::MidLine && other.in_block();
         let mut flags = 0;
         if mid_line(row, col) || mid_line(col, row) {
             flags |= MID_LINE;
@@ -324,10 +324,10 @@ impl Square {
             // one.
             let outline = row.on_line() && !col_at_edge || col.on_line() && !row_at_edge;
             // Cars keep right: those that go down or left use the cells before the mid line.
-            let down = row == Zone::LineBefore && col.before_mid_line() && !col_at_edge;
-            let up = row == Zone::LineAfter && col.after_mid_line() && !col_at_edge;
-            let right = col == Zone::LineBefore && row.after_mid_line() && !row_at_edge;
-            let left = col == Zone::LineAfter && row.before_mid_line() && !row_at_edge;
+            let down = row == Strip::LineBefore && col.before_mid_line() && !col_at_edge;
+            let up = row == Strip::LineAfter && col.after_mid_line() && !col_at_edge;
+            let right = col == Strip::LineBefore && row.after_mid_line() && !row_at_edge;
+            let left = col == Strip::LineAfter && row.before_mid_line() && !row_at_edge;
             flags |= if outline { PEDESTRIAN_AT } else { INSIDE };
             if down || up || left || right {
                 flags |= CAR_AT;
@@ -339,10 +339,10 @@ impl Square {
     /// Returns the table of squares; the entry of `row` and `col` is at `row << 5 | col`.
     fn table() -> Box<[Square; 1 << 10]> {
         let mut table = Box::new([Square(0); 1 << 10]);
-        for row in Zone::ALL {
-            for col in Zone::ALL {
+        for row in Strip::ALL {
+            for col in Strip::ALL {
                 for (row_at_edge, col_at_edge) in [(false, false), (false, true), (true, false), (true, true)] {
-                    let index = |zone: Zone, at_edge: bool| usize::from(zone as u8 | (u8::from(at_edge) * AT_EDGE));
+                    let index = |strip: Strip, at_edge: bool| usize::from(strip as u8 | (u8::from(at_edge) * AT_EDGE));
                     table[index(row, row_at_edge) << 5 | index(col, col_at_edge)] =
                         Square::of((row, row_at_edge), (col, col_at_edge));
                 }
@@ -455,7 +455,7 @@ impl CityMap {
 
     fn square(&self, cell: Cell) -> Option<Square> {
         let (row, col) = self.parts(cell)?;
-        let index = |part: CoordinateClass| usize::from(part.0 & ZONE_AND_EDGE);
+        let index = |part: CoordinateClass| usize::from(part.0 & STRIP_AND_EDGE);
         Some(self.squares[index(row) << 5 | index(col)])
     }
 
@@ -482,8 +482,8 @@ impl CityMap {
     /// Returns whether a lane starts or ends here, so that the cell is a node of the road graph.
     pub fn is_lane_node(&self, cell: Cell) -> bool {
         let is_line = |part: CoordinateClass| {
-            let zone = part.0 & 0xf;
-            zone == Zone::LineBefore as u8 || zone == Zone::LineAfter as u8
+            let strip = part.0 & 0xf;
+            strip == Strip::LineBefore as u8 || strip == Strip::LineAfter as u8
         };
         let across = |across: CoordinateClass, along: CoordinateClass| across.0 & ON_LANE != 0 && is_line(along);
         (self.parts(cell)).is_some_and(|(row, col)| across(row, col) || across(col, row))
@@ -595,7 +595,7 @@ impl CityMap {
 
     /// The number of the nearest intersection, from 1, row by row, without the corners of the world.
     fn intersection_near(&self, cell: Cell) -> u32 {
-        let [row, col] = [cell.row, cell.col].map(|at| self.layout.zone(at).1);
+        let [row, col] = [cell.row, cell.col].map(|at| self.layout.strip(at).1);
         let [block_rows, block_cols] = self.layout.blocks();
         let place = row * (block_cols + 1) + col;
         let corners = [0, block_cols, block_rows * (block_cols + 1)];

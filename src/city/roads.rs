@@ -11,7 +11,7 @@
 //! equal, so the route found between two lanes of one part is cached for all.
 // Decision: docs/decisions/city.md#d058
 
-use crate::city::map::Zone;
+use crate::city::map::Strip;
 use crate::city::route::{NoRoute, Way, steps};
 use crate::city::walk::{search, walk};
 use crate::city::{AgentKind, Routing};
@@ -542,15 +542,15 @@ impl Router {
             return None;
         }
         let layout = &self.map.layout;
-        let place = |street: (Zone, i32), block: (Zone, i32), before, after| {
+        let place = |street: (Strip, i32), block: (Strip, i32), before, after| {
             let side = match street.0 {
-                Zone::StreetBefore => before,
-                Zone::StreetAfter => after,
+                Strip::StreetBefore => before,
+                Strip::StreetAfter => after,
                 _ => return None,
             };
             let block = match block.0 {
-                Zone::LineBefore => block.1 - 1,
-                zone if zone.in_block() || zone == Zone::LineAfter => block.1,
+                Strip::LineBefore => block.1 - 1,
+                strip if strip.in_block() || strip == Strip::LineAfter => block.1,
                 _ => return None,
             };
             Some(LanePlace {
@@ -559,7 +559,7 @@ impl Router {
                 block,
             })
         };
-        let (row, col) = (layout.zone(cell.row), layout.zone(cell.col));
+        let (row, col) = (layout.strip(cell.row), layout.strip(cell.col));
         place(row, col, Heading::Left, Heading::Right).or_else(|| place(col, row, Heading::Down, Heading::Up))
     }
 }

@@ -6,7 +6,7 @@
 //! block by one of the four ends of its inner sidewalks and changes between bands where they cross. There are few
 //! candidates, and the shortest of them is a shortest path.
 
-use crate::city::map::Zone;
+use crate::city::map::Strip;
 use crate::city::route::{NoRoute, Way, steps};
 use crate::city::{Cell, CityMap, Heading, Layout};
 use crate::rng::{Purpose, Rng, RngExt, Seed};
@@ -164,12 +164,12 @@ impl Aside {
 /// The number of sidesteps possible anywhere on a straight leg along a sidewalk; 0 elsewhere.
 fn room(layout: &Layout, from: Cell, to: Cell, aside: Heading) -> u32 {
     let at = if from.row == to.row { from.row } else { from.col };
-    let (zone, street) = layout.zone(at);
-    if zone.in_street() || zone.in_block() {
+    let (strip, street) = layout.strip(at);
+    if strip.in_street() || strip.in_block() {
         return 0;
     }
     // The cells between the street and the buildings.
-    let (low, high) = if zone.after_mid_line() {
+    let (low, high) = if strip.after_mid_line() {
         (layout.street_span(street).end, layout.built_span(street).start - 1)
     } else {
         (layout.built_span(street - 1).end, layout.street_span(street).start - 1)
@@ -190,11 +190,11 @@ struct Spot {
 
 impl Spot {
     fn new(layout: &Layout, cell: Cell) -> Self {
-        let (row, col) = (layout.zone(cell.row), layout.zone(cell.col));
+        let (row, col) = (layout.strip(cell.row), layout.strip(cell.col));
         let inside = row.0.in_block() && col.0.in_block();
         Spot {
             cell,
-            row_is_inner: row.0 == Zone::Inner,
+            row_is_inner: row.0 == Strip::Inner,
             block: inside.then_some([row.1, col.1]),
         }
     }
@@ -246,9 +246,9 @@ struct Band {
 impl Exit {
     fn new(layout: &Layout, from: Cell, corner: Cell, cell: Cell) -> Self {
         let band = |at: i32| {
-            let (zone, street) = layout.zone(at);
-            let after = zone.after_mid_line();
-            (!zone.in_street() && !zone.in_block()).then_some(Band { street, after })
+            let (strip, street) = layout.strip(at);
+            let after = strip.after_mid_line();
+            (!strip.in_street() && !strip.in_block()).then_some(Band { street, after })
         };
         Exit {
             corner,
@@ -301,8 +301,8 @@ fn between(layout: &Layout, from: &Exit, to: &Exit) -> Corners {
 /// between them, else the one with the least detour. Inner sidewalks count if `through_blocks`. Of equal cells of a
 /// band it returns the highest or the lowest, so that pedestrians in opposite directions keep apart.
 fn passage(layout: &Layout, [from, to]: [i32; 2], keep_high: bool, through_blocks: bool) -> i32 {
-    let (zone, number) = layout.zone(from);
-    let gap = if zone.in_street() {
+    let (strip, number) = layout.strip(from);
+    let gap = if strip.in_street() {
         layout.street_span(number)
     } else {
         layout.built_span(number)
@@ -325,7 +325,7 @@ fn passage(layout: &Layout, [from, to]: [i32; 2], keep_high: bool, through_block
     let (low, high) = (from.min(to), from.max(to));
     let detour = |at: i32| (low - at).max(at - high).max(0);
     let mut best = if detour(before) <= detour(after) { before } else { after };
-    if through_blocks && !zone.in_street() && !layout.inner_span(number).is_empty() {
+    if through_blocks && !strip.in_street() && !layout.inner_span(number).is_empty() {
         let inner = nearest_inner(layout, number, from);
         if detour(inner) < detour(best) {
             best = inner;
