@@ -4,6 +4,7 @@
 //! edges of the world. Two streets meet at an intersection, except at the four corners of the world.
 
 use crate::city::codes;
+use crate::city::zone;
 use crate::city::{Building, Buildings, MapConfig, Widths};
 use crate::city::{CityMap, Layout};
 use crate::diag::{self, Diagnostic};
@@ -25,12 +26,14 @@ impl CityMap {
     ///
     /// # Errors
     /// `limit-exceeded` if the map would have more than 2^20 rows, columns or blocks; the function checks this before
-    /// it allocates memory. `invalid-map` for widths that leave no room, a table of buildings of the wrong shape, or
-    /// unusable weights.
+    /// it allocates memory. `invalid-map` for widths that leave no room, a table of buildings of the wrong shape,
+    /// unusable weights, or zones that the map has no place for.
     pub fn generate(config: &MapConfig) -> Result<CityMap, Diagnostic> {
         let layout = check_layout(&config.blocks, &config.widths)?;
         let buildings = choose_buildings(&config.buildings, &config.blocks)?;
-        Ok(CityMap::new(config.name.clone(), layout, buildings))
+        let map = CityMap::new(config.name.clone(), layout, buildings);
+        let zones = zone::locate(config, &map)?;
+        Ok(map.with_zones(zones))
     }
 }
 
@@ -189,6 +192,7 @@ pub(super) mod tests {
             blocks: located(blocks),
             widths: located(widths),
             buildings: located(buildings),
+            zones: Vec::new(),
         };
         CityMap::generate(&config).map_err(|diagnostic| diagnostic.code)
     }

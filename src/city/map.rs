@@ -3,10 +3,13 @@
 
 use crate::city::Cell;
 use crate::city::{AgentKind, Building, Widths};
+use crate::city::{Area, Rectangle};
 use crate::diag::Diagnostic;
 use crate::diag::codes;
 use ndarray::Array3;
+use std::collections::BTreeMap;
 use std::ops::Range;
+use std::sync::Arc;
 
 /// The ground of a cell.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, PartialOrd, Ord, Hash)]
@@ -36,6 +39,9 @@ pub const STATIC_LAYERS: [&str; 8] = [
 
 /// The maximum number of values of a [`CityMap::semantic`]: 1 GiB in total.
 pub const SEMANTIC_MAX: usize = 1 << 28;
+
+/// The maximum number of classes of cells that [`CityMap::distinct_cells`] compares.
+const DISTINCT_MAX: usize = 1 << 22;
 
 /// The geometry of a map of equal blocks.
 ///
@@ -415,6 +421,8 @@ pub struct CityMap {
     squares: Box<[Square; 1 << 10]>,
     /// The four buildings of each block, row by row; the blocks are in row order too.
     buildings: Vec<[Building; 4]>,
+    /// The names and the cells of the zones.
+    zones: Vec<(String, Arc<Area>)>,
 }
 
 impl CityMap {
@@ -428,7 +436,13 @@ impl CityMap {
             cols: layout.parts(block_cols),
             squares: Square::table(),
             buildings,
+            zones: Vec::new(),
         }
+    }
+
+    /// Adds zones.
+    pub(super) fn with_zones(self, zones: Vec<(String, Arc<Area>)>) -> CityMap {
+        CityMap { zones, ..self }
     }
 
     /// Returns the number of rows of cells.
@@ -506,6 +520,34 @@ impl CityMap {
         &self.buildings
     }
 
+    /// Returns the cells of the buildings of a kind, row by row of blocks.
+    pub(crate) fn buildings_of(&self, kind: Building) -> impl Iterator<Item = Rectangle> {
+        let cols = self.layout.blocks()[1];
+        let all = self.buildings.iter().zip(0..).flat_map(move |(block, number)| {
+            let places = block.iter().zip(0..).filter(move |(building, _)| **building == kind);
+            places.map(move |(_, at)| [number / cols, number % cols, at / 2, at % 2])
+        });
+        all.map(|[block_row, block_col, row, col]| Rectangle {
+            rows: self.layout.building_span(block_row, row),
+            cols: self.layout.building_span(block_col, col),
+        })
+    }
+
+    /// Returns the names of the zones, in the order of the configuration.
+    pub fn zones(&self) -> impl Iterator<Item = &str> {
+        self.zones.iter().map(|(name, _)| name.as_str())
+    }
+
+    /// Returns whether a cell is in the zone with this name. A map without such a zone has no cell in it.
+    pub fn in_zone(&self, name: &str, cell: Cell) -> bool {
+        self.zone(name).is_some_and(|zone| zone.contains(cell))
+    }
+
+    /// Returns the cells of the zone with this name.
+    pub(crate) fn zone(&self, name: &str) -> Option<&Arc<Area>> {
+        self.zones.iter().find(|(known, _)| known == name).map(|(_, area)| area)
+    }
+
     /// Returns the layered semantic map of the paper, W x H x (B + N), of shape (rows, columns, 8 + number of agents).
     /// Each value is 0 or 1. Layers 0 to 7 are the static ones of [`STATIC_LAYERS`]; a cell has at most one of them.
     /// Layer 8 + i is 1 in the cell of agent i and 0 elsewhere (0 everywhere for an agent off the map).
@@ -557,17 +599,29 @@ impl CityMap {
         )
     }
 
-    /// Returns the relations to intersections of the cells on which agents of a kind may be, each once.
-    pub(crate) fn junctions(&self, kind: AgentKind) -> Vec<Junction> {
+    /// Returns cells on which agents of a kind may be: one for each combination of a relation to intersections and of
+    /// membership in these areas, which are at most 64. `None` if that takes too long.
+    pub(crate) fn distinct_cells(&self, kind: AgentKind, areas: &[Arc<Area>]) -> Option<Vec<Cell>> {
         // Cells of equal classes are alike.
-        let firsts = |parts: &[CoordinateClass]| {
-            let mut classes = std::collections::BTreeMap::new();
-            for (part, at) in parts.iter().zip(0..) {
-                classes.entry(part.0).or_insert(at);
+        let firsts = |parts: &[CoordinateClass], axis: usize| {
+            let mut ids: Vec<u32> = parts.iter().map(|part| part.0.into()).collect();
+            for area in areas {
+                let mut known = BTreeMap::new();
+                for (id, class) in ids.iter_mut().zip(area.classes()[axis]) {
+                    let next = u32::try_from(known.len()).expect("fewer than 2^32 rows and columns");
+                    *id = *known.entry((*id, *class)).or_insert(next);
+                }
             }
-            classes.into_values().collect::<Vec<i32>>()
+            let mut firsts = BTreeMap::new();
+            for (id, at) in ids.into_iter().zip(0..) {
+                firsts.entry(id).or_insert(at);
+            }
+            firsts.into_values().collect::<Vec<i32>>()
         };
-        let (rows, cols) = (firsts(&self.rows), firsts(&self.cols));
+        let (rows, cols) = (firsts(&self.rows, 0), firsts(&self.cols, 1));
+        if rows.len().saturating_mul(cols.len()) > DISTINCT_MAX || areas.len() > 64 {
+            return None;
+        }
         let cells = rows
             .iter()
             .flat_map(|&row| cols.iter().map(move |&col| Cell::new(row, col)));
@@ -575,12 +629,13 @@ impl CityMap {
             AgentKind::Car => self.is_drivable(*cell),
             AgentKind::Pedestrian => self.is_walkable(*cell),
         };
-        let mut found = [false; Junction::ALL.len()];
-        cells
-            .filter(may_be)
-            .for_each(|cell| found[self.junction(cell).index()] = true);
-        let all = Junction::ALL.into_iter();
-        all.filter(|junction| found[junction.index()]).collect()
+        let mut found = BTreeMap::new();
+        for cell in cells.filter(may_be) {
+            let members = areas.iter().enumerate();
+            let members = members.fold(0_u64, |set, (at, area)| set | u64::from(area.contains(cell)) << at);
+            found.entry((self.junction(cell).index(), members)).or_insert(cell);
+        }
+        Some(found.into_values().collect())
     }
 
     /// Returns the intersection that an agent of this kind is *At* on this cell, if any.

@@ -7,6 +7,7 @@
 //! This module does not depend on rules or predicates.
 
 mod agent;
+mod area;
 pub mod codes;
 mod generate;
 mod grid;
@@ -18,14 +19,16 @@ mod roads;
 mod route;
 mod view;
 mod walk;
+mod zone;
 
 pub(crate) use agent::place_agents_into;
 pub use agent::{Agent, Rest, place_agents};
+pub(crate) use area::{Area, Rectangle};
 pub use grid::{Cell, Heading};
 pub use map::{CityMap, Ground, Junction, Layout, SEMANTIC_MAX, STATIC_LAYERS};
 pub use model::{
-    Action, AgentConfig, AgentGroup, AgentKind, AgentName, AgentSet, Building, Buildings, MapConfig, Routing, Split,
-    TripEnds, Widths,
+    Action, AgentConfig, AgentGroup, AgentKind, AgentName, AgentSet, Building, Buildings, Landmarks, MapConfig,
+    Routing, Sample, Split, TripEnds, Widths, ZoneConfig, ZonePart,
 };
 pub use motion::{MoveReason, Moved, Surroundings, advance, possible_cells, speed_cells};
 pub use places::Places;

@@ -55,6 +55,17 @@ impl Building {
         Building::Store,
         Building::GasStation,
     ];
+
+    /// Returns its name in configurations.
+    pub const fn name(self) -> &'static str {
+        match self {
+            Building::House => "House",
+            Building::Office => "Office",
+            Building::Garage => "Garage",
+            Building::Store => "Store",
+            Building::GasStation => "GasStation",
+        }
+    }
 }
 
 /// A map file (`configs/maps/*.yaml`).
@@ -69,6 +80,60 @@ pub struct MapConfig {
     pub widths: Located<Widths>,
     /// The buildings.
     pub buildings: Located<Buildings>,
+    /// The zones. The serialized form omits an empty list, so that hashes of maps without zones do not depend on it.
+    #[serde(skip_serializing_if = "Vec::is_empty")]
+    pub zones: Vec<ZoneConfig>,
+}
+
+/// A zone of a map: the union of its parts.
+#[derive(Clone, Debug, Serialize)]
+pub struct ZoneConfig {
+    /// Its name, which predicates use.
+    pub name: Located<String>,
+    /// Its parts, at least one.
+    pub parts: Vec<Located<ZonePart>>,
+}
+
+/// A part of a zone: landmarks and the cells around them.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize)]
+pub struct ZonePart {
+    /// The landmarks.
+    pub around: Landmarks,
+    /// The maximum distance from the nearest of their cells, in rows and in columns.
+    pub within: u32,
+}
+
+/// Rectangles of a map to which a [`ZonePart`] refers.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize)]
+pub enum Landmarks {
+    /// The cells in these rows and columns: the first and the last, from 0.
+    Cells {
+        /// The rows.
+        rows: [u32; 2],
+        /// The columns.
+        cols: [u32; 2],
+    },
+    /// The block in this row and column of blocks, from 1, with its sidewalks.
+    Block([u32; 2]),
+    /// Blocks drawn at random.
+    SomeBlocks(Sample),
+    /// The horizontal street with this number, from 1 at the upper edge, with its intersections.
+    HorizontalStreet(u32),
+    /// The vertical street with this number, from 1 at the left edge, with its intersections.
+    VerticalStreet(u32),
+    /// All buildings of a kind.
+    Buildings(Building),
+    /// Buildings of a kind drawn at random.
+    SomeBuildings(Building, Sample),
+}
+
+/// A draw without replacement. A larger sample contains a smaller one with the same seed.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize)]
+pub struct Sample {
+    /// The number of elements, at least 1.
+    pub count: u32,
+    /// The seed of the draw; if absent, that of random buildings, or 0.
+    pub seed: Option<u64>,
 }
 
 /// Widths of the parts of a map, in cells.

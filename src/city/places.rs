@@ -5,7 +5,7 @@
 //! given number.
 
 use crate::city::{AgentKind, Building};
-use crate::city::{Cell, CityMap, Layout, NoRoute, Route, Router, TripEnds};
+use crate::city::{Cell, CityMap, Layout, NoRoute, Rectangle, Route, Router, TripEnds};
 use crate::rng::{Rng, RngExt};
 use std::ops::Range;
 use std::sync::Arc;
@@ -30,13 +30,6 @@ pub struct Places {
     ends: TripEnds,
 }
 
-/// A rectangle of cells.
-#[derive(Clone, Debug, Default)]
-struct Extent {
-    rows: Range<i32>,
-    cols: Range<i32>,
-}
-
 /// The places of a block by its buildings, in cells from its first row and column. Cars stop outside of the block.
 #[derive(Clone, Debug)]
 struct Pattern {
@@ -51,7 +44,7 @@ struct Pattern {
 /// The places in an extent, numbered row by row.
 #[derive(Clone, Debug, Default)]
 struct Numbering {
-    extent: Extent,
+    extent: Rectangle,
     bands: Vec<Band>,
     count: usize,
 }
@@ -225,7 +218,7 @@ struct Selection<'p> {
 }
 
 impl Numbering {
-    fn new(of: OfKind<'_>, extent: Extent) -> Self {
+    fn new(of: OfKind<'_>, extent: Rectangle) -> Self {
         let layout = &of.map.layout;
         let near = blocks_near(layout, &of.pattern.reach, &extent.cols, layout.blocks()[1]);
         let mut numbering = Numbering {
@@ -430,7 +423,7 @@ impl Places {
         let map = router.map();
         let cells = |cells: u32| i32::try_from(cells).unwrap_or(i32::MAX);
         let limit = region.map_or(i32::MAX, cells);
-        let extent = Extent {
+        let extent = Rectangle {
             rows: 0..map.rows().min(limit),
             cols: 0..map.cols().min(limit),
         };
@@ -521,7 +514,7 @@ impl Places {
         let trip = self.trip?;
         let around = |at: i32| at.saturating_sub(trip)..at.saturating_add(trip).saturating_add(1);
         let all = &self.all[kind as usize].extent;
-        let extent = Extent {
+        let extent = Rectangle {
             rows: overlap(&around(start.row), &all.rows),
             cols: overlap(&around(start.col), &all.cols),
         };

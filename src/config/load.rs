@@ -10,6 +10,7 @@ use crate::config::compose::{AGENTS, Composer, Kind, MAP, PREDICATES, RUN, Read,
 use crate::config::model::*;
 use crate::config::predicates::{Concepts, Predicates, carried, predicates};
 use crate::config::task;
+use crate::config::zones::{unknown_zones, zones};
 use crate::diag::{self, Diagnostic, Faults, MAX_FAULTS, Sources, Span};
 use crate::files::BUILTIN_FOLDER;
 use crate::located::Located;
@@ -34,13 +35,13 @@ const MAX_TICKS: u32 = 1_000_000_000;
 /// The maximum size of a region, in cells.
 const MAX_REGION: u32 = 1_000_000;
 
-/// Buildings with their names and letters in a map file.
-const BUILDINGS: [(&str, char, Building); 5] = [
-    ("House", 'H', Building::House),
-    ("Office", 'O', Building::Office),
-    ("Garage", 'A', Building::Garage),
-    ("Store", 'S', Building::Store),
-    ("GasStation", 'G', Building::GasStation),
+/// Buildings with their letters in a map file.
+const BUILDINGS: [(char, Building); 5] = [
+    ('H', Building::House),
+    ('O', Building::Office),
+    ('A', Building::Garage),
+    ('S', Building::Store),
+    ('G', Building::GasStation),
 ];
 
 /// Loads a run configuration composed of all its files. A bare name such as `expert` means `configs/expert.yaml`.
@@ -118,7 +119,7 @@ const PARTS_OF_RUN: [(&str, Kind); 4] = [
 
 /// The keys of the parts of a run configuration, what each part is, and the keys that only such a part has.
 const PARTS: [(&str, &str, &[&str]); 4] = [
-    ("map", "a map", &["blocks", "widths", "buildings"]),
+    ("map", "a map", &["blocks", "widths", "buildings", "zones"]),
     ("agents", "agent sets", &["train", "val", "test"]),
     ("predicates", "predicates", &["define", "use"]),
     (
@@ -204,6 +205,9 @@ fn scenario(composer: &mut Composer<'_>, tree: &YamlNode) -> Option<Scenario> {
     let task_node = fields.optional("task");
     let task = task_node.map(|node| task::spf(composer, node, predicates.as_ref()));
     let faults = &mut composer.faults;
+    if let (Some(map), Some(predicates)) = (&map, &predicates) {
+        unknown_zones(map, &predicates.used, faults);
+    }
     let usual = "`base: configs/common.yaml` has defaults for all keys except `rules` and `agents`";
     fields.close_with(Some(usual), faults);
     let mut scenario = Scenario {
@@ -265,12 +269,16 @@ fn map(map: &YamlNode, name: String, faults: &mut Vec<Diagnostic>) -> Option<Map
         let value = buildings(map, node, blocks, faults)?;
         Some(Located { value, span: node.span })
     });
+    let zones = fields
+        .optional("zones")
+        .map_or(Some(Vec::new()), |node| zones(node, faults));
     fields.close(faults);
     Some(MapConfig {
         name,
         blocks: blocks?,
         widths: widths?,
         buildings: buildings?,
+        zones: zones?,
     })
 }
 
@@ -410,8 +418,10 @@ fn building_row(node: &YamlNode, wanted: Option<usize>, faults: &mut Vec<Diagnos
     let row = text(node, "a row of building letters", faults)?;
     let mut buildings = Vec::new();
     for (byte, letter) in row.char_indices().filter(|(_, letter)| !letter.is_whitespace()) {
-        let Some((_, _, building)) = BUILDINGS.iter().find(|(_, known, _)| *known == letter) else {
-            let letters = BUILDINGS.map(|(name, letter, _)| format!("{letter} {name}")).join(", ");
+        let Some((_, building)) = BUILDINGS.iter().find(|(known, _)| *known == letter) else {
+            let letters = BUILDINGS
+                .map(|(letter, building)| format!("{letter} {}", building.name()))
+                .join(", ");
             let fault = Diagnostic::new(
                 yaml::codes::INVALID_VALUE,
                 format!("`{letter}` does not denote a building"),
@@ -453,8 +463,8 @@ fn random_buildings(node: &YamlNode, faults: &mut Vec<Diagnostic>) -> Option<Bui
         .and_then(|node| integer(node, 0..=u64::MAX, faults));
     let weights = fields.required("weights", faults).and_then(|node| {
         let mut fields = Fields::open(node, "the weights of buildings", faults)?;
-        let weights: Option<Vec<_>> = BUILDINGS
-            .map(|(name, _, building)| match fields.optional(name) {
+        let weights: Option<Vec<_>> = Building::ALL
+            .map(|building| match fields.optional(building.name()) {
                 Some(node) => Some((building, number(node, 0.0..=1e9, "a weight from 0 to 1e9", faults)?)),
                 None => Some((building, 0.0)),
             })

@@ -16,6 +16,7 @@ mod model;
 mod predicates;
 mod task;
 mod tree;
+mod zones;
 
 pub use compose::{Read, rule_file};
 pub use load::{Loaded, load_any, load_map, load_scenario, missing_file};

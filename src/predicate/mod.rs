@@ -12,7 +12,8 @@
 //! | | depends on | definition | fast form | computed |
 //! |---|---|---|---|---|
 //! | [`Static`] | the agent's kind and concepts | `StaticKind::holds` | the same | once per combination |
-//! | [`Local`] | the agent's kind and its cell | `LocalKind::holds` | `CellTable` | when the agent moves |
+//! | [`Local`] | the agent's kind and its cell's relation to intersections | `LocalKind::holds` | `CellTable` | when the agent moves |
+//! | [`Place`] | the agent's cell | `PlaceKind::holds` | `Area` | when the agent moves |
 //! | [`Pair`] | two agents | `PairKind::holds` | `Relation` | when a rule needs it |
 //! | [`Quantity`] | the state of the agents | `Quantity::measure` | the same | when a rule needs it |
 //!
@@ -25,24 +26,28 @@ mod concept;
 mod distance;
 mod intersection;
 mod kind;
+mod near;
 mod priority;
 mod quantity;
 mod sees;
 mod side;
 mod situation;
+mod zone;
 
-use crate::city::{AgentKind, Cell, CityMap, FieldOfView, Heading, Junction};
+use crate::city::{AgentKind, Area, Cell, CityMap, FieldOfView, Heading, Junction};
 use crate::diag::Diagnostic;
 use crate::yaml::codes;
 use crate::yaml::read::{Fields, choice};
 use crate::yaml::{Value, YamlNode};
 use serde::{Serialize, Serializer};
+use std::sync::Arc;
 
 pub use colliding::Colliding;
 pub use concept::Concept;
 pub use distance::Distance;
 pub use intersection::{AtIntersection, InIntersection};
 pub use kind::Kind;
+pub use near::{NEAR_MAX, Near};
 pub use priority::HigherPriority;
 pub(crate) use quantity::{Measure, Measured};
 pub use quantity::{Progress, Quantity, Unit};
@@ -50,6 +55,7 @@ pub use sees::Sees;
 pub(crate) use sees::Views;
 pub use side::{LeftOf, RightOf};
 pub use situation::{Situations, Together};
+pub use zone::Zone;
 
 /// The state of an agent that predicates can see.
 #[derive(Clone, Copy, Debug)]
@@ -171,6 +177,15 @@ pub(crate) trait LocalKind: PredicateKind {
 
     /// Variant of [`holds`](LocalKind::holds) for all cells with the same relation to intersections.
     fn holds_on(&self, junction: Junction, kind: AgentKind) -> bool;
+}
+
+/// A kind of predicate that depends on an agent's cell.
+pub(crate) trait PlaceKind: PredicateKind {
+    /// The definition: returns whether the predicate holds for an agent on this cell.
+    fn holds(&self, map: &CityMap, at: Cell) -> bool;
+
+    /// Returns the cells of a map on which the predicate holds.
+    fn area(&self, map: &CityMap) -> Arc<Area>;
 }
 
 /// A kind of predicate over two agents. [`Relation::REFLEXIVE`] states whether it relates agents to themselves.
@@ -322,15 +337,20 @@ macro_rules! kinds {
         $d:tt
         Static { $($(#[$static_doc:meta])* $static:ident,)* }
         Local { $($(#[$local_doc:meta])* $local:ident,)* }
+        Place { $($(#[$place_doc:meta])* $place:ident,)* }
         Pair { $($(#[$pair_doc:meta])* $pair:ident,)* }
     ) => {
         /// A predicate that depends on an agent's kind and concepts.
         #[derive(Clone, Debug, PartialEq)]
         pub enum Static { $($(#[$static_doc])* $static($static),)* }
 
-        /// A predicate that depends on an agent's kind and cell.
+        /// A predicate that depends on an agent's kind and on the relation of its cell to intersections.
         #[derive(Clone, Debug, PartialEq)]
         pub enum Local { $($(#[$local_doc])* $local($local),)* }
+
+        /// A predicate that depends on an agent's cell.
+        #[derive(Clone, Debug, PartialEq)]
+        pub enum Place { $($(#[$place_doc])* $place($place),)* }
 
         /// A predicate over two agents.
         #[derive(Clone, Debug, PartialEq)]
@@ -374,6 +394,18 @@ macro_rules! kinds {
             }
         }
 
+        impl Place {
+            /// Returns whether the predicate holds for an agent on this cell.
+            pub(crate) fn holds(&self, map: &CityMap, at: Cell) -> bool {
+                match self { $(Place::$place(predicate) => predicate.holds(map, at),)* }
+            }
+
+            /// Returns the fast form.
+            pub(crate) fn area(&self, map: &CityMap) -> Arc<Area> {
+                match self { $(Place::$place(predicate) => predicate.area(map),)* }
+            }
+        }
+
         impl Pair {
             /// Returns the fast form.
             pub(crate) fn relation(&self) -> PairRelation {
@@ -405,6 +437,7 @@ macro_rules! kinds {
                 match self {
                     $(Definition::Static(Static::$static(it)) => tagged(serializer, stringify!($static), it),)*
                     $(Definition::Local(Local::$local(it)) => tagged(serializer, stringify!($local), it),)*
+                    $(Definition::Place(Place::$place(it)) => tagged(serializer, stringify!($place), it),)*
                     $(Definition::Pair(Pair::$pair(it)) => tagged(serializer, stringify!($pair), it),)*
                     Definition::Quantity(it) => tagged(serializer, "Quantity", it),
                 }
@@ -416,6 +449,9 @@ macro_rules! kinds {
         })*
         $(impl From<$local> for Definition {
             fn from(predicate: $local) -> Definition { Definition::Local(Local::$local(predicate)) }
+        })*
+        $(impl From<$place> for Definition {
+            fn from(predicate: $place) -> Definition { Definition::Place(Place::$place(predicate)) }
         })*
         $(impl From<$pair> for Definition {
             fn from(predicate: $pair) -> Definition { Definition::Pair(Pair::$pair(predicate)) }
@@ -431,6 +467,7 @@ macro_rules! kinds {
                 match self {
                     $(Definition::Static(Static::$static(predicate)) => predicate.phrase(),)*
                     $(Definition::Local(Local::$local(predicate)) => predicate.phrase(),)*
+                    $(Definition::Place(Place::$place(predicate)) => predicate.phrase(),)*
                     $(Definition::Pair(Pair::$pair(predicate)) => predicate.phrase(),)*
                     Definition::Quantity(predicate) => predicate.phrase(),
                 }
@@ -440,11 +477,16 @@ macro_rules! kinds {
         /// Returns predicates of all kinds.
         #[cfg(test)]
         fn samples() -> Vec<Vec<Definition>> {
-            vec![$($static::samples(),)* $($local::samples(),)* $($pair::samples(),)* Quantity::samples()]
+            vec![
+                $($static::samples(),)* $($local::samples(),)* $($place::samples(),)* $($pair::samples(),)*
+                Quantity::samples(),
+            ]
         }
 
         /// The syntax of all kinds.
-        const SYNTAX: &[Syntax] = &[$($static::SYNTAX,)* $($local::SYNTAX,)* $($pair::SYNTAX,)* Quantity::SYNTAX];
+        const SYNTAX: &[Syntax] = &[
+            $($static::SYNTAX,)* $($local::SYNTAX,)* $($place::SYNTAX,)* $($pair::SYNTAX,)* Quantity::SYNTAX,
+        ];
     };
 }
 
@@ -460,6 +502,12 @@ kinds! { $
         AtIntersection,
         /// The agent is inside an intersection.
         InIntersection,
+    }
+    Place {
+        /// The agent is in a zone of the map.
+        Zone,
+        /// The agent is near a building of a kind.
+        Near,
     }
     Pair {
         /// The Euclidean distance is within bounds.
@@ -485,8 +533,10 @@ pub(crate) use {with_pair, with_relation};
 pub enum Definition {
     /// Computed from the agent's kind and concepts.
     Static(Static),
-    /// Computed from the agent's kind and cell.
+    /// Computed from the agent's kind and the relation of its cell to intersections.
     Local(Local),
+    /// Computed from the agent's cell.
+    Place(Place),
     /// Computed from two agents.
     Pair(Pair),
     /// A value of agents or of the city.
@@ -497,7 +547,7 @@ impl Definition {
     /// Returns the number of agents that the predicate relates.
     pub fn arity(&self) -> usize {
         match self {
-            Definition::Static(_) | Definition::Local(_) => 1,
+            Definition::Static(_) | Definition::Local(_) | Definition::Place(_) => 1,
             Definition::Pair(_) => 2,
             Definition::Quantity(quantity) => quantity.agents(),
         }
@@ -586,9 +636,16 @@ impl Definition {
                 .unwrap_or_default();
             let message = format!("`{}` needs the key `{missing}`, too", names.join("` with `"));
             let fault = Diagnostic::new(codes::MISSING_KEY, message).at(node.span, "");
-            faults.push(
-                fault.help("name the concept and who can have it: `{concept: taxi, of: Car}` or `of: Pedestrian`"),
-            );
+            faults.push(fault.help(match missing {
+                "near" | "within" => {
+                    let number = number_of(given[0].1).unwrap_or("8");
+                    format!(
+                        "write `{{near: Store, within: {number}}}` for the surroundings of buildings, and \
+                         `{{distance: {{at_most: {number}}}}}` for those of another agent"
+                    )
+                }
+                _ => "name the concept and who can have it: `{concept: taxi, of: Car}` or `of: Pedestrian`".to_owned(),
+            }));
             return None;
         }
         let forms: Vec<String> = mappings
@@ -605,8 +662,16 @@ impl Definition {
     }
 }
 
+/// Returns the text of a number.
+fn number_of(node: &YamlNode) -> Option<&str> {
+    match &node.value {
+        Value::Scalar { text, plain: true } if text.parse::<f64>().is_ok() => Some(text),
+        _ => None,
+    }
+}
+
 /// Words that users write for a bound of the distance from above, and from below.
-const NEAR: [&str; 8] = ["near", "close", "within", "radius", "range", "max", "at_most", "below"];
+const NEAR: [&str; 6] = ["close", "radius", "range", "max", "at_most", "below"];
 const FAR: [&str; 5] = ["far", "beyond", "min", "at_least", "above"];
 
 /// Adds help to the faults of unknown keys in a definition.
@@ -617,10 +682,7 @@ fn explain_unknown_keys(node: &YamlNode, faults: &mut [Diagnostic]) {
         let Some((key, value)) = entries.iter().find(|(key, _)| Some(key.span) == place) else {
             continue;
         };
-        let number = match &value.value {
-            Value::Scalar { text, plain: true } if text.parse::<f64>().is_ok() => text.as_str(),
-            _ => "12",
-        };
+        let number = number_of(value).unwrap_or("12");
         let bound = match key.text.to_lowercase().as_str() {
             word if NEAR.contains(&word) => "at_most",
             word if FAR.contains(&word) => "above",
@@ -680,14 +742,26 @@ mod tests {
     use crate::builtin::BuiltinFiles;
     use crate::config::load_map;
     use crate::diag::Sources;
+    use crate::files::ReadFile;
     use crate::rng::{Purpose, RngExt, Seed};
     use std::collections::BTreeSet;
     use std::path::Path;
 
+    /// The map of the paper with the zones that samples use.
     fn map() -> CityMap {
-        let config = load_map(&mut Sources::new(), Path::new("square-5x5"), &BuiltinFiles).expect("built in");
+        let files = |path: &Path| match path == Path::new("zones.yaml") {
+            true => Ok(ZONES.to_owned()),
+            false => BuiltinFiles.read(path),
+        };
+        let config = load_map(&mut Sources::new(), Path::new("zones.yaml"), &files).expect("valid zones");
         CityMap::generate(&config).expect("a valid map")
     }
+
+    const ZONES: &str = "base: square-5x5
+zones:
+  school: [{near: Office, within: 8, sample: 2}, {rows: [3, 90], cols: [200, 240]}]
+  center: [{block: [3, 3], within: 11}, {horizontal_street: 2}]
+";
 
     /// A deterministic draw that succeeds for about half of all pairs.
     fn happens(first: usize, second: usize) -> bool {
@@ -755,6 +829,16 @@ mod tests {
                         }
                     }
                     assert_eq!(found.len(), 2);
+                }
+                Definition::Place(predicate) => {
+                    let (area, mut counts) = (predicate.area(&map), [0; 2]);
+                    for cell in (-1..=map.rows()).flat_map(|row| (-1..=map.cols()).map(move |col| Cell::new(row, col)))
+                    {
+                        let holds = map.contains(cell) && predicate.holds(&map, cell);
+                        assert_eq!(area.contains(cell), holds, "{predicate:?} {cell:?}");
+                        counts[usize::from(holds)] += 1;
+                    }
+                    assert!(counts.iter().all(|count| *count > 500), "{predicate:?} {counts:?}");
                 }
                 Definition::Pair(pair) => with_pair!(pair, kind => compare(kind, &map)),
             }

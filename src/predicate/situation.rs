@@ -1,6 +1,6 @@
 //! What the definitions of predicates exclude and imply, whatever the agents do.
 
-use crate::city::{AgentKind, Cell, CityMap, Heading, Junction};
+use crate::city::{AgentKind, Cell, CityMap, Heading};
 use crate::predicate::{Definition, Pair, PairRelation, Relation as _, Subject, Views, with_relation};
 use std::cell;
 use std::collections::{BTreeMap, BTreeSet};
@@ -34,8 +34,11 @@ pub struct Situations {
     found: Found,
     /// Whether these are all situations.
     pub complete: bool,
-    /// The junctions on which agents of each kind can be, in the order of [`AgentKind::ALL`].
-    pub junctions: [Vec<Junction>; 2],
+    /// Cells on which agents of each kind can be, in the order of [`AgentKind::ALL`]: all situations of one agent, as
+    /// far as predicates over one agent distinguish them.
+    pub cells: [Vec<Cell>; 2],
+    /// Whether the cells distinguish the truth values of [places](crate::predicate::Place).
+    pub distinguish_places: bool,
 }
 
 /// The maximum number of predicates over two agents.
@@ -120,9 +123,12 @@ impl Situations {
     ) -> Situations {
         let views = Views::new(half_width);
         let mut pairs: Vec<&Pair> = Vec::new();
-        let (mut bits, mut reflexive) = (Vec::new(), Vec::new());
+        let (mut bits, mut reflexive, mut areas) = (Vec::new(), Vec::new(), Vec::new());
         for definition in definitions {
             reflexive.push(definition.is_reflexive());
+            if let Definition::Place(place) = definition {
+                areas.push(place.area(map));
+            }
             bits.push(match definition {
                 Definition::Pair(pair) if pairs.len() < PAIRS_MAX => {
                     pairs.push(pair);
@@ -176,12 +182,21 @@ impl Situations {
         }
         let skipped = search.skipped.get();
         let is_known = |bit: &u32| skipped >> bit & 1 == 0;
+        let distinct = |areas| {
+            let cells = AgentKind::ALL.map(|kind| map.distinct_cells(kind, areas));
+            let [Some(of_cars), Some(of_pedestrians)] = cells else {
+                return None;
+            };
+            Some([of_cars, of_pedestrians])
+        };
+        let cells = distinct(&areas);
         Situations {
+            distinguish_places: cells.is_some(),
+            cells: cells.or_else(|| distinct(&[])).unwrap_or_default(),
             bits: bits.into_iter().map(|bit| bit.filter(is_known)).collect(),
             reflexive,
             found: search.found,
             complete,
-            junctions: AgentKind::ALL.map(|kind| map.junctions(kind)),
         }
     }
 

@@ -372,6 +372,7 @@ mod tests {
                 },
                 span,
             },
+            zones: Vec::new(),
         };
         CityMap::generate(&config).unwrap_or_else(|fault| panic!("{fault:?}"))
     }

@@ -207,8 +207,8 @@ fn common_mistakes_are_explained_once() {
         ),
         (
             "predicates: {define: {IsNear: {near: 3}}}",
-            (2, 32),
-            vec!["unknown key `near`", "`{distance: {at_most: 3}}`"],
+            (2, 31),
+            vec!["`near` needs the key `within`, too", "`{distance: {at_most: 3}}`"],
         ),
         (
             "predicates: {define: {IsFar: {above: 30}}}",
@@ -310,7 +310,7 @@ fn common_mistakes_are_explained_once() {
 
 #[test]
 fn a_bad_base_hides_no_other_fault() {
-    let text = "base: exprt\nview: no\nfoo: 3\nmap: {blocks: 3}\npredicates: {use: [IsCar], define: {IsNear: {near: 3}}}\n\
+    let text = "base: exprt\nview: no\nfoo: 3\nmap: {blocks: 3}\npredicates: {use: [IsCar], define: {IsNear: {close: 3}}}\n\
                 agents: {test: {cars: [{priority: x, concepts: [taxi]}]}}\nticks: 3\n";
     let (sources, result) = load_memory(&[("main.yaml", text)]);
     let faults = result.expect_err("faults");

@@ -13,6 +13,7 @@ mod hostile;
 mod near_files;
 #[path = "../datalog/pages.rs"]
 mod pages;
+mod places;
 mod popper;
 mod popper_tasks;
 #[path = "../datalog/proofs.rs"]

@@ -42,6 +42,7 @@ fn config(blocks: [u32; 2], widths: Widths, buildings: Buildings) -> MapConfig {
         blocks: located(blocks),
         widths: located(widths),
         buildings: located(buildings),
+        zones: Vec::new(),
     }
 }
 

@@ -64,6 +64,13 @@ impl Place {
             let parent = &self.path[..at];
             value = match step {
                 Step::Item if parent.last() == Some(&Step::Key("blocks".into())) => json!([value, 1]),
+                Step::Item
+                    if RANGES
+                        .iter()
+                        .any(|key| parent.last() == Some(&Step::Key((*key).into()))) =>
+                {
+                    json!([value, value])
+                }
                 Step::Item => json!([value]),
                 Step::Key(key) => {
                     let mut entries = Map::new();
@@ -75,6 +82,9 @@ impl Place {
                         Some(Step::Item) if parent.contains(&Step::Key("curriculum".into())) => {
                             entries.extend([("until".into(), json!(1)), ("agents".into(), json!(1))]);
                         }
+                        Some(Step::Item) if parent.contains(&Step::Key("zones".into())) => {
+                            entries.extend(companions(key));
+                        }
                         Some(Step::Item) => {
                             entries.insert("priority".into(), json!(1));
                         }
@@ -84,6 +94,11 @@ impl Place {
                         }
                         Some(Step::Key(above)) if above == SAMPLE_PREDICATE && key == "of" => {
                             entries.insert("concept".into(), json!("taxi"));
+                        }
+                        Some(Step::Key(above))
+                            if above == SAMPLE_PREDICATE && ["near", "within"].contains(&&key[..]) =>
+                        {
+                            entries.extend([("near".into(), json!("Store")), ("within".into(), json!(8))]);
                         }
                         _ => {}
                     }
@@ -100,6 +115,23 @@ impl Place {
         }
         value
     }
+}
+
+/// The keys of zones whose values are the first and the last number, or a row and a column.
+const RANGES: [&str; 3] = ["rows", "cols", "block"];
+
+/// Returns what a part of a zone needs beside a key.
+fn companions(key: &str) -> Vec<(String, Value)> {
+    let needed = match key {
+        "rows" => vec![("cols", json!([0, 1]))],
+        "cols" => vec![("rows", json!([0, 1]))],
+        "within" => vec![("block", json!([1, 1]))],
+        "near" => vec![("within", json!(8))],
+        "sample" => vec![("near", json!("Store")), ("within", json!(8))],
+        "seed" => vec![("sample_blocks", json!(1))],
+        _ => Vec::new(),
+    };
+    needed.into_iter().map(|(key, value)| (key.to_owned(), value)).collect()
 }
 
 /// The names in samples of mappings with free keys.

@@ -40,6 +40,7 @@ fn map(name: &str, block_cols: u32, widths: Widths) -> CityMap {
             value: Buildings::Fixed(vec![row(0), row(3)]),
             span,
         },
+        zones: Vec::new(),
     };
     CityMap::generate(&config).unwrap_or_else(|fault| panic!("{fault:?}"))
 }

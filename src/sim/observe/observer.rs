@@ -10,7 +10,7 @@
 //! the ego. The others' next actions are not observable, so no action holds for them.
 
 use crate::city::{Action, Agent, AgentKind};
-use crate::city::{Cell, FieldOfView};
+use crate::city::{Area, Cell, FieldOfView};
 use crate::datalog::Session;
 use crate::datalog::Value;
 use crate::datalog::dense::{holding, members};
@@ -55,6 +55,7 @@ pub struct Oracle {
 enum How {
     Static(Static),
     Local(CellTable),
+    Place(Arc<Area>),
     Pair(PairRelation),
     Quantity(Quantity),
 }
@@ -73,6 +74,7 @@ impl Oracle {
         let how = |definition: &Definition| match definition {
             Definition::Static(predicate) => How::Static(predicate.clone()),
             Definition::Local(predicate) => How::Local(predicate.table()),
+            Definition::Place(predicate) => How::Place(predicate.area(world.map())),
             Definition::Pair(pair) => How::Pair(pair.relation()),
             Definition::Quantity(quantity) => How::Quantity(*quantity),
         };
@@ -91,7 +93,7 @@ impl Oracle {
             .filter(|(predicate, _)| *predicate != vocabulary.sees);
         let sets = observed.flat_map(|(predicate, how)| match how {
             How::Pair(_) => layout.rows(predicate)..layout.rows(predicate) + entities,
-            How::Static(_) | How::Local(_) => predicate..predicate + 1,
+            How::Static(_) | How::Local(_) | How::Place(_) => predicate..predicate + 1,
             How::Quantity(_) => 0..0,
         });
         Ok(Oracle {
@@ -315,6 +317,7 @@ impl Observer {
                     holding(holds)
                 }
                 How::Local(table) => holding(bodies.iter().map(|body| table.holds(body.junction, body.kind))),
+                How::Place(area) => holding(bodies.iter().map(|body| area.contains(body.at))),
                 How::Quantity(quantity) => {
                     let measured = |body: &AgentState| Measured {
                         subject: body.subject(),
@@ -406,6 +409,7 @@ impl Observer {
             let unary = oracle.how.iter().enumerate().filter_map(|(predicate, how)| match how {
                 How::Static(_) => Some(is_steadily(&self.steady, self.words, body, predicate)),
                 How::Local(table) => Some(table.holds(body.junction, body.kind)),
+                How::Place(area) => Some(area.contains(body.at)),
                 How::Pair(_) | How::Quantity(_) => None,
             });
             for (holds, value) in unary.zip(&mut row[8..]) {

@@ -6,7 +6,7 @@ use crate::config::{Scenario, load_map};
 use crate::datalog::dense::{BinaryFacts, BitFacts, BitState, Set, TooManySteps, TrackFirings, has};
 use crate::datalog::explain::Explainer;
 use crate::datalog::{self, EvalError, Limits, PredicateId, Program, Session, Value, constraints, internal::size};
-use crate::diag::{self, Diagnostic, Limit, SourceId, Sources, Span};
+use crate::diag::{self, Diagnostic, Limit, SourceId, Sources, Span, did_you_mean};
 use crate::files::ReadFile;
 use crate::predicate::{Entity, Unit};
 use crate::rng::Seed;
@@ -449,6 +449,12 @@ impl Inference {
             })
             .collect();
         let given = |index: usize| given(&self.vocabulary, &scene.given, index);
+        let zones = self.vocabulary.predicates.iter().enumerate();
+        let mut zones = zones.filter_map(|(index, known)| Some((index, known, known.definition.zone()?)));
+        let unknown = zones.find(|(index, _, zone)| map.zone(&zone.value).is_none() && given(*index).is_none());
+        if let Some((_, known, zone)) = unknown {
+            return Err(vec![no_zone(&scene, &map, &known.name, &zone.value)]);
+        }
         let grounded = ground_with(
             &self.vocabulary,
             &map,
@@ -703,6 +709,22 @@ impl<const W: usize> BinaryFacts<W> for CancellableFacts<'_, W> {
 fn given<'g>(vocabulary: &Vocabulary, list: &'g [GivenPredicate], index: usize) -> Option<&'g GivenPredicate> {
     let name = &vocabulary.predicates[index].name;
     list.iter().find(|given| given.name == *name)
+}
+
+/// Returns the fault of a scene on a map without a zone that a predicate tests.
+fn no_zone(scene: &GeometricScene, map: &CityMap, predicate: &str, zone: &str) -> Diagnostic {
+    let message = format!(
+        "the map `{}` has no zone `{zone}`, which `{predicate}` tests",
+        scene.map
+    );
+    let fault = Diagnostic::new(codes::INVALID_SCENE, message).at(scene.map_span, "named here");
+    let fault = fault.help(format!(
+        "name a map file with this zone, or state the rows: `\"given\": {{\"{predicate}\": []}}`"
+    ));
+    match did_you_mean(zone, map.zones()) {
+        Some(near) => fault.note(format!("it has a zone `{near}`")),
+        None => fault,
+    }
 }
 
 /// What an ego sees.

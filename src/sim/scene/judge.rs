@@ -1,10 +1,10 @@
 //! What a configuration says about an integrity constraint.
 
-use crate::city::{AgentKind, Junction};
+use crate::city::AgentKind;
 use crate::datalog::{Constraint, PredicateId};
 use crate::diag::Span;
 use crate::predicate::Definition;
-use crate::sim::scene::theory::{CityTheory, Known, KnownInputs, Profile, holds};
+use crate::sim::scene::theory::{CityTheory, Known, KnownInputs, Profile};
 
 /// What a configuration says about a constraint.
 pub(super) enum Verdict {
@@ -78,6 +78,9 @@ impl CityTheory {
 
     fn judge_unary(&self, a: Known<'_>, b: Known<'_>, implies: bool) -> Verdict {
         let (one, other) = (&a.config.definition, &b.config.definition);
+        if !self.distinguishes(one) || !self.distinguishes(other) {
+            return Verdict::Unknown;
+        }
         let [first, second] = [a, b].map(|known| &known.config.name.value);
         let defined = self.defined(one, other);
         let (fails, only_vacuous) = match implies {
@@ -165,16 +168,16 @@ impl CityTheory {
     /// Judges whether each agent has one of the predicates. `all` says whether the domain of the constraint has every
     /// agent.
     fn judge_cover(&self, definitions: &[&Definition], all: bool) -> Verdict {
-        if definitions.iter().any(|definition| definition.arity() != 1) {
+        let is_judged = |definition: &&Definition| definition.arity() == 1 && self.distinguishes(definition);
+        if !definitions.iter().all(is_judged) {
             return Verdict::Unknown;
         }
         let covers = |kind, concepts: &[String]| {
-            let junctions = &self.situations.junctions[kind as usize];
-            let covered = |junction: &Junction| {
+            let mut cells = self.situations.cells[kind as usize].iter();
+            cells.all(|cell| {
                 let mut definitions = definitions.iter();
-                definitions.any(|definition| holds(definition, kind, concepts, *junction))
-            };
-            junctions.iter().all(covered)
+                definitions.any(|definition| self.holds(definition, kind, concepts, *cell))
+            })
         };
         if AgentKind::ALL.into_iter().all(|kind| covers(kind, &[])) {
             return Verdict::ByDefinition;

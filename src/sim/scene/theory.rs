@@ -1,10 +1,10 @@
 //! What the predicates of a configuration can be at once, by their definitions and for the agents of its city.
 
-use crate::city::{AgentKind, AgentSet, CityMap, Junction};
+use crate::city::{AgentKind, AgentSet, Cell, CityMap};
 use crate::config::{PredicateConfig, Scenario};
 use crate::datalog::{BaseType, PredicateId, Rules};
 use crate::diag::{Diagnostic, Span};
-use crate::predicate::{Concept, Definition, Local, Situations, Together};
+use crate::predicate::{Concept, Definition, Situations, Together};
 use std::collections::{BTreeSet, HashMap, HashSet};
 use std::sync::Arc;
 
@@ -13,6 +13,7 @@ use std::sync::Arc;
 pub struct CityTheory {
     /// The configuration.
     pub scenario: Scenario,
+    map: Arc<CityMap>,
     pub(super) situations: Situations,
     pub(super) profiles: Vec<Profile>,
     /// Whether two agents of one set can have different priorities.
@@ -83,7 +84,7 @@ impl CityTheory {
     /// # Errors
     /// The map cannot be generated.
     pub fn new(scenario: Scenario) -> Result<CityTheory, Diagnostic> {
-        let map = CityMap::generate(&scenario.map)?;
+        let map = Arc::new(CityMap::generate(&scenario.map)?);
         let mut profiles: Vec<Profile> = Vec::new();
         let mut known: HashSet<(AgentKind, Arc<[String]>)> = HashSet::new();
         let mut add = |kind, concepts: &Arc<[String]>, name: String, span| {
@@ -123,6 +124,7 @@ impl CityTheory {
         let definitions = scenario.predicates.iter().map(|predicate| &predicate.definition);
         Ok(CityTheory {
             situations: Situations::new(definitions, &kinds, &map, scenario.view),
+            map,
             profiles,
             ranked,
             agents_max: scenario.splits.iter().map(|(_, set)| set.len()).max().unwrap_or(0),
@@ -145,8 +147,8 @@ impl CityTheory {
             for chosen in 0..1_usize << concepts.len() {
                 let carried = concepts.iter().enumerate().filter(|(bit, _)| chosen >> bit & 1 != 0);
                 let carried: Vec<String> = carried.map(|(_, concept)| concept.clone()).collect();
-                for junction in &self.situations.junctions[kind as usize] {
-                    let [a, b] = [one, other].map(|definition| holds(definition, kind, &carried, *junction));
+                for cell in &self.situations.cells[kind as usize] {
+                    let [a, b] = [one, other].map(|definition| self.holds(definition, kind, &carried, *cell));
                     together.add(a, b);
                 }
             }
@@ -164,9 +166,9 @@ impl CityTheory {
     ) -> (Together, Option<&Profile>) {
         let (mut together, mut first) = (Together::default(), None);
         for profile in &self.profiles {
-            for junction in &self.situations.junctions[profile.kind as usize] {
+            for cell in &self.situations.cells[profile.kind as usize] {
                 let [a, b] =
-                    [one, other].map(|definition| holds(definition, profile.kind, &profile.concepts, *junction));
+                    [one, other].map(|definition| self.holds(definition, profile.kind, &profile.concepts, *cell));
                 together.add(a, b);
                 if wanted(a, b) {
                     first.get_or_insert(profile);
@@ -176,10 +178,28 @@ impl CityTheory {
         (together, first)
     }
 
+    /// Returns whether the known situations of one agent have all truth values of a predicate.
+    pub(super) fn distinguishes(&self, definition: &Definition) -> bool {
+        self.situations.distinguish_places || !matches!(definition, Definition::Place(_))
+    }
+
+    /// Returns whether a predicate over one agent holds.
+    pub(super) fn holds(&self, definition: &Definition, kind: AgentKind, concepts: &[String], at: Cell) -> bool {
+        match definition {
+            Definition::Static(predicate) => predicate.holds(kind, concepts),
+            Definition::Local(predicate) => predicate.holds(&self.map, kind, at),
+            Definition::Place(predicate) => predicate.holds(&self.map, at),
+            Definition::Pair(_) | Definition::Quantity(_) => false,
+        }
+    }
+
     /// Returns whether a predicate has no rows in the city.
     pub(super) fn is_empty(&self, one: Known<'_>) -> bool {
         let definition = &one.config.definition;
         if definition.arity() == 1 {
+            if !self.distinguishes(definition) {
+                return false;
+            }
             let (together, _) = self.carried(definition, definition, |_, _| false);
             return !together.both;
         }
@@ -194,13 +214,4 @@ fn is_ranked(set: &AgentSet) -> bool {
     let mut priorities = set.entries().map(|group| group.priority);
     let first = priorities.next();
     priorities.any(|priority| Some(priority) != first)
-}
-
-/// Returns whether a predicate over one agent holds.
-pub(super) fn holds(definition: &Definition, kind: AgentKind, concepts: &[String], junction: Junction) -> bool {
-    match definition {
-        Definition::Static(predicate) => predicate.holds(kind, concepts),
-        Definition::Local(predicate) => Local::table(predicate).holds(junction, kind),
-        Definition::Pair(_) | Definition::Quantity(_) => false,
-    }
 }

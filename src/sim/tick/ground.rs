@@ -131,6 +131,7 @@ pub(crate) fn ground_with(
         match &predicate.definition {
             Definition::Static(kind) => unary(rows, entities, stop, |x| kind.holds(x.kind, x.concepts)),
             Definition::Local(kind) => unary(rows, entities, stop, |x| kind.holds(map, x.kind, x.at)),
+            Definition::Place(kind) => unary(rows, entities, stop, |x| kind.holds(map, x.at)),
             Definition::Pair(pair) => {
                 let draw = |x, y, probability| chance.decides(index, x, y, probability);
                 with_pair!(pair, kind => binary(rows, kind, sight, &subjects, stop, draw))

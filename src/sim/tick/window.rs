@@ -6,7 +6,7 @@
 // Decision: docs/decisions/executors.md#d041
 
 use crate::city::AgentKind;
-use crate::city::{Agent, Cell, CityMap, Heading, Junction};
+use crate::city::{Agent, Area, Cell, CityMap, Heading, Junction};
 use crate::datalog::dense::{
     Argument, BinaryFacts, BitState, Input, List, Set, TooManySteps, and, first, holding, is_empty, members, without,
 };
@@ -186,8 +186,10 @@ pub(super) struct Plan {
     hidden: Vec<(usize, Hidden, bool)>,
     /// The inputs that depend on an agent's kind and concepts.
     fixed: Vec<(usize, Static)>,
-    /// The inputs that depend on an agent's cell.
+    /// The inputs that depend on an agent's kind and the junction at its cell.
     local: Vec<(usize, CellTable)>,
+    /// The inputs that depend on an agent's cell.
+    places: Vec<(usize, Arc<Area>)>,
     /// The inputs that hold for all agents: diagonals of reflexive predicates.
     always: Vec<usize>,
     lists: Vec<Requested>,
@@ -229,6 +231,7 @@ impl Plan {
     pub fn new<'a>(
         rules: DenseRules,
         vocabulary: &Vocabulary,
+        map: &CityMap,
         view: u32,
         agents: impl Iterator<Item = (AgentKind, &'a Arc<[String]>)>,
     ) -> Self {
@@ -239,7 +242,8 @@ impl Plan {
             Some((position, &vocabulary.predicates[position].definition))
         };
         let views = Views::new(view);
-        let (mut fixed, mut local, mut always, mut hidden) = (Vec::new(), Vec::new(), Vec::new(), Vec::new());
+        let (mut fixed, mut local, mut places) = (Vec::new(), Vec::new(), Vec::new());
+        let (mut always, mut hidden) = (Vec::new(), Vec::new());
         let dense = &rules.dense;
         for (input, requested) in dense.inputs().iter().enumerate() {
             let (Input::Unary(wanted) | Input::Diagonal(wanted)) = *requested;
@@ -248,6 +252,7 @@ impl Plan {
             match find(wanted) {
                 Some((_, Definition::Static(predicate))) => fixed.push((input, predicate.clone())),
                 Some((_, Definition::Local(predicate))) => local.push((input, predicate.table())),
+                Some((_, Definition::Place(predicate))) => places.push((input, predicate.area(map))),
                 Some((_, Definition::Pair(pair))) if pair.is_reflexive() => always.push(input),
                 Some((_, Definition::Pair(_) | Definition::Quantity(_))) | None => {}
             }
@@ -256,7 +261,9 @@ impl Plan {
             .map(|&List(wanted, axis)| {
                 let predicate = find(wanted).and_then(|(position, definition)| match definition {
                     Definition::Pair(pair) => Some((position, pair)),
-                    Definition::Static(_) | Definition::Local(_) | Definition::Quantity(_) => None,
+                    Definition::Static(_) | Definition::Local(_) | Definition::Place(_) | Definition::Quantity(_) => {
+                        None
+                    }
                 });
                 let hidden = Hidden::of(&rules, wanted);
                 let forward = axis == Argument::Second;
@@ -298,6 +305,7 @@ impl Plan {
             farthest_reach: bounded.max().unwrap_or(0),
             fixed,
             local,
+            places,
             always,
             lists,
             views,
@@ -529,10 +537,16 @@ impl<const W: usize> Window<W> {
     /// Sets the inputs that depend on the cell of an entity.
     fn look(&mut self, grounder: &Grounder, entity: usize) {
         let body = &self.bodies[entity];
-        for &(input, table) in &grounder.local {
-            let holds = table.holds(body.junction, body.kind);
-            let word = &mut self.inputs[input][entity / 64];
+        let inputs = &mut self.inputs;
+        let mut set = |input: usize, holds: bool| {
+            let word = &mut inputs[input][entity / 64];
             *word = *word & !(1 << (entity % 64)) | u64::from(holds) << (entity % 64);
+        };
+        for &(input, table) in &grounder.local {
+            set(input, table.holds(body.junction, body.kind));
+        }
+        for (input, area) in &grounder.places {
+            set(*input, area.contains(body.at));
         }
     }
 
@@ -541,11 +555,12 @@ impl<const W: usize> Window<W> {
         let body = &mut self.bodies[entity];
         let (from, junction) = (body.at, body.junction);
         body.shift(map, to);
+        let has_moved = from != to.cell;
         // Most moves enter or leave no intersection.
-        if body.junction != junction {
+        if body.junction != junction || has_moved && !grounder.places.is_empty() {
             self.look(grounder, entity);
         }
-        if from != to.cell {
+        if has_moved {
             self.place.shift(entity, from, to.cell);
         }
     }
@@ -641,6 +656,9 @@ impl Window<1> {
         for &(input, table) in &grounder.local {
             let holds = bodies.iter().map(|body| table.holds(body.junction, body.kind));
             inputs[input] = [holding(holds)];
+        }
+        for (input, area) in &grounder.places {
+            inputs[*input] = [holding(bodies.iter().map(|body| area.contains(body.at)))];
         }
         if self.bit_state.count() != agents.len() {
             self.bit_state.reset(&grounder.rules.dense, agents.len());

@@ -90,8 +90,14 @@ impl World {
         let task = self.scenario.task.iter().flat_map(|task| &task.ego);
         let egos = task.flat_map(|ego| ego.concepts.iter().map(|(_, concepts)| (AgentKind::Car, concepts)));
         let agents = egos.chain(members);
-        let plan = Plan::new(self.compile(counting)?, &self.vocabulary, self.scenario.view, agents);
-        let plan = Arc::new(plan);
+        let rules = self.compile(counting)?;
+        let plan = Arc::new(Plan::new(
+            rules,
+            &self.vocabulary,
+            self.map(),
+            self.scenario.view,
+            agents,
+        ));
         Ok(match counting {
             TrackFirings::Off => Arc::clone(self.plan.get_or_init(|| plan)),
             _ => plan,
