@@ -91,6 +91,27 @@ impl Area {
         })
     }
 
+    /// Returns the cells for which `holds` is true of the classes of row and column.
+    pub fn of_classes(
+        [rows, cols]: [Box<[u32]>; 2],
+        [row_classes, col_classes]: [u32; 2],
+        holds: impl Fn(u32, u32) -> bool,
+    ) -> Area {
+        let words = (col_classes as usize).div_ceil(64);
+        let mut bits = vec![0; row_classes as usize * words];
+        for row in 0..row_classes {
+            for col in (0..col_classes).filter(|&col| holds(row, col)) {
+                bits[row as usize * words + col as usize / 64] |= 1 << (col % 64);
+            }
+        }
+        Area {
+            rows,
+            cols,
+            words,
+            bits: bits.into(),
+        }
+    }
+
     /// Returns whether the cell is a member; a cell off the map is none. Takes constant time.
     #[inline]
     pub fn contains(&self, cell: Cell) -> bool {

@@ -1,9 +1,9 @@
 //! The static map.
 // Decision: docs/decisions/city.md#d057
 
-use crate::city::Cell;
 use crate::city::{AgentKind, Building, Widths};
 use crate::city::{Area, Rectangle};
+use crate::city::{Cell, Heading};
 use crate::diag::Diagnostic;
 use crate::diag::codes;
 use ndarray::Array3;
@@ -493,6 +493,47 @@ impl CityMap {
         self.square(cell).is_some_and(|square| square.0 & MID_LINE != 0)
     }
 
+    /// Returns the heading of cars on the lane that contains a cell: a side of a street between two intersections, with
+    /// the lines where lanes begin and end. `None` on the mid line, inside an intersection and off the street.
+    pub fn lane_at(&self, cell: Cell) -> Option<Heading> {
+        if !self.contains(cell) {
+            return None;
+        }
+        let [row, col] = [cell.row, cell.col].map(|at| self.layout.strip(at).0);
+        let is_along = |strip: Strip| strip.in_block() || strip.on_line();
+        // Cars keep right.
+        match [row, col] {
+            [Strip::StreetBefore, along] if is_along(along) => Some(Heading::Left),
+            [Strip::StreetAfter, along] if is_along(along) => Some(Heading::Right),
+            [along, Strip::StreetBefore] if is_along(along) => Some(Heading::Down),
+            [along, Strip::StreetAfter] if is_along(along) => Some(Heading::Up),
+            _ => None,
+        }
+    }
+
+    /// Returns the cells for which `holds` is true. It must be equal for all cells with the same strips and edges.
+    pub(crate) fn area_of(&self, holds: impl Fn(Cell) -> bool) -> Area {
+        let axes = [&self.rows, &self.cols].map(|parts| {
+            let mut firsts: Vec<(CoordinateClass, i32)> = Vec::new();
+            let classes = parts.iter().zip(0..).map(|(part, at)| {
+                let known = firsts.iter().position(|(known, _)| known == part);
+                let class = known.unwrap_or_else(|| {
+                    firsts.push((*part, at));
+                    firsts.len() - 1
+                });
+                u32::try_from(class).expect("there are at most 2^8 classes")
+            });
+            let classes: Box<[u32]> = classes.collect();
+            (classes, firsts)
+        });
+        let [(rows, first_rows), (cols, first_cols)] = axes;
+        let counts =
+            [&first_rows, &first_cols].map(|firsts| u32::try_from(firsts.len()).expect("there are few classes"));
+        Area::of_classes([rows, cols], counts, |row, col| {
+            holds(Cell::new(first_rows[row as usize].1, first_cols[col as usize].1))
+        })
+    }
+
     /// Returns whether a lane starts or ends here, so that the cell is a node of the road graph.
     pub fn is_lane_node(&self, cell: Cell) -> bool {
         let is_line = |part: CoordinateClass| {
@@ -646,6 +687,13 @@ impl CityMap {
     /// Returns the intersection that contains the cell, if any.
     pub fn in_intersection(&self, cell: Cell) -> Option<u32> {
         (self.junction(cell).is_inside()).then(|| self.intersection_near(cell))
+    }
+
+    /// Returns the intersection at or in which an agent of this kind is on this cell, if any.
+    #[inline]
+    pub fn intersection(&self, kind: AgentKind, cell: Cell) -> Option<u32> {
+        let junction = self.junction(cell);
+        (junction.is_at(kind) || junction.is_inside()).then(|| self.intersection_near(cell))
     }
 
     /// The number of the nearest intersection, from 1, row by row, without the corners of the world.

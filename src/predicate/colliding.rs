@@ -3,7 +3,7 @@
 //!
 //! The fast form tests only the smallest rectangle of cells in which the definition can hold.
 
-use crate::city::{AgentKind, Cell, Heading};
+use crate::city::{AgentKind, Cell, CityMap, Heading};
 use crate::diag::Diagnostic;
 #[cfg(test)]
 use crate::predicate::Definition;
@@ -11,6 +11,7 @@ use crate::predicate::{PairKind, Phrase, PredicateKind, Reach, Relation, Sight, 
 use crate::yaml::YamlNode;
 use crate::yaml::read::{Fields, number};
 use serde::Serialize;
+use std::sync::Arc;
 
 /// The first is about to run into the second.
 #[derive(Clone, Copy, Debug, PartialEq, Serialize)]
@@ -114,7 +115,7 @@ impl PairKind for Colliding {
         draw(self.probability(x, y))
     }
 
-    fn relation(&self) -> Box<Cones> {
+    fn relation(&self, _: &Arc<CityMap>) -> Box<Cones> {
         let cones = |kind| Heading::ALL.map(|heading| cone(self, kind, heading));
         Box::new(Cones {
             cones: AgentKind::ALL.map(cones),

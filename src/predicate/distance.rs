@@ -3,7 +3,7 @@
 //! The fast form compares squared distances as integers. Bisection finds their bounds, so that it agrees exactly with
 //! the definition.
 
-use crate::city::{AgentKind, Cell, Heading};
+use crate::city::{AgentKind, Cell, CityMap, Heading};
 use crate::diag::Diagnostic;
 #[cfg(test)]
 use crate::predicate::Definition;
@@ -12,6 +12,7 @@ use crate::yaml::codes;
 use crate::yaml::read::{Fields, invalid, number};
 use crate::yaml::{Value, YamlNode};
 use serde::Serialize;
+use std::sync::Arc;
 
 /// The Euclidean distance d in cells is within the present bounds.
 #[derive(Clone, Copy, Debug, PartialEq, Serialize)]
@@ -140,7 +141,7 @@ impl PairKind for Distance {
         self.is_far_enough(d) && self.is_near_enough(d)
     }
 
-    fn relation(&self) -> Squares {
+    fn relation(&self, _: &Arc<CityMap>) -> Squares {
         // Both bounds are monotone in the distance, and the distance in its square.
         let least = first_square(|d| self.is_far_enough(d));
         let most = first_square(|d| !self.is_near_enough(d)) - 1;

@@ -26,9 +26,11 @@ mod concept;
 mod distance;
 mod intersection;
 mod kind;
+mod lane;
 mod near;
 mod priority;
 mod quantity;
+mod same;
 mod sees;
 mod side;
 mod situation;
@@ -47,10 +49,12 @@ pub use concept::Concept;
 pub use distance::Distance;
 pub use intersection::{AtIntersection, InIntersection};
 pub use kind::Kind;
+pub use lane::OnLane;
 pub use near::{NEAR_MAX, Near};
 pub use priority::HigherPriority;
 pub(crate) use quantity::{Measure, Measured};
 pub use quantity::{Progress, Quantity, Unit};
+pub use same::SameIntersection;
 pub use sees::Sees;
 pub(crate) use sees::Views;
 pub use side::{LeftOf, RightOf};
@@ -196,7 +200,8 @@ pub(crate) trait PairKind: PredicateKind {
     /// Whether the predicate holds with a probability, so that `holds` calls `draw`.
     const DRAWN: bool = false;
 
-    /// Whether the predicate depends on kind or heading of the first, and of the second agent. At most one is true.
+    /// Whether the predicate depends on kind or heading of the first, and of the second agent. Both are true only if it
+    /// also depends on the places of the agents on the map, not only on their offset.
     const READS: [bool; 2];
 
     /// The definition: returns whether the predicate holds for two different agents, in this order.
@@ -205,8 +210,8 @@ pub(crate) trait PairKind: PredicateKind {
     /// the agents.
     fn holds(&self, sight: Sight<'_>, x: &Subject, y: &Subject, draw: impl FnOnce(f64) -> bool) -> bool;
 
-    /// Prepares the fast form.
-    fn relation(&self) -> Self::Relation;
+    /// Prepares the fast form for a map.
+    fn relation(&self, map: &Arc<CityMap>) -> Self::Relation;
 
     /// Returns a distance in cells beyond which only the signs of the offsets in rows and columns matter.
     fn horizon(&self, half_width: u32) -> f64;
@@ -407,9 +412,9 @@ macro_rules! kinds {
         }
 
         impl Pair {
-            /// Returns the fast form.
-            pub(crate) fn relation(&self) -> PairRelation {
-                match self { $(Pair::$pair(predicate) => PairRelation::$pair(predicate.relation()),)* }
+            /// Returns the fast form for a map.
+            pub(crate) fn relation(&self, map: &Arc<CityMap>) -> PairRelation {
+                match self { $(Pair::$pair(predicate) => PairRelation::$pair(predicate.relation(map)),)* }
             }
 
             /// Returns whether the predicate relates every agent to itself; otherwise it relates none to itself.
@@ -508,6 +513,8 @@ kinds! { $
         Zone,
         /// The agent is near a building of a kind.
         Near,
+        /// The agent is on a lane for cars, on a sidewalk or on a crossing.
+        OnLane,
     }
     Pair {
         /// The Euclidean distance is within bounds.
@@ -520,6 +527,8 @@ kinds! { $
         RightOf,
         /// The first is about to run into the second.
         Colliding,
+        /// Both are at or in the same intersection.
+        SameIntersection,
         /// The second is in the field of view of the first.
         Sees,
     }
@@ -748,13 +757,13 @@ mod tests {
     use std::path::Path;
 
     /// The map of the paper with the zones that samples use.
-    fn map() -> CityMap {
+    fn map() -> Arc<CityMap> {
         let files = |path: &Path| match path == Path::new("zones.yaml") {
             true => Ok(ZONES.to_owned()),
             false => BuiltinFiles.read(path),
         };
         let config = load_map(&mut Sources::new(), Path::new("zones.yaml"), &files).expect("valid zones");
-        CityMap::generate(&config).expect("a valid map")
+        Arc::new(CityMap::generate(&config).expect("a valid map"))
     }
 
     const ZONES: &str = "base: square-5x5
@@ -768,9 +777,9 @@ zones:
         (first * 3 + second * 5 + first * second).is_multiple_of(2)
     }
 
-    /// Compares the fast form with the definition for all pairs of random agents.
-    fn compare<K: PairKind>(kind: &K, map: &CityMap) {
-        let (half_width, relation) = (6, kind.relation());
+    /// Compares the fast form with the definition for all pairs of random agents around the corner of an intersection.
+    fn compare<K: PairKind>(kind: &K, map: &Arc<CityMap>) {
+        let (half_width, relation) = (6, kind.relation(map));
         let (sight, views) = (Sight { map, half_width }, Views::new(half_width));
         let mut random = Seed(1).stream(Purpose::TEST, 0, 0);
         let mut counts = [0; 2];
@@ -778,7 +787,7 @@ zones:
             let agent = |_| Subject {
                 kind: AgentKind::ALL[random.random_range(0..2)],
                 priority: random.random_range(0..4),
-                at: Cell::new(random.random_range(0..12), random.random_range(0..12)),
+                at: Cell::new(random.random_range(36..48), random.random_range(36..48)),
                 heading: (Heading::ALL.get(random.random_range(0..5))).copied(),
             };
             let agents: Vec<Subject> = (0..9).map(agent).collect();

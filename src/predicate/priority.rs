@@ -1,9 +1,11 @@
 //! `higher-priority`: the first has the smaller priority number.
 
+use crate::city::CityMap;
 #[cfg(test)]
 use crate::predicate::Definition;
 use crate::predicate::{PairKind, Phrase, PredicateKind, Relation, Sight, Subject, Syntax};
 use serde::Serialize;
+use std::sync::Arc;
 
 /// The first has the smaller priority number.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize)]
@@ -31,7 +33,7 @@ impl PairKind for HigherPriority {
         x.priority < y.priority
     }
 
-    fn relation(&self) -> HigherPriority {
+    fn relation(&self, _: &Arc<CityMap>) -> HigherPriority {
         HigherPriority
     }
 

@@ -2,7 +2,7 @@
 //!
 //! A quantity has at most one value for the agents before it.
 
-use crate::city::{Agent, Heading};
+use crate::city::{Agent, CityMap, Heading};
 #[cfg(test)]
 use crate::predicate::Definition;
 use crate::predicate::{Phrase, PredicateKind, Subject, Syntax};
@@ -22,6 +22,8 @@ pub enum Quantity {
     Waited,
     /// The number of cells to the agent's goal along its route.
     Remaining,
+    /// The number of the intersection at or in which the agent is, from 1, row by row; no value elsewhere.
+    Intersection,
     /// The Euclidean distance of two different agents in cells.
     Distance,
     /// The number of the tick, from 0.
@@ -71,12 +73,13 @@ impl Progress {
 
 impl Quantity {
     /// All quantities.
-    pub const ALL: [Quantity; 7] = [
+    pub const ALL: [Quantity; 8] = [
         Quantity::Speed,
         Quantity::Heading,
         Quantity::Priority,
         Quantity::Waited,
         Quantity::Remaining,
+        Quantity::Intersection,
         Quantity::Distance,
         Quantity::Tick,
     ];
@@ -89,6 +92,7 @@ impl Quantity {
             Quantity::Priority => "priority",
             Quantity::Waited => "waited",
             Quantity::Remaining => "remaining",
+            Quantity::Intersection => "intersection",
             Quantity::Distance => "distance",
             Quantity::Tick => "tick",
         }
@@ -117,8 +121,8 @@ impl Quantity {
         !matches!(self, Quantity::Speed | Quantity::Waited | Quantity::Remaining)
     }
 
-    /// Returns the value for these agents, as many as [`agents`](Quantity::agents).
-    pub(crate) fn measure(self, tick: u64, agents: &[&Measured]) -> Option<Measure> {
+    /// Returns the value for these agents on a map, as many as [`agents`](Quantity::agents).
+    pub(crate) fn measure(self, map: &CityMap, tick: u64, agents: &[&Measured]) -> Option<Measure> {
         let count = |number: u32| Some(Measure::Number(i32::try_from(number).unwrap_or(i32::MAX)));
         match (self, agents) {
             (Quantity::Tick, _) => count(u32::try_from(tick).unwrap_or(u32::MAX)),
@@ -126,6 +130,7 @@ impl Quantity {
             (Quantity::Waited, [x, ..]) => count(x.progress.waited),
             (Quantity::Remaining, [x, ..]) => count(x.progress.remaining),
             (Quantity::Priority, [x, ..]) => Some(Measure::Number(x.subject.priority)),
+            (Quantity::Intersection, [x, ..]) => map.intersection(x.subject.kind, x.subject.at).and_then(count),
             (Quantity::Heading, [x, ..]) => x.subject.heading.map(Measure::Heading),
             #[allow(clippy::cast_possible_truncation)] // a column of type float has single precision
             (Quantity::Distance, [x, y]) => Some(Measure::Float(x.subject.at.distance(y.subject.at) as f32)),
@@ -160,6 +165,7 @@ impl PredicateKind for Quantity {
             Quantity::Priority => "has the priority",
             Quantity::Waited => "has not moved for this number of ticks:",
             Quantity::Remaining => "has this number of cells before it:",
+            Quantity::Intersection => "is at or inside the intersection with this number:",
             Quantity::Distance => "has this distance in cells from",
             Quantity::Tick => "The tick is",
         })

@@ -1,11 +1,12 @@
 //! `Sees`, which every scenario has: the second is in the field of view of the first. It is the only reflexive
 //! predicate.
 
-use crate::city::{AgentKind, Heading, field_of_view, view_reach};
+use crate::city::{AgentKind, CityMap, Heading, field_of_view, view_reach};
 #[cfg(test)]
 use crate::predicate::Definition;
 use crate::predicate::{PairKind, Phrase, PredicateKind, Reach, Relation, Sight, Subject, Syntax};
 use serde::Serialize;
+use std::sync::Arc;
 
 /// The second is in the field of view of the first. Every agent sees itself.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize)]
@@ -33,7 +34,7 @@ impl PairKind for Sees {
         field_of_view(x.at, x.heading, sight.half_width, sight.map).contains(y.at)
     }
 
-    fn relation(&self) -> Sees {
+    fn relation(&self, _: &Arc<CityMap>) -> Sees {
         Sees
     }
 

@@ -1,10 +1,11 @@
 //! `left-of`, `right-of`: the side on which the first lies, seen along the second's heading.
 
-use crate::city::{Cell, Heading};
+use crate::city::{Cell, CityMap, Heading};
 #[cfg(test)]
 use crate::predicate::Definition;
 use crate::predicate::{PairKind, Phrase, PredicateKind, Relation, Sight, Subject, Syntax, Views};
 use serde::Serialize;
+use std::sync::Arc;
 
 /// The first lies left of the second, seen along the second's heading.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize)]
@@ -52,7 +53,7 @@ impl PairKind for LeftOf {
         y.heading.is_some_and(|heading| side_of(heading, x.at, y.at) > 0)
     }
 
-    fn relation(&self) -> Side {
+    fn relation(&self, _: &Arc<CityMap>) -> Side {
         Side { sign: 1 }
     }
 
@@ -70,7 +71,7 @@ impl PairKind for RightOf {
         y.heading.is_some_and(|heading| side_of(heading, x.at, y.at) < 0)
     }
 
-    fn relation(&self) -> Side {
+    fn relation(&self, _: &Arc<CityMap>) -> Side {
         Side { sign: -1 }
     }
 

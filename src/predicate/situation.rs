@@ -4,6 +4,7 @@ use crate::city::{AgentKind, Cell, CityMap, Heading};
 use crate::predicate::{Definition, Pair, PairRelation, Relation as _, Subject, Views, with_relation};
 use std::cell;
 use std::collections::{BTreeMap, BTreeSet};
+use std::sync::Arc;
 
 /// The pairs of truth values that two predicates can have at once.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
@@ -28,7 +29,8 @@ impl Together {
 /// The situations of two different agents on a map, as far as predicates over two agents distinguish them.
 #[derive(Clone, Debug)]
 pub struct Situations {
-    /// For each definition, its bit; `None` for predicates over one agent, and beyond [`PAIRS_MAX`] and [`DRAWN_MAX`].
+    /// For each definition, its bit; `None` for predicates over one agent, for those that depend on the places of two
+    /// agents, and beyond [`PAIRS_MAX`] and [`DRAWN_MAX`].
     bits: Vec<Option<u32>>,
     reflexive: Vec<bool>,
     found: Found,
@@ -118,7 +120,7 @@ impl Situations {
     pub fn new<'d>(
         definitions: impl Iterator<Item = &'d Definition>,
         kinds: &[AgentKind],
-        map: &CityMap,
+        map: &Arc<CityMap>,
         half_width: u32,
     ) -> Situations {
         let views = Views::new(half_width);
@@ -130,14 +132,14 @@ impl Situations {
                 areas.push(place.area(map));
             }
             bits.push(match definition {
-                Definition::Pair(pair) if pairs.len() < PAIRS_MAX => {
+                Definition::Pair(pair) if pairs.len() < PAIRS_MAX && pair.reads() != [true; 2] => {
                     pairs.push(pair);
                     Some(pairs.len() as u32 - 1)
                 }
                 _ => None,
             });
         }
-        let relations = pairs.iter().map(|pair| pair.relation()).collect::<Vec<_>>();
+        let relations = pairs.iter().map(|pair| pair.relation(map)).collect::<Vec<_>>();
         let mut search = SituationSearch {
             groups: groups(&pairs),
             found: Found {

@@ -3,13 +3,15 @@
 use crate::config::load_memory;
 use crate::shipped_world::configured;
 use logicity::builtin::BuiltinFiles;
-use logicity::city::{Building, Cell, CityMap, Split};
+use logicity::city::{AgentKind, Building, Cell, CityMap, Router, Routing, Split};
 use logicity::config::Scenario;
 use logicity::diag::{Sources, render};
 use logicity::rng::{Purpose, RngExt, Seed};
 use logicity::sim::{
-    Executor, Inference, Observer, Oracle, Replay, Settings, Simulation, TraceHeader, TraceTick, TraceWriter, World,
+    CityTheory, Executor, Inference, Observer, Oracle, Replay, Settings, Simulation, TraceHeader, TraceTick,
+    TraceWriter, World, examine,
 };
+use std::collections::BTreeMap;
 use std::sync::Arc;
 
 /// Returns the map with these zones.
@@ -99,6 +101,59 @@ fn samples_are_drawn_from_the_seed() {
     assert_eq!(of(&map("random-8x8", zones), "two"), two);
 }
 
+/// Lanes are those of the road graph, and other cells are on none.
+#[test]
+fn lanes_reach_from_node_to_node_of_the_road_graph() {
+    for (name, blocks) in [("square-5x5", ""), ("random-8x8", "  blocks: [2, 3]\n")] {
+        let map = Arc::new(map(name, &format!("    all: [{{horizontal_street: 1}}]\n{blocks}")));
+        let router = Router::new(Arc::clone(&map), Routing::Weighted);
+        let mut headings = BTreeMap::new();
+        // The side of a street, from the mid line, and the place of the lane's nodes on it.
+        let (side, offset) = (
+            map.layout.mid_line(0) - map.layout.street_start(0),
+            map.layout.lane_offset(),
+        );
+        for lane in router.lanes() {
+            for across in 1 - offset..=side - offset {
+                let (rows, cols) = lane.heading.delta();
+                // Cars keep right.
+                let shift = |cell: Cell| Cell::new(cell.row + cols * across, cell.col - rows * across);
+                let mut at = lane.start;
+                headings.insert(shift(at), lane.heading);
+                while at != lane.end {
+                    at = at.ahead(lane.heading, 1);
+                    headings.insert(shift(at), lane.heading);
+                }
+            }
+        }
+        assert!(headings.len() > 1000);
+        for cell in cells(&map) {
+            assert_eq!(map.lane_at(cell), headings.get(&cell).copied(), "{cell:?}");
+        }
+        assert_eq!(map.lane_at(Cell::new(-1, 20)), None);
+    }
+}
+
+/// Intersections have the numbers that the reference documents.
+#[test]
+fn intersections_are_numbered_row_by_row() {
+    let map = map("square-5x5", "    all: [{block: [1, 1]}]\n");
+    let mut number = 0;
+    for (row, col) in (0..6).flat_map(|row| (0..6).map(move |col| (row, col))) {
+        let cell = Cell::new(map.layout.mid_line(row), map.layout.mid_line(col));
+        let is_corner = [0, 5].contains(&row) && [0, 5].contains(&col);
+        number += u32::from(!is_corner);
+        for kind in AgentKind::ALL {
+            assert_eq!(
+                map.intersection(kind, cell),
+                (!is_corner).then_some(number),
+                "{row} {col}"
+            );
+        }
+    }
+    assert_eq!(number, 32);
+}
+
 /// Returns the faults of a configuration whose map or predicates have these lines.
 fn faults(zones: &str, predicate: &str) -> String {
     let config = format!(
@@ -181,6 +236,13 @@ fn faults_of_zones_name_their_place_and_what_to_do() {
         ("{near: Store}", "8:15", "`{near: Store, within: 8}`"),
         ("{within: 8}", "8:15", "`{near: Store, within: 8}`"),
         ("{near: Shop, within: 8}", "8:22", "one of `House`"),
+        ("{lane: lft}", "8:22", "did you mean `left`?"),
+        (
+            "{lane: bus}",
+            "8:22",
+            "one of `left`, `right`, `up`, `down`, `sidewalk`, `crossing`",
+        ),
+        ("{same: street}", "8:22", "one of `intersection`"),
         ("{near: Store, within: 1001}", "8:37", "a whole number from 0 to 1000"),
     ] {
         let found = faults(good.0, predicate);
@@ -237,16 +299,22 @@ predicates:
     InCenter: {zone: center}
     NearStore: {near: Store, within: 8}
     NearGas: {near: GasStation, within: 40}
+    GoesLeft: {lane: left}
+    GoesDown: {lane: down}
+    OnSidewalk: {lane: sidewalk}
+    OnCrossing: {lane: crossing}
+    SameInter: {same: intersection}
 ";
 
 const DECLARED: &str = ".include \"vocabulary.dl\"
-.decl InSchool, InCenter, NearStore, NearGas(x: agent)
-.input InSchool, InCenter, NearStore, NearGas
+.decl InSchool, InCenter, NearStore, NearGas, GoesLeft, GoesDown, OnSidewalk, OnCrossing(x: agent)
+.decl SameInter(x: agent, y: agent)
+.input InSchool, InCenter, NearStore, NearGas, GoesLeft, GoesDown, OnSidewalk, OnCrossing, SameInter
 ";
 
 /// Random rules: clauses of actions with conditions on the places of agents.
 fn random_rules(random: &mut impl RngExt) -> String {
-    const FACTS: [&str; 10] = [
+    const FACTS: [&str; 16] = [
         "InSchool(X)",
         "Not(InCenter(X))",
         "NearStore(X)",
@@ -257,6 +325,12 @@ fn random_rules(random: &mut impl RngExt) -> String {
         "InCenter(Y), HigherPri(X, Y)",
         "IsPedestrian(Y), NearStore(Y)",
         "IsInInter(X)",
+        "GoesLeft(X)",
+        "Not(GoesDown(X)), Not(OnCrossing(X))",
+        "IsClose(Y, X), OnSidewalk(Y)",
+        "OnCrossing(Y), Sees(X, Y)",
+        "SameInter(X, Y)",
+        "SameInter(Y, X), IsPedestrian(Y), Not(Sees(X, Y))",
     ];
     let mut clauses = String::new();
     for head in ["Stop", "Slow", "Fast"] {
@@ -358,6 +432,27 @@ fn replays_and_observations_have_the_places_of_the_run() {
         replay.set(&TraceTick::read(line).unwrap()).unwrap();
         assert_eq!(replay.facts(), facts);
     }
+}
+
+/// Checks know on which cells agents can be.
+#[test]
+fn checks_know_where_places_can_hold() {
+    let messages = |config: &str, rules: &str| {
+        let (world, sources) = configured(config, rules, |_| ());
+        let theory = CityTheory::new(world.scenario.clone()).unwrap();
+        let found = examine(world.program.rules(), Some(&theory), &sources).diagnostics;
+        render(&found, &sources, false)
+    };
+    let rules = format!("{DECLARED}Stop(X) :- CollidingClose(X, Y).\nSlow(X) :- NearGas(X), OnCrossing(X).\n");
+    assert_eq!(messages(CONFIG, &rules), "");
+    let found = messages(CONFIG, &format!("{rules}Slow(X) :- IsCar(X), OnSidewalk(X).\n"));
+    assert!(found.contains("contradictory-body"), "{found}");
+    let without_gas = CONFIG.replace(
+        "  zones:",
+        "  buildings: {rows: ~, random: {seed: 1, weights: {House: 1, Office: 1, Store: 1}}}\n  zones:",
+    );
+    let found = messages(&without_gas, &rules);
+    assert!(found.contains("`NearGas` never holds"), "{found}");
 }
 
 /// Returns the answer to a scene, or its faults as text.

@@ -16,11 +16,11 @@ use std::sync::Arc;
 
 /// The declarations of all quantities.
 const DECLARED: &str = ".include \"vocabulary.dl\"
-.decl Speed, Priority, Waited, Remaining(x: agent, n: number)
+.decl Speed, Priority, Waited, Remaining, Intersection(x: agent, n: number)
 .decl Heading(x: agent, h: symbol)
 .decl Distance(x: agent, y: agent, d: float)
 .decl Tick(t: number)
-.input Speed, Priority, Waited, Remaining, Heading, Distance, Tick
+.input Speed, Priority, Waited, Remaining, Intersection, Heading, Distance, Tick
 ";
 
 /// Expert mode with all quantities, these rules, and the changes of `edit`.
@@ -42,7 +42,7 @@ fn multiply(scenario: &mut Scenario, times: u32) {
 
 /// Random rules: clauses of actions with conditions on the quantities of one agent or two.
 fn random_rules(random: &mut impl RngExt) -> String {
-    const FACTS: [&str; 20] = [
+    const FACTS: [&str; 22] = [
         "Waited(X, n), n > 2",
         "Waited(X, n), n >= 1, n < 6",
         "Speed(X, 2)",
@@ -61,6 +61,8 @@ fn random_rules(random: &mut impl RngExt) -> String {
         "Waited(X, n), Waited(Y, m), n > m",
         "Waited(Y, n), Speed(Y, m), n + m * 2 > 3",
         "n = 1, Speed(Y, n)",
+        "Intersection(X, n), Intersection(Y, n)",
+        "Sees(X, Y), Intersection(Y, n), n % 3 = 1",
         "IsClose(X, Y)",
         "Sees(X, Y), Not(IsAtInter(Y))",
     ];
@@ -141,7 +143,7 @@ fn quantities_count_what_the_reports_of_the_ticks_show() {
     };
     let agents = city.agents().len();
     let (mut waited, mut speed) = (vec![0; agents], vec![0; agents]);
-    let mut longest = 0;
+    let (mut longest, mut at_intersections) = (0, 0);
     for tick in 0..400 {
         let before: Vec<_> = city.agents().to_vec();
         let moved: Vec<_> = city.tick(&[]).unwrap().agents.iter().map(|done| done.moved).collect();
@@ -171,6 +173,17 @@ fn quantities_count_what_the_reports_of_the_ticks_show() {
             numbers(Quantity::Priority),
             before.iter().map(|agent| agent.priority).collect::<Vec<_>>()
         );
+        let intersections: Vec<([usize; 2], Value)> = before
+            .iter()
+            .enumerate()
+            .filter_map(|(at, agent)| {
+                let number = world.map().at_intersection(agent.kind, agent.cell);
+                let number = number.or_else(|| world.map().in_intersection(agent.cell));
+                Some(([at, 0], Value::number(number? as i32)))
+            })
+            .collect();
+        assert_eq!(values(Quantity::Intersection).collect::<Vec<_>>(), intersections);
+        at_intersections += intersections.len();
         for ([agent, _], value) in values(Quantity::Heading) {
             assert_eq!(before[agent].heading.unwrap() as u32, value.0);
         }
@@ -189,7 +202,7 @@ fn quantities_count_what_the_reports_of_the_ticks_show() {
             longest = longest.max(waited[agent]);
         }
     }
-    assert!(longest > 5, "{longest}");
+    assert!(longest > 5 && at_intersections > 100, "{longest} {at_intersections}");
 }
 
 /// A trace records the quantities that the states of the agents do not determine, and its replay has all values.

@@ -75,7 +75,7 @@ impl Oracle {
             Definition::Static(predicate) => How::Static(predicate.clone()),
             Definition::Local(predicate) => How::Local(predicate.table()),
             Definition::Place(predicate) => How::Place(predicate.area(world.map())),
-            Definition::Pair(pair) => How::Pair(pair.relation()),
+            Definition::Pair(pair) => How::Pair(pair.relation(world.router.map())),
             Definition::Quantity(quantity) => How::Quantity(*quantity),
         };
         let definitions = vocabulary.predicates.iter().map(|predicate| &predicate.definition);
@@ -326,7 +326,7 @@ impl Observer {
                     let bodies: Vec<Measured> = bodies.iter().map(measured).collect();
                     let values = &mut self.atoms.values[predicate];
                     for (place, known) in values.iter_mut().enumerate() {
-                        let value = measure(*quantity, chance.tick(), &bodies, oracle.entities, place);
+                        let value = measure(oracle, *quantity, chance.tick(), &bodies, place);
                         changed |= *known != value;
                         *known = value;
                     }
@@ -517,12 +517,13 @@ fn observed<'a>(atoms: &'a Atoms, bodies: &'a [AgentState], city: &'a Simulation
 }
 
 /// Returns the value of a quantity at a place of [`Atoms::values`].
-fn measure(quantity: Quantity, tick: u64, bodies: &[Measured], most: usize, place: usize) -> Option<Value> {
+fn measure(oracle: &Oracle, quantity: Quantity, tick: u64, bodies: &[Measured], place: usize) -> Option<Value> {
+    let (map, most) = (oracle.world.map(), oracle.entities);
     let measure = match quantity.agents() {
-        0 => quantity.measure(tick, &[]),
-        1 => quantity.measure(tick, &[bodies.get(place)?]),
+        0 => quantity.measure(map, tick, &[]),
+        1 => quantity.measure(map, tick, &[bodies.get(place)?]),
         _ if place / most == place % most => None,
-        _ => quantity.measure(tick, &[bodies.get(place / most)?, bodies.get(place % most)?]),
+        _ => quantity.measure(map, tick, &[bodies.get(place / most)?, bodies.get(place % most)?]),
     };
     measure.map(word)
 }

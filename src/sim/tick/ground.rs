@@ -142,7 +142,7 @@ pub(crate) fn ground_with(
                     rows,
                     &mut facts.values[index],
                     *quantity,
-                    chance.tick(),
+                    (map, chance.tick()),
                     &measured,
                     stop,
                 )
@@ -197,12 +197,12 @@ fn measure(
     rows: &mut Vec<[u32; 2]>,
     values: &mut Vec<Value>,
     quantity: Quantity,
-    tick: u64,
+    (map, tick): (&CityMap, u64),
     entities: &[Measured],
     stop: impl Fn(&[[u32; 2]]) -> Result<(), Stopped>,
 ) -> Result<(), Stopped> {
     let mut add = |row, agents: &[&Measured]| {
-        if let Some(measure) = quantity.measure(tick, agents) {
+        if let Some(measure) = quantity.measure(map, tick, agents) {
             rows.push(row);
             values.push(word(measure));
         }

@@ -103,7 +103,7 @@ pub(crate) struct Now<'a> {
 impl Now<'_> {
     /// Returns whether the numbers of an agent are within all thresholds.
     #[inline]
-    fn is_within(&self, thresholds: &[Threshold], body: &AgentState) -> bool {
+    fn is_within(&self, map: &CityMap, thresholds: &[Threshold], body: &AgentState) -> bool {
         let agent = &self.agents[body.agent as usize];
         let count = |number: u32| i32::try_from(number).unwrap_or(i32::MAX);
         thresholds.iter().all(|threshold| {
@@ -112,7 +112,7 @@ impl Now<'_> {
                 Quantity::Speed => i32::from(agent.speed),
                 Quantity::Priority => body.priority,
                 Quantity::Tick => i32::try_from(self.draws.time).unwrap_or(i32::MAX),
-                quantity => match self.value(quantity, [body; 2], &[0]) {
+                quantity => match self.value(map, quantity, [body; 2], &[0]) {
                     Some(value) => value.as_number(),
                     None => return false,
                 },
@@ -121,17 +121,17 @@ impl Now<'_> {
     }
 
     /// Returns the value of a quantity for the agents at these places of `bodies`.
-    fn value(&self, quantity: Quantity, bodies: [&AgentState; 2], places: &[usize]) -> Option<Value> {
+    fn value(&self, map: &CityMap, quantity: Quantity, bodies: [&AgentState; 2], places: &[usize]) -> Option<Value> {
         let measured = bodies.map(|body| Measured {
             subject: body.subject(),
             progress: Progress::of(&self.agents[body.agent as usize]),
         });
         let measure = match *places {
-            [x] => quantity.measure(self.draws.time, &[&measured[x]]),
+            [x] => quantity.measure(map, self.draws.time, &[&measured[x]]),
             // Two agents are different ones.
             [x, y] if bodies[x].agent == bodies[y].agent => None,
-            [x, y] => quantity.measure(self.draws.time, &[&measured[x], &measured[y]]),
-            _ => quantity.measure(self.draws.time, &[]),
+            [x, y] => quantity.measure(map, self.draws.time, &[&measured[x], &measured[y]]),
+            _ => quantity.measure(map, self.draws.time, &[]),
         };
         measure.map(word)
     }
@@ -182,6 +182,7 @@ struct Requested {
 #[derive(Debug)]
 pub(super) struct Plan {
     pub rules: DenseRules,
+    map: Arc<CityMap>,
     /// The inputs of hidden predicates, by their positions in the inputs, and whether they are diagonals.
     hidden: Vec<(usize, Hidden, bool)>,
     /// The inputs that depend on an agent's kind and concepts.
@@ -231,7 +232,7 @@ impl Plan {
     pub fn new<'a>(
         rules: DenseRules,
         vocabulary: &Vocabulary,
-        map: &CityMap,
+        map: &Arc<CityMap>,
         view: u32,
         agents: impl Iterator<Item = (AgentKind, &'a Arc<[String]>)>,
     ) -> Self {
@@ -268,7 +269,7 @@ impl Plan {
                 let hidden = Hidden::of(&rules, wanted);
                 let forward = axis == Argument::Second;
                 let is_view = forward && matches!(predicate, Some((_, Pair::Sees(_))));
-                let predicate = predicate.map(|(position, pair)| (position, pair.relation()));
+                let predicate = predicate.map(|(position, pair)| (position, pair.relation(map)));
                 let relation = predicate.as_ref().map(|(_, relation)| relation);
                 let in_view = |(_, relation): &(_, PairRelation)| relation.is_in_view(&views);
                 Requested {
@@ -310,6 +311,7 @@ impl Plan {
             lists,
             views,
             rules,
+            map: Arc::clone(map),
             hidden,
             likely,
             likely_inputs: Vec::new(),
@@ -331,9 +333,10 @@ impl Plan {
     /// Returns whether a hidden predicate holds for agents.
     fn meets(&self, hidden: &Hidden, now: Now<'_>, bodies: [&AgentState; 2]) -> bool {
         match *hidden {
-            Hidden::Thresholds(ref thresholds) => now.is_within(thresholds, bodies[0]),
+            Hidden::Thresholds(ref thresholds) => now.is_within(&self.map, thresholds, bodies[0]),
             Hidden::Condition(condition) => {
-                (self.rules.conditions).holds(condition, |_, quantity, places| now.value(quantity, bodies, places))
+                let value = |_, quantity, places: &[usize]| now.value(&self.map, quantity, bodies, places);
+                self.rules.conditions.holds(condition, value)
             }
             Hidden::Past(past) => now.memory.holds(past, bodies[0].agent, bodies[1].agent),
         }
@@ -620,7 +623,7 @@ fn run_in<const W: usize>(
     }
     for (input, hidden, diagonal) in &grounder.hidden {
         let set = match hidden {
-            Hidden::Thresholds(thresholds) => set_of(bodies.iter().map(|body| now.is_within(thresholds, body))),
+            Hidden::Thresholds(thresholds) => set_of(bodies.iter().map(|body| now.is_within(&grounder.map, thresholds, body))),
             Hidden::Past(past) if !diagonal => match now.memory.holding(*past).filter(|_| whole) {
                 Some(holding) => set_of_words(holding),
                 None => set_of(bodies.iter().map(|body| now.memory.holds_alone(*past, body.agent))),

@@ -94,7 +94,7 @@ impl World {
         let plan = Arc::new(Plan::new(
             rules,
             &self.vocabulary,
-            self.map(),
+            self.router.map(),
             self.scenario.view,
             agents,
         ));
