@@ -378,6 +378,12 @@ fn check_drive(router: &Router, route: &Route, start: Cell, goal: Cell) -> Resul
     Ok(())
 }
 
+/// Returns whether a cell lies between the two nodes of a lane, or is one of them.
+fn is_on(lane: &Lane, cell: Cell) -> bool {
+    let between = |at: i32, one: i32, other: i32| (one.min(other)..=one.max(other)).contains(&at);
+    between(cell.row, lane.start.row, lane.end.row) && between(cell.col, lane.start.col, lane.end.col)
+}
+
 fn agent_set(cars: usize, pedestrians: usize, region: Option<u32>) -> AgentSet {
     let group = |count: usize| AgentGroup {
         count: u32::try_from(count).unwrap(),
@@ -466,10 +472,7 @@ proptest! {
         let on_line = |cell: Cell| match ends {
             TripEnds::Curb => map.ground_at(cell) == Some(Ground::Traffic),
             TripEnds::Lane => router.lanes().any(|lane| {
-                let between = |at: i32, from: i32, to: i32| (from..=to).contains(&at);
-                matches!(lane.heading, Heading::Right | Heading::Down)
-                    && between(cell.row, lane.start.row, lane.end.row)
-                    && between(cell.col, lane.start.col, lane.end.col)
+                matches!(lane.heading, Heading::Right | Heading::Down) && is_on(&lane, cell)
             }),
         };
         let places = Places::new(&router, ends, Some(region), None);
@@ -561,6 +564,19 @@ proptest! {
                 prop_assert!(route.is_ok());
                 check_drive(&router, &route.clone().unwrap(), start, goal)?;
                 prop_assert_eq!(router.plan(AgentKind::Car, start, goal), route);
+            }
+        }
+    }
+
+    #[test]
+    fn cars_that_start_on_lanes_follow_them(map in maps(), seed in any::<u64>()) {
+        for routing in Routing::ALL {
+            let router = Router::new(map.clone(), routing);
+            let places = Places::new(&router, TripEnds::Lane, None, None);
+            let set = agent_set(places.count(AgentKind::Car).min(4), 0, None);
+            for car in place_agents(&set, &router, &places, Seed(seed)).unwrap_or_default() {
+                let lanes = router.lanes().filter(|lane| is_on(lane, car.cell));
+                prop_assert_eq!(lanes.map(|lane| lane.heading).collect::<Vec<_>>(), [car.ahead()]);
             }
         }
     }
@@ -780,4 +796,34 @@ fn pedestrians_meet_intersections_as_often_as_in_the_published_program() {
     for (published, ours) in published.into_iter().zip(ours) {
         assert!(published.abs_diff(ours) < 30, "{published} and {ours} of a thousand");
     }
+}
+
+/// Returns the number of pairs of cars that face each other when they start, at most 12 cells apart.
+fn facing_starts(router: &Router, places: &Places, seed: u64) -> usize {
+    let agents = place_agents(&agent_set(60, 0, None), router, places, Seed(seed)).expect("free start cells");
+    let faces = |x: &Agent, y: &Agent| {
+        let (from, to) = (x.cell, y.cell);
+        distance(from, to) <= 12 && Heading::between(from, to) == Some(x.ahead())
+    };
+    let pairs = agents.iter().enumerate();
+    pairs
+        .map(|(at, x)| agents[..at].iter().filter(|y| faces(x, y) && faces(y, x)).count())
+        .sum()
+}
+
+/// Cars that start at the curb first drive to their lane, and may meet head-on. Cars that start on a lane follow it.
+#[test]
+fn cars_that_start_on_lanes_never_face_each_other() {
+    let config = load_map(&mut Sources::new(), Path::new("square-5x5"), &BuiltinFiles).expect("built in");
+    let map = Arc::new(CityMap::generate(&config).expect("a valid map"));
+    let mut at_curbs = 0;
+    for routing in Routing::ALL {
+        let router = Router::new(map.clone(), routing);
+        let [curbs, lanes] = [TripEnds::Curb, TripEnds::Lane].map(|ends| Places::new(&router, ends, Some(120), None));
+        for seed in 0..30 {
+            assert_eq!(facing_starts(&router, &lanes, seed), 0);
+            at_curbs += facing_starts(&router, &curbs, seed);
+        }
+    }
+    assert!(at_curbs > 10, "{at_curbs}");
 }
