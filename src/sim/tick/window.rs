@@ -623,7 +623,9 @@ fn run_in<const W: usize>(
     }
     for (input, hidden, diagonal) in &grounder.hidden {
         let set = match hidden {
-            Hidden::Thresholds(thresholds) => set_of(bodies.iter().map(|body| now.is_within(&grounder.map, thresholds, body))),
+            Hidden::Thresholds(thresholds) => {
+                set_of(bodies.iter().map(|body| now.is_within(&grounder.map, thresholds, body)))
+            }
             Hidden::Past(past) if !diagonal => match now.memory.holding(*past).filter(|_| whole) {
                 Some(holding) => set_of_words(holding),
                 None => set_of(bodies.iter().map(|body| now.memory.holds_alone(*past, body.agent))),
