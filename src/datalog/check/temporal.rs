@@ -252,7 +252,11 @@ struct Lowering<'c, 'f> {
 impl<'c> Lowering<'c, '_> {
     fn clause(&mut self, clause: &'c Clause, heads: &'c [Atom]) -> Clause {
         let first = heads.first().and_then(|head| head.terms.first());
-        self.ego = first.filter(|term| self.scope.is_some() && matches!(term.kind, TermKind::Variable(_)));
+        // The clauses of the scope itself have no guards.
+        let scope = self
+            .scope
+            .filter(|scope| heads.iter().all(|head| head.predicate.text != scope.text));
+        self.ego = first.filter(|term| scope.is_some() && matches!(term.kind, TermKind::Variable(_)));
         Clause {
             heads: heads.iter().map(|head| self.atom(head)).collect(),
             body: self.all(&clause.body),
@@ -362,8 +366,8 @@ impl<'c> Lowering<'c, '_> {
     fn check_terms(&mut self, temporal: &Temporal) {
         for term in temporal.atoms().flat_map(|atom| &atom.terms) {
             let what = match &term.kind {
-                TermKind::Functor(..) | TermKind::Cast(..) => "an expression",
                 TermKind::Aggregate(_) => "an aggregate",
+                _ if is_computed(term) => "an expression",
                 _ => continue,
             };
             let message = format!("{what} in the atom of a temporal operator");
@@ -400,7 +404,9 @@ impl<'c> Lowering<'c, '_> {
             terms,
             columns: variables.len(),
         };
-        if plain && (ego.is_none() || variables.len() == 1) && self.derived.contains(name.as_str()) {
+        let declared = self.columns.get(name.as_str()).copied().flatten();
+        let fits = declared.is_some_and(|columns| columns.len() == pattern.terms.len());
+        if plain && fits && (ego.is_none() || variables.len() == 1) && self.derived.contains(name.as_str()) {
             return Operand {
                 predicate: name.clone(),
                 variables,
@@ -411,8 +417,8 @@ impl<'c> Lowering<'c, '_> {
             Some(predicate) => predicate.clone(),
             None => {
                 let predicate = self.fresh(format!("now {name}"));
-                let types = variables.iter().map(|variable| self.type_of(variable, [atom], ego));
-                let types: Vec<Name> = types.collect();
+                let types = variables.iter().map(|variable| self.type_of(variable, atom, ego));
+                let types: Option<Vec<Name>> = types.collect();
                 let shown = template(atom, &variables) + &in_view_of(ego, &[atom]);
                 self.declare(&predicate, types, shown, atom.place);
                 self.define_operand(atom, over(&predicate, &variables, atom.place), ego);
@@ -431,6 +437,9 @@ impl<'c> Lowering<'c, '_> {
     fn define_operand(&mut self, atom: &'c Atom, head: Atom, ego: Option<&'c Term>) {
         let place = atom.place;
         let mut atom = atom.clone();
+        // These are reported.
+        let computed = atom.terms.iter_mut().filter(|term| is_computed(term));
+        computed.for_each(|term| term.kind = TermKind::Wildcard);
         let mut sees = None;
         if let (Some(ego), Some(scope)) = (ego, self.scope)
             && atom.terms.iter().all(|term| term.kind != ego.kind)
@@ -507,8 +516,8 @@ impl<'c> Lowering<'c, '_> {
         let variables = &operand.variables;
         let types = variables
             .iter()
-            .map(|variable| self.type_of(variable, temporal.atoms(), self.ego));
-        let types: Vec<Name> = types.collect();
+            .map(|variable| self.type_of(variable, &temporal.atom, self.ego));
+        let types: Option<Vec<Name>> = types.collect();
         let name = |operator: Operator, first: u32| {
             let before = temporal.held.iter().map(|held| format!("{} ", held.predicate.text));
             let mut name: String = before.collect();
@@ -615,29 +624,25 @@ impl<'c> Lowering<'c, '_> {
         numbered
     }
 
-    /// Declares a hidden predicate that is shown as this [`template`].
-    fn declare(&mut self, predicate: &str, types: Vec<Name>, shown: String, place: Place) {
-        let columns = types.into_iter().enumerate().map(|(column, ty)| ColumnDecl {
-            name: Name {
-                text: format!("x{}", column + 1),
-                place,
-            },
-            ty,
-        });
+    /// Declares a hidden predicate that is shown as this [`template`]. Without types, the checker reports its atoms
+    /// elsewhere.
+    fn declare(&mut self, predicate: &str, types: Option<Vec<Name>>, shown: String, place: Place) {
+        let columns = types.map(|types| columns_of(types, place));
         self.decls.push(Decl {
             names: vec![Name {
                 text: predicate.to_owned(),
                 place,
             }],
-            columns: Some(columns.collect()),
+            columns,
             qualifiers: Vec::new(),
             doc: shown,
         });
     }
 
-    /// Returns the type of a variable: that of the column in which it occurs first.
-    fn type_of<'a>(&self, variable: &Term, atoms: impl IntoIterator<Item = &'a Atom>, ego: Option<&Term>) -> Name {
-        let of = |atom: &Atom| {
+    /// Returns the type of a variable of an operand: that of the column in which it occurs first, or of the ego. `None`
+    /// if the predicate is not declared so.
+    fn type_of(&self, variable: &Term, atom: &Atom, ego: Option<&Term>) -> Option<Name> {
+        let of_column = || {
             let columns = (*self.columns.get(atom.predicate.text.as_str())?)?;
             let column = atom.terms.iter().position(|term| term.kind == variable.kind)?;
             columns.get(column).map(|column| column.ty.text.clone())
@@ -648,12 +653,9 @@ impl<'c> Lowering<'c, '_> {
             let columns = (*self.columns.get(scope.text.as_str())?)?;
             columns.first().map(|column| column.ty.text.clone())
         };
-        let text = atoms.into_iter().find_map(of).or_else(of_ego);
-        Name {
-            // Without a declaration, the checker reports the atom.
-            text: text.unwrap_or_else(|| "symbol".to_owned()),
-            place: variable.place,
-        }
+        let text = of_column().or_else(of_ego)?;
+        let place = variable.place;
+        Some(Name { text, place })
     }
 }
 
@@ -710,11 +712,31 @@ pub(crate) fn shown(predicate: &Predicate, arguments: &[String]) -> Option<Strin
     Some(parts.map(part).collect())
 }
 
+/// Returns whether a term is an expression or an aggregate.
+fn is_computed(term: &Term) -> bool {
+    matches!(
+        term.kind,
+        TermKind::Functor(..) | TermKind::Cast(..) | TermKind::Aggregate(_)
+    )
+}
+
 fn name_of(term: &Term) -> &str {
     match &term.kind {
         TermKind::Variable(name) => name,
         _ => "_",
     }
+}
+
+/// Returns columns of these types.
+fn columns_of(types: Vec<Name>, place: Place) -> Vec<ColumnDecl> {
+    let columns = types.into_iter().enumerate().map(|(column, ty)| ColumnDecl {
+        name: Name {
+            text: format!("x{}", column + 1),
+            place,
+        },
+        ty,
+    });
+    columns.collect()
 }
 
 fn over(predicate: &str, variables: &[&Term], place: Place) -> Atom {

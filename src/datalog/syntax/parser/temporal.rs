@@ -16,22 +16,29 @@ impl Parser<'_> {
     /// Returns the operator that begins a literal at the current token.
     pub(super) fn operator_ahead(&self) -> Option<Operator> {
         let (word, next) = (self.token(), self.ahead(1));
-        let operator = (Operator::ALL.into_iter())
-            .find(|operator| *operator != Operator::Since && operator.word() == self.slice(word))?;
-        let negates = next.kind == Kind::Bang || (next.kind == Kind::Ident && self.is_negation(next));
-        let applies = match next.kind {
-            Kind::LBracket => next.start == word.end || self.ahead(2).kind == Kind::Number,
-            Kind::Ident => self.ahead(2).kind == Kind::LParen && !next.first_on_line && self.infix(next).is_none(),
-            _ => negates,
+        let operator = self.operator(word)?;
+        let applies = match (next.kind, self.ahead(2).kind) {
+            (Kind::LBracket, second) => next.start == word.end || second == Kind::Number,
+            (Kind::Ident, _) if self.infix(next).is_some() => false,
+            (Kind::Ident, Kind::LParen | Kind::LBracket) | (Kind::Bang, _) => true,
+            // A negation or a second operator, which is a fault.
+            (Kind::Ident, Kind::Ident) => self.is_negation(next) || self.operator(next).is_some(),
+            _ => false,
         };
         (word.kind == Kind::Ident && applies).then_some(operator)
+    }
+
+    /// Returns the operator before its atom that a token writes.
+    fn operator(&self, token: Token) -> Option<Operator> {
+        let mut operators = Operator::ALL.into_iter();
+        operators.find(|operator| *operator != Operator::Since && operator.word() == self.slice(token))
     }
 
     /// Returns whether `since` follows an atom.
     pub(super) fn since_ahead(&self) -> bool {
         let (word, next) = (self.token(), self.ahead(1));
-        let continues = next.kind == Kind::LBracket || (next.kind == Kind::Ident && self.ahead(2).kind == Kind::LParen);
-        word.kind == Kind::Ident && self.slice(word) == Operator::Since.word() && continues
+        let is_word = word.kind == Kind::Ident && self.slice(word) == Operator::Since.word();
+        is_word && matches!(next.kind, Kind::LBracket | Kind::Ident | Kind::Bang)
     }
 
     /// Reads an operator with its window and the atom after it. `held` is the atom before `since`.
