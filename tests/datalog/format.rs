@@ -136,6 +136,8 @@ fn texts() -> impl Strategy<Value = String> {
         "Bus ( \"/*\" ) .",
         "Stop ( x ) :- Car ( x , _ ) , Not ( Bus ( x ) ) , ! Tram ( ) .",
         "Stop ( x ) :- Car ( x , y ) , y <= 0x2A , not ( x = \"é\\\"\" ) .",
+        "Stop ( x ) :- once [ 0 , 5 ] Car ( x , _ ) , ! previous Bus ( x ) , for [ 3 ] Bus ( x ) .",
+        "Stop ( x ) :- historically [ 0 , 1 ] Bus ( x ) , Not ( Bus ( x ) since [ 1 , 2 ] Tram ( x ) ) , Bus ( x ) since Bus ( 1 ) .",
         "Stop ( averylongvariablename ) :- Car ( averylongvariablename , anotherverylongvariablename ) , \
          Bus ( anotherverylongvariablename ) , Tram ( averylongvariablename , anotherverylongvariablename ) .",
     ]);
@@ -194,6 +196,14 @@ fn expressions_alternatives_and_aggregates_are_laid_out() {
     let text = "B(x) :- A(x,y),(x<3;x>5),y>2.5, x = 1+2*3 . // c\nC(n,1u),C(n+1,2u) :- n = sum y:{B(y),y<3}.\n";
     let wanted = "B(x) :- A(x, y), (x < 3; x > 5), y > 2.5, x = 1 + 2 * 3. // c\n\
                   C(n, 1u), C(n + 1, 2u) :- n = sum y : { B(y), y < 3 }.\n";
+    assert_eq!(formatted(text), wanted);
+    assert_eq!(formatted(wanted), wanted);
+}
+
+#[test]
+fn windows_are_laid_out_as_the_printer_writes_them() {
+    let text = "A(x) :- once [ 0 , 5 ] B( x ),for[3]C(x,2) , Not( B(x)since[1 ,2]  C(x , 1) ),previous\nB(x).\n";
+    let wanted = "A(x) :- once[0,5] B(x), for[3] C(x, 2), Not(B(x) since[1,2] C(x, 1)), previous B(x).\n";
     assert_eq!(formatted(text), wanted);
     assert_eq!(formatted(wanted), wanted);
 }

@@ -997,7 +997,7 @@ fn term() -> impl Strategy<Value = ast::Term> {
     let node = |kind| ast::Term { kind, place: place() };
     leaf().prop_recursive(4, 12, 2, move |inner| {
         let op = proptest::sample::select(vec![AggregateOp::Sum, AggregateOp::Min, AggregateOp::Count]);
-        let body = proptest::collection::vec(plain_atom(inner.clone()), 1..3);
+        let body = proptest::collection::vec(simple(atom_of(inner.clone()), atom_of(leaf())), 1..3);
         prop_oneof![
             2 => (unary.clone(), inner.clone()).prop_map(move |(op, a)| node(ast::TermKind::Functor(op, vec![a]))),
             4 => (binary.clone(), inner.clone(), inner.clone())
@@ -1013,28 +1013,44 @@ fn term() -> impl Strategy<Value = ast::Term> {
     })
 }
 
-fn plain_atom(term: impl Strategy<Value = ast::Term> + 'static) -> impl Strategy<Value = ast::Literal> {
-    (name(), proptest::collection::vec(term, 0..3), any::<bool>()).prop_map(|(predicate, terms, negated)| {
-        let predicate = ast::Name {
-            text: predicate,
-            place: place(),
-        };
-        ast::Literal::Atom {
-            negated,
-            atom: ast::Atom {
-                predicate,
-                terms,
-                place: place(),
-            },
-        }
+fn atom_of(term: impl Strategy<Value = ast::Term>) -> impl Strategy<Value = ast::Atom> {
+    (name(), proptest::collection::vec(term, 0..4)).prop_map(|(predicate, terms)| ast::Atom {
+        predicate: node(predicate),
+        terms,
+        place: place(),
     })
 }
 
 fn atom() -> impl Strategy<Value = ast::Atom> {
-    (name(), proptest::collection::vec(term(), 0..4)).prop_map(|(predicate, terms)| ast::Atom {
-        predicate: node(predicate),
-        terms,
-        place: place(),
+    atom_of(term())
+}
+
+/// An atom or a temporal literal, either negated or not.
+fn simple(
+    plain: impl Strategy<Value = ast::Atom>,
+    held: impl Strategy<Value = ast::Atom>,
+) -> impl Strategy<Value = ast::Literal> {
+    let window = || (0..4_u32, 0..=1_000_000_u32).prop_map(|(first, last)| (first, first.max(last)));
+    let operator = prop_oneof![
+        Just((ast::Operator::Previous, Some((1, 1)))),
+        proptest::option::of(window()).prop_map(|window| (ast::Operator::Once, window)),
+        window().prop_map(|window| (ast::Operator::Historically, Some(window))),
+        (0..1_000_000_u32).prop_map(|last| (ast::Operator::For, Some((0, last)))),
+        proptest::option::of(window()).prop_map(|window| (ast::Operator::Since, window)),
+    ];
+    let time = prop_oneof![3 => Just(None), 1 => operator.prop_map(Some)];
+    (any::<bool>(), plain, held, time).prop_map(|(negated, atom, held, time)| match time {
+        None => ast::Literal::Atom { negated, atom },
+        Some((operator, window)) => ast::Literal::Temporal {
+            negated,
+            temporal: Box::new(ast::Temporal {
+                operator,
+                window,
+                held: (operator == ast::Operator::Since).then_some(held),
+                atom,
+                place: place(),
+            }),
+        },
     })
 }
 
@@ -1050,7 +1066,7 @@ fn literal() -> impl Strategy<Value = ast::Literal> {
         Just(Comparison::NotContains),
     ];
     let plain = prop_oneof![
-        3 => (any::<bool>(), atom()).prop_map(|(negated, atom)| ast::Literal::Atom { negated, atom }),
+        3 => simple(atom(), atom()),
         1 => (op, term(), term()).prop_map(|(op, left, right)| {
             ast::Literal::Compare { op, left, right, place: place() }
         }),

@@ -278,6 +278,13 @@ impl Layout<'_> {
             })
     }
 
+    /// Returns whether a comma separates the ends of a window.
+    fn in_window(&self, comma: Token) -> bool {
+        let at = self.lexed.tokens.partition_point(|token| token.start < comma.start);
+        at.checked_sub(2)
+            .is_some_and(|open| self.lexed.tokens[open].kind == Kind::LBracket)
+    }
+
     /// Returns whether a space separates two tokens. `binary`: the first is a sign between two values.
     fn space(&self, left: Token, right: Token, binary: bool) -> bool {
         use Kind::*;
@@ -290,8 +297,9 @@ impl Layout<'_> {
             (_, Dot) => false,
             (LParen | LBracket | Bang | Dollar | At | Hash, _) => false,
             (Ident, LParen) => self.word(left) == "not",
-            // The window of a temporal operator.
+            // The window of a temporal operator: `once[0,5]`.
             (Ident, LBracket) => false,
+            (Comma, Number) => !self.in_window(left),
             (RParen, LParen) => false,
             (_, Minus | Operator) if self.is_binary(Some(left), right) => true,
             (Minus | Operator, _) => binary,
