@@ -6,12 +6,12 @@ use logicity_datalog as datalog;
 use logicity_datalog::diag::{Diagnostic, Severity, Sources, render};
 use logicity_datalog::symbol::{Symbol, Symbols};
 use logicity_datalog::{BaseType, InputPolicy, PredicateId, Rules, Value};
-use logicity_datalog::{Options, Program, Strategy, constraints, facts, naive};
+use logicity_datalog::{Options, Program, Session, Strategy, constraints, facts, naive};
 use std::collections::{BTreeMap, BTreeSet};
 use std::fs;
 use std::path::{Path, PathBuf};
 
-/// A change of the facts, or a query.
+/// A change of the facts, the begin of the next tick, or a query.
 #[derive(Debug)]
 enum Step {
     Change {
@@ -19,6 +19,7 @@ enum Step {
         predicate: String,
         rows: Vec<String>,
     },
+    Tick,
     Expect {
         line: usize,
         predicate: String,
@@ -43,6 +44,9 @@ fn read_script(text: &str) -> Script {
             {
                 script.diagnostics.insert((number, format!("{kind}[{code}]")));
             }
+        }
+        if line == "// tick" {
+            script.steps.push(Step::Tick);
         }
         let Some((verb, rest)) = line.strip_prefix("// ").and_then(|line| line.split_once(' ')) else {
             continue;
@@ -152,21 +156,32 @@ fn find(rules: &Rules, name: &str) -> PredicateId {
 }
 
 fn by_naive(rules: &Rules, steps: &[Step]) -> Vec<Answer> {
+    let symbols = rules.symbols.clone();
+    let rows_of = |facts: &Facts| -> Vec<(PredicateId, Vec<Value>)> {
+        let rows = facts.iter().flat_map(|(name, rows)| {
+            let predicate = find(rules, name);
+            rows.iter().map(move |row| (predicate, row))
+        });
+        rows.map(|(predicate, row)| (predicate, parse_row(rules, &symbols, predicate, row)))
+            .collect()
+    };
     let mut facts = Facts::new();
+    let mut ended = Vec::new();
     let mut answers = Vec::new();
     for step in steps {
-        change(&mut facts, step);
-        let Step::Expect { predicate, .. } = step else { continue };
-        let symbols = rules.symbols.clone();
-        let rows: Vec<(PredicateId, Vec<Value>)> = (facts.iter())
-            .flat_map(|(name, rows)| {
-                let predicate = find(rules, name);
-                rows.iter()
-                    .map(|row| (predicate, parse_row(rules, &symbols, predicate, row)))
-                    .collect::<Vec<_>>()
-            })
-            .collect();
-        let database = naive::evaluate(rules, &symbols, rows);
+        let predicate = match step {
+            Step::Change { .. } => {
+                change(&mut facts, step);
+                continue;
+            }
+            Step::Tick => {
+                ended.push(rows_of(&facts));
+                continue;
+            }
+            Step::Expect { predicate, .. } => predicate,
+        };
+        let ticks = ended.iter().cloned().chain([rows_of(&facts)]);
+        let database = naive::evaluate_ticks(rules, &symbols, ticks).pop().expect("a tick");
         let id = find(rules, predicate);
         let columns = &rules.predicates[id.index()].columns;
         let mut answer: Answer = (database[id.index()].iter())
@@ -186,7 +201,7 @@ fn by_naive(rules: &Rules, steps: &[Step]) -> Vec<Answer> {
     answers
 }
 
-fn ask(session: &logicity_datalog::Session, predicate: &str) -> Answer {
+fn ask(session: &Session, predicate: &str) -> Answer {
     let text = facts::print(session, find(session.program().rules(), predicate));
     let rows = text.lines().map(|row| {
         if row == "()" {
@@ -200,59 +215,81 @@ fn ask(session: &logicity_datalog::Session, predicate: &str) -> Answer {
     answer
 }
 
+/// Inserts or retracts rows.
+fn note<'r>(session: &mut Session, present: bool, predicate: &str, rows: impl IntoIterator<Item = &'r String>) {
+    let program = session.program().clone();
+    let predicate = find(program.rules(), predicate);
+    for row in rows {
+        let row = parse_row(program.rules(), session.symbols(), predicate, row);
+        let noted = match present {
+            true => session.insert(predicate, &row),
+            false => session.retract(predicate, &row),
+        };
+        noted.expect("a row that fits");
+    }
+}
+
 fn from_scratch(program: &Program, steps: &[Step]) -> Vec<Answer> {
-    let rules = program.rules();
     let mut facts = Facts::new();
+    let mut ended = Vec::new();
     let mut answers = Vec::new();
     for step in steps {
-        change(&mut facts, step);
-        let Step::Expect { predicate, .. } = step else { continue };
-        let mut session = program.session();
-        for (name, rows) in &facts {
-            let predicate = find(rules, name);
-            for row in rows {
-                let row = parse_row(rules, session.symbols(), predicate, row);
-                session.insert(predicate, &row).expect("a row that fits");
+        let predicate = match step {
+            Step::Change { .. } => {
+                change(&mut facts, step);
+                continue;
             }
+            Step::Tick => {
+                ended.push(facts.clone());
+                continue;
+            }
+            Step::Expect { predicate, .. } => predicate,
+        };
+        let mut session = program.session();
+        let mut before = &Facts::new();
+        for (tick, facts) in ended.iter().chain([&facts]).enumerate() {
+            for (present, rows) in [(false, before), (true, facts)] {
+                for (name, rows) in rows {
+                    note(&mut session, present, name, rows);
+                }
+            }
+            match tick {
+                0 => session.commit().expect("few rows"),
+                _ => session.advance().expect("few rows"),
+            };
+            before = facts;
         }
-        session.commit().expect("few rows");
         answers.push(ask(&session, predicate));
     }
     answers
 }
 
 fn in_one_session(program: &Program, strategy: Strategy, steps: &[Step]) -> Vec<Answer> {
-    let rules = program.rules();
     let mut session = program.session();
     session.set_strategy(strategy);
+    // Whether the next commit begins a tick.
+    let mut begins = false;
     let mut answers = Vec::new();
     for step in steps {
+        if !matches!(step, Step::Change { .. }) {
+            match std::mem::take(&mut begins) {
+                true => session.advance().expect("few rows"),
+                false => session.commit().expect("few rows"),
+            };
+            // Some modes rely on the constraints.
+            assert!(
+                constraints::violations(&session).is_empty(),
+                "facts violate a constraint"
+            );
+        }
         match step {
             Step::Change {
                 present,
                 predicate,
                 rows,
-            } => {
-                let predicate = find(rules, predicate);
-                for row in rows {
-                    let row = parse_row(rules, session.symbols(), predicate, row);
-                    let noted = if *present {
-                        session.insert(predicate, &row)
-                    } else {
-                        session.retract(predicate, &row)
-                    };
-                    noted.expect("a row that fits");
-                }
-            }
-            Step::Expect { predicate, .. } => {
-                session.commit().expect("few rows");
-                // Some modes rely on the constraints.
-                assert!(
-                    constraints::violations(&session).is_empty(),
-                    "facts violate a constraint"
-                );
-                answers.push(ask(&session, predicate));
-            }
+            } => note(&mut session, *present, predicate, rows),
+            Step::Tick => begins = true,
+            Step::Expect { predicate, .. } => answers.push(ask(&session, predicate)),
         }
     }
     answers
