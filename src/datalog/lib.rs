@@ -78,6 +78,12 @@
 //! # Ok::<(), Box<dyn std::error::Error>>(())
 //! ```
 //!
+//! # Ticks
+//!
+//! Temporal operators such as `once[0,5] p(x)` ask what held in earlier ticks. [`Session::advance`] begins the next tick
+//! with the pending changes and commits, while [`Session::commit`] stays in the present tick, of which the last state
+//! counts. A session remembers what a window of its rules can still see and forgets the rest.
+//!
 //! # What is incremental
 //!
 //! A commit visits the strata in order and skips every stratum whose inputs did not change. It updates any other
