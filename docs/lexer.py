@@ -21,6 +21,7 @@ class RuleLexer(RegexLexer):
             (r"[.#][a-z_]+", Keyword),
             (words(("Not", "not", "true", "false"), suffix=r"\b"), Keyword),
             (words(("count", "sum", "min", "max", "mean", "match", "contains", "range"), suffix=r"\b"), Name.Builtin),
+            (r"(previous|once|since)(?=\s*\[|\s+[A-Za-z_?][\w?]*\()|(historically|for)(?=\s*\[)", Keyword),
             (words(("symbol", "number", "unsigned", "float"), suffix=r"\b"), Keyword.Type),
             (r"[A-Za-z_?][\w?]*(?=\()", Name.Function),
             (r"[A-Za-z_?][\w?]*", Name),

@@ -286,6 +286,7 @@ const TOKENS = new RegExp(
     String.raw`(?<text>"(?:[^"\\\n]|\\.)*"?)`,
     String.raw`(?<directive>^\s*\.\w+)`,
     String.raw`(?<word>\b(?:Not|count|sum|min|max|mean)\b|:-|!)`,
+    String.raw`(?<temporal>\b(?:previous|once|since)(?=\s*\[|\s+\w+\()|\b(?:historically|for)(?=\s*\[))`,
     String.raw`(?<action>\b(?:Slow|Normal|Fast|Stop)\b)`,
     String.raw`(?<name>\b\w+(?=\())`,
   ].join("|"),

@@ -1,6 +1,7 @@
 //! The TextMate grammar: every expression compiles, it knows every directive, and every word of a rule file gets a
 //! scope.
 
+use logicity::datalog::ast::Operator;
 use logicity::datalog::{DIRECTIVES, parse};
 use logicity::diag::Sources;
 use regex::Regex;
@@ -226,6 +227,37 @@ fn every_directive_is_a_keyword() {
             "keyword.control.directive.logicity",
             ".{name}"
         );
+    }
+}
+
+/// The words of temporal operators are keywords before an atom, and names elsewhere.
+#[test]
+fn temporal_operators_are_keywords() {
+    let grammar = grammar();
+    let rules = rules(&grammar["patterns"], &grammar["repository"]);
+    for operator in Operator::ALL {
+        let word = operator.word();
+        let bare = !matches!(operator, Operator::Historically | Operator::For);
+        let windows = if operator == Operator::Previous { "" } else { "[0,5]" };
+        let texts = [(true, windows), (bare, "")];
+        for (_, window) in texts.iter().filter(|(takes, _)| *takes) {
+            let text = format!("A(x) :- B(x), Q(x) {word}{window} P(x).");
+            let scopes = scopes_of(&text, &rules);
+            for (part, scope) in [
+                (word, "keyword.operator.temporal.logicity"),
+                ("P(", "entity.name.function.logicity"),
+            ] {
+                assert_eq!(scope_of(&text, &scopes, part), scope, "{part} in {text}");
+            }
+            let shown = text
+                .bytes()
+                .zip(&scopes)
+                .all(|(byte, scope)| byte == b' ' || scope.is_some());
+            assert!(shown, "{text}: {scopes:?}");
+        }
+        let text = format!("A(x) :- {word}(x).");
+        let scopes = scopes_of(&text, &rules);
+        assert_eq!(scope_of(&text, &scopes, word), "entity.name.function.logicity");
     }
 }
 

@@ -635,6 +635,44 @@ fn words_of_the_language_are_described() {
 }
 
 #[test]
+fn temporal_operators_are_described_colored_and_completed() {
+    let mut editor = Editor::start();
+    let text = ".decl A, once(x: number)\n.input once\n.output A\n\
+                A(x) :- once[0,5] once(x), A(x) since once(x), !previous A(x).\n";
+    assert_eq!(editor.open("a.dl", text), Vec::<Value>::new());
+    let mut hover = |character: u32| {
+        let shown = editor.at("textDocument/hover", "a.dl", (3, character), json!({}));
+        shown["contents"]["value"]
+            .as_str()
+            .map(str::to_owned)
+            .unwrap_or_default()
+    };
+    assert!(hover(9).contains("in some tick of the window"));
+    assert!(hover(19).contains(".decl once(x: number)"));
+    assert!(hover(33).contains("in every tick after that"));
+    assert!(hover(50).contains("in the tick before"));
+    let full = editor.of("textDocument/semanticTokens/full", "a.dl");
+    let found = tokens(&editor, text, &full["data"]);
+    let kinds = |word: &str| -> Vec<&str> {
+        let found = found.iter().filter(|(_, found, _)| found == word);
+        found.map(|(_, _, kind)| kind.as_str()).collect()
+    };
+    assert_eq!(
+        kinds("once"),
+        ["function declaration", "function", "keyword", "function", "function"]
+    );
+    assert_eq!((kinds("since"), kinds("previous")), (vec!["keyword"], vec!["keyword"]));
+    let items = editor.at("textDocument/completion", "a.dl", (3, 8), json!({}));
+    let items: BTreeMap<&str, &Value> = (items.as_array().unwrap().iter())
+        .map(|item| (item["label"].as_str().unwrap(), &item["detail"]))
+        .collect();
+    for word in ["previous", "historically", "for", "since"] {
+        assert!(items[word].as_str().unwrap().contains(word), "{items:?}");
+    }
+    editor.end();
+}
+
+#[test]
 fn a_text_is_formatted() {
     let mut editor = Editor::start();
     editor.open("a.dl", ".decl A( x:symbol )\n\n\n\nA(\"\u{1f697}\").A(\"b\")  .");
@@ -897,7 +935,7 @@ fn edits_name_the_versions_of_open_texts() {
 /// Words of the language, and texts that are no names.
 const WORDS: &[&str] = &[
     "count", "sum", "min", "max", "mean", "range", "cat", "as", "match", "contains", "strlen", "band", "lnot", "true",
-    "false", "not", "Not", "_", "1a", "a-b", "a b", "", "number", "\u{e9}",
+    "false", "once", "for", "since", "not", "Not", "_", "1a", "a-b", "a b", "", "number", "\u{e9}",
 ];
 
 #[test]

@@ -1,4 +1,5 @@
-//! The words of the language that no file declares: directives, functions, aggregates, operators and types.
+//! The words of the language that no file declares: directives, functions, aggregates, operators (also of time) and
+//! types.
 
 /// The context of a word.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Hash)]
@@ -166,6 +167,39 @@ pub const WORDS: &[Word] = &[
     word("true", Body, "true", "A literal that always holds."),
     word("false", Body, "false", "A literal that never holds."),
     word(
+        "previous",
+        Body,
+        "previous P(x)",
+        "Time: holds if the atom held in the tick before.",
+    ),
+    word(
+        "once",
+        Body,
+        "once[0,5] P(x)",
+        "Time: holds if the atom held in some tick of the window; 0 is the present tick, 1 the one before. Without a \
+         window: in some tick so far.",
+    ),
+    word(
+        "historically",
+        Body,
+        "historically[0,5] P(x)",
+        "Time: holds if the atom held in every tick of the window; 0 is the present tick, 1 the one before. Before the \
+         first tick everything was false.",
+    ),
+    word(
+        "for",
+        Body,
+        "for[6] P(x)",
+        "Time: holds if the atom held in the last six ticks, the present one included.",
+    ),
+    word(
+        "since",
+        Body,
+        "P(x) since[0,5] Q(x)",
+        "Time: holds if the second atom held in some tick of the window, and the first one in every tick after that. \
+         Without a window: in some tick so far.",
+    ),
+    word(
         "match",
         Body,
         "match(pattern, s)",
@@ -282,6 +316,7 @@ pub const WORDS: &[Word] = &[
 #[cfg(test)]
 mod tests {
     use super::*;
+    use crate::datalog::ast::Operator;
     use crate::datalog::{AggregateOp, BaseType, DIRECTIVES, Functor, parse};
     use crate::diag::Sources;
 
@@ -295,7 +330,8 @@ mod tests {
             .iter()
             .map(|op| op.name())
             .chain(bases)
-            .chain(Functor::words());
+            .chain(Functor::words())
+            .chain(Operator::ALL.map(Operator::word));
         for name in names {
             assert!(find(name, false).is_some(), "{name}");
         }
@@ -306,6 +342,8 @@ mod tests {
     /// The forms are valid code.
     #[test]
     fn every_form_parses() {
+        let literals = ["match", "contains", "true", "false"];
+        let literals = [&literals[..], &Operator::ALL.map(Operator::word)].concat();
         let known = |word: &&Word| word.place != Directive || DIRECTIVES.contains(&word.name);
         for word in WORDS.iter().filter(known) {
             let text = match word.place {
@@ -315,9 +353,7 @@ mod tests {
                 Body if word.form.contains('=') || word.form.contains("Not(") || word.form.contains("not ") => {
                     format!("A(x) :- {}.", word.form)
                 }
-                Body if matches!(word.name, "match" | "contains" | "true" | "false") => {
-                    format!("A(x) :- {}.", word.form)
-                }
+                Body if literals.contains(&word.name) => format!("A(x) :- {}.", word.form),
                 Body => format!("A(x) :- x = {}.", word.form.replace(", ...", "")),
             };
             let mut sources = Sources::new();
