@@ -57,7 +57,7 @@ pub struct Column {
 
 /// A predicate: declared, or hidden.
 ///
-/// The checker makes hidden ones, whose names begin with `+`, which no source can write.
+/// The checker makes hidden ones, whose names no source can write: they begin with `+` or contain a space.
 #[derive(Clone, Debug)]
 pub struct Predicate {
     /// The name of the predicate.
