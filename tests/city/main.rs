@@ -4,6 +4,7 @@ mod any_input;
 mod ask;
 #[path = "../cases.rs"]
 mod cases;
+mod cities;
 mod config;
 mod conflicts;
 mod executors;

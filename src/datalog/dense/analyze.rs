@@ -97,7 +97,7 @@ impl Unsupported {
     pub fn show(&self, rules: &Rules) -> String {
         let named = |predicate: PredicateId| {
             let predicate = &rules.predicates[predicate.index()];
-            match predicate.hidden {
+            match predicate.hidden && predicate.name.starts_with('+') {
                 true => predicate.doc.clone(),
                 false => format!("`{}`", predicate.name),
             }

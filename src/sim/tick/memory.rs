@@ -192,15 +192,15 @@ type Spans = Vec<(u64, u64)>;
 struct Timer {
     /// The number of ticks before the present one of the first tick of the window.
     first: u32,
-    /// The number of ticks for which an event counts; `None` for ever.
+    /// The number of ticks for which an event counts; `None` for all later ones.
     length: Option<u32>,
-    /// The digits of the counters, the lowest first; none if events count for ever.
+    /// The digits of the counters, the lowest first; none if events never end.
     planes: Vec<Vec<u64>>,
-    /// The rows whose counter is not 0, or that had an event that counts for ever.
+    /// The rows whose counter is not 0, or that had an event that never ends.
     running: Vec<u64>,
     /// Events that wait for the first tick of the window, the oldest first.
     delayed: VecDeque<Vec<u64>>,
-    /// If events count for ever: the tick of the event that started the timer of each row.
+    /// If events never end: the tick of the event that started the timer of each row.
     begun: Vec<u64>,
     /// The bits that stand for rows.
     rows: Vec<u64>,

@@ -1,0 +1,45 @@
+//! The cities of the tutorials: their rules are short, and nobody is stuck in them.
+
+use crate::shipped_world::world;
+use logicity::city::Split;
+use logicity::rng::Seed;
+use logicity::sim::{Executor, Settings, Simulation};
+use std::sync::Arc;
+
+const CITIES: [&str; 6] = [
+    "courteous",
+    "traffic-lights",
+    "four-way-stop",
+    "school-zone",
+    "tram-line",
+    "emergency-corridor",
+];
+
+/// The longest time without a move, in ticks: longer, an agent counts as stuck.
+const STUCK: u32 = 50;
+
+#[test]
+fn agents_keep_moving_under_few_clauses() {
+    for city in CITIES {
+        let world = world(city, None, |_| ());
+        assert!(world.program.rules().clauses.len() <= 25, "{city}");
+        let settings = Settings {
+            executor: Executor::Dense,
+            ..Settings::default()
+        };
+        for seed in 0..2 {
+            let mut run = Simulation::new(Arc::clone(&world), Split::Test, Seed(seed), settings).unwrap();
+            let mut decided = [0; 4];
+            for tick in 0..500 {
+                for (agent, done) in run.tick(&[]).unwrap().agents.iter().enumerate() {
+                    assert!(
+                        done.waited < STUCK,
+                        "agent {agent} of {city} waits in tick {tick} of seed {seed}"
+                    );
+                    decided[done.action as usize] += 1;
+                }
+            }
+            assert!(decided[1] > decided[3], "{city}: {decided:?}");
+        }
+    }
+}
