@@ -1617,7 +1617,8 @@ fn check_constraints(rules: &Rules) {
         .unwrap_or(rules.predicates.len());
     for (index, predicate) in rules.predicates.iter().enumerate() {
         assert_eq!(predicate.hidden, index >= hidden_from, "hidden predicates come last");
-        assert_eq!(predicate.hidden, predicate.name.starts_with('+'));
+        let made = predicate.name.starts_with('+') || predicate.name.contains(' ');
+        assert_eq!(predicate.hidden, made);
         assert_eq!(predicate.edb.is_some(), predicate.input && predicate.derived);
         let heads = || {
             rules

@@ -116,6 +116,7 @@ impl<'a> Compiler<'a> {
                 numbers: Vec::new(),
                 restless: 0,
                 settling: Vec::new(),
+                rare: Vec::new(),
                 ops: Vec::new(),
                 cleared: Vec::new(),
                 homes: vec![Home::Input; rules.predicates.len()],
@@ -290,10 +291,10 @@ impl<'a> Compiler<'a> {
                     let branches = self.branches(&search, steps);
                     Rare::RowsTree { dst, demand, branches }
                 };
-                self.out.ops.push(Op::Rare(op));
+                self.rare(op);
                 if self.counting == TrackFirings::Each {
                     self.out.fired[id.index()] = Some(Fired::Rows(dst));
-                    self.out.ops.push(Op::Rare(Rare::OrRows { dst: rows, from: dst }));
+                    self.rare(Rare::OrRows { dst: rows, from: dst });
                 }
             }
             Home::Input => unreachable!("a clause of a dense stratum derives its predicate"),
@@ -341,9 +342,19 @@ impl<'a> Compiler<'a> {
         let op = match self.any(demand, &steps) {
             Some(op) => op,
             None if steps.len() <= PAIR => Op::Exists(demand, Range::extend(&mut self.out.steps, steps)),
-            None => Op::Rare(Rare::ExistsTree(demand, self.branches(search, steps))),
+            None => {
+                let branches = self.branches(search, steps);
+                return self.rare(Rare::ExistsTree(demand, branches));
+            }
         };
         self.out.ops.push(op);
+    }
+
+    /// Appends a rarely used operation.
+    fn rare(&mut self, op: Rare) {
+        let position = u32::try_from(self.out.rare.len()).expect("fewer than 2^32 operations");
+        self.out.rare.push(op);
+        self.out.ops.push(Op::Rare(position));
     }
 
     /// Adds the tree of a search.
@@ -418,7 +429,7 @@ impl<'a> Compiler<'a> {
                     unreachable!("input sets are numbered before")
                 };
                 let dst = self.set(Changes::Often);
-                self.out.ops.push(Op::Rare(Rare::Diagonal { dst, rows }));
+                self.rare(Rare::Diagonal { dst, rows });
                 dst
             }
             Property::Related(predicate, axis) => {
@@ -441,12 +452,12 @@ impl<'a> Compiler<'a> {
                     Place::Input(_) | Place::Same => Reg::ALL,
                 };
                 let test = Range::extend(&mut self.out.tests, vec![test]);
-                self.out.ops.push(Op::Rare(Rare::Count {
+                self.rare(Rare::Count {
                     dst,
                     demand,
                     test,
                     bounds,
-                }));
+                });
                 dst
             }
         };

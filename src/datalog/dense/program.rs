@@ -108,7 +108,8 @@ pub(super) enum Op {
     Any3(DemandOp, Any<3>),
     /// A search for a value of each of one or two steps.
     Exists(DemandOp, Range),
-    Rare(Rare),
+    /// A rarely used operation, by its position in [`Dense::rare`]. The others are small without it.
+    Rare(u32),
 }
 
 /// A rarely used operation.
@@ -239,6 +240,7 @@ pub struct Dense {
     /// The operations that depend on steady inputs only.
     pub(super) settling: Vec<Op>,
     pub(super) ops: Vec<Op>,
+    pub(super) rare: Vec<Rare>,
     /// The sets that operations only add to; each run clears them.
     pub(super) cleared: Vec<Reg>,
     /// By [`PredicateId`]: the location of its facts.
@@ -298,6 +300,10 @@ impl Dense {
     /// program is also [local](Dense::is_local), a run can omit entities that the predicate relates to no ego.
     pub fn is_guarded_by(&self, predicate: PredicateId) -> bool {
         self.guards.contains(&predicate)
+    }
+
+    pub(super) fn rare(&self, op: u32) -> &Rare {
+        &self.rare[op as usize]
     }
 
     #[inline]

@@ -257,7 +257,7 @@ fn execute<const W: usize>(
                     *dst = or(*dst, &found);
                 }
             }
-            Op::Rare(op) => execute_rare(program, op, sets, rows, tables, count, pairs),
+            Op::Rare(op) => execute_rare(program, program.rare(*op), sets, rows, tables, count, pairs),
         }
     }
 }
