@@ -343,7 +343,30 @@ class Session:
             KeyboardInterrupt: On Ctrl-C.
             LimitError: If the evaluation exceeds a limit. The diagnostic names the clause.
         """
-        changes = self._session.commit()
+        return self._commit(advance=False)
+
+    def advance(self) -> dict[str, Change]:
+        """Begin the next tick, and commit as `commit` does.
+
+        Temporal operators such as `once[0,5]` count from the new tick. Pending changes belong to it; all other facts stay
+        as they are. Before the first tick, no fact held.
+
+        Returns:
+            The changes by predicate, as `commit` does.
+
+        Raises:
+            KeyboardInterrupt: On Ctrl-C.
+            LimitError: If the evaluation exceeds a limit. The tick has begun nevertheless; its changes are pending.
+        """
+        return self._commit(advance=True)
+
+    @property
+    def tick(self) -> int:
+        """The number of the present tick, from 0: how often `advance` was called."""
+        return self._session.tick()
+
+    def _commit(self, *, advance: bool) -> dict[str, Change]:
+        changes = self._session.commit(advance)
         return {name: Change(Rows(added), Rows(removed)) for name, (added, removed) in changes.items()}
 
     def rows(self, predicate: str) -> list[Row]:

@@ -213,12 +213,13 @@ impl PySession {
         })
     }
 
-    /// Commits the pending changes. Returns the added and removed rows by predicate.
-    fn commit<'py>(slf: &Bound<'py, Self>) -> PyResult<Bound<'py, PyDict>> {
+    /// Commits the pending changes, in the next tick if `advance`. Returns the added and removed rows by predicate.
+    fn commit<'py>(slf: &Bound<'py, Self>, advance: bool) -> PyResult<Bound<'py, PyDict>> {
         let (py, this) = (slf.py(), slf.get());
-        let committed = this
-            .session
-            .detached(py, |session, cancel| session.commit_with(cancel))?;
+        let committed = this.session.detached(py, |session, cancel| match advance {
+            true => session.advance_with(cancel),
+            false => session.commit_with(cancel),
+        })?;
         let Loaded { program, sources, .. } = &*this.loaded;
         let delta = committed.map_err(|error| input_error(py, &[error.diagnostic(program.rules())], sources))?;
         let changes = PyDict::new(py);
@@ -234,6 +235,11 @@ impl PySession {
             }
         }
         Ok(changes)
+    }
+
+    /// Returns the number of the present tick.
+    fn tick(&self) -> PyResult<u64> {
+        self.session.with(|session| Ok(session.tick()))
     }
 
     fn tuples<'py>(&self, py: Python<'py>, predicate: &str) -> PyResult<Bound<'py, PyList>> {
@@ -355,16 +361,7 @@ impl PySession {
             let printer = ExplanationPrinter::new(rules, session.symbols(), sources);
             let strata = session.work().strata.iter().zip(&rules.strata).map(|(work, stratum)| {
                 let names = stratum.predicates.iter().map(|id| &rules.predicates[id.index()]);
-                let names: Vec<&str> = names
-                    .map(|predicate| {
-                        if predicate.hidden {
-                            &predicate.doc
-                        } else {
-                            &predicate.name
-                        }
-                    })
-                    .map(String::as_str)
-                    .collect();
+                let names: Vec<&str> = names.map(datalog::Predicate::title).collect();
                 let how = match work {
                     StratumStats::Skipped => "skipped",
                     StratumStats::Maintained(_) => "maintained",

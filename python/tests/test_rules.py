@@ -151,6 +151,18 @@ def test_a_commit_reports_exactly_what_changed() -> None:
     assert held.commit() == {}
 
 
+def test_ticks_move_what_rules_remember() -> None:
+    held = session(".decl button, light(x: symbol) .input button light(x) :- once[0,2] button(x).")
+    held.insert("button", [("hall",)])
+    held.commit()
+    held.retract("button", [("hall",)])
+    assert held.advance()["button"].removed == [("hall",)]
+    assert held.advance() == {}
+    assert held.rows("light") == [("hall",)]
+    changes = held.advance()
+    assert (held.tick, list(changes), held.rows("light")) == (3, ["light"], [])
+
+
 def test_rows_of_a_commit_are_a_sequence() -> None:
     held = session(PATH)
     held.insert("edge", [(str(n), str(n + 1)) for n in range(10)])

@@ -164,6 +164,14 @@ impl Predicate {
         }
     }
 
+    /// Returns what messages call it: its name, or what it stands for if its name is only a number.
+    pub fn title(&self) -> &str {
+        match self.hidden && self.name.starts_with('+') {
+            true => &self.doc,
+            false => &self.name,
+        }
+    }
+
     /// Returns the number of columns.
     pub fn arity(&self) -> usize {
         self.columns.len()

@@ -97,8 +97,8 @@ impl Unsupported {
     pub fn show(&self, rules: &Rules) -> String {
         let named = |predicate: PredicateId| {
             let predicate = &rules.predicates[predicate.index()];
-            match predicate.hidden && predicate.name.starts_with('+') {
-                true => predicate.doc.clone(),
+            match predicate.hidden {
+                true => predicate.title().to_owned(),
                 false => format!("`{}`", predicate.name),
             }
         };

@@ -220,7 +220,7 @@ impl<'a> ExplanationPrinter<'a> {
         let clause = &self.rules.clauses[clause.index()];
         let head = &self.rules.predicates[clause.head.predicate.index()];
         json!({
-            "head": if is_unfolded(head) { &head.doc } else { &head.name },
+            "head": head.title(),
             "file": self.sources.name(clause.span.source),
             "line": self.sources.position(clause.span).line,
             "doc": clause.doc,

@@ -16,6 +16,7 @@ mod theory;
 
 use crate::check::subsumption;
 use crate::check::subsumption::{Fact, NoConstraints, Pattern, Theory, covers, facts, within_theory};
+use crate::check::temporal;
 use crate::check::witness::written;
 use crate::check::{
     Atom, Budget, Clause, ClauseId, Comparing, Constraint, DeclaredConstraint, Literal, PredicateId, Rules, Term, VarId,
@@ -500,14 +501,14 @@ fn shown_literal(rules: &Rules, clause: &Clause, index: usize) -> String {
 
 fn shown_atom(rules: &Rules, clause: &Clause, atom: &Atom) -> String {
     let predicate = &rules.predicates[atom.predicate.index()];
-    if predicate.hidden {
-        return predicate.doc.clone();
-    }
     let columns = predicate.columns.iter().zip(&atom.terms);
     let terms: Vec<String> = columns
         .map(|(column, term)| shown_term(rules, clause, term, column.base))
         .collect();
-    format!("{}({})", predicate.name, terms.join(", "))
+    match predicate.hidden {
+        true => temporal::shown(predicate, &terms).unwrap_or_else(|| predicate.title().to_owned()),
+        false => format!("{}({})", predicate.name, terms.join(", ")),
+    }
 }
 
 fn shown_term(rules: &Rules, clause: &Clause, term: &Term, base: BaseType) -> String {
