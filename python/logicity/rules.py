@@ -348,8 +348,8 @@ class Session:
     def advance(self) -> dict[str, Change]:
         """Begin the next tick, and commit as `commit` does.
 
-        Temporal operators such as `once[0,5]` count from the new tick. Pending changes belong to it; all other facts stay
-        as they are. Before the first tick, no fact held.
+        Temporal operators such as `once[0,5]` count from the new tick. Pending changes belong to it; all other facts
+        stay as they are. Before the first tick, no fact held.
 
         Returns:
             The changes by predicate, as `commit` does.

@@ -13,7 +13,7 @@ from typing import Any
 
 import numpy as np
 import pytest
-from conftest import Interrupt
+from conftest import Interrupt, needs
 
 import logicity
 from logicity import InputError, LimitError, Program, Session
@@ -161,6 +161,34 @@ def test_ticks_move_what_rules_remember() -> None:
     assert held.rows("light") == [("hall",)]
     changes = held.advance()
     assert (held.tick, list(changes), held.rows("light")) == (3, ["light"], [])
+
+
+def test_temporal_operators_agree_with_rtamt() -> None:
+    rtamt = needs("rtamt", "test-all")
+    rng = random.Random(1)
+    for _ in range(40):
+        first, last = sorted((rng.randrange(5), rng.randrange(9)))
+        operator = rng.choice(["once", "historically", "since"])
+        before = "q() " if operator == "since" else ""
+        held = session(f".decl p, q, out() .input p, q out() :- {before}{operator}[{first},{last}] p().")
+        trace = [(rng.random() < 0.5, rng.random() < 0.8) for _ in range(30)]
+        found = []
+        for tick, values in enumerate(trace):
+            for name, value in zip(("p", "q"), values, strict=True):
+                (held.insert if value else held.retract)(name, [()])
+            held.advance() if tick else held.commit()
+            found.append(held.count("out") == 1)
+        spec = rtamt.StlDiscreteTimeSpecification()
+        for name in ("p", "q", "out"):
+            spec.declare_var(name, "float")
+        before = "(q > 0) " if operator == "since" else ""
+        spec.spec = f"out = {before}{operator}[{first}:{last}](p > 0)"
+        spec.parse()
+        # Before the first tick nothing held; rtamt has no ticks there.
+        padded = [(False, False)] * last + trace
+        columns = {name: [1.0 if row[at] else -1.0 for row in padded] for at, name in enumerate(("p", "q"))}
+        robustness = spec.evaluate({"time": list(range(len(padded))), **columns})
+        assert [value > 0 for _, value in robustness[last:]] == found, (operator, first, last)
 
 
 def test_rows_of_a_commit_are_a_sequence() -> None:
