@@ -386,7 +386,8 @@ impl Names {
         for (index, (name, uses)) in unknown.predicates.iter().enumerate() {
             let fault = Diagnostic::new(codes::UNKNOWN_PREDICATE, format!("no predicate `{name}` is declared"));
             let mut fault = with_uses(fault, uses);
-            let candidates = self.predicates.iter().map(|predicate| predicate.name.as_str());
+            let declared = self.predicates.iter().filter(|predicate| !predicate.hidden);
+            let candidates = declared.map(|predicate| predicate.name.as_str());
             let near = suggestion(index, name, candidates);
             fault = match near {
                 Some(near) => {

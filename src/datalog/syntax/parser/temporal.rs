@@ -110,8 +110,11 @@ impl Parser<'_> {
                 "write at least `for[1]`: the present tick",
             )),
             (Operator::For, ticks, None) => Ok((0, ticks - 1)),
-            (Operator::For, ..) => {
-                let help = format!("write `for[{first}] P(X)`, or `historically[a,b] P(X)` for other ticks");
+            (Operator::For, first, Some(last)) => {
+                let help = match first {
+                    0 => format!("write `for[{}] P(X)`", u64::from(last) + 1),
+                    _ => format!("write `historically[{first},{last}] P(X)`"),
+                };
                 Err(self.invalid_temporal(place, "`for` takes the number of ticks alone", &help))
             }
             (_, _, None) => {
