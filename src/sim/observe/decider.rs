@@ -23,7 +23,7 @@ impl Decider {
     pub fn new(oracle: Arc<Oracle>) -> Result<Decider, Diagnostic> {
         let world = oracle.world();
         world.vocabulary.without_quantities("observations")?;
-        world.vocabulary.without_time(&world.program, "observations")?;
+        world.without_time("observations")?;
         Ok(Decider {
             atoms: oracle.no_atoms(),
             violations: Violations::new(oracle.monitor()),

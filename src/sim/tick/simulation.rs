@@ -202,9 +202,7 @@ impl Simulation {
         (tick, agents): (u64, Vec<Agent>),
         cancel: &Cancel,
     ) -> Result<Simulation, Diagnostic> {
-        world
-            .vocabulary
-            .without_time(&world.program, "simulations that begin in a later tick")?;
+        world.without_time("simulations that begin in a later tick")?;
         let mut simulation = Simulation::with_agents(world, split, seed, settings, agents, cancel)?;
         simulation.tick = tick;
         simulation.report.tick = tick;

@@ -210,20 +210,6 @@ impl Vocabulary {
         })
     }
 
-    /// Checks that the rules read no earlier ticks. `what` has one tick, in the plural.
-    ///
-    /// # Errors
-    /// `rule-mismatch` if they have a temporal operator.
-    pub fn without_time(&self, program: &Program, what: &str) -> Result<(), Diagnostic> {
-        let rules = program.rules();
-        rules.pasts.first().map_or(Ok(()), |past| {
-            let message = format!("{what} have no earlier ticks, but the rules have temporal operators");
-            let fault =
-                Diagnostic::new(codes::RULE_MISMATCH, message).help("use rules without temporal operators here");
-            Err(fault.at(rules.predicates[past.predicate.index()].span, "this looks back"))
-        })
-    }
-
     /// Returns whether the facts of a predicate are known: the configuration defines it, or it is not an input.
     pub fn defines(&self, program: &Program, predicate: PredicateId) -> bool {
         let mut defined = self.predicates.iter().filter_map(|base| base.id);

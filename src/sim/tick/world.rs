@@ -4,6 +4,7 @@ use crate::city::{Action, AgentKind, AgentSet, Split};
 use crate::city::{CityMap, Places, Router};
 use crate::config::Scenario;
 use crate::datalog::ClauseId;
+use crate::datalog::codes;
 use crate::datalog::dense::TrackFirings;
 use crate::datalog::{Limits, Program};
 use crate::diag::Diagnostic;
@@ -110,6 +111,20 @@ impl World {
     /// `dense-unsupported` if it cannot evaluate them; the message names the reason.
     pub fn compile(&self, counting: TrackFirings) -> Result<DenseRules, Diagnostic> {
         compile(self.program.rules(), &self.vocabulary, counting)
+    }
+
+    /// Checks that the rules read no earlier ticks. `what` names things that have a single tick, in the plural.
+    ///
+    /// # Errors
+    /// `rule-mismatch` if the rules have a temporal operator.
+    pub fn without_time(&self, what: &str) -> Result<(), Diagnostic> {
+        let rules = self.program.rules();
+        rules.pasts.first().map_or(Ok(()), |past| {
+            let message = format!("{what} have no earlier ticks, but the rules have temporal operators");
+            let fault =
+                Diagnostic::new(codes::RULE_MISMATCH, message).help("use rules without temporal operators here");
+            Err(fault.at(rules.predicates[past.predicate.index()].span, "this looks back"))
+        })
     }
 
     /// Returns the predicates that temporal operators are about, for this number of agents.

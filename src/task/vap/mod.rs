@@ -212,7 +212,7 @@ impl Worlds {
         let world = Arc::new(World::new(scenario, program)?);
         let values = world.vocabulary.without_quantities("data sets of pictures");
         values.map_err(|fault| vec![fault])?;
-        let time = (world.vocabulary).without_time(&world.program, "the frames of a data set of pictures");
+        let time = world.without_time("the frames of a data set of pictures");
         time.map_err(|fault| vec![fault])?;
         // Detects a missing split, and agents that cannot be placed.
         Simulation::new(Arc::clone(&world), split, Seed(seed), Settings::default()).map_err(|fault| vec![fault])?;
