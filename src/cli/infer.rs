@@ -17,7 +17,7 @@ use std::path::PathBuf;
 
 #[derive(clap::Args)]
 pub struct Arguments {
-    /// Scenes, one JSON object per line; `-` means standard input
+    /// Scenes, one JSON object per line, or a list of them for successive ticks; `-` means standard input
     #[arg(default_value = "-")]
     file: PathBuf,
     /// Configuration that defines the predicates, and the rules unless --rules is given

@@ -37,7 +37,8 @@ crate::diagnostic_codes! {
     EXTENDED_INPUT = "extended-input", Warning;
     /// A `.scope` that cannot guard the rules it applies to.
     INVALID_SCOPE = "invalid-scope", Error;
-    /// A temporal operator with an impossible window, or with what is no atom of variables and constants.
+    /// A temporal operator with an impossible window, or applied to something other than an atom of variables and
+    /// constants.
     INVALID_TEMPORAL = "invalid-temporal", Error;
     /// A constraint on derived predicates, or on columns of unsuitable types or number.
     INVALID_CONSTRAINT = "invalid-constraint", Error;

@@ -81,8 +81,8 @@
 //! # Ticks
 //!
 //! Temporal operators such as `once[0,5] p(x)` ask what held in earlier ticks. [`Session::advance`] begins the next tick
-//! with the pending changes and commits, while [`Session::commit`] stays in the present tick, of which the last state
-//! counts. A session remembers what a window of its rules can still see and forgets the rest.
+//! with the pending changes and commits them. [`Session::commit`] stays in the present tick; later ticks read the state
+//! after its last commit. A session remembers what a window of its rules can still see and forgets the rest.
 //!
 //! # What is incremental
 //!

@@ -239,9 +239,10 @@ impl Session {
         }
     }
 
-    /// Begins the next tick and commits: temporal operators then count from the next tick. Pending changes belong to
-    /// it; all other facts stay as they are. Ticks count commits of this kind only, so several commits may follow each
-    /// other within a tick, of which the last one counts.
+    /// Begins the next tick with the pending changes and commits them. All other facts stay as they are.
+    ///
+    /// [`commit`](Session::commit) stays in the present tick. If a tick has several commits, temporal operators of
+    /// later ticks read the state after the last one.
     ///
     /// ```
     /// # use logicity_datalog::Program;

@@ -1,5 +1,5 @@
-//! The words of the language that no file declares: directives, functions, aggregates, operators (also of time) and
-//! types.
+//! The words of the language that no file declares: directives, functions, aggregates, operators, also temporal ones,
+//! and types.
 
 /// The context of a word.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Hash)]

@@ -471,9 +471,9 @@ pub struct Past {
     pub operand: PredicateId,
     /// What must have held.
     pub operator: PastOperator,
-    /// The first tick of the window: the number of ticks before the present, at least 1.
+    /// The tick nearest to the present in the window: the number of ticks before the present, at least 1.
     pub first: u32,
-    /// The last tick of the window; `None` for all earlier ones.
+    /// The farthest tick of the window, in the same way; `None` for all earlier ticks.
     pub last: Option<u32>,
 }
 

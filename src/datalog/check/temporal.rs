@@ -204,14 +204,16 @@ impl Lowered {
     }
 }
 
-/// An atom as an operand: its predicate, its arguments with numbered variables, and the variables that it has as
-/// columns, of which the first is the ego if `ego` is true.
+/// An operand without the names of variables: operands with equal patterns share a hidden predicate.
 #[derive(Clone, Debug, PartialEq, Eq, Hash)]
 struct Pattern {
     scope: Option<String>,
+    /// Whether the first column is the ego.
     ego: bool,
     predicate: String,
+    /// The arguments of the atom, with numbered variables.
     terms: Vec<String>,
+    /// The number of different variables, with the ego.
     columns: usize,
 }
 

@@ -98,9 +98,9 @@ impl<'a> ExplanationPrinter<'a> {
     ///
     /// The first node is the subject of the query; nodes refer to others by position.
     ///
-    /// A node is `{"holds", "height", "by": "input" | "past" | "text" | "clause" | "range", "tick", "clause", "binding",
-    /// "premises"}` or `{"absent", "because": "not-a-fact" | "no-clause" | "not-looked-into" | "range", "clauses": [{"clause",
-    /// "binding", "fails"}]}`.
+    /// A node is `{"holds", "height", "by": "input" | "past" | "text" | "clause" | "range", "tick", "clause",
+    /// "binding", "premises"}` or `{"absent", "because": "not-a-fact" | "no-clause" | "not-looked-into" | "range",
+    /// "clauses": [{"clause", "binding", "fails"}]}`. For `past`, `holds` also names the ticks.
     ///
     /// An entry of `premises` and `fails` has the `literal` under the binding and the `kind`: `fact`, `in-view`, `not`,
     /// `comparison`, `expression` or `aggregate`. For the first three kinds, `node` refers to the explanation of the

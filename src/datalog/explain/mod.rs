@@ -100,8 +100,8 @@ pub struct Fact {
 pub enum Origin {
     /// The caller inserted it.
     Input,
-    /// It follows from earlier ticks, for a predicate of [`Rules::pasts`](crate::Rules): the nearest tick of the window in
-    /// which the operand held, or the first one if it held in all.
+    /// It follows from earlier ticks, for a predicate of [`Rules::pasts`](crate::Rules). The number is the nearest tick
+    /// of the window in which the operand held, or the first tick if it held in all.
     Past(u64),
     /// The source contains it.
     Source(ClauseId),

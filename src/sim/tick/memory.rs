@@ -1,7 +1,7 @@
 //! The memory of a city: what temporal operators read of earlier ticks.
 //!
-//! A row of agents is a bit, and words of rows are processed together. For each row a [`Timer`] counts the ticks for
-//! which its hidden predicate still holds; its bits lie in planes, one for each digit of all counters:
+//! Each row of agents is one bit, so one operation on a word processes 64 rows. For each row a [`Timer`] counts the
+//! ticks for which its hidden predicate still holds. A plane contains one binary digit of the counters of all rows:
 //!
 //! ```text
 //! once[1,5] P(x)            P starts the timer of x at 5
@@ -10,8 +10,8 @@
 //! historically[1,5] P(x)    a tick without P starts it, and the predicate holds while it does not run
 //! ```
 //!
-//! Pairs of many agents, and windows that begin long ago, are kept as [`Spans`] of ticks instead. Sessions keep the same
-//! memory in a third form; tests compare all three.
+//! Pairs of many agents, and windows that begin long ago, are kept as [`Spans`] of ticks instead. Sessions of the
+//! engine keep the same memory in a third form; tests compare all three.
 
 use crate::datalog::{Past, PastOperator, PredicateId};
 use std::collections::{BTreeMap, VecDeque};
@@ -89,6 +89,7 @@ impl Watched {
         &self.predicates
     }
 
+    /// Removes all rows.
     pub fn clear(&mut self) {
         for rows in &mut self.rows {
             match rows {
@@ -190,7 +191,7 @@ type Spans = Vec<(u64, u64)>;
 /// A counter for each row of a predicate, as [`Rows::Bits`].
 #[derive(Clone, Debug)]
 struct Timer {
-    /// The number of ticks before the present one of the first tick of the window.
+    /// The tick nearest to the present in the window: the number of ticks before the present, at least 1.
     first: u32,
     /// The number of ticks for which an event counts; `None` for all later ones.
     length: Option<u32>,
@@ -215,7 +216,7 @@ struct Timer {
 
 impl Timer {
     fn new(past: &Past, arity: usize, agents: usize) -> Timer {
-        let row: Vec<u64> = (0..words(agents)).map(|word| ones(agents - word * 64)).collect();
+        let row: Vec<u64> = (0..words(agents)).map(|word| low_bits(agents - word * 64)).collect();
         let rows = match arity {
             2 => row.repeat(agents),
             1 => row,
@@ -618,8 +619,8 @@ fn extend(past: &Past, spans: &mut Spans, holds: bool, keeps: bool, ended: u64) 
     }
 }
 
-/// Returns a word with this number of bits, at most all.
-fn ones(count: usize) -> u64 {
+/// Returns a word whose lowest `count` bits are set; all bits from 64 on.
+fn low_bits(count: usize) -> u64 {
     match count {
         64.. => u64::MAX,
         count => (1 << count) - 1,

@@ -135,8 +135,9 @@ const MODELS_MAX: usize = 4;
 /// Compares two rule sets.
 ///
 /// # Errors
-/// If a rule set exceeds the limits of planning, or has temporal operators. If a base predicate has different columns on the two sides, or is
-/// input on one side and derived on the other. If a predicate to compare is not declared on both sides.
+/// If a rule set exceeds the limits of planning, or has temporal operators. If a base predicate has different columns
+/// on the two sides, or is input on one side and derived on the other. If a predicate to compare is not declared on
+/// both sides.
 pub fn diff(left: &Rules, right: &Rules, options: &Options) -> Result<Equivalence, Vec<Diagnostic>> {
     let looks_back = |rules: &Rules| {
         let past = rules.pasts.first()?;
