@@ -154,6 +154,9 @@ impl Session {
             }
         };
         check_words(predicate, words, self.symbols.len())?;
+        if !holds && !self.history.given.is_empty() {
+            self.history.given.remove(&(to, words.into()));
+        }
         self.store.change(to, words, holds);
         Ok(())
     }
