@@ -52,7 +52,7 @@ FAULTY = {
         "actions/prioritty",
         "agents/train/cars/0/concept",
         "predicates/define/IsFar/distance/over",
-        "predicates/define/IsNear/near",
+        "predicates/define/IsNear/close",
     },
 }
 FILES = [path for folder in PARTS for path in sorted((ROOT / "configs").rglob("*.yaml")) if path.parent.name == folder]
