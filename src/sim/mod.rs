@@ -22,7 +22,7 @@ pub use scene::{
 pub use tick::asked::{AskedFact, FactAccount};
 pub use tick::chance::Chance;
 pub use tick::executor::{DenseRules, Executor};
-pub use tick::ground::{Facts, MAX_ENTITIES, ground};
+pub use tick::ground::{Facts, MAX_ENTITIES, PastRows, ground};
 pub(crate) use tick::ground_state::GroundState;
 pub use tick::simulation::{AgentTick, Batch, Phase, Settings, Simulation, Snapshot, TickReport};
 pub(crate) use tick::simulation::{run_polled, start_threads, threads_of};

@@ -15,7 +15,7 @@ use crate::sim::scene::format::{GeometricScene, GivenPredicate, Scene, SymbolicS
 use crate::sim::tick::asked::AskedFact;
 use crate::sim::tick::chance::Draws;
 use crate::sim::tick::executor::{Choice, DenseRules, Executor, compile, given_up, of_rules};
-use crate::sim::tick::ground::{Facts, MAX_ENTITIES, ground_with};
+use crate::sim::tick::ground::{Facts, MAX_ENTITIES, PastRows, ground_with};
 use crate::sim::tick::ground_state::GroundState;
 use crate::sim::tick::memory::{Memory, Watched};
 use crate::sim::tick::vocabulary::{Actions, BasePredicate, Vocabulary};
@@ -376,12 +376,7 @@ impl Inference {
     }
 
     /// Returns what temporal operators read of earlier scenes in the present one.
-    fn past(
-        &self,
-        earlier: &[SceneFacts],
-        present: &SceneFacts,
-        cancel: &Cancel,
-    ) -> Result<Vec<Vec<([u32; 2], u64)>>, Diagnostic> {
+    fn past(&self, earlier: &[SceneFacts], present: &SceneFacts, cancel: &Cancel) -> Result<Vec<PastRows>, Diagnostic> {
         let rules = self.program.rules();
         if rules.pasts.is_empty() || earlier.is_empty() {
             return Ok(Vec::new());
@@ -409,7 +404,7 @@ impl Inference {
     }
 
     /// Returns the rows of a memory over the entities of a scene with these names.
-    fn renumbered(&self, memory: &Memory, known: &HashMap<&str, u32>, names: &[&str]) -> Vec<Vec<([u32; 2], u64)>> {
+    fn renumbered(&self, memory: &Memory, known: &HashMap<&str, u32>, names: &[&str]) -> Vec<PastRows> {
         let mut places = vec![None; known.len()];
         for (place, name) in (0_u32..).zip(names) {
             places[known[name] as usize] = Some(place);

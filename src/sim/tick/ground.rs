@@ -18,6 +18,9 @@ use crate::sim::tick::vocabulary::Vocabulary;
 /// memory quadratic in that number.
 pub const MAX_ENTITIES: usize = 2000;
 
+/// Rows of a hidden predicate about earlier ticks, sorted, with the ticks that explain them.
+pub type PastRows = Vec<([u32; 2], u64)>;
+
 /// The true rows of each predicate of a [`Vocabulary`], in its order.
 ///
 /// A row holds positions in the list of entities, and 0 in columns that a predicate does not have. Rows are sorted, and
@@ -31,7 +34,7 @@ pub struct Facts {
     pub values: Vec<Vec<Value>>,
     /// The rows of each hidden predicate about earlier ticks, in the order of [`Rules::pasts`](crate::datalog::Rules),
     /// with the ticks that explain them; empty before the first tick.
-    pub past: Vec<Vec<([u32; 2], u64)>>,
+    pub past: Vec<PastRows>,
 }
 
 impl Facts {

@@ -14,6 +14,7 @@
 //! engine keep the same memory in a third form; tests compare all three.
 
 use crate::datalog::{Past, PastOperator, PredicateId};
+use crate::sim::tick::ground::PastRows;
 use std::collections::{BTreeMap, VecDeque};
 
 /// The most agents whose pairs are kept as bits.
@@ -444,13 +445,13 @@ impl Memory {
 
     /// Returns the rows of each hidden predicate, sorted, with the ticks that explain them: a tick of the window in which
     /// the operand held, or the first one if it held in all.
-    pub fn rows(&self) -> Vec<Vec<([u32; 2], u64)>> {
+    pub fn rows(&self) -> Vec<PastRows> {
         let rows = |record: &Record| record.rows(self.agents, self.ticks);
         self.records.iter().map(rows).collect()
     }
 
     /// Returns the [rows](Memory::rows) over some of the agents.
-    pub fn rows_among(&self, agents: &[u32]) -> Vec<Vec<([u32; 2], u64)>> {
+    pub fn rows_among(&self, agents: &[u32]) -> Vec<PastRows> {
         let mut all = self.rows();
         for (rows, record) in all.iter_mut().zip(&self.records) {
             rows.retain(|(row, _)| row[..record.arity].iter().all(|agent| agents.contains(agent)));
@@ -488,7 +489,7 @@ impl Record {
         }
     }
 
-    fn rows(&self, agents: usize, now: u64) -> Vec<([u32; 2], u64)> {
+    fn rows(&self, agents: usize, now: u64) -> PastRows {
         match &self.kept {
             Kept::Timer(timer) => {
                 let stride = if self.arity == 2 { words(agents) * 64 } else { 0 };

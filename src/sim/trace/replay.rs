@@ -7,7 +7,7 @@ use crate::diag::{Diagnostic, json_error};
 use crate::predicate::{Entity, Progress};
 use crate::sim::codes;
 use crate::sim::tick::chance::Chance;
-use crate::sim::tick::ground::{Facts, ground};
+use crate::sim::tick::ground::{Facts, PastRows, ground};
 use crate::sim::tick::ground_state::GroundState;
 use crate::sim::tick::simulation::Snapshot;
 use crate::sim::tick::vocabulary::{Actions, BasePredicate};
@@ -297,7 +297,7 @@ impl Replay {
                 let faulty = || invalid(format!("{row:?} is not a row of `{}`", hidden.name));
                 self.given_past(row, hidden.arity()).ok_or_else(faulty)
             });
-            let mut read = read.collect::<Result<Vec<([u32; 2], u64)>, _>>()?;
+            let mut read = read.collect::<Result<PastRows, _>>()?;
             read.sort_unstable();
             read.dedup_by_key(|(row, _)| *row);
             facts.past.push(read);
