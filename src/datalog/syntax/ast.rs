@@ -281,13 +281,13 @@ pub struct Temporal {
 /// The operator of a [`Temporal`] literal.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, PartialOrd, Ord, Hash)]
 pub enum Operator {
-    /// `previous P(X)`: P held in the tick before. The window is [1,1].
+    /// `previous P(X)`: P held in the tick before. The window is from 1 to 1.
     Previous,
     /// `once[a,b] P(X)`: P held in some tick of the window.
     Once,
     /// `historically[a,b] P(X)`: P held in all ticks of the window.
     Historically,
-    /// `for[n] P(X)`: P held in the last n ticks. The window is [0,n-1].
+    /// `for[n] P(X)`: P held in the last n ticks. The window is from 0 to n - 1.
     For,
     /// `P(X) since[a,b] Q(X)`: Q held in some tick of the window, and P in all ticks after that one.
     Since,
