@@ -2,12 +2,12 @@
 //!
 //! ```text
 //! tick              0  1  2  3  4  5  6
-//! P(x)              .  x  x  .  .  .  .      one run, from 1 to 2
+//! P(x)              .  x  x  .  .  .  .      one span, from 1 to 2
 //! once[1,3] P(x)    .  .  x  x  x  x  .      from 1 + 1 to 2 + 3
 //! ```
 //!
-//! For each row the memory keeps runs: spans of ticks in which the row held. A run whose end no window can see any more
-//! is forgotten. A row changes in a hidden predicate some fixed number of ticks after a run begins or ends. The agenda
+//! For each row the memory keeps the [`Spans`] of ticks in which it held. A span that no later window can see is
+//! forgotten. A row changes in a hidden predicate some fixed number of ticks after a span begins or ends. The agenda
 //! keeps these ticks, so the work of a tick depends on what changes in it. The exception is `P since Q` for rows in
 //! which Q holds and P does not.
 
@@ -15,12 +15,10 @@ use std::collections::{BTreeMap, BTreeSet, HashMap, HashSet};
 
 use crate::check::{Past, PastOperator, PredicateId};
 use crate::eval::delta::Delta;
+use crate::spans::Spans;
 use crate::value::Value;
 
 type Row = Box<[Value]>;
-
-/// The end of a run that has not ended.
-const OPEN: u64 = u64::MAX;
 
 /// The memory of a session.
 #[derive(Clone, Debug, Default)]
@@ -42,19 +40,38 @@ struct Memory {
     past: Past,
     /// The rows that hold in the hidden predicate.
     holding: BTreeSet<Row>,
-    rows: HashMap<Row, Runs>,
-    /// The rows to look at in later ticks.
-    agenda: BTreeMap<u64, BTreeSet<Row>>,
+    rows: HashMap<Row, Spans>,
+    /// The number of all their spans.
+    spans: usize,
+    agenda: Agenda,
     /// For `since`: the rows of the first predicate that hold.
     held: HashSet<Row>,
-    /// For `since`: the rows with runs, by the row of the first predicate.
+    /// For `since`: the rows with spans, by the row of the first predicate.
     by_held: HashMap<Row, BTreeSet<Row>>,
-    /// For `since`: the rows with runs for which the first predicate does not hold.
+    /// For `since`: the rows with spans for which the first predicate does not hold.
     unheld: BTreeSet<Row>,
 }
 
-/// The runs of a row, in order: first and last tick. The last one may be open.
-type Runs = Vec<(u64, u64)>;
+/// The rows to look at in later ticks.
+#[derive(Clone, Debug, Default)]
+struct Agenda {
+    ticks: BTreeMap<u64, BTreeSet<Row>>,
+    /// The number of rows in all ticks.
+    len: usize,
+}
+
+impl Agenda {
+    fn add(&mut self, tick: u64, row: &Row) {
+        self.len += usize::from(self.ticks.entry(tick).or_default().insert(row.clone()));
+    }
+
+    /// Removes the rows of the first tick, if it is not after `now`.
+    fn pop(&mut self, now: u64) -> Option<BTreeSet<Row>> {
+        let due = self.ticks.first_entry().filter(|due| *due.key() <= now)?.remove();
+        self.len -= due.len();
+        Some(due)
+    }
+}
 
 impl History {
     pub fn new(pasts: &[Past]) -> History {
@@ -62,7 +79,8 @@ impl History {
             past: past.clone(),
             holding: BTreeSet::new(),
             rows: HashMap::new(),
-            agenda: BTreeMap::new(),
+            spans: 0,
+            agenda: Agenda::default(),
             held: HashSet::new(),
             by_held: HashMap::new(),
             unheld: BTreeSet::new(),
@@ -125,13 +143,16 @@ impl History {
     pub fn bytes(&self) -> u64 {
         /// The bytes of a row in a map or set, besides its values.
         const ENTRY: usize = 48;
-        /// The number of maps and sets that contain a row.
+        /// The number of maps and sets that contain a row, besides the agenda.
         const COPIES: usize = 6;
+        let entries = |count: usize, arity: usize| count * (ENTRY + arity * size_of::<Value>());
         let of_memory = |memory: &Memory| {
             let arity = memory.rows.keys().next().map_or(0, |row| row.len());
-            (memory.rows.len() + memory.held.len()) * COPIES * (ENTRY + arity * size_of::<Value>())
+            let rows = COPIES * (memory.rows.len() + memory.held.len()) + memory.agenda.len;
+            entries(rows, arity) + memory.spans * size_of::<(u64, u64)>()
         };
-        self.memories.iter().map(of_memory).sum::<usize>() as u64
+        let arity = self.given.keys().next().map_or(0, |(_, row)| row.len());
+        (self.memories.iter().map(of_memory).sum::<usize>() + entries(self.given.len(), arity)) as u64
     }
 
     /// Returns the nearest tick of the window in which the operand of a row held, or the first one if it held in all.
@@ -140,23 +161,21 @@ impl History {
         if let Some(tick) = self.given.get(&(predicate, row.into())) {
             return Some(*tick);
         }
-        let runs = memory.rows.get(row)?;
-        let nearest = self.tick.checked_sub(u64::from(memory.past.first))?;
-        match (&memory.past.operator, memory.past.last) {
-            (PastOperator::Always, Some(last)) => self.tick.checked_sub(u64::from(last)),
-            _ => runs.iter().rfind(|run| run.0 <= nearest).map(|run| run.1.min(nearest)),
-        }
+        memory.rows.get(row)?.witness(&memory.past, self.tick)
     }
 }
 
 impl Memory {
     /// Notes a change of the operand in tick `now`.
     fn note(&mut self, row: &Row, holds: bool, now: u64) {
-        let runs = self.rows.entry(row.clone()).or_default();
+        let spans = self.rows.entry(row.clone()).or_default();
         match holds {
-            true => runs.push((now, OPEN)),
+            true => {
+                spans.begin(now);
+                self.spans += 1;
+            }
             // It did not hold in this tick, so the tick before was the last one.
-            false => runs.last_mut().expect("it held").1 = now - 1,
+            false => spans.end(now - 1),
         }
         let (first, last) = (u64::from(self.past.first), self.past.last.map(u64::from));
         // `Always` waits for the whole window, and ends with its first tick.
@@ -164,10 +183,10 @@ impl Memory {
             (PastOperator::Always, true) | (PastOperator::Once | PastOperator::Since(..), false) => last,
             _ => Some(first),
         };
-        // A run that ended is forgotten after the whole window.
+        // A span that ended is forgotten after the whole window.
         let forgotten = last.filter(|_| !holds);
         for delay in delay.into_iter().chain(forgotten) {
-            self.agenda.entry(now + delay).or_default().insert(row.clone());
+            self.agenda.add(now + delay, row);
         }
         if let PastOperator::Since(_, columns) = &self.past.operator {
             let key: Row = columns.iter().map(|&column| row[column]).collect();
@@ -178,7 +197,7 @@ impl Memory {
         }
     }
 
-    /// Notes changes of the first predicate of `since` in tick `now`, and cuts the runs of rows for which it does not
+    /// Notes changes of the first predicate of `since` in tick `now`, and cuts the spans of rows for which it does not
     /// hold.
     fn note_held<'r>(&mut self, changes: impl Iterator<Item = (&'r Row, &'r bool)>, now: u64) {
         for (key, &holds) in changes {
@@ -194,43 +213,29 @@ impl Memory {
             }
         }
         for row in &self.unheld {
-            let runs = self.rows.get_mut(row).expect("it has runs");
-            let open = runs.last().is_some_and(|run| run.1 == OPEN);
-            runs.clear();
-            if open {
-                runs.push((now, OPEN));
-                let due = now + u64::from(self.past.first);
-                self.agenda.entry(due).or_default().insert(row.clone());
+            let spans = self.rows.get_mut(row).expect("it has spans");
+            let is_open = spans.is_open();
+            self.spans -= spans.len();
+            spans.clear();
+            if is_open {
+                spans.begin(now);
+                self.spans += 1;
+                self.agenda.add(now + u64::from(self.past.first), row);
             }
-            self.agenda.entry(now + 1).or_default().insert(row.clone());
+            self.agenda.add(now + 1, row);
         }
     }
 
     /// Stages the hidden rows that change in tick `now`.
     fn advance(&mut self, now: u64, staged: &mut Vec<(PredicateId, Row, bool)>) {
-        let first = u64::from(self.past.first);
-        let far = self.past.last.map(|last| now.checked_sub(u64::from(last)));
-        // The window: from `from` to `to`, as far as there are ticks.
-        let (from, to) = (far.flatten().unwrap_or(0), now.checked_sub(first));
-        let whole = far.is_some_and(|far| far.is_some());
-        while let Some(due) = self.agenda.first_entry().filter(|due| *due.key() <= now) {
-            for row in due.remove() {
-                let Some(runs) = self.rows.get_mut(&row) else { continue };
-                // What ended before the window is forgotten.
-                runs.retain(|run| run.1 >= from);
-                let begun = to.and_then(|to| runs.iter().rposition(|run| run.0 <= to));
-                let holds = match self.past.operator {
-                    PastOperator::Always => {
-                        let covers = |run: &(u64, u64)| run.0 <= from && to.is_some_and(|to| to <= run.1);
-                        whole && runs.iter().any(covers)
-                    }
-                    PastOperator::Once | PastOperator::Since(..) => {
-                        // If an earlier run is in the window, so is this one.
-                        runs.drain(..begun.unwrap_or(0));
-                        begun.is_some()
-                    }
-                };
-                if runs.is_empty() {
+        while let Some(due) = self.agenda.pop(now) {
+            for row in due {
+                let Some(spans) = self.rows.get_mut(&row) else { continue };
+                self.spans -= spans.len();
+                spans.forget(&self.past, now);
+                self.spans += spans.len();
+                let holds = spans.holds(&self.past, now);
+                if spans.is_empty() {
                     self.forget(&row);
                 }
                 let changed = match holds {
@@ -244,7 +249,7 @@ impl Memory {
         }
     }
 
-    /// Drops what is known about a row without runs.
+    /// Drops what is known about a row without spans.
     fn forget(&mut self, row: &Row) {
         self.rows.remove(row);
         self.unheld.remove(row);

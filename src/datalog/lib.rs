@@ -140,6 +140,7 @@ mod program;
 pub mod rewrite;
 mod row;
 mod session;
+mod spans;
 pub mod symbol;
 mod syntax;
 mod threads;
@@ -170,6 +171,7 @@ pub use workspace::{FactPattern, FactRow, Loaded, Workspace, is_complete, load, 
 #[doc(hidden)]
 pub mod internal {
     pub use crate::eval::limits::size;
+    pub use crate::spans::Spans;
 
     pub mod threads {
         pub use crate::threads::{Pool, start};

@@ -359,8 +359,12 @@ impl Session {
                 self.history.note(&delta);
                 Ok(delta)
             }
-            Err(error) => {
+            Err(mut error) => {
                 self.symbols.truncate(known);
+                if let EvalError::TooManyInputs { limit } | EvalError::TooMuchMemory { limit, .. } = &mut error {
+                    // The history takes part of it.
+                    *limit = self.limits.bytes;
+                }
                 Err(error)
             }
         }

@@ -1,16 +1,14 @@
 //! Predicates of places: their meaning on maps, and that both executors, scenes, traces and observations agree on them.
 
+use crate::agreement::{self, Counts, multiply, record, replay, simulation};
 use crate::config::load_memory;
 use crate::shipped_world::configured;
 use logicity::builtin::BuiltinFiles;
-use logicity::city::{AgentKind, Building, Cell, CityMap, Router, Routing, Split};
+use logicity::city::{AgentKind, Building, Cell, CityMap, Router, Routing};
 use logicity::config::Scenario;
 use logicity::diag::{Sources, render};
 use logicity::rng::{Purpose, RngExt, Seed};
-use logicity::sim::{
-    CityTheory, Executor, Inference, Observer, Oracle, Replay, Settings, Simulation, TraceHeader, TraceTick,
-    TraceWriter, World, examine,
-};
+use logicity::sim::{CityTheory, Executor, Observer, Oracle, World, examine};
 use std::collections::BTreeMap;
 use std::sync::Arc;
 
@@ -346,48 +344,25 @@ fn random_rules(random: &mut impl RngExt) -> String {
     clauses
 }
 
-fn simulation(world: &Arc<World>, executor: Executor, threads: usize) -> Simulation {
-    let settings = Settings {
-        executor,
-        count_firings: true,
-        threads,
-    };
-    Simulation::new(Arc::clone(world), Split::Test, Seed(3), settings).unwrap()
-}
-
 /// The dense executor evaluates places, in cities of every shape, as the relational one does.
 #[test]
 fn executors_agree_on_random_rules_with_places() {
-    let (mut actions, mut fired) = ([0; 4], 0);
+    let mut counts = Counts::default();
     for (case, &(times, ticks, threads)) in [(1, 80, 1), (1, 80, 1), (1, 80, 1), (5, 30, 1), (20, 6, 1), (20, 6, 2)]
         .iter()
         .enumerate()
     {
         let rules = random_rules(&mut Seed(case as u64).stream(Purpose::TEST, 0, 0));
         let (world, _) = with_places(&rules, |scenario| {
-            let mut splits = scenario.splits.iter_mut();
-            let (_, set) = splits.find(|(split, _)| *split == Split::Test).unwrap();
             if times > 1 {
-                (set.region, set.repeat) = (None, times);
+                multiply(scenario, times);
             }
         });
-        let mut dense = simulation(&world, Executor::Dense, threads);
-        let mut relational = simulation(&world, Executor::Relational, 1);
-        for tick in 0..ticks {
-            let expected = relational.tick(&[]).unwrap().clone();
-            let found = dense.tick(&[]).unwrap();
-            for (agent, (one, other)) in expected.agents.iter().zip(&found.agents).enumerate() {
-                assert_eq!(one, other, "agent {agent} in tick {tick} under\n{rules}");
-                actions[one.action as usize] += 1;
-            }
-            assert_eq!(dense.firings(), relational.firings(), "tick {tick} under\n{rules}");
-            fired += dense.firings().iter().filter(|count| **count > 0).count();
-        }
+        let mut cities = [(Executor::Relational, 1), (Executor::Dense, threads)]
+            .map(|(executor, threads)| simulation(&world, executor, threads));
+        counts.go_the_same_way(&mut cities, ticks);
     }
-    assert!(
-        actions.iter().all(|count| *count > 100) && fired > 500,
-        "{actions:?} {fired}"
-    );
+    counts.check();
 }
 
 /// A replay computes places from the cells of the trace, and an observation contains them.
@@ -395,43 +370,31 @@ fn executors_agree_on_random_rules_with_places() {
 fn replays_and_observations_have_the_places_of_the_run() {
     let (world, sources) = with_places("Slow(X) :- InSchool(X).", |_| ());
     let oracle = Arc::new(Oracle::new(Arc::clone(&world), 6).unwrap());
-    let mut city = simulation(&world, Executor::Auto, 1);
-    let mut trace = TraceWriter::new(Vec::new(), &city, &sources, &[]).unwrap();
-    let mut observer = Observer::new(Arc::clone(&oracle), 0);
-    observer.begin(&city);
-    let mut facts = Vec::new();
+    let mut observer = Observer::new(oracle, 0);
+    let mut observed = Vec::new();
+    let (trace, facts) = record(&world, &sources, 60, |city| {
+        if observed.is_empty() {
+            observer.begin(city);
+        }
+        observer.look(city);
+        observed.push((
+            observer.entities().collect::<Vec<_>>(),
+            observer.atoms().collect::<Vec<_>>(),
+        ));
+    });
     let mut held = 0;
-    for _ in 0..60 {
-        observer.look(&city);
-        let observed: Vec<(usize, Vec<usize>)> = observer.atoms().collect();
-        city.tick(&[]).unwrap();
-        trace.tick(&city).unwrap();
-        let known = city.facts(|_| true).unwrap();
-        for (predicate, rows) in known.rows.iter().enumerate() {
-            let entities: Vec<usize> = observer.entities().collect();
-            if world.vocabulary.predicates[predicate].arity == 1 {
-                for agent in entities {
-                    let holds = rows.contains(&[agent as u32, 0]);
-                    assert_eq!(observed.contains(&(predicate, vec![agent])), holds);
-                    held += usize::from(holds);
-                }
+    for ((entities, atoms), facts) in observed.iter().zip(&facts) {
+        let predicates = world.vocabulary.predicates.iter().zip(&facts.rows).enumerate();
+        for (predicate, (_, rows)) in predicates.filter(|(_, (predicate, _))| predicate.arity == 1) {
+            for &agent in entities {
+                let holds = rows.contains(&[agent as u32, 0]);
+                assert_eq!(atoms.contains(&(predicate, vec![agent])), holds);
+                held += usize::from(holds);
             }
         }
-        facts.push(known);
     }
     assert!(held > 100);
-    let text = String::from_utf8(trace.into_inner()).unwrap();
-    let mut lines = text.lines();
-    // The header names the rules of the configuration; only its list of agents matters here.
-    let mut header: serde_json::Value = serde_json::from_str(lines.next().unwrap()).unwrap();
-    header["version"] = 1.into();
-    header["rules"] = "rules.dl".into();
-    let header = TraceHeader::read(&header.to_string()).unwrap();
-    let mut replay = Replay::new(Arc::clone(&world), &header).unwrap();
-    for (line, facts) in lines.zip(&facts) {
-        replay.set(&TraceTick::read(line).unwrap()).unwrap();
-        assert_eq!(replay.facts(), facts);
-    }
+    replay(&world, &trace, &facts, |_, _| ());
 }
 
 /// Checks know on which cells agents can be.
@@ -455,10 +418,9 @@ fn checks_know_where_places_can_hold() {
     assert!(found.contains("`NearGas` never holds"), "{found}");
 }
 
-/// Returns the answer to a scene, or its faults as text.
+/// Returns the answer to a scene, which may name the map `town.yaml`, or its faults as text.
 fn answer(config: &str, rules: &str, executor: Executor, scene: &str) -> Result<serde_json::Value, String> {
     let (world, _) = configured(config, rules, |_| ());
-    let (scenario, program) = (world.scenario.clone(), world.program.clone());
     let read = |path: &std::path::Path| match path == std::path::Path::new("town.yaml") {
         true => Ok(
             "base: square-5x5\nzones: {school: [{rows: [100, 110], cols: [0, 240]}], center: [{block: [1, 1]}]}\n"
@@ -466,13 +428,7 @@ fn answer(config: &str, rules: &str, executor: Executor, scene: &str) -> Result<
         ),
         false => logicity::files::ReadFile::read(&BuiltinFiles, path),
     };
-    let mut inference = Inference::new(scenario, program, Seed(0), executor, read).unwrap();
-    let mut sources = Sources::new();
-    let source = sources.add("scene", scene.to_owned());
-    match inference.answer(&sources, source) {
-        Ok(answer) => Ok(answer.to_json(u64::MAX).unwrap()),
-        Err(faults) => Err(render(&faults, &sources, false)),
-    }
+    agreement::answer(&world, executor, read, scene)
 }
 
 #[test]

@@ -1,17 +1,14 @@
 //! Quantities: base predicates with values, in rules, runs, scenes, traces and observations.
 
+use crate::agreement::{self, Counts, multiply, observers_derive_as_sessions_do, record, replay, simulation};
 use crate::shipped_world::configured;
 use logicity::builtin::BuiltinFiles;
-use logicity::city::{Action, Split};
 use logicity::config::Scenario;
 use logicity::datalog::Value;
-use logicity::diag::{Sources, render};
+use logicity::diag::Sources;
 use logicity::predicate::Quantity;
 use logicity::rng::{Purpose, RngExt, Seed};
-use logicity::sim::{
-    Decider, Executor, Inference, Observer, Oracle, Replay, Settings, Simulation, TraceHeader, TraceTick, TraceWriter,
-    World,
-};
+use logicity::sim::{Decider, Executor, Oracle, TraceTick, World};
 use std::sync::Arc;
 
 /// The declarations of all quantities.
@@ -31,13 +28,6 @@ fn with_quantities(rules: &str, edit: impl FnOnce(&mut Scenario)) -> (Arc<World>
     });
     let config = format!("base: expert\npredicates:\n  define:\n{}", definitions.concat());
     configured(&config, &format!("{DECLARED}{rules}"), edit)
-}
-
-/// Repeats the agents of the test split on the whole map.
-fn multiply(scenario: &mut Scenario, times: u32) {
-    let mut splits = scenario.splits.iter_mut();
-    let (_, set) = splits.find(|(split, _)| *split == Split::Test).unwrap();
-    (set.region, set.repeat) = (None, times);
 }
 
 /// Random rules: clauses of actions with conditions on the quantities of one agent or two.
@@ -90,19 +80,10 @@ fn random_rules(random: &mut impl RngExt) -> String {
     clauses
 }
 
-fn simulation(world: &Arc<World>, executor: Executor, threads: usize) -> Simulation {
-    let settings = Settings {
-        executor,
-        count_firings: true,
-        threads,
-    };
-    Simulation::new(Arc::clone(world), Split::Test, Seed(3), settings).unwrap()
-}
-
 /// The dense executor evaluates conditions on quantities, in cities of every shape, as the relational one does.
 #[test]
 fn executors_agree_on_random_rules_with_quantities() {
-    let (mut actions, mut fired) = ([0; 4], 0);
+    let mut counts = Counts::default();
     for (case, &(times, threads)) in [(1, 1), (1, 1), (1, 1), (5, 1), (5, 1), (20, 1), (20, 2)]
         .iter()
         .enumerate()
@@ -113,23 +94,11 @@ fn executors_agree_on_random_rules_with_quantities() {
                 multiply(scenario, times);
             }
         });
-        let mut dense = simulation(&world, Executor::Dense, threads);
-        let mut relational = simulation(&world, Executor::Relational, 1);
-        for tick in 0..if times < 20 { 80 } else { 12 } {
-            let expected = relational.tick(&[]).unwrap().clone();
-            let found = dense.tick(&[]).unwrap();
-            for (agent, (one, other)) in expected.agents.iter().zip(&found.agents).enumerate() {
-                assert_eq!(one, other, "agent {agent} in tick {tick} under\n{rules}");
-                actions[one.action as usize] += 1;
-            }
-            assert_eq!(dense.firings(), relational.firings(), "tick {tick} under\n{rules}");
-            fired += dense.firings().iter().filter(|count| **count > 0).count();
-        }
+        let mut cities = [(Executor::Relational, 1), (Executor::Dense, threads)]
+            .map(|(executor, threads)| simulation(&world, executor, threads));
+        counts.go_the_same_way(&mut cities, if times < 20 { 80 } else { 12 });
     }
-    assert!(
-        actions.iter().all(|count| *count > 100) && fired > 500,
-        "{actions:?} {fired}"
-    );
+    counts.check();
 }
 
 /// Quantities are what a spectator of the run counts.
@@ -210,27 +179,9 @@ fn quantities_count_what_the_reports_of_the_ticks_show() {
 fn replays_of_traces_have_the_quantities_of_the_run() {
     let rules = random_rules(&mut Seed(1).stream(Purpose::TEST, 0, 0));
     let (world, sources) = with_quantities(&rules, |_| ());
-    let mut city = simulation(&world, Executor::Auto, 1);
-    let mut trace = TraceWriter::new(Vec::new(), &city, &sources, &[]).unwrap();
-    let mut facts = Vec::new();
-    for _ in 0..30 {
-        city.tick(&[]).unwrap();
-        trace.tick(&city).unwrap();
-        facts.push(city.facts(|_| true).unwrap());
-    }
-    let text = String::from_utf8(trace.into_inner()).unwrap();
-    let mut lines = text.lines();
-    // The header names the rules of the configuration; only its list of agents matters here.
-    let mut header: serde_json::Value = serde_json::from_str(lines.next().unwrap()).unwrap();
-    header["version"] = 1.into();
-    header["rules"] = "rules.dl".into();
-    let header = TraceHeader::read(&header.to_string()).unwrap();
-    let mut replay = Replay::new(Arc::clone(&world), &header).unwrap();
-    for (line, facts) in lines.zip(&facts) {
-        replay.set(&TraceTick::read(line).unwrap()).unwrap();
-        assert_eq!(replay.facts(), facts);
-    }
-    let line = text.lines().nth(1).unwrap();
+    let (trace, facts) = record(&world, &sources, 30, |_| ());
+    let mut replay = replay(&world, &trace, &facts, |_, _| ());
+    let line = trace.lines().nth(1).unwrap();
     for (from, to) in [("[\"Car_1\",", "[\"Car_99\","), ("\"Waited\":[[", "\"Waited\":[[1,")] {
         assert!(line.contains(from));
         let fault = replay
@@ -255,39 +206,13 @@ fn observers_decide_on_quantities_as_sessions_do() {
         let (world, _) = with_quantities(&(rules + apart), |_| ());
         let oracle = Arc::new(Oracle::new(Arc::clone(&world), 6).unwrap());
         assert!(Decider::new(Arc::clone(&oracle)).is_err());
-        let mut city = simulation(&world, Executor::Auto, 1);
-        let mut observers: Vec<Observer> = (0..city.agents().len())
-            .map(|ego| Observer::new(Arc::clone(&oracle), ego))
-            .collect();
-        observers.iter_mut().for_each(|observer| observer.begin(&city));
-        for _ in 0..12 {
-            for observer in &mut observers {
-                observer.look(&city);
-                let found = observer.derived(&city).unwrap();
-                let (session, ego) = observer.session(&city).unwrap();
-                let holds = |action: &Action| session.contains(world.vocabulary.action(*action).unwrap(), [ego]);
-                let expected = Action::ALL.into_iter().filter(holds).collect();
-                let expected = world.vocabulary.before_default(expected);
-                assert_eq!(found, expected);
-                derived += found.len();
-            }
-            city.tick(&[]).unwrap();
-        }
+        derived += observers_derive_as_sessions_do(&oracle, &world, 12);
     }
     assert!(derived > 300, "{derived}");
 }
 
-/// Returns the answer to a scene, or its faults as text.
 fn answer(rules: &str, executor: Executor, scene: &str) -> Result<serde_json::Value, String> {
-    let (world, _) = with_quantities(rules, |_| ());
-    let (scenario, program) = (world.scenario.clone(), world.program.clone());
-    let mut inference = Inference::new(scenario, program, Seed(0), executor, BuiltinFiles).unwrap();
-    let mut sources = Sources::new();
-    let source = sources.add("scene", scene.to_owned());
-    match inference.answer(&sources, source) {
-        Ok(answer) => Ok(answer.to_json(u64::MAX).unwrap()),
-        Err(faults) => Err(render(&faults, &sources, false)),
-    }
+    agreement::answer(&with_quantities(rules, |_| ()).0, executor, BuiltinFiles, scene)
 }
 
 #[test]

@@ -1,5 +1,6 @@
 //! Temporal operators in cities: both executors against each other and against the whole history.
 
+use crate::agreement::{Counts, answer, multiply, observers_derive_as_sessions_do, record, replay, simulation};
 use crate::shipped_world::configured;
 use logicity::builtin::BuiltinFiles;
 use logicity::cancel::Cancel;
@@ -7,12 +8,9 @@ use logicity::city::{Action, Split};
 use logicity::config::Scenario;
 use logicity::datalog::explain::ExplanationPrinter;
 use logicity::datalog::{BaseType, Value, diff, naive};
-use logicity::diag::{Sources, render};
+use logicity::diag::{Sources, codes};
 use logicity::rng::{Purpose, RngExt, Seed};
-use logicity::sim::{
-    Decider, Executor, Finding, Inference, Observer, Oracle, Replay, Settings, Simulation, TraceHeader, TraceTick,
-    TraceWriter, World, conflicts,
-};
+use logicity::sim::{Decider, Executor, Finding, Oracle, Settings, Simulation, TraceTick, World, conflicts};
 use std::sync::Arc;
 
 const DECLARED: &str = ".include \"vocabulary.dl\"
@@ -24,13 +22,6 @@ Halted(X) :- previous Stop(X).
 
 fn world(rules: &str, edit: impl FnOnce(&mut Scenario)) -> (Arc<World>, Sources) {
     configured("base: expert\n", &format!("{DECLARED}{rules}"), edit)
-}
-
-/// Repeats the agents of the test split on the whole map.
-fn multiply(scenario: &mut Scenario, times: u32) {
-    let mut splits = scenario.splits.iter_mut();
-    let (_, set) = splits.find(|(split, _)| *split == Split::Test).unwrap();
-    (set.region, set.repeat) = (None, times);
 }
 
 /// Random rules: clauses of actions with temporal operators about one agent or two.
@@ -72,19 +63,10 @@ fn random_rules(random: &mut impl RngExt) -> String {
     clauses
 }
 
-fn simulation(world: &Arc<World>, executor: Executor, threads: usize) -> Simulation {
-    let settings = Settings {
-        executor,
-        count_firings: true,
-        threads,
-    };
-    Simulation::new(Arc::clone(world), Split::Test, Seed(3), settings).unwrap()
-}
-
 /// The dense executor remembers, in cities of every shape, what the relational one does.
 #[test]
 fn executors_agree_on_random_rules_about_earlier_ticks() {
-    let (mut actions, mut fired) = ([0; 4], 0);
+    let mut counts = Counts::default();
     for (case, &(times, threads)) in [(1, 1), (1, 1), (1, 1), (1, 1), (5, 1), (5, 1), (20, 1), (20, 2)]
         .iter()
         .enumerate()
@@ -95,29 +77,17 @@ fn executors_agree_on_random_rules_about_earlier_ticks() {
                 multiply(scenario, times);
             }
         });
-        let mut dense = simulation(&world, Executor::Dense, threads);
-        let mut relational = simulation(&world, Executor::Relational, 1);
+        let mut cities = [(Executor::Relational, 1), (Executor::Dense, threads)]
+            .map(|(executor, threads)| simulation(&world, executor, threads));
         for run in 0..2 {
-            for tick in 0..if times < 20 { 110 } else { 12 } {
-                let expected = relational.tick(&[]).unwrap().clone();
-                let found = dense.tick(&[]).unwrap();
-                for (agent, (one, other)) in expected.agents.iter().zip(&found.agents).enumerate() {
-                    assert_eq!(one, other, "agent {agent} in tick {tick} under\n{rules}");
-                    actions[one.action as usize] += 1;
-                }
-                assert_eq!(dense.firings(), relational.firings(), "tick {tick} under\n{rules}");
-                fired += dense.firings().iter().filter(|count| **count > 0).count();
-            }
+            counts.go_the_same_way(&mut cities, if times < 20 { 110 } else { 12 });
             // A new run remembers nothing.
-            for city in [&mut dense, &mut relational] {
+            for city in &mut cities {
                 city.restart_drawn(Seed(10 + run), |_| ()).unwrap();
             }
         }
     }
-    assert!(
-        actions.iter().all(|count| *count > 100) && fired > 500,
-        "{actions:?} {fired}"
-    );
+    counts.check();
 }
 
 /// In every tick, the city derives what the specification derives from the facts of all ticks so far.
@@ -175,28 +145,12 @@ Stop(X) :- IsAtInter(X), IsInInter(Y).
 Slow(X) :- Not(Stop(X)), historically[1,3] IsCar(X), IsCar(X) since[1,9] IsAtInter(X).
 ";
     let (world, sources) = world(rules, |_| ());
-    let mut city = simulation(&world, Executor::Auto, 1);
-    let mut trace = TraceWriter::new(Vec::new(), &city, &sources, &[]).unwrap();
-    let mut facts = Vec::new();
-    for _ in 0..30 {
-        city.tick(&[]).unwrap();
-        trace.tick(&city).unwrap();
-        facts.push(city.facts(|_| true).unwrap());
-    }
-    let text = String::from_utf8(trace.into_inner()).unwrap();
-    let mut lines = text.lines();
-    // The header names the rules of the configuration; only its list of agents matters here.
-    let mut header: serde_json::Value = serde_json::from_str(lines.next().unwrap()).unwrap();
-    header["version"] = 1.into();
-    header["rules"] = "rules.dl".into();
-    let header = TraceHeader::read(&header.to_string()).unwrap();
-    let mut replay = Replay::new(Arc::clone(&world), &header).unwrap();
+    let (trace, facts) = record(&world, &sources, 30, |_| ());
     let rules = world.program.rules();
     let mut found = String::new();
-    for ((line, facts), tick) in lines.zip(&facts).zip(0_u64..) {
-        replay.set(&TraceTick::read(line).unwrap()).unwrap();
-        assert_eq!(replay.facts(), facts);
-        for (past, rows) in rules.pasts.iter().zip(&facts.past) {
+    let mut replay = replay(&world, &trace, &facts, |replay, tick| {
+        for (past, rows) in rules.pasts.iter().zip(&facts[tick].past) {
+            let tick = tick as u64;
             for (_, then) in rows {
                 let ago = tick - then;
                 let window = u64::from(past.first)..=past.last.map_or(tick, u64::from);
@@ -213,7 +167,7 @@ Slow(X) :- Not(Stop(X)), historically[1,3] IsCar(X), IsCar(X) since[1,9] IsAtInt
                 found += &printer.tree(&proof);
             }
         }
-    }
+    });
     for words in [
         "once[1,2] Stop(\"Car_",
         ")  in tick 25",
@@ -224,7 +178,7 @@ Slow(X) :- Not(Stop(X)), historically[1,3] IsCar(X), IsCar(X) since[1,9] IsAtInt
     ] {
         assert!(found.contains(words), "{words} in\n{found}");
     }
-    let line = text.lines().nth(4).unwrap();
+    let line = trace.lines().nth(4).unwrap();
     let missing = line.replace("once[1,2] Stop", "once[1,3] Stop");
     let fault = replay.set(&TraceTick::read(&missing).unwrap()).unwrap_err();
     assert!(
@@ -253,26 +207,37 @@ fn observers_remember_what_the_city_does() {
             refused.message,
             "observations have no earlier ticks, but the rules have temporal operators"
         );
-        let mut city = simulation(&world, Executor::Auto, 1);
-        let mut observers: Vec<Observer> = (0..city.agents().len())
-            .map(|ego| Observer::new(Arc::clone(&oracle), ego))
-            .collect();
-        observers.iter_mut().for_each(|observer| observer.begin(&city));
-        for _ in 0..14 {
-            for observer in &mut observers {
-                observer.look(&city);
-                let found = observer.derived(&city).unwrap();
-                let (session, ego) = observer.session(&city).unwrap();
-                let holds = |action: &Action| session.contains(world.vocabulary.action(*action).unwrap(), [ego]);
-                let expected = Action::ALL.into_iter().filter(holds).collect();
-                let expected = world.vocabulary.before_default(expected);
-                assert_eq!(found, expected);
-                derived += found.len();
-            }
-            city.tick(&[]).unwrap();
-        }
+        derived += observers_derive_as_sessions_do(&oracle, &world, 14);
     }
     assert!(derived > 300, "{derived}");
+}
+
+/// The memory of a city has the limit of the world: from the beginning, and for what it remembers later.
+#[test]
+fn memories_of_cities_have_a_limit() {
+    let city = |rules: &str, limit: u64| {
+        let (world, _) = world(rules, |scenario| multiply(scenario, 40));
+        let mut world = Arc::into_inner(world).unwrap();
+        world.limits.bytes = limit;
+        Simulation::new(Arc::new(world), Split::Test, Seed(3), Settings::default())
+    };
+    let fault = city("Stop(X) :- once[64,64] IsInInter(X).\n", 1024).err().unwrap();
+    assert_eq!(
+        (fault.code, fault.message.as_str()),
+        (
+            codes::LIMIT_EXCEEDED,
+            "what the rules read of earlier ticks takes more than 1 KiB"
+        )
+    );
+    let rules = "Stop(X) :- once[900000,1000000] NextTo(X, Y).\n";
+    let mut city = city(rules, 1 << 20).unwrap();
+    let fault = (0..2000).find_map(|_| city.tick(&[]).err()).expect("the memory grows");
+    assert_eq!(
+        fault.message,
+        "what the rules read of earlier ticks takes more than 1 MiB"
+    );
+    let tick = city.now();
+    assert!(tick > 1 && city.tick(&[]).is_err() && city.now() == tick, "{tick}");
 }
 
 /// A list of scenes is a list of ticks. Entities of the same name are the same one; what an agent saw stays known after
@@ -284,15 +249,9 @@ Slow(X) :- IsCar(Y) since[0,5] IsTiro(Y), Not(previous Stop(X)).
 Fast(X) :- for[3] IsCar(X).
 ";
     let (world, _) = world(RULES, |_| ());
-    let answer = |executor: Executor, text: &str| {
-        let (scenario, program) = (world.scenario.clone(), world.program.clone());
-        let mut inference = Inference::new(scenario, program, Seed(0), executor, BuiltinFiles).unwrap();
-        let mut sources = Sources::new();
-        let source = sources.add("scene", text.to_owned());
-        match inference.answer(&sources, source) {
-            Ok(answer) => Ok(answer.to_json(u64::MAX).unwrap()["egos"]["a"]["derived"].clone()),
-            Err(faults) => Err(render(&faults, &sources, false)),
-        }
+    let answer = |executor: Executor, scenes: &str| {
+        let answer = answer(&world, executor, BuiltinFiles, scenes)?;
+        Ok::<_, String>(answer["egos"]["a"]["derived"].clone())
     };
     let bus = r#"{"entities": ["a", "b"], "ego": "a", "facts": {"IsCar": ["a", "b"], "IsBus": ["b"]}}"#;
     let tiro = r#"{"entities": ["c", "a"], "ego": "a", "facts": {"IsCar": ["c", "a"], "IsTiro": ["c"]}}"#;

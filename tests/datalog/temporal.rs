@@ -1,7 +1,8 @@
 //! Temporal operators: sessions against the specification, and the specification against the words of the reference.
 
 use crate::cases::cases;
-use logicity_datalog::{Program, Session, Strategy, Value, naive};
+use logicity_datalog::diag::Limit;
+use logicity_datalog::{Limits, Program, Session, Strategy, Value, naive};
 use proptest::collection::vec;
 use proptest::prelude::*;
 // The engine has strategies, too.
@@ -210,4 +211,32 @@ proptest! {
             }
         }
     }
+}
+
+/// What a session remembers counts towards its limit of memory, although no predicate has more rows.
+#[test]
+fn memories_of_sessions_have_a_limit() {
+    let source = ".decl p, q(x: number) .input p
+                  q(x) :- once[900000,1000000] p(x).";
+    let program = Program::parse(source).unwrap();
+    let mut session = program.session();
+    let limits = Limits {
+        bytes: 1 << 20,
+        ..session.limits()
+    };
+    session.set_limits(limits);
+    let mut advance = |tick: u32| {
+        for x in 0..10_i32 {
+            match tick % 2 {
+                0 => session.insert("p", (x,)).unwrap(),
+                _ => session.retract("p", (x,)).unwrap(),
+            }
+        }
+        session.advance().map(|_| ())
+    };
+    let (tick, error) = (0..10_000)
+        .find_map(|tick| Some((tick, advance(tick).err()?)))
+        .expect("the memory grows");
+    assert!(tick > 100, "{tick}");
+    assert_eq!(error.limit(), Some(Limit::Memory(1 << 20)), "{error}");
 }

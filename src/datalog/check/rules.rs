@@ -166,10 +166,15 @@ impl Predicate {
 
     /// Returns what messages call it: its name, or what it stands for if its name is only a number.
     pub fn title(&self) -> &str {
-        match self.hidden && self.name.starts_with('+') {
+        match self.is_numbered() {
             true => &self.doc,
             false => &self.name,
         }
+    }
+
+    /// Returns whether it is hidden, and its name only a number.
+    pub(crate) fn is_numbered(&self) -> bool {
+        self.hidden && self.name.starts_with('+')
     }
 
     /// Returns the number of columns.

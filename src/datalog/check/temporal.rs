@@ -698,7 +698,7 @@ fn in_view_of(ego: Option<&Term>, atoms: &[&Atom]) -> String {
 
 /// Returns an atom of a hidden predicate of this module as the author wrote the literal; `None` for other predicates.
 pub(crate) fn shown(predicate: &Predicate, arguments: &[String]) -> Option<String> {
-    if !predicate.hidden || predicate.name.starts_with('+') {
+    if !predicate.hidden || predicate.is_numbered() {
         return None;
     }
     let parts = predicate.doc.split(COLUMN).enumerate();

@@ -557,7 +557,7 @@ impl<'a> ExplanationPrinter<'a> {
 
 /// Returns whether the definition of a hidden predicate stands for it.
 fn is_unfolded(predicate: &Predicate) -> bool {
-    predicate.hidden && predicate.derived && predicate.name.starts_with('+')
+    predicate.derived && predicate.is_numbered()
 }
 
 /// Returns the base type of the argument at a position, given that of the first argument.

@@ -183,7 +183,7 @@ pub struct Terms<'a> {
     pub concepts: Vec<(AgentKind, &'a str)>,
 }
 
-/// Parses a scene, or a list of scenes in successive ticks, of which there is at least one.
+/// Parses a scene, or a list of scenes, which are successive ticks. The result is not empty.
 ///
 /// # Errors
 /// All errors of the scenes: `invalid-scene` at their positions, `limit-exceeded` for more than [`MAX_ENTITIES`] agents

@@ -392,13 +392,14 @@ impl Inference {
         }
         let arity = |predicate: PredicateId| rules.predicates[predicate.index()].arity();
         let mut watched = Watched::of(&rules.pasts, known.len(), arity);
-        let mut memory = Memory::new(&rules.pasts, &watched);
+        let mut memory = Memory::new(&rules.pasts, &watched, self.limits.bytes)?;
         for (scene, names) in earlier.iter().zip(&scenes) {
             let mut scene = scene.clone();
             scene.facts.past = self.renumbered(&memory, &known, names);
             let state = self.evaluated(&scene, cancel)?;
             state.watch_as(&mut watched, |entity| known[names[entity]] as usize);
             memory.advance(&watched);
+            memory.check(self.limits.bytes)?;
         }
         Ok(self.renumbered(&memory, &known, &scenes[earlier.len()]))
     }

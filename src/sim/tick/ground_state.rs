@@ -144,18 +144,17 @@ impl GroundState {
             }
         }
         for (index, predicate) in self.pasts.iter().enumerate() {
-            let rows = |of: &Facts| of.past.get(index).cloned().unwrap_or_default();
-            let (old, new) = (rows(&self.facts), rows(facts));
+            let [old, new] = [&self.facts, facts].map(|of| of.past.get(index).map_or(&[][..], Vec::as_slice));
             for (row, _) in old {
-                if new.binary_search_by_key(&row, |(row, _)| *row).is_err() {
-                    let words = self.words(*predicate, row, None);
+                if new.binary_search_by_key(row, |(row, _)| *row).is_err() {
+                    let words = self.words(*predicate, *row, None);
                     (self.session.retract(predicate.id, &words[..predicate.arity])).expect("bound predicates fit");
                 }
             }
             // Also those that hold already, since their ticks change.
             for (row, tick) in new {
-                let words = self.words(*predicate, row, None);
-                let inserted = self.session.insert_past(predicate.id, &words[..predicate.arity], tick);
+                let words = self.words(*predicate, *row, None);
+                let inserted = self.session.insert_past(predicate.id, &words[..predicate.arity], *tick);
                 inserted.expect("bound predicates fit");
             }
         }

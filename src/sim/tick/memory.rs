@@ -13,8 +13,11 @@
 //! Pairs of many agents, and windows that begin long ago, are kept as [`Spans`] of ticks instead. Sessions of the
 //! engine keep the same memory in a third form; tests compare all three.
 
+use crate::datalog::internal::{Spans, size};
 use crate::datalog::{Past, PastOperator, PredicateId};
+use crate::diag::{self, Diagnostic, Limit};
 use crate::sim::tick::ground::PastRows;
+use std::borrow::Cow;
 use std::collections::{BTreeMap, VecDeque};
 
 /// The most agents whose pairs are kept as bits.
@@ -34,7 +37,7 @@ pub(crate) enum Rows {
 }
 
 impl Rows {
-    /// Returns the rows of a predicate with this number of columns, in a city of this number of agents, without rows.
+    /// Returns no rows, of a predicate with this number of columns in a city of this number of agents.
     fn new(arity: usize, agents: usize) -> Rows {
         match arity {
             2 if agents > PAIRS_MAX => Rows::List(Vec::new()),
@@ -183,11 +186,12 @@ struct Record {
 #[derive(Clone, Debug)]
 enum Kept {
     Timer(Timer),
-    Spans(BTreeMap<[u32; 2], Spans>),
+    Spans {
+        rows: BTreeMap<[u32; 2], Spans>,
+        /// The number of all spans.
+        count: usize,
+    },
 }
-
-/// The spans of ticks in which a row held, in order: the first and the last tick of each.
-type Spans = Vec<(u64, u64)>;
 
 /// A counter for each row of a predicate, as [`Rows::Bits`].
 #[derive(Clone, Debug)]
@@ -216,6 +220,12 @@ struct Timer {
 }
 
 impl Timer {
+    fn bytes(&self) -> usize {
+        // Running, rows, holding and two buffers.
+        let planes = self.planes.len() + self.delayed.len() + 5;
+        (planes * self.rows.len() + self.begun.len()) * size_of::<u64>()
+    }
+
     fn new(past: &Past, arity: usize, agents: usize) -> Timer {
         let row: Vec<u64> = (0..words(agents)).map(|word| low_bits(agents - word * 64)).collect();
         let rows = match arity {
@@ -341,8 +351,11 @@ impl Timer {
 }
 
 impl Memory {
-    /// Creates the memory of a city before its first tick. `watched` is of the same city.
-    pub fn new(pasts: &[Past], watched: &Watched) -> Memory {
+    /// Returns the memory of a city before its first tick; `watched` are the rows of the same city.
+    ///
+    /// # Errors
+    /// `limit-exceeded` if it takes more than `limit` bytes.
+    pub fn new(pasts: &[Past], watched: &Watched, limit: u64) -> Result<Memory, Diagnostic> {
         let agents = watched.agents;
         let record = |past: &Past| {
             let operand = watched.position(past.operand);
@@ -358,15 +371,23 @@ impl Memory {
                 arity,
                 kept: match are_bits {
                     true => Kept::Timer(Timer::new(past, arity, agents)),
-                    false => Kept::Spans(BTreeMap::new()),
+                    false => Kept::Spans {
+                        rows: BTreeMap::new(),
+                        count: 0,
+                    },
                 },
             }
         };
-        Memory {
+        let mut memory = Memory {
             agents,
             ticks: 0,
-            records: pasts.iter().map(record).collect(),
+            records: Vec::new(),
+        };
+        for past in pasts {
+            memory.records.push(record(past));
+            memory.check(limit)?;
         }
+        Ok(memory)
     }
 
     /// Returns whether there is nothing to remember.
@@ -385,9 +406,25 @@ impl Memory {
         for record in &mut self.records {
             match &mut record.kept {
                 Kept::Timer(timer) => timer.clear(),
-                Kept::Spans(rows) => rows.clear(),
+                Kept::Spans { rows, count } => {
+                    rows.clear();
+                    *count = 0;
+                }
             }
         }
+    }
+
+    /// Checks that the memory takes at most `limit` bytes.
+    ///
+    /// # Errors
+    /// `limit-exceeded`.
+    pub fn check(&self, limit: u64) -> Result<(), Diagnostic> {
+        if self.records.iter().map(Record::bytes).sum::<usize>() as u64 <= limit {
+            return Ok(());
+        }
+        let message = format!("what the rules read of earlier ticks takes more than {}", size(limit));
+        let fault = Diagnostic::new(diag::codes::LIMIT_EXCEEDED, message).exceeds(Limit::Memory(limit));
+        Err(fault.help("write shorter windows, or use fewer agents"))
     }
 
     /// Ends a tick in which these rows held; they are [sorted](Watched::sort).
@@ -404,7 +441,7 @@ impl Memory {
     pub fn holding(&self, past: usize) -> Option<&[u64]> {
         match &self.records[past].kept {
             Kept::Timer(timer) => Some(&timer.holding),
-            Kept::Spans(_) => None,
+            Kept::Spans { .. } => None,
         }
     }
 
@@ -436,9 +473,9 @@ impl Memory {
     fn holds_spans(&self, past: usize, row: [u32; 2]) -> bool {
         let record = &self.records[past];
         match &record.kept {
-            Kept::Spans(rows) => rows
+            Kept::Spans { rows, .. } => rows
                 .get(&row)
-                .is_some_and(|spans| holds(&record.past, spans, self.ticks)),
+                .is_some_and(|spans| spans.holds(&record.past, self.ticks)),
             Kept::Timer(_) => false,
         }
     }
@@ -461,6 +498,15 @@ impl Memory {
 }
 
 impl Record {
+    fn bytes(&self) -> usize {
+        /// The bytes of a row in a map, besides its spans.
+        const ROW: usize = 48;
+        match &self.kept {
+            Kept::Timer(timer) => timer.bytes(),
+            Kept::Spans { rows, count } => rows.len() * ROW + count * size_of::<(u64, u64)>(),
+        }
+    }
+
     fn advance(&mut self, watched: &Watched, ended: u64) {
         let keep = match (&self.past.operator, self.held) {
             (PastOperator::Since(_, columns), Some(held)) => Some((held, columns.as_slice())),
@@ -471,7 +517,7 @@ impl Record {
                 let keep = keep.map(|(held, columns)| kept_rows(watched, held, columns, self.arity));
                 timer.advance(operand, keep.as_deref(), ended);
             }
-            (Kept::Spans(rows), operand) => {
+            (Kept::Spans { rows, count }, operand) => {
                 let holds = |row: [u32; 2]| watched.holds(self.operand, row);
                 let keeps = |row: [u32; 2]| keep.is_none_or(|(held, columns)| watched.holds(held, key(row, columns)));
                 match operand {
@@ -480,8 +526,16 @@ impl Record {
                         set_rows(bits, watched.agents, self.arity).for_each(|row| _ = rows.entry(row).or_default());
                     }
                 }
+                *count = 0;
                 rows.retain(|row, spans| {
-                    extend(&self.past, spans, holds(*row), keeps(*row), ended);
+                    if !keeps(*row) {
+                        spans.clear();
+                    }
+                    if holds(*row) {
+                        spans.add(ended);
+                    }
+                    spans.forget(&self.past, ended + 1);
+                    *count += spans.len();
                     !spans.is_empty()
                 });
             }
@@ -500,11 +554,10 @@ impl Record {
                 let rows = set_rows(&timer.holding, agents, self.arity);
                 rows.map(|row| (row, timer.witness(bit(row), now))).collect()
             }
-            Kept::Spans(rows) => {
-                let holding = rows.iter().filter(|(_, spans)| holds(&self.past, spans, now));
-                holding
-                    .map(|(row, spans)| (*row, witness(&self.past, spans, now)))
-                    .collect()
+            Kept::Spans { rows, .. } => {
+                let holding = rows.iter().filter(|(_, spans)| spans.holds(&self.past, now));
+                let witness = |spans: &Spans| spans.witness(&self.past, now).expect("it holds");
+                holding.map(|(row, spans)| (*row, witness(spans))).collect()
             }
         }
     }
@@ -535,14 +588,14 @@ fn key(row: [u32; 2], columns: &[usize]) -> [u32; 2] {
 }
 
 /// Returns, as bits, the rows over `arity` agents for which the predicate before `since` holds.
-fn kept_rows(watched: &Watched, held: usize, columns: &[usize], arity: usize) -> Vec<u64> {
+fn kept_rows<'a>(watched: &'a Watched, held: usize, columns: &[usize], arity: usize) -> Cow<'a, [u64]> {
     let (agents, words) = (watched.agents, words(watched.agents));
     let Rows::Bits(bits) = &watched.rows[held] else {
         unreachable!("the predicate has no more columns than the operand");
     };
     match (arity, columns) {
-        (2, [0, 1]) | (0 | 1, [0]) => bits.clone(),
-        (2, [1]) => bits.repeat(agents),
+        (2, [0, 1]) | (1, [0]) | (0, []) => bits.into(),
+        (2, [1]) => bits.repeat(agents).into(),
         (2, [0]) => {
             let row = |x: usize| if bits[x / 64] >> (x % 64) & 1 != 0 { u64::MAX } else { 0 };
             (0..agents).flat_map(|x| std::iter::repeat_n(row(x), words)).collect()
@@ -561,62 +614,10 @@ fn kept_rows(watched: &Watched, held: usize, columns: &[usize], arity: usize) ->
                     };
                     kept[word] |= u64::from(holds) << bit;
                 }
-                return std::mem::take(kept);
+                return std::mem::take(kept).into();
             }
             unreachable!("a timer is made for rows as bits")
         }
-    }
-}
-
-/// Returns whether the hidden predicate holds for a row with these spans.
-fn holds(past: &Past, spans: &Spans, now: u64) -> bool {
-    let Some(to) = now.checked_sub(u64::from(past.first)) else {
-        return false;
-    };
-    let from = past.last.map(|last| now.checked_sub(u64::from(last)));
-    match past.operator {
-        PastOperator::Always => {
-            let covers = |from: u64| spans.iter().any(|span| span.0 <= from && to <= span.1);
-            from.flatten().is_some_and(covers)
-        }
-        PastOperator::Once | PastOperator::Since(..) => {
-            let from = from.flatten().unwrap_or(0);
-            spans.iter().any(|span| span.0 <= to && from <= span.1)
-        }
-    }
-}
-
-/// Returns the tick that explains a row that holds.
-fn witness(past: &Past, spans: &Spans, now: u64) -> u64 {
-    let nearest = now - u64::from(past.first);
-    match (&past.operator, past.last) {
-        (PastOperator::Always, Some(last)) => now - u64::from(last),
-        _ => {
-            let span = spans.iter().rfind(|span| span.0 <= nearest);
-            span.map_or(nearest, |span| span.1.min(nearest))
-        }
-    }
-}
-
-/// Adds the tick that ended, in which a row held or not, to its spans, and forgets what no later window contains.
-/// `keeps`: whether earlier ticks count.
-fn extend(past: &Past, spans: &mut Spans, holds: bool, keeps: bool, ended: u64) {
-    if !keeps {
-        spans.clear();
-    }
-    match spans.last_mut() {
-        Some(last) if holds && last.1 + 1 == ended => last.1 = ended,
-        _ if holds => spans.push((ended, ended)),
-        _ => {}
-    }
-    let now = ended + 1;
-    let from = past.last.map_or(0, |last| now.saturating_sub(u64::from(last)));
-    spans.retain(|span| span.1 >= from);
-    if past.operator != PastOperator::Always {
-        // If an earlier span is in the window, so is the last one that began before its end.
-        let to = now.checked_sub(u64::from(past.first));
-        let begun = to.and_then(|to| spans.iter().rposition(|span| span.0 <= to));
-        spans.drain(..begun.unwrap_or(0));
     }
 }
 
@@ -682,7 +683,7 @@ mod tests {
             };
             let arity_of = |predicate| if predicate == operand { arity } else { columns.len() };
             let mut watched = Watched::of(std::slice::from_ref(&past), agents, arity_of);
-            let mut memory = Memory::new(std::slice::from_ref(&past), &watched);
+            let mut memory = Memory::new(std::slice::from_ref(&past), &watched, u64::MAX).unwrap();
             let row = |random: &mut dyn FnMut() -> u32, arity: usize| -> [u32; 2] {
                 let mut row = [0; 2];
                 row[..arity]

@@ -163,7 +163,8 @@ impl Simulation {
     /// # Errors
     /// `unknown-split`, `no-start-cell`, `no-route`; `dense-unsupported` if `settings` demand the dense executor and it
     /// cannot evaluate the rules; `limit-exceeded` for more than [`MAX_ENTITIES`] agents with the relational executor,
-    /// whose binary facts take memory quadratic in that number.
+    /// whose binary facts take memory quadratic in that number, or if temporal operators need more memory than
+    /// [`World::limits`].
     pub fn new(world: Arc<World>, split: Split, seed: Seed, settings: Settings) -> Result<Simulation, Diagnostic> {
         Simulation::new_with(world, split, seed, settings, &Cancel::never())
     }
@@ -253,6 +254,9 @@ impl Simulation {
             });
         }
         let pool = start_threads(threads)?;
+        let watched = world.watched(agents.len());
+        let memory = Memory::new(&world.program.rules().pasts, &watched, world.limits.bytes)
+            .map_err(|fault| of_rules(fault, scenario.rules.span))?;
         let report = TickReport {
             tick: 0,
             agents: agents.iter().map(AgentTick::resting).collect(),
@@ -263,8 +267,8 @@ impl Simulation {
             seed,
             tick: 0,
             next_memory: OnceLock::new(),
-            memory: Memory::new(&world.program.rules().pasts, &world.watched(agents.len())),
-            decisions: Decisions::new(agents.len(), to_count.len(), world.watched(agents.len())),
+            memory,
+            decisions: Decisions::new(agents.len(), to_count.len(), watched),
             given: vec![None; agents.len()],
             positions: match &dense {
                 Some(dense) if !dense.takes_positions() => Vec::new(),
@@ -488,7 +492,7 @@ impl Simulation {
     ///
     /// # Errors
     /// `invalid-value` for a position outside the list; `limit-exceeded` if an evaluation by the relational executor
-    /// exceeds the [limits](World::limits), too many agents are in one place for the dense one, or it needs too
+    /// or what the rules read of earlier ticks exceeds the [limits](World::limits), too many agents are in one place for the dense one, or it needs too
     /// many steps and the settings demand it; `cancelled` on cancellation. On error the city is unchanged.
     pub fn tick(&mut self, controls: &[(usize, Action)]) -> Result<&TickReport, Diagnostic> {
         self.tick_watched(controls, |_| ())
@@ -520,6 +524,7 @@ impl Simulation {
         } else if self.must_remember() {
             self.memory.advance(&self.decisions.watched);
         }
+        self.memory.check(self.world.limits.bytes)?;
         if let Some(dense) = &mut self.dense {
             let decisions = &mut self.decisions;
             let now = Now {

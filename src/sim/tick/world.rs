@@ -33,7 +33,8 @@ pub struct World {
     pub vocabulary: Vocabulary,
     /// The map and the routes on it.
     pub router: Router,
-    /// The limits of each evaluation of the rules by the relational executor. [`World::new`] sets [`TICK_LIMITS`].
+    /// The limits of each evaluation of the rules by the relational executor. What the rules read of earlier ticks has the
+    /// same limit of memory. [`World::new`] sets [`TICK_LIMITS`].
     pub limits: Limits,
     /// Cells for placing the agents of each split, computed once and shared by all simulations.
     places: [OnceLock<Arc<Places>>; 3],
