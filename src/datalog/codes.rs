@@ -40,6 +40,9 @@ crate::diagnostic_codes! {
     /// A temporal operator with an impossible window, or applied to something other than an atom of variables and
     /// constants.
     INVALID_TEMPORAL = "invalid-temporal", Error;
+    /// A probability outside of 0 to 1, alternatives that add up to more than 1, or a probability where there can be
+    /// none.
+    INVALID_PROBABILITY = "invalid-probability", Error;
     /// A constraint on derived predicates, or on columns of unsuitable types or number.
     INVALID_CONSTRAINT = "invalid-constraint", Error;
     /// A named variable that occurs only once in its rule.

@@ -425,6 +425,13 @@ pub enum RowError {
         /// The predicate's name.
         predicate: String,
     },
+    /// A probability is below 0, above 1 or not a number.
+    Probability {
+        /// The predicate's name.
+        predicate: String,
+        /// The number, as text.
+        found: String,
+    },
     /// A value does not fit its column.
     ValueType {
         /// The predicate's name.
@@ -471,6 +478,10 @@ impl fmt::Display for RowError {
                     "a row of `{predicate}` has a symbol that the session has not interned"
                 )
             }
+            RowError::Probability { predicate, found } => write!(
+                f,
+                "the probability of a row of `{predicate}` is {found}; expected 0 to 1"
+            ),
             RowError::ValueType {
                 predicate,
                 column,

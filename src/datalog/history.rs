@@ -13,7 +13,8 @@
 
 use std::collections::{BTreeMap, BTreeSet, HashMap, HashSet};
 
-use crate::check::{Past, PastOperator, PredicateId};
+use crate::chance;
+use crate::check::{Past, PastOperator, PredicateId, Rules};
 use crate::eval::delta::Delta;
 use crate::spans::Spans;
 use crate::value::Value;
@@ -32,6 +33,18 @@ pub(crate) struct History {
     pub staged: Vec<(PredicateId, Row, bool)>,
     /// The ticks of rows that the caller inserted; see [`Session::insert_past`](crate::Session::insert_past).
     pub given: HashMap<(PredicateId, Row), u64>,
+    /// What draws read, if the rules draw.
+    chance: Option<Chance>,
+}
+
+/// The word of the tick.
+#[derive(Clone, Debug)]
+struct Chance {
+    predicate: PredicateId,
+    /// The seed of the words; `None` if the caller determines each.
+    seed: Option<u64>,
+    /// The word that is staged or committed.
+    word: Option<u64>,
 }
 
 /// The memory of one hidden predicate.
@@ -74,7 +87,8 @@ impl Agenda {
 }
 
 impl History {
-    pub fn new(pasts: &[Past]) -> History {
+    pub fn new(rules: &Rules) -> History {
+        let pasts = &rules.pasts;
         let memory = |past: &Past| Memory {
             past: past.clone(),
             holding: BTreeSet::new(),
@@ -92,13 +106,53 @@ impl History {
             };
             held.into_iter().chain([past.operand])
         });
-        History {
+        let chance = rules.chance.map(|predicate| Chance {
+            predicate,
+            seed: Some(0),
+            word: None,
+        });
+        let mut history = History {
             tick: 0,
             memories: pasts.iter().map(memory).collect(),
             changes: watched.map(|predicate| (predicate, BTreeMap::new())).collect(),
             staged: Vec::new(),
             given: HashMap::new(),
+            chance,
+        };
+        history.draw();
+        history
+    }
+
+    /// Sets the seed of the words of this tick and later ones.
+    pub fn set_seed(&mut self, seed: u64) {
+        if let Some(chance) = &mut self.chance {
+            chance.seed = Some(seed);
+            self.draw();
         }
+    }
+
+    /// Sets the word of this tick, and of later ones until the next call.
+    pub fn set_word(&mut self, word: u64) {
+        if let Some(chance) = &mut self.chance {
+            chance.seed = None;
+            self.stage_word(word);
+        }
+    }
+
+    /// Stages the word of the tick that follows from the seed.
+    fn draw(&mut self) {
+        if let Some(seed) = self.chance.as_ref().and_then(|chance| chance.seed) {
+            self.stage_word(chance::word(seed, self.tick));
+        }
+    }
+
+    fn stage_word(&mut self, word: u64) {
+        let Some(chance) = &mut self.chance else { return };
+        let before = chance.word.replace(word).filter(|before| *before != word);
+        let row = |word: u64| chance::halves(word).into();
+        let removed = before.map(|before| (chance.predicate, row(before), false));
+        self.staged.extend(removed);
+        self.staged.push((chance.predicate, row(word), true));
     }
 
     /// Returns the number of the present tick, from 0.
@@ -137,6 +191,7 @@ impl History {
             memory.advance(self.tick, &mut self.staged);
         }
         self.changes.values_mut().for_each(BTreeMap::clear);
+        self.draw();
     }
 
     /// Returns the bytes of the memory, about.

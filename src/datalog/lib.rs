@@ -123,16 +123,19 @@ pub mod cancel;
 #[cfg(test)]
 #[path = "../../tests/cases.rs"]
 mod cases;
+mod chance;
 mod check;
 pub mod codes;
 mod convert;
 pub mod dense;
 pub mod diag;
+mod diagram;
 mod eval;
 pub mod explain;
 pub mod facts;
 pub mod files;
 mod history;
+mod marginals;
 pub mod naive;
 mod plan;
 mod plan_printer;
@@ -149,14 +152,15 @@ mod workspace;
 
 pub use analysis::{constraints, diff};
 pub use check::{
-    Atom, Clause, ClauseId, Column, Comparing, Constraint, DeclaredConstraint, Directive, InputPolicy, Literal, Past,
-    PastOperator, Predicate, PredicateId, RowFormat, RowPlace, Rules, Stratum, Term, Type, TypeId, VarId,
+    Atom, Clause, ClauseId, Column, Comparing, Constraint, DeclaredConstraint, Directive, Draw, InputPolicy, Literal,
+    Past, PastOperator, Predicate, PredicateId, RowFormat, RowPlace, Rules, Stratum, Term, Type, TypeId, VarId,
 };
 pub use convert::{AsPredicate, FromRow, FromValue, IntoRow, RowError, ToValue};
 pub use eval::delta::{Delta, PredicateChange, Rows};
 pub use eval::limits::{EvalError, Limits};
 pub use eval::stats::{EvalEvent, EvalStats, RuleStats, Strategy, StratumStats, WorkCounts};
 pub use eval::workers::Threads;
+pub use marginals::{Inexact, MarginalOptions, Marginals, Probability};
 #[cfg(feature = "optimizer")]
 pub use plan::optimize;
 pub use program::{Options, Program, ProgramError};

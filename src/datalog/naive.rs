@@ -3,6 +3,7 @@
 //! The evaluator goes through the strata in order. In each stratum it tries every clause on every combination of rows
 //! until it derives nothing new. It shares no code with the real executor and stays unoptimized; tests compare the two.
 
+use crate::chance;
 use crate::check::{Atom, Clause, Literal, Past, PastOperator, PredicateId, Rules, Term};
 use crate::symbol::{Symbol, Symbols};
 use crate::syntax::ast::{BaseType, Comparison};
@@ -15,7 +16,8 @@ pub type Database = Vec<BTreeSet<Vec<Value>>>;
 /// The value of each variable of a clause; `None` while unbound.
 type Binding = Vec<Option<Value>>;
 
-/// Returns the perfect model of the rules and `facts`. `symbols` must contain every symbol of both.
+/// Returns the perfect model of the rules and `facts`. `symbols` must contain every symbol of both. Without a fact for
+/// the word of the tick, draws are those of tick 0 and seed 0.
 pub fn evaluate(
     rules: &Rules,
     symbols: &Symbols,
@@ -24,6 +26,11 @@ pub fn evaluate(
     let mut database: Database = vec![BTreeSet::new(); rules.predicates.len()];
     for (predicate, row) in facts {
         database[predicate.index()].insert(row);
+    }
+    if let Some(chance) = rules.chance
+        && database[chance.index()].is_empty()
+    {
+        database[chance.index()].insert(chance::halves(chance::word(0, 0)).to_vec());
     }
     for stratum in &rules.strata {
         loop {
@@ -42,7 +49,7 @@ pub fn evaluate(
     database
 }
 
-/// Returns the models of successive ticks with these facts, each with all facts of its tick.
+/// Returns the models of successive ticks with these facts, each with all facts of its tick. Draws have seed 0.
 pub fn evaluate_ticks(
     rules: &Rules,
     symbols: &Symbols,
@@ -54,6 +61,8 @@ pub fn evaluate_ticks(
             let rows = remembered(past, &history);
             facts.extend(rows.into_iter().map(|row| (past.predicate, row)));
         }
+        let word = chance::word(0, history.len() as u64);
+        facts.extend(rules.chance.map(|chance| (chance, chance::halves(word).to_vec())));
         history.push(evaluate(rules, symbols, facts));
     }
     history

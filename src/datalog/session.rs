@@ -36,7 +36,7 @@ pub struct Session {
 
 impl Program {
     /// Returns the predicate if the caller may set its rows, and the one that stores them.
-    fn base(&self, predicate: impl AsPredicate) -> Result<(&Predicate, PredicateId), RowError> {
+    pub(crate) fn base(&self, predicate: impl AsPredicate) -> Result<(&Predicate, PredicateId), RowError> {
         let (id, predicate) = predicate.resolve(self.rules())?;
         if predicate.derived && predicate.edb.is_none() {
             return Err(RowError::Derived {
@@ -50,16 +50,23 @@ impl Program {
     ///
     /// Every predicate is empty until the first commit, even one with facts in the source.
     pub fn session(&self) -> Session {
-        Session {
+        self.session_with(self.rules().symbols.clone())
+    }
+
+    /// Creates a session with this symbol table, which begins with the symbols of the program.
+    pub(crate) fn session_with(&self, symbols: Symbols) -> Session {
+        let mut session = Session {
             store: exec::store(&self.0),
-            symbols: self.rules().symbols.clone(),
+            symbols,
             program: self.clone(),
             limits: Limits::default(),
             strategy: Strategy::Auto,
             workers: Workers::default(),
             work: EvalStats::default(),
-            history: History::new(&self.rules().pasts),
-        }
+            history: History::new(self.rules()),
+        };
+        session.stage(0);
+        session
     }
 }
 
@@ -161,6 +168,16 @@ impl Session {
         Ok(())
     }
 
+    /// Replaces the symbol table by one that begins with it.
+    pub(crate) fn set_symbols(&mut self, symbols: Symbols) {
+        self.symbols = symbols;
+    }
+
+    /// Records a change of a row that fits the predicate, which stores rows.
+    pub(crate) fn change_row(&mut self, to: PredicateId, words: &[Value], holds: bool) {
+        self.store.change(to, words, holds);
+    }
+
     /// Marks many rows to hold from the next commit on; faster than repeated [`insert`](Session::insert).
     ///
     /// ```
@@ -237,9 +254,7 @@ impl Session {
     /// Discards the changes since the last commit. What earlier ticks imply for the present one stays pending.
     pub fn rollback(&mut self) {
         self.store.rollback();
-        for (predicate, row, holds) in &self.history.staged {
-            self.store.change(*predicate, row, *holds);
-        }
+        self.stage(0);
     }
 
     /// Begins the next tick with the pending changes and commits them. All other facts stay as they are.
@@ -279,10 +294,54 @@ impl Session {
     pub fn advance_with(&mut self, cancel: &Cancel) -> Result<Delta, EvalError> {
         let before = self.history.staged.len();
         self.history.advance();
-        for (predicate, row, holds) in &self.history.staged[before..] {
+        self.stage(before);
+        self.run_commit(None, cancel)
+    }
+
+    /// Makes the staged changes from this position on pending.
+    fn stage(&mut self, from: usize) {
+        for (predicate, row, holds) in &self.history.staged[from..] {
             self.store.change(*predicate, row, *holds);
         }
-        self.run_commit(None, cancel)
+    }
+
+    /// Sets the seed of the draws of clauses with probabilities, from the next commit on; 0 by default. Without such
+    /// clauses it has no effect.
+    ///
+    /// A draw is a function of the seed, the [tick](Session::tick), the clause and the values of its variables. So
+    /// [`commit`](Session::commit) repeats the draws of the tick, and [`advance`](Session::advance) makes new ones.
+    ///
+    /// ```
+    /// # use logicity_datalog::Program;
+    /// let program = Program::parse(
+    ///     ".decl coin(x: symbol) .input coin
+    ///      .decl heads(x: symbol)
+    ///      0.5 :: heads(x) :- coin(x).",
+    /// )?;
+    /// let mut session = program.session();
+    /// session.set_seed(7);
+    /// session.insert("coin", ("penny",))?;
+    /// session.commit()?;
+    /// let mut heads = 0;
+    /// for _ in 0..1000 {
+    ///     session.advance()?;
+    ///     heads += session.len("heads");
+    /// }
+    /// assert!((450..550).contains(&heads));
+    /// # Ok::<(), Box<dyn std::error::Error>>(())
+    /// ```
+    pub fn set_seed(&mut self, seed: u64) {
+        let before = self.history.staged.len();
+        self.history.set_seed(seed);
+        self.stage(before);
+    }
+
+    /// Sets the word from which the draws of this tick follow, for a caller that counts the ticks itself.
+    #[doc(hidden)]
+    pub fn set_chance(&mut self, word: u64) {
+        let before = self.history.staged.len();
+        self.history.set_word(word);
+        self.stage(before);
     }
 
     /// Inserts a row of a predicate of [`Rules::pasts`](crate::Rules), with the tick that explanations name. The caller

@@ -8,6 +8,7 @@
 use std::cmp::Ordering;
 use std::collections::HashMap;
 
+use crate::chance;
 use crate::symbol::{Symbol, Symbols};
 use crate::syntax::ast::{BaseType, Comparison};
 use crate::syntax::functor::{Functor, Functor::*};
@@ -65,6 +66,7 @@ impl Functor {
         let text = |value: &Value| symbols.resolve(Symbol(value.0)).unwrap_or_default();
         let made = |text: &str| Some(Value(symbols.intern(text).0));
         match (self, arguments) {
+            (Choose, _) => return chance::choose(arguments, symbols).map(|chosen| Value(chosen as u32)),
             (Cast, [value]) => return Some(*value),
             (Ordinal, [value]) => return Some(*value),
             (Add, parts) if base == BaseType::Symbol => return made(&parts.iter().map(text).collect::<String>()),

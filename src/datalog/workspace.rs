@@ -346,6 +346,7 @@ impl Workspace {
                 terms: Vec::new(),
                 place,
             }],
+            probabilities: Vec::new(),
             body: body.to_vec(),
             doc: String::new(),
             place,
@@ -495,7 +496,10 @@ fn canonical(clause: &Clause) -> Clause {
             order.push(name);
         }
     };
-    (clause.heads.iter().flat_map(|head| &head.terms)).for_each(|term| names_of(term, true, &mut note));
+    let heads = clause.heads.iter().flat_map(|head| &head.terms);
+    heads
+        .chain(&clause.probabilities)
+        .for_each(|term| names_of(term, true, &mut note));
     clause
         .body
         .iter()
@@ -509,6 +513,9 @@ fn canonical(clause: &Clause) -> Clause {
     };
     Clause {
         heads: clause.heads.iter().map(head).collect(),
+        probabilities: (clause.probabilities.iter())
+            .map(|term| renamed_term(term, &names))
+            .collect(),
         body: clause.body.iter().map(|literal| renamed(literal, &names)).collect(),
         doc: String::new(),
         place: clause.place,

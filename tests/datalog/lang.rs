@@ -1098,6 +1098,7 @@ fn item() -> impl Strategy<Value = ast::Item> {
     let others = || proptest::collection::vec(name(), 1..4);
     let options = || proptest::collection::vec((name(), any::<String>()), 0..3);
     let heads = || proptest::collection::vec(atom(), 1..3);
+    let probabilities = proptest::option::weighted(0.2, proptest::array::uniform2(term()));
     let body = || proptest::collection::vec(literal(), 0..5);
     prop_oneof![
         1 => any::<String>().prop_map(|path| ast::Item::Include(ast::Include { path, place: place() })),
@@ -1131,8 +1132,9 @@ fn item() -> impl Strategy<Value = ast::Item> {
         1 => proptest::option::of(name()).prop_map(|name| {
             ast::Item::Scope(ast::Scope { predicate: name.map(node), place: place() })
         }),
-        6 => (heads(), body(), doc()).prop_map(|(heads, body, doc)| {
-            ast::Item::Clause(ast::Clause { heads, body, doc, place: place() })
+        6 => (heads(), probabilities, body(), doc()).prop_map(|(heads, probabilities, body, doc)| {
+            let probabilities = probabilities.map_or_else(Vec::new, |each| each[..heads.len()].to_vec());
+            ast::Item::Clause(ast::Clause { heads, probabilities, body, doc, place: place() })
         }),
     ]
 }

@@ -3,6 +3,7 @@
 mod any_input;
 #[path = "../cases.rs"]
 mod cases;
+mod chance;
 mod corpus;
 mod dense;
 mod diff;

@@ -328,6 +328,7 @@ impl<'s> Workbench<'s> {
                 };
                 ast::Item::Clause(ast::Clause {
                     heads: vec![head],
+                    probabilities: Vec::new(),
                     body: Vec::new(),
                     doc: String::new(),
                     place,

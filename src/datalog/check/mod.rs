@@ -2,6 +2,7 @@
 //!
 //! Each stage has a file or folder. No stage stops at the first fault.
 //!
+//! - `chance`: replaces probabilities of heads by literals that draw.
 //! - `temporal`: replaces temporal operators by atoms over hidden predicates.
 //! - `inline`: replaces inline predicates by their bodies.
 //! - `names`: declares types and predicates.
@@ -18,6 +19,7 @@
 //! This module does not know how rules are evaluated.
 
 mod body;
+mod chance;
 pub(crate) mod clause;
 mod clauses;
 mod constraints;
@@ -38,6 +40,7 @@ use crate::syntax::ast;
 use crate::syntax::packed::FactRuns;
 use std::borrow::Cow;
 
+pub use chance::Draw;
 pub use rules::{
     Atom, Clause, ClauseId, Column, Constraint, DeclaredConstraint, Directive, Literal, Past, PastOperator, Predicate,
     PredicateId, RowFormat, RowPlace, Rules, Stratum, Term, Type, TypeId, VarId,
@@ -73,8 +76,10 @@ pub(crate) fn check(
     symbols: Symbols,
     faults: &mut Faults,
 ) -> (Option<Rules>, Comparing) {
-    let lowered = temporal::lower(&written, faults);
-    let without_time = lowered.as_ref().map_or(&*written, |lowered| &lowered.items);
+    let drawn = chance::lower(&written, faults);
+    let without_chance = drawn.as_deref().unwrap_or(&written);
+    let lowered = temporal::lower(without_chance, faults);
+    let without_time = lowered.as_ref().map_or(without_chance, |lowered| &lowered.items);
     let replaced = inline::replace(without_time, faults);
     let syntax_is_good = !faults.failed();
     let items = replaced.as_deref().unwrap_or(without_time);
@@ -82,10 +87,11 @@ pub(crate) fn check(
     if let Some(lowered) = &lowered {
         lowered.hide(&mut names);
     }
+    let chance = chance::hide(&mut names);
     let checked = clause::check((items, &facts), &mut names, symbols, faults);
     let constraints = constraints::check(items, &mut names, faults);
     let pasts = lowered.as_ref().map_or_else(Vec::new, |lowered| lowered.pasts(&names));
-    drop((replaced, lowered, written, facts));
+    drop((replaced, lowered, drawn, written, facts));
     names.report_unknown(faults);
     strata::check(&checked.edges, &names, faults);
     let mut compared = Comparing::default();
@@ -108,6 +114,7 @@ pub(crate) fn check(
         symbols: checked.symbols,
         constraints,
         pasts,
+        chance,
     };
     (Some(rules), compared)
 }

@@ -465,6 +465,8 @@ pub struct Rules {
     pub symbols: Symbols,
     /// The memory of earlier ticks that temporal operators read.
     pub pasts: Vec<Past>,
+    /// The hidden predicate that draws read, if clauses have probabilities. Its row is the word of the tick.
+    pub chance: Option<PredicateId>,
 }
 
 /// A hidden predicate whose rows follow from earlier ticks. Before the first tick, no row of any predicate held.
@@ -501,13 +503,59 @@ impl Rules {
         Some(PredicateId(u32::try_from(index).expect("fewer than 2^32 predicates")))
     }
 
-    /// Returns the rules of a single tick: what they read of earlier ticks is input.
+    /// Returns the rules of a single tick: what they read of earlier ticks and of chance is input.
     pub fn of_one_tick(&self) -> Rules {
         let mut rules = self.clone();
+        if let Some(chance) = rules.chance {
+            rules.predicates[chance.index()].input = true;
+        }
         for past in rules.pasts.drain(..) {
             rules.predicates[past.predicate.index()].input = true;
         }
         rules
+    }
+
+    /// Returns the base types of the variables of a clause.
+    pub(crate) fn bases(&self, clause: &Clause) -> Vec<BaseType> {
+        let mut bases = vec![BaseType::Symbol; clause.variables.len()];
+        let mut see = |term: &Term, base: BaseType| {
+            if let Term::Variable(variable) = term {
+                bases[variable.index()] = base;
+            }
+        };
+        for literal in &clause.body {
+            match literal {
+                Literal::Positive(atom) | Literal::Negative(atom) | Literal::Guard(atom) => {
+                    let columns = &self.predicates[atom.predicate.index()].columns;
+                    (atom.terms.iter().zip(columns)).for_each(|(term, column)| see(term, column.base));
+                }
+                Literal::Compare { left, right, base, .. } => {
+                    see(left, *base);
+                    see(right, *base);
+                }
+                Literal::Compute {
+                    to,
+                    functor,
+                    base,
+                    arguments,
+                    ..
+                } => {
+                    for (at, argument) in arguments.iter().enumerate() {
+                        let base = functor.argument_base(*base, at);
+                        base.into_iter().for_each(|base| see(argument, base));
+                    }
+                    functor.result_base(*base).into_iter().for_each(|base| see(to, base));
+                }
+                Literal::Aggregate { to, op, base, atom, .. } => {
+                    let columns = &self.predicates[atom.predicate.index()].columns;
+                    (atom.terms.iter().zip(columns)).for_each(|(term, column)| see(term, column.base));
+                    see(to, op.result_base(*base));
+                }
+            }
+        }
+        let columns = &self.predicates[clause.head.predicate.index()].columns;
+        (clause.head.terms.iter().zip(columns)).for_each(|(term, column)| see(term, column.base));
+        bases
     }
 
     /// Returns whether the predicate has [parameters](Predicate::parameters).

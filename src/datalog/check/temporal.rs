@@ -261,6 +261,7 @@ impl<'c> Lowering<'c, '_> {
         self.ego = first.filter(|term| scope.is_some() && matches!(term.kind, TermKind::Variable(_)));
         Clause {
             heads: heads.iter().map(|head| self.atom(head)).collect(),
+            probabilities: Vec::new(),
             body: self.all(&clause.body),
             doc: clause.doc.clone(),
             place: clause.place,
@@ -462,6 +463,7 @@ impl<'c> Lowering<'c, '_> {
             .map(|atom| Literal::Atom { negated: false, atom });
         let clause = Clause {
             heads: vec![head],
+            probabilities: Vec::new(),
             body: body.collect(),
             doc: String::new(),
             place,
@@ -606,6 +608,7 @@ impl<'c> Lowering<'c, '_> {
         for body in bodies {
             self.clauses.push(Clause {
                 heads: vec![over(&predicate, variables, place)],
+                probabilities: Vec::new(),
                 body,
                 doc: String::new(),
                 place,

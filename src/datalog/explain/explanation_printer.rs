@@ -8,7 +8,7 @@ use crate::explain::{
 };
 use crate::symbol::{Symbol, Symbols};
 use crate::syntax::ast::{BaseType, Comparison};
-use crate::syntax::functor::{AggregateOp, Functor, Shape};
+use crate::syntax::functor::Functor;
 use crate::syntax::quoted;
 use crate::value::Value;
 use serde_json::{Map, json};
@@ -103,7 +103,7 @@ impl<'a> ExplanationPrinter<'a> {
     /// "clauses": [{"clause", "binding", "fails"}]}`. For `past`, `holds` also names the ticks.
     ///
     /// An entry of `premises` and `fails` has the `literal` under the binding and the `kind`: `fact`, `in-view`, `not`,
-    /// `comparison`, `expression` or `aggregate`. For the first three kinds, `node` refers to the explanation of the
+    /// `comparison`, `expression`, `aggregate` or `draw`. For the first three kinds, `node` refers to the explanation of the
     /// literal. A `clause` has `head`, `file`, `line` and `doc`. If only the head does not match, `fails` is empty. The
     /// references between absences of a recursion may form cycles.
     pub fn json(&self, explanation: &Explanation) -> serde_json::Value {
@@ -137,6 +137,7 @@ impl<'a> ExplanationPrinter<'a> {
             Origin::Derived(derivation) => {
                 let clause = &self.rules.clauses[derivation.clause.index()];
                 let premises: Vec<serde_json::Value> = (derivation.premises.iter().enumerate())
+                    .filter(|(literal, _)| self.is_shown(clause, *literal))
                     .map(|(literal, premise)| {
                         let node = match premise {
                             Premise::Fact(node) | Premise::Absence(node) => Some(node.0),
@@ -204,6 +205,7 @@ impl<'a> ExplanationPrinter<'a> {
             Literal::Positive(_) => "fact",
             Literal::Guard(_) => "in-view",
             Literal::Negative(_) => "not",
+            _ if self.drawn(clause, literal, binding).is_some() => "draw",
             Literal::Compare { .. } => "comparison",
             Literal::Compute { .. } => "expression",
             Literal::Aggregate { .. } => "aggregate",
@@ -249,7 +251,7 @@ impl<'a> ExplanationPrinter<'a> {
         clause: &'b Clause,
         binding: &'b [Option<Value>],
     ) -> impl Iterator<Item = (&'b str, Value, BaseType)> {
-        let bases = self.bases(clause);
+        let bases = self.rules.bases(clause);
         (clause.variables.iter().zip(binding).zip(bases))
             .map(|((name, value), base)| (name, written(name), value, base))
             // A variable within an aggregate may have the name of one outside.
@@ -259,56 +261,14 @@ impl<'a> ExplanationPrinter<'a> {
             .filter_map(|(_, written, value, base)| Some((written, (*value)?, base)))
     }
 
-    /// Returns the base types of the variables of a clause.
-    fn bases(&self, clause: &Clause) -> Vec<BaseType> {
-        let mut bases = vec![BaseType::Symbol; clause.variables.len()];
-        let mut see = |term: &Term, base: BaseType| {
-            if let Term::Variable(variable) = term {
-                bases[variable.index()] = base;
-            }
-        };
-        for literal in &clause.body {
-            match literal {
-                Literal::Positive(atom) | Literal::Negative(atom) | Literal::Guard(atom) => {
-                    let columns = &self.rules.predicates[atom.predicate.index()].columns;
-                    (atom.terms.iter().zip(columns)).for_each(|(term, column)| see(term, column.base));
-                }
-                Literal::Compare { left, right, base, .. } => {
-                    see(left, *base);
-                    see(right, *base);
-                }
-                Literal::Compute {
-                    to,
-                    functor,
-                    base,
-                    arguments,
-                    ..
-                } => {
-                    for (at, argument) in arguments.iter().enumerate() {
-                        see(argument, argument_base(*functor, *base, at));
-                    }
-                    result_base(*functor, *base).into_iter().for_each(|base| see(to, base));
-                }
-                Literal::Aggregate { to, op, base, atom, .. } => {
-                    let columns = &self.rules.predicates[atom.predicate.index()].columns;
-                    (atom.terms.iter().zip(columns)).for_each(|(term, column)| see(term, column.base));
-                    see(to, aggregate_base(*op, *base));
-                }
-            }
-        }
-        let columns = &self.rules.predicates[clause.head.predicate.index()].columns;
-        (clause.head.terms.iter().zip(columns)).for_each(|(term, column)| see(term, column.base));
-        bases
-    }
-
     /// Returns the base type of the value that a literal computes.
     fn computed_base(&self, clause: &Clause, literal: &Literal) -> BaseType {
         match literal {
             Literal::Compute {
                 to: Term::Variable(to), ..
-            } => self.bases(clause)[to.index()],
-            Literal::Compute { functor, base, .. } => result_base(*functor, *base).unwrap_or(*base),
-            Literal::Aggregate { op, base, .. } => aggregate_base(*op, *base),
+            } => self.rules.bases(clause)[to.index()],
+            Literal::Compute { functor, base, .. } => functor.result_base(*base).unwrap_or(*base),
+            Literal::Aggregate { op, base, .. } => op.result_base(*base),
             _ => BaseType::Number,
         }
     }
@@ -466,6 +426,9 @@ impl<'a> ExplanationPrinter<'a> {
     }
 
     fn literal_within(&self, clause: &Clause, literal: &Literal, binding: &[Option<Value>], depth: usize) -> String {
+        if let Some(drawn) = self.drawn(clause, literal, binding) {
+            return drawn;
+        }
         match literal {
             Literal::Positive(atom) | Literal::Guard(atom) => self.atom(clause, atom, binding, depth),
             Literal::Negative(atom) => format!("Not({})", self.atom(clause, atom, binding, depth)),
@@ -490,7 +453,9 @@ impl<'a> ExplanationPrinter<'a> {
                 ..
             } => {
                 let arguments: Vec<String> = (arguments.iter().enumerate())
-                    .map(|(at, term)| self.term(clause, term, argument_base(*functor, *base, at), binding))
+                    .map(|(at, term)| {
+                        self.term(clause, term, functor.argument_base(*base, at).unwrap_or(*base), binding)
+                    })
                     .collect();
                 let to = self.term(clause, to, self.computed_base(clause, literal), binding);
                 format!("{to} = {}", applied(*functor, &arguments))
@@ -505,6 +470,31 @@ impl<'a> ExplanationPrinter<'a> {
                 format!("{to} = {}{of} : {{ {rows} }}", op.name())
             }
         }
+    }
+
+    /// Returns whether explanations show a literal: of the three literals of a draw only the last one.
+    fn is_shown(&self, clause: &Clause, literal: usize) -> bool {
+        let draw = self.rules.draw(clause);
+        draw.is_none_or(|draw| !draw.literals[..2].contains(&literal))
+    }
+
+    /// Returns the words for a choice, or its comparison, in a draw: `drawn: 0.8, yes`. `None` for other literals.
+    fn drawn(&self, clause: &Clause, literal: &Literal, binding: &[Option<Value>]) -> Option<String> {
+        let draw = self.rules.draw(clause)?;
+        let [_, choice, comparison] = draw.literals.map(|at| &clause.body[at]);
+        if !std::ptr::eq(literal, choice) && !std::ptr::eq(literal, comparison) {
+            return None;
+        }
+        let probability = self.term(clause, &draw.probabilities[draw.alternative], BaseType::Float, binding);
+        let Literal::Compute { to, .. } = choice else {
+            return None;
+        };
+        let chosen = super::search::value(to, binding).map(|value| value.0 as usize);
+        Some(match chosen {
+            Some(chosen) if chosen == draw.alternative => format!("drawn: {probability}, yes"),
+            Some(_) => format!("drawn: {probability}, no"),
+            None => format!("drawn: {probability}"),
+        })
     }
 
     /// Returns the name of a column. For a hidden predicate this is the variable in its definition.
@@ -558,32 +548,6 @@ impl<'a> ExplanationPrinter<'a> {
 /// Returns whether the definition of a hidden predicate stands for it.
 fn is_unfolded(predicate: &Predicate) -> bool {
     predicate.derived && predicate.is_numbered()
-}
-
-/// Returns the base type of the argument at a position, given that of the first argument.
-fn argument_base(functor: Functor, base: BaseType, at: usize) -> BaseType {
-    match functor.shape() {
-        Shape::Fixed(arguments, _) => arguments.get(at).copied().unwrap_or(base),
-        Shape::Same(_) | Shape::Convert(..) => base,
-    }
-}
-
-/// Returns the base type of a functor's value; `None` for a cast, which names its type itself.
-fn result_base(functor: Functor, base: BaseType) -> Option<BaseType> {
-    match functor.shape() {
-        _ if functor == Functor::Cast => None,
-        Shape::Same(_) => Some(base),
-        Shape::Fixed(_, result) | Shape::Convert(_, result) => Some(result),
-    }
-}
-
-/// Returns the base type of an aggregate's value.
-fn aggregate_base(op: AggregateOp, base: BaseType) -> BaseType {
-    match op {
-        AggregateOp::Count => BaseType::Number,
-        AggregateOp::Mean => BaseType::Float,
-        AggregateOp::Sum | AggregateOp::Min | AggregateOp::Max => base,
-    }
 }
 
 /// Returns a functor application as text.
@@ -686,7 +650,10 @@ impl Drawing<'_> {
         if !self.printer.rules.predicates[fact.predicate.index()].hidden {
             item.text = format!("{}  by {}", item.text, self.printer.title(derivation.clause));
         }
-        for (literal, premise) in clause.body.iter().zip(&derivation.premises) {
+        for (at, (literal, premise)) in clause.body.iter().zip(&derivation.premises).enumerate() {
+            if !self.printer.is_shown(clause, at) {
+                continue;
+            }
             let child = match premise {
                 Premise::Fact(node) => {
                     let mut child = self.node(*node, depth + 1);
@@ -810,7 +777,9 @@ impl Drawing<'_> {
             .map(|failure| {
                 let literal = &clause.body[failure.literal];
                 let text = self.printer.literal(clause, literal, binding);
+                let drawn = self.printer.drawn(clause, literal, binding);
                 let (text, node) = match (&failure.kind, literal) {
+                    _ if drawn.is_some() => (text, None),
                     (FailureKind::Absent(node), Literal::Guard(_)) => (format!("not in view: {text}"), Some(*node)),
                     (FailureKind::Absent(node), _) => (format!("{text} does not hold"), Some(*node)),
                     (FailureKind::AbsentTwice, _) => (format!("{text} does not hold"), None),

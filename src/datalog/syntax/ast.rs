@@ -223,6 +223,8 @@ pub struct Scope {
 pub struct Clause {
     /// The head atoms; at least one.
     pub heads: Vec<Atom>,
+    /// `0.8 :: A(x)`: the probability of each head, of which at most one is drawn. Empty if all heads hold.
+    pub probabilities: Vec<Term>,
     /// The body: a conjunction. Empty for a fact.
     pub body: Vec<Literal>,
     /// The text of the doc comment before the clause.

@@ -2,6 +2,8 @@
 //!
 //! [`super::super::value`] evaluates them.
 
+use crate::chance;
+
 /// The interpretation of a 32-bit word.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, PartialOrd, Ord, Hash)]
 pub enum BaseType {
@@ -77,6 +79,8 @@ pub enum Functor {
     Cast,
     /// `range` has many values. The checker replaces it by an atom, so no evaluator applies it; see `check::range`.
     Range,
+    /// The alternative that a clause with probabilities draws. The checker makes it; see [`crate::chance`].
+    Choose,
 }
 
 use Functor::*;
@@ -89,6 +93,8 @@ pub(crate) enum Shape {
     Convert(&'static [BaseType], BaseType),
     /// Arguments and result as listed.
     Fixed(&'static [BaseType], BaseType),
+    /// The arguments of [`Functor::Choose`].
+    Choice,
 }
 
 const NUMERIC: &[BaseType] = &[BaseType::Number, BaseType::Unsigned, BaseType::Float];
@@ -129,6 +135,7 @@ impl Functor {
         (ToUnsigned, "to_unsigned"),
         (Cast, "as"),
         (Range, "range"),
+        (Choose, "choose"),
     ];
 
     /// Returns the spelling of the functor.
@@ -139,14 +146,15 @@ impl Functor {
 
     /// Returns the function with that name, such as `cat`.
     pub(crate) fn function(name: &str) -> Option<Functor> {
-        let named = |functor: &Functor| functor.precedence().is_none() && *functor != Cast;
+        let named = |functor: &Functor| functor.precedence().is_none() && !matches!(functor, Cast | Choose);
         let mut all = Self::NAMES.iter().filter(|(functor, _)| named(functor));
         all.find(|(_, other)| *other == name).map(|(functor, _)| *functor)
     }
 
     /// Returns the names of functions, and of the operators that are words.
     pub fn words() -> impl Iterator<Item = &'static str> {
-        let names = Self::NAMES.iter().map(|(_, name)| *name);
+        let written = Self::NAMES.iter().filter(|(functor, _)| *functor != Choose);
+        let names = written.map(|(_, name)| *name);
         names.filter(|name| name.starts_with(|c: char| c.is_ascii_alphabetic()))
     }
 
@@ -192,6 +200,7 @@ impl Functor {
             Cat => (1, 64),
             Substring => (3, 3),
             Range => (2, 3),
+            Choose => (chance::FIXED, usize::MAX),
             Length | Ordinal | ToNumber | ToSymbol | ToFloat | ToUnsigned | Cast => (1, 1),
             _ if self.is_prefix() => (1, 1),
             _ => (2, 2),
@@ -214,8 +223,30 @@ impl Functor {
             ToSymbol => Shape::Convert(ANY, Symbol),
             ToFloat => Shape::Convert(ANY, Float),
             ToUnsigned => Shape::Convert(ANY, Unsigned),
+            Choose => Shape::Choice,
             // The result has the base type of the named type.
             Cast => Shape::Convert(ANY, Number),
+        }
+    }
+}
+
+impl Functor {
+    /// Returns the base type of the argument at a position, given that of the first one; `None` if it may have any.
+    pub(crate) fn argument_base(self, base: BaseType, at: usize) -> Option<BaseType> {
+        match self.shape() {
+            Shape::Fixed(arguments, _) => arguments.get(at).copied(),
+            Shape::Same(_) | Shape::Convert(..) => Some(base),
+            Shape::Choice => None,
+        }
+    }
+
+    /// Returns the base type of the value; `None` for a cast, which names its type itself.
+    pub(crate) fn result_base(self, base: BaseType) -> Option<BaseType> {
+        match self.shape() {
+            _ if self == Cast => None,
+            Shape::Same(_) => Some(base),
+            Shape::Fixed(_, result) | Shape::Convert(_, result) => Some(result),
+            Shape::Choice => Some(BaseType::Number),
         }
     }
 }
@@ -255,6 +286,15 @@ impl AggregateOp {
     /// Returns the aggregate with this spelling.
     pub(crate) fn named(name: &str) -> Option<AggregateOp> {
         AggregateOp::ALL.into_iter().find(|op| op.name() == name)
+    }
+
+    /// Returns the base type of the result over values of this base type.
+    pub(crate) fn result_base(self, base: BaseType) -> BaseType {
+        match self {
+            AggregateOp::Count => BaseType::Number,
+            AggregateOp::Mean => BaseType::Float,
+            AggregateOp::Sum | AggregateOp::Min | AggregateOp::Max => base,
+        }
     }
 
     /// Returns the base types that the aggregate accepts.

@@ -42,6 +42,8 @@ pub(crate) enum Kind {
     GreaterEqual,
     /// `<:`
     Subtype,
+    /// `::`
+    DoubleColon,
     Pipe,
     /// `+ * / % ^`
     Operator,
@@ -670,6 +672,7 @@ impl Lexer<'_> {
         }
         let (kind, length) = match (byte, self.peek(1)) {
             (b':', Some(b'-')) => (Kind::If, 2),
+            (b':', Some(b':')) => (Kind::DoubleColon, 2),
             (b'!', Some(b'=')) => (Kind::NotEqual, 2),
             (b'<', Some(b'=')) => (Kind::LessEqual, 2),
             (b'<', Some(b':')) => (Kind::Subtype, 2),

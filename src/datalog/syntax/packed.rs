@@ -210,6 +210,7 @@ impl PackedFacts {
         };
         Clause {
             heads: vec![head],
+            probabilities: Vec::new(),
             body: Vec::new(),
             doc: String::new(),
             place: Place(self.clause_span(fact)),

@@ -96,7 +96,13 @@ impl Display for Item {
 impl Display for Clause {
     fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
         write!(f, "{}", Doc(&self.doc))?;
-        separated(f, &self.heads, |f, head| write!(f, "{head}"))?;
+        for (index, probability) in self.probabilities.iter().enumerate() {
+            let before = if index > 0 { "; " } else { "" };
+            write!(f, "{before}{} :: {}", Operand(probability, 0), self.heads[index])?;
+        }
+        if self.probabilities.is_empty() {
+            separated(f, &self.heads, |f, head| write!(f, "{head}"))?;
+        }
         match self.body.as_slice() {
             [] => {}
             [Literal::Any(alternatives)] if !alternatives.is_empty() => {

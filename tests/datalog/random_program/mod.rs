@@ -214,6 +214,7 @@ impl Genome {
             strata: Vec::new(),
             constraints: Vec::new(),
             pasts: Vec::new(),
+            chance: None,
             symbols,
         };
         for columns in &self.base {

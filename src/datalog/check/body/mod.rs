@@ -11,6 +11,7 @@
 
 use std::collections::{HashMap, HashSet};
 
+use crate::chance;
 use crate::codes;
 use crate::diag::{self, Diagnostic, Faults, Span};
 use crate::symbol::Symbols;
@@ -827,6 +828,7 @@ impl<'c> Check<'_, 'c> {
                 let base = base.unwrap_or(BaseType::Number);
                 let bases: Vec<BaseType> = match functor.shape() {
                     Shape::Fixed(bases, _) => bases.to_vec(),
+                    Shape::Choice => return Some(self.choice(*to, arguments, *span)),
                     _ => vec![base; arguments.len()],
                 };
                 Literal::Compute {
@@ -841,6 +843,34 @@ impl<'c> Check<'_, 'c> {
             }
             Pending::Aggregate { .. } => return None,
         })
+    }
+
+    /// Returns the choice of an alternative, with the types of the values that it is about.
+    fn choice(&mut self, to: VarId, arguments: &[Operand], span: Span) -> Literal {
+        let values = chance::FIXED + types::probabilities(arguments).len();
+        let is_symbol = |operand: &Operand| self.base_of(*operand) == Some(BaseType::Symbol);
+        let symbols = (arguments[values..].iter().zip(0..chance::VALUES_MAX))
+            .map(|(operand, at)| u32::from(is_symbol(operand)) << at)
+            .fold(0, |all, bit| all | bit);
+        let mut arguments: Vec<Term> = (arguments.iter().enumerate())
+            .map(|(at, &argument)| {
+                let is_probability = (chance::FIXED..values).contains(&at);
+                let base = if is_probability {
+                    BaseType::Float
+                } else {
+                    BaseType::Unsigned
+                };
+                self.finished(argument, base)
+            })
+            .collect();
+        arguments[chance::SYMBOLS] = Term::Constant(Value(symbols));
+        Literal::Compute {
+            to: Term::Variable(to),
+            functor: Functor::Choose,
+            base: BaseType::Unsigned,
+            arguments,
+            span,
+        }
     }
 
     pub fn finished(&mut self, operand: Operand, base: BaseType) -> Term {

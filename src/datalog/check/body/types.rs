@@ -1,5 +1,6 @@
 //! Type inference: from the columns of each variable, its comparisons and the expressions around it.
 
+use crate::chance;
 use crate::check::names::Names;
 use crate::check::rules::{Atom, Term, VarId};
 use crate::codes;
@@ -233,6 +234,17 @@ impl<'c> Check<'_, 'c> {
                                 out.push(Tie::new(kind, &[result], only(base), *span));
                             }
                         }
+                        Shape::Choice => {
+                            for &argument in probabilities(arguments) {
+                                out.push(Tie::new(
+                                    TieKind::Probability,
+                                    &[argument],
+                                    only(BaseType::Float),
+                                    *span,
+                                ));
+                            }
+                            out.push(Tie::new(kind, &[result], only(BaseType::Number), *span));
+                        }
                         Shape::Fixed(bases, base) => {
                             for (argument, base) in arguments.iter().zip(bases) {
                                 out.push(Tie::new(kind, &[*argument], only(*base), *span));
@@ -311,26 +323,23 @@ impl<'c> Check<'_, 'c> {
         if let Some((operand, found)) = known.iter().find(|(_, found)| !tie.allowed.contains(found)) {
             let wanted: Vec<String> = tie.allowed.iter().map(|base| format!("`{}`", base.name())).collect();
             let what = match tie.kind {
-                TieKind::Compare => "this takes values",
-                TieKind::Functor(_) => "takes or returns values",
+                TieKind::Compare => "this takes values".to_owned(),
+                TieKind::Functor(name) => format!("`{name}` takes or returns values"),
+                TieKind::Probability => "a probability is a value".to_owned(),
             };
-            let message = match tie.kind {
-                TieKind::Compare => format!("{what} of type {}, not `{}`", wanted.join(" or "), found.name()),
-                TieKind::Functor(name) => {
-                    format!(
-                        "`{name}` {what} of type {}, not `{}`",
-                        wanted.join(" or "),
-                        found.name()
-                    )
-                }
-            };
-            let fault = Diagnostic::new(codes::TYPE_MISMATCH, message).at(operand.span, format!("`{}`", found.name()));
+            let message = format!("{what} of type {}, not `{}`", wanted.join(" or "), found.name());
+            let mut fault =
+                Diagnostic::new(codes::TYPE_MISMATCH, message).at(operand.span, format!("`{}`", found.name()));
+            if let TieKind::Probability = tie.kind {
+                fault = fault.help("convert it: `to_float(n) / 100.0`");
+            }
             let operand = *operand;
             self.report_with_origin(fault, operand);
         } else if let Some((operand, found)) = other {
             let name = match tie.kind {
                 TieKind::Compare => "=",
                 TieKind::Functor(name) => name,
+                TieKind::Probability => "::",
             };
             let message = format!("`{name}` cannot mix a `{}` and a `{}`", base.name(), found.name());
             let fault = Diagnostic::new(codes::TYPE_MISMATCH, message)
@@ -464,6 +473,7 @@ struct Tie {
 enum TieKind {
     Compare,
     Functor(&'static str),
+    Probability,
 }
 
 impl Tie {
@@ -482,6 +492,15 @@ impl Tie {
             _ => self.operands.iter().find_map(|&operand| check.base_of(operand)),
         }
     }
+}
+
+/// Returns the arguments of a choice that are probabilities.
+pub(super) fn probabilities(arguments: &[Operand]) -> &[Operand] {
+    let count = match arguments[chance::ALTERNATIVES].kind {
+        OperandKind::Constant(count, _) => count.0 as usize,
+        _ => 0,
+    };
+    &arguments[chance::FIXED..chance::FIXED + count]
 }
 
 /// Returns the list of just one base type.

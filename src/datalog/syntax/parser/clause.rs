@@ -3,7 +3,7 @@
 use crate::codes;
 use crate::diag::Diagnostic;
 use crate::syntax::ast::Comparison;
-use crate::syntax::ast::{Atom, Clause, Literal, Operator, Place, TermKind};
+use crate::syntax::ast::{Atom, Clause, Literal, Operator, Place, Term, TermKind};
 use crate::syntax::functor::{AggregateOp, Functor};
 use crate::syntax::lexer::{CONJUNCTION, DISJUNCTION, IMPLICATION, Kind, NEGATION, Token};
 
@@ -39,10 +39,10 @@ impl Parser<'_> {
             let help = "mark a predicate as output with `.output`, or enter the query in `logicity repl`";
             return Err(self.unsupported(self.span(start), "queries (`?-`) are", help));
         }
-        let mut heads = vec![self.atom("the arguments of the head: `(`")?];
-        while self.eat(Kind::Comma) {
-            heads.push(self.atom("the arguments of the head: `(`")?);
-        }
+        let (heads, probabilities) = match self.is_drawn() {
+            true => self.alternatives()?,
+            false => (self.heads()?, Vec::new()),
+        };
         let mut body = Vec::new();
         match self.kind() {
             Kind::LessEqual => {
@@ -65,10 +65,62 @@ impl Parser<'_> {
         }
         Ok(Clause {
             heads,
+            probabilities,
             body,
             doc,
             place: self.place_from(start),
         })
+    }
+
+    /// `A(x), B(x)`
+    fn heads(&mut self) -> Parse<Vec<Atom>> {
+        let mut heads = vec![self.atom("the arguments of the head: `(`")?];
+        while self.eat(Kind::Comma) {
+            heads.push(self.atom("the arguments of the head: `(`")?);
+        }
+        Ok(heads)
+    }
+
+    /// Returns whether the heads of the clause that begins here have probabilities: `0.8 :: A(x)`.
+    pub(super) fn is_drawn(&self) -> bool {
+        self.next_draw(self.at).is_some()
+    }
+
+    /// Returns whether a clause with a probability begins at offset `ahead`, on a line of its own.
+    pub(super) fn drawn_clause_at(&self, ahead: usize) -> bool {
+        let from = self.at + ahead;
+        let probability = self.next_draw(from).map(|at| &self.tokens[from..at]);
+        probability.is_some_and(|all| {
+            all.first().is_some_and(|first| first.first_on_line) && !all[1..].iter().any(|token| token.first_on_line)
+        })
+    }
+
+    /// Returns the position of the next `::`, if no head ends before it.
+    fn next_draw(&self, from: usize) -> Option<usize> {
+        let next = self.draws.partition_point(|(at, _)| *at < from);
+        let (at, end) = *self.draws.get(next)?;
+        end.is_none_or(|end| end < from).then_some(at)
+    }
+
+    /// `0.3 :: A(x); 0.7 :: B(x)`
+    fn alternatives(&mut self) -> Parse<(Vec<Atom>, Vec<Term>)> {
+        let (mut heads, mut probabilities) = (Vec::new(), Vec::new());
+        loop {
+            if !self.is_drawn() {
+                return Err(self.expected_with("a probability and `::`", Some(EACH_HEAD)));
+            }
+            probabilities.push(self.term()?);
+            if !self.eat(Kind::DoubleColon) {
+                return Err(self.expected_with("`::`", Some(EACH_HEAD)));
+            }
+            heads.push(self.atom("the arguments of the head: `(`")?);
+            if self.kind() == Kind::Comma {
+                return Err(self.expected_with("`;`, `:-` or `.`", Some(ONE_HEAD)));
+            }
+            if !self.eat(Kind::Semicolon) {
+                return Ok((heads, probabilities));
+            }
+        }
     }
 
     /// Reads a full stop. If nothing but the full stop is missing, reports it and keeps the clause that began at
@@ -454,6 +506,13 @@ impl Parser<'_> {
         Reported
     }
 }
+
+/// Help for clauses in which only some heads have a probability.
+const EACH_HEAD: &str = "each head of such a clause has a probability: `0.3 :: A(x); 0.7 :: B(x) :- C(x).`";
+
+/// Help for several heads with one probability.
+const ONE_HEAD: &str = "`;` separates alternatives, of which at most one is drawn; for several consequences of one draw, \
+                        draw a predicate of its own and derive them from it";
 
 /// Help for programs that use subsumption.
 const DOMINATED: &str = "derive all rows into another predicate, and copy those that no other row dominates: \

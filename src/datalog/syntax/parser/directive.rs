@@ -90,7 +90,7 @@ impl Parser<'_> {
                 Ok(Some(Item::Plan(Plan { orders, place })))
             }
             "scope" => {
-                let named = self.kind() == Kind::Ident && self.ahead(1).kind != Kind::LParen;
+                let named = self.names_more();
                 let predicate = if named { Some(self.name("a predicate")?) } else { None };
                 let place = Place(predicate.as_ref().map_or(span, |name| span.to(name.place.0)));
                 Ok(Some(Item::Scope(Scope { predicate, place })))
@@ -236,7 +236,7 @@ impl Parser<'_> {
     fn mark(&mut self, kind: MarkKind) -> Parse<Mark> {
         let names = self.names("a predicate")?;
         let mut options = Vec::new();
-        if self.eat(Kind::LParen) && !self.eat(Kind::RParen) {
+        if !self.drawn_clause_at(0) && self.eat(Kind::LParen) && !self.eat(Kind::RParen) {
             loop {
                 options.push(self.option()?);
                 if self.eat(Kind::RParen) {
@@ -269,10 +269,17 @@ impl Parser<'_> {
         })
     }
 
-    /// Commas between the names are optional; a name before a parenthesis begins a clause.
+    /// Returns whether a directive goes on with a name. A name before a parenthesis begins a clause, unless that
+    /// parenthesis does.
+    fn names_more(&self) -> bool {
+        let is_head = self.ahead(1).kind == Kind::LParen && !self.drawn_clause_at(1);
+        self.kind() == Kind::Ident && !is_head && !self.drawn_clause_at(0)
+    }
+
+    /// Commas between the names are optional.
     fn constraint(&mut self, kind: ConstraintKind, dot: Token) -> Parse<Option<Item>> {
         let mut names = vec![self.name("a predicate")?];
-        while self.eat(Kind::Comma) || (self.kind() == Kind::Ident && self.ahead(1).kind != Kind::LParen) {
+        while self.eat(Kind::Comma) || self.names_more() {
             names.push(self.name("a predicate")?);
         }
         let place = self.place_from(dot);
@@ -326,8 +333,7 @@ impl Parser<'_> {
             self.faults.push(fault);
         }
         let mut qualifiers = Vec::new();
-        // A word before a parenthesis begins a clause.
-        while readable && self.kind() == Kind::Ident && self.ahead(1).kind != Kind::LParen {
+        while readable && self.names_more() {
             if !QUALIFIERS.contains(&self.slice(self.token())) {
                 match self.foreign_qualifier(&first, columns.as_deref().unwrap_or_default()) {
                     true => continue,

@@ -185,6 +185,8 @@ struct Parser<'a> {
     negations: Vec<&'static str>,
     /// The strings without a closing quote, in order. Each runs from the first token of its line to its own.
     open_strings: Vec<RangeInclusive<usize>>,
+    /// The tokens `::`, in order, each with the `.` or `:-` before it.
+    draws: Vec<(usize, Option<usize>)>,
     /// The marks that the qualifiers of the last declaration imply.
     marks: Vec<Item>,
     macros: Macros,
@@ -228,6 +230,20 @@ fn open_strings(tokens: &[Token]) -> Vec<RangeInclusive<usize>> {
     found
 }
 
+/// Finds the tokens `::`, each with the last token before it that ends a head.
+fn draws(tokens: &[Token]) -> Vec<(usize, Option<usize>)> {
+    let mut end = None;
+    let mut found = Vec::new();
+    for (at, token) in tokens.iter().enumerate() {
+        match token.kind {
+            Kind::DoubleColon => found.push((at, end)),
+            Kind::If | Kind::Dot => end = Some(at),
+            _ => {}
+        }
+    }
+    found
+}
+
 impl<'a> Parser<'a> {
     fn new(source: SourceId, text: &'a str, lexed: &'a Lexed, faults: &'a mut Faults) -> Self {
         Parser {
@@ -241,6 +257,7 @@ impl<'a> Parser<'a> {
             nesting: 0,
             negations: negations(text, &lexed.tokens),
             open_strings: open_strings(&lexed.tokens),
+            draws: draws(&lexed.tokens),
             marks: Vec::new(),
             macros: Macros::default(),
             marked: false,
@@ -589,6 +606,7 @@ impl<'a> Parser<'a> {
                 self.preprocessor(token);
                 Ok(None)
             }
+            _ if self.is_drawn() => self.clause(doc).map(|clause| Some(Item::Clause(clause))),
             _ => {
                 let reported = self.expected_item("");
                 self.bump();

@@ -1,0 +1,867 @@
+//! Exact probabilities of rows, for clauses with probabilities and for uncertain facts.
+//!
+//! The semantics is that of Sato's distribution semantics, as in ProbLog: each draw and each uncertain fact is an
+//! independent random variable, and a row has the probability of the worlds in which it follows.
+//!
+//! ```text
+//! 0.8 :: Slow(x) :- Near(x, y), Not(Bus(x)).
+//! becomes
+//! instance(x, y) :- Near(x, y).                       a session derives which instances there may be
+//! Slow(x) :- instance(x, y).
+//! Slow("a") = Near("a", "b") and draw("a", "b") and not Bus("a")    its formula, from each instance
+//! ```
+//!
+//! Formulas are decision diagrams. Where they grow too large, or where an aggregate counts uncertain rows, the result is
+//! an estimate from sampled worlds, with an interval.
+
+use std::cmp::Ordering;
+use std::collections::{BTreeMap, BTreeSet, HashMap};
+
+use crate::cancel::Cancel;
+use crate::chance;
+use crate::check::{
+    Atom, Clause, ClauseId, Column, Draw, Literal, Predicate, PredicateId, Rules, Stratum, Term, TypeId, VarId,
+    restratified,
+};
+use crate::convert::{AsPredicate, IntoRow, RowError, check_words, encode};
+use crate::diagram::{Diagrams, Formula, NODE_BYTES, TooLarge};
+use crate::eval::limits::{EvalError, Limits};
+use crate::program::Program;
+use crate::session::Session;
+use crate::symbol::{Symbol, Symbols};
+use crate::syntax::ast::BaseType;
+use crate::value::Value;
+
+/// How marginals are computed.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub struct MarginalOptions {
+    /// The maximum number of nodes of decision diagrams. Beyond it, probabilities are estimated.
+    pub nodes_max: usize,
+    /// The number of worlds for estimates, at least 1.
+    pub samples: u32,
+    /// The seed of these worlds.
+    pub seed: u64,
+    /// The limits of evaluation.
+    pub limits: Limits,
+}
+
+impl Default for MarginalOptions {
+    /// A million nodes, 10,000 samples, seed 0, and the default limits.
+    fn default() -> Self {
+        MarginalOptions {
+            nodes_max: 1 << 20,
+            samples: 10_000,
+            seed: 0,
+            limits: Limits::default(),
+        }
+    }
+}
+
+/// The probability of a row.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct Probability {
+    /// The probability, or its estimate.
+    pub value: f64,
+    /// For an estimate, the ends of its 95 % interval by Wilson's score (1927).
+    pub interval: Option<(f64, f64)>,
+}
+
+/// Why probabilities are estimates.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub enum Inexact {
+    /// The decision diagrams would have more nodes than [`MarginalOptions::nodes_max`].
+    TooLarge,
+    /// An aggregate ranges over uncertain rows of this predicate, or of a hidden one.
+    Aggregate(PredicateId),
+}
+
+/// Facts, some of them uncertain, and the probabilities of what follows from them.
+///
+/// ```
+/// # use logicity_datalog::cancel::Cancel;
+/// # use logicity_datalog::{MarginalOptions, Marginals, Program};
+/// let program = Program::parse(
+///     ".decl road(x: symbol, y: symbol) .input road
+///      .decl path(x: symbol, y: symbol)
+///      0.9 :: path(x, y) :- road(x, y).
+///      path(x, z) :- path(x, y), path(y, z).",
+/// )?;
+/// let mut marginals = Marginals::new(&program, ["path"], MarginalOptions::default())?;
+/// marginals.insert("road", ("a", "b"), 0.5)?;
+/// marginals.insert("road", ("b", "c"), 1.0)?;
+/// marginals.compute(&Cancel::never())?;
+/// let path = marginals.probability("path", ("a", "c")).unwrap();
+/// assert!((path.value - 0.5 * 0.9 * 0.9).abs() < 1e-12);
+/// # Ok::<(), Box<dyn std::error::Error>>(())
+/// ```
+pub struct Marginals {
+    program: Program,
+    queries: Vec<PredicateId>,
+    options: MarginalOptions,
+    facts: BTreeMap<(PredicateId, Box<[Value]>), f64>,
+    /// The input predicates that had an uncertain fact, for which the grounding was made.
+    uncertain: BTreeSet<PredicateId>,
+    grounding: Option<Grounding>,
+    diagrams: Diagrams,
+    symbols: Symbols,
+    results: Vec<(PredicateId, Vec<(Box<[Value]>, Probability)>)>,
+    inexact: Option<Inexact>,
+}
+
+impl Marginals {
+    /// Creates marginals of these predicates, without facts.
+    ///
+    /// # Errors
+    /// If the program has no such predicate.
+    pub fn new<P: AsPredicate>(
+        program: &Program,
+        queries: impl IntoIterator<Item = P>,
+        options: MarginalOptions,
+    ) -> Result<Marginals, RowError> {
+        let queries = queries
+            .into_iter()
+            .map(|predicate| predicate.resolve(program.rules()).map(|(id, _)| id));
+        let nodes_max = usize::try_from(options.limits.bytes / 4 / NODE_BYTES).unwrap_or(usize::MAX);
+        Ok(Marginals {
+            queries: queries.collect::<Result<_, _>>()?,
+            facts: BTreeMap::new(),
+            uncertain: BTreeSet::new(),
+            grounding: None,
+            diagrams: Diagrams::new(options.nodes_max.min(nodes_max)),
+            symbols: program.rules().symbols.clone(),
+            results: Vec::new(),
+            inexact: None,
+            program: program.clone(),
+            options,
+        })
+    }
+
+    /// Adds a fact that holds with a probability from 0 to 1, or changes its probability.
+    ///
+    /// # Errors
+    /// As [`Session::insert`], and if the probability is none.
+    pub fn insert(&mut self, predicate: impl AsPredicate, row: impl IntoRow, probability: f64) -> Result<(), RowError> {
+        let (to, words) = self.encoded(predicate, &row)?;
+        if !(0.0..=1.0).contains(&probability) {
+            let predicate = self.program.rules().predicates[to.index()].name.clone();
+            let found = probability.to_string();
+            return Err(RowError::Probability { predicate, found });
+        }
+        if probability < 1.0 && self.uncertain.insert(to) {
+            self.grounding = None;
+        }
+        self.note(to, &words, true);
+        self.facts.insert((to, words), probability);
+        Ok(())
+    }
+
+    /// Removes a fact.
+    ///
+    /// # Errors
+    /// As [`Session::insert`].
+    pub fn retract(&mut self, predicate: impl AsPredicate, row: impl IntoRow) -> Result<(), RowError> {
+        let (to, words) = self.encoded(predicate, &row)?;
+        self.note(to, &words, false);
+        self.facts.remove(&(to, words));
+        Ok(())
+    }
+
+    /// Removes all facts.
+    pub fn clear(&mut self) {
+        for (to, words) in std::mem::take(&mut self.facts).into_keys() {
+            self.note(to, &words, false);
+        }
+    }
+
+    fn note(&mut self, to: PredicateId, words: &[Value], holds: bool) {
+        if let Some(grounding) = &mut self.grounding {
+            grounding.session.change_row(to, words, holds);
+        }
+    }
+
+    fn encoded(
+        &self,
+        predicate: impl AsPredicate,
+        row: &impl IntoRow,
+    ) -> Result<(PredicateId, Box<[Value]>), RowError> {
+        let (predicate, to) = self.program.base(predicate)?;
+        let words: Box<[Value]> = match row.words() {
+            Some(words) => words.into(),
+            None => {
+                let mut words = Vec::new();
+                encode(predicate, row, &|text| Some(self.symbols.intern(text)), &mut words)?;
+                words.into()
+            }
+        };
+        check_words(predicate, &words, self.symbols.len())?;
+        Ok((to, words))
+    }
+
+    /// Computes the probabilities for the present facts. A pure function of the facts and the options.
+    ///
+    /// # Errors
+    /// If the evaluation exceeds a limit, or the caller cancels it. The facts stay as they are.
+    pub fn compute(&mut self, cancel: &Cancel) -> Result<(), EvalError> {
+        (self.inexact, self.results) = (None, Vec::new());
+        let grounding = match &mut self.grounding {
+            Some(grounding) => grounding,
+            None => {
+                let mut grounding = Grounding::new(&self.program, &self.uncertain, &self.queries, &self.symbols);
+                grounding.session.set_limits(self.options.limits);
+                for (to, words) in self.facts.keys() {
+                    grounding.session.change_row(*to, words, true);
+                }
+                self.grounding.insert(grounding)
+            }
+        };
+        let exact = match grounding.inexact {
+            Some(inexact) => Err(inexact),
+            None => {
+                if grounding.session.symbols().len() < self.symbols.len() {
+                    grounding.session.set_symbols(self.symbols.clone());
+                }
+                grounding.session.commit_with(cancel)?;
+                let formulas = grounding.formulas(&self.facts, &mut self.diagrams, cancel)?;
+                formulas.map_err(|TooLarge| Inexact::TooLarge)
+            }
+        };
+        match exact {
+            Ok(formulas) => {
+                let of = |predicate: PredicateId| {
+                    let rows = grounding.session.encoded_rows(predicate).enumerate();
+                    let row = |(at, row): (usize, &[Value])| {
+                        let formula = formulas[predicate.index()]
+                            .as_ref()
+                            .map_or(Formula::TRUE, |all| all[at]);
+                        let value = self.diagrams.probability(formula);
+                        let interval = None;
+                        (value > 0.0).then(|| (row.into(), Probability { value, interval }))
+                    };
+                    (predicate, rows.filter_map(row).collect())
+                };
+                self.results = self.queries.iter().map(|predicate| of(*predicate)).collect();
+                if self.symbols.len() < grounding.session.symbols().len() {
+                    self.symbols = grounding.session.symbols().clone();
+                }
+            }
+            Err(inexact) => {
+                self.inexact = Some(inexact);
+                self.sample(cancel)?;
+            }
+        }
+        Ok(())
+    }
+
+    /// Estimates the probabilities from sampled worlds.
+    fn sample(&mut self, cancel: &Cancel) -> Result<(), EvalError> {
+        let mut session = self.program.session_with(self.symbols.clone());
+        session.set_limits(self.options.limits);
+        let samples = self.options.samples.max(1);
+        let mut counts: Vec<BTreeMap<Box<[Value]>, u32>> = vec![BTreeMap::new(); self.queries.len()];
+        for (to, words) in self.facts.keys() {
+            session.change_row(*to, words, true);
+        }
+        let streams: Vec<u64> = (self.program.rules().predicates.iter())
+            .map(|predicate| chance::stream(&predicate.name))
+            .collect();
+        for sample in 0..samples {
+            let word = chance::word(self.options.seed, u64::from(sample));
+            session.set_chance(word);
+            for ((to, words), probability) in self.facts.iter().filter(|(_, probability)| **probability < 1.0) {
+                let draw = chance::Draw::new(word, streams[to.index()]);
+                let columns = self.program.rules().predicates[to.index()].columns.iter();
+                let draw = columns
+                    .zip(words)
+                    .fold(draw, |draw, (column, value)| match column.base {
+                        BaseType::Symbol => {
+                            draw.symbol(chance::hash(self.symbols.resolve(Symbol(value.0)).unwrap_or_default()))
+                        }
+                        _ => draw.value(*value),
+                    });
+                session.change_row(*to, words, draw.number() < *probability);
+            }
+            session.commit_with(cancel)?;
+            for (predicate, counts) in self.queries.iter().zip(&mut counts) {
+                for row in session.encoded_rows(*predicate) {
+                    match counts.get_mut(row) {
+                        Some(count) => *count += 1,
+                        None => _ = counts.insert(row.into(), 1),
+                    }
+                }
+            }
+        }
+        let of = |(predicate, counts): (&PredicateId, BTreeMap<Box<[Value]>, u32>)| {
+            let row = |(row, count)| (row, Probability::estimated(count, samples));
+            (*predicate, counts.into_iter().map(row).collect())
+        };
+        self.results = self.queries.iter().zip(counts).map(of).collect();
+        self.symbols = session.symbols().clone();
+        Ok(())
+    }
+
+    /// Returns why the last computed probabilities are estimates; `None` if they are exact.
+    pub fn inexact(&self) -> Option<Inexact> {
+        self.inexact
+    }
+
+    /// Returns the rows of a queried predicate with a positive probability, in the order of their words.
+    pub fn rows(&self, predicate: impl AsPredicate) -> impl Iterator<Item = (&[Value], Probability)> {
+        let id = predicate.resolve(self.program.rules()).ok().map(|(id, _)| id);
+        let found = self.results.iter().find(|(predicate, _)| Some(*predicate) == id);
+        found
+            .into_iter()
+            .flat_map(|(_, rows)| rows)
+            .map(|(row, probability)| (&**row, *probability))
+    }
+
+    /// Returns the probability of a row of a queried predicate; `None` if it cannot follow.
+    pub fn probability(&self, predicate: impl AsPredicate, row: impl IntoRow) -> Option<Probability> {
+        let (id, declared) = predicate.resolve(self.program.rules()).ok()?;
+        let mut words = Vec::new();
+        let words = match row.words() {
+            Some(words) => words,
+            None => {
+                encode(declared, &row, &|text| self.symbols.get(text), &mut words).ok()?;
+                &words
+            }
+        };
+        let (_, rows) = self.results.iter().find(|(predicate, _)| *predicate == id)?;
+        let at = rows.binary_search_by(|(row, _)| (**row).cmp(words)).ok()?;
+        Some(rows[at].1)
+    }
+
+    /// Returns the symbol table of the rows.
+    pub fn symbols(&self) -> &Symbols {
+        &self.symbols
+    }
+}
+
+impl Probability {
+    /// Returns the estimate from the count of sampled worlds.
+    fn estimated(count: u32, samples: u32) -> Probability {
+        /// The quantile of the normal distribution for 95 %.
+        const Z: f64 = 1.959_963_984_540_054;
+        let n = f64::from(samples);
+        let value = f64::from(count) / n;
+        let center = value + Z * Z / (2.0 * n);
+        let radius = Z * (value * (1.0 - value) / n + Z * Z / (4.0 * n * n)).sqrt();
+        let end = |end: f64| (end / (1.0 + Z * Z / n)).clamp(0.0, 1.0);
+        Probability {
+            value,
+            interval: Some((end(center - radius), end(center + radius))),
+        }
+    }
+}
+
+/// A session that derives what there may be, and the clauses of what is uncertain.
+struct Grounding {
+    session: Session,
+    /// The predicates whose rows may be uncertain and that the queries depend on.
+    uncertain: Vec<bool>,
+    /// The input predicates among them.
+    inputs: Vec<PredicateId>,
+    strata: Vec<GroundStratum>,
+    inexact: Option<Inexact>,
+}
+
+/// The uncertain predicates of a stratum.
+struct GroundStratum {
+    predicates: Vec<PredicateId>,
+    clauses: Vec<GroundClause>,
+}
+
+/// A clause of an uncertain predicate. Its terms are columns of the rows of its instances.
+struct GroundClause {
+    head: Atom,
+    /// The predicate of its instances; `None` for a certain fact.
+    instances: Option<PredicateId>,
+    /// Uncertain atoms of lower strata, and whether they are negated.
+    lower: Vec<(Atom, bool)>,
+    /// Uncertain atoms of its stratum.
+    recursive: Vec<Atom>,
+    draw: Option<Draw>,
+}
+
+impl Grounding {
+    fn new(program: &Program, inputs: &BTreeSet<PredicateId>, queries: &[PredicateId], symbols: &Symbols) -> Grounding {
+        let rules = program.rules();
+        let uncertain = relevant(rules, uncertain(rules, inputs), queries);
+        let is_uncertain = |atom: &Atom| uncertain[atom.predicate.index()];
+        let mut inexact = None;
+        let mut made = rules.clone();
+        made.clauses = Vec::with_capacity(rules.clauses.len());
+        (made.pasts, made.chance) = (Vec::new(), None);
+        let mut ground: Vec<Option<GroundClause>> = Vec::with_capacity(rules.clauses.len());
+        for clause in &rules.clauses {
+            if !is_uncertain(&clause.head) {
+                made.clauses.push(clause.clone());
+                ground.push(None);
+                continue;
+            }
+            let aggregated = clause.body.iter().find_map(|literal| match literal {
+                Literal::Aggregate { atom, .. } if is_uncertain(atom) => Some(atom.predicate),
+                _ => None,
+            });
+            if let Some(predicate) = aggregated {
+                inexact.get_or_insert(Inexact::Aggregate(predicate));
+                ground.push(None);
+                continue;
+            }
+            ground.push(Some(split(rules, clause, &is_uncertain, &mut made)));
+        }
+        let in_stratum = |stratum: &Stratum, atom: &Atom| stratum.predicates.contains(&atom.predicate);
+        let strata = rules.strata.iter().filter_map(|stratum| {
+            let predicates = stratum.predicates.iter().copied();
+            let predicates: Vec<PredicateId> = predicates.filter(|predicate| uncertain[predicate.index()]).collect();
+            let clauses = stratum.clauses.iter().filter_map(|clause: &ClauseId| {
+                let mut clause = ground[clause.index()].take()?;
+                let (recursive, lower) = clause
+                    .lower
+                    .into_iter()
+                    .partition(|(atom, _)| in_stratum(stratum, atom));
+                clause.lower = lower;
+                let recursive: Vec<(Atom, bool)> = recursive;
+                clause.recursive = recursive.into_iter().map(|(atom, _)| atom).collect();
+                Some(clause)
+            });
+            let clauses = clauses.collect();
+            (!predicates.is_empty()).then_some(GroundStratum { predicates, clauses })
+        });
+        let strata = strata.collect();
+        let inputs = inputs
+            .iter()
+            .copied()
+            .filter(|input| uncertain[input.index()])
+            .collect();
+        let made = Program::new(restratified(made)).expect("the clauses have fewer literals than those of the program");
+        Grounding {
+            session: made.session_with(symbols.clone()),
+            uncertain,
+            inputs,
+            strata,
+            inexact,
+        }
+    }
+
+    /// Returns the formula of each row of the uncertain predicates, by position; `None` for other predicates.
+    #[allow(clippy::type_complexity)]
+    fn formulas(
+        &self,
+        facts: &BTreeMap<(PredicateId, Box<[Value]>), f64>,
+        diagrams: &mut Diagrams,
+        cancel: &Cancel,
+    ) -> Result<Result<Vec<Option<Vec<Formula>>>, TooLarge>, EvalError> {
+        diagrams.clear();
+        let mut work = Work {
+            session: &self.session,
+            diagrams,
+            formulas: vec![None; self.uncertain.len()],
+            draws: HashMap::new(),
+            cancel,
+        };
+        match work.run(self, facts) {
+            Ok(()) => Ok(Ok(work.formulas)),
+            Err(Stop::TooLarge) => Ok(Err(TooLarge)),
+            Err(Stop::Cancelled) => Err(EvalError::Cancelled { clause: ClauseId(0) }),
+        }
+    }
+}
+
+/// Why formulas are not complete.
+enum Stop {
+    TooLarge,
+    Cancelled,
+}
+
+impl From<TooLarge> for Stop {
+    fn from(_: TooLarge) -> Stop {
+        Stop::TooLarge
+    }
+}
+
+/// The formulas so far.
+struct Work<'w> {
+    session: &'w Session,
+    diagrams: &'w mut Diagrams,
+    formulas: Vec<Option<Vec<Formula>>>,
+    /// The alternatives of each draw. Lookup only, never iterated.
+    draws: HashMap<(u64, Box<[Value]>), Vec<Formula>>,
+    cancel: &'w Cancel,
+}
+
+/// An instance of a recursive clause: the position of its head, what holds of it apart from the recursion, and the
+/// positions of the recursive atoms.
+struct Instance {
+    head: (PredicateId, usize),
+    fixed: Formula,
+    recursive: Vec<(PredicateId, usize)>,
+}
+
+impl Work<'_> {
+    fn run(&mut self, grounding: &Grounding, facts: &BTreeMap<(PredicateId, Box<[Value]>), f64>) -> Result<(), Stop> {
+        for &input in &grounding.inputs {
+            let mut formulas = Vec::with_capacity(self.session.len(input));
+            for row in self.session.encoded_rows(input) {
+                let probability = facts.get(&(input, row.into())).copied().unwrap_or(1.0);
+                formulas.push(self.random(probability)?);
+            }
+            self.formulas[input.index()] = Some(formulas);
+        }
+        for stratum in &grounding.strata {
+            // Facts of the source may add to those of an input.
+            for &predicate in stratum.predicates.iter().filter(|id| !grounding.inputs.contains(id)) {
+                self.formulas[predicate.index()] = Some(vec![Formula::FALSE; self.session.len(predicate)]);
+            }
+            let mut instances = Vec::new();
+            for clause in &stratum.clauses {
+                self.instances(clause, &mut instances)?;
+            }
+            self.fixpoint(&instances)?;
+        }
+        Ok(())
+    }
+
+    /// Returns a formula that holds with this probability, independently of all others.
+    fn random(&mut self, probability: f64) -> Result<Formula, TooLarge> {
+        match probability {
+            ..=0.0 => Ok(Formula::FALSE),
+            1.0.. => Ok(Formula::TRUE),
+            _ => self.diagrams.variable(probability),
+        }
+    }
+
+    /// Evaluates the instances of a clause, and collects those that are recursive.
+    fn instances(&mut self, clause: &GroundClause, recursive: &mut Vec<Instance>) -> Result<(), Stop> {
+        let session = self.session;
+        let Some(instances) = clause.instances else {
+            let head = self.position(&clause.head, &[]);
+            return Ok(self.add(head, Formula::TRUE).map(drop)?);
+        };
+        for (number, row) in session.encoded_rows(instances).enumerate() {
+            if number % 256 == 255 && self.cancel.requested() {
+                return Err(Stop::Cancelled);
+            }
+            let mut fixed = Formula::TRUE;
+            for (atom, negated) in &clause.lower {
+                let formula = match negated {
+                    true => self.any(atom, row)?.not(),
+                    false => self.at(self.position(atom, row)),
+                };
+                fixed = self.diagrams.and(fixed, formula)?;
+                if fixed == Formula::FALSE {
+                    break;
+                }
+            }
+            if fixed == Formula::FALSE {
+                continue;
+            }
+            if let Some(draw) = &clause.draw {
+                let drawn = self.drawn(draw, row)?;
+                fixed = self.diagrams.and(fixed, drawn)?;
+            }
+            let head = self.position(&clause.head, row);
+            if clause.recursive.is_empty() {
+                self.add(head, fixed)?;
+            } else {
+                recursive.push(Instance {
+                    head,
+                    fixed,
+                    recursive: clause.recursive.iter().map(|atom| self.position(atom, row)).collect(),
+                });
+            }
+        }
+        Ok(())
+    }
+
+    /// Evaluates recursive instances until no formula changes. Formulas only grow, so this ends.
+    fn fixpoint(&mut self, instances: &[Instance]) -> Result<(), Stop> {
+        let mut changed: BTreeSet<(PredicateId, usize)> = BTreeSet::new();
+        let mut first = true;
+        while first || !changed.is_empty() {
+            let mut next = BTreeSet::new();
+            for instance in instances {
+                if !first && !instance.recursive.iter().any(|atom| changed.contains(atom)) {
+                    continue;
+                }
+                if self.cancel.requested() {
+                    return Err(Stop::Cancelled);
+                }
+                let mut formula = instance.fixed;
+                for atom in &instance.recursive {
+                    formula = self.diagrams.and(formula, self.at(*atom))?;
+                }
+                if self.add(instance.head, formula)? {
+                    next.insert(instance.head);
+                }
+            }
+            (first, changed) = (false, next);
+        }
+        Ok(())
+    }
+
+    /// Adds a reason for a row. Returns whether its formula changes.
+    fn add(&mut self, (predicate, at): (PredicateId, usize), reason: Formula) -> Result<bool, TooLarge> {
+        let before = self.at((predicate, at));
+        let after = self.diagrams.or(before, reason)?;
+        if let Some(formulas) = &mut self.formulas[predicate.index()] {
+            formulas[at] = after;
+        }
+        Ok(before != after)
+    }
+
+    fn at(&self, (predicate, at): (PredicateId, usize)) -> Formula {
+        self.formulas[predicate.index()]
+            .as_ref()
+            .map_or(Formula::TRUE, |formulas| formulas[at])
+    }
+
+    /// Returns the predicate and the position of the row of an atom, all of whose terms have values, in an instance
+    /// that follows only if there is that row.
+    fn position(&self, atom: &Atom, instance: &[Value]) -> (PredicateId, usize) {
+        let position = self
+            .find(atom, instance)
+            .expect("the rows of an instance follow with it");
+        (atom.predicate, position)
+    }
+
+    /// Returns the position of the row of an atom, all of whose terms have values.
+    fn find(&self, atom: &Atom, instance: &[Value]) -> Option<usize> {
+        let wanted = atom.terms.iter().map(|term| value(term, instance));
+        let wanted: smallvec::SmallVec<[Value; 4]> = wanted.collect::<Option<_>>()?;
+        let (mut low, mut high) = (0, self.session.len(atom.predicate));
+        while low < high {
+            let middle = low.midpoint(high);
+            match self.session.row(atom.predicate, middle).cmp(&*wanted) {
+                Ordering::Less => low = middle + 1,
+                Ordering::Equal => return Some(middle),
+                Ordering::Greater => high = middle,
+            }
+        }
+        None
+    }
+
+    /// Returns the formula that some row matches an atom.
+    fn any(&mut self, atom: &Atom, instance: &[Value]) -> Result<Formula, TooLarge> {
+        if !atom.terms.contains(&Term::Wildcard) {
+            let found = self.find(atom, instance);
+            return Ok(found.map_or(Formula::FALSE, |at| self.at((atom.predicate, at))));
+        }
+        let pattern: Vec<Option<Value>> = atom.terms.iter().map(|term| value(term, instance)).collect();
+        let mut all = Formula::FALSE;
+        for (at, row) in self.session.encoded_rows(atom.predicate).enumerate() {
+            let matches = (pattern.iter().zip(row)).all(|(wanted, found)| wanted.is_none_or(|wanted| wanted == *found));
+            if matches {
+                all = self.diagrams.or(all, self.at((atom.predicate, at)))?;
+            }
+        }
+        Ok(all)
+    }
+
+    /// Returns the formula that the alternative of a draw is chosen.
+    fn drawn(&mut self, draw: &Draw, instance: &[Value]) -> Result<Formula, TooLarge> {
+        let values = draw.values.iter().map(|term| value(term, instance).unwrap_or_default());
+        let key = (draw.stream, values.collect::<Box<[Value]>>());
+        if let Some(alternatives) = self.draws.get(&key) {
+            return Ok(alternatives.get(draw.alternative).copied().unwrap_or(Formula::FALSE));
+        }
+        let probabilities = draw.probabilities.iter();
+        let probabilities = probabilities.map(|term| value(term, instance).unwrap_or_default().as_float());
+        let probabilities: Vec<f32> = probabilities.collect();
+        let mut alternatives = Vec::new();
+        if chance::alternative(0.0, probabilities.iter().copied()).is_some() {
+            // The first alternatives are not chosen, and this one is, of what is left.
+            let (mut before, mut left) = (Formula::TRUE, 1.0);
+            for probability in probabilities.into_iter().map(exact) {
+                let chosen = self.random(if left > 0.0 { probability / left } else { 0.0 })?;
+                alternatives.push(self.diagrams.and(before, chosen)?);
+                before = self.diagrams.and(before, chosen.not())?;
+                left -= probability;
+            }
+        }
+        let found = alternatives.get(draw.alternative).copied().unwrap_or(Formula::FALSE);
+        self.draws.insert(key, alternatives);
+        Ok(found)
+    }
+}
+
+/// Returns the number that a float of single precision was probably written as: 0.3, not 0.30000001192.
+fn exact(probability: f32) -> f64 {
+    probability
+        .to_string()
+        .parse()
+        .unwrap_or_else(|_| f64::from(probability))
+}
+
+/// Returns the value of a term whose variables are columns of a row.
+fn value(term: &Term, row: &[Value]) -> Option<Value> {
+    match *term {
+        Term::Constant(constant) => Some(constant),
+        Term::Variable(column) => Some(row[column.index()]),
+        Term::Wildcard => None,
+    }
+}
+
+/// Returns for each predicate whether a row may be uncertain.
+fn uncertain(rules: &Rules, inputs: &BTreeSet<PredicateId>) -> Vec<bool> {
+    let mut uncertain: Vec<bool> = (0..rules.predicates.len() as u32)
+        .map(|id| inputs.contains(&PredicateId(id)))
+        .collect();
+    let mut changed = true;
+    while std::mem::take(&mut changed) {
+        for clause in &rules.clauses {
+            let head = clause.head.predicate.index();
+            let reads = |literal: &Literal| {
+                literal
+                    .atom()
+                    .is_some_and(|atom| uncertain[atom.predicate.index()] || Some(atom.predicate) == rules.chance)
+            };
+            if !uncertain[head] && clause.body.iter().any(reads) {
+                uncertain[head] = true;
+                changed = true;
+            }
+        }
+    }
+    uncertain
+}
+
+/// Keeps the predicates on which the queries depend.
+fn relevant(rules: &Rules, mut uncertain: Vec<bool>, queries: &[PredicateId]) -> Vec<bool> {
+    let mut needed = vec![false; uncertain.len()];
+    let mut open: Vec<PredicateId> = queries.to_vec();
+    while let Some(predicate) = open.pop() {
+        if !std::mem::replace(&mut needed[predicate.index()], true) {
+            let clauses = rules.clauses.iter().filter(|clause| clause.head.predicate == predicate);
+            let atoms = clauses.flat_map(|clause| clause.body.iter().filter_map(Literal::atom));
+            open.extend(atoms.map(|atom| atom.predicate));
+        }
+    }
+    uncertain
+        .iter_mut()
+        .zip(needed)
+        .for_each(|(uncertain, needed)| *uncertain &= needed);
+    uncertain
+}
+
+/// Splits a clause of an uncertain predicate: adds the clause of its instances and that of its head to the rules that
+/// derive what there may be, and returns the rest.
+fn split(rules: &Rules, clause: &Clause, is_uncertain: &impl Fn(&Atom) -> bool, made: &mut Rules) -> GroundClause {
+    if clause.body.is_empty() {
+        made.clauses.push(clause.clone());
+        return GroundClause {
+            head: clause.head.clone(),
+            instances: None,
+            lower: Vec::new(),
+            recursive: Vec::new(),
+            draw: None,
+        };
+    }
+    let mut draw = rules.draw(clause);
+    let drawn = draw.as_ref().map_or([usize::MAX; 3], |draw| draw.literals);
+    let mut atoms: Vec<(Atom, bool)> = Vec::new();
+    let mut body = Vec::new();
+    for (at, literal) in clause.body.iter().enumerate() {
+        match literal {
+            _ if drawn.contains(&at) => continue,
+            Literal::Negative(atom) if is_uncertain(atom) => {
+                atoms.push((atom.clone(), true));
+                continue;
+            }
+            Literal::Positive(atom) | Literal::Guard(atom) if is_uncertain(atom) => {
+                atoms.push((atom.clone(), false));
+            }
+            _ => {}
+        }
+        body.push(literal.clone());
+    }
+    // A `_` of a positive atom needs a value, to know the row.
+    let mut variables = clause.variables.clone();
+    let mut bases = rules.bases(clause);
+    let mut next = 0;
+    for literal in &mut body {
+        let (Literal::Positive(atom) | Literal::Guard(atom)) = literal else {
+            continue;
+        };
+        if !is_uncertain(atom) {
+            continue;
+        }
+        let columns = &rules.predicates[atom.predicate.index()].columns;
+        for (term, column) in atom.terms.iter_mut().zip(columns) {
+            if *term == Term::Wildcard {
+                *term = Term::Variable(VarId(variables.len() as u32));
+                variables.push("_".to_owned());
+                bases.push(column.base);
+            }
+        }
+        let positive = atoms[next..].iter().position(|(_, negated)| !negated);
+        if let Some(position) = positive {
+            atoms[next + position].0 = atom.clone();
+            next += position + 1;
+        }
+    }
+    let mut head = clause.head.clone();
+    // The columns of the instances: the variables of what remains to be evaluated.
+    let mut columns: Vec<VarId> = Vec::new();
+    let terms = (head.terms.iter_mut())
+        .chain(atoms.iter_mut().flat_map(|(atom, _)| &mut atom.terms))
+        .chain(
+            draw.iter_mut()
+                .flat_map(|draw| draw.probabilities.iter_mut().chain(&mut draw.values)),
+        );
+    for term in terms {
+        if let Term::Variable(variable) = term {
+            let column = columns.iter().position(|known| known == variable).unwrap_or_else(|| {
+                columns.push(*variable);
+                columns.len() - 1
+            });
+            *variable = VarId(column as u32);
+        }
+    }
+    let instances = PredicateId(made.predicates.len() as u32);
+    let column = |variable: &VarId| Column {
+        name: variables[variable.index()].clone(),
+        ty: TypeId(0),
+        base: bases[variable.index()],
+    };
+    made.predicates.push(Predicate::made(
+        format!("+instances {}", made.clauses.len()),
+        columns.iter().map(column).collect(),
+        "instances of a clause".to_owned(),
+        clause.span,
+    ));
+    let atom = Atom {
+        predicate: instances,
+        terms: columns.iter().map(|variable| Term::Variable(*variable)).collect(),
+        span: clause.span,
+    };
+    made.clauses.push(Clause {
+        head: atom.clone(),
+        body,
+        variable_spans: vec![clause.span; variables.len()],
+        variables: variables.clone(),
+        doc: String::new(),
+        span: clause.span,
+    });
+    made.clauses.push(Clause {
+        body: vec![Literal::Positive(Atom {
+            terms: (0..columns.len() as u32)
+                .map(|column| Term::Variable(VarId(column)))
+                .collect(),
+            ..atom
+        })],
+        head: head.clone(),
+        variable_spans: vec![clause.span; columns.len()],
+        variables: columns
+            .iter()
+            .map(|variable| variables[variable.index()].clone())
+            .collect(),
+        doc: String::new(),
+        span: clause.span,
+    });
+    GroundClause {
+        head,
+        instances: Some(instances),
+        lower: atoms,
+        recursive: Vec::new(),
+        draw,
+    }
+}
