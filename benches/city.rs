@@ -86,7 +86,7 @@ fn rules(criterion: &mut Criterion) {
             let facts = simulation
                 .facts(|predicate| vocabulary.is_read(predicate))
                 .expect("within limits");
-            let facts: BitFacts<WIDTH> = rules.bits(&facts, vocabulary, count);
+            let facts: BitFacts<WIDTH> = rules.bits(&facts, vocabulary, count, std::iter::empty::<&str>());
             facts.load(dense, &mut bit_state);
             bit_state.run(dense, &facts).expect("few steps");
             for action in Action::ALL {

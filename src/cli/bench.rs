@@ -515,11 +515,13 @@ impl<'a> Bench<'a> {
     fn infer_dense<const W: usize>(&mut self) -> Result<(), Failure> {
         let (world, count) = (Arc::clone(&self.world), self.agents());
         let rules = world.compile(TrackFirings::Off)?;
+        let agents = self.simulation.agents().iter();
+        let names: Vec<String> = agents.map(|agent| agent.name().to_string()).collect();
         let dense = &rules.dense;
         let sets = dense.inputs().len() + dense.lists().len() * 64 * W;
         let states: Vec<BitFacts<W>> = self.states(BETWEEN, |facts| {
             (
-                rules.bits(&facts, &world.vocabulary, count),
+                rules.bits(&facts, &world.vocabulary, count, names.iter()),
                 sets * size_of::<[u64; W]>(),
             )
         })?;
@@ -663,7 +665,7 @@ fn infer_scenes(arguments: &Arguments, city: LoadedCity, path: &Path, sources: &
     let (executor, timed) = match rules {
         Some(rules) => {
             let states: Vec<BitFacts<1>> = (scenes.iter())
-                .map(|scene| rules.bits(&scene.facts, inference.vocabulary(), most))
+                .map(|scene| rules.bits(&scene.facts, inference.vocabulary(), most, scene.names.iter()))
                 .collect();
             (
                 Executor::Dense,

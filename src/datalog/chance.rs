@@ -104,7 +104,7 @@ pub(crate) fn choose(arguments: &[Value], symbols: &Symbols) -> Option<usize> {
     let mut draw = Draw::new(joined(high, low), joined(stream_high, stream_low));
     for (at, value) in values.iter().enumerate() {
         draw = match kinds.0 >> at & 1 {
-            1 => draw.symbol(hash(symbols.resolve(Symbol(value.0)).unwrap_or_default())),
+            1 => draw.symbol(hash_of(*value, symbols)),
             _ => draw.value(*value),
         };
     }
@@ -120,8 +120,13 @@ fn mix(word: u64) -> u64 {
     word ^ word >> 31
 }
 
-/// Returns the hash of a symbol.
-pub(crate) fn hash(text: &str) -> u64 {
+/// Returns the hash of the symbol with this word.
+pub(crate) fn hash_of(value: Value, symbols: &Symbols) -> u64 {
+    hash(symbols.resolve(Symbol(value.0)).unwrap_or_default())
+}
+
+/// Returns the hash of a symbol, which draws use in place of its id.
+pub fn hash(text: &str) -> u64 {
     let mut bytes = text.as_bytes().chunks_exact(8);
     let mut state = mix(text.len() as u64);
     for chunk in &mut bytes {

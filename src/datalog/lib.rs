@@ -174,6 +174,7 @@ pub use workspace::{FactPattern, FactRow, Loaded, Workspace, is_complete, load, 
 /// What the crate `logicity` shares with the engine. No part of the interface: it may change in any version.
 #[doc(hidden)]
 pub mod internal {
+    pub use crate::chance::{hash as symbol_hash, word as chance_word};
     pub use crate::eval::limits::size;
     pub use crate::spans::Spans;
 

@@ -28,7 +28,7 @@ use crate::diagram::{Diagrams, Formula, NODE_BYTES, TooLarge};
 use crate::eval::limits::{EvalError, Limits};
 use crate::program::Program;
 use crate::session::Session;
-use crate::symbol::{Symbol, Symbols};
+use crate::symbol::Symbols;
 use crate::syntax::ast::BaseType;
 use crate::value::Value;
 
@@ -273,9 +273,7 @@ impl Marginals {
                 let draw = columns
                     .zip(words)
                     .fold(draw, |draw, (column, value)| match column.base {
-                        BaseType::Symbol => {
-                            draw.symbol(chance::hash(self.symbols.resolve(Symbol(value.0)).unwrap_or_default()))
-                        }
+                        BaseType::Symbol => draw.symbol(chance::hash_of(*value, &self.symbols)),
                         _ => draw.value(*value),
                     });
                 session.change_row(*to, words, draw.number() < *probability);

@@ -5,6 +5,7 @@ mod any_input;
 mod ask;
 #[path = "../cases.rs"]
 mod cases;
+mod chance;
 mod cities;
 mod config;
 mod conflicts;

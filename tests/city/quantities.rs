@@ -268,7 +268,7 @@ Fast(X) :- Distance(X, Y, d), d < 3.5, Remaining(Y, 7).
 #[test]
 fn rules_that_read_quantities_are_refused_where_facts_have_no_values() {
     let (world, _) = with_quantities("Stop(X) :- Waited(X, n), n < 3.", |_| ());
-    let fault = world.vocabulary.without_quantities("questions").unwrap_err();
+    let fault = world.vocabulary.check_plain("questions").unwrap_err();
     assert_eq!(
         fault.message,
         "questions contain no quantities, but the rules declare `Speed` as input"

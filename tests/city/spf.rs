@@ -33,6 +33,10 @@ impl Chance for Trusted<'_> {
         0
     }
 
+    fn word(&self) -> u64 {
+        0
+    }
+
     fn happens(&self, predicate: usize, first: usize, second: usize, _: f64) -> bool {
         self.0.contains(&(predicate, vec![first, second]))
     }

@@ -6,7 +6,7 @@ use crate::dense::count::{BoundedCount, bounded_counts, is_stored};
 use crate::dense::program::Dense;
 use crate::diag::Span;
 use crate::syntax::ast::{BaseType, Comparison};
-use crate::syntax::functor::AggregateOp;
+use crate::syntax::functor::{AggregateOp, Functor};
 use std::collections::HashMap;
 use std::fmt;
 
@@ -80,6 +80,8 @@ pub enum Construct {
     NotSymbols(PredicateId),
     /// A constant.
     Constant,
+    /// A draw about more than two entities, or about the value of an expression on several.
+    Draw,
     /// An expression.
     Expression,
     /// A comparison other than `=` and `!=` of two variables for symbols.
@@ -117,6 +119,7 @@ impl Unsupported {
                 )
             }
             Construct::Constant => format!("a clause of {head} names a constant"),
+            Construct::Draw => format!("a clause of {head} draws for each combination of more than two agents"),
             Construct::Expression => format!("a clause of {head} computes a value"),
             Construct::Comparison => format!("a clause of {head} compares values"),
             Construct::Aggregate(op) => format!("a clause of {head} aggregates with `{}`", op.name()),
@@ -136,6 +139,10 @@ impl Unsupported {
             Construct::Aggregate(AggregateOp::Count) => {
                 Some("count the agents that a predicate relates to one agent, and compare the count with constants")
             }
+            Construct::Draw => Some(
+                "derive the body in a predicate over one agent or two, and draw over that; variables that begin with `_` \
+                 take no part in a draw",
+            ),
             Construct::Variables => Some("derive a part of the body in a predicate of its own"),
             Construct::NotSymbols(_)
             | Construct::Expression
@@ -266,7 +273,7 @@ fn obstacle(rules: &Rules, stratum: &Stratum) -> Option<Unsupported> {
         let computed = |(construct, _): &(Construct, Span)| {
             matches!(
                 construct,
-                Construct::Expression | Construct::Aggregate(_) | Construct::Comparison
+                Construct::Draw | Construct::Expression | Construct::Aggregate(_) | Construct::Comparison
             )
         };
         let found = found.or_else(|| body().find(computed));
@@ -328,6 +335,11 @@ fn obstacle_in(rules: &Rules, literal: &Literal) -> Option<(Construct, Span)> {
             ..
         } if [left, right].iter().any(|term| matches!(term, Term::Constant(_))) => Some((Construct::Constant, *span)),
         Literal::Compare { span, .. } => Some((Construct::Comparison, *span)),
+        Literal::Compute {
+            functor: Functor::Choose,
+            span,
+            ..
+        } => Some((Construct::Draw, *span)),
         Literal::Compute { span, .. } => Some((Construct::Expression, *span)),
         Literal::Aggregate { op, atom, .. } => Some((Construct::Aggregate(*op), atom.span)),
     }

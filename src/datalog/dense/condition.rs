@@ -4,10 +4,13 @@
 //! Slow(X) :- IsCar(X), Waited(X, n), n > 40.      becomes    Slow(X) :- IsCar(X), +condition(X).
 //! ```
 //!
+//! A draw is a condition, too: it reads the symbols of its entities.
+//!
 //! The executor stores no values. The caller decides with [`Condition::holds`] for which entities a condition holds, and
 //! provides these as facts of its hidden predicate. A condition concerns one entity or two.
 
-use crate::check::{Atom, Clause, Literal, Predicate, PredicateId, Rules, Term, VarId};
+use crate::chance;
+use crate::check::{Atom, Clause, Draw, Literal, Predicate, PredicateId, Rules, Term, VarId};
 use crate::symbol::Symbols;
 use crate::syntax::ast::{BaseType, Comparison};
 use crate::syntax::functor::Functor;
@@ -63,6 +66,34 @@ enum Step {
         arguments: Vec<Operand>,
         to: usize,
     },
+    /// The draw of this stream chooses this alternative.
+    Draw {
+        stream: u64,
+        probabilities: Vec<Operand>,
+        alternative: usize,
+        values: Vec<DrawValue>,
+    },
+}
+
+/// A value that a draw is about.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, PartialOrd, Ord)]
+enum DrawValue {
+    /// The symbol of the entity at this place.
+    Entity(usize),
+    Value(Operand),
+    Symbol(Operand),
+}
+
+/// What conditions read of a tick and its entities, by their places in the condition.
+pub trait ConditionValues {
+    /// Returns the value of a predicate for the entities at these places.
+    fn value(&self, predicate: PredicateId, places: &[usize]) -> Option<Value>;
+
+    /// Returns the word from which the draws of the tick follow.
+    fn word(&self) -> u64;
+
+    /// Returns the [hash](crate::internal::symbol_hash) of the symbol of the entity at this place.
+    fn symbol_hash(&self, place: usize) -> u64;
 }
 
 /// Rules that read values in conditions only, as far as possible.
@@ -75,9 +106,19 @@ pub struct Lifted {
 }
 
 impl Condition {
-    /// Returns whether the condition holds. `value` returns the value of a predicate for the entities at these places:
-    /// 0 for the first of the condition, 1 for the second.
-    pub fn holds(&self, symbols: &Symbols, value: impl Fn(PredicateId, &[usize]) -> Option<Value>) -> bool {
+    /// Returns whether the condition holds for the entities at the places 0 and 1.
+    pub fn holds(&self, symbols: &Symbols, given: &impl ConditionValues) -> bool {
+        if let [
+            Step::Draw {
+                stream,
+                probabilities,
+                alternative,
+                values,
+            },
+        ] = &self.steps[..]
+        {
+            return drawn(*stream, probabilities, *alternative, values, &[], symbols, given);
+        }
         let mut values = [Value::default(); Condition::VARIABLES_MAX];
         let get = |values: &[Value], operand: Operand| match operand {
             Operand::Variable(variable) => values[variable],
@@ -89,7 +130,7 @@ impl Condition {
                 entities,
                 to,
             } => {
-                let found = value(*predicate, entities);
+                let found = given.value(*predicate, entities);
                 values[*to] = found.unwrap_or_default();
                 found.is_some()
             }
@@ -99,7 +140,7 @@ impl Condition {
                 value: wanted,
                 holds,
             } => {
-                let found = value(*predicate, entities);
+                let found = given.value(*predicate, entities);
                 let has = found.is_some_and(|found| wanted.is_none_or(|wanted| get(&values, wanted) == found));
                 has == *holds
             }
@@ -124,6 +165,12 @@ impl Condition {
                 values[*to] = found.unwrap_or_default();
                 found.is_some()
             }
+            Step::Draw {
+                stream,
+                probabilities,
+                alternative,
+                values: about,
+            } => drawn(*stream, probabilities, *alternative, about, &values, symbols, given),
         })
     }
 
@@ -165,6 +212,31 @@ impl Condition {
     const VARIABLES_MAX: usize = 16;
 }
 
+/// Returns whether a draw chooses the alternative.
+#[inline]
+fn drawn(
+    stream: u64,
+    probabilities: &[Operand],
+    alternative: usize,
+    about: &[DrawValue],
+    values: &[Value],
+    symbols: &Symbols,
+    given: &impl ConditionValues,
+) -> bool {
+    let get = |operand: Operand| match operand {
+        Operand::Variable(variable) => values[variable],
+        Operand::Constant(value) => value,
+    };
+    let begun = chance::Draw::new(given.word(), stream);
+    let draw = about.iter().fold(begun, |draw, value| match *value {
+        DrawValue::Entity(place) => draw.symbol(given.symbol_hash(place)),
+        DrawValue::Value(operand) => draw.value(get(operand)),
+        DrawValue::Symbol(operand) => draw.symbol(chance::hash_of(get(operand), symbols)),
+    });
+    let probabilities = probabilities.iter().map(|operand| get(*operand).as_float());
+    chance::alternative(draw.number(), probabilities) == Some(alternative)
+}
+
 /// Replaces literals on values by conditions. `entities` returns for a predicate whose last column is a value the number
 /// of columns before it, which hold entities, at most two; each row of entities has at most one value.
 ///
@@ -175,7 +247,7 @@ pub fn lift(rules: &Rules, entities: impl Fn(PredicateId) -> Option<usize>) -> L
     let mut conditions = Vec::new();
     let mut known: BTreeMap<(usize, Vec<Step>), PredicateId> = BTreeMap::new();
     let mut condition = |clause: &Clause, group: &[usize]| {
-        let made = Body::of(clause, group, &entities)?;
+        let made = Body::of(rules, clause, group, &entities)?;
         let head = &rules.predicates[clause.head.predicate.index()];
         let literals = || group.iter().filter_map(|&literal| clause.body[literal].atom());
         let read = literals().map(|atom| &rules.predicates[atom.predicate.index()]);
@@ -208,7 +280,7 @@ pub fn lift(rules: &Rules, entities: impl Fn(PredicateId) -> Option<usize>) -> L
     };
     let clauses = rules.clauses.iter().map(|clause| {
         let mut body: Vec<Option<Literal>> = clause.body.iter().cloned().map(Some).collect();
-        for group in groups(clause, &entities) {
+        for group in groups(rules, clause, &entities) {
             if let Some(literal) = condition(clause, &group) {
                 group.iter().for_each(|&member| body[member] = None);
                 body[group[0]] = Some(literal);
@@ -232,7 +304,9 @@ pub fn lift(rules: &Rules, entities: impl Fn(PredicateId) -> Option<usize>) -> L
 
 /// Returns the groups of literals of a clause that share variables for values, by their positions. Each group reads a
 /// value, and no other literal reads a variable of it.
-fn groups(clause: &Clause, entities: &impl Fn(PredicateId) -> Option<usize>) -> Vec<Vec<usize>> {
+fn groups(rules: &Rules, clause: &Clause, entities: &impl Fn(PredicateId) -> Option<usize>) -> Vec<Vec<usize>> {
+    let draw = rules.draw(clause);
+    let of_draw = |position: usize| draw.as_ref().is_some_and(|draw| draw.literals.contains(&position));
     // The variables that occur elsewhere than as values.
     let mut others = vec![false; clause.variables.len()];
     let mut mark = |term: &Term| {
@@ -241,8 +315,9 @@ fn groups(clause: &Clause, entities: &impl Fn(PredicateId) -> Option<usize>) -> 
         }
     };
     clause.head.terms.iter().for_each(&mut mark);
-    for literal in &clause.body {
+    for (position, literal) in clause.body.iter().enumerate() {
         match literal {
+            _ if of_draw(position) => {}
             Literal::Positive(atom) | Literal::Negative(atom) if let Some(count) = entities(atom.predicate) => {
                 atom.terms[..count].iter().for_each(&mut mark);
             }
@@ -250,8 +325,15 @@ fn groups(clause: &Clause, entities: &impl Fn(PredicateId) -> Option<usize>) -> 
             _ => literal.terms().for_each(&mut mark),
         }
     }
-    let values = |literal: &Literal| -> Vec<VarId> {
+    let values = |position: usize, literal: &Literal| -> Vec<VarId> {
         match literal {
+            _ if of_draw(position) => {
+                // Entities are no values.
+                literal
+                    .variables()
+                    .filter(|variable| !others[variable.index()])
+                    .collect()
+            }
             Literal::Positive(atom) | Literal::Negative(atom) => match entities(atom.predicate) {
                 Some(count) => atom.terms[count..].iter().filter_map(Term::variable).collect(),
                 None => Vec::new(),
@@ -266,8 +348,8 @@ fn groups(clause: &Clause, entities: &impl Fn(PredicateId) -> Option<usize>) -> 
     };
     let mut groups: Vec<(Vec<usize>, Vec<VarId>)> = Vec::new();
     for (position, literal) in clause.body.iter().enumerate() {
-        let variables = values(literal);
-        if !reads(literal) && variables.iter().all(|variable| others[variable.index()]) {
+        let variables = values(position, literal);
+        if !reads(literal) && !of_draw(position) && variables.iter().all(|variable| others[variable.index()]) {
             continue;
         }
         let mut joined = (vec![position], variables);
@@ -283,7 +365,9 @@ fn groups(clause: &Clause, entities: &impl Fn(PredicateId) -> Option<usize>) -> 
     }
     let whole = |(members, variables): &(Vec<usize>, Vec<VarId>)| {
         variables.iter().all(|variable| !others[variable.index()])
-            && members.iter().any(|&member| reads(&clause.body[member]))
+            && members
+                .iter()
+                .any(|&member| reads(&clause.body[member]) || of_draw(member))
     };
     let whole = groups.into_iter().filter(whole);
     let sorted = whole.map(|(mut members, _)| {
@@ -305,9 +389,17 @@ struct Body {
 
 impl Body {
     /// Translates a group of literals; `None` if it is no condition on one or two entities.
-    fn of(clause: &Clause, group: &[usize], entities: &impl Fn(PredicateId) -> Option<usize>) -> Option<Body> {
+    fn of(
+        rules: &Rules,
+        clause: &Clause,
+        group: &[usize],
+        entities: &impl Fn(PredicateId) -> Option<usize>,
+    ) -> Option<Body> {
         let mut body = Body::default();
-        let mut rest: Vec<&Literal> = group.iter().map(|&literal| &clause.body[literal]).collect();
+        let draw = rules.draw(clause).filter(|draw| group.contains(&draw.literals[0]));
+        let drawn = draw.as_ref().map_or([usize::MAX; 3], |draw| draw.literals);
+        let rest = group.iter().filter(|literal| !drawn.contains(literal));
+        let mut rest: Vec<&Literal> = rest.map(|&literal| &clause.body[literal]).collect();
         // Atoms first: they bind variables.
         rest.sort_by_key(|literal| !matches!(literal, Literal::Positive(_)));
         while !rest.is_empty() {
@@ -322,6 +414,9 @@ impl Body {
                 return None;
             }
             rest = left;
+        }
+        if let Some(draw) = &draw {
+            body.add_draw(draw)?;
         }
         if body.terms.is_empty() {
             // A condition on the city alone holds for each entity.
@@ -413,6 +508,28 @@ impl Body {
             Literal::Aggregate { .. } | Literal::Guard(_) => return None,
         }
         Some(true)
+    }
+
+    /// Adds a draw; `None` if it is about more than two entities.
+    fn add_draw(&mut self, draw: &Draw) -> Option<()> {
+        let probabilities = draw.probabilities.iter().map(|term| self.operand(*term));
+        let probabilities = probabilities.collect::<Option<_>>()?;
+        let mut values = Vec::new();
+        for (term, is_symbol) in draw.values.iter().zip(&draw.symbols) {
+            values.push(match (self.operand(*term), is_symbol) {
+                (Some(operand), true) => DrawValue::Symbol(operand),
+                (Some(operand), false) => DrawValue::Value(operand),
+                (None, true) => DrawValue::Entity(self.entities(&[*term])?[0]),
+                (None, false) => return None,
+            });
+        }
+        self.steps.push(Step::Draw {
+            stream: draw.stream,
+            probabilities,
+            alternative: draw.alternative,
+            values,
+        });
+        Some(())
     }
 
     /// Returns the places of entities; `None` for more than two, and for constants.

@@ -37,7 +37,7 @@ mod sets;
 mod tree;
 
 pub use analyze::{Choice, Construct, Unsupported, choose};
-pub use condition::{Condition, Lifted, lift};
+pub use condition::{Condition, ConditionValues, Lifted, lift};
 pub use facts::BitFacts;
 pub use program::{Argument, Dense, Input, List, TrackFirings};
 pub use run::BitState;

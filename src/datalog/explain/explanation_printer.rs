@@ -1,7 +1,9 @@
 //! Explanations as text for readers and as JSON for programs.
 
 use crate::check::witness::written;
-use crate::check::{Atom, Clause, ClauseId, Literal, PastOperator, Predicate, PredicateId, Rules, Term, temporal};
+use crate::check::{
+    Atom, Clause, ClauseId, Literal, PastOperator, Predicate, PredicateId, Rules, Term, VarId, temporal,
+};
 use crate::diag::Sources;
 use crate::explain::{
     Absence, AbsenceReason, Explanation, Fact, FailureKind, Miss, Node, NodeId, Obstacle, Origin, Premise,
@@ -252,8 +254,18 @@ impl<'a> ExplanationPrinter<'a> {
         binding: &'b [Option<Value>],
     ) -> impl Iterator<Item = (&'b str, Value, BaseType)> {
         let bases = self.rules.bases(clause);
-        (clause.variables.iter().zip(binding).zip(bases))
-            .map(|((name, value), base)| (name, written(name), value, base))
+        // Those that the checker adds for a draw mean nothing to readers.
+        let draw = self.rules.draw(clause).map(|draw| draw.literals);
+        let added: Vec<VarId> = draw.map_or_else(Vec::new, |[word, choice, _]| {
+            let result = match &clause.body[choice] {
+                Literal::Compute { to, .. } => to.variable(),
+                _ => None,
+            };
+            clause.body[word].variables().chain(result).collect()
+        });
+        (clause.variables.iter().zip(binding).zip(bases).enumerate())
+            .filter(move |(at, _)| !added.iter().any(|added| added.index() == *at))
+            .map(|(_, ((name, value), base))| (name, written(name), value, base))
             // A variable within an aggregate may have the name of one outside.
             .filter(|(name, written, ..)| {
                 *written != "_" && (name == written || !clause.variables.iter().any(|other| other == written))

@@ -6,6 +6,7 @@ use crate::datalog::dense::holding;
 use crate::diag::Diagnostic;
 use crate::sim::observe::observer::Oracle;
 use crate::sim::observe::rule_monitor::{Atoms, Entities, Observed, Violations};
+use crate::sim::tick::chance::Drawing;
 use std::sync::Arc;
 
 /// Applies rules to observations: vectors that [`Observer::write`](crate::sim::Observer::write) wrote.
@@ -22,7 +23,7 @@ impl Decider {
     /// `rule-mismatch` if the rules read quantities or earlier ticks, which observations do not contain.
     pub fn new(oracle: Arc<Oracle>) -> Result<Decider, Diagnostic> {
         let world = oracle.world();
-        world.vocabulary.without_quantities("observations")?;
+        world.vocabulary.check_plain("observations")?;
         world.without_time("observations")?;
         Ok(Decider {
             atoms: oracle.no_atoms(),
@@ -70,6 +71,7 @@ impl Decider {
             entities: Entities::Numbered { present, most },
             given: None,
             memory: None,
+            drawing: Drawing::default(),
             cancel,
         };
         let derived = self.violations.derived(oracle.monitor(), vocabulary, observed)?;

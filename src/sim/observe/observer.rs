@@ -298,7 +298,8 @@ impl Observer {
         }
         let changed = self.compute(city.agents(), chance);
         // In most steps nothing changes, except what is remembered.
-        if changed || !city.remembered().is_empty() || self.bodies.len() != before {
+        if changed || self.oracle.world.vocabulary.draws || !city.remembered().is_empty() || self.bodies.len() != before
+        {
             self.violations.forget();
         }
     }
@@ -512,6 +513,7 @@ fn observed<'a>(atoms: &'a Atoms, bodies: &'a [AgentState], city: &'a Simulation
         },
         given: None,
         memory: Some(city.remembered()),
+        drawing: city.drawing(),
         cancel: city.cancel(),
     }
 }

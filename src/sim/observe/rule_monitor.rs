@@ -13,6 +13,7 @@ use crate::datalog::Program;
 use crate::datalog::dense::{Argument, BinaryFacts, BitState, Input, List, Set, TrackFirings, first, has, members};
 use crate::datalog::{ClauseId, Limits, Literal, PredicateId, Rules, Value};
 use crate::diag::Diagnostic;
+use crate::sim::tick::chance::Drawing;
 use crate::sim::tick::executor::{DenseRules, compile};
 use crate::sim::tick::ground::Facts;
 use crate::sim::tick::ground_state::{GroundPredicate, GroundState};
@@ -476,13 +477,19 @@ struct Related<'a> {
 impl Related<'_> {
     /// Returns whether entities meet a condition on quantities.
     fn meets(&self, condition: usize, of: [usize; 2]) -> bool {
-        (self.rules.compiled.conditions).holds(condition, |predicate, _, places| {
+        let value = |predicate, _, places: &[usize]| {
             let mut entities = [0; 2];
             for (entity, place) in entities.iter_mut().zip(places) {
                 *entity = of[*place];
             }
             self.observed.atoms.value(predicate, &entities[..places.len()])
-        })
+        };
+        let Drawing { word, names } = self.observed.drawing;
+        let hashes = of.map(|entity| {
+            let name = names.get(self.observed.entities.position(entity) as usize);
+            name.copied().unwrap_or_default()
+        });
+        (self.rules.compiled.conditions).holds(condition, value, word, hashes)
     }
 
     /// Returns whether an input relates two entities.
@@ -563,6 +570,8 @@ pub(super) struct Observed<'a> {
     pub given: Option<Action>,
     /// What the rules read of earlier ticks; `None` without a city.
     pub memory: Option<&'a Memory>,
+    /// What draws read.
+    pub drawing: Drawing<'a>,
     /// Polled by the relational executor.
     pub cancel: &'a Cancel,
 }
@@ -589,6 +598,7 @@ impl Observed<'_> {
             rows
         });
         let mut facts = Facts::of(rows.collect());
+        facts.chance = self.drawing.word;
         let quantities = self.atoms.values.iter().enumerate();
         for (predicate, values) in quantities.filter(|(_, values)| !values.is_empty()) {
             self.add_values(predicate, values, &mut facts);

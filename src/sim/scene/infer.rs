@@ -641,7 +641,7 @@ impl Inference {
         cancel: &Cancel,
     ) -> Result<Result<Vec<Actions>, TooManySteps>, Diagnostic> {
         let count = scene.names.len();
-        let bits: BitFacts<W> = rules.bits(&scene.facts, &self.vocabulary, count);
+        let bits: BitFacts<W> = rules.bits(&scene.facts, &self.vocabulary, count, scene.names.iter());
         let dense = &rules.dense;
         let mut bit_state = BitState::new(dense, count);
         bits.load(dense, &mut bit_state);

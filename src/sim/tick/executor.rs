@@ -1,7 +1,10 @@
 //! The choice of executor, and the compilation of rules for the dense one.
 
 use crate::city::Heading;
-use crate::datalog::dense::{self, BitFacts, Condition, Dense, Lifted, TooManySteps, TrackFirings, choose, lift};
+use crate::datalog::dense::{
+    self, BitFacts, Condition, ConditionValues, Dense, Lifted, TooManySteps, TrackFirings, choose, lift,
+};
+use crate::datalog::internal::symbol_hash;
 use crate::datalog::{ClauseId, Comparison, PredicateId, Rules, Value};
 use crate::diag::{self, Diagnostic, Span};
 use crate::predicate::{Quantity, Unit};
@@ -98,8 +101,19 @@ impl DenseRules {
         self.strata.costly(&self.conditions.rules, entities, egos)
     }
 
-    /// Returns, as bits, the facts about `count` entities that the rules read.
-    pub fn bits<const W: usize>(&self, facts: &Facts, vocabulary: &Vocabulary, count: usize) -> BitFacts<W> {
+    /// Returns whether the rules draw.
+    pub(crate) fn draws(&self) -> bool {
+        self.conditions.rules.chance.is_some()
+    }
+
+    /// Returns, as bits, the facts about `count` entities that the rules read. `names` are those of the entities.
+    pub fn bits<N: AsRef<str>, const W: usize>(
+        &self,
+        facts: &Facts,
+        vocabulary: &Vocabulary,
+        count: usize,
+        names: impl Iterator<Item = N>,
+    ) -> BitFacts<W> {
         let mut bits = BitFacts::new(&self.dense, count);
         for (predicate, rows) in vocabulary.predicates.iter().zip(&facts.rows) {
             if let (Some(declared), None) = (predicate.id, predicate.value) {
@@ -120,7 +134,15 @@ impl DenseRules {
                 bits.insert(&self.dense, past.predicate, &row[..arity]);
             }
         }
-        self.conditions.add_to(&mut bits, &self.dense, facts, count);
+        let mut hashes = vec![0; count];
+        if self.draws() {
+            let of_names = names.map(|name| symbol_hash(name.as_ref()));
+            hashes
+                .iter_mut()
+                .zip(of_names)
+                .for_each(|(hash, of_name)| *hash = of_name);
+        }
+        self.conditions.add_to(&mut bits, &self.dense, facts, &hashes);
         bits
     }
 
@@ -192,30 +214,38 @@ impl Conditions {
 
     /// Returns whether a condition holds. `value` returns the value, as in [`Facts::values`], of the quantity at this
     /// position in the vocabulary for the entities at these places: 0 for the first of the condition, 1 for the second.
+    /// `hashes` has the hashes of their names.
     #[inline]
-    pub fn holds(&self, condition: usize, value: impl Fn(usize, Quantity, &[usize]) -> Option<Value>) -> bool {
-        self.list[condition].holds(&self.rules.symbols, |predicate, entities| {
-            let &(_, position, quantity) = self.quantities.iter().find(|(id, ..)| *id == predicate)?;
-            let value = value(position, quantity, entities)?;
-            Some(match quantity {
-                Quantity::Heading => self.headings[value.0 as usize],
-                _ => value,
-            })
-        })
+    pub fn holds(
+        &self,
+        condition: usize,
+        value: impl Fn(usize, Quantity, &[usize]) -> Option<Value>,
+        word: u64,
+        hashes: [u64; 2],
+    ) -> bool {
+        let given = Given {
+            conditions: self,
+            value,
+            word,
+            hashes,
+        };
+        self.list[condition].holds(&self.rules.symbols, &given)
     }
 
-    /// Adds the facts of all conditions that a program reads to `bits`. `count` is the number of entities.
-    pub fn add_to<const W: usize>(&self, bits: &mut BitFacts<W>, dense: &Dense, facts: &Facts, count: usize) {
+    /// Adds the facts of all conditions that a program reads to `bits`. `hashes` are those of the names of the entities.
+    pub fn add_to<const W: usize>(&self, bits: &mut BitFacts<W>, dense: &Dense, facts: &Facts, hashes: &[u64]) {
+        let count = hashes.len();
         let entity = |entity: usize| u32::try_from(entity).expect("fewer than 2^32 entities");
         for (position, condition) in self.list.iter().enumerate() {
             let holds = |places: [usize; 2]| {
-                self.holds(position, |quantity, _, entities| {
+                let value = |quantity, _, entities: &[usize]| {
                     let mut agents = [0; 2];
                     for (agent, place) in agents.iter_mut().zip(entities) {
                         *agent = entity(places[*place]);
                     }
                     facts.value(quantity, agents)
-                })
+                };
+                self.holds(position, value, facts.chance, places.map(|place| hashes[place]))
             };
             for x in 0..count {
                 match condition.entities {
@@ -227,6 +257,37 @@ impl Conditions {
                 }
             }
         }
+    }
+}
+
+/// What a condition reads.
+struct Given<'c, V> {
+    conditions: &'c Conditions,
+    value: V,
+    word: u64,
+    hashes: [u64; 2],
+}
+
+impl<V: Fn(usize, Quantity, &[usize]) -> Option<Value>> ConditionValues for Given<'_, V> {
+    #[inline]
+    fn value(&self, predicate: PredicateId, places: &[usize]) -> Option<Value> {
+        let mut quantities = self.conditions.quantities.iter();
+        let &(_, position, quantity) = quantities.find(|(id, ..)| *id == predicate)?;
+        let value = (self.value)(position, quantity, places)?;
+        Some(match quantity {
+            Quantity::Heading => self.conditions.headings[value.0 as usize],
+            _ => value,
+        })
+    }
+
+    #[inline]
+    fn word(&self) -> u64 {
+        self.word
+    }
+
+    #[inline]
+    fn symbol_hash(&self, place: usize) -> u64 {
+        self.hashes[place]
     }
 }
 

@@ -35,6 +35,8 @@ pub struct Facts {
     /// The rows of each hidden predicate about earlier ticks, in the order of [`Rules::pasts`](crate::datalog::Rules),
     /// with the ticks that explain them; empty before the first tick.
     pub past: Vec<PastRows>,
+    /// The word of the tick, from which the draws of clauses with probabilities follow.
+    pub chance: u64,
 }
 
 impl Facts {
@@ -49,6 +51,7 @@ impl Facts {
             values: vec![Vec::new(); rows.len()],
             rows,
             past: Vec::new(),
+            chance: 0,
         }
     }
 
@@ -118,6 +121,7 @@ pub(crate) fn ground_with(
     (limit, cancel): (u64, &Cancel),
 ) -> Result<Facts, Stopped> {
     let mut facts = Facts::new(vocabulary.predicates.len());
+    facts.chance = if vocabulary.draws { chance.word() } else { 0 };
     let sight = Sight { map, half_width: view };
     let subjects: Vec<Subject> = entities.iter().map(Entity::subject).collect();
     for (index, predicate) in vocabulary.predicates.iter().enumerate() {

@@ -158,6 +158,7 @@ impl GroundState {
                 inserted.expect("bound predicates fit");
             }
         }
+        self.session.set_chance(facts.chance);
         self.session.set_limits(Limits {
             bytes: limit - held,
             ..self.limits

@@ -6,11 +6,12 @@ use crate::city::{Agent, Cell, Heading, MoveReason, Moved, Places, Surroundings,
 use crate::config::Scenario;
 use crate::config::codes;
 use crate::datalog::Session;
+use crate::datalog::internal::symbol_hash;
 use crate::datalog::{ClauseId, Value};
 use crate::diag::{self, Diagnostic};
 use crate::predicate::{Entity, Progress};
 use crate::rng::Seed;
-use crate::sim::tick::chance::Draws;
+use crate::sim::tick::chance::{Chance, Drawing, Draws};
 use crate::sim::tick::dense_executor::{Decisions, DenseExecutor, Undecided, WHOLE_MAX};
 use crate::sim::tick::executor::{Choice, Executor, given_up, of_rules};
 use crate::sim::tick::ground::{Facts, MAX_ENTITIES, ground_with};
@@ -58,6 +59,8 @@ pub struct Simulation {
     /// Ticks since the start of the run.
     tick: u64,
     agents: Vec<Agent>,
+    /// The hashes of their names; empty unless the rules draw.
+    names: Vec<u64>,
     /// The changing part of each agent in a large city, packed because the dense executor reads it in the order of
     /// location.
     positions: Vec<Position>,
@@ -273,6 +276,13 @@ impl Simulation {
             positions: match &dense {
                 Some(dense) if !dense.takes_positions() => Vec::new(),
                 _ => agents.iter().map(Position::of).collect(),
+            },
+            names: match world.vocabulary.draws {
+                true => {
+                    let names = agents.iter().map(|agent| agent.name().to_string());
+                    names.map(|name| symbol_hash(&name)).collect()
+                }
+                false => Vec::new(),
             },
             agents,
             dense,
@@ -531,6 +541,10 @@ impl Simulation {
                 draws,
                 agents: &self.agents,
                 memory: &self.memory,
+                drawing: Drawing {
+                    word: word_of(&self.world, draws),
+                    names: &self.names,
+                },
             };
             let decided = match &threads {
                 Some(pool) => pool.install(|| dense.decide(map, now, decisions)),
@@ -639,6 +653,18 @@ impl Simulation {
         }
         for &(position, _) in controls {
             given[position] = None;
+        }
+    }
+
+    /// Returns what draws of clauses read in the present tick.
+    pub(crate) fn drawing(&self) -> Drawing<'_> {
+        let draws = Draws {
+            seed: self.seed,
+            time: self.tick,
+        };
+        Drawing {
+            word: word_of(&self.world, draws),
+            names: &self.names,
         }
     }
 
@@ -762,13 +788,18 @@ impl Simulation {
     /// Computes, as bits, all facts about the present state that the rules may read, and returns their number. `None`
     /// unless the dense executor evaluates the whole city in one window.
     pub fn count_facts(&mut self) -> Option<u64> {
+        let draws = Draws {
+            seed: self.seed,
+            time: self.tick,
+        };
         let now = Now {
-            draws: Draws {
-                seed: self.seed,
-                time: self.tick,
-            },
+            draws,
             agents: &self.agents,
             memory: &self.memory,
+            drawing: Drawing {
+                word: word_of(&self.world, draws),
+                names: &self.names,
+            },
         };
         self.dense.as_mut()?.count_facts(self.world.map(), now)
     }
@@ -776,6 +807,14 @@ impl Simulation {
     /// Returns the agents as they were when the last tick was decided.
     fn decided_entities(&self) -> Vec<Entity<'_>> {
         self.agents.iter().zip(&self.report.agents).map(decided).collect()
+    }
+}
+
+/// Returns the word from which the draws of clauses follow; 0 if the rules draw nothing.
+fn word_of(world: &World, draws: Draws) -> u64 {
+    match world.vocabulary.draws {
+        true => draws.word(),
+        false => 0,
     }
 }
 

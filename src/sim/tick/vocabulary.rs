@@ -104,6 +104,8 @@ pub struct Vocabulary {
     pub predicates: Vec<BasePredicate>,
     /// The position of `Sees` in `predicates`.
     pub sees: usize,
+    /// Whether clauses of the rules have probabilities.
+    pub draws: bool,
     /// The predicate of each action, in the order of [`Action::ALL`]; `None` if the rules do not declare it.
     actions: [Option<PredicateId>; 4],
     /// The action to take, indexed by the bits of the derived actions.
@@ -178,6 +180,7 @@ impl Vocabulary {
             Ok(Vocabulary {
                 predicates,
                 sees,
+                draws: rules.chance.is_some(),
                 actions,
                 decisions: decisions(&scenario.actions),
                 default: scenario.actions.default,
@@ -192,11 +195,16 @@ impl Vocabulary {
         self.predicates[predicate].id.is_some()
     }
 
-    /// Checks that the rules read no quantities. `what` holds facts without values, in the plural.
+    /// Checks that the rules read no quantities and draw nothing. `what` holds facts without values, in the plural.
     ///
     /// # Errors
-    /// `rule-mismatch` if they read one.
-    pub fn without_quantities(&self, what: &str) -> Result<(), Diagnostic> {
+    /// `rule-mismatch` if they do.
+    pub fn check_plain(&self, what: &str) -> Result<(), Diagnostic> {
+        if self.draws {
+            let message = format!("{what} draw nothing, but clauses of the rules have probabilities");
+            let fault = Diagnostic::new(codes::RULE_MISMATCH, message);
+            return Err(fault.help("use rules without probabilities here"));
+        }
         let read = self
             .predicates
             .iter()

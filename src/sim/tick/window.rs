@@ -15,7 +15,7 @@ use crate::predicate::{
     CellTable, Definition, Measured, Pair, PairRelation, Progress, Quantity, Reach, Relation, Static, Subject, Views,
     headings, with_relation,
 };
-use crate::sim::tick::chance::{Chance, Draws};
+use crate::sim::tick::chance::{Chance, Drawing, Draws};
 use crate::sim::tick::executor::{DenseRules, Threshold};
 use crate::sim::tick::ground::word;
 use crate::sim::tick::memory::Memory;
@@ -98,6 +98,8 @@ pub(crate) struct Now<'a> {
     pub agents: &'a [Agent],
     /// What temporal operators read of earlier ticks.
     pub memory: &'a Memory,
+    /// What draws of clauses read.
+    pub drawing: Drawing<'a>,
 }
 
 impl Now<'_> {
@@ -336,7 +338,9 @@ impl Plan {
             Hidden::Thresholds(ref thresholds) => now.is_within(&self.map, thresholds, bodies[0]),
             Hidden::Condition(condition) => {
                 let value = |_, quantity, places: &[usize]| now.value(&self.map, quantity, bodies, places);
-                self.rules.conditions.holds(condition, value)
+                let Drawing { word, names } = now.drawing;
+                let hashes = bodies.map(|body| names.get(body.agent as usize).copied().unwrap_or_default());
+                self.rules.conditions.holds(condition, value, word, hashes)
             }
             Hidden::Past(past) => now.memory.holds(past, bodies[0].agent, bodies[1].agent),
         }

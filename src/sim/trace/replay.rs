@@ -5,8 +5,9 @@ use crate::city::{Cell, Heading};
 use crate::datalog::{BaseType, Limits, Session, Value};
 use crate::diag::{Diagnostic, json_error};
 use crate::predicate::{Entity, Progress};
+use crate::rng::Seed;
 use crate::sim::codes;
-use crate::sim::tick::chance::Chance;
+use crate::sim::tick::chance::{Chance, Draws};
 use crate::sim::tick::ground::{Facts, PastRows, ground};
 use crate::sim::tick::ground_state::GroundState;
 use crate::sim::tick::simulation::Snapshot;
@@ -193,6 +194,7 @@ pub fn trace_limits(agents: usize) -> Limits {
 /// The agents of a trace in a world. [`Replay::set`] loads the state of a tick into the session.
 pub struct Replay {
     world: Arc<World>,
+    seed: Seed,
     agents: Vec<TraceAgent>,
     kinds: Vec<AgentKind>,
     positions: HashMap<String, usize>,
@@ -221,6 +223,7 @@ impl Replay {
         let names = header.agents.iter().map(|agent| agent.id.as_str());
         Ok(Replay {
             state: GroundState::new(&world.program, &world.vocabulary, world.limits, names),
+            seed: Seed(header.seed),
             agents: header.agents.clone(),
             kinds,
             positions,
@@ -268,7 +271,11 @@ impl Replay {
         let vocabulary = &self.world.vocabulary;
         let given = |index: usize| tick.given.get(&vocabulary.predicates[index].name);
         let view = self.world.scenario.view;
-        let mut facts = ground(vocabulary, map, view, &entities, &Recorded(tick.tick), |index| {
+        let recorded = Recorded(Draws {
+            seed: self.seed,
+            time: tick.tick,
+        });
+        let mut facts = ground(vocabulary, map, view, &entities, &recorded, |index| {
             given(index).is_some()
         });
         for (index, predicate) in vocabulary.predicates.iter().enumerate() {
@@ -403,12 +410,16 @@ impl Replay {
     }
 }
 
-/// The number of a tick whose trace records the rows of predicates with a probability.
-struct Recorded(u64);
+/// The draws of a tick whose trace records the rows of predicates with a probability.
+struct Recorded(Draws);
 
 impl Chance for Recorded {
     fn tick(&self) -> u64 {
-        self.0
+        self.0.time
+    }
+
+    fn word(&self) -> u64 {
+        self.0.word()
     }
 
     fn happens(&self, _: usize, _: usize, _: usize, _: f64) -> bool {

@@ -210,7 +210,7 @@ impl Worlds {
         seed: u64,
     ) -> Result<Worlds, Vec<Diagnostic>> {
         let world = Arc::new(World::new(scenario, program)?);
-        let values = world.vocabulary.without_quantities("data sets of pictures");
+        let values = world.vocabulary.check_plain("data sets of pictures");
         values.map_err(|fault| vec![fault])?;
         let time = world.without_time("the frames of a data set of pictures");
         time.map_err(|fault| vec![fault])?;

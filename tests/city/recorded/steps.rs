@@ -117,6 +117,10 @@ impl Chance for Draws<'_> {
         0
     }
 
+    fn word(&self) -> u64 {
+        0
+    }
+
     fn happens(&self, predicate: usize, first: usize, second: usize, _: f64) -> bool {
         let n = self.task.oracle().entities();
         let columns = self.task.oracle().columns();
