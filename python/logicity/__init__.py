@@ -44,7 +44,7 @@ if TYPE_CHECKING:
     from .modes import ENVIRONMENTS, MODES
     from .offline import Demonstrations, Trajectory, demonstrations
     from .rule_policy import RulePolicy
-    from .rules import Change, Column, Explanation, Predicate, Program, Rows, Session, check
+    from .rules import Change, Column, Explanation, Marginals, Predicate, Program, Rows, Session, check
     from .types import (
         Action,
         Agent,
@@ -52,10 +52,13 @@ if TYPE_CHECKING:
         Clause,
         Diagnostic,
         EgoAnswer,
+        EgoMarginals,
+        Estimate,
         Executor,
         Heading,
         Label,
         Limits,
+        MarginalAnswer,
         RuleStats,
         Scene,
         Split,
@@ -74,7 +77,7 @@ _NAMES = {
     "modes": ["ENVIRONMENTS", "MODES"],
     "offline": ["Demonstrations", "Trajectory", "demonstrations"],
     "rule_policy": ["RulePolicy"],
-    "rules": ["Change", "Column", "Explanation", "Predicate", "Program", "Rows", "Session", "check"],
+    "rules": ["Change", "Column", "Explanation", "Marginals", "Predicate", "Program", "Rows", "Session", "check"],
     "types": [
         "Action",
         "Agent",
@@ -82,10 +85,13 @@ _NAMES = {
         "Clause",
         "Diagnostic",
         "EgoAnswer",
+        "EgoMarginals",
+        "Estimate",
         "Executor",
         "Heading",
         "Label",
         "Limits",
+        "MarginalAnswer",
         "RuleStats",
         "Scene",
         "Split",
@@ -111,7 +117,9 @@ __all__ = [
     "Diagnostic",
     "ENVIRONMENTS",
     "EgoAnswer",
+    "EgoMarginals",
     "EpisodeRecord",
+    "Estimate",
     "Evaluation",
     "Executor",
     "Explanation",
@@ -126,6 +134,8 @@ __all__ = [
     "LimitError",
     "Limits",
     "MODES",
+    "MarginalAnswer",
+    "Marginals",
     "Oracle",
     "Policy",
     "Predicate",

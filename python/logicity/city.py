@@ -16,7 +16,7 @@ import numpy.typing as npt
 from . import _logicity
 from .errors import checked_integer, checked_limits, checked_path, checked_threads, did_you_mean
 from .rules import Explanation, rule_file
-from .types import Action, Answer, Executor, Heading, Limits, Scene, Split, SymbolicScene
+from .types import Action, Answer, Executor, Heading, Limits, MarginalAnswer, Scene, Split, SymbolicScene
 
 __all__ = ["ACTIONS", "HEADINGS", "REASONS", "AgentInfo", "Decision", "Inference", "Simulation", "Tick", "infer"]
 
@@ -96,6 +96,26 @@ class Inference:
             TypeError: If the scene holds a value that JSON cannot represent.
         """
         return cast(Answer, self._inference.answer(json.dumps(scene)))
+
+    def marginals(self, scene: Scene | SymbolicScene, *, samples: int = 10_000, seed: int = 0) -> MarginalAnswer:
+        """Return the probabilities of the actions in a scene.
+
+        Clauses with probabilities count with all their alternatives, and rows of the scene may be uncertain:
+        `{"row": ["me", "you"], "probability": 0.7}` in place of `["me", "you"]`. All of these are independent.
+
+        Args:
+            scene: As for `answer`.
+            samples: The number of sampled worlds where exact probabilities take too long, at least 1.
+            seed: The seed of these samples.
+
+        Raises:
+            InputError: If the scene is invalid.
+            LimitError: If the scene is too large, or its evaluation exceeds a limit.
+            ValueError: If a number is out of range.
+        """
+        samples = checked_integer("samples", samples, low=1, high=2**32 - 1)
+        found = self._inference.marginals(json.dumps(scene), samples, checked_integer("seed", seed))
+        return cast(MarginalAnswer, found)
 
 
 def infer(

@@ -11,10 +11,10 @@ from typing import Any, Literal, NoReturn, cast, overload
 import numpy.typing as npt
 
 from . import _logicity
-from .errors import checked_limits, checked_path, checked_threads
+from .errors import checked_integer, checked_limits, checked_path, checked_threads
 from .types import Clause, Diagnostic, StratumStats
 
-__all__ = ["Change", "Column", "Explanation", "Predicate", "Program", "Rows", "Session", "check"]
+__all__ = ["Change", "Column", "Explanation", "Marginals", "Predicate", "Program", "Rows", "Session", "check"]
 
 Row = tuple[str | int | float, ...]
 """A row: str for symbols, int for numbers and unsigned numbers, and float for floats."""
@@ -239,6 +239,17 @@ class Explanation:
         return self.text
 
 
+@dataclass(frozen=True)
+class Marginals:
+    """Probabilities of rows, by predicate. Rows that cannot follow are absent."""
+
+    rows: dict[str, dict[Row, float]]
+    intervals: dict[str, dict[Row, tuple[float, float]]] | None
+    """The 95 % intervals of estimates (Wilson 1927); `None` if the probabilities are exact."""
+    because: str | None
+    """Why the probabilities are estimates."""
+
+
 class Session:
     """A database of facts and the facts that a program derives from them.
 
@@ -253,6 +264,8 @@ class Session:
     Args:
         program: The program.
         threads: The number of threads; 0 means one per core. It does not affect the results.
+        seed: The seed of the draws of clauses with probabilities, from 0 to 2**64 - 1. A draw depends on it, on the tick,
+            the clause and the values of its variables.
         max_rows: The limit of derived rows. Default: 100,000,000.
         max_steps: The limit of rows that a commit reads. Default: 100,000,000,000, which takes some minutes.
         max_bytes: The limit of memory for rows, indexes, symbols and buffers, in bytes. Default: 4 GiB.
@@ -267,6 +280,7 @@ class Session:
         program: Program,
         threads: int = 1,
         *,
+        seed: int = 0,
         max_rows: int | None = None,
         max_steps: int | None = None,
         max_bytes: int | None = None,
@@ -277,6 +291,7 @@ class Session:
         self._program = program
         limits = checked_limits({"max_rows": max_rows, "max_steps": max_steps, "max_bytes": max_bytes})
         self._session = _logicity.Session(program._program, checked_threads(threads), limits)
+        self.reseed(seed)
 
     def __reduce__(self) -> NoReturn:
         """Refuse to pickle and to copy."""
@@ -359,6 +374,47 @@ class Session:
             LimitError: If the evaluation exceeds a limit. The tick has begun nevertheless; its changes are pending.
         """
         return self._commit(advance=True)
+
+    def reseed(self, seed: int) -> None:
+        """Set the seed of draws from the next commit on."""
+        self._session.set_seed(checked_integer("seed", seed))
+
+    def marginals(
+        self,
+        *predicates: str,
+        uncertain: Mapping[str, Sequence[tuple[Row, float]]] | None = None,
+        samples: int = 10_000,
+        seed: int = 0,
+    ) -> Marginals:
+        """Return the probabilities of the rows of predicates, for the facts of the last commit.
+
+        Each draw of a clause with probabilities, and each uncertain fact, is an independent random variable. A row has
+        the probability of the worlds in which it follows: the distribution semantics (Sato 1995), as in ProbLog.
+
+        Args:
+            *predicates: The predicates.
+            uncertain: Further facts by predicate: rows, each with its probability from 0 to 1.
+            samples: The number of sampled worlds where exact probabilities take too long, at least 1.
+            seed: The seed of these samples.
+
+        Raises:
+            KeyboardInterrupt: On Ctrl-C.
+            LimitError: If the evaluation exceeds a limit.
+            TypeError: If a value does not match its column.
+            ValueError: If a number is out of range, or rules derive a predicate with uncertain facts.
+        """
+        given = [(name, [row for row, _ in rows], [p for _, p in rows]) for name, rows in (uncertain or {}).items()]
+        samples = checked_integer("samples", samples, low=1, high=2**32 - 1)
+        found, because = self._session.marginals(list(predicates), given, samples, checked_integer("seed", seed))
+        rows = {
+            name: {row: value for row, (value, _, _) in zip(tuples, values, strict=True)}
+            for name, (tuples, values) in zip(predicates, found, strict=True)
+        }
+        intervals = {
+            name: {row: (low, high) for row, (_, low, high) in zip(tuples, values, strict=True)}
+            for name, (tuples, values) in zip(predicates, found, strict=True)
+        }
+        return Marginals(rows, None if because is None else intervals, because)
 
     @property
     def tick(self) -> int:

@@ -130,6 +130,38 @@ class Answer(TypedDict):
     fallback: NotRequired[str]
 
 
+class Estimate(TypedDict):
+    """An estimated probability with the ends of its 95 % interval."""
+
+    value: float
+    low: float
+    high: float
+
+
+class EgoMarginals(TypedDict):
+    """Probabilities of actions. Impossible ones are absent.
+
+    Attributes:
+        derived: The probability that the rules derive each action.
+        action: The probability that the ego takes each action; they add up to 1.
+    """
+
+    derived: dict[Action, float | Estimate]
+    action: dict[Action, float | Estimate]
+
+
+class MarginalAnswer(TypedDict):
+    """The probabilities by ego.
+
+    Attributes:
+        because: Why the probabilities are estimates; missing if they are exact.
+    """
+
+    egos: dict[str, EgoMarginals]
+    exact: bool
+    because: NotRequired[str]
+
+
 class Clause(TypedDict):
     """A clause or fact of a program.
 

@@ -9,6 +9,7 @@ use logicity::cancel::Cancel;
 use logicity::city::{Action, Split};
 use logicity::city::{Agent, Cell, Heading, MoveReason};
 use logicity::config::missing_file;
+use logicity::datalog::MarginalOptions;
 use logicity::datalog::explain::{Explainer, ExplanationPrinter};
 use logicity::diag::codes;
 use logicity::diag::{Diagnostic, SourceId, Sources};
@@ -172,6 +173,25 @@ impl PyInference {
                 json["fallback"] = fallback.into();
             }
             Ok::<_, Vec<Diagnostic>>(json)
+        })?;
+        match answer {
+            Ok(json) => to_python(py, &json),
+            Err(faults) => Err(input_error(py, &faults, &sources)),
+        }
+    }
+
+    /// Returns the probabilities of the actions in a scene in JSON.
+    fn marginals<'py>(&self, py: Python<'py>, scene: &str, samples: u32, seed: u64) -> PyResult<Bound<'py, PyAny>> {
+        let mut sources = Sources::new();
+        let source = sources.add("<scene>", scene);
+        let options = MarginalOptions {
+            samples,
+            seed,
+            ..MarginalOptions::default()
+        };
+        let answer = self.inference.detached(py, |inference, cancel| {
+            let answer = inference.marginals(&sources, source, options, cancel)?;
+            Ok::<_, Vec<Diagnostic>>(answer.to_json())
         })?;
         match answer {
             Ok(json) => to_python(py, &json),

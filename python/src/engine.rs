@@ -6,7 +6,9 @@ use logicity::builtin::BuiltinFiles;
 use logicity::datalog;
 use logicity::datalog::explain::{Explainer, ExplanationPrinter};
 use logicity::datalog::{ClauseId, InputPolicy, Predicate, PredicateId, Value, Workspace};
-use logicity::datalog::{EvalError, Limits, Program, RowError, StratumStats, Threads};
+use logicity::datalog::{
+    EvalError, Limits, MarginalOptions, Marginals, Probability, Program, RowError, StratumStats, Threads,
+};
 use logicity::diag::{Diagnostic, Sources, did_you_mean, to_json};
 use logicity::files::{ReadError, ReadFile as _};
 use pyo3::exceptions::{PyKeyError, PyRuntimeError, PyValueError};
@@ -235,6 +237,80 @@ impl PySession {
             }
         }
         Ok(changes)
+    }
+
+    /// Sets the seed of draws.
+    fn set_seed(&self, seed: u64) -> PyResult<()> {
+        self.session.with(|session| {
+            session.set_seed(seed);
+            Ok(())
+        })
+    }
+
+    /// Returns the rows of these predicates with their probabilities: value, low and high end. `uncertain` has rows of
+    /// base predicates, each list with its probabilities. The last result says why the probabilities are estimates.
+    #[allow(clippy::type_complexity)]
+    fn marginals<'py>(
+        &self,
+        py: Python<'py>,
+        predicates: Vec<String>,
+        uncertain: Vec<(String, Bound<'py, PyAny>, Vec<f64>)>,
+        samples: u32,
+        seed: u64,
+    ) -> PyResult<(Vec<(Bound<'py, PyList>, Vec<(f64, f64, f64)>)>, Option<String>)> {
+        let queries = predicates
+            .iter()
+            .map(|name| self.loaded.predicate(name).map(|(id, _)| id));
+        let queries: Vec<PredicateId> = queries.collect::<PyResult<_>>()?;
+        let options = MarginalOptions {
+            samples,
+            seed,
+            ..MarginalOptions::default()
+        };
+        let mut made = self.session.with(|session| {
+            Marginals::of_session(session, queries.iter().copied(), options).map_err(|error| row_error(&error))
+        })?;
+        for (name, rows, probabilities) in uncertain {
+            let (id, predicate) = self.loaded.predicate(&name)?;
+            let symbols = std::cell::RefCell::new(&mut made);
+            let target = Target {
+                symbol: &|text| Ok(symbols.borrow_mut().intern(text)),
+                room: &|_| Ok(()),
+            };
+            let found = columns::rows(predicate, &rows, &target)?;
+            let words: Vec<Value> = found.words.to_vec();
+            let width = predicate.arity().max(1);
+            if predicate.arity() == 0 {
+                return Err(PyValueError::new_err(format!(
+                    "`{name}` has no columns to tell uncertain rows apart"
+                )));
+            }
+            for (row, probability) in words.chunks_exact(width).zip(probabilities) {
+                made.insert(id, row, probability).map_err(|error| row_error(&error))?;
+            }
+        }
+        let made = Shared::new("Marginals", made);
+        let computed = made.detached(py, |made, cancel| made.compute(cancel))?;
+        let Loaded { program, sources, .. } = &*self.loaded;
+        computed.map_err(|error| input_error(py, &[error.diagnostic(program.rules())], sources))?;
+        made.with(|made| {
+            let all = queries.iter().map(|id| {
+                let predicate = &program.rules().predicates[id.index()];
+                let rows = columns::tuples(
+                    py,
+                    &predicate.columns,
+                    made.rows(*id).map(|(row, _)| row),
+                    made.symbols(),
+                )?;
+                let of = |probability: Probability| {
+                    let (low, high) = probability.interval.unwrap_or((probability.value, probability.value));
+                    (probability.value, low, high)
+                };
+                Ok((rows, made.rows(*id).map(|(_, probability)| of(probability)).collect()))
+            });
+            let inexact = made.inexact().map(|inexact| inexact.show(program.rules()));
+            Ok((all.collect::<PyResult<_>>()?, inexact))
+        })
     }
 
     /// Returns the number of the present tick.

@@ -9,6 +9,8 @@ use crate::cli::report::report;
 use crate::cli::scenes::{SceneLine, SceneLines};
 use crate::cli::terminal;
 use crate::cli::values::{integer, one_of};
+use crate::datalog::MarginalOptions;
+use crate::datalog::cancel::Cancel;
 use crate::diag::{SourceId, Sources, to_json};
 use crate::sim::{Executor, Inference};
 use serde_json::json;
@@ -26,7 +28,7 @@ pub struct Arguments {
     /// Rule file to use instead of the configuration's
     #[arg(long)]
     rules: Option<PathBuf>,
-    /// Seed for probabilistic predicates that the scene leaves open
+    /// Seed for probabilistic predicates that the scene leaves open, for clauses with probabilities, and for samples
     #[arg(long, value_parser = integer(0..=u64::MAX), default_value_t = 0)]
     seed: u64,
     /// Executor that evaluates the rules; the answers do not depend on it
@@ -39,6 +41,12 @@ pub struct Arguments {
     /// Like --why, for a fact that does not hold
     #[arg(long, value_name = "FACT")]
     why_not: Option<String>,
+    /// Print the probability of each action instead of a decision: of what the rules derive, and of what the ego does
+    #[arg(long, conflicts_with_all = ["why", "why_not", "check_constraints", "executor"])]
+    marginals: bool,
+    /// With --marginals: the number of sampled worlds where exact probabilities take too long
+    #[arg(long, value_name = "N", value_parser = integer(1..=u32::MAX), default_value_t = 10_000, requires = "marginals")]
+    samples: u32,
     /// Reject scenes whose facts violate a constraint of the rules (`.disjoint`, `.implies`, ...); implies the
     /// relational executor
     #[arg(long)]
@@ -75,7 +83,16 @@ pub fn run(arguments: &Arguments, sources: &mut Sources) -> Result<(), Failure> 
         (None, Some(fact)) => Some(sources.add("--why-not", fact.as_str())),
         (None, None) => None,
     };
-    let asked = question.map(|question| (question, &*sources));
+    let options = MarginalOptions {
+        samples: arguments.samples,
+        seed: arguments.seed,
+        ..MarginalOptions::default()
+    };
+    let asked = match question {
+        Some(question) => Asked::Explanation(question, &*sources),
+        None if arguments.marginals => Asked::Marginals(options),
+        None => Asked::Decision,
+    };
     let scenes = SceneLines::open(&arguments.file)?.within(memory);
     match arguments.out.as_deref().filter(|path| !is_stdout(path)) {
         None => {
@@ -100,6 +117,15 @@ pub fn run(arguments: &Arguments, sources: &mut Sources) -> Result<(), Failure> 
     }
 }
 
+/// What to answer about each scene.
+#[derive(Clone, Copy)]
+enum Asked<'s> {
+    Decision,
+    /// The decision, and an explanation: the question, and the sources of the rules and the question.
+    Explanation(SourceId, &'s Sources),
+    Marginals(MarginalOptions),
+}
+
 fn outcome(faulty: bool) -> Result<(), Failure> {
     if faulty { Err(Failure::Reported) } else { Ok(()) }
 }
@@ -109,15 +135,28 @@ fn outcome(faulty: bool) -> Result<(), Failure> {
 fn answer_all(
     inference: &mut Inference,
     mut scenes: SceneLines,
-    asked: Option<(SourceId, &Sources)>,
+    asked: Asked<'_>,
     (out, unwritable): (&mut dyn Write, &dyn Fn(io::Error) -> Failure),
 ) -> Result<bool, Failure> {
     let (mut faulty, mut noted) = (false, false);
     while let Some(SceneLine { number, sources, scene }) = scenes.next()? {
         let answer = match (scene, asked) {
             (Err(fault), _) => Err(vec![fault]),
-            (Ok(source), None) => (inference.answer(&sources, source)).map(|answer| (answer, Ok(None))),
-            (Ok(source), Some((question, rules))) => {
+            (Ok(source), Asked::Marginals(options)) => {
+                let found = inference.marginals(&sources, source, options, &Cancel::never());
+                let line = match found {
+                    Ok(found) => found.to_json(),
+                    Err(faults) => {
+                        faulty = true;
+                        report(&faults, &sources);
+                        json!({ "error": to_json(&faults, &sources) })
+                    }
+                };
+                writeln!(out, "{line}").map_err(unwritable)?;
+                continue;
+            }
+            (Ok(source), Asked::Decision) => (inference.answer(&sources, source)).map(|answer| (answer, Ok(None))),
+            (Ok(source), Asked::Explanation(question, rules)) => {
                 let answer = inference.answer_explained((&sources, source), (rules, question));
                 answer.map(|(answer, explained)| (answer, explained.map(Some).map_err(|faults| (faults, rules))))
             }

@@ -12,10 +12,14 @@ use crate::cli::load::load_workspace;
 use crate::cli::outputs::ForceOption;
 use crate::cli::report::report;
 use crate::cli::terminal;
-use crate::cli::values::threads;
+use crate::cli::values::{integer, threads};
+use crate::datalog::cancel::Cancel;
 use crate::datalog::codes;
+use crate::datalog::explain::ExplanationPrinter;
 use crate::datalog::{ClauseId, Directive, EvalError, InputPolicy, MarkKind, PredicateId, RowPlace, Rules, rewrite};
-use crate::datalog::{Delta, EvalEvent, Limits, Options, Program, RuleStats, Session, Threads, constraints};
+use crate::datalog::{
+    Delta, EvalEvent, Limits, MarginalOptions, Marginals, Options, Program, RuleStats, Session, Threads, constraints,
+};
 use crate::diag::{Diagnostic, Sources, listed};
 use crate::files;
 use crate::files::ReadError;
@@ -57,6 +61,15 @@ pub struct Arguments {
     /// Explain why FACT does not hold: print what fails in each clause
     #[arg(long, value_name = "FACT", conflicts_with_all = ["plan", "explain"])]
     why_not: Option<String>,
+    /// Print the probability of each row of each output predicate, instead of writing results
+    #[arg(long, conflicts_with_all = ["plan", "explain", "why_not"])]
+    marginals: bool,
+    /// With --marginals: the number of sampled worlds where exact probabilities take too long
+    #[arg(long, value_name = "N", value_parser = integer(1..=u32::MAX), default_value_t = 10_000, requires = "marginals")]
+    samples: u32,
+    /// Seed for the draws of clauses with probabilities, and for samples
+    #[arg(long, value_parser = integer(0..=u64::MAX), default_value_t = 0)]
+    seed: u64,
     /// Print the explanation as one line of JSON with the keys `fact`, `holds` and `nodes`
     #[arg(long)]
     json: bool,
@@ -112,13 +125,14 @@ pub fn run(arguments: &Arguments, sources: &mut Sources) -> Result<(), Failure> 
         return Ok(());
     }
     let mut session = program.session();
+    session.set_seed(arguments.seed);
     session.set_limits(arguments.limits.limits(Limits::default()));
     (session.set_threads(Threads::new(arguments.threads)))
         .map_err(|error| Failure::Usage(format!("cannot start {} threads: {error}", arguments.threads)))?;
     let facts = arguments.facts.as_deref().unwrap_or(Path::new("."));
     load_inputs(facts, &mut session, sources)?;
     let inputs = Inputs::of(sources).with(input_paths(session.program(), facts));
-    if question.is_none() && !arguments.plan {
+    if question.is_none() && !arguments.plan && !arguments.marginals {
         outputs::check(session.program(), arguments, &inputs)?;
     }
     let times = match arguments.profile {
@@ -136,6 +150,9 @@ pub fn run(arguments: &Arguments, sources: &mut Sources) -> Result<(), Failure> 
         return Err(broken.into());
     }
 
+    if arguments.marginals {
+        return marginals(arguments, &session);
+    }
     if let Some(times) = times {
         // Ignores errors here: the results matter more than the profile.
         let _ = write!(terminal::err(), "{}", profile(&session, &times, sources));
@@ -146,6 +163,48 @@ pub fn run(arguments: &Arguments, sources: &mut Sources) -> Result<(), Failure> 
         return fact::explain(&mut out, asked, &workspace, &session, sources, arguments.json);
     }
     outputs::write(&mut out, &session, arguments, &inputs)?;
+    out.flush()?;
+    Ok(())
+}
+
+/// Prints the probability of each row of the outputs: the fact, a tab and the probability; for an estimate, two more
+/// tabs and the ends of its interval. Says on standard error why probabilities are estimates.
+fn marginals(arguments: &Arguments, session: &Session) -> Result<(), Failure> {
+    let program = session.program();
+    let outputs = predicates(program).filter(|(_, predicate)| predicate.output);
+    let outputs: Vec<PredicateId> = outputs.map(|(id, _)| id).collect();
+    let options = MarginalOptions {
+        samples: arguments.samples,
+        seed: arguments.seed,
+        ..MarginalOptions::default()
+    };
+    let mut marginals =
+        Marginals::of_session(session, outputs.iter().copied(), options).expect("outputs are predicates");
+    marginals
+        .compute(&Cancel::never())
+        .map_err(|error| exceeded(&error, program.rules()))?;
+    if let Some(reason) = marginals.inexact() {
+        let reason = reason.show(program.rules());
+        let _ = writeln!(terminal::err(), "note: the probabilities are estimates: {reason}");
+    }
+    let sources = Sources::new();
+    let printer = ExplanationPrinter::new(program.rules(), marginals.symbols(), &sources).quoting();
+    let mut out = io::BufWriter::new(terminal::results(true));
+    for id in outputs {
+        let shown = marginals.rows(id).map(|(row, probability)| {
+            let row: Vec<_> = row.iter().copied().map(Some).collect();
+            (printer.row(id, &row), probability)
+        });
+        let mut shown: Vec<_> = shown.collect();
+        shown.sort_by(|one, other| one.0.cmp(&other.0));
+        for (fact, probability) in shown {
+            write!(out, "{fact}\t{}", probability.value)?;
+            if let Some((low, high)) = probability.interval {
+                write!(out, "\t{low:.4}\t{high:.4}")?;
+            }
+            writeln!(out)?;
+        }
+    }
     out.flush()?;
     Ok(())
 }

@@ -75,6 +75,19 @@ pub enum Inexact {
     Aggregate(PredicateId),
 }
 
+impl Inexact {
+    /// Returns the reason as a sentence without a full stop.
+    pub fn show(self, rules: &Rules) -> String {
+        match self {
+            Inexact::TooLarge => "the formulas of the probabilities are too large".to_owned(),
+            Inexact::Aggregate(predicate) => {
+                let title = rules.predicates[predicate.index()].title();
+                format!("an aggregate ranges over uncertain rows ({title})")
+            }
+        }
+    }
+}
+
 /// Facts, some of them uncertain, and the probabilities of what follows from them.
 ///
 /// ```
@@ -105,6 +118,10 @@ pub struct Marginals {
     diagrams: Diagrams,
     symbols: Symbols,
     results: Vec<(PredicateId, Vec<(Box<[Value]>, Probability)>)>,
+    /// See [`Marginals::set_order`].
+    order: Vec<PredicateId>,
+    /// For each row of a predicate of the order, the probability that each is the first one.
+    firsts: BTreeMap<Box<[Value]>, Vec<Probability>>,
     inexact: Option<Inexact>,
 }
 
@@ -130,10 +147,81 @@ impl Marginals {
             diagrams: Diagrams::new(options.nodes_max.min(nodes_max)),
             symbols: program.rules().symbols.clone(),
             results: Vec::new(),
+            order: Vec::new(),
+            firsts: BTreeMap::new(),
             inexact: None,
             program: program.clone(),
             options,
         })
+    }
+
+    /// Creates marginals of these predicates for the committed facts of a session, all of them certain, with its limits.
+    ///
+    /// ```
+    /// # use logicity_datalog::cancel::Cancel;
+    /// # use logicity_datalog::{MarginalOptions, Marginals, Program};
+    /// let program = Program::parse(
+    ///     ".decl coin(x: symbol) .input coin
+    ///      .decl heads(x: symbol)
+    ///      0.5 :: heads(x) :- coin(x).",
+    /// )?;
+    /// let mut session = program.session();
+    /// session.insert("coin", ("penny",))?;
+    /// session.commit()?;
+    /// let mut marginals = Marginals::of_session(&session, ["heads"], MarginalOptions::default())?;
+    /// marginals.compute(&Cancel::never())?;
+    /// assert_eq!(marginals.probability("heads", ("penny",)).unwrap().value, 0.5);
+    /// # Ok::<(), Box<dyn std::error::Error>>(())
+    /// ```
+    ///
+    /// # Errors
+    /// As [`new`](Marginals::new).
+    pub fn of_session<P: AsPredicate>(
+        session: &Session,
+        queries: impl IntoIterator<Item = P>,
+        options: MarginalOptions,
+    ) -> Result<Marginals, RowError> {
+        let options = MarginalOptions {
+            limits: session.limits(),
+            ..options
+        };
+        let program = session.program();
+        let mut marginals = Marginals::new(program, queries, options)?;
+        marginals.symbols = session.symbols().clone();
+        let rules = program.rules();
+        for (id, predicate) in (0..).map(PredicateId).zip(&rules.predicates) {
+            let given = predicate.edb.or((!predicate.derived).then_some(id));
+            let given = given.filter(|given| Some(*given) != rules.chance);
+            for row in given.into_iter().flat_map(|given| session.encoded_rows(given)) {
+                marginals.insert(id, row, 1.0)?;
+            }
+        }
+        Ok(marginals)
+    }
+
+    /// Sets an order of precedence among predicates of the same columns: [`first`](Marginals::first) returns which of
+    /// them is the first one that a row is in. They must be among the queries.
+    ///
+    /// # Errors
+    /// If the program has no such predicate.
+    pub fn set_order<P: AsPredicate>(&mut self, order: impl IntoIterator<Item = P>) -> Result<(), RowError> {
+        let order = order.into_iter();
+        let order = order.map(|predicate| predicate.resolve(self.program.rules()).map(|(id, _)| id));
+        self.order = order.collect::<Result<_, _>>()?;
+        Ok(())
+    }
+
+    /// Returns the word for a symbol, for use in rows of facts.
+    pub fn intern(&mut self, text: &str) -> Value {
+        Value(self.symbols.intern(text).0)
+    }
+
+    /// Sets the limits of evaluation.
+    pub fn set_limits(&mut self, limits: Limits) {
+        self.options.limits = limits;
+        if let Some(grounding) = &mut self.grounding {
+            grounding.session.set_limits(limits);
+        }
     }
 
     /// Adds a fact that holds with a probability from 0 to 1, or changes its probability.
@@ -202,7 +290,7 @@ impl Marginals {
     /// # Errors
     /// If the evaluation exceeds a limit, or the caller cancels it. The facts stay as they are.
     pub fn compute(&mut self, cancel: &Cancel) -> Result<(), EvalError> {
-        (self.inexact, self.results) = (None, Vec::new());
+        (self.inexact, self.results, self.firsts) = (None, Vec::new(), BTreeMap::new());
         let grounding = match &mut self.grounding {
             Some(grounding) => grounding,
             None => {
@@ -222,11 +310,16 @@ impl Marginals {
                 }
                 grounding.session.commit_with(cancel)?;
                 let formulas = grounding.formulas(&self.facts, &mut self.diagrams, cancel)?;
-                formulas.map_err(|TooLarge| Inexact::TooLarge)
+                let firsts = formulas.and_then(|formulas| {
+                    let firsts = grounding.firsts(&self.order, &formulas, &mut self.diagrams)?;
+                    Ok((formulas, firsts))
+                });
+                firsts.map_err(|TooLarge| Inexact::TooLarge)
             }
         };
         match exact {
-            Ok(formulas) => {
+            Ok((formulas, firsts)) => {
+                self.firsts = firsts;
                 let of = |predicate: PredicateId| {
                     let rows = grounding.session.encoded_rows(predicate).enumerate();
                     let row = |(at, row): (usize, &[Value])| {
@@ -261,6 +354,7 @@ impl Marginals {
         for (to, words) in self.facts.keys() {
             session.change_row(*to, words, true);
         }
+        let mut firsts: BTreeMap<Box<[Value]>, Vec<u32>> = BTreeMap::new();
         let streams: Vec<u64> = (self.program.rules().predicates.iter())
             .map(|predicate| chance::stream(&predicate.name))
             .collect();
@@ -287,12 +381,25 @@ impl Marginals {
                     }
                 }
             }
+            let mut taken: BTreeSet<&[Value]> = BTreeSet::new();
+            for (place, predicate) in self.order.iter().enumerate() {
+                for row in session.encoded_rows(*predicate).filter(|row| taken.insert(row)) {
+                    let counts = firsts.entry(row.into()).or_insert_with(|| vec![0; self.order.len()]);
+                    counts[place] += 1;
+                }
+            }
         }
         let of = |(predicate, counts): (&PredicateId, BTreeMap<Box<[Value]>, u32>)| {
             let row = |(row, count)| (row, Probability::estimated(count, samples));
             (*predicate, counts.into_iter().map(row).collect())
         };
         self.results = self.queries.iter().zip(counts).map(of).collect();
+        let of = |(row, mut counts): (Box<[Value]>, Vec<u32>)| {
+            counts.push(samples - counts.iter().sum::<u32>());
+            let each = counts.into_iter().map(|count| Probability::estimated(count, samples));
+            (row, each.collect())
+        };
+        self.firsts = firsts.into_iter().map(of).collect();
         self.symbols = session.symbols().clone();
         Ok(())
     }
@@ -328,6 +435,23 @@ impl Marginals {
         Some(rows[at].1)
     }
 
+    /// Returns for each predicate of the [order](Marginals::set_order) the probability that it is the first one that
+    /// a row is in, and after these the probability that the row is in none.
+    pub fn first(&self, row: &[Value]) -> Vec<Probability> {
+        let none = || {
+            let certain = |value| Probability { value, interval: None };
+            let mut all = vec![certain(0.0); self.order.len()];
+            all.push(certain(1.0));
+            all
+        };
+        self.firsts.get(row).cloned().unwrap_or_else(none)
+    }
+
+    /// Returns the options.
+    pub fn options(&self) -> &MarginalOptions {
+        &self.options
+    }
+
     /// Returns the symbol table of the rows.
     pub fn symbols(&self) -> &Symbols {
         &self.symbols
@@ -335,6 +459,15 @@ impl Marginals {
 }
 
 impl Probability {
+    /// Returns the probability that one of two exclusive events happens. The interval of estimates is conservative.
+    pub fn or(self, other: Probability) -> Probability {
+        let interval = self.interval.zip(other.interval);
+        Probability {
+            value: self.value + other.value,
+            interval: interval.map(|(one, two)| (one.0 + two.0, (one.1 + two.1).min(1.0))),
+        }
+    }
+
     /// Returns the estimate from the count of sampled worlds.
     fn estimated(count: u32, samples: u32) -> Probability {
         /// The quantile of the normal distribution for 95 %.
@@ -439,6 +572,41 @@ impl Grounding {
             strata,
             inexact,
         }
+    }
+
+    /// Returns the probabilities of [`Marginals::first`] for all rows of these predicates.
+    fn firsts(
+        &self,
+        order: &[PredicateId],
+        formulas: &[Option<Vec<Formula>>],
+        diagrams: &mut Diagrams,
+    ) -> Result<BTreeMap<Box<[Value]>, Vec<Probability>>, TooLarge> {
+        let mut rows: BTreeMap<&[Value], Vec<Formula>> = BTreeMap::new();
+        for (place, predicate) in order.iter().enumerate() {
+            for (at, row) in self.session.encoded_rows(*predicate).enumerate() {
+                let formula = formulas[predicate.index()]
+                    .as_ref()
+                    .map_or(Formula::TRUE, |all| all[at]);
+                rows.entry(row).or_insert_with(|| vec![Formula::FALSE; order.len()])[place] = formula;
+            }
+        }
+        let mut firsts = BTreeMap::new();
+        for (row, formulas) in rows {
+            let mut none = Formula::TRUE;
+            let mut each = Vec::with_capacity(formulas.len() + 1);
+            for formula in formulas {
+                let first = diagrams.and(none, formula)?;
+                each.push(first);
+                none = diagrams.and(none, formula.not())?;
+            }
+            each.push(none);
+            let probability = |formula| Probability {
+                value: diagrams.probability(formula),
+                interval: None,
+            };
+            firsts.insert(row.into(), each.into_iter().map(probability).collect());
+        }
+        Ok(firsts)
     }
 
     /// Returns the formula of each row of the uncertain predicates, by position; `None` for other predicates.

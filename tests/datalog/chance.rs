@@ -456,6 +456,33 @@ fn draws_depend_on_the_text_of_symbols() {
     assert!((25..75).contains(&forwards.len()));
 }
 
+/// Facts of the source may have probabilities, too.
+#[test]
+fn facts_are_drawn() {
+    let source = ".decl edge, path(x: symbol, y: symbol)
+         0.6 :: edge(\"a\", \"b\").
+         edge(\"b\", \"c\").
+         0.1 :: edge(\"a\", \"c\").
+         path(x, y) :- edge(x, y).
+         path(x, z) :- path(x, y), edge(y, z).";
+    let program = Program::parse(source).unwrap();
+    let mut marginals = Marginals::new(&program, ["edge", "path"], MarginalOptions::default()).unwrap();
+    marginals.compute(&Cancel::never()).unwrap();
+    let p = |name, row: (&str, &str)| marginals.probability(name, row).unwrap().value;
+    assert_eq!(
+        [p("edge", ("a", "b")), p("edge", ("b", "c")), p("path", ("b", "c"))],
+        [0.6, 1.0, 1.0]
+    );
+    assert!((p("path", ("a", "c")) - (1.0 - 0.4 * 0.9)).abs() < 1e-12);
+    let mut session = program.session();
+    let drawn = (0..2_000).filter(|seed| {
+        session.set_seed(*seed);
+        session.commit().unwrap();
+        session.contains("edge", ("a", "b"))
+    });
+    assert!((1_100..1_300).contains(&drawn.count()));
+}
+
 /// A variable multiplies draws, `_` does not, and all heads of an alternative share the draw.
 #[test]
 fn draws_are_about_the_named_variables() {

@@ -497,7 +497,12 @@ impl<'a> ExplanationPrinter<'a> {
         if !std::ptr::eq(literal, choice) && !std::ptr::eq(literal, comparison) {
             return None;
         }
-        let probability = self.term(clause, &draw.probabilities[draw.alternative], BaseType::Float, binding);
+        let probability = &draw.probabilities[draw.alternative];
+        let probability = match super::search::value(probability, binding) {
+            // As it was written: 0.3, not 0.300000012.
+            Some(value) => value.as_float().to_string(),
+            None => self.term(clause, probability, BaseType::Float, binding),
+        };
         let Literal::Compute { to, .. } = choice else {
             return None;
         };

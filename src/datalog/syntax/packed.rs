@@ -78,7 +78,9 @@ impl PackedFacts {
     /// # Errors
     /// The clause, if it is not a single fact of plain numbers and strings, or too long.
     pub(crate) fn push(&mut self, before: usize, clause: Clause) -> Result<(), Clause> {
-        match self.packed(&clause) {
+        // A fact with a probability is a rule, which draws.
+        let certain = clause.probabilities.is_empty();
+        match certain.then(|| self.packed(&clause)).flatten() {
             None => return Err(clause),
             Some(fact) => self.facts.push(fact),
         }

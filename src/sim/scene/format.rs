@@ -74,6 +74,8 @@ pub struct GivenPredicate {
     pub rows: Vec<[u32; 2]>,
     /// The value of each row, if the predicate is a quantity. For a heading, its position in [`Heading::ALL`].
     pub values: Vec<Value>,
+    /// The rows that hold only with a probability, which is above 0 and below 1.
+    pub uncertain: Vec<([u32; 2], f64)>,
 }
 
 /// A scene of entities and facts.
@@ -126,6 +128,15 @@ struct RawAgent<'a> {
     waited: Option<&'a RawValue>,
     #[serde(borrow)]
     remaining: Option<&'a RawValue>,
+}
+
+#[derive(Deserialize)]
+#[serde(deny_unknown_fields)]
+struct RawUncertain<'a> {
+    #[serde(borrow)]
+    row: &'a RawValue,
+    #[serde(borrow)]
+    probability: &'a RawValue,
 }
 
 #[derive(Deserialize)]
@@ -469,7 +480,24 @@ impl<'a> Reader<'a> {
                 }]);
             };
             let written: Vec<&RawValue> = self.value(raw)?;
-            let mut rows = all(written.iter().map(|row| self.row(row, (arity, unit), names, what)))?;
+            let mut uncertain = Vec::new();
+            let mut rows = all(written.iter().map(|raw| {
+                let (row, probability) = self.uncertain(raw, unit)?;
+                let row = self.row(row, (arity, unit), names, what)?;
+                uncertain.extend(probability.map(|probability| (row.0, probability)));
+                Ok(row)
+            }))?;
+            uncertain.sort_by_key(|(row, _)| *row);
+            if let Some(twice) = uncertain.windows(2).find(|pair| pair[0].0 == pair[1].0) {
+                let places = rows.iter().zip(&written).filter(|((row, _), _)| *row == twice[0].0);
+                let last = places.map(|(_, raw)| *raw).last().unwrap_or(raw);
+                let fault = self.fault(
+                    last,
+                    format!("a second probability of a row of `{name}`"),
+                    "given again here",
+                );
+                return Err(vec![fault]);
+            }
             let mut spans: HashMap<[u32; 2], &RawValue> = HashMap::new();
             for (&(row, value), &raw) in rows.iter().zip(&written) {
                 // A quantity has one value.
@@ -488,8 +516,29 @@ impl<'a> Reader<'a> {
                 name,
                 rows,
                 values: if unit.is_some() { values } else { Vec::new() },
+                uncertain,
             })
         }))
+    }
+
+    /// Parses a row that may have a probability, `{"row": .., "probability": 0.7}`, and returns both.
+    fn uncertain(&self, raw: &'a RawValue, unit: Option<Unit>) -> Read<(&'a RawValue, Option<f64>)> {
+        if !raw.get().starts_with('{') {
+            return Ok((raw, None));
+        }
+        let RawUncertain { row, probability } = self.value(raw)?;
+        if unit.is_some() {
+            let message = "the value of a quantity has no probability".to_owned();
+            return Err(vec![self.fault(raw, message, "expected a row")]);
+        }
+        match self.value::<f64>(probability)? {
+            1.0 => Ok((row, None)),
+            found if found > 0.0 && found < 1.0 => Ok((row, Some(found))),
+            _ => {
+                let label = "expected a number above 0 and at most 1; leave out a row that cannot hold";
+                Err(vec![self.fault(probability, "not a probability".to_owned(), label)])
+            }
+        }
     }
 
     /// Parses a row: a list of names, then the value of a quantity; or the only one of these.

@@ -6,6 +6,7 @@ use crate::config::{Scenario, load_map};
 use crate::datalog::dense::{BinaryFacts, BitFacts, BitState, Set, TooManySteps, TrackFirings, has};
 use crate::datalog::explain::Explainer;
 use crate::datalog::{self, EvalError, Limits, PredicateId, Program, Session, Value, constraints, internal::size};
+use crate::datalog::{BaseType, MarginalOptions, Marginals, Probability};
 use crate::diag::{self, Diagnostic, Limit, SourceId, Sources, Span, did_you_mean};
 use crate::files::ReadFile;
 use crate::predicate::{Entity, Unit};
@@ -16,6 +17,7 @@ use crate::sim::tick::asked::AskedFact;
 use crate::sim::tick::chance::Draws;
 use crate::sim::tick::executor::{Choice, DenseRules, Executor, compile, given_up, of_rules};
 use crate::sim::tick::ground::{Facts, MAX_ENTITIES, PastRows, ground_with};
+use crate::sim::tick::ground_state::GroundPredicate;
 use crate::sim::tick::ground_state::GroundState;
 use crate::sim::tick::memory::{Memory, Watched};
 use crate::sim::tick::vocabulary::{Actions, BasePredicate, Vocabulary};
@@ -46,6 +48,8 @@ pub struct Inference {
     limits: Limits,
     /// The sources of the rules, for messages; see [`Inference::name_clauses`].
     rule_sources: Option<Sources>,
+    /// The working memory of [`Inference::marginals`].
+    marginals: Option<Marginals>,
     /// The rules for the dense executor; `None` if a session decides.
     dense: Option<DenseRules>,
 }
@@ -64,6 +68,9 @@ pub struct SceneFacts {
     pub facts: Facts,
     /// The actions that entities took, by position, if the scene states them. Inference ignores them.
     pub actions: Vec<(usize, Action)>,
+    /// The base facts that hold only with a probability: the predicate by its position in the vocabulary, the row, and
+    /// the probability. They are among the facts, too.
+    pub uncertain: Vec<(usize, [u32; 2], f64)>,
 }
 
 /// The decisions of the rules for the egos of a scene.
@@ -78,6 +85,52 @@ pub struct Answer<'s> {
     /// Why the relational executor decided although the dense one can evaluate the rules: a sentence without a full
     /// stop.
     pub fallback: Option<String>,
+}
+
+/// The probabilities of the actions of the egos of a scene.
+#[derive(Clone, Debug)]
+pub struct MarginalAnswer {
+    /// The egos, in the order of the scene.
+    pub egos: Vec<MarginalEgo>,
+    /// Why the probabilities are estimates, as a sentence without a full stop; `None` if they are exact.
+    pub inexact: Option<String>,
+}
+
+/// The probabilities of the actions of an ego. Those of impossible actions are left out.
+#[derive(Clone, Debug)]
+pub struct MarginalEgo {
+    /// The name of the ego.
+    pub id: String,
+    /// The probability that the rules derive each action.
+    pub derived: Vec<(Action, Probability)>,
+    /// The probability that the ego takes each action; they add up to 1.
+    pub decided: Vec<(Action, Probability)>,
+}
+
+impl MarginalAnswer {
+    /// Returns the answer as JSON: `{"egos": {ID: {"derived": {ACTION: 0.4}, "action": {ACTION: 0.4}}}, "exact": true}`.
+    /// An estimate is `{"value", "low", "high"}`, and has the key `because` in place of `exact`.
+    pub fn to_json(&self) -> serde_json::Value {
+        let probability = |probability: &Probability| match probability.interval {
+            None => json!(probability.value),
+            Some((low, high)) => json!({ "value": probability.value, "low": low, "high": high }),
+        };
+        let all = |list: &[(Action, Probability)]| {
+            let entries = list
+                .iter()
+                .map(|(action, value)| (action.name().to_owned(), probability(value)));
+            serde_json::Value::Object(entries.collect())
+        };
+        let egos = self.egos.iter().map(|ego| {
+            let entry = json!({ "derived": all(&ego.derived), "action": all(&ego.decided) });
+            (ego.id.clone(), entry)
+        });
+        let egos = serde_json::Value::Object(egos.collect());
+        match &self.inexact {
+            None => json!({ "egos": egos, "exact": true }),
+            Some(reason) => json!({ "egos": egos, "exact": false, "because": reason }),
+        }
+    }
 }
 
 /// The decision of the rules for one ego.
@@ -234,6 +287,7 @@ impl Inference {
             check_constraints: false,
             limits: TICK_LIMITS,
             rule_sources: None,
+            marginals: None,
         })
     }
 
@@ -381,6 +435,11 @@ impl Inference {
         if rules.pasts.is_empty() || earlier.is_empty() {
             return Ok(Vec::new());
         }
+        if earlier.iter().any(|scene| !scene.uncertain.is_empty()) {
+            let message = "a scene of an earlier tick states rows with a probability";
+            let fault = Diagnostic::new(codes::INVALID_SCENE, message);
+            return Err(fault.help("only the last scene of a list, which is the present, may be uncertain"));
+        }
         // Entities of the same name are the same one.
         let mut known: HashMap<&str, u32> = HashMap::new();
         let scenes = earlier.iter().chain([present]);
@@ -471,6 +530,7 @@ impl Inference {
             }
         }
         Ok(SceneFacts {
+            uncertain: uncertain(&self.vocabulary, &scene.given),
             names: scene.agents.into_iter().map(|agent| agent.id).collect(),
             egos: scene.egos,
             facts,
@@ -522,6 +582,7 @@ impl Inference {
             facts.rows[self.vocabulary.sees] = all.clone().flat_map(|x| all.clone().map(move |y| [x, y])).collect();
         }
         SceneFacts {
+            uncertain: uncertain(&self.vocabulary, &scene.facts),
             names: scene.entities,
             egos: vec![scene.ego],
             facts,
@@ -552,6 +613,12 @@ impl Inference {
     }
 
     fn decide<'s>(&self, scene: Cow<'s, SceneFacts>, cancel: &Cancel) -> Result<Answer<'s>, Diagnostic> {
+        if let Some((predicate, ..)) = scene.uncertain.first() {
+            let name = &self.vocabulary.predicates[*predicate].name;
+            let message = format!("the scene states rows of `{name}` with a probability");
+            let fault = Diagnostic::new(codes::INVALID_SCENE, message);
+            return Err(fault.help("ask for probabilities with `--marginals`, in Python with `marginals`"));
+        }
         let (derived, fallback) = self.derive(&scene, cancel)?;
         Ok(Answer {
             vocabulary: Arc::clone(&self.vocabulary),
@@ -601,6 +668,120 @@ impl Inference {
     /// Returns a session for scenes with entities of these names, without facts.
     pub(crate) fn ground_state<'n>(&self, names: impl Iterator<Item = &'n str>) -> GroundState {
         GroundState::new(&self.program, &self.vocabulary, self.limits, names)
+    }
+
+    /// Returns the probabilities of the actions of each ego of the scene in `source`, which may state rows with a
+    /// probability. Clauses with probabilities draw nothing, but count with all their alternatives.
+    ///
+    /// # Errors
+    /// As [`Inference::answer`]; `invalid-scene` for a list of scenes if facts or actions of the earlier ones are
+    /// uncertain.
+    pub fn marginals(
+        &mut self,
+        sources: &Sources,
+        source: SourceId,
+        options: MarginalOptions,
+        cancel: &Cancel,
+    ) -> Result<MarginalAnswer, Vec<Diagnostic>> {
+        let scene = self.ground_with(sources, source, cancel)?;
+        let whole = Span::new(source, 0..sources.text(source).len());
+        if !scene.facts.past.is_empty() && self.program.rules().chance.is_some() {
+            let message = "the actions of the earlier ticks of this list are uncertain, since the rules draw them";
+            let fault = Diagnostic::new(codes::INVALID_SCENE, message).at(whole, "");
+            return Err(vec![
+                fault.help("use rules without probabilities, or a scene of one tick"),
+            ]);
+        }
+        let found = self.probabilities(&scene, options, cancel);
+        found.map_err(|fault| vec![fault.at(whole, "in this scene")])
+    }
+
+    fn probabilities(
+        &mut self,
+        scene: &SceneFacts,
+        options: MarginalOptions,
+        cancel: &Cancel,
+    ) -> Result<MarginalAnswer, Diagnostic> {
+        let vocabulary = Arc::clone(&self.vocabulary);
+        let order = self.scenario.actions.priority.iter();
+        let order: Vec<(Action, PredicateId)> = order
+            .filter_map(|action| Some((*action, vocabulary.action(*action)?)))
+            .collect();
+        let options = MarginalOptions {
+            limits: self.limits,
+            ..options
+        };
+        let ids = || order.iter().map(|(_, predicate)| *predicate);
+        let known = self.marginals.take().filter(|known| *known.options() == options);
+        let mut marginals = match known {
+            Some(mut known) => {
+                known.clear();
+                known
+            }
+            None => {
+                let mut made = Marginals::new(&self.program, ids(), options).expect("actions are predicates");
+                made.set_order(ids()).expect("actions are predicates");
+                made
+            }
+        };
+        let names: Vec<Value> = scene.names.iter().map(|name| marginals.intern(name)).collect();
+        let headings = Heading::ALL.map(|heading| marginals.intern(heading.name()));
+        let mut insert = |predicate: GroundPredicate, row: [u32; 2], value: Option<Value>, probability: f64| {
+            let words = row[..predicate.arity].iter().map(|entity| names[*entity as usize]);
+            let value = value.map(|value| match predicate.value {
+                Some(BaseType::Symbol) => headings[value.0 as usize],
+                _ => value,
+            });
+            let words: Vec<Value> = words.chain(value).collect();
+            let inserted = marginals.insert(predicate.id, &words[..], probability);
+            inserted.expect("facts of the vocabulary fit");
+        };
+        for (index, predicate) in GroundPredicate::of(&vocabulary).enumerate() {
+            let Some(predicate) = predicate else { continue };
+            let rows = scene.facts.rows[index].iter().enumerate();
+            rows.for_each(|(at, row)| insert(predicate, *row, scene.facts.values[index].get(at).copied(), 1.0));
+            let uncertain = scene.uncertain.iter().filter(|(of, ..)| *of == index);
+            uncertain.for_each(|(_, row, probability)| insert(predicate, *row, None, *probability));
+        }
+        let rules = self.program.rules();
+        for (past, rows) in rules.pasts.iter().zip(&scene.facts.past) {
+            let predicate = GroundPredicate {
+                id: past.predicate,
+                arity: rules.predicates[past.predicate.index()].arity(),
+                value: None,
+            };
+            rows.iter().for_each(|(row, _)| insert(predicate, *row, None, 1.0));
+        }
+        marginals.compute(cancel).map_err(|error| self.exceeded(&error))?;
+        let egos = scene.egos.iter().map(|&ego| {
+            let derived = order.iter().filter_map(|(action, predicate)| {
+                let probability = marginals.probability(*predicate, &[names[ego]][..])?;
+                Some((*action, probability))
+            });
+            let mut decided: Vec<(Action, Probability)> = Vec::new();
+            let actions = order
+                .iter()
+                .map(|(action, _)| *action)
+                .chain([self.scenario.actions.default]);
+            for (action, probability) in actions.zip(marginals.first(&[names[ego]])) {
+                match decided.iter_mut().find(|(known, _)| *known == action) {
+                    Some((_, known)) => *known = known.or(probability),
+                    None if probability.value > 0.0 => decided.push((action, probability)),
+                    None => {}
+                }
+            }
+            MarginalEgo {
+                id: scene.names[ego].clone(),
+                derived: derived.collect(),
+                decided,
+            }
+        });
+        let answer = MarginalAnswer {
+            egos: egos.collect(),
+            inexact: marginals.inexact().map(|inexact| inexact.show(self.program.rules())),
+        };
+        self.marginals = Some(marginals);
+        Ok(answer)
     }
 
     /// Explains a fact of an evaluated scene.
@@ -705,6 +886,14 @@ impl<const W: usize> BinaryFacts<W> for CancellableFacts<'_, W> {
 fn given<'g>(vocabulary: &Vocabulary, list: &'g [GivenPredicate], index: usize) -> Option<&'g GivenPredicate> {
     let name = &vocabulary.predicates[index].name;
     list.iter().find(|given| given.name == *name)
+}
+
+/// Returns the uncertain rows of a list.
+fn uncertain(vocabulary: &Vocabulary, list: &[GivenPredicate]) -> Vec<(usize, [u32; 2], f64)> {
+    let predicates = 0..vocabulary.predicates.len();
+    let given = predicates.filter_map(|index| Some((index, given(vocabulary, list, index)?)));
+    let rows = given.flat_map(|(index, given)| given.uncertain.iter().map(move |(row, p)| (index, *row, *p)));
+    rows.collect()
 }
 
 /// Returns the fault of a scene on a map without a zone that a predicate tests.

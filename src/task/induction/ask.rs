@@ -230,6 +230,7 @@ impl<'a> RuleOracle<'a> {
             egos: vec![0],
             facts,
             actions: Vec::new(),
+            uncertain: Vec::new(),
         };
         let answer = self.inference.answer_facts_with(&scene, cancel)?;
         let (_, action) = answer.actions().next().expect("the scene has an ego");

@@ -310,6 +310,7 @@ fn check_sample(inference: &Inference, sample: &Sample) -> Result<[u64; 4], Diag
         egos: cars.clone(),
         facts: sample.facts.clone(),
         actions: Vec::new(),
+        uncertain: Vec::new(),
     };
     let mut actions = [0; 4];
     for (car, (name, action)) in cars.into_iter().zip(inference.answer_facts(&scene)?.actions()) {
