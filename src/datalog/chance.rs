@@ -11,9 +11,6 @@
 //! `symbols` has a bit for each value that is a symbol: those count by their text, since their ids depend on the order
 //! of interning.
 
-use crate::symbol::{Symbol, Symbols};
-use crate::value::Value;
-
 /// The number of arguments before the probabilities.
 pub(crate) const FIXED: usize = 6;
 
@@ -42,14 +39,14 @@ pub(crate) fn stream(text: &str) -> u64 {
     hash(text)
 }
 
-/// Returns the two halves of a word as values.
-pub(crate) fn halves(word: u64) -> [Value; 2] {
-    [Value((word >> 32) as u32), Value(word as u32)]
+/// Returns the two halves of a word.
+pub(crate) fn halves(word: u64) -> [u32; 2] {
+    [(word >> 32) as u32, word as u32]
 }
 
 /// Returns the word of these halves.
-fn joined(high: Value, low: Value) -> u64 {
-    u64::from(high.0) << 32 | u64::from(low.0)
+pub(crate) fn joined(high: u32, low: u32) -> u64 {
+    u64::from(high) << 32 | u64::from(low)
 }
 
 /// The state of a draw before it has seen all values.
@@ -62,9 +59,9 @@ impl Draw {
         Draw(mix(word ^ stream))
     }
 
-    /// Adds the value of a variable.
-    pub fn value(self, value: Value) -> Draw {
-        Draw(mix(self.0 ^ u64::from(value.0)))
+    /// Adds the word of the value of a variable that is no symbol.
+    pub fn value(self, word: u32) -> Draw {
+        Draw(mix(self.0 ^ u64::from(word)))
     }
 
     /// Adds the value of a variable with a symbol, of which this is the [`hash`].
@@ -95,22 +92,6 @@ pub(crate) fn alternative(number: f64, probabilities: impl Iterator<Item = f32>)
     (sum <= 1.0 + TOLERANCE).then(|| chosen.unwrap_or(count))
 }
 
-/// Evaluates [`Functor::Choose`](crate::Functor).
-pub(crate) fn choose(arguments: &[Value], symbols: &Symbols) -> Option<usize> {
-    let &[high, low, stream_high, stream_low, alternatives, kinds, ref rest @ ..] = arguments else {
-        return None;
-    };
-    let (probabilities, values) = rest.split_at_checked(alternatives.0 as usize)?;
-    let mut draw = Draw::new(joined(high, low), joined(stream_high, stream_low));
-    for (at, value) in values.iter().enumerate() {
-        draw = match kinds.0 >> at & 1 {
-            1 => draw.symbol(hash_of(*value, symbols)),
-            _ => draw.value(*value),
-        };
-    }
-    alternative(draw.number(), probabilities.iter().map(|value| value.as_float()))
-}
-
 /// The mixing function of SplitMix64 (Steele, Lea, Flood: Fast splittable pseudorandom number generators, 2014), after
 /// its constant increment.
 fn mix(word: u64) -> u64 {
@@ -118,11 +99,6 @@ fn mix(word: u64) -> u64 {
     let word = (word ^ word >> 30).wrapping_mul(0xbf58_476d_1ce4_e5b9);
     let word = (word ^ word >> 27).wrapping_mul(0x94d0_49bb_1331_11eb);
     word ^ word >> 31
-}
-
-/// Returns the hash of the symbol with this word.
-pub(crate) fn hash_of(value: Value, symbols: &Symbols) -> u64 {
-    hash(symbols.resolve(Symbol(value.0)).unwrap_or_default())
 }
 
 /// Returns the hash of a symbol, which draws use in place of its id.
@@ -142,17 +118,13 @@ mod tests {
 
     #[test]
     fn draws_have_the_frequencies_of_their_probabilities() {
-        let symbols = Symbols::default();
-        let stream = halves(stream("A 1"));
-        let probabilities = [0.25_f32, 0.0, 0.5].map(Value::float);
+        let probabilities = [0.25_f32, 0.0, 0.5];
         let mut counts = [0; 4];
         let draws = 40_000;
         for tick in 0..draws / 100 {
-            let word = halves(word(7, tick));
+            let begun = Draw::new(word(7, tick), stream("A 1"));
             for value in 0..100 {
-                let fixed = [word[0], word[1], stream[0], stream[1], Value(3), Value(0)];
-                let arguments: Vec<Value> = fixed.into_iter().chain(probabilities).chain([Value(value)]).collect();
-                counts[choose(&arguments, &symbols).unwrap()] += 1;
+                counts[alternative(begun.value(value).number(), probabilities.into_iter()).unwrap()] += 1;
             }
         }
         // Five standard deviations of a fair coin tossed as often.

@@ -57,8 +57,9 @@ pub(crate) struct Diagrams {
     conjunctions: HashMap<(Formula, Formula), Formula, BuildHasherDefault<Mixer>>,
     /// The probability of each variable.
     variables: Vec<f64>,
-    /// The probability of each node.
-    probabilities: Vec<f64>,
+    /// The probabilities that each node holds, and that it fails. Their sum is 1, but the difference of the one from 1
+    /// would lose the digits of the other.
+    probabilities: Vec<[f64; 2]>,
     nodes_max: usize,
     steps_left: u64,
 }
@@ -91,7 +92,7 @@ impl Diagrams {
             unique: HashMap::default(),
             conjunctions: HashMap::default(),
             variables: Vec::new(),
-            probabilities: vec![1.0],
+            probabilities: vec![[1.0, 0.0]],
             nodes_max: nodes_max.min(1 << 30),
             steps_left: nodes_max as u64 * STEPS,
         }
@@ -177,12 +178,12 @@ impl Diagrams {
             std::collections::hash_map::Entry::Occupied(known) => *known.get(),
             std::collections::hash_map::Entry::Vacant(_) if next >= self.nodes_max => return Err(TooLarge),
             std::collections::hash_map::Entry::Vacant(free) => {
-                let of = |formula: Formula| match formula.is_negated() {
-                    true => 1.0 - self.probabilities[formula.node()],
-                    false => self.probabilities[formula.node()],
+                let of = |formula: Formula, fails: bool| {
+                    self.probabilities[formula.node()][usize::from(formula.is_negated() != fails)]
                 };
                 let probability = self.variables[variable as usize];
-                let counted = probability * of(node.holds) + (1.0 - probability) * of(node.fails);
+                let counted = [false, true]
+                    .map(|fails| probability * of(node.holds, fails) + (1.0 - probability) * of(node.fails, fails));
                 self.nodes.push(node);
                 self.probabilities.push(counted);
                 *free.insert(next as u32)
@@ -193,11 +194,7 @@ impl Diagrams {
 
     /// Returns the probability that a formula holds.
     pub fn probability(&self, formula: Formula) -> f64 {
-        let of_node = self.probabilities[formula.node()];
-        match formula.is_negated() {
-            true => 1.0 - of_node,
-            false => of_node,
-        }
+        self.probabilities[formula.node()][usize::from(formula.is_negated())]
     }
 }
 

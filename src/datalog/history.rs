@@ -149,7 +149,7 @@ impl History {
     fn stage_word(&mut self, word: u64) {
         let Some(chance) = &mut self.chance else { return };
         let before = chance.word.replace(word).filter(|before| *before != word);
-        let row = |word: u64| chance::halves(word).into();
+        let row = |word: u64| chance::halves(word).map(Value).into();
         let removed = before.map(|before| (chance.predicate, row(before), false));
         self.staged.extend(removed);
         self.staged.push((chance.predicate, row(word), true));

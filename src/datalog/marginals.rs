@@ -30,7 +30,7 @@ use crate::program::Program;
 use crate::session::Session;
 use crate::symbol::Symbols;
 use crate::syntax::ast::BaseType;
-use crate::value::Value;
+use crate::value::{Value, symbol_hash};
 
 /// How marginals are computed.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
@@ -367,8 +367,8 @@ impl Marginals {
                 let draw = columns
                     .zip(words)
                     .fold(draw, |draw, (column, value)| match column.base {
-                        BaseType::Symbol => draw.symbol(chance::hash_of(*value, &self.symbols)),
-                        _ => draw.value(*value),
+                        BaseType::Symbol => draw.symbol(symbol_hash(*value, &self.symbols)),
+                        _ => draw.value(value.0),
                     });
                 session.change_row(*to, words, draw.number() < *probability);
             }

@@ -30,7 +30,7 @@ pub fn evaluate(
     if let Some(chance) = rules.chance
         && database[chance.index()].is_empty()
     {
-        database[chance.index()].insert(chance::halves(chance::word(0, 0)).to_vec());
+        database[chance.index()].insert(chance::halves(chance::word(0, 0)).map(Value).to_vec());
     }
     for stratum in &rules.strata {
         loop {
@@ -62,7 +62,11 @@ pub fn evaluate_ticks(
             facts.extend(rows.into_iter().map(|row| (past.predicate, row)));
         }
         let word = chance::word(0, history.len() as u64);
-        facts.extend(rules.chance.map(|chance| (chance, chance::halves(word).to_vec())));
+        facts.extend(
+            rules
+                .chance
+                .map(|chance| (chance, chance::halves(word).map(Value).to_vec())),
+        );
         history.push(evaluate(rules, symbols, facts));
     }
     history

@@ -66,7 +66,7 @@ impl Functor {
         let text = |value: &Value| symbols.resolve(Symbol(value.0)).unwrap_or_default();
         let made = |text: &str| Some(Value(symbols.intern(text).0));
         match (self, arguments) {
-            (Choose, _) => return chance::choose(arguments, symbols).map(|chosen| Value(chosen as u32)),
+            (Choose, _) => return choose(arguments, symbols),
             (Cast, [value]) => return Some(*value),
             (Ordinal, [value]) => return Some(*value),
             (Add, parts) if base == BaseType::Symbol => return made(&parts.iter().map(text).collect::<String>()),
@@ -203,6 +203,32 @@ impl Functor {
             _ => return None,
         })
     }
+}
+
+/// Returns the alternative that a draw chooses; [`chance`] describes the arguments.
+fn choose(arguments: &[Value], symbols: &Symbols) -> Option<Value> {
+    let &[high, low, stream_high, stream_low, alternatives, kinds, ref rest @ ..] = arguments else {
+        return None;
+    };
+    let (probabilities, values) = rest.split_at_checked(alternatives.0 as usize)?;
+    let begun = chance::Draw::new(
+        chance::joined(high.0, low.0),
+        chance::joined(stream_high.0, stream_low.0),
+    );
+    let draw = values
+        .iter()
+        .enumerate()
+        .fold(begun, |draw, (at, value)| match kinds.0 >> at & 1 {
+            1 => draw.symbol(symbol_hash(*value, symbols)),
+            _ => draw.value(value.0),
+        });
+    let chosen = chance::alternative(draw.number(), probabilities.iter().map(|value| value.as_float()))?;
+    u32::try_from(chosen).ok().map(Value)
+}
+
+/// Returns the hash of the symbol with this word, which draws use in place of its id.
+pub(crate) fn symbol_hash(value: Value, symbols: &Symbols) -> u64 {
+    chance::hash(symbols.resolve(Symbol(value.0)).unwrap_or_default())
 }
 
 /// Returns whether a character is white space to Soufflé.

@@ -6,13 +6,14 @@ use logicity::rng::Seed;
 use logicity::sim::{Executor, Settings, Simulation};
 use std::sync::Arc;
 
-const CITIES: [&str; 6] = [
+const CITIES: [&str; 7] = [
     "courteous",
     "traffic-lights",
     "four-way-stop",
     "school-zone",
     "tram-line",
     "emergency-corridor",
+    "hesitant-drivers",
 ];
 
 /// Returns the time without a move, in ticks, after which an agent of a city counts as stuck.

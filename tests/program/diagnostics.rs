@@ -443,15 +443,17 @@ fn the_scenes_of_the_reference_behave_as_documented() {
                 count += 1;
                 assert_eq!(serde_json::from_str::<Value>(&block.text).unwrap(), last);
             }
-            if block.kind != "json scene" {
-                continue;
-            }
+            // The documented scenes satisfy the constraints of the rules.
+            let option = match block.kind.as_str() {
+                "json scene" => "--check-constraints",
+                "json marginals" => "--marginals",
+                _ => continue,
+            };
             count += 1;
             let folder = tempfile::tempdir().unwrap();
             let file = folder.path().join("scene.jsonl");
             fs::write(&file, &block.text).unwrap();
-            // The documented scenes satisfy the constraints of the rules.
-            let output = logicity(&["infer", "--check-constraints", file.to_str().unwrap()]);
+            let output = logicity(&["infer", option, file.to_str().unwrap()]);
             let said = String::from_utf8_lossy(&output.stderr);
             assert_eq!(
                 output.status.code(),
@@ -463,7 +465,7 @@ fn the_scenes_of_the_reference_behave_as_documented() {
             last = serde_json::from_slice(&output.stdout).unwrap();
         }
     }
-    assert!(count >= 3);
+    assert!(count >= 5);
 }
 
 /// `query` accepts rules for an input, and so do `check` and `diff` unless they are rules for a city, which computes its

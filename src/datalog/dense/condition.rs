@@ -14,7 +14,7 @@ use crate::check::{Atom, Clause, Draw, Literal, Predicate, PredicateId, Rules, T
 use crate::symbol::Symbols;
 use crate::syntax::ast::{BaseType, Comparison};
 use crate::syntax::functor::Functor;
-use crate::value::{Patterns, Value};
+use crate::value::{Patterns, Value, symbol_hash};
 use std::collections::BTreeMap;
 
 /// A condition on the values of one entity or two.
@@ -230,8 +230,8 @@ fn drawn(
     let begun = chance::Draw::new(given.word(), stream);
     let draw = about.iter().fold(begun, |draw, value| match *value {
         DrawValue::Entity(place) => draw.symbol(given.symbol_hash(place)),
-        DrawValue::Value(operand) => draw.value(get(operand)),
-        DrawValue::Symbol(operand) => draw.symbol(chance::hash_of(get(operand), symbols)),
+        DrawValue::Value(operand) => draw.value(get(operand).0),
+        DrawValue::Symbol(operand) => draw.symbol(symbol_hash(get(operand), symbols)),
     });
     let probabilities = probabilities.iter().map(|operand| get(*operand).as_float());
     chance::alternative(draw.number(), probabilities) == Some(alternative)
