@@ -9,7 +9,7 @@ FUZZ_SECONDS := 600
 # The table to which each target appends a row. Rows in tests/fuzz/executions.csv are those of unchanged commits.
 FUZZ_TABLE := target/fuzz.csv
 
-.PHONY: test quick lint features rust doc wheel installed python python-all rllib page docs links playground vscode solvers peers bench-record fuzz $(FUZZ_TARGETS:%=fuzz-%)
+.PHONY: test quick lint features rust doc wheel installed python python-all rllib page docs links playground vscode solvers solvers-marginals peers bench-record fuzz $(FUZZ_TARGETS:%=fuzz-%)
 
 test: lint features rust doc python page docs
 
@@ -235,6 +235,11 @@ bench-record:
 solvers: $(SOLVERS)/installed
 	cargo build --release --locked
 	$(SOLVERS)/bin/python benches/solvers/compare.py $(SOLVERS_OPTIONS)
+
+# Not part of `make test`. Compares exact probabilities with ProbLog.
+solvers-marginals: $(SOLVERS)/installed
+	cargo build --release --locked
+	$(SOLVERS)/bin/python benches/solvers/marginals.py $(SOLVERS_OPTIONS)
 
 $(SOLVERS)/installed: benches/solvers/requirements.txt
 	$(PYTHON) -m venv $(SOLVERS) || { echo "on Debian: apt-get install python3-venv"; exit 1; }

@@ -11,6 +11,9 @@
 //! Slow("a") = Near("a", "b") and draw("a", "b") and not Bus("a")    its formula, from each instance
 //! ```
 //!
+//! Facts about symbols, if they are few, count as uncertain too, with the formulas "true" and "false". So the session
+//! need not derive anew what there may be in another scene of the same entities.
+//!
 //! Formulas are decision diagrams. Where they grow too large, or where an aggregate counts uncertain rows, the result is
 //! an estimate from sampled worlds, with an interval.
 
@@ -263,7 +266,7 @@ impl Marginals {
 
     fn note(&mut self, to: PredicateId, words: &[Value], holds: bool) {
         if let Some(grounding) = &mut self.grounding {
-            grounding.session.change_row(to, words, holds);
+            grounding.note(to, words, holds);
         }
     }
 
@@ -291,13 +294,21 @@ impl Marginals {
     /// If the evaluation exceeds a limit, or the caller cancels it. The facts stay as they are.
     pub fn compute(&mut self, cancel: &Cancel) -> Result<(), EvalError> {
         (self.inexact, self.results, self.firsts) = (None, Vec::new(), BTreeMap::new());
+        // Earlier scenes may have left many rows.
+        let kept = 4 * self.facts.len() + LIFTED_MAX;
+        self.grounding = self.grounding.take().filter(|known| known.lifted_rows <= kept);
         let grounding = match &mut self.grounding {
             Some(grounding) => grounding,
             None => {
-                let mut grounding = Grounding::new(&self.program, &self.uncertain, &self.queries, &self.symbols);
+                let lifted = match self.facts.len() <= LIFTED_MAX {
+                    true => liftable(self.program.rules()),
+                    false => BTreeSet::new(),
+                };
+                let sets = (&self.uncertain, lifted);
+                let mut grounding = Grounding::new(&self.program, sets, &self.queries, &self.symbols);
                 grounding.session.set_limits(self.options.limits);
                 for (to, words) in self.facts.keys() {
-                    grounding.session.change_row(*to, words, true);
+                    grounding.note(*to, words, true);
                 }
                 self.grounding.insert(grounding)
             }
@@ -308,7 +319,7 @@ impl Marginals {
                 if grounding.session.symbols().len() < self.symbols.len() {
                     grounding.session.set_symbols(self.symbols.clone());
                 }
-                grounding.session.commit_with(cancel)?;
+                grounding.commit(cancel)?;
                 let formulas = grounding.formulas(&self.facts, &mut self.diagrams, cancel)?;
                 let firsts = formulas.and_then(|formulas| {
                     let firsts = grounding.firsts(&self.order, &formulas, &mut self.diagrams)?;
@@ -484,9 +495,18 @@ impl Probability {
     }
 }
 
+/// The maximum number of facts that count as uncertain although they are certain.
+const LIFTED_MAX: usize = 512;
+
 /// A session that derives what there may be, and the clauses of what is uncertain.
 struct Grounding {
     session: Session,
+    /// The inputs of which the session keeps all rows that there ever were.
+    lifted: BTreeSet<PredicateId>,
+    /// The number of these rows.
+    lifted_rows: usize,
+    /// Whether facts of the session have changed since its commit.
+    changed: bool,
     /// The predicates whose rows may be uncertain and that the queries depend on.
     uncertain: Vec<bool>,
     /// The input predicates among them.
@@ -511,12 +531,32 @@ struct GroundClause {
     /// Uncertain atoms of its stratum.
     recursive: Vec<Atom>,
     draw: Option<Draw>,
+    /// The instances that the session derives.
+    found: Instances,
 }
 
+/// The positions of the rows of each instance of a clause: of the head, of the atoms of lower strata, and of those of
+/// its stratum.
+#[derive(Default)]
+struct Instances {
+    positions: Vec<u32>,
+    /// The rows that match negated atoms with `_`.
+    groups: Vec<Vec<u32>>,
+}
+
+/// The position of a row that there cannot be.
+const NOWHERE: u32 = u32::MAX;
+
 impl Grounding {
-    fn new(program: &Program, inputs: &BTreeSet<PredicateId>, queries: &[PredicateId], symbols: &Symbols) -> Grounding {
+    fn new(
+        program: &Program,
+        (inputs, lifted): (&BTreeSet<PredicateId>, BTreeSet<PredicateId>),
+        queries: &[PredicateId],
+        symbols: &Symbols,
+    ) -> Grounding {
         let rules = program.rules();
-        let uncertain = relevant(rules, uncertain(rules, inputs), queries);
+        let inputs: BTreeSet<PredicateId> = inputs.union(&lifted).copied().collect();
+        let uncertain = relevant(rules, uncertain(rules, &inputs), queries);
         let is_uncertain = |atom: &Atom| uncertain[atom.predicate.index()];
         let mut inexact = None;
         let mut made = rules.clone();
@@ -567,11 +607,38 @@ impl Grounding {
         let made = Program::new(restratified(made)).expect("the clauses have fewer literals than those of the program");
         Grounding {
             session: made.session_with(symbols.clone()),
+            lifted,
+            lifted_rows: 0,
+            changed: true,
             uncertain,
             inputs,
             strata,
             inexact,
         }
+    }
+
+    /// Notes a change of a fact.
+    fn note(&mut self, to: PredicateId, words: &[Value], holds: bool) {
+        if self.lifted.contains(&to) {
+            if !holds || self.session.contains(to, words) {
+                return;
+            }
+            self.lifted_rows += 1;
+        }
+        self.changed = true;
+        self.session.change_row(to, words, holds);
+    }
+
+    /// Derives what there may be, and finds the rows of all instances.
+    fn commit(&mut self, cancel: &Cancel) -> Result<(), EvalError> {
+        if !self.changed {
+            return Ok(());
+        }
+        self.session.commit_with(cancel)?;
+        self.changed = false;
+        let clauses = self.strata.iter_mut().flat_map(|stratum| &mut stratum.clauses);
+        clauses.for_each(|clause| clause.find(&self.session));
+        Ok(())
     }
 
     /// Returns the probabilities of [`Marginals::first`] for all rows of these predicates.
@@ -658,18 +725,22 @@ struct Work<'w> {
 /// An instance of a recursive clause: the position of its head, what holds of it apart from the recursion, and the
 /// positions of the recursive atoms.
 struct Instance {
-    head: (PredicateId, usize),
+    head: (PredicateId, u32),
     fixed: Formula,
-    recursive: Vec<(PredicateId, usize)>,
+    recursive: Vec<(PredicateId, u32)>,
 }
 
 impl Work<'_> {
     fn run(&mut self, grounding: &Grounding, facts: &BTreeMap<(PredicateId, Box<[Value]>), f64>) -> Result<(), Stop> {
         for &input in &grounding.inputs {
             let mut formulas = Vec::with_capacity(self.session.len(input));
+            // Both are sorted. Facts of the source are no such facts; clauses add them below.
+            let given = facts.range((input, Box::default())..);
+            let mut given = given.take_while(|((of, _), _)| *of == input).peekable();
             for row in self.session.encoded_rows(input) {
-                let probability = facts.get(&(input, row.into())).copied().unwrap_or(1.0);
-                formulas.push(self.random(probability)?);
+                while given.next_if(|((_, known), _)| **known < *row).is_some() {}
+                let probability = given.next_if(|((_, known), _)| **known == *row);
+                formulas.push(self.random(probability.map_or(0.0, |(_, probability)| *probability))?);
             }
             self.formulas[input.index()] = Some(formulas);
         }
@@ -698,20 +769,24 @@ impl Work<'_> {
 
     /// Evaluates the instances of a clause, and collects those that are recursive.
     fn instances(&mut self, clause: &GroundClause, recursive: &mut Vec<Instance>) -> Result<(), Stop> {
-        let session = self.session;
-        let Some(instances) = clause.instances else {
-            let head = self.position(&clause.head, &[]);
-            return Ok(self.add(head, Formula::TRUE).map(drop)?);
-        };
-        for (number, row) in session.encoded_rows(instances).enumerate() {
-            if number % 256 == 255 && self.cancel.requested() {
+        for (number, positions) in clause.found.positions.chunks_exact(clause.width()).enumerate() {
+            if number % 1024 == 1023 && self.cancel.requested() {
                 return Err(Stop::Cancelled);
             }
+            let (lower, own) = positions[1..].split_at(clause.lower.len());
             let mut fixed = Formula::TRUE;
-            for (atom, negated) in &clause.lower {
+            for ((atom, negated), &at) in clause.lower.iter().zip(lower) {
                 let formula = match negated {
-                    true => self.any(atom, row)?.not(),
-                    false => self.at(self.position(atom, row)),
+                    false => self.at((atom.predicate, at)),
+                    true if at == NOWHERE => continue,
+                    true if atom.terms.contains(&Term::Wildcard) => {
+                        let mut all = Formula::FALSE;
+                        for &at in &clause.found.groups[at as usize] {
+                            all = self.diagrams.or(all, self.at((atom.predicate, at)))?;
+                        }
+                        all.not()
+                    }
+                    true => self.at((atom.predicate, at)).not(),
                 };
                 fixed = self.diagrams.and(fixed, formula)?;
                 if fixed == Formula::FALSE {
@@ -721,18 +796,19 @@ impl Work<'_> {
             if fixed == Formula::FALSE {
                 continue;
             }
-            if let Some(draw) = &clause.draw {
-                let drawn = self.drawn(draw, row)?;
+            if let (Some(draw), Some(instances)) = (&clause.draw, clause.instances) {
+                let drawn = self.drawn(draw, self.session.row(instances, number))?;
                 fixed = self.diagrams.and(fixed, drawn)?;
             }
-            let head = self.position(&clause.head, row);
-            if clause.recursive.is_empty() {
+            let head = (clause.head.predicate, positions[0]);
+            if own.is_empty() {
                 self.add(head, fixed)?;
             } else {
+                let own = clause.recursive.iter().zip(own);
                 recursive.push(Instance {
                     head,
                     fixed,
-                    recursive: clause.recursive.iter().map(|atom| self.position(atom, row)).collect(),
+                    recursive: own.map(|(atom, at)| (atom.predicate, *at)).collect(),
                 });
             }
         }
@@ -741,7 +817,7 @@ impl Work<'_> {
 
     /// Evaluates recursive instances until no formula changes. Formulas only grow, so this ends.
     fn fixpoint(&mut self, instances: &[Instance]) -> Result<(), Stop> {
-        let mut changed: BTreeSet<(PredicateId, usize)> = BTreeSet::new();
+        let mut changed: BTreeSet<(PredicateId, u32)> = BTreeSet::new();
         let mut first = true;
         while first || !changed.is_empty() {
             let mut next = BTreeSet::new();
@@ -766,61 +842,19 @@ impl Work<'_> {
     }
 
     /// Adds a reason for a row. Returns whether its formula changes.
-    fn add(&mut self, (predicate, at): (PredicateId, usize), reason: Formula) -> Result<bool, TooLarge> {
+    fn add(&mut self, (predicate, at): (PredicateId, u32), reason: Formula) -> Result<bool, TooLarge> {
         let before = self.at((predicate, at));
         let after = self.diagrams.or(before, reason)?;
         if let Some(formulas) = &mut self.formulas[predicate.index()] {
-            formulas[at] = after;
+            formulas[at as usize] = after;
         }
         Ok(before != after)
     }
 
-    fn at(&self, (predicate, at): (PredicateId, usize)) -> Formula {
-        self.formulas[predicate.index()]
-            .as_ref()
-            .map_or(Formula::TRUE, |formulas| formulas[at])
-    }
-
-    /// Returns the predicate and the position of the row of an atom, all of whose terms have values, in an instance
-    /// that follows only if there is that row.
-    fn position(&self, atom: &Atom, instance: &[Value]) -> (PredicateId, usize) {
-        let position = self
-            .find(atom, instance)
-            .expect("the rows of an instance follow with it");
-        (atom.predicate, position)
-    }
-
-    /// Returns the position of the row of an atom, all of whose terms have values.
-    fn find(&self, atom: &Atom, instance: &[Value]) -> Option<usize> {
-        let wanted = atom.terms.iter().map(|term| value(term, instance));
-        let wanted: smallvec::SmallVec<[Value; 4]> = wanted.collect::<Option<_>>()?;
-        let (mut low, mut high) = (0, self.session.len(atom.predicate));
-        while low < high {
-            let middle = low.midpoint(high);
-            match self.session.row(atom.predicate, middle).cmp(&*wanted) {
-                Ordering::Less => low = middle + 1,
-                Ordering::Equal => return Some(middle),
-                Ordering::Greater => high = middle,
-            }
-        }
-        None
-    }
-
-    /// Returns the formula that some row matches an atom.
-    fn any(&mut self, atom: &Atom, instance: &[Value]) -> Result<Formula, TooLarge> {
-        if !atom.terms.contains(&Term::Wildcard) {
-            let found = self.find(atom, instance);
-            return Ok(found.map_or(Formula::FALSE, |at| self.at((atom.predicate, at))));
-        }
-        let pattern: Vec<Option<Value>> = atom.terms.iter().map(|term| value(term, instance)).collect();
-        let mut all = Formula::FALSE;
-        for (at, row) in self.session.encoded_rows(atom.predicate).enumerate() {
-            let matches = (pattern.iter().zip(row)).all(|(wanted, found)| wanted.is_none_or(|wanted| wanted == *found));
-            if matches {
-                all = self.diagrams.or(all, self.at((atom.predicate, at)))?;
-            }
-        }
-        Ok(all)
+    #[inline]
+    fn at(&self, (predicate, at): (PredicateId, u32)) -> Formula {
+        let formulas = self.formulas[predicate.index()].as_ref();
+        formulas.map_or(Formula::TRUE, |formulas| formulas[at as usize])
     }
 
     /// Returns the formula that the alternative of a draw is chosen.
@@ -848,6 +882,92 @@ impl Work<'_> {
         self.draws.insert(key, alternatives);
         Ok(found)
     }
+}
+
+impl GroundClause {
+    /// Returns the number of positions of an instance.
+    fn width(&self) -> usize {
+        1 + self.lower.len() + self.recursive.len()
+    }
+
+    /// Finds the rows of all instances.
+    fn find(&mut self, session: &Session) {
+        let mut found = Instances::default();
+        let position = |atom: &Atom, instance: &[Value]| find(session, atom, instance).unwrap_or(NOWHERE);
+        let mut add = |instance: &[Value]| {
+            found.positions.push(position(&self.head, instance));
+            for (atom, negated) in &self.lower {
+                found
+                    .positions
+                    .push(match *negated && atom.terms.contains(&Term::Wildcard) {
+                        false => position(atom, instance),
+                        true => {
+                            found.groups.push(matching(session, atom, instance));
+                            found.groups.len() as u32 - 1
+                        }
+                    });
+            }
+            let own = self.recursive.iter().map(|atom| position(atom, instance));
+            found.positions.extend(own);
+        };
+        match self.instances {
+            None => add(&[]),
+            Some(instances) => session.encoded_rows(instances).for_each(add),
+        }
+        self.found = found;
+    }
+}
+
+/// Returns the position of the row of an atom, all of whose terms have values.
+fn find(session: &Session, atom: &Atom, instance: &[Value]) -> Option<u32> {
+    let wanted = atom.terms.iter().map(|term| value(term, instance));
+    let wanted: smallvec::SmallVec<[Value; 4]> = wanted.collect::<Option<_>>()?;
+    let (mut low, mut high) = (0, session.len(atom.predicate));
+    while low < high {
+        let middle = low.midpoint(high);
+        match session.row(atom.predicate, middle).cmp(&*wanted) {
+            Ordering::Less => low = middle + 1,
+            Ordering::Equal => return u32::try_from(middle).ok(),
+            Ordering::Greater => high = middle,
+        }
+    }
+    None
+}
+
+/// Returns the positions of the rows that match an atom.
+fn matching(session: &Session, atom: &Atom, instance: &[Value]) -> Vec<u32> {
+    let pattern: Vec<Option<Value>> = atom.terms.iter().map(|term| value(term, instance)).collect();
+    let rows = (0..).zip(session.encoded_rows(atom.predicate));
+    let matches = rows.filter(|(_, row)| {
+        let mut columns = pattern.iter().zip(*row);
+        columns.all(|(wanted, found)| wanted.is_none_or(|wanted| wanted == *found))
+    });
+    matches.map(|(at, _)| at).collect()
+}
+
+/// Returns the inputs whose facts may count as uncertain: those of symbols that no aggregate depends on.
+fn liftable(rules: &Rules) -> BTreeSet<PredicateId> {
+    let aggregates = rules.clauses.iter().flat_map(|clause| &clause.body);
+    let mut open: Vec<PredicateId> = aggregates
+        .filter_map(|literal| match literal {
+            Literal::Aggregate { atom, .. } => Some(atom.predicate),
+            _ => None,
+        })
+        .collect();
+    let mut read: BTreeSet<PredicateId> = BTreeSet::new();
+    while let Some(predicate) = open.pop() {
+        if read.insert(predicate) {
+            let clauses = rules.clauses.iter().filter(|clause| clause.head.predicate == predicate);
+            let atoms = clauses.flat_map(|clause| clause.body.iter().filter_map(Literal::atom));
+            open.extend(atoms.map(|atom| atom.predicate));
+        }
+    }
+    let ids = (0..).map(PredicateId).zip(&rules.predicates);
+    let liftable = ids.filter(|(id, predicate)| {
+        let symbols = predicate.columns.iter().all(|column| column.base == BaseType::Symbol);
+        !predicate.derived && symbols && !read.contains(id)
+    });
+    liftable.map(|(id, _)| id).collect()
 }
 
 /// Returns the number that a float of single precision was probably written as: 0.3, not 0.30000001192.
@@ -919,6 +1039,7 @@ fn split(rules: &Rules, clause: &Clause, is_uncertain: &impl Fn(&Atom) -> bool, 
             lower: Vec::new(),
             recursive: Vec::new(),
             draw: None,
+            found: Instances::default(),
         };
     }
     let mut draw = rules.draw(clause);
@@ -1029,5 +1150,6 @@ fn split(rules: &Rules, clause: &Clause, is_uncertain: &impl Fn(&Atom) -> bool, 
         lower: atoms,
         recursive: Vec::new(),
         draw,
+        found: Instances::default(),
     }
 }

@@ -1,0 +1,154 @@
+"""Time exact probabilities of one ego's actions by logicity and ProbLog, after checking that both agree.
+
+`make solvers-marginals` runs it. Scenes are those of `compare.py`: an ego and four others under the rules of a
+configuration. In each, some of the base atoms are uncertain. Every figure is CPU time on one thread: that of
+`logicity infer --marginals` contains reading and printing JSON, that of ProbLog (Fierens et al. 2015) parsing, grounding
+and compiling its program, without which it has no answer.
+"""
+
+from __future__ import annotations
+
+import argparse
+import json
+import random
+import resource
+import sys
+import tempfile
+import time
+from collections.abc import Sequence
+from pathlib import Path
+from statistics import median
+from typing import Any
+
+import rules as rule_files
+from rules import Refused
+from scenes import EGO, ENTITIES, Atom, Logicity, Scene, all_atoms, record, write
+
+try:
+    from problog import get_evaluatable
+    from problog.program import PrologString
+except ImportError as error:
+    sys.exit(f"error: {error}; `make solvers-marginals` installs the packages of benches/solvers/requirements.txt")
+
+ROOT = Path(__file__).resolve().parents[2]
+ROUNDS = 5
+
+Uncertain = dict[Atom, float]
+
+
+def with_doubts(rules: rule_files.Rules, scene: Scene, count: int, draw: random.Random) -> Uncertain:
+    """Return this many base atoms with probabilities: half of them hold in the scene, as far as it has so many."""
+    asked = {literal.predicate for group in rules.clauses.values() for clause in group for literal in clause.body}
+    atoms = [atom for atom in all_atoms(rules) if atom[0] in asked]
+    hold = [atom for atom in atoms if atom in scene.facts]
+    chosen = draw.sample(hold, min(count // 2, len(hold)))
+    chosen += draw.sample([atom for atom in atoms if atom not in scene.facts], count - len(chosen))
+    return {atom: round(draw.uniform(0.05, 0.95), 2) for atom in chosen}
+
+
+def to_json(scene: Scene, doubts: Uncertain) -> dict[str, Any]:
+    """Return the scene with its uncertain rows in the format of `logicity infer`."""
+    facts: dict[str, list[Any]] = {}
+    for predicate, row in sorted(scene.facts - doubts.keys()):
+        facts.setdefault(predicate, []).append(list(row))
+    for (predicate, row), p in sorted(doubts.items()):
+        facts.setdefault(predicate, []).append({"row": list(row), "probability": p})
+    return {"entities": list(ENTITIES), "ego": EGO, "facts": facts}
+
+
+class Problog:
+    """The rules as a ProbLog program."""
+
+    def __init__(self, rules: rule_files.Rules) -> None:
+        self.rules = rules
+        lines = []
+        for clauses in rules.clauses.values():
+            for clause in clauses:
+                body = [self._atom(rules.scope, (clause.ego, other)) for other in clause.others()]
+                # ProbLog tests a negated atom where it stands, so positive ones come first.
+                for literal in sorted(clause.body, key=lambda literal: not literal.positive):
+                    body.append(("" if literal.positive else "\\+ ") + self._atom(literal.predicate, literal.variables))
+                lines.append(f"{self._atom(clause.head, (clause.ego,))} :- {', '.join(body)}.")
+        self.program = "\n".join(lines)
+
+    def _atom(self, predicate: str, row: Sequence[str]) -> str:
+        return f"p_{predicate.lower()}({', '.join(row)})"
+
+    def text(self, scene: Scene, doubts: Uncertain) -> str:
+        """Return the program with the facts of a scene and a query for each action."""
+        seen = {(self.rules.scope, (x, y)) for x in ENTITIES for y in ENTITIES}
+        # Without a clause, ProbLog calls a predicate unknown.
+        lines = [f"0.0::{self._atom(name, ['none'] * self.rules.arities[name])}." for name in self.rules.arities]
+        lines += [f"{self._atom(*atom)}." for atom in sorted((scene.facts - doubts.keys()) | seen)]
+        lines += [f"{p}::{self._atom(*atom)}." for atom, p in sorted(doubts.items())]
+        lines += [self.program, *(f"query({self._atom(action, (EGO,))})." for action in self.rules.actions)]
+        return "\n".join(lines)
+
+    def marginals(self, text: str) -> dict[str, float]:
+        """Return the probability of each action."""
+        found = get_evaluatable().create_from(PrologString(text)).evaluate()
+        by_name = {str(term).split("(")[0]: float(p) for term, p in found.items()}
+        return {action: by_name.get(f"p_{action.lower()}", 0.0) for action in self.rules.actions}
+
+
+def ours(logicity: Logicity, path: Path) -> tuple[list[dict[str, float]], float]:
+    """Return the probabilities of the actions in each scene of a file, and the CPU time."""
+    before = resource.getrusage(resource.RUSAGE_CHILDREN)
+    output = logicity.call("infer", "--marginals", "--config", logicity.config, path)
+    after = resource.getrusage(resource.RUSAGE_CHILDREN)
+    spent = after.ru_utime + after.ru_stime - before.ru_utime - before.ru_stime
+    answers = [json.loads(line) for line in output.splitlines()]
+    if not all(answer["exact"] for answer in answers):
+        raise Refused("logicity estimates")
+    return [answer["egos"][EGO]["derived"] for answer in answers], spent
+
+
+def main() -> None:
+    """Check, measure and print."""
+    parser = argparse.ArgumentParser(description=__doc__)
+    parser.add_argument("--program", type=Path, default=ROOT / "target/release/logicity")
+    parser.add_argument("--config", type=Path, default=ROOT / "configs/expert.yaml")
+    parser.add_argument("--rules", type=Path, default=ROOT / "rules/expert.dl")
+    parser.add_argument("--scenes", type=int, default=100)
+    parser.add_argument("--doubts", type=int, default=10, help="uncertain atoms in each scene")
+    parser.add_argument("--copies", type=int, default=50, help="how often logicity repeats all scenes in a round")
+    parser.add_argument("--seed", type=int, default=0)
+    arguments = parser.parse_args()
+    rules, logicity = rule_files.read(arguments.rules), Logicity(arguments.program, arguments.config)
+    problog, draw = Problog(rules), random.Random(arguments.seed)
+    with tempfile.TemporaryDirectory() as name:
+        folder = Path(name)
+        scenes = record(logicity, folder / "run", arguments.seed, 300, arguments.scenes)
+        doubts = [with_doubts(rules, scene, arguments.doubts, draw) for scene in scenes]
+        written = [to_json(scene, uncertain) for scene, uncertain in zip(scenes, doubts, strict=True)]
+        texts = [problog.text(scene, uncertain) for scene, uncertain in zip(scenes, doubts, strict=True)]
+        one, all_scenes, many = folder / "one.jsonl", folder / "scenes.jsonl", folder / "many.jsonl"
+        write(one, written[:1])
+        write(all_scenes, written)
+        write(many, written * arguments.copies)
+        open_cases = 0
+        for found, text in zip(ours(logicity, all_scenes)[0], texts, strict=True):
+            for action, expected in problog.marginals(text).items():
+                if abs(found.get(action, 0.0) - expected) > 1e-9:
+                    raise Refused(f"{action}: logicity {found.get(action, 0.0)}, ProbLog {expected}, in\n{text}")
+                open_cases += 0.0 < expected < 1.0
+        fast, slow = [], []
+        for _ in range(ROUNDS):
+            start = time.process_time()
+            for text in texts:
+                problog.marginals(text)
+            slow.append((time.process_time() - start) / len(texts) * 1e6)
+            # The start of the program, with the first scene, does not count.
+            repeated, first = ours(logicity, many)[1], ours(logicity, one)[1]
+            fast.append((repeated - first) / (len(written) * arguments.copies - 1) * 1e6)
+    print(f"{len(scenes)} scenes with {arguments.doubts} uncertain atoms; {open_cases} probabilities between 0 and 1, all equal")
+    print(f"logicity  {median(fast):10.1f} us a decision ({min(fast):.1f} to {max(fast):.1f})")
+    print(f"ProbLog   {median(slow):10.1f} us a decision ({min(slow):.1f} to {max(slow):.1f})")
+    print(f"ratio     {median(slow) / median(fast):10.0f}")
+
+
+if __name__ == "__main__":
+    try:
+        main()
+    except Refused as error:
+        sys.exit(f"error: {error}")
