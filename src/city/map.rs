@@ -146,6 +146,21 @@ impl Layout {
         self.building_span(block, 0).end..self.building_span(block, 1).start
     }
 
+    /// Returns the first cells of the street before a block, of the sidewalks, and of the buildings of the block, and
+    /// that of the next street.
+    pub fn strip_edges(&self, block: i32) -> [i32; 7] {
+        let [first, second] = [0, 1].map(|which| self.building_span(block, which));
+        [
+            self.street_start(block),
+            self.block_start(block),
+            first.start,
+            first.end,
+            second.start,
+            second.end,
+            self.street_start(block + 1),
+        ]
+    }
+
     /// Returns the cells of an intersection on this street: the street and the sidewalks along it. At the edges of the
     /// world the span extends beyond it.
     pub fn intersection_span(&self, street: i32) -> Range<i32> {
@@ -577,6 +592,11 @@ impl CityMap {
     /// Returns the names of the zones, in the order of the configuration.
     pub fn zones(&self) -> impl Iterator<Item = &str> {
         self.zones.iter().map(|(name, _)| name.as_str())
+    }
+
+    /// Returns the names and the cells of the zones, in the order of the configuration.
+    pub(crate) fn zone_areas(&self) -> impl Iterator<Item = (&str, &Area)> {
+        self.zones.iter().map(|(name, area)| (name.as_str(), &**area))
     }
 
     /// Returns whether a cell is in the zone with this name. A map without such a zone has no cell in it.

@@ -2,7 +2,7 @@
 
 use crate::cancel::Cancel;
 use crate::city::codes;
-use crate::city::{Action, AgentKind, Split};
+use crate::city::{Action, AgentKind, Cell, Split};
 use crate::cli::failure::Failure;
 use crate::cli::icons::IconOptions;
 use crate::cli::inputs::Inputs;
@@ -18,7 +18,7 @@ use crate::datalog::{Clause, ClauseId};
 use crate::diag::{self, Diagnostic, SourceId, Sources};
 use crate::files::{Output, make_folder};
 use crate::page::DECISIONS_MAX;
-use crate::render::{Animation, Overview, Sprite, write_png};
+use crate::render::{Animation, Extent, Facing, Icons, Overview, Scale, Sprite, write_png};
 use crate::rng::Seed;
 use crate::sim::{
     DeadlockReport, Executor, LOOK_TICKS, MAX_ENTITIES, STUCK_TICKS, Settings, Simulation, TraceWriter, WaitsFor,
@@ -28,6 +28,7 @@ use indicatif::{ProgressBar, ProgressStyle};
 use std::collections::{BTreeMap, BTreeSet};
 use std::fmt::Write as _;
 use std::io::{self, Write as _};
+use std::mem;
 use std::num::NonZeroUsize;
 use std::path::{Path, PathBuf};
 use std::sync::Arc;
@@ -37,6 +38,8 @@ use std::time::{Duration, Instant};
 const MAX_FRAMES: u64 = 1000;
 /// The time for which the animation shows a tick.
 const FRAME_DELAY: Duration = Duration::from_millis(100);
+/// The number of cells between the agents and the edge of a cropped picture, so that their icons and labels fit.
+const CROP_MARGIN: u32 = 4;
 
 #[derive(clap::Args)]
 pub struct Arguments {
@@ -71,8 +74,15 @@ pub struct Arguments {
     #[arg(long, value_name = "FILE", conflicts_with = "no_trace")]
     html: Option<PathBuf>,
     /// Write the trace but no pictures
-    #[arg(long, conflicts_with_all = ["pack", "difficulty", "drawing_version"])]
+    #[arg(long, conflicts_with_all = ["pack", "difficulty", "drawing_version", "crop", "scale"])]
     no_pictures: bool,
+    /// Show only the part of the map that agents visit in this run. Pictures are drawn when the run has ended
+    #[arg(long)]
+    crop: bool,
+    /// Side of a cell in pictures, in pixels, 1 to 64 [default: at most 12, so that the longer side of the map has at
+    /// most 1000]
+    #[arg(long, value_name = "PIXELS", value_parser = scale)]
+    scale: Option<Scale>,
     #[command(flatten)]
     icons: IconOptions,
     /// Print the summary but write no files
@@ -82,6 +92,11 @@ pub struct Arguments {
     limits: LimitOptions,
     #[command(flatten)]
     force: ForceOption,
+}
+
+fn scale(text: &str) -> Result<Scale, String> {
+    let scale = text.parse().ok().and_then(Scale::pixels);
+    scale.ok_or_else(|| "expected an integer from 1 to 64".to_owned())
 }
 
 /// The counts of the summary.
@@ -240,11 +255,92 @@ struct Record {
     names: Vec<String>,
 }
 
+/// The animation, and the picture of the last tick.
 struct Pictures {
+    icons: Arc<Icons>,
+    scale: Option<Scale>,
+    /// The empty file of the animation, until the part of the map to show is known.
+    begun: Option<Output>,
+    drawing: Option<Drawing>,
+    /// The ticks of the animation that are not drawn yet.
+    kept: Vec<Frame>,
+    last: Output,
+}
+
+struct Drawing {
     overview: Overview,
     animation: Animation<Output>,
-    /// The picture of the last tick.
-    last: Output,
+}
+
+/// What changes of a picture from tick to tick.
+struct Frame {
+    tick: u64,
+    /// Place, facing and action of each agent.
+    agents: Vec<(Cell, Facing, Option<Action>)>,
+}
+
+impl Frame {
+    fn now(tick: u64, simulation: &Simulation) -> Frame {
+        let decided = &simulation.report().agents;
+        let agents = simulation.agents().iter().enumerate().map(|(index, agent)| {
+            let sprite = Sprite::of(agent, "", None);
+            let action = (simulation.now() > 0).then(|| decided[index].action);
+            (sprite.at, sprite.facing, action)
+        });
+        Frame {
+            tick,
+            agents: agents.collect(),
+        }
+    }
+
+    /// Returns the agents as sprites. `names` are the agents' names.
+    fn sprites<'a>(&self, simulation: &'a Simulation, names: &'a [String]) -> Vec<Sprite<'a>> {
+        let agents = simulation.agents().iter().zip(names).zip(&self.agents);
+        agents
+            .map(|((agent, name), &(at, facing, action))| Sprite {
+                at,
+                facing,
+                ..Sprite::of(agent, name, action)
+            })
+            .collect()
+    }
+}
+
+impl Pictures {
+    /// Chooses the part of the map to show, and begins the animation. `first` is the state before the first tick.
+    fn begin(
+        &mut self,
+        simulation: &Simulation,
+        names: &[String],
+        part: Extent,
+        first: &Frame,
+        path: &Path,
+    ) -> Result<(), Failure> {
+        let map = simulation.world().map();
+        let overview = Overview::of_part(map, Arc::clone(&self.icons), part, self.scale);
+        let overview = overview.map_err(|error| match self.scale {
+            Some(_) => Failure::Usage(format!("{error}\nhelp: use a smaller `--scale`, or `--crop`")),
+            None => Diagnostic::new(codes::INVALID_MAP, error.to_string()).into(),
+        })?;
+        let sample = overview.draw(first.tick, &first.sprites(simulation, names));
+        let out = self.begun.take().expect("the animation has not begun");
+        let animation = Animation::new(out, &sample, FRAME_DELAY).map_err(|error| unwritable(path, &error))?;
+        self.drawing = Some(Drawing { overview, animation });
+        Ok(())
+    }
+
+    /// Adds a frame to the animation.
+    fn add(&mut self, simulation: &Simulation, names: &[String], frame: Frame) -> io::Result<()> {
+        match &mut self.drawing {
+            Some(Drawing { overview, animation }) => {
+                animation.push(&overview.draw(frame.tick, &frame.sprites(simulation, names)))
+            }
+            None => {
+                self.kept.push(frame);
+                Ok(())
+            }
+        }
+    }
 }
 
 impl Record {
@@ -264,19 +360,22 @@ impl Record {
         let pictures = if arguments.no_pictures {
             None
         } else {
-            let overview = Overview::new(
-                simulation.world().map(),
-                Arc::new(arguments.icons.load(simulation.seed())?),
-            )
-            .map_err(|error| Diagnostic::new(codes::INVALID_MAP, error.to_string()))?;
-            let first = overview.draw(0, &sprites(simulation, &names));
-            let animation = Animation::new(create("city.gif")?, &first, FRAME_DELAY)
-                .map_err(|error| unwritable(&folder.join("city.gif"), &error))?;
-            Some(Pictures {
-                overview,
-                animation,
+            let mut pictures = Pictures {
+                icons: Arc::new(arguments.icons.load(simulation.seed())?),
+                scale: arguments.scale,
+                begun: Some(create("city.gif")?),
+                drawing: None,
+                kept: Vec::new(),
                 last: create("last.png")?,
-            })
+            };
+            let first = Frame::now(0, simulation);
+            if arguments.crop {
+                pictures.kept.push(first);
+            } else {
+                let whole = Extent::whole(simulation.world().map());
+                pictures.begin(simulation, &names, whole, &first, &folder.join("city.gif"))?;
+            }
+            Some(pictures)
         };
         Ok(Record {
             names,
@@ -294,13 +393,11 @@ impl Record {
     fn tick(&mut self, simulation: &Simulation) -> Result<(), Failure> {
         (self.trace.tick(simulation)).map_err(|error| self.fault("trace.jsonl", error))?;
         let tick = simulation.report().tick;
-        if let Some(Pictures {
-            overview, animation, ..
-        }) = &mut self.pictures
+        if let Some(pictures) = &mut self.pictures
             && tick < MAX_FRAMES
         {
-            let frame = overview.draw(tick, &sprites(simulation, &self.names));
-            animation.push(&frame).map_err(|error| self.fault("city.gif", error))?;
+            let added = pictures.add(simulation, &self.names, Frame::now(tick, simulation));
+            added.map_err(|error| self.fault("city.gif", error))?;
         }
         Ok(())
     }
@@ -311,33 +408,32 @@ impl Record {
         let fault = |name: &str, error: io::Error| unwritable(&path(name), &error);
         finish(self.trace.into_inner(), &path("trace.jsonl"))?;
         let mut written = vec![path("trace.jsonl")];
-        if let Some(Pictures {
-            overview,
-            animation,
-            mut last,
-        }) = self.pictures
-        {
+        if let Some(mut pictures) = self.pictures {
+            let last = Frame::now(simulation.now(), simulation);
+            let mut kept = mem::take(&mut pictures.kept).into_iter();
+            if let Some(first) = kept.next() {
+                let frames = [&first, &last].into_iter().chain(kept.as_slice());
+                let cells = frames.flat_map(|frame| frame.agents.iter().map(|(at, ..)| *at));
+                let visited = Extent::around(simulation.world().map(), cells, CROP_MARGIN);
+                pictures.begin(simulation, &self.names, visited, &first, &path("city.gif"))?;
+            }
+            for frame in kept {
+                let added = pictures.add(simulation, &self.names, frame);
+                added.map_err(|error| fault("city.gif", error))?;
+            }
+            let Pictures {
+                drawing, last: mut out, ..
+            } = pictures;
+            let Drawing { overview, animation } = drawing.expect("the animation has begun");
             let animation = animation.finish().map_err(|error| fault("city.gif", error))?;
             finish(animation, &path("city.gif"))?;
-            let frame = overview.draw(simulation.now(), &sprites(simulation, &self.names));
-            write_png(&frame, &mut last).map_err(|error| fault("last.png", error))?;
-            finish(last, &path("last.png"))?;
+            let picture = overview.draw(last.tick, &last.sprites(simulation, &self.names));
+            write_png(&picture, &mut out).map_err(|error| fault("last.png", error))?;
+            finish(out, &path("last.png"))?;
             written.extend([path("city.gif"), path("last.png")]);
         }
         Ok(written)
     }
-}
-
-/// Returns the agents as sprites, with their actions in the last tick if there was one. `names` are the agents' names.
-fn sprites<'a>(simulation: &'a Simulation, names: &'a [String]) -> Vec<Sprite<'a>> {
-    let decided = &simulation.report().agents;
-    let agents = simulation.agents().iter().zip(names).enumerate();
-    agents
-        .map(|(index, (agent, name))| {
-            let action = (simulation.now() > 0).then(|| decided[index].action);
-            Sprite::of(agent, name, action)
-        })
-        .collect()
 }
 
 impl Tally {

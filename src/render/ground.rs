@@ -238,16 +238,10 @@ pub(super) fn draw(map: &CityMap, icons: &Icons, view: &Viewport, look: Look) ->
     let scale = view.scale;
     let (left, top) = view.start();
     let side = scale.pixels as usize;
-    // Steps from the cell of one pixel to that of the next; if a pixel covers several cells, takes the middle one.
+    // Steps from the cell of one pixel to that of the next.
     for (row, y) in (0..height as usize).step_by(side).enumerate() {
         for (col, x) in (0..width as usize).step_by(side).enumerate() {
-            let along = |from: i32, at: usize| match scale.cells {
-                1 => from + at as i32,
-                cells => (from.div_euclid(cells) + at as i32)
-                    .saturating_mul(cells)
-                    .saturating_add(cells / 2),
-            };
-            let cell = Cell::new(along(view.corner.row, row), along(view.corner.col, col));
+            let cell = view.cell(row, col);
             let surface = Surface::of(map, cell);
             if scale.cells == 1 && matches!(surface, Surface::Building(_)) {
                 continue;

@@ -9,6 +9,7 @@ use crate::render::label::{TEXT, one_line};
 use crate::render::picture::PixelBox;
 use crate::render::picture::{Picture, Rgb};
 use crate::render::sprite::Sprite;
+use crate::render::zone::ZoneLook;
 use embedded_graphics::mono_font::iso_8859_1::{FONT_6X13, FONT_7X13_BOLD, FONT_9X15_BOLD};
 use embedded_graphics::text::Alignment;
 use std::collections::BTreeMap;
@@ -21,6 +22,10 @@ const ROW: i32 = 24;
 const BREAK: i32 = 8;
 /// The longest name that fits beside a sample and a count, in characters.
 const NAME: usize = 18;
+/// The longest name that fits beside a sample, in characters.
+const LONG_NAME: usize = 24;
+/// The maximum number of zones with a name.
+const MOST_ZONES: usize = 12;
 pub(super) const MUTED: Rgb = [0x74, 0x7a, 0x85];
 
 /// Returns the color of an action.
@@ -85,7 +90,49 @@ fn tile(picture: &mut Picture, x: i32, y: i32, edge: Rgb, rgb: Rgb) {
     picture.fill(around(x, y, 11, 7), rgb);
 }
 
-/// Draws the part that is the same in every picture: buildings, streets and actions. Returns where the rest begins.
+/// Returns the height of the list of zones, in pixels; 0 without zones.
+pub(super) fn zones_height(map: &CityMap) -> i32 {
+    match map.zones().count().min(MOST_ZONES + 1) {
+        0 => 0,
+        // One row for the heading, and one for the number of omitted zones.
+        count => ROW * (count as i32 + 1) + BREAK,
+    }
+}
+
+/// Draws the names of zones.
+fn draw_zones(map: &CityMap, ground: Texture, column: &mut Column<'_>) {
+    let count = map.zones().count();
+    if count == 0 {
+        return;
+    }
+    column.heading("ZONES");
+    for (position, name) in map.zones().take(MOST_ZONES).enumerate() {
+        let look = ZoneLook::of(position);
+        column.row(&one_line(name, LONG_NAME), None, |picture, x, y| {
+            let area = around(x, y, 12, 8);
+            picture.fill(area, ground.sidewalk);
+            let (right, bottom) = (x + 12, y + 8);
+            for (x, y) in (area.y..=bottom).flat_map(|y| (area.x..=right).map(move |x| (x, y))) {
+                let is_along_row = y == area.y || y == bottom;
+                let is_along_col = x == area.x || x == right;
+                let is_line = is_along_row && look.has_line(i64::from(x - area.x))
+                    || is_along_col && look.has_line(i64::from(y - area.y));
+                let pixel = picture.pixel_mut(x as usize, y as usize);
+                match is_line {
+                    true => pixel.copy_from_slice(&look.color),
+                    false => look.tint(pixel),
+                }
+            }
+        });
+    }
+    if count > MOST_ZONES {
+        column.row(&format!("and {} more", count - MOST_ZONES), None, |_, _, _| {});
+    }
+    column.y += BREAK;
+}
+
+/// Draws the part that is the same in every picture: buildings, streets, zones and actions. Returns where the rest
+/// begins.
 pub(super) fn draw_static(map: &CityMap, icons: &Icons, fine: bool, picture: &mut Picture, left: i32, top: i32) -> i32 {
     let mut column = Column {
         picture,
@@ -139,6 +186,7 @@ pub(super) fn draw_static(map: &CityMap, icons: &Icons, fine: bool, picture: &mu
         });
     }
     column.y += BREAK;
+    draw_zones(map, ground, &mut column);
     column.heading("ACTIONS");
     for action in [Action::Stop, Action::Slow, Action::Normal, Action::Fast] {
         column.row(action.name(), None, |picture, x, y| {

@@ -1,9 +1,9 @@
 //! Draws the state of a city from above, with every agent as an icon.
 //!
-//! An [`Overview`] shows a whole city to people, with rulers, legend and labels; a [`CloseUp`] shows the surroundings
-//! of a few agents. A [`Renderer`] draws any part of a map at any scale ([`Viewport`]) and returns the box of each
+//! An [`Overview`] shows a city, or an [`Extent`] of it, to people, with rulers, legend and labels; a [`CloseUp`] shows
+//! the surroundings of a few agents. A [`Renderer`] draws any part of a map at any scale ([`Viewport`]) and returns the box of each
 //! agent; a [`Placement`] returns the boxes without drawing. [`Icons`] draws single icons, and [`sheet`] shows instances
-//! of all classes. A [`GroundPlan`] describes the ground for drawing at any scale. [`write_png`] encodes a [`Picture`]
+//! of all classes. A [`GroundPlan`] describes the ground for drawing at any scale, a [`ZonePlan`] a zone. [`write_png`] encodes a [`Picture`]
 //! as PNG, and [`Animation`] a sequence of them as GIF.
 //!
 //! Icons are generated, each as a function of seed, class and instance, or come from a [`Pack`]. A [`Difficulty`] from
@@ -65,6 +65,7 @@ mod sketch;
 mod sprite;
 mod view;
 mod weather;
+mod zone;
 
 pub use class::{Class, Facing};
 pub use close_up::CloseUp;
@@ -79,4 +80,5 @@ pub use picture::{Picture, PixelBox};
 pub use renderer::{Placement, Renderer};
 pub use sheet::sheet;
 pub use sprite::Sprite;
-pub use view::{Scale, Viewport, ViewportError};
+pub use view::{Extent, Scale, Viewport, ViewportError};
+pub use zone::ZonePlan;

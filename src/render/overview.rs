@@ -1,4 +1,4 @@
-//! Pictures of the whole city with rulers, a legend and labels.
+//! Pictures of a city, or a part of it, with rulers, a legend and labels.
 
 use crate::city::AgentKind;
 use crate::city::{Cell, CityMap, Heading};
@@ -11,7 +11,7 @@ use crate::render::picture::Picture;
 use crate::render::picture::PixelBox;
 use crate::render::renderer::Renderer;
 use crate::render::sprite::Sprite;
-use crate::render::view::{Scale, Viewport, ViewportError};
+use crate::render::view::{Extent, Scale, Viewport, ViewportError};
 use embedded_graphics::mono_font::iso_8859_1::FONT_5X8;
 use embedded_graphics::text::Alignment;
 use std::sync::Arc;
@@ -26,7 +26,7 @@ const RULER: (i32, i32) = (20, 12);
 const LEAST_HEIGHT: i32 = 800;
 /// Approximate width of the status line, in pixels.
 const LEAST_WIDTH: i32 = 440;
-/// The longer side of a map with enlarged cells, in pixels; other maps may have [`MOST`].
+/// The longer side of a map with enlarged cells, in pixels; that of other maps is at most [`MOST`].
 const ENLARGED: i32 = 1000;
 const MOST: i32 = 1600;
 /// The largest cell, in pixels.
@@ -43,10 +43,11 @@ pub struct Marked {
 
 /// Draws overviews of one city.
 ///
-/// A picture has a status line, the map with row and column numbers, and a legend. Cells are enlarged to at most 12
-/// pixels, as long as the longer side of the map has at most 1000 pixels (square-5x5: 4 pixels per cell, 974 x 964). A
-/// side of more than 1600 cells is downsampled to at most 1600 pixels, so every picture takes at most 12 MB. Agents
-/// have a minimum size in pixels. A colored dot beside every agent shows its action.
+/// A picture has a status line, the map or a part of it with row and column numbers, and a legend. Unless a scale is
+/// given, cells are enlarged to at most 12 pixels, as long as the longer side of the map has at most 1000 pixels
+/// (square-5x5: 4 pixels per cell, 974 x 964), and a side of more than 1600 cells is downsampled to at most 1600
+/// pixels, so every picture takes at most 12 MB. Agents have a minimum size in pixels. A colored dot beside every agent
+/// shows its action. Zones are tinted, with an outline.
 #[derive(Clone, Debug)]
 pub struct Overview {
     /// The picture without the map.
@@ -59,18 +60,31 @@ pub struct Overview {
 }
 
 impl Overview {
-    /// Draws the parts that do not change.
+    /// Draws what does not change in pictures of the whole map.
     ///
     /// # Errors
     /// If the map has no rows or no columns.
     pub fn new(map: &CityMap, icons: Arc<Icons>) -> Result<Overview, ViewportError> {
-        let (rows, cols) = (map.rows(), map.cols());
-        if rows == 0 || cols == 0 {
+        Overview::of_part(map, icons, Extent::whole(map), None)
+    }
+
+    /// Draws what does not change in pictures of a part of the map, at a scale if one is given.
+    ///
+    /// # Errors
+    /// If the part has no cells, or the picture too many pixels.
+    pub fn of_part(
+        map: &CityMap,
+        icons: Arc<Icons>,
+        part: Extent,
+        scale: Option<Scale>,
+    ) -> Result<Overview, ViewportError> {
+        let longer = part.rows.max(part.cols);
+        if part.rows <= 0 || part.cols <= 0 {
             return Err(ViewportError::Empty);
         }
-        let longer = rows.max(cols);
-        let scale = Scale::fit(longer, if longer > ENLARGED { MOST } else { ENLARGED }, LARGEST_CELL);
-        let view = Viewport::whole(map, scale)?;
+        let most = if longer > ENLARGED { MOST } else { ENLARGED };
+        let scale = scale.unwrap_or_else(|| Scale::fit(longer, most, LARGEST_CELL));
+        let view = Viewport::of(part, scale)?;
         let (width, height) = view.size();
         let area = PixelBox {
             x: MARGIN + RULER.0,
@@ -81,15 +95,15 @@ impl Overview {
         let (map_wide, map_high) = (width.cast_signed(), height.cast_signed());
         let left = area.x + map_wide.max(LEAST_WIDTH) + MARGIN;
         let width = left + legend::WIDTH + MARGIN;
-        let height = (area.y + map_high).max(LEAST_HEIGHT) + MARGIN;
+        let height = (area.y + map_high).max(LEAST_HEIGHT + legend::zones_height(map)) + MARGIN;
         let mut frame = Picture::new(width.cast_unsigned(), height.cast_unsigned(), PAPER);
-        rulers(&mut frame, scale, area, (rows, cols));
+        rulers(&mut frame, view, area);
         legend::draw_title(&map.name, &mut frame, left, STATUS / 2);
         let fine = scale.cells == 1;
         let top = legend::draw_static(map, &icons, fine, &mut frame, left, STATUS);
         Ok(Overview {
             frame,
-            map: Renderer::new(map, icons, view),
+            map: Renderer::with_zones(map, icons, view),
             area,
             agents: (left, top),
         })
@@ -173,17 +187,19 @@ impl Overview {
 }
 
 /// Draws row numbers left of the map and column numbers above it.
-fn rulers(frame: &mut Picture, scale: Scale, map: PixelBox, (rows, cols): (i32, i32)) {
+fn rulers(frame: &mut Picture, view: Viewport, map: PixelBox) {
     // Leaves room for a five-digit number.
     let step = [10, 20, 50, 100, 200, 500, 1000, 2000, 5000]
         .into_iter()
-        .find(|&step| scale.length(step) >= 36)
+        .find(|&step| view.scale.length(step) >= 36)
         .unwrap_or(10_000);
-    for (heading, side) in [(Heading::Down, rows), (Heading::Right, cols)] {
-        for cell in (0..side).step_by(step as usize) {
-            // The whole map fits the picture.
-            let (at, text) = (scale.middle(cell) as i32, cell.to_string());
-            let (x, y) = (map.x + at, map.y + at);
+    let Viewport { corner, rows, cols, .. } = view;
+    for (heading, first, side) in [(Heading::Down, corner.row, rows), (Heading::Right, corner.col, cols)] {
+        let after = (step - first.rem_euclid(step)) % step;
+        for cell in (after..side).map(|cell| first + cell).step_by(step as usize) {
+            // The cells fit the picture.
+            let at = (view.scale.middle(cell) - view.scale.start(first)) as i32;
+            let (x, y, text) = (map.x + at, map.y + at, cell.to_string());
             let (place, align, tick) = if heading == Heading::Down {
                 ((map.x - 5, y), Alignment::Right, (map.x - 3, y, 3, 1))
             } else {

@@ -11,6 +11,7 @@ use crate::render::picture::{PixelBox, Silhouette, Stamp};
 use crate::render::sprite::Sprite;
 use crate::render::view::Viewport;
 use crate::render::weather::Weather;
+use crate::render::zone;
 use crate::rng::Seed;
 use std::sync::Arc;
 
@@ -246,16 +247,25 @@ impl Renderer {
     /// Draws the ground with textures from the icons' seed.
     pub fn new(map: &CityMap, icons: Arc<Icons>, view: Viewport) -> Renderer {
         let look = Look::of(&icons);
-        Renderer::with_look(map, Placement::new(map, icons, view), look)
+        Renderer::with_look(map, Placement::new(map, icons, view), look, false)
+    }
+
+    /// Draws the ground like [`Renderer::new`], and the zones of the map on it.
+    pub fn with_zones(map: &CityMap, icons: Arc<Icons>, view: Viewport) -> Renderer {
+        let look = Look::of(&icons);
+        Renderer::with_look(map, Placement::new(map, icons, view), look, true)
     }
 
     /// Draws a separate ground: `seed` determines the textures and the instance of each building.
     pub fn with_ground(map: &CityMap, placement: Placement, seed: Seed) -> Renderer {
-        Renderer::with_look(map, placement, Look::drawn(seed))
+        Renderer::with_look(map, placement, Look::drawn(seed), false)
     }
 
-    fn with_look(map: &CityMap, placement: Placement, look: Look) -> Renderer {
+    fn with_look(map: &CityMap, placement: Placement, look: Look, has_zones: bool) -> Renderer {
         let mut ground = ground::draw(map, &placement.icons, &placement.view, look);
+        if has_zones {
+            zone::draw(map, &placement.view, &mut ground);
+        }
         let noise = placement.icons.disguise().share();
         let weather = (noise > 0.0).then(|| {
             let weather = Weather::drawn(look.seed, noise, placement.view.start(), placement.view.size());

@@ -82,6 +82,66 @@ impl fmt::Display for ViewportError {
 
 impl std::error::Error for ViewportError {}
 
+/// A rectangle of cells of a map.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub struct Extent {
+    /// The first cell.
+    pub(super) corner: Cell,
+    pub(super) rows: i32,
+    pub(super) cols: i32,
+}
+
+impl Extent {
+    /// Returns the whole map.
+    pub fn whole(map: &CityMap) -> Extent {
+        Extent {
+            corner: Cell::new(0, 0),
+            rows: map.rows(),
+            cols: map.cols(),
+        }
+    }
+
+    /// Returns the smallest part of a map that contains these cells with `margin` cells around them, and that splits
+    /// no building, sidewalk or street; the whole map if no cell is on it.
+    pub fn around(map: &CityMap, cells: impl IntoIterator<Item = Cell>, margin: u32) -> Extent {
+        let (mut rows, mut cols) = (None, None);
+        for cell in cells.into_iter().filter(|cell| map.contains(*cell)) {
+            for (span, at) in [(&mut rows, cell.row), (&mut cols, cell.col)] {
+                let (first, last) = span.unwrap_or((at, at));
+                *span = Some((at.min(first), at.max(last)));
+            }
+        }
+        let (Some(rows), Some(cols)) = (rows, cols) else {
+            return Extent::whole(map);
+        };
+        let margin = i32::try_from(margin).unwrap_or(i32::MAX);
+        let layout = &map.layout;
+        let rounded = |(first, last): (i32, i32), end: i32| {
+            let (first, last) = (first.saturating_sub(margin), last.saturating_add(margin));
+            let (first, last) = (first.max(0), last.min(end - 1));
+            let block = |at: i32| at.div_euclid(layout.period());
+            let start = layout
+                .strip_edges(block(first))
+                .into_iter()
+                .filter(|edge| *edge <= first);
+            let stop = layout.strip_edges(block(last)).into_iter().find(|edge| *edge > last);
+            let (start, stop) = (start.last().unwrap_or(first), stop.map_or(end, |stop| stop.min(end)));
+            (start, stop - start)
+        };
+        let ((top, rows), (left, cols)) = (rounded(rows, map.rows()), rounded(cols, map.cols()));
+        Extent {
+            corner: Cell::new(top, left),
+            rows,
+            cols,
+        }
+    }
+
+    /// Returns the first cell, and the numbers of rows and columns.
+    pub fn cells(&self) -> (Cell, [i32; 2]) {
+        (self.corner, [self.rows, self.cols])
+    }
+}
+
 const SIDE_MAX: i64 = 1 << 14;
 const PIXELS_MAX: i64 = 1 << 26;
 
@@ -134,8 +194,16 @@ impl Viewport {
     /// # Errors
     /// If the map has no cells, or the picture too many pixels.
     pub fn whole(map: &CityMap, scale: Scale) -> Result<Viewport, ViewportError> {
+        Viewport::of(Extent::whole(map), scale)
+    }
+
+    /// Returns a view of a part of a map.
+    ///
+    /// # Errors
+    /// If it has no cells, or the picture too many pixels.
+    pub fn of(extent: Extent, scale: Scale) -> Result<Viewport, ViewportError> {
         let side = |cells: i32| u32::try_from(cells).unwrap_or(0);
-        Viewport::new(Cell::new(0, 0), side(map.rows()), side(map.cols()), scale)
+        Viewport::new(extent.corner, side(extent.rows), side(extent.cols), scale)
     }
 
     /// Returns the view of the published visual data set: 128 x 128 cells of 8 pixels, so buildings of 10 cells have
@@ -187,6 +255,18 @@ impl Viewport {
             width,
             height,
         }
+    }
+
+    /// Returns the cell of a square of pixels, given its row and column among the squares of the picture; if a pixel
+    /// covers several cells, the middle one.
+    pub(super) fn cell(&self, row: usize, col: usize) -> Cell {
+        let along = |from: i32, at: usize| match self.scale.cells {
+            1 => from + at as i32,
+            cells => (from.div_euclid(cells) + at as i32)
+                .saturating_mul(cells)
+                .saturating_add(cells / 2),
+        };
+        Cell::new(along(self.corner.row, row), along(self.corner.col, col))
     }
 
     /// Returns the place of the first pixel on the map, as column and row.

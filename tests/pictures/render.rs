@@ -2,13 +2,15 @@
 //! class differ, a classifier distinguishes classes, and nothing panics.
 
 use crate::cases::cases;
-use logicity::city::{Action, AgentKind, Building, Buildings, MapConfig, Split, Widths};
+use logicity::city::{
+    Action, AgentKind, Building, Buildings, Landmarks, MapConfig, Split, Widths, ZoneConfig, ZonePart,
+};
 use logicity::city::{Cell, CityMap};
 use logicity::diag::{Sources, Span};
 use logicity::located::Located;
 use logicity::render::{
-    Animation, Class, Difficulty, Facing, Icons, Mode, Overview, Pack, Picture, PixelBox, Renderer, Scale, Sprite,
-    Viewport, ViewportError, sheet, write_png,
+    Animation, Class, Difficulty, Extent, Facing, Icons, Mode, Overview, Pack, Picture, PixelBox, Renderer, Scale,
+    Sprite, Viewport, ViewportError, ZonePlan, sheet, write_png,
 };
 use logicity::rng::{Purpose, RngExt, Seed};
 use logicity::sim::{Settings, Simulation};
@@ -21,6 +23,11 @@ use std::time::Duration;
 
 /// A map of one row of blocks, with every building type.
 fn map(name: &str, block_cols: u32, widths: Widths) -> CityMap {
+    zoned(name, block_cols, widths, &[])
+}
+
+/// Such a map with zones, each the union of rectangles: rows, then columns, first and last.
+fn zoned(name: &str, block_cols: u32, widths: Widths, zones: &[Vec<[[u32; 2]; 2]>]) -> CityMap {
     let mut sources = Sources::new();
     let span = Span::new(sources.add("map", ""), 0..0);
     let row = |from: usize| {
@@ -40,7 +47,25 @@ fn map(name: &str, block_cols: u32, widths: Widths) -> CityMap {
             value: Buildings::Fixed(vec![row(0), row(3)]),
             span,
         },
-        zones: Vec::new(),
+        zones: zones
+            .iter()
+            .enumerate()
+            .map(|(at, parts)| ZoneConfig {
+                name: Located {
+                    value: format!("zone_{at}"),
+                    span,
+                },
+                parts: (parts.iter())
+                    .map(|&[rows, cols]| Located {
+                        value: ZonePart {
+                            around: Landmarks::Cells { rows, cols },
+                            within: 0,
+                        },
+                        span,
+                    })
+                    .collect(),
+            })
+            .collect(),
     };
     CityMap::generate(&config).unwrap_or_else(|fault| panic!("{fault:?}"))
 }
@@ -250,6 +275,113 @@ proptest! {
         }
         draw(&TINY, 0, &second);
         prop_assert!(draw(&TINY, u64::MAX, &first) == alone);
+    }
+
+    #[test]
+    fn an_extent_is_the_smallest_one_that_splits_nothing(
+        cells in prop::collection::vec((-5..40_i32, -5..70_i32), 0..4),
+        margin in prop_oneof![0..12_u32, Just(u32::MAX)],
+    ) {
+        let cells: Vec<Cell> = cells.into_iter().map(|(row, col)| Cell::new(row, col)).collect();
+        let (corner, [rows, cols]) = Extent::around(&TINY_MAP, cells.iter().copied(), margin).cells();
+        let on_map: Vec<Cell> = cells.into_iter().filter(|cell| TINY_MAP.contains(*cell)).collect();
+        // Where streets, sidewalks and buildings begin, and where the map ends.
+        let period = [0, 7, 10, 16, 19, 25];
+        let edges = |end: i32| (0..4).flat_map(|block| period.map(|at| 28 * block + at)).filter(move |at| *at < end)
+            .chain([end]).collect::<Vec<_>>();
+        let expected = |places: Vec<i32>, end: i32| {
+            let margin = i64::from(margin);
+            let Some((first, last)) = places.iter().min().zip(places.iter().max()) else { return (0, end) };
+            let edges = edges(end);
+            let first = edges.iter().rfind(|at| i64::from(**at) <= (i64::from(*first) - margin).max(0)).unwrap();
+            let stop = (i64::from(*last) + margin + 1).min(i64::from(end));
+            let stop = edges.iter().find(|at| i64::from(**at) >= stop).unwrap();
+            (*first, stop - first)
+        };
+        prop_assert_eq!((corner.row, rows), expected(on_map.iter().map(|cell| cell.row).collect(), 35));
+        prop_assert_eq!((corner.col, cols), expected(on_map.iter().map(|cell| cell.col).collect(), 63));
+    }
+
+    #[test]
+    fn an_overview_of_a_part_shows_the_part_of_the_map(
+        agents in agents(35, 63, 1, 6),
+        cells in prop::collection::vec((0..35_i32, 0..63_i32), 1..3),
+        pixels in 1..13_u32,
+    ) {
+        let agents: Vec<Agent> = agents.into_iter().map(|agent| Agent { name: String::new(), action: None, ..agent })
+            .collect();
+        let scale = Scale::pixels(pixels).expect("a scale");
+        let part_of = Extent::around(&TINY_MAP, cells.into_iter().map(|(row, col)| Cell::new(row, col)), 0);
+        let overview = Overview::of_part(&TINY_MAP, Arc::default(), part_of, Some(scale)).expect("it has cells");
+        let whole = Renderer::new(&TINY_MAP, Arc::default(), Viewport::whole(&TINY_MAP, scale).expect("a view"));
+        let (corner, [rows, cols]) = part_of.cells();
+        let [x, y, width, height] = [corner.col, corner.row, cols, rows].map(|cells| cells * pixels as i32);
+        let [width, height] = [width, height].map(i32::cast_unsigned);
+        let shown = part(&draw(&overview, 0, &agents), PixelBox { x: 34, y: 42, width, height });
+        let area = PixelBox { x, y, width, height };
+        prop_assert!(shown == part(&whole.draw(&sprites(&agents)), area));
+    }
+
+    /// The slow reference finds the zones of every pixel, and whether a pixel near it is outside.
+    #[test]
+    fn zones_are_tinted_and_outlined(
+        zones in prop::collection::vec(prop::collection::vec([[0..35_u32, 0..12], [0..63_u32, 0..12]], 1..4), 0..8),
+        (row, col) in (-6..35_i32, -6..63_i32),
+        (rows, cols) in (1..30_u32, 1..30_u32),
+        pixels in 1..9_u32,
+    ) {
+        let ends = |[start, length]: [u32; 2], end: u32| [start, (start + length).min(end - 1)];
+        let zones: Vec<Vec<_>> = zones.iter()
+            .map(|parts| parts.iter().map(|[rows, cols]| [ends(*rows, 35), ends(*cols, 63)]).collect())
+            .collect();
+        let widths = Widths { street: 7, sidewalk: 3, building: 6, inner_sidewalk: 3 };
+        let map = zoned("tiny", 2, widths, &zones);
+        let plans = ZonePlan::all(&map);
+        prop_assert_eq!(plans.len(), zones.len());
+        let is_in = |zone: usize, row: i32, col: i32| zones[zone].iter().any(|[rows, cols]| {
+            (rows[0] as i32..=rows[1] as i32).contains(&row) && (cols[0] as i32..=cols[1] as i32).contains(&col)
+        });
+        for (zone, plan) in plans.iter().enumerate() {
+            let mut below = plan.bands.iter().flat_map(|(count, runs)| (0..*count).map(move |_| runs));
+            for row in 0..35 {
+                let runs = below.next().unwrap();
+                for col in 0..63 {
+                    let listed = runs.iter().any(|(first, count)| (*first..first + count).contains(&col));
+                    prop_assert_eq!(listed, is_in(zone, row, col as i32));
+                }
+            }
+            prop_assert!(below.next().is_none());
+        }
+        let view = Viewport::new(Cell::new(row, col), rows, cols, Scale::pixels(pixels).unwrap()).unwrap();
+        let plain = Renderer::new(&map, Arc::default(), view);
+        prop_assert!(plain.ground() == Renderer::new(&TINY_MAP, Arc::default(), view).ground());
+        let shown = Renderer::with_zones(&map, Arc::default(), view);
+        let side = pixels as i32;
+        let cell = |y: i32, x: i32| (row + y.div_euclid(side), col + x.div_euclid(side));
+        let pairs = plain.ground().pixels().chunks(3).zip(shown.ground().pixels().chunks(3));
+        for (at, (before, after)) in pairs.enumerate() {
+            let (y, x) = (at as i32 / (cols as i32 * side), at as i32 % (cols as i32 * side));
+            let mut expected: [u8; 3] = before.try_into().unwrap();
+            for (zone, ZonePlan { color, dash, .. }) in plans.iter().enumerate() {
+                let holds = |(row, col): (i32, i32)| is_in(zone, row, col);
+                if !holds(cell(y, x)) {
+                    continue;
+                }
+                let reach = 1..=(side + 2) / 3;
+                let line = |place: i32| place.rem_euclid(dash[0] + dash[1]) < dash[0];
+                let along_row = reach.clone().any(|by| !holds(cell(y - by, x)) || !holds(cell(y + by, x)));
+                let along_col = reach.clone().any(|by| !holds(cell(y, x - by)) || !holds(cell(y, x + by)));
+                let (top, left) = (row * side, col * side);
+                if along_row && line(left + x) || along_col && line(top + y) {
+                    expected = *color;
+                } else {
+                    expected = std::array::from_fn(|at| {
+                        (0.72 * f64::from(expected[at]) + 0.28 * f64::from(color[at])).round() as u8
+                    });
+                }
+            }
+            prop_assert_eq!(after, expected.as_slice());
+        }
     }
 
     #[test]
@@ -785,6 +917,16 @@ fn cars_turn_in_two_halves_and_keep_their_pose_when_they_stop() {
         before = after;
     }
     assert!(halves > 20 && stops > 100, "{halves} {stops}");
+}
+
+/// The legend names the first zones and counts the others.
+#[test]
+fn the_picture_of_a_city_with_many_zones() {
+    let block = |at: u32| vec![[[4 * (at % 6), 4 * (at % 6) + 6], [4 * at, 4 * at + 9]]];
+    let zones: Vec<_> = (0..13).map(block).collect();
+    let map = zoned("zones", 2, ORDINARY, &zones);
+    let picture = Overview::new(&map, Arc::default()).unwrap().draw(0, &[]);
+    compare_palette("zones.png", &picture);
 }
 
 #[test]

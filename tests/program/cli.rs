@@ -121,6 +121,45 @@ fn run_writes_a_trace_an_animation_and_a_picture() {
     assert_eq!(names, written, "no temporary file remains");
 }
 
+/// Returns width and height of a PNG.
+fn size_of_png(path: &Path) -> [u32; 2] {
+    let bytes = fs::read(path).unwrap();
+    [16, 20].map(|at| u32::from_be_bytes(bytes[at..at + 4].try_into().unwrap()))
+}
+
+#[test]
+fn a_cropped_run_shows_where_agents_are() {
+    let folder = tempfile::tempdir().unwrap();
+    let sizes = |name: &str, options: &[&str]| {
+        let target = folder.path().join(name);
+        let ticks = ["run", "expert", "--ticks", "3", "--out", target.to_str().unwrap()];
+        let output = run(&[&ticks, options].concat(), b"");
+        assert_eq!(code(&output), 0, "{}", err(&output));
+        let gif = fs::read(target.join("city.gif")).unwrap();
+        let sides = [6, 8].map(|at| u32::from(u16::from_le_bytes([gif[at], gif[at + 1]])));
+        let png = size_of_png(&target.join("last.png"));
+        assert_eq!(sides, png, "{name}");
+        png
+    };
+    let whole = sizes("whole", &["--scale", "2"]);
+    let part = sizes("part", &["--scale", "2", "--crop"]);
+    assert!(part[0] <= whole[0] && part[1] <= whole[1], "{part:?} {whole:?}");
+    let large = sizes("large", &["--scale", "8", "--crop"]);
+    assert!(large[0] < 4 * whole[0], "{large:?} {whole:?}");
+    assert_ne!(large, sizes("all", &["--scale", "8"]));
+    for (options, word) in [
+        (vec!["--scale", "0"], "from 1 to 64"),
+        (vec!["--scale", "64"], "use a smaller `--scale`, or `--crop`"),
+        (vec!["--crop", "--no-pictures"], "cannot be used with"),
+    ] {
+        let target = folder.path().join("none");
+        let ticks = ["run", "expert", "--ticks", "1", "--out", target.to_str().unwrap()];
+        let output = run(&[&ticks, options.as_slice()].concat(), b"");
+        assert_eq!(code(&output), 2, "{}", err(&output));
+        assert!(err(&output).contains(word), "{}", err(&output));
+    }
+}
+
 #[cfg(unix)]
 #[test]
 fn an_interrupted_run_keeps_its_ticks() {
