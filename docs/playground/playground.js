@@ -168,6 +168,10 @@ class LiveRun extends Run {
     return this.data.predicates.map((_, predicate) => new Set(rows[predicate]));
   }
 
+  values(tick) {
+    return this.explanations.get(tick)?.values ?? [];
+  }
+
   /** Returns the rectangle of the agents and of their routes at the start. */
   bounds() {
     const bounds = [Infinity, Infinity, -Infinity, -Infinity];
@@ -419,6 +423,7 @@ class Playground extends Viewer {
     this.run = run;
     for (const part of [...this.panels, ...this.maps]) Object.assign(part, { run, scenery, data: run.data });
     for (const map of this.maps) map.forgetGround();
+    this.explainZones();
     if (this.now.agent >= run.agents) this.now.agent = -1;
     Object.assign(this.now, { tick: 0, part: 0 });
     this.reached = 0;

@@ -6,8 +6,10 @@ use crate::datalog::{ClauseId, Value};
 use crate::diag::{Diagnostic, Sources};
 use crate::files::portable_name;
 use crate::page::proofs::Proofs;
-use crate::sim::{Replay, TraceHeader};
+use crate::predicate::Quantity;
+use crate::sim::{Replay, TraceHeader, json_value};
 use serde::Serialize;
+use std::collections::HashSet;
 use std::fmt;
 
 /// The constant part of a run. The positions in its lists identify agents, actions, predicates and clauses.
@@ -53,8 +55,15 @@ impl fmt::Display for Agent {
 #[derive(Serialize)]
 struct Predicate {
     name: String,
+    /// The number of columns for agents.
     arity: usize,
+    /// The quantity whose value is the last column, if the predicate holds one.
+    #[serde(skip_serializing_if = "Option::is_none")]
+    quantity: Option<&'static str>,
 }
+
+/// The position of a quantity among the predicates, and its rows with their values.
+pub type Values = (usize, Vec<(u64, serde_json::Value)>);
 
 impl Header {
     pub fn new(replay: &Replay, header: &TraceHeader, sources: &Sources) -> Header {
@@ -75,6 +84,7 @@ impl Header {
         let predicates = (world.vocabulary.predicates.iter()).map(|predicate| Predicate {
             name: predicate.name.clone(),
             arity: predicate.arity,
+            quantity: predicate.quantity().map(Quantity::name),
         });
         Header {
             title: format!("{} ({}), seed {}", header.config, header.split, header.seed),
@@ -117,18 +127,38 @@ impl Header {
     }
 
     /// Returns for each predicate its rows in the state of `replay`, as numbers in ascending order. A row (x, y) is x
-    /// times the number of agents plus y.
+    /// times the number of agents plus y. A quantity has no rows here; see [`Header::values`].
     pub fn rows(&self, replay: &Replay) -> impl Iterator<Item = Vec<u64>> {
-        let agents = self.agents.len() as u64;
         let predicates = self.predicates.iter().zip(&replay.facts().rows);
         predicates.map(move |(predicate, rows)| {
-            let number = |row: &[u32; 2]| match predicate.arity {
-                2 => u64::from(row[0]) * agents + u64::from(row[1]),
-                _ => u64::from(row[0]),
-            };
-            let mut numbers: Vec<u64> = rows.iter().map(number).collect();
+            let rows = rows.iter().filter(|_| predicate.quantity.is_none());
+            let mut numbers: Vec<u64> = rows.map(|row| self.number(predicate, *row)).collect();
             numbers.sort_unstable();
             numbers
         })
+    }
+
+    /// Returns the number of a row of a predicate.
+    fn number(&self, predicate: &Predicate, row: [u32; 2]) -> u64 {
+        match predicate.arity {
+            2 => u64::from(row[0]) * self.agents.len() as u64 + u64::from(row[1]),
+            _ => u64::from(row[0]),
+        }
+    }
+
+    /// Returns the quantities in the state of `replay`: rows as in [`Header::rows`], with values. A quantity of two
+    /// agents has only the rows in which the first agent sees the second.
+    pub fn values(&self, replay: &Replay) -> Vec<Values> {
+        let (vocabulary, facts) = (&replay.world().vocabulary, replay.facts());
+        let sees: HashSet<[u32; 2]> = facts.rows[vocabulary.sees].iter().copied().collect();
+        let predicates = self.predicates.iter().zip(&vocabulary.predicates).enumerate();
+        let quantities = predicates.filter_map(|(index, (predicate, known))| {
+            let unit = known.definition.unit()?;
+            let rows = facts.rows[index].iter().zip(&facts.values[index]);
+            let rows = rows.filter(|(row, _)| predicate.arity < 2 || sees.contains(*row));
+            let rows = rows.map(|(row, value)| (self.number(predicate, *row), json_value(*value, unit)));
+            Some((index, rows.collect()))
+        });
+        quantities.collect()
     }
 }

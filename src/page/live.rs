@@ -3,7 +3,7 @@
 use crate::city::{Action, Agent};
 use crate::datalog::explain::{Explainer, ExplanationPrinter};
 use crate::diag::{Diagnostic, SourceId, Sources};
-use crate::page::header::Header;
+use crate::page::header::{Header, Values};
 use crate::page::run::{corners, relative_view};
 use crate::page::scenery::Scenery;
 use crate::render::Icons;
@@ -71,6 +71,8 @@ pub struct LiveExplanation {
     nodes: Vec<Value>,
     /// For each predicate, its rows. A row (x, y) is x times the number of agents plus y.
     rows: Vec<Vec<u64>>,
+    /// The values of the quantities.
+    values: Vec<Values>,
 }
 
 impl Live {
@@ -198,6 +200,7 @@ impl Live {
             why: why?,
             nodes,
             rows: self.header.rows(&self.replay).collect(),
+            values: self.header.values(&self.replay),
         }))
     }
 

@@ -5,7 +5,7 @@ use crate::city::{Cell, CityMap, Heading, field_of_view};
 use crate::datalog::explain::{Explainer, ExplanationPrinter};
 use crate::diag::{self, Diagnostic, Sources};
 use crate::page::file::{packed, write_parts};
-use crate::page::header::Header;
+use crate::page::header::{Header, Values};
 use crate::page::scenery::Scenery;
 use crate::render::Icons;
 use crate::sim::codes;
@@ -118,6 +118,9 @@ struct Unpacked {
     /// For each tick, predicates with the rows that appear or disappear: first the predicate, then the rows in
     /// ascending order, each as a difference from the row before. A row (x, y) is x times the number of agents plus y.
     facts: Vec<Vec<Vec<u64>>>,
+    /// For each tick, the values of the quantities, if the configuration declares some.
+    #[serde(skip_serializing_if = "Vec::is_empty")]
+    values: Vec<Vec<Values>>,
 }
 
 /// A part with explanations, as JSON.
@@ -367,6 +370,10 @@ impl Page {
             *old = now;
         }
         self.unpacked.facts.push(changes);
+        let values = self.header.values(replay);
+        if !values.is_empty() {
+            self.unpacked.values.push(values);
+        }
     }
 
     /// Plans the routes of agents with a new goal. A trace records only goals, but start and goal determine a route. An

@@ -1,7 +1,7 @@
 //! What stays the same in a run: map, buildings, and the icons of the agents.
 
 use crate::city::{AgentKind, CityMap, Heading};
-use crate::render::{Atlas, Class, Facing, GroundPlan, Icons, Site};
+use crate::render::{Atlas, Class, Facing, GroundPlan, Icons, Site, ZonePlan};
 use crate::sim::TraceAgent;
 use base64::Engine as _;
 use base64::engine::general_purpose::STANDARD;
@@ -37,6 +37,17 @@ pub struct Map {
     bands: Vec<(u32, Vec<(u32, u32)>)>,
     /// For each building its icon, type, first row and column, and side.
     sites: Vec<(usize, String, i32, i32, i32)>,
+    #[serde(skip_serializing_if = "Vec::is_empty")]
+    zones: Vec<Zone>,
+}
+
+/// A zone, as [`ZonePlan`] describes it.
+#[derive(Serialize, PartialEq, Eq)]
+struct Zone {
+    name: String,
+    color: String,
+    dash: [i32; 2],
+    bands: Vec<(u32, Vec<(u32, u32)>)>,
 }
 
 /// An [`Atlas`] with its picture in base 64.
@@ -75,6 +86,12 @@ impl Scenery {
                 (icon, name, corner.row, corner.col, site.side)
             })
             .collect();
+        let zones = ZonePlan::all(map).into_iter().map(|zone| Zone {
+            name: zone.name,
+            color: hexadecimal(zone.color),
+            dash: zone.dash,
+            bands: zone.bands,
+        });
         let [car, pedestrian, building] = SIZES;
         Scenery {
             map: Map {
@@ -82,11 +99,12 @@ impl Scenery {
                 rows: map.rows(),
                 cols: map.cols(),
                 colors: (GroundPlan::COLORS.into_iter().zip(plan.colors))
-                    .map(|(name, [r, g, b])| (name, format!("#{r:02x}{g:02x}{b:02x}")))
+                    .map(|(name, color)| (name, hexadecimal(color)))
                     .collect(),
                 surfaces: GroundPlan::SURFACES,
                 bands: plan.bands,
                 sites,
+                zones: zones.collect(),
             },
             atlases: [
                 cars.atlas(icons, car),
@@ -98,14 +116,19 @@ impl Scenery {
     }
 }
 
+fn hexadecimal([r, g, b]: [u8; 3]) -> String {
+    format!("#{r:02x}{g:02x}{b:02x}")
+}
+
 impl Map {
-    /// Returns whether both maps have the same ground and buildings in every cell.
+    /// Returns whether both maps have the same ground, buildings and zones in every cell.
     pub fn equals(&self, other: &Map) -> bool {
         fn site((_, name, row, col, side): &(usize, String, i32, i32, i32)) -> (&str, [i32; 3]) {
             (name, [*row, *col, *side])
         }
         (self.rows, self.cols, &self.bands) == (other.rows, other.cols, &other.bands)
             && self.sites.iter().map(site).eq(other.sites.iter().map(site))
+            && self.zones == other.zones
     }
 }
 

@@ -19,7 +19,7 @@ use std::io::Read;
 use std::process::Command;
 use std::sync::Arc;
 
-use crate::shipped_world::with_sources;
+use crate::shipped_world::{configured, with_sources};
 
 /// A run of `ticks` ticks: its trace, and the route of every agent in every tick.
 struct Run {
@@ -34,7 +34,10 @@ fn run(config: &str, ticks: u64) -> Run {
 }
 
 fn run_with(config: &str, rules: Option<&str>, seed: Seed, ticks: u64) -> Run {
-    let (world, sources) = with_sources(config, rules);
+    run_in(with_sources(config, rules), seed, ticks)
+}
+
+fn run_in((world, sources): (Arc<World>, Sources), seed: Seed, ticks: u64) -> Run {
     let settings = Settings {
         count_firings: true,
         ..Settings::default()
@@ -460,7 +463,10 @@ fn a_live_city_equals_the_page_of_its_run() {
 }
 
 fn live(config: &str) -> Live {
-    let (world, sources) = with_sources(config, None);
+    live_in(with_sources(config, None))
+}
+
+fn live_in((world, sources): (Arc<World>, Sources)) -> Live {
     let settings = Settings {
         count_firings: true,
         ..Settings::default()
@@ -493,6 +499,86 @@ fn compare_explanations(live: &mut Live, (header, data): (&Value, &Value), tick:
         assert_eq!(json!(flat.collect::<Vec<_>>()), shown["rows"][predicate]);
     }
     list(&explained["why"]).len()
+}
+
+/// The page and a running city show the quantities of an agent, of the city, and of an agent and those that it sees.
+#[test]
+fn a_page_shows_the_values_of_quantities() {
+    let config = "base: expert\ntask: ~\npredicates:\n  define:\n    Waited: {quantity: waited}\n    \
+                  Clock: {quantity: tick}\n    Gap: {quantity: distance}\n    Heading: {quantity: heading}\n";
+    let rules = ".include \"vocabulary.dl\"\n\
+                 .decl Waited(x: agent, ticks: number)\n.decl Clock(tick: number)\n\
+                 .decl Gap(x: agent, y: agent, cells: float)\n.decl Heading(x: agent, to: symbol)\n\
+                 .input Waited, Clock, Gap, Heading\n\
+                 Stop(X) :- Gap(X, Y, D), D < 4.0.\nSlow(X) :- Waited(X, N), N > 3.\n";
+    let run = run_in(configured(config, rules, |_| ()), Seed(0), 12);
+    let page = run.page();
+    let data = unpack(&page);
+    let parts = parts(&page);
+    let proofs = parts.iter().filter(|(kind, ..)| kind == "proofs");
+    let values: Vec<&Value> = proofs.flat_map(|(.., part)| list(&part["values"])).collect();
+    assert_eq!(values.len(), 12);
+    let mut live = live_in(configured(config, rules, |_| ()));
+    let mut replay = run.replay();
+    let agents = list(&data["agents"]).len();
+    let mut counts = BTreeMap::new();
+    for (tick, shown) in run.ticks().zip(values) {
+        replay.set(&tick).unwrap();
+        live.tick().unwrap();
+        let explained = json!(live.explain(tick.tick, 0).unwrap().unwrap());
+        assert_eq!(explained["values"], *shown);
+        let mut expected = Vec::new();
+        let facts = replay.facts();
+        for (index, predicate) in list(&data["predicates"]).iter().enumerate() {
+            let Some(quantity) = predicate.get("quantity") else {
+                continue;
+            };
+            let mut rows = Vec::new();
+            for (&[x, y], value) in facts.rows[index].iter().zip(&facts.values[index]) {
+                let (x, y) = (x as usize, y as usize);
+                let (number, value) = match quantity.as_str().unwrap() {
+                    "tick" => (0, json!(tick.tick)),
+                    "waited" => (x, json!(value.as_number())),
+                    "heading" => (x, json!(tick.agents[x].heading)),
+                    "distance" => {
+                        let sees = facts.rows[run.world.vocabulary.sees].contains(&[x as u32, y as u32]);
+                        if !sees {
+                            continue;
+                        }
+                        let [[row, col], [to_row, to_col]] = [x, y].map(|agent| tick.agents[agent].at);
+                        let distance = f64::from(row - to_row).hypot(f64::from(col - to_col));
+                        (x * agents + y, json!(distance as f32))
+                    }
+                    other => panic!("{other}"),
+                };
+                *counts.entry(quantity.to_string()).or_insert(0) += 1;
+                rows.push(json!([number, value]));
+            }
+            expected.push(json!([index, rows]));
+        }
+        assert_eq!(*shown, json!(expected), "tick {}", tick.tick);
+    }
+    assert!(
+        counts.len() == 4 && counts.values().all(|count| *count >= 12),
+        "{counts:?}"
+    );
+}
+
+/// The page has the zones of the map, and that of a map without zones has none.
+#[test]
+fn a_page_shows_the_zones_of_the_map() {
+    let zones = |config: &str| {
+        let page = run(config, 1).page();
+        let parts = parts(&page);
+        let (.., scenery) = parts.into_iter().find(|(kind, ..)| kind == "scenery").unwrap();
+        scenery["map"].get("zones").cloned()
+    };
+    assert_eq!(zones("expert"), None);
+    let rails = zones("tram-line").unwrap();
+    let expected = json!([{
+        "name": "rails", "color": "#0072b2", "dash": [1, 0], "bands": [[92, []], [11, [[0, 241]]], [138, []]],
+    }]);
+    assert_eq!(rails, expected);
 }
 
 #[test]

@@ -1,5 +1,10 @@
 // The panel of the chosen agent: its action and the explanation.
 
+/** Returns a value with at most two decimal places. */
+function decimal(value) {
+  return typeof value === "number" ? String(Math.round(100 * value) / 100) : value;
+}
+
 class AgentPanel {
   constructor(run, page, number) {
     Object.assign(this, { run, page, number, data: run.data, now: page.now });
@@ -120,11 +125,29 @@ class AgentPanel {
       make("dt", {}, "priority"),
       make("dd", {}, String(priority)),
     );
+    facts.append(...this.quantities(tick, agent));
     if (!run.driven(tick, agent))
       facts.append(make("dt", {}, "because"), make("dd", {}, run.causes(tick, agent) || "no clause fired"));
     if (derived.length > 1)
       facts.append(make("dt", {}, "derived"), make("dd", {}, `${derived.join(", ")}; the rules prefer ${preferred}`));
     return facts;
+  }
+
+  /** Returns the values of the quantities that the rules can read of an agent. */
+  quantities(tick, agent) {
+    if (!this.run.isExplained(tick, agent)) return [];
+    const { predicates } = this.data;
+    const read = Map.groupBy(this.run.quantities(tick, agent), ([name]) => name);
+    const declared = predicates.filter(({ quantity }) => quantity);
+    return declared.flatMap(({ name }) => {
+      const shown = (read.get(name) ?? []).flatMap(([, value, other], at) => [
+        at ? ", " : "",
+        other === undefined ? "" : this.agentLink(other),
+        other === undefined ? "" : " ",
+        decimal(value),
+      ]);
+      return [make("dt", {}, name), make("dd", { class: "quantity" }, ...(shown.length ? shown : ["no value"]))];
+    });
   }
 
   /** Shows what a driven agent observed, and the clauses that its action violated. Proofs cover all agents in view. */
@@ -298,6 +321,15 @@ class AgentPanel {
         of.get(row[0]).push(`${name}(${row.map((one) => agents[one].id).join(", ")})`);
       }
     });
+    for (const one of seen) {
+      for (const [name, value, other] of this.run.quantities(tick, one)) {
+        if (other !== undefined && !seen.has(other)) continue;
+        const names = [one, other].filter((who) => who !== undefined).map((who) => agents[who].id);
+        const isOfCity = predicates.some((predicate) => predicate.name === name && predicate.arity === 0);
+        if (isOfCity && one !== agent) continue;
+        of.get(one).push(`${name}(${[...(isOfCity ? [] : names), decimal(value)].join(", ")})`);
+      }
+    }
     return [...of].map(([one, atoms]) =>
       make("div", {}, this.agentLink(one), make("p", { class: "atoms" }, ...this.linked(atoms.join(", ")))),
     );

@@ -70,7 +70,7 @@ class Figure {
     this.text(paint, figure === "map" ? `${names}, tick ${data.first + this.now.tick}` : names, 8, 15, 600);
     if (figure === "map") this.drawMaps(paint, height);
     else this.drawChart(paint, width, height);
-    this.drawLegend(paint, 8, height - 14);
+    this.drawLegend(paint, figure, 8, height - 14);
   }
 
   drawMaps(paint, height) {
@@ -106,11 +106,14 @@ class Figure {
       );
   }
 
-  drawLegend(paint, x, y) {
-    for (const action of this.page.run.data.actions) {
-      paint.fillStyle = COLORS[action];
+  drawLegend(paint, figure, x, y) {
+    const { run, scenery } = this.page;
+    const zones = figure === "map" ? scenery.ground.zones.filter(({ isShown }) => isShown) : [];
+    const entries = run.data.actions.map((action) => [action, COLORS[action]]);
+    for (const [name, color] of [...entries, ...zones.map(({ name, color }) => [name, color])]) {
+      paint.fillStyle = color;
       paint.fillRect(x, y - 6, 12, 12);
-      x += 18 + this.text(paint, action, x + 17, y) + 16;
+      x += 18 + this.text(paint, name, x + 17, y) + 16;
     }
   }
 

@@ -3,6 +3,26 @@
 /** The colors that a dark page lays over the ground. */
 const NIGHT = "#0a0f1a73";
 
+/** Returns the rectangles of a zone and the segments of its outline, as [row, column, rows, columns]. */
+function outlined(bands) {
+  const [rectangles, outline] = [[], []];
+  let [top, above] = [0, []];
+  // Where an end of a run has no equal end in the next band, the outline begins or ends.
+  const horizontal = (below) => {
+    const ends = [...above, ...below].sort((a, b) => a - b);
+    for (let at = 0; at < ends.length; at += 2)
+      if (ends[at] !== ends[at + 1]) outline.push([top, ends[at], 0, ends[at + 1] - ends[at]]);
+  };
+  for (const [rows, runs] of [...bands, [0, []]]) {
+    const ends = runs.flatMap(([col, cols]) => [col, col + cols]);
+    horizontal(ends);
+    for (const [col, cols] of runs) rectangles.push([top, col, rows, cols]);
+    for (const col of ends) outline.push([top, col, rows, 0]);
+    [top, above] = [top + rows, ends];
+  }
+  return { rectangles, outline };
+}
+
 class Ground {
   constructor(map, buildings) {
     Object.assign(this, { map, buildings });
@@ -19,6 +39,8 @@ class Ground {
       top += rows;
       return band;
     });
+    /** The zones, with the rectangles of their cells and the segments of their outlines. */
+    this.zones = (map.zones ?? []).map((zone) => ({ ...zone, ...outlined(zone.bands), isShown: true }));
   }
 
   /** Draws the part of the ground on a picture. `x` and `y` are the pixel of the map's corner. */
@@ -44,6 +66,26 @@ class Ground {
       paint.fillStyle = NIGHT;
       paint.fillRect(0, 0, width, height);
     }
+    for (const zone of this.zones) if (zone.isShown) this.drawZone(paint, zone, place);
+  }
+
+  drawZone(paint, { color, dash, rectangles, outline }, { across, down }) {
+    paint.fillStyle = `${color}47`;
+    for (const [row, col, rows, cols] of rectangles) {
+      const [x, y] = [across(col), down(row)];
+      paint.fillRect(x, y, across(col + cols) - x, down(row + rows) - y);
+    }
+    const unit = pixelUnit();
+    paint.strokeStyle = color;
+    paint.lineWidth = 2 * unit;
+    paint.setLineDash(dash[1] ? dash.map((length) => length * unit) : []);
+    paint.beginPath();
+    for (const [row, col, rows, cols] of outline) {
+      paint.moveTo(across(col), down(row));
+      paint.lineTo(across(col + cols), down(row + rows));
+    }
+    paint.stroke();
+    paint.setLineDash([]);
   }
 
   drawRun(paint, { top, rows }, [surface, sides, left, cols], { across, down }, scale) {

@@ -11,6 +11,8 @@ class RecordedRun extends Run {
     this.why = [];
     /** For each tick, the rows that appear or disappear. */
     this.changes = [];
+    /** For each tick, the quantities with their rows and values. */
+    this.quantities = [];
     this.shown = { tick: -1, rows: data.predicates.map(() => new Set()) };
     this.firings = new Map();
     this.covered = new Map();
@@ -39,13 +41,14 @@ class RecordedRun extends Run {
   }
 
   /** Adds explanations and facts of the next ticks. */
-  add({ nodes, why, facts }) {
+  add({ nodes, why, facts, values = [] }) {
     for (const node of nodes) this.nodes.push(node);
     for (const changes of why) {
       const before = this.why.at(-1);
       this.why.push(Int32Array.from(changes, (change, at) => change + (before ? before[at] : 0)));
     }
     for (const change of facts) this.changes.push(change);
+    for (const quantities of values) this.quantities.push(quantities);
     this.explained = this.why.length;
   }
 
@@ -62,6 +65,11 @@ class RecordedRun extends Run {
     while (shown.tick < tick) this.changes[(shown.tick += 1)].forEach(toggle);
     while (shown.tick > tick) this.changes[(shown.tick -= 1) + 1].forEach(toggle);
     return shown.rows;
+  }
+
+  /** Returns the quantities of a tick, each as [position among the predicates, [row, value] ...]. */
+  values(tick) {
+    return this.quantities[tick] ?? [];
   }
 
   at(tick, agent) {

@@ -1,7 +1,8 @@
 // A run: what the map and the panel compute from its ticks.
 
 /** What the map and the panel read of a run. A subclass holds the ticks and has the methods `at`, `goal`, `act`,
- *  `heading`, `bits`, `fired`, `box`, `progress`, `isExplained`, `node` and `rows`, and the list `nodes`. */
+ *  `heading`, `bits`, `fired`, `box`, `progress`, `isExplained`, `node`, `rows` and `values`, and the list
+ *  `nodes`. */
 class Run {
   constructor(data) {
     this.data = data;
@@ -39,6 +40,20 @@ class Run {
     const [row, col] = this.at(tick, agent);
     const [top, left, bottom, right] = this.box(tick, agent);
     return [row + top, col + left, row + bottom, col + right];
+  }
+
+  /** Returns the quantities that an agent reads in a tick, as [name, value, other agent or `undefined`]: its own, those
+   *  of the city, and those of it and an agent that it sees. */
+  quantities(tick, agent) {
+    const found = [];
+    for (const [predicate, rows] of this.values(tick)) {
+      const { name, arity } = this.data.predicates[predicate];
+      for (const [row, value] of rows) {
+        const [first, second] = arity === 2 ? [Math.floor(row / this.agents), row % this.agents] : [row];
+        if (arity === 0 || first === agent) found.push([name, value, second]);
+      }
+    }
+    return found;
   }
 
   label(clause) {

@@ -26,10 +26,31 @@ class Viewer {
     $("legend").append(make("li", {}, swatch, words));
   }
 
-  /** Fills in the colors of the actions and the speeds. */
+  /** Adds the zones of the map to the legend; a click on a zone hides or shows it. */
+  explainZones() {
+    for (const old of document.querySelectorAll("#legend .zone")) old.parentElement.remove();
+    for (const zone of this.scenery.ground.zones) {
+      const swatch = make("span", { class: "swatch", style: `background:${zone.color}` });
+      const button = make("button", { type: "button", class: "zone", title: "hide or show this zone" }, swatch, zone.name);
+      const show = (isShown) => {
+        zone.isShown = isShown;
+        button.setAttribute("aria-pressed", isShown);
+      };
+      show(zone.isShown);
+      button.addEventListener("click", () => {
+        show(!zone.isShown);
+        for (const map of this.maps) map.forgetGround();
+        this.draw();
+      });
+      $("legend").append(make("li", {}, button));
+    }
+  }
+
+  /** Fills in the colors of the actions and of the zones, and the speeds. */
   describeControls(speeds) {
     for (const action of this.run.data.actions)
       this.explainColor(action, make("span", { class: "swatch", style: `background:${COLORS[action]}` }));
+    this.explainZones();
     for (const speed of speeds)
       $("speed").append(make("option", { value: speed, selected: speed === this.now.speed }, `${speed} /s`));
   }

@@ -3,13 +3,13 @@
 //! It evaluates the definition of every base predicate ([`predicate`](crate::predicate)) for all entities.
 
 use crate::cancel::Cancel;
-use crate::city::CityMap;
+use crate::city::{CityMap, Heading};
 use crate::datalog::Value;
 use crate::datalog::internal::size;
 use crate::diag::codes;
 use crate::diag::{Diagnostic, Limit};
 use crate::predicate::{
-    Definition, Entity, Measure, Measured, PairKind, Quantity, Relation, Sight, Subject, with_pair,
+    Definition, Entity, Measure, Measured, PairKind, Quantity, Relation, Sight, Subject, Unit, with_pair,
 };
 use crate::sim::tick::chance::Chance;
 use crate::sim::tick::vocabulary::Vocabulary;
@@ -67,6 +67,15 @@ impl Facts {
         let rows = rows.chain(self.past.iter().map(|rows| size_of_val(&rows[..])));
         let values = self.values.iter().map(|values| size_of_val(&values[..]));
         rows.chain(values).sum::<usize>() as u64
+    }
+}
+
+/// Returns a value of [`Facts::values`] as JSON.
+pub(crate) fn json_value(value: Value, unit: Unit) -> serde_json::Value {
+    match unit {
+        Unit::Number => value.as_number().into(),
+        Unit::Float => value.as_float().into(),
+        Unit::Heading => Heading::ALL[value.0 as usize].name().into(),
     }
 }
 
