@@ -1727,6 +1727,42 @@ fn a_faulty_scene_still_gives_one_line() {
     fails(&with_input(["infer"], deep.as_bytes()), 1, &["invalid-scene"]);
 }
 
+#[test]
+fn a_scene_names_the_map_of_a_configuration() {
+    let scene = |map: &str| format!(r#"{{"map": {map}, "agents": [{{"id": "a", "type": "Car", "at": [25, 8]}}]}}"#);
+    let folder = tempfile::tempdir().unwrap();
+    let path = folder.path().join("town.yaml");
+    let config = "base: expert\nmap: {blocks: [1, 1], buildings: {rows: [HO, SG]}}\n";
+    fs::write(&path, config).unwrap();
+    let town = format!(r#"{{"config": {}}}"#, Value::from(path.to_str().unwrap()));
+    let lines = [
+        scene(r#""square-5x5""#),
+        scene(r#"{"config": "expert"}"#),
+        scene(r#"{"config": "school-zone"}"#),
+        scene(&town),
+    ];
+    let output = with_input(["infer"], lines.join("\n").as_bytes());
+    assert_eq!(code(&output), 0, "{}", err(&output));
+    let answers: Vec<String> = out(&output).lines().map(str::to_owned).collect();
+    assert_eq!((answers.len(), &answers[0]), (4, &answers[1]));
+    for (map, place, words) in [
+        (
+            r#"{"config": "nowhere"}"#,
+            ":1:9",
+            "the map of the configuration `nowhere` cannot be used",
+        ),
+        (r#"{"config": "/etc/hosts"}"#, ":1:20", "not a configuration"),
+        (r#"{"config": 5}"#, ":1:20", "expected a string"),
+        (r#"{"file": "a"}"#, ":1:", "unknown field `file`"),
+    ] {
+        let output = with_input(["infer"], scene(map).as_bytes());
+        fails(&output, 1, &["invalid-scene", place, words]);
+    }
+    // The road of one block ends before this cell.
+    let off = scene(&town).replace("[25, 8]", "[25, 90]");
+    fails(&with_input(["infer"], off.as_bytes()), 1, &["is not on the map"]);
+}
+
 /// Constraints are not rules: commands report violations only with `--check-constraints`.
 #[test]
 fn constraints_are_checked_on_request() {

@@ -14,6 +14,7 @@ use serde::Deserialize;
 use serde::de::{self, Deserializer, MapAccess, Visitor};
 use serde_json::value::RawValue;
 use std::collections::HashMap;
+use std::fmt;
 
 /// A scene.
 #[derive(Clone, Debug)]
@@ -27,9 +28,9 @@ pub enum Scene {
 /// A scene of agents on a map.
 #[derive(Clone, Debug)]
 pub struct GeometricScene {
-    /// The name of the map.
-    pub map: String,
-    /// The source position of the name.
+    /// The map.
+    pub map: MapName,
+    /// The source position of its name.
     pub map_span: Span,
     /// The agents in list order.
     pub agents: Vec<SceneAgent>,
@@ -41,6 +42,24 @@ pub struct GeometricScene {
     pub given: Vec<GivenPredicate>,
     /// The actions that agents took, by their positions in `agents`: labels for learning.
     pub actions: Vec<(usize, Action)>,
+}
+
+/// How a scene names its map.
+#[derive(Clone, Debug, PartialEq, Eq, Hash)]
+pub enum MapName {
+    /// The name of a built-in map, or the path of a map file.
+    Map(String),
+    /// The name of a built-in configuration, or the path of a configuration: the map of that configuration.
+    Config(String),
+}
+
+impl fmt::Display for MapName {
+    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        match self {
+            MapName::Map(name) => write!(f, "map `{name}`"),
+            MapName::Config(name) => write!(f, "map of the configuration `{name}`"),
+        }
+    }
 }
 
 /// An agent of a scene.
@@ -108,6 +127,14 @@ struct RawGeometric<'a> {
     actions: Entries<'a>,
 }
 
+/// A map of a configuration.
+#[derive(Deserialize)]
+#[serde(deny_unknown_fields)]
+struct RawConfigMap<'a> {
+    #[serde(borrow)]
+    config: &'a RawValue,
+}
+
 #[derive(Deserialize)]
 #[serde(deny_unknown_fields)]
 struct RawAgent<'a> {
@@ -165,7 +192,7 @@ impl<'de: 'a, 'a> Deserialize<'de> for Entries<'a> {
         impl<'de> Visitor<'de> for Visit {
             type Value = Entries<'de>;
 
-            fn expecting(&self, f: &mut std::fmt::Formatter<'_>) -> std::fmt::Result {
+            fn expecting(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
                 f.write_str("an object from predicate names to lists of rows")
             }
 
@@ -294,17 +321,24 @@ impl<'a> Reader<'a> {
         }
     }
 
-    /// Parses the name of a built-in map or the path of a map file. Rejects other paths, so that a scene opens only
-    /// maps.
-    fn map(&self, raw: &'a RawValue) -> Read<String> {
-        let name: String = self.value(raw)?;
+    /// Parses the name of a map: a text, or `{"config": text}`. A text is the name of a built-in file or the path of a
+    /// YAML file. Rejects other paths, so that a scene opens no other files.
+    fn map(&self, raw: &'a RawValue) -> Read<MapName> {
+        let (written, what) = if raw.get().starts_with('{') {
+            (self.value::<RawConfigMap<'a>>(raw)?.config, "configuration")
+        } else {
+            (raw, "map")
+        };
+        let name: String = self.value(written)?;
         let is_name = name.chars().all(|c| c.is_alphanumeric() || c == '-' || c == '_');
         if is_name || name.ends_with(".yaml") || name.ends_with(".yml") {
-            Ok(name)
-        } else {
-            let label = "expected the name of a built-in map or the path of a file ending in .yaml";
-            Err(vec![self.fault(raw, "not a map".into(), label)])
+            return Ok(match what {
+                "map" => MapName::Map(name),
+                _ => MapName::Config(name),
+            });
         }
+        let label = format!("expected the name of a built-in {what} or the path of a file ending in .yaml");
+        Err(vec![self.fault(written, format!("not a {what}"), &label)])
     }
 
     fn agent(&self, raw: &'a RawValue) -> Read<SceneAgent> {

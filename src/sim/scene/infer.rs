@@ -2,7 +2,7 @@
 
 use crate::cancel::Cancel;
 use crate::city::{Action, CityMap, Heading};
-use crate::config::{Scenario, load_map};
+use crate::config::{Scenario, load_map, load_scenario};
 use crate::datalog::dense::{BinaryFacts, BitFacts, BitState, Set, TooManySteps, TrackFirings, has};
 use crate::datalog::explain::Explainer;
 use crate::datalog::{self, EvalError, Limits, PredicateId, Program, Session, Value, constraints, internal::size};
@@ -12,11 +12,11 @@ use crate::files::ReadFile;
 use crate::predicate::{Entity, Unit};
 use crate::rng::Seed;
 use crate::sim::codes;
-use crate::sim::scene::format::{GeometricScene, GivenPredicate, Scene, SymbolicScene, Terms, parse_scenes};
+use crate::sim::scene::format::{GeometricScene, GivenPredicate, MapName, Scene, SymbolicScene, Terms, parse_scenes};
 use crate::sim::tick::asked::AskedFact;
 use crate::sim::tick::chance::Draws;
 use crate::sim::tick::executor::{Choice, DenseRules, Executor, compile, given_up, of_rules};
-use crate::sim::tick::ground::{Facts, MAX_ENTITIES, PastRows, ground_with};
+use crate::sim::tick::ground::{Facts, MAX_ENTITIES, PastRows, ground_with, json_value};
 use crate::sim::tick::ground_state::GroundPredicate;
 use crate::sim::tick::ground_state::GroundState;
 use crate::sim::tick::memory::{Memory, Watched};
@@ -31,7 +31,7 @@ use std::io::{self, Write};
 use std::path::Path;
 use std::sync::Arc;
 
-/// Reads the map files that scenes name.
+/// Reads the files that scenes name.
 type Reader = dyn ReadFile + Send + Sync;
 
 /// Evaluates scenes with one scenario and one program. It caches maps by name.
@@ -40,7 +40,7 @@ pub struct Inference {
     program: Program,
     vocabulary: Arc<Vocabulary>,
     read: Box<Reader>,
-    maps: HashMap<String, Arc<CityMap>>,
+    maps: HashMap<MapName, Arc<CityMap>>,
     seed: Seed,
     executor: Executor,
     check_constraints: bool,
@@ -258,7 +258,8 @@ fn write_list<T>(
 }
 
 impl Inference {
-    /// Binds a scenario to a program. `read` reads the map files that scenes name; built-in maps need no file.
+    /// Binds a scenario to a program. `read` reads the maps and configurations that scenes name; built-in ones
+    /// need no file.
     ///
     /// # Errors
     /// As [`Vocabulary::bind`]; `dense-unsupported` if `executor` demands the dense one and it cannot evaluate the
@@ -543,8 +544,13 @@ impl Inference {
             return Ok(Arc::clone(map));
         }
         let mut sources = Sources::new();
-        let made = load_map(&mut sources, Path::new(&scene.map), self.read.as_ref())
-            .and_then(|config| CityMap::generate(&config).map_err(|fault| vec![fault]));
+        let config = match &scene.map {
+            MapName::Map(name) => load_map(&mut sources, Path::new(name), self.read.as_ref()),
+            MapName::Config(name) => {
+                load_scenario(&mut sources, Path::new(name), self.read.as_ref()).map(|scenario| scenario.map)
+            }
+        };
+        let made = config.and_then(|config| CityMap::generate(&config).map_err(|fault| vec![fault]));
         match made {
             Ok(map) => {
                 let map = Arc::new(map);
@@ -553,7 +559,7 @@ impl Inference {
             }
             // The map's sources are not the caller's, so notes quote its errors.
             Err(faults) => {
-                let fault = Diagnostic::new(codes::INVALID_SCENE, format!("the map `{}` cannot be used", scene.map));
+                let fault = Diagnostic::new(codes::INVALID_SCENE, format!("the {} cannot be used", scene.map));
                 Err(faults
                     .iter()
                     .fold(fault.at(scene.map_span, "named here"), |mut fault, cause| {
@@ -898,13 +904,10 @@ fn uncertain(vocabulary: &Vocabulary, list: &[GivenPredicate]) -> Vec<(usize, [u
 
 /// Returns the fault of a scene on a map without a zone that a predicate tests.
 fn no_zone(scene: &GeometricScene, map: &CityMap, predicate: &str, zone: &str) -> Diagnostic {
-    let message = format!(
-        "the map `{}` has no zone `{zone}`, which `{predicate}` tests",
-        scene.map
-    );
+    let message = format!("the {} has no zone `{zone}`, which `{predicate}` tests", scene.map);
     let fault = Diagnostic::new(codes::INVALID_SCENE, message).at(scene.map_span, "named here");
     let fault = fault.help(format!(
-        "name a map file with this zone, or state the rows: `\"given\": {{\"{predicate}\": []}}`"
+        "name a map with this zone, or state the rows: `\"given\": {{\"{predicate}\": []}}`"
     ));
     match did_you_mean(zone, map.zones()) {
         Some(near) => fault.note(format!("it has a zone `{near}`")),
@@ -980,11 +983,7 @@ struct ViewRow {
 impl ViewRow {
     /// Returns the value of a quantity as JSON.
     fn value(&self) -> Option<serde_json::Value> {
-        self.value.map(|(value, unit)| match unit {
-            Unit::Number => json!(value.as_number()),
-            Unit::Float => json!(value.as_float()),
-            Unit::Heading => json!(Heading::ALL[value.0 as usize].name()),
-        })
+        self.value.map(|(value, unit)| json_value(value, unit))
     }
 
     /// Writes the row as JSON: a list, or its only element. `names` are those of the entities, as JSON.
