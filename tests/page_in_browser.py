@@ -272,6 +272,38 @@ def test_a_run_has_no_driven_car(page: Callable[..., WebDriver]) -> None:
     assert "driven" not in text(browser, "legend") and not browser.find_elements(By.ID, "judged")
 
 
+def pixels(browser: WebDriver) -> str:
+    return browser.execute_script("return document.getElementById('map').toDataURL()")
+
+
+def test_zones_and_values_are_shown(browser: WebDriver, tmp_path: pathlib.Path) -> None:
+    """The legend hides and shows a zone; the panel has the values of the quantities in the trace's tick."""
+    page = tmp_path / "school.html"
+    options = ["--ticks", "30", "--no-pictures", "--out", tmp_path, "--html", page]
+    subprocess.run([PROGRAM, "run", "school-zone", *options], cwd=ROOT, check=True, capture_output=True)
+    browser.get(f"{page.as_uri()}#tick=29&agent=Car_1")
+    wait_for(browser)
+    header, *ticks = [json.loads(line) for line in (tmp_path / "trace.jsonl").read_text().splitlines()]
+    car = [agent["id"] for agent in header["agents"]].index("Car_1")
+    places = [tick["agents"][car]["at"] for tick in ticks]
+    waited = next((back for back, at in enumerate(reversed(places)) if at != places[-1]), len(places)) - 1
+    names = browser.find_elements(By.CSS_SELECTOR, "#agent dl.facts dt")
+    values = browser.find_elements(By.CSS_SELECTOR, "#agent dl.facts dd")
+    facts = {name.text: value.text for name, value in zip(names, values, strict=True)}
+    assert (facts["Waited"], facts["Tick"]) == (str(waited), "29")
+    browser.find_element(By.CSS_SELECTOR, "[data-part=atoms] summary").click()
+    assert f"Waited(Car_1, {waited})" in text(browser, "agent") and "Tick(29)" in text(browser, "agent")
+    zone = browser.find_element(By.CSS_SELECTOR, "#legend .zone")
+    shown = pixels(browser)
+    assert (zone.text, zone.get_attribute("aria-pressed")) == ("school", "true")
+    photograph(browser, "zones.png")
+    zone.click()
+    hidden = pixels(browser)
+    assert zone.get_attribute("aria-pressed") == "false" and hidden != shown
+    zone.click()
+    assert pixels(browser) == shown
+
+
 def test_the_chart_has_no_gaps(page: Callable[..., WebDriver]) -> None:
     clear = """const {width, height} = arguments[0];
         const {data} = arguments[0].getContext("2d").getImageData(0, 0, width, height);

@@ -12,7 +12,7 @@ class RecordedRun extends Run {
     /** For each tick, the rows that appear or disappear. */
     this.changes = [];
     /** For each tick, the quantities with their rows and values. */
-    this.quantities = [];
+    this.measured = [];
     this.shown = { tick: -1, rows: data.predicates.map(() => new Set()) };
     this.firings = new Map();
     this.covered = new Map();
@@ -48,7 +48,7 @@ class RecordedRun extends Run {
       this.why.push(Int32Array.from(changes, (change, at) => change + (before ? before[at] : 0)));
     }
     for (const change of facts) this.changes.push(change);
-    for (const quantities of values) this.quantities.push(quantities);
+    for (const quantities of values) this.measured.push(quantities);
     this.explained = this.why.length;
   }
 
@@ -69,7 +69,7 @@ class RecordedRun extends Run {
 
   /** Returns the quantities of a tick, each as [position among the predicates, [row, value] ...]. */
   values(tick) {
-    return this.quantities[tick] ?? [];
+    return this.measured[tick] ?? [];
   }
 
   at(tick, agent) {
