@@ -11,7 +11,7 @@ use crate::diag::{Diagnostic, Sources, Span};
 use crate::files::ReadFile as _;
 use crate::located::Located;
 use crate::rng::Seed;
-use crate::sim::{CityTheory, Settings, Simulation, World};
+use crate::sim::{CityTheory, Settings, Simulation, Unprovided, World};
 use crate::task::spf::SpfTask;
 use serde_json::{Value, json};
 use std::io::{self, Write};
@@ -119,10 +119,15 @@ impl Checked {
                 span: Span::new(entry, 0..0),
             };
         }
-        let world = match World::new(scenario, program.clone()) {
-            Ok(world) => Arc::new(world),
+        let mut world = match World::new(scenario, program.clone()) {
+            Ok(world) => world,
             Err(faults) => return faults,
         };
+        // No tick runs here.
+        if let Err(fault) = world.set_external(Arc::new(Unprovided::of(&world.vocabulary))) {
+            return vec![fault];
+        }
+        let world = Arc::new(world);
         let scenario = &world.scenario;
         let mut faults = Vec::new();
         if scenario.task.is_some() {

@@ -16,6 +16,7 @@
 //! | [`Place`] | the agent's cell | `PlaceKind::holds` | `Area` | when the agent moves |
 //! | [`Pair`] | two agents | `PairKind::holds` | `Relation` | when a rule needs it |
 //! | [`Quantity`] | the state of the agents | `Quantity::measure` | the same | when a rule needs it |
+//! | [`External`] | a function of the caller | that function | the same | before each tick |
 //!
 //! A `Relation` answers in two steps, like a spatial query: a rectangle of cells is the filter, a test of two agents
 //! the refinement. Property tests compare the fast forms with the definitions.
@@ -24,6 +25,7 @@
 mod colliding;
 mod concept;
 mod distance;
+mod external;
 mod intersection;
 mod kind;
 mod lane;
@@ -47,6 +49,7 @@ use std::sync::Arc;
 pub use colliding::Colliding;
 pub use concept::Concept;
 pub use distance::Distance;
+pub use external::External;
 pub use intersection::{AtIntersection, InIntersection};
 pub use kind::Kind;
 pub use lane::OnLane;
@@ -445,6 +448,7 @@ macro_rules! kinds {
                     $(Definition::Place(Place::$place(it)) => tagged(serializer, stringify!($place), it),)*
                     $(Definition::Pair(Pair::$pair(it)) => tagged(serializer, stringify!($pair), it),)*
                     Definition::Quantity(it) => tagged(serializer, "Quantity", it),
+                    Definition::External(it) => tagged(serializer, "External", it),
                 }
             }
         }
@@ -466,6 +470,10 @@ macro_rules! kinds {
             fn from(predicate: Quantity) -> Definition { Definition::Quantity(predicate) }
         }
 
+        impl From<External> for Definition {
+            fn from(predicate: External) -> Definition { Definition::External(predicate) }
+        }
+
         impl Definition {
             /// Returns the words of the predicate in an English sentence.
             pub fn phrase(&self) -> Phrase {
@@ -475,6 +483,7 @@ macro_rules! kinds {
                     $(Definition::Place(Place::$place(predicate)) => predicate.phrase(),)*
                     $(Definition::Pair(Pair::$pair(predicate)) => predicate.phrase(),)*
                     Definition::Quantity(predicate) => predicate.phrase(),
+                    Definition::External(predicate) => predicate.phrase(),
                 }
             }
         }
@@ -484,13 +493,14 @@ macro_rules! kinds {
         fn samples() -> Vec<Vec<Definition>> {
             vec![
                 $($static::samples(),)* $($local::samples(),)* $($place::samples(),)* $($pair::samples(),)*
-                Quantity::samples(),
+                Quantity::samples(), External::samples(),
             ]
         }
 
         /// The syntax of all kinds.
         const SYNTAX: &[Syntax] = &[
             $($static::SYNTAX,)* $($local::SYNTAX,)* $($place::SYNTAX,)* $($pair::SYNTAX,)* Quantity::SYNTAX,
+            External::SYNTAX,
         ];
     };
 }
@@ -550,6 +560,8 @@ pub enum Definition {
     Pair(Pair),
     /// A value of agents or of the city.
     Quantity(Quantity),
+    /// Computed by a function of the caller.
+    External(External),
 }
 
 impl Definition {
@@ -559,6 +571,7 @@ impl Definition {
             Definition::Static(_) | Definition::Local(_) | Definition::Place(_) => 1,
             Definition::Pair(_) => 2,
             Definition::Quantity(quantity) => quantity.agents(),
+            Definition::External(external) => external.agents(),
         }
     }
 
@@ -572,7 +585,16 @@ impl Definition {
 
     /// Returns whether a trace must record the predicate, since cells, headings and priorities do not determine it.
     pub(crate) fn is_recorded(&self) -> bool {
-        self.is_drawn() || matches!(self, Definition::Quantity(quantity) if !quantity.is_visible())
+        match self {
+            Definition::Quantity(quantity) => !quantity.is_visible(),
+            Definition::External(_) => true,
+            _ => self.is_drawn(),
+        }
+    }
+
+    /// Returns whether a function of the caller computes the predicate.
+    pub fn is_external(&self) -> bool {
+        matches!(self, Definition::External(_))
     }
 
     /// Returns whether the predicate relates every agent to itself.
@@ -823,7 +845,7 @@ zones:
         for definition in samples().concat() {
             match &definition {
                 // The definition is the only form.
-                Definition::Static(_) | Definition::Quantity(_) => {}
+                Definition::Static(_) | Definition::Quantity(_) | Definition::External(_) => {}
                 Definition::Local(predicate) => {
                     let (table, mut found) = (predicate.table(), BTreeSet::new());
                     for cell in (0..map.rows()).flat_map(|row| (0..map.cols()).map(move |col| Cell::new(row, col))) {

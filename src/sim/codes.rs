@@ -18,6 +18,8 @@ crate::diagnostic_codes! {
     EMPTY_PREDICATE = "empty-predicate", Warning;
     /// An output of rules for a city that is no action.
     UNUSED_OUTPUT = "unused-output", Warning;
+    /// A function that computes an external predicate is missing or fails.
+    EXTERNAL_PREDICATE = "external-predicate", Error;
     /// A scene that is not JSON or does not follow the scene format.
     INVALID_SCENE = "invalid-scene", Error;
     /// A trace that is not JSON or does not follow the trace format.

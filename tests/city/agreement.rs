@@ -119,7 +119,7 @@ pub fn observers_derive_as_sessions_do(oracle: &Arc<Oracle>, world: &Arc<World>,
     let mut derived = 0;
     for _ in 0..ticks {
         for observer in &mut observers {
-            observer.look(&city);
+            observer.look(&city).unwrap();
             let found = observer.derived(&city).unwrap();
             let (session, ego) = observer.session(&city).unwrap();
             let holds = |action: &Action| session.contains(world.vocabulary.action(*action).unwrap(), [ego]);

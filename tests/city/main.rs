@@ -11,6 +11,7 @@ mod config;
 mod conflicts;
 mod executors;
 mod explain;
+mod external;
 mod hostile;
 #[path = "../datalog/near_files.rs"]
 mod near_files;

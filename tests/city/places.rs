@@ -376,7 +376,7 @@ fn replays_and_observations_have_the_places_of_the_run() {
         if observed.is_empty() {
             observer.begin(city);
         }
-        observer.look(city);
+        observer.look(city).unwrap();
         observed.push((
             observer.entities().collect::<Vec<_>>(),
             observer.atoms().collect::<Vec<_>>(),

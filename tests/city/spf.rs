@@ -228,9 +228,9 @@ fn observers_agree_with_the_definitions() {
             }
             for _ in 0..12 {
                 for (ego, (dense, (slow, twice))) in pairs.iter_mut().enumerate() {
-                    dense.look(&city);
-                    slow.look(&city);
-                    twice.look(&city);
+                    dense.look(&city).unwrap();
+                    slow.look(&city).unwrap();
+                    twice.look(&city).unwrap();
                     let atoms: BTreeSet<(usize, Vec<usize>)> = dense.atoms().collect();
                     assert_eq!(atoms, slow.atoms().collect());
                     let plain = Plain::new(&city, ego, n, &atoms);
@@ -359,7 +359,7 @@ fn slow_violations_of_random_clauses_agree_with_the_definitions() {
                 let observe = |task: &Arc<SpfTask>| {
                     let mut observer = Observer::new(Arc::clone(task.oracle()), ego);
                     observer.begin(city);
-                    observer.look(city);
+                    observer.look(city).unwrap();
                     observer
                 };
                 let [mut once_of, mut apart_of, mut relational_of] = [&once, &others[0], &others[1]].map(observe);
@@ -716,7 +716,7 @@ fn every_car_can_be_driven() {
             // The description of a car whose episode has ended is current, too.
             let mut alone = Observer::new(Arc::clone(task.oracle()), controlled_car.agent());
             alone.begin(env.city());
-            alone.look(env.city());
+            alone.look(env.city()).unwrap();
             assert!(alone.atoms().eq(controlled_car.observer().atoms()));
             assert!(alone.entities().eq(controlled_car.observer().entities()));
             let derived = alone.derived(env.city()).unwrap();

@@ -298,7 +298,7 @@ fn a_curriculum_adds_agents_by_episodes() {
             if !env.controlled_cars()[0].is_running() {
                 break;
             }
-            fresh.look(env.city());
+            fresh.look(env.city()).unwrap();
             assert_eq!(fresh.derived(env.city()).unwrap(), env.controlled_cars()[0].derived());
             let seen = |env: &Env| env.controlled_cars()[0].observer().atoms().collect::<Vec<_>>();
             assert!(seen(&env) == seen(&again) && seen(&env) == seen(&jumped) && fresh.atoms().eq(seen(&env)));

@@ -315,7 +315,7 @@ fn a_batch_judges_as_fresh_observers() {
             let car = &env.controlled_cars()[0];
             let mut fresh = Observer::new(Arc::clone(task.oracle()), car.agent());
             fresh.begin(env.city());
-            fresh.look(env.city());
+            fresh.look(env.city()).unwrap();
             assert_eq!(car.derived(), fresh.derived(env.city()).unwrap());
             car.is_running()
                 .then(|| fresh.violations(env.city(), action).unwrap().to_vec())

@@ -172,6 +172,7 @@ fn cities_fail_as_their_fixtures_expect() {
         "invalid-map",
         "no-start-cell",
         "no-route",
+        "external-predicate",
     ] {
         let path = fixtures().join(code).with_extension("yaml");
         let split = if code == "unknown-split" { "train" } else { "test" };

@@ -16,12 +16,13 @@ use crate::datalog::Value;
 use crate::datalog::dense::{holding, members};
 use crate::diag::Diagnostic;
 use crate::predicate::{
-    CellTable, Definition, Measured, PairRelation, Progress, Quantity, Relation, Static, Views, with_relation,
+    CellTable, Definition, External, Measured, PairRelation, Progress, Quantity, Relation, Static, Views, with_relation,
 };
 use crate::sim::observe::rule_monitor::{
     ActionConstraint, AtomLayout, Atoms, Entities, Observed, RuleMonitor, Violations,
 };
 use crate::sim::tick::chance::{Chance, Draws};
+use crate::sim::tick::external::ExternalFacts;
 use crate::sim::tick::ground::word;
 use crate::sim::tick::ground_state::GroundState;
 use crate::sim::tick::simulation::Simulation;
@@ -58,6 +59,8 @@ enum How {
     Place(Arc<Area>),
     Pair(PairRelation),
     Quantity(Quantity),
+    /// The position among the external predicates.
+    External(usize, External),
 }
 
 impl Oracle {
@@ -71,17 +74,21 @@ impl Oracle {
     pub fn new(world: Arc<World>, entities: usize) -> Result<Oracle, Diagnostic> {
         assert!((1..=OBSERVED_MAX).contains(&entities), "{entities} entities");
         let vocabulary = &world.vocabulary;
+        let mut externals = 0..;
         let how = |definition: &Definition| match definition {
             Definition::Static(predicate) => How::Static(predicate.clone()),
             Definition::Local(predicate) => How::Local(predicate.table()),
             Definition::Place(predicate) => How::Place(predicate.area(world.map())),
             Definition::Pair(pair) => How::Pair(pair.relation(world.router.map())),
             Definition::Quantity(quantity) => How::Quantity(*quantity),
+            Definition::External(arity) => How::External(externals.next().expect("it has no end"), *arity),
         };
         let definitions = vocabulary.predicates.iter().map(|predicate| &predicate.definition);
         let how: Vec<How> = definitions.map(how).collect();
         let predicates = how.len();
-        let first_pair = how.iter().position(|how| matches!(how, How::Pair(_)));
+        let first_pair = how
+            .iter()
+            .position(|how| matches!(how, How::Pair(_) | How::External(_, External::Pair)));
         let layout = AtomLayout {
             predicates,
             first_pair: first_pair.unwrap_or(predicates),
@@ -92,8 +99,12 @@ impl Oracle {
             .enumerate()
             .filter(|(predicate, _)| *predicate != vocabulary.sees);
         let sets = observed.flat_map(|(predicate, how)| match how {
-            How::Pair(_) => layout.rows(predicate)..layout.rows(predicate) + entities,
-            How::Static(_) | How::Local(_) | How::Place(_) => predicate..predicate + 1,
+            How::Pair(_) | How::External(_, External::Pair) => {
+                layout.rows(predicate)..layout.rows(predicate) + entities
+            }
+            How::Static(_) | How::Local(_) | How::Place(_) | How::External(_, External::Agent) => {
+                predicate..predicate + 1
+            }
             How::Quantity(_) => 0..0,
         });
         Ok(Oracle {
@@ -270,16 +281,23 @@ impl Observer {
     }
 
     /// Observes the present state of the city, on which the next tick will be decided.
-    pub fn look(&mut self, city: &Simulation) {
+    ///
+    /// # Errors
+    /// `external-predicate` if a function that computes one fails.
+    pub fn look(&mut self, city: &Simulation) -> Result<(), Diagnostic> {
         let draws = Draws {
             seed: city.seed(),
             time: city.now(),
         };
-        self.look_with(city, &draws);
+        self.look_with(city, &draws)
     }
 
     /// Variant of [`Observer::look`] with `chance` as the source of random draws.
-    pub fn look_with(&mut self, city: &Simulation, chance: &impl Chance) {
+    ///
+    /// # Errors
+    /// As [`Observer::look`].
+    pub fn look_with(&mut self, city: &Simulation, chance: &impl Chance) -> Result<(), Diagnostic> {
+        let external = city.external()?;
         let (oracle, map, before) = (&*self.oracle, self.oracle.world.map(), self.bodies.len());
         self.bodies.clear();
         let ego = AgentState::new(map, self.ego, &city.agents()[self.ego]);
@@ -296,16 +314,17 @@ impl Observer {
         if oracle.nearest_first {
             sort_by_distance(ego_cell, &mut self.bodies[1..]);
         }
-        let changed = self.compute(city.agents(), chance);
+        let changed = self.compute(city.agents(), external, chance);
         // In most steps nothing changes, except what is remembered.
         if changed || self.oracle.world.vocabulary.draws || !city.remembered().is_empty() || self.bodies.len() != before
         {
             self.violations.forget();
         }
+        Ok(())
     }
 
     /// Computes the facts about the observed entities. Returns whether any fact has changed.
-    fn compute(&mut self, agents: &[Agent], chance: &impl Chance) -> bool {
+    fn compute(&mut self, agents: &[Agent], external: &ExternalFacts, chance: &impl Chance) -> bool {
         let (oracle, bodies) = (&*self.oracle, &self.bodies);
         let (mut changed, mut rows) = (false, [0; OBSERVED_MAX]);
         let rows = &mut rows[..oracle.entities];
@@ -331,6 +350,20 @@ impl Observer {
                         changed |= *known != value;
                         *known = value;
                     }
+                    continue;
+                }
+                How::External(number, External::Agent) => {
+                    holding(bodies.iter().map(|body| external.holds(*number, body.agent, 0)))
+                }
+                How::External(number, External::Pair) => {
+                    rows.fill(0);
+                    for (row, first) in rows.iter_mut().zip(bodies) {
+                        let related = |second: &AgentState| external.holds(*number, first.agent, second.agent);
+                        *row = holding(bodies.iter().map(related));
+                    }
+                    let known = self.atoms.rows_mut(predicate);
+                    changed |= known != rows;
+                    known.copy_from_slice(rows);
                     continue;
                 }
                 // `Sees` is the only predicate that relates an agent to itself.
@@ -380,7 +413,7 @@ impl Observer {
         let unary = oracle
             .how
             .iter()
-            .filter(|how| !matches!(how, How::Pair(_) | How::Quantity(_)));
+            .filter(|how| !matches!(how, How::Pair(_) | How::Quantity(_) | How::External(_, External::Pair)));
         8 + unary.count()
     }
 
@@ -393,8 +426,12 @@ impl Observer {
     /// - the heading, one-hot over Left, Right, Up, Down, and all 0 before the first move;
     /// - the priority divided by `priority_scale`, clamped to -1 to 1;
     /// - 1 or 0 for each unary predicate, in the order of the vocabulary.
+    ///
+    /// # Panics
+    /// If the city has external predicates and was not [observed](Observer::look) in this state.
     pub fn write_state(&self, city: &Simulation, priority_scale: f32, out: &mut [f32]) {
         let oracle = &*self.oracle;
+        let external = city.external().expect("computed for the observation");
         out.fill(0.0);
         let width = Observer::state_width(oracle);
         let mut rows = out.chunks_exact_mut(width);
@@ -411,7 +448,8 @@ impl Observer {
                 How::Static(_) => Some(is_steadily(&self.steady, self.words, body, predicate)),
                 How::Local(table) => Some(table.holds(body.junction, body.kind)),
                 How::Place(area) => Some(area.contains(body.at)),
-                How::Pair(_) | How::Quantity(_) => None,
+                How::External(number, External::Agent) => Some(external.holds(*number, body.agent, 0)),
+                How::Pair(_) | How::Quantity(_) | How::External(_, External::Pair) => None,
             });
             for (holds, value) in unary.zip(&mut row[8..]) {
                 *value = f32::from(u8::from(holds));

@@ -511,6 +511,18 @@ impl Inference {
         if let Some((_, known, zone)) = unknown {
             return Err(vec![no_zone(&scene, &map, &known.name, &zone.value)]);
         }
+        let mut externals = self.vocabulary.predicates.iter().enumerate();
+        let unknown = externals.find(|(index, known)| known.definition.is_external() && given(*index).is_none());
+        if let Some((_, known)) = unknown {
+            let message = format!("the scene does not state the external predicate `{}`", known.name);
+            let fault = Diagnostic::new(codes::INVALID_SCENE, message).at(scene.map_span, "in the scene on this map");
+            let rows = match known.arity {
+                1 => r#"["Car_1"]"#,
+                _ => r#"[["Car_1", "Car_2"]]"#,
+            };
+            let help = format!("state its rows: `\"given\": {{\"{}\": {rows}}}`", known.name);
+            return Err(vec![fault.help(help)]);
+        }
         let grounded = ground_with(
             &self.vocabulary,
             &map,

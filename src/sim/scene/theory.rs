@@ -180,7 +180,11 @@ impl CityTheory {
 
     /// Returns whether the known situations of one agent have all truth values of a predicate.
     pub(super) fn distinguishes(&self, definition: &Definition) -> bool {
-        self.situations.distinguish_places || !matches!(definition, Definition::Place(_))
+        match definition {
+            Definition::Place(_) => self.situations.distinguish_places,
+            Definition::External(_) => false,
+            _ => true,
+        }
     }
 
     /// Returns whether a predicate over one agent holds.
@@ -189,7 +193,7 @@ impl CityTheory {
             Definition::Static(predicate) => predicate.holds(kind, concepts),
             Definition::Local(predicate) => predicate.holds(&self.map, kind, at),
             Definition::Place(predicate) => predicate.holds(&self.map, at),
-            Definition::Pair(_) | Definition::Quantity(_) => false,
+            Definition::Pair(_) | Definition::Quantity(_) | Definition::External(_) => false,
         }
     }
 

@@ -12,6 +12,7 @@ use crate::predicate::{
     Definition, Entity, Measure, Measured, PairKind, Quantity, Relation, Sight, Subject, Unit, with_pair,
 };
 use crate::sim::tick::chance::Chance;
+use crate::sim::tick::external::ExternalFacts;
 use crate::sim::tick::vocabulary::Vocabulary;
 
 /// The maximum number of entities in a scene, and of agents in a city with the relational executor. Binary facts take
@@ -55,6 +56,22 @@ impl Facts {
         }
     }
 
+    /// Adds the rows of the external predicates that `wanted` selects by their positions in the vocabulary.
+    pub(crate) fn add_external(
+        &mut self,
+        vocabulary: &Vocabulary,
+        external: &ExternalFacts,
+        wanted: impl Fn(usize) -> bool,
+    ) {
+        let predicates = vocabulary.predicates.iter().enumerate();
+        let externals = predicates.filter(|(_, predicate)| predicate.definition.is_external());
+        for (number, (index, _)) in externals.enumerate() {
+            if wanted(index) {
+                self.rows[index] = external.rows(number);
+            }
+        }
+    }
+
     /// Returns the value of a quantity for these agents; the rest of `agents` is 0.
     pub(crate) fn value(&self, predicate: usize, agents: [u32; 2]) -> Option<Value> {
         let row = self.rows[predicate].binary_search(&agents).ok()?;
@@ -81,7 +98,8 @@ pub(crate) fn json_value(value: Value, unit: Unit) -> serde_json::Value {
 
 /// Returns the facts that are true of `entities` on `map`.
 ///
-/// `view` is the half-width of the field of view in cells. Predicates for which `skip` holds stay empty.
+/// `view` is the half-width of the field of view in cells. Predicates for which `skip` holds and external ones stay
+/// empty.
 pub fn ground(
     vocabulary: &Vocabulary,
     map: &CityMap,
@@ -152,6 +170,8 @@ pub(crate) fn ground_with(
                 let draw = |x, y, probability| chance.decides(index, x, y, probability);
                 with_pair!(pair, kind => binary(rows, kind, sight, &subjects, stop, draw))
             }
+            // The caller adds them.
+            Definition::External(_) => Ok(()),
             Definition::Quantity(quantity) => {
                 let measured: Vec<Measured> = entities.iter().map(Entity::measured).collect();
                 measure(

@@ -2,12 +2,13 @@
 //!
 //! `vocabulary` binds the configuration to the rules. The relational executor takes its facts from `ground` and keeps
 //! them in a `ground_state`. The dense one computes them in a `window`. `memory` keeps what temporal operators read of
-//! earlier ticks. See [`Executor`](crate::sim::Executor).
+//! earlier ticks, `external` the facts that a function of the caller computes. See [`Executor`](crate::sim::Executor).
 
 pub(super) mod asked;
 pub(super) mod chance;
 mod dense_executor;
 pub(super) mod executor;
+pub(super) mod external;
 pub(super) mod ground;
 pub(super) mod ground_state;
 pub(super) mod memory;

@@ -12,8 +12,10 @@ use crate::diag::{self, Diagnostic};
 use crate::predicate::{Entity, Progress};
 use crate::rng::Seed;
 use crate::sim::tick::chance::{Chance, Drawing, Draws};
+use crate::sim::codes as sim_codes;
 use crate::sim::tick::dense_executor::{Decisions, DenseExecutor, Undecided, WHOLE_MAX};
 use crate::sim::tick::executor::{Choice, Executor, given_up, of_rules};
+use crate::sim::tick::external::{CityState, ExternalFacts};
 use crate::sim::tick::ground::{Facts, MAX_ENTITIES, ground_with};
 use crate::sim::tick::ground_state::GroundState;
 use crate::sim::tick::memory::Memory;
@@ -75,6 +77,10 @@ pub struct Simulation {
     memory: Memory,
     /// What they read in the next tick, made on demand.
     next_memory: OnceLock<Memory>,
+    /// The facts of the external predicates in the last tick.
+    external: ExternalFacts,
+    /// Those in the present state, on which the next tick is decided, computed on demand.
+    next_external: OnceLock<ExternalFacts>,
     /// The action that the caller imposes on each agent. All `None` between ticks.
     given: Vec<Option<Action>>,
     /// The session with the facts on which tick `stated` was decided. Created on first use.
@@ -164,7 +170,8 @@ impl Simulation {
     /// Creates a simulation and places the agents of a split.
     ///
     /// # Errors
-    /// `unknown-split`, `no-start-cell`, `no-route`; `dense-unsupported` if `settings` demand the dense executor and it
+    /// `unknown-split`, `no-start-cell`, `no-route`; `external-predicate` if a function that computes an external
+    /// predicate is missing; `dense-unsupported` if `settings` demand the dense executor and it
     /// cannot evaluate the rules; `limit-exceeded` for more than [`MAX_ENTITIES`] agents with the relational executor,
     /// whose binary facts take memory quadratic in that number, or if temporal operators need more memory than
     /// [`World::limits`].
@@ -223,6 +230,7 @@ impl Simulation {
     ) -> Result<Simulation, Diagnostic> {
         let scenario = &world.scenario;
         let set = agent_set(scenario, split)?;
+        world.check_external()?;
         let places = world.places(split, set);
         let clauses = world.counted_clauses();
         let to_count: &[ClauseId] = if settings.count_firings { &clauses } else { &[] };
@@ -271,6 +279,8 @@ impl Simulation {
             tick: 0,
             next_memory: OnceLock::new(),
             memory,
+            external: ExternalFacts::default(),
+            next_external: OnceLock::new(),
             decisions: Decisions::new(agents.len(), to_count.len(), watched),
             given: vec![None; agents.len()],
             positions: match &dense {
@@ -353,6 +363,7 @@ impl Simulation {
         self.decisions.clear();
         self.memory.clear();
         self.next_memory.take();
+        self.next_external.take();
         self.report.tick = 0;
         for (done, agent) in self.report.agents.iter_mut().zip(&self.agents) {
             *done = AgentTick::resting(agent);
@@ -497,13 +508,15 @@ impl Simulation {
     /// Runs one tick: all agents decide, then all move.
     ///
     /// `controls` overrides the decisions of agents, given by their positions in the list. The last entry for an agent
-    /// counts. If the dense executor needs too many steps, [`Executor::Auto`] falls back to the relational one for this
+    /// counts. External predicates are computed first, unless an observation of the state has done so. If the dense
+    /// executor needs too many steps, [`Executor::Auto`] falls back to the relational one for this
     /// and all later ticks ([`Simulation::fallback`]).
     ///
     /// # Errors
     /// `invalid-value` for a position outside the list; `limit-exceeded` if an evaluation by the relational executor
-    /// or what the rules read of earlier ticks exceeds the [limits](World::limits), too many agents are in one place for the dense one, or it needs too
-    /// many steps and the settings demand it; `cancelled` on cancellation. On error the city is unchanged.
+    /// or what the rules read of earlier ticks exceeds the [limits](World::limits), too many agents are in one place for
+    /// the dense one, or it needs too many steps and the settings demand it; `external-predicate` if a function that
+    /// computes one fails; `cancelled` on cancellation. On error the city is unchanged.
     pub fn tick(&mut self, controls: &[(usize, Action)]) -> Result<&TickReport, Diagnostic> {
         self.tick_watched(controls, |_| ())
     }
@@ -526,6 +539,7 @@ impl Simulation {
             seed: self.seed,
             time: self.tick,
         };
+        self.external()?;
         let map = self.world.map();
         let threads = threads_of(self.threads.as_ref())?;
         // Until now the memory was that of the last tick, for explanations. After an error it is already that of this one.
@@ -545,6 +559,7 @@ impl Simulation {
                     word: word_of(&self.world, draws),
                     names: &self.names,
                 },
+                external: self.next_external.get().unwrap_or(&self.external),
             };
             let decided = match &threads {
                 Some(pool) => pool.install(|| dense.decide(map, now, decisions)),
@@ -568,6 +583,9 @@ impl Simulation {
             self.decide_by_facts(draws)?;
         }
         self.decisions.watched.sort();
+        if let Some(next) = self.next_external.take() {
+            self.external = next;
+        }
         ended(Phase::Decide);
         self.advance(controls, threads.as_deref());
         ended(Phase::Move);
@@ -599,6 +617,31 @@ impl Simulation {
             next.advance(&self.decisions.watched);
             next
         })
+    }
+
+    /// Returns the facts of the external predicates in the present state.
+    ///
+    /// # Errors
+    /// `external-predicate` if a function fails; `limit-exceeded` if the facts need more memory than
+    /// [`World::limits`].
+    pub(crate) fn external(&self) -> Result<&ExternalFacts, Diagnostic> {
+        if let Some(known) = self.next_external.get() {
+            return Ok(known);
+        }
+        let Some(external) = self.world.external() else {
+            return Ok(&self.external);
+        };
+        let state = CityState {
+            world: &self.world,
+            tick: self.tick,
+            agents: &self.agents,
+        };
+        let mut facts = ExternalFacts::within(&state)?;
+        external.compute(&state, &mut facts).map_err(|reason| {
+            let message = format!("the external predicates failed in tick {}: {reason}", self.tick);
+            Diagnostic::new(sim_codes::EXTERNAL_PREDICATE, message)
+        })?;
+        Ok(self.next_external.get_or_init(|| facts))
     }
 
     /// Applies the decisions and `controls` and moves all agents.
@@ -677,6 +720,8 @@ impl Simulation {
         let bounds = (world.limits.bytes, &self.cancel);
         let mut facts = ground_with(vocabulary, world.map(), view, &entities, &draws, unread, bounds)?;
         facts.past = self.memory.rows();
+        let external = self.next_external.get().unwrap_or(&self.external);
+        facts.add_external(vocabulary, external, |index| !unread(index));
         let state = (self.state).get_or_insert_with(|| ground_state(&self.world, &self.agents));
         state
             .set_with(&facts, &self.cancel)
@@ -738,7 +783,8 @@ impl Simulation {
     /// vocabulary.
     ///
     /// # Errors
-    /// `limit-exceeded` if they take more memory than the limits of the world allow.
+    /// `limit-exceeded` if they take more memory than the limits of the world allow; before the first tick also
+    /// `external-predicate` if a function that computes one fails.
     pub fn facts(&self, wanted: impl Fn(usize) -> bool) -> Result<Facts, Diagnostic> {
         self.facts_with(wanted, &Cancel::never())
     }
@@ -769,10 +815,14 @@ impl Simulation {
             let message = "the last tick cannot be evaluated again, since the next one has failed";
             return Err(Diagnostic::new(diag::codes::LIMIT_EXCEEDED, message));
         }
-        Ok(Facts {
-            past: self.memory.rows(),
-            ..facts?
-        })
+        let mut facts = facts?;
+        facts.past = self.memory.rows();
+        let external = match self.report.tick < self.tick {
+            true => &self.external,
+            false => self.external()?,
+        };
+        facts.add_external(&world.vocabulary, external, wanted);
+        Ok(facts)
     }
 
     /// Evaluates the rules on other facts with the relational executor, incrementally.
@@ -786,12 +836,14 @@ impl Simulation {
     }
 
     /// Computes, as bits, all facts about the present state that the rules may read, and returns their number. `None`
-    /// unless the dense executor evaluates the whole city in one window.
+    /// unless the dense executor evaluates the whole city in one window, or if a function that computes an external
+    /// predicate fails.
     pub fn count_facts(&mut self) -> Option<u64> {
         let draws = Draws {
             seed: self.seed,
             time: self.tick,
         };
+        self.external().ok()?;
         let now = Now {
             draws,
             agents: &self.agents,
@@ -800,6 +852,7 @@ impl Simulation {
                 word: word_of(&self.world, draws),
                 names: &self.names,
             },
+            external: self.next_external.get().unwrap_or(&self.external),
         };
         self.dense.as_mut()?.count_facts(self.world.map(), now)
     }

@@ -17,6 +17,7 @@ use crate::predicate::{
 };
 use crate::sim::tick::chance::{Chance, Drawing, Draws};
 use crate::sim::tick::executor::{DenseRules, Threshold};
+use crate::sim::tick::external::ExternalFacts;
 use crate::sim::tick::ground::word;
 use crate::sim::tick::memory::Memory;
 use crate::sim::tick::vocabulary::Vocabulary;
@@ -100,6 +101,8 @@ pub(crate) struct Now<'a> {
     pub memory: &'a Memory,
     /// What draws of clauses read.
     pub drawing: Drawing<'a>,
+    /// The facts of the external predicates.
+    pub external: &'a ExternalFacts,
 }
 
 impl Now<'_> {
@@ -139,7 +142,7 @@ impl Now<'_> {
     }
 }
 
-/// A hidden predicate that a dense program reads.
+/// A predicate without a fast form that a dense program reads.
 #[derive(Clone, Debug)]
 enum Hidden {
     /// A condition on whole numbers of one agent.
@@ -148,15 +151,20 @@ enum Hidden {
     Condition(usize),
     /// What a temporal operator reads of earlier ticks, by its position in the memory.
     Past(usize),
+    /// An external predicate, by its position among them.
+    External(usize),
 }
 
 impl Hidden {
-    fn of(rules: &DenseRules, predicate: PredicateId) -> Option<Hidden> {
+    fn of(rules: &DenseRules, vocabulary: &Vocabulary, predicate: PredicateId) -> Option<Hidden> {
         let condition = rules.conditions.find(predicate).map(|condition| {
             let thresholds = rules.conditions.thresholds(condition).map(Hidden::Thresholds);
             thresholds.unwrap_or(Hidden::Condition(condition))
         });
-        condition.or_else(|| rules.past(predicate).map(Hidden::Past))
+        let mut externals = vocabulary.externals();
+        condition
+            .or_else(|| rules.past(predicate).map(Hidden::Past))
+            .or_else(|| (externals.position(|(known, _)| known.id == Some(predicate))).map(Hidden::External))
     }
 }
 
@@ -166,7 +174,7 @@ struct Requested {
     /// The position in the vocabulary and the fast form; `None` if the vocabulary lacks the predicate, which then never
     /// holds.
     predicate: Option<(usize, PairRelation)>,
-    /// For a list of a hidden predicate.
+    /// For a list of a predicate without a fast form.
     hidden: Option<Hidden>,
     axis: Argument,
     /// The places of possible members, relative to an entity of each kind: without a heading, and with each heading.
@@ -185,7 +193,7 @@ struct Requested {
 pub(super) struct Plan {
     pub rules: DenseRules,
     map: Arc<CityMap>,
-    /// The inputs of hidden predicates, by their positions in the inputs, and whether they are diagonals.
+    /// The inputs of predicates without a fast form, by their positions in the inputs, and whether they are diagonals.
     hidden: Vec<(usize, Hidden, bool)>,
     /// The inputs that depend on an agent's kind and concepts.
     fixed: Vec<(usize, Static)>,
@@ -251,24 +259,22 @@ impl Plan {
         for (input, requested) in dense.inputs().iter().enumerate() {
             let (Input::Unary(wanted) | Input::Diagonal(wanted)) = *requested;
             let diagonal = matches!(requested, Input::Diagonal(_));
-            hidden.extend(Hidden::of(&rules, wanted).map(|hidden| (input, hidden, diagonal)));
+            hidden.extend(Hidden::of(&rules, vocabulary, wanted).map(|hidden| (input, hidden, diagonal)));
             match find(wanted) {
                 Some((_, Definition::Static(predicate))) => fixed.push((input, predicate.clone())),
                 Some((_, Definition::Local(predicate))) => local.push((input, predicate.table())),
                 Some((_, Definition::Place(predicate))) => places.push((input, predicate.area(map))),
                 Some((_, Definition::Pair(pair))) if pair.is_reflexive() => always.push(input),
-                Some((_, Definition::Pair(_) | Definition::Quantity(_))) | None => {}
+                Some((_, Definition::Pair(_) | Definition::Quantity(_) | Definition::External(_))) | None => {}
             }
         }
         let lists: Vec<Requested> = (dense.lists().iter())
             .map(|&List(wanted, axis)| {
                 let predicate = find(wanted).and_then(|(position, definition)| match definition {
                     Definition::Pair(pair) => Some((position, pair)),
-                    Definition::Static(_) | Definition::Local(_) | Definition::Place(_) | Definition::Quantity(_) => {
-                        None
-                    }
+                    _ => None,
                 });
-                let hidden = Hidden::of(&rules, wanted);
+                let hidden = Hidden::of(&rules, vocabulary, wanted);
                 let forward = axis == Argument::Second;
                 let is_view = forward && matches!(predicate, Some((_, Pair::Sees(_))));
                 let predicate = predicate.map(|(position, pair)| (position, pair.relation(map)));
@@ -332,7 +338,7 @@ impl Plan {
         holds.map(|(input, _)| *input).collect()
     }
 
-    /// Returns whether a hidden predicate holds for agents.
+    /// Returns whether a predicate without a fast form holds for agents.
     fn meets(&self, hidden: &Hidden, now: Now<'_>, bodies: [&AgentState; 2]) -> bool {
         match *hidden {
             Hidden::Thresholds(ref thresholds) => now.is_within(&self.map, thresholds, bodies[0]),
@@ -343,6 +349,7 @@ impl Plan {
                 self.rules.conditions.holds(condition, value, word, hashes)
             }
             Hidden::Past(past) => now.memory.holds(past, bodies[0].agent, bodies[1].agent),
+            Hidden::External(external) => now.external.holds(external, bodies[0].agent, bodies[1].agent),
         }
     }
 
@@ -634,6 +641,7 @@ fn run_in<const W: usize>(
                 Some(holding) => set_of_words(holding),
                 None => set_of(bodies.iter().map(|body| now.memory.holds_alone(*past, body.agent))),
             },
+            Hidden::External(external) if !diagonal && whole => set_of_words(now.external.members(*external)),
             _ => set_of(bodies.iter().map(|body| grounder.meets(hidden, now, [body, body]))),
         };
         bit_state.set_input(&grounder.rules.dense, *input, set);
@@ -830,6 +838,9 @@ impl<S> Scene<'_, S> {
                 && let Some(row) = self.now.memory.holding_row(*past, at)
             {
                 return and(near, &set_of_words(row));
+            }
+            if let (Hidden::External(external), Argument::Second, true) = (hidden, list.axis, self.whole) {
+                return and(near, &set_of_words(self.now.external.row(*external, at)));
             }
             let [at, bodies] = [&self.bodies[at..=at], self.bodies];
             return keep(near, |other| {

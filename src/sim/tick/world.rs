@@ -9,6 +9,7 @@ use crate::datalog::dense::TrackFirings;
 use crate::datalog::{Limits, Program};
 use crate::diag::Diagnostic;
 use crate::sim::tick::executor::{DenseRules, compile};
+use crate::sim::tick::external::{ExternalPredicates, check_names, missing};
 use crate::sim::tick::memory::Watched;
 use crate::sim::tick::vocabulary::Vocabulary;
 use crate::sim::tick::window::Plan;
@@ -36,6 +37,8 @@ pub struct World {
     /// The limits of each evaluation of the rules by the relational executor. What the rules read of earlier ticks has the
     /// same limit of memory. [`World::new`] sets [`TICK_LIMITS`].
     pub limits: Limits,
+    /// Computes the external predicates.
+    external: Option<Arc<dyn ExternalPredicates>>,
     /// Cells for placing the agents of each split, computed once and shared by all simulations.
     places: [OnceLock<Arc<Places>>; 3],
     /// The dense plan without firing counts, compiled once and shared by all simulations.
@@ -58,10 +61,43 @@ impl World {
             program,
             vocabulary,
             limits: TICK_LIMITS,
+            external: None,
             places: Default::default(),
             plan: OnceLock::new(),
             counted: OnceLock::new(),
         })
+    }
+
+    /// Sets what computes the external predicates of the configuration in the simulations of this world.
+    ///
+    /// # Errors
+    /// `external-predicate` if it computes a predicate that is not external, or one twice.
+    pub fn set_external(&mut self, external: Arc<dyn ExternalPredicates>) -> Result<(), Diagnostic> {
+        check_names(&self.vocabulary, &self.scenario.name, &external.names())?;
+        self.external = Some(external);
+        Ok(())
+    }
+
+    /// Returns what computes the external predicates, if anything does.
+    pub fn external(&self) -> Option<&Arc<dyn ExternalPredicates>> {
+        self.external.as_ref()
+    }
+
+    /// Checks that each external predicate has a function.
+    ///
+    /// # Errors
+    /// `external-predicate` if one lacks it.
+    pub(super) fn check_external(&self) -> Result<(), Diagnostic> {
+        let given = self
+            .external
+            .as_ref()
+            .map_or_else(Vec::new, |external| external.names());
+        let names = self.vocabulary.externals().map(|(known, _)| known.name.as_str());
+        let lacking: Vec<&str> = names.filter(|name| !given.iter().any(|given| given == name)).collect();
+        match lacking.as_slice() {
+            [] => Ok(()),
+            names => Err(missing(self, names)),
+        }
     }
 
     /// Returns the start and goal cells of a split with the agents `set`.

@@ -68,7 +68,7 @@ pub struct TraceTick {
     /// The state and decision of each agent, in the order of the header.
     pub agents: Vec<TraceState>,
     /// The rows of the predicates that the states of the agents do not determine: those that hold with a probability,
-    /// quantities with their values, and what temporal operators read of earlier ticks, with the ticks that explain it.
+    /// external ones, quantities with their values, and what temporal operators read of earlier ticks, with the ticks that explain it.
     #[serde(default)]
     given: BTreeMap<String, Vec<Vec<GivenTerm>>>,
 }
@@ -289,6 +289,14 @@ impl Replay {
             read.dedup_by_key(|(row, _)| *row);
             facts.values[index] = read.iter().filter_map(|(_, value)| *value).collect();
             facts.rows[index] = read.into_iter().map(|(row, _)| row).collect();
+        }
+        let mut externals = vocabulary.externals();
+        if let Some((lacking, _)) = externals.find(|(known, _)| !tick.given.contains_key(&known.name)) {
+            let message = format!(
+                "tick {} does not record the external predicate `{}`",
+                tick.tick, lacking.name
+            );
+            return Err(invalid(message).help("use the configuration of the run"));
         }
         let rules = self.world.program.rules();
         for past in &rules.pasts {

@@ -28,7 +28,8 @@ pub struct Driven {
 /// Writes a trace to an output.
 pub struct TraceWriter<W: Write> {
     out: W,
-    /// The predicates whose rows a replay cannot recompute: those that hold with a probability, and some quantities.
+    /// The predicates whose rows a replay cannot recompute: those that hold with a probability, external ones, and
+    /// some quantities.
     recorded: Vec<usize>,
 }
 

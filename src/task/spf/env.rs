@@ -355,7 +355,7 @@ impl Env {
     /// Updates all observations, also of cars whose episode has ended.
     fn look(&mut self) -> Result<(), Diagnostic> {
         for controlled_car in &mut self.controlled_cars {
-            controlled_car.observer.look(&self.city);
+            controlled_car.observer.look(&self.city)?;
             controlled_car.derived = controlled_car.observer.derived(&self.city)?;
             if self.judges {
                 let mut allowed = Actions::default();

@@ -212,6 +212,8 @@ impl Worlds {
         let world = Arc::new(World::new(scenario, program)?);
         let values = world.vocabulary.check_plain("data sets of pictures");
         values.map_err(|fault| vec![fault])?;
+        let known = world.vocabulary.without_externals("data sets of pictures");
+        known.map_err(|fault| vec![fault])?;
         let time = world.without_time("the frames of a data set of pictures");
         time.map_err(|fault| vec![fault])?;
         // Detects a missing split, and agents that cannot be placed.

@@ -61,7 +61,7 @@ fn recorded_steps() {
                 entities: &entities,
                 ones: &ones,
             };
-            observer.look_with(&city, &draws);
+            observer.look_with(&city, &draws).unwrap();
 
             assert_eq!(observer.entities().collect::<Vec<_>>(), entities, "{place}");
             observer.write(&mut out);
