@@ -468,6 +468,7 @@ def rust() -> str:
 MODULES = {
     "logicity.rules": "Rules and programs",
     "logicity.city": "Scenes and cities",
+    "logicity.predicates": "Predicates of Python functions",
     "logicity.modes": "Modes",
     "logicity.evaluation": "Measures of policies",
     "logicity.rule_policy": "Policies made of rules",

@@ -4,7 +4,7 @@ Where to start:
 
 - `check` returns the errors and warnings of rules.
 - `infer` applies the rules to one scene; `Inference` applies them to many.
-- `Simulation` runs a city.
+- `Simulation` runs a city. `predicate` makes a base predicate of a Python function.
 - `Program` and `Session` evaluate any Datalog program.
 - `gymnasium.make("logicity/SPF-Expert-v0")` makes an environment with one controlled car, see `logicity.envs.single`.
   `parallel_env` makes an environment that controls every car.
@@ -38,11 +38,12 @@ if TYPE_CHECKING:
     from .city import ACTIONS, HEADINGS, REASONS, AgentInfo, Decision, Inference, Simulation, Tick, infer
     from .describe import observation_names
     from .envs.registration import parallel_env
-    from .errors import InputError, LimitError, UnsupportedError, UntrustedError
+    from .errors import InputError, LimitError, PredicateError, UnsupportedError, UntrustedError
     from .evaluation import Benchmark, EpisodeRecord, Evaluation, Interval, Policy, evaluate
     from .induction import InducedClause, InducedRules, Oracle, induce
     from .modes import ENVIRONMENTS, MODES
     from .offline import Demonstrations, Trajectory, demonstrations
+    from .predicates import KINDS, CityState, PythonPredicate, predicate
     from .rule_policy import RulePolicy
     from .rules import Change, Column, Explanation, Marginals, Predicate, Program, Rows, Session, check
     from .types import (
@@ -70,12 +71,13 @@ if TYPE_CHECKING:
 _NAMES = {
     "city": ["ACTIONS", "HEADINGS", "REASONS", "AgentInfo", "Decision", "Inference", "Simulation", "Tick", "infer"],
     "describe": ["observation_names"],
-    "errors": ["InputError", "LimitError", "UnsupportedError", "UntrustedError"],
+    "errors": ["InputError", "LimitError", "PredicateError", "UnsupportedError", "UntrustedError"],
     "evaluation": ["Benchmark", "EpisodeRecord", "Evaluation", "Interval", "Policy", "evaluate"],
     "induction": ["InducedClause", "InducedRules", "Oracle", "induce"],
     "envs.registration": ["parallel_env"],
     "modes": ["ENVIRONMENTS", "MODES"],
     "offline": ["Demonstrations", "Trajectory", "demonstrations"],
+    "predicates": ["KINDS", "CityState", "PythonPredicate", "predicate"],
     "rule_policy": ["RulePolicy"],
     "rules": ["Change", "Column", "Explanation", "Marginals", "Predicate", "Program", "Rows", "Session", "check"],
     "types": [
@@ -110,6 +112,7 @@ __all__ = [
     "Answer",
     "Benchmark",
     "Change",
+    "CityState",
     "Clause",
     "Column",
     "Decision",
@@ -130,6 +133,7 @@ __all__ = [
     "Inference",
     "InputError",
     "Interval",
+    "KINDS",
     "Label",
     "LimitError",
     "Limits",
@@ -139,7 +143,9 @@ __all__ = [
     "Oracle",
     "Policy",
     "Predicate",
+    "PredicateError",
     "Program",
+    "PythonPredicate",
     "REASONS",
     "Rows",
     "RulePolicy",
@@ -162,6 +168,7 @@ __all__ = [
     "infer",
     "observation_names",
     "parallel_env",
+    "predicate",
 ]
 
 register_with_gymnasium()

@@ -17,6 +17,7 @@ __all__ = [
     "describe",
     "did_you_mean",
     "HEADINGS",
+    "KINDS",
     "induce",
     "Inference",
     "LearnedRules",
@@ -51,6 +52,7 @@ __all__ = [
 __version__: str
 ACTIONS: list[str]
 HEADINGS: list[str]
+KINDS: list[str]
 PICTURE_SIDE: int
 REASONS: list[str]
 ENVS_MAX: int
@@ -159,6 +161,7 @@ class Simulation:
         executor: str,
         count_firings: bool,
         limits: _Limits,
+        predicates: Any,
         files: dict[Any, str] | None,
     ) -> Simulation: ...
     def files(self) -> dict[Any, str]: ...
@@ -195,6 +198,7 @@ class Task:
         overrides: str | None,
         limits: _Limits,
         files: dict[Any, str] | None = None,
+        predicates: Any = None,
     ) -> Task: ...
     def __deepcopy__(self, _memo: Any) -> Task: ...
     def clauses(self) -> tuple[str, ...]: ...

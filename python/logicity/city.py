@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import json
 import os
-from collections.abc import Mapping
+from collections.abc import Iterable, Mapping
 from dataclasses import dataclass
 from functools import cached_property
 from operator import index
@@ -15,6 +15,7 @@ import numpy.typing as npt
 
 from . import _logicity
 from .errors import checked_integer, checked_limits, checked_path, checked_threads, did_you_mean
+from .predicates import PythonPredicate, functions_of
 from .rules import Explanation, rule_file
 from .types import Action, Answer, Executor, Heading, Limits, MarginalAnswer, Scene, Split, SymbolicScene
 
@@ -211,9 +212,12 @@ class Simulation:
             ticks.
         count_firings: Whether to count the firings of clauses, for `firings` and for traces of `run`.
         limits: The limits of the evaluation of each tick.
+        predicates: The functions of external predicates, see `logicity.predicate`. Pickling needs functions at the top
+            level of a module.
 
     Raises:
-        InputError: As for `Inference`, or if the configuration lacks the split, or the agents do not fit on the map.
+        InputError: As for `Inference`, or if the configuration lacks the split, or the agents do not fit on the map, or
+            an external predicate lacks its function (`external-predicate`).
         LimitError: If there are too many agents.
         OSError, UnsupportedError: As for `Inference`.
         ValueError: As for `Inference`, or if the split is unknown, or there are more than 1024 threads.
@@ -230,10 +234,12 @@ class Simulation:
         *,
         count_firings: bool = False,
         limits: Limits | None = None,
+        predicates: Iterable[PythonPredicate] | None = None,
     ) -> None:
         """Place the agents."""
         name, seed, threads = checked_path("config", config), checked_integer("seed", seed), checked_threads(threads)
-        self._args = (name, rule_file(rules), split, seed, threads, executor, count_firings, checked_limits(limits))
+        arguments = (name, rule_file(rules), split, seed, threads, executor, count_firings, checked_limits(limits))
+        self._args = (*arguments, functions_of(predicates))
         self._city = _logicity.Simulation(*self._args, None)
         #: The controls by tick, for ticks that had any.
         self._controls: dict[int, list[tuple[int, int]]] = {}
@@ -323,6 +329,7 @@ class Simulation:
         Raises:
             KeyError: If the agent is unknown.
             LimitError: If the evaluation exceeds a limit, or too many agents are close together. The city is unchanged.
+            PredicateError: If the function of a predicate fails. The city is unchanged.
             TypeError: If `controls` is not a mapping, or an agent or action is neither str nor int.
             ValueError: If the action is unknown.
         """
@@ -350,6 +357,7 @@ class Simulation:
             KeyboardInterrupt: On Ctrl-C. The city keeps the state after the last complete tick.
             LimitError: As for `tick`, or if there are too many agents for a trace.
             OSError: If the trace cannot be written, or another process writes it. Then no tick runs.
+            PredicateError: As for `tick`.
             ValueError: If the number of ticks is negative, or `trace` is set without `count_firings`.
         """
         if trace is not None and not self._args[6]:

@@ -11,7 +11,7 @@ from typing import Any, SupportsIndex, TypeAlias
 from . import _logicity
 from .types import Diagnostic
 
-__all__ = ["InputError", "LimitError", "UnsupportedError", "UntrustedError"]
+__all__ = ["InputError", "LimitError", "PredicateError", "UnsupportedError", "UntrustedError"]
 
 #: The keys of `Limits`.
 _LIMITS = ("max_rows", "max_steps", "max_bytes")
@@ -46,6 +46,13 @@ class LimitError(InputError):
 
 class UnsupportedError(InputError):
     """Rules that the dense executor cannot evaluate. One of the diagnostics has the code `dense-unsupported`."""
+
+
+class PredicateError(RuntimeError):
+    """The function of a predicate that fails, or returns something else than its facts. See `logicity.predicate`.
+
+    The message names the predicate and the tick. `__cause__` is the exception of the function, if it raised one.
+    """
 
 
 class UntrustedError(ValueError):

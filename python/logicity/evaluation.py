@@ -9,7 +9,7 @@ from __future__ import annotations
 import math
 import os
 import sys
-from collections.abc import Callable, Iterator, Mapping
+from collections.abc import Callable, Iterable, Iterator, Mapping
 from contextlib import contextmanager
 from dataclasses import asdict, dataclass
 from pathlib import Path
@@ -25,6 +25,7 @@ from .envs.views import Actions, Observations, View, views_of
 from .errors import InputError, checked_path
 from .files import check_writable
 from .modes import checked_mode
+from .predicates import PythonPredicate
 from .terminal import aligned, neutral
 from .types import Diagnostic, Limits, ObservationKind
 
@@ -211,7 +212,7 @@ class Benchmark:
         split: The set of agents and episodes: `"train"`, `"val"` or `"test"`.
         rules: A rule file that replaces the mode's. The recorded episodes do not change, so the oracle may not reach
             the goal.
-        overrides, observation, limits: As in `gymnasium.make`.
+        overrides, observation, limits, predicates: As in `gymnasium.make`.
 
     Raises:
         InputError: If the configuration, the rule file or an override is invalid, no episodes are recorded, or they are
@@ -229,11 +230,12 @@ class Benchmark:
         overrides: Mapping[str, Any] | None = None,
         observation: ObservationKind = "groundings",
         limits: Limits | None = None,
+        predicates: Iterable[PythonPredicate] | None = None,
     ) -> None:
         """Load the task and its episodes."""
         self.mode, self.split = checked_mode(mode), split
         self._kind = array_kind(checked_kind(observation))
-        self._config = EnvConfig(self.mode, rules=rules, overrides=overrides, limits=limits)
+        self._config = EnvConfig(self.mode, rules=rules, overrides=overrides, limits=limits, predicates=predicates)
         self._task = self._config.task()
         self._views = views_of(self._task, observation)
         self._random = _logicity.RandomBaseline(self._task, split)
@@ -479,12 +481,15 @@ def evaluate(
     traces: str | os.PathLike[str] | None = None,
     overwrite: bool = False,
     limits: Limits | None = None,
+    predicates: Iterable[PythonPredicate] | None = None,
 ) -> Evaluation:
     """Measure a policy on the recorded episodes of a mode or of a configuration file.
 
     The arguments and exceptions are those of `Benchmark` and `Benchmark.evaluate`.
     """
-    benchmark = Benchmark(mode, split, rules=rules, overrides=overrides, observation=observation, limits=limits)
+    benchmark = Benchmark(
+        mode, split, rules=rules, overrides=overrides, observation=observation, limits=limits, predicates=predicates
+    )
     return benchmark.evaluate(policy, batched=batched, traces=traces, overwrite=overwrite)
 
 

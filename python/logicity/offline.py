@@ -118,8 +118,10 @@ class Demonstrations(Sequence[Trajectory]):
                 `code_permalink`. Minari warns if these three are missing.
 
         Raises:
-            ValueError: If the dataset already exists.
+            ValueError: If the dataset already exists, or the environment has `predicates`.
         """
+        if self.env.kwargs.get("predicates"):
+            raise ValueError("a Minari dataset cannot store the functions of `predicates`: use `to_parquet`")
         with extra("offline"):
             import minari
             from minari.data_collector import EpisodeBuffer
@@ -318,7 +320,7 @@ def demonstrations(
         split: `"train"`, `"val"` or `"test"`.
         observation: `"groundings"` or `"state"`, as in `gymnasium.make`. `logicity.envs.views.Views` maps `groundings`
             to the other kinds.
-        options: Other options of `gymnasium.make`, such as `overrides`.
+        options: Other options of `gymnasium.make`, such as `overrides` and `predicates`.
 
     Raises:
         InputError, OSError: As for `Benchmark`, or if the episodes do not fit the agents.

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import os
-from collections.abc import Mapping
+from collections.abc import Iterable, Mapping
 from typing import TYPE_CHECKING, Any, Literal, TypeAlias, TypedDict
 
 if TYPE_CHECKING:
@@ -235,6 +235,8 @@ class EnvOptions(TypedDict, total=False):
     limits: Limits | None
     oracle: bool
     action_masks: bool
+    #: `PythonPredicate` objects, whose module needs this one.
+    predicates: Iterable[Any] | None
 
 
 class EpisodeAgent(TypedDict):

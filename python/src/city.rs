@@ -1,6 +1,7 @@
 //! Scenes and simulations.
 
 use crate::output::{overwrite_if, unwritable};
+use crate::predicate::Functions;
 use crate::{
     LimitArguments, Shared, Signals, input_error, limits_of, missing_file_error, read_error, threads_of, to_python,
 };
@@ -213,6 +214,7 @@ struct PySimulation {
     sources: Sources,
     rule_files: Vec<SourceId>,
     files: Files,
+    functions: Option<Arc<Functions>>,
 }
 
 /// A tick: its number, the positions and headings before it, the derived actions, the actions, the positions after it,
@@ -251,8 +253,10 @@ impl PySimulation {
         executor: &str,
         count_firings: bool,
         limits: LimitArguments,
+        predicates: Option<Bound<'_, PyAny>>,
         files: Option<Files>,
     ) -> PyResult<Self> {
+        let functions = predicates.as_ref().map(Functions::new).transpose()?;
         let split = one_of("split", split, &Split::ALL, Split::name)?;
         let executor = one_of("executor", executor, &Executor::ALL, Executor::name)?;
         let signals = Signals::new();
@@ -265,8 +269,13 @@ impl PySimulation {
             threads,
         };
         let cancel = signals.cancel();
+        let external = functions.clone();
         let made = signals.on_thread(py, move || {
-            let world = Arc::new(city.world()?);
+            let mut world = city.world()?;
+            if let Some(external) = external {
+                world.set_external(external).map_err(|fault| vec![fault])?;
+            }
+            let world = Arc::new(world);
             let city = Simulation::new_with(Arc::clone(&world), split, Seed(seed), settings, &cancel);
             Ok((city.map_err(|fault| vec![fault])?, world))
         })?;
@@ -277,6 +286,7 @@ impl PySimulation {
             sources,
             rule_files,
             files,
+            functions,
         })
     }
 
@@ -328,7 +338,7 @@ impl PySimulation {
 
     fn semantic_map<'py>(&self, py: Python<'py>) -> PyResult<Bound<'py, PyArray3<f32>>> {
         let drawn = self.city.detached(py, |city, _| city.semantic_map())?;
-        let layers = drawn.map_err(|fault| input_error(py, &[fault], &self.sources))?;
+        let layers = drawn.map_err(|fault| self.error(py, fault))?;
         Ok(layers.into_pyarray(py))
     }
 
@@ -338,7 +348,7 @@ impl PySimulation {
             .map(|(agent, action)| (agent, Action::ALL[action]))
             .collect();
         let done = self.city.detached(py, |city, _| city.tick(&controls).map(|_| ()))?;
-        done.map_err(|fault| input_error(py, &[fault], &self.sources))?;
+        done.map_err(|fault| self.error(py, fault))?;
         self.last(py)
     }
 
@@ -376,7 +386,7 @@ impl PySimulation {
             Some(output) => self.run_traced(city, ticks, cancel, output),
         })?;
         done.map_err(|failure| match failure {
-            Failure::Fault(fault) => input_error(py, &[fault], &self.sources),
+            Failure::Fault(fault) => self.error(py, fault),
             Failure::File(error) => unwritable(&trace.unwrap_or_default(), &error),
         })
     }
@@ -387,7 +397,7 @@ impl PySimulation {
             0..=MAX_ENTITIES => city.facts_with(|_| true, cancel),
             agents => Err(too_many(agents, "binary facts")),
         })?;
-        let facts = found.map_err(|fault| input_error(py, &[fault], &self.sources))?;
+        let facts = found.map_err(|fault| self.error(py, fault))?;
         let dict = PyDict::new(py);
         for (predicate, rows) in self.world.vocabulary.predicates.iter().zip(&facts.rows) {
             let shape = (rows.len(), predicate.arity);
@@ -411,7 +421,7 @@ impl PySimulation {
             let account = city.decision(agent)?.account(why_not, cancel)?;
             Ok((account.text(&self.sources), account.json(&self.sources)))
         })?;
-        let (text, json) = explained.map_err(|fault: Diagnostic| input_error(py, &[fault], &self.sources))?;
+        let (text, json) = explained.map_err(|fault: Diagnostic| self.error(py, fault))?;
         Ok((text, to_python(py, &json)?))
     }
 
@@ -441,7 +451,10 @@ impl PySimulation {
                 json["nodes"].take(),
             ))
         })?;
-        let explained = explained.map_err(|faults: Vec<Diagnostic>| input_error(py, &faults, &sources));
+        let explained = explained.map_err(|faults: Vec<Diagnostic>| {
+            let raised = faults.iter().find_map(|fault| self.raised(fault));
+            raised.unwrap_or_else(|| input_error(py, &faults, &sources))
+        });
         let (fact, holds, text, nodes) = explained?;
         Ok((fact, holds, text, to_python(py, &nodes)?))
     }
@@ -458,6 +471,16 @@ impl PySimulation {
 }
 
 impl PySimulation {
+    /// Returns the exception of a predicate that is the cause of a fault.
+    fn raised(&self, fault: &Diagnostic) -> Option<PyErr> {
+        self.functions.as_ref()?.exception(fault)
+    }
+
+    fn error(&self, py: Python<'_>, fault: Diagnostic) -> PyErr {
+        let raised = self.raised(&fault);
+        raised.unwrap_or_else(|| input_error(py, &[fault], &self.sources))
+    }
+
     fn run_traced(&self, city: &mut Simulation, ticks: u64, cancel: &Cancel, output: Output) -> Result<(), Failure> {
         if city.agents().len() > MAX_ENTITIES {
             return Err(Failure::Fault(too_many(city.agents().len(), "a trace")));

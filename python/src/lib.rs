@@ -9,6 +9,7 @@
 //!   `actor`: networks that run in environments; `multi_car`: an environment that controls every car; `evaluate`: metrics
 //!   of policies;
 //! - `induce`: rules learned from demonstrations;
+//! - `predicate`: base predicates that Python functions compute;
 //! - `vap`: data sets of Visual Action Prediction.
 // Decision: docs/decisions/tools.md#d028
 
@@ -24,6 +25,7 @@ mod induce;
 mod multi_car;
 mod output;
 mod policy;
+mod predicate;
 mod task;
 mod vap;
 
@@ -432,6 +434,7 @@ fn _logicity(module: &Bound<'_, PyModule>) -> PyResult<()> {
     evaluate::register(module)?;
     induce::register(module)?;
     policy::register(module)?;
+    predicate::register(module)?;
     vap::register(module)
 }
 

@@ -3,6 +3,7 @@
 use crate::city::{Files, Loaded, one_of};
 use crate::episode::read_episode;
 use crate::output::{overwrite_if, unwritable};
+use crate::predicate::Functions;
 use crate::{LimitArguments, Signals, input_error, locked};
 use logicity::builtin::BuiltinFiles;
 use logicity::city::{Action, Split};
@@ -31,6 +32,7 @@ pub struct PyTask {
     pub task: Arc<SpfTask>,
     /// The arguments of `new`, with the source of the files that were read.
     arguments: Arguments,
+    functions: Option<Arc<Functions>>,
     sources: Mutex<Sources>,
     /// The rule files among the sources.
     rule_files: Vec<SourceId>,
@@ -40,7 +42,8 @@ pub struct PyTask {
     overview: OnceLock<Overview>,
 }
 
-/// The configuration, the rule file, the overrides, the limits, and the source of files by path.
+/// The configuration, the rule file, the overrides, the limits, and the sources of files by path. The predicates of
+/// Python are apart.
 type Arguments = (PathBuf, Option<PathBuf>, Option<String>, LimitArguments, Option<Files>);
 
 pub fn split_named(name: &str) -> PyResult<Split> {
@@ -93,7 +96,7 @@ pub fn read_action(py: Python<'_>, action: i64, of: impl Fn() -> String) -> PyRe
 #[pymethods]
 impl PyTask {
     #[new]
-    #[pyo3(signature = (config, rules, overrides, limits, files=None))]
+    #[pyo3(signature = (config, rules, overrides, limits, files=None, predicates=None))]
     fn new(
         py: Python<'_>,
         config: PathBuf,
@@ -101,18 +104,27 @@ impl PyTask {
         overrides: Option<String>,
         limits: LimitArguments,
         files: Option<Files>,
+        predicates: Option<Bound<'_, PyAny>>,
     ) -> PyResult<Self> {
+        let functions = predicates.as_ref().map(Functions::new).transpose()?;
         let signals = Signals::new();
         let (named, replaced, merged) = (config.clone(), rules.clone(), overrides.clone());
         let Loaded { sources, city, files } = Loaded::new(py, &signals, named, replaced, limits, files, merged)?;
         let (rule_files, rules_hash) = (city.rule_files.clone(), city.rules_hash.clone());
+        let external = functions.clone();
         let (made, sources) = signals.on_thread(py, move || {
-            let world = city.world().map(Arc::new);
+            let world = city.world().and_then(|mut world| {
+                if let Some(external) = external {
+                    world.set_external(external).map_err(|fault| vec![fault])?;
+                }
+                Ok(Arc::new(world))
+            });
             (world.and_then(|world| SpfTask::new(world, &sources)), sources)
         })?;
         let task = made.map_err(|faults| input_error(py, &faults, &sources))?;
         Ok(PyTask {
             arguments: (config, rules, overrides, limits, Some(files)),
+            functions,
             sources: Mutex::new(sources),
             rule_files,
             rules_hash,
@@ -123,8 +135,24 @@ impl PyTask {
     }
 
     /// Pickles the arguments and the sources of the files, so that unpickling reads no file.
-    fn __reduce__<'py>(slf: &Bound<'py, Self>) -> (Bound<'py, PyType>, Arguments) {
-        (slf.get_type(), slf.get().arguments.clone())
+    #[allow(clippy::type_complexity, reason = "the arguments of `new`")]
+    fn __reduce__<'py>(
+        slf: &Bound<'py, Self>,
+    ) -> (
+        Bound<'py, PyType>,
+        (
+            PathBuf,
+            Option<PathBuf>,
+            Option<String>,
+            LimitArguments,
+            Option<Files>,
+            Option<Py<PyAny>>,
+        ),
+    ) {
+        let task = slf.get();
+        let (config, rules, overrides, limits, files) = task.arguments.clone();
+        let predicates = task.functions.as_ref().map(|functions| functions.object(slf.py()));
+        (slf.get_type(), (config, rules, overrides, limits, files, predicates))
     }
 
     /// Returns the task itself, because it is immutable.
@@ -206,7 +234,11 @@ impl PyTask {
     }
 
     pub fn error(&self, py: Python<'_>, fault: Diagnostic) -> PyErr {
-        input_error(py, &[fault], &self.sources())
+        let raised = self
+            .functions
+            .as_ref()
+            .and_then(|functions| functions.exception(&fault));
+        raised.unwrap_or_else(|| input_error(py, &[fault], &self.sources()))
     }
 
     /// Returns the sources, and the rule files among them.

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import json
 import os
-from collections.abc import Mapping
+from collections.abc import Iterable, Mapping
 from inspect import signature
 from pathlib import Path
 from typing import Any, cast, get_args
@@ -13,6 +13,7 @@ import numpy as np
 
 from .. import _logicity
 from ..errors import checked_limits, checked_path, did_you_mean
+from ..predicates import PythonPredicate, functions_of
 from ..rules import rule_file
 from ..types import ArrayKind, EnvOptions, Limits, ObservationKind, Split
 
@@ -42,6 +43,7 @@ class EnvConfig:
         limits: Limits | None = None,
         oracle: bool = True,
         action_masks: bool = False,
+        predicates: Iterable[PythonPredicate] | None = None,
         **unknown: Any,
     ) -> None:
         """Check and store the arguments."""
@@ -60,6 +62,7 @@ class EnvConfig:
             raise TypeError(f"split: expected str, not {type(split).__name__}")
         self.oracle, self.action_masks = bool(oracle), bool(action_masks)
         self.rules, self.limits = rule_file(rules), checked_limits(limits)
+        self.predicates = functions_of(predicates)
         if overrides is not None and not isinstance(overrides, Mapping):
             raise TypeError(f"overrides: expected a mapping, not {type(overrides).__name__}")
         self.overrides = dict(overrides or {})
@@ -68,7 +71,7 @@ class EnvConfig:
 
     def task(self, **more: Any) -> _logicity.Task:
         """Load the task with additional overrides. Raise `InputError` if any of its sources is invalid."""
-        return _logicity.Task(self.config, self.rules, self._as_json(more), self.limits)
+        return _logicity.Task(self.config, self.rules, self._as_json(more), self.limits, None, self.predicates)
 
     def _as_json(self, more: Mapping[str, Any]) -> str | None:
         """Return the configuration with its overrides as JSON, or `None` without overrides."""

@@ -72,6 +72,8 @@ class SPFEnv(BaseEnv, gymnasium.Env[Any, np.int64]):
         limits: The limits of each evaluation of the rules, such as `{"max_rows": 50_000_000}`.
         oracle: Whether `info` has `oracle_action`.
         action_masks: Whether `info` has `action_mask`. Enables `action_masks()`.
+        predicates: The functions of external predicates, see `logicity.predicate`. Each environment calls them in every
+            reset and step; those of a `SPFVectorEnv` wait for each other, since Python runs one function at a time.
         episodes: `drawn` generates new episodes. `drawn-demanding` does so, too, and omits the episodes in which the
             oracle's run, up to the horizon, has fewer constrained steps than `task.constrained_steps` of the
             configuration (default: 1). It raises `InputError` (`limit-exceeded`) if 1,000 draws in a row are omitted.
@@ -82,6 +84,7 @@ class SPFEnv(BaseEnv, gymnasium.Env[Any, np.int64]):
     Raises:
         InputError: If the configuration, the rule file or an episode is invalid.
         OSError: If a file cannot be read.
+        PredicateError: In a reset or step, if the function of a predicate fails. The environment then needs a reset.
         TypeError: If an option is unknown.
         ValueError: If `episodes`, the split or the kind of observation is unknown.
     """
