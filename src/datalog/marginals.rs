@@ -78,6 +78,9 @@ pub enum Inexact {
     Aggregate(PredicateId),
 }
 
+/// The rows of a predicate, sorted, with their probabilities.
+type Marginal = Vec<(Box<[Value]>, Probability)>;
+
 impl Inexact {
     /// Returns the reason as a sentence without a full stop.
     pub fn show(self, rules: &Rules) -> String {
@@ -120,7 +123,7 @@ pub struct Marginals {
     grounding: Option<Grounding>,
     diagrams: Diagrams,
     symbols: Symbols,
-    results: Vec<(PredicateId, Vec<(Box<[Value]>, Probability)>)>,
+    results: Vec<(PredicateId, Marginal)>,
     /// See [`Marginals::set_order`].
     order: Vec<PredicateId>,
     /// For each row of a predicate of the order, the probability that each is the first one.

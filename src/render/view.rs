@@ -120,12 +120,15 @@ impl Extent {
             let (first, last) = (first.saturating_sub(margin), last.saturating_add(margin));
             let (first, last) = (first.max(0), last.min(end - 1));
             let block = |at: i32| at.div_euclid(layout.period());
-            let start = layout
+            let mut start = layout
                 .strip_edges(block(first))
                 .into_iter()
                 .filter(|edge| *edge <= first);
             let stop = layout.strip_edges(block(last)).into_iter().find(|edge| *edge > last);
-            let (start, stop) = (start.last().unwrap_or(first), stop.map_or(end, |stop| stop.min(end)));
+            let (start, stop) = (
+                start.next_back().unwrap_or(first),
+                stop.map_or(end, |stop| stop.min(end)),
+            );
             (start, stop - start)
         };
         let ((top, rows), (left, cols)) = (rounded(rows, map.rows()), rounded(cols, map.cols()));

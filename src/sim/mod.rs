@@ -22,9 +22,9 @@ pub use scene::{
 pub use tick::asked::{AskedFact, FactAccount};
 pub use tick::chance::Chance;
 pub use tick::executor::{DenseRules, Executor};
-pub(crate) use tick::ground::json_value;
 pub(crate) use tick::external::Unprovided;
 pub use tick::external::{CityState, ExternalFacts, ExternalPredicates};
+pub(crate) use tick::ground::json_value;
 pub use tick::ground::{Facts, MAX_ENTITIES, PastRows, ground};
 pub(crate) use tick::ground_state::GroundState;
 pub use tick::simulation::{AgentTick, Batch, Phase, Settings, Simulation, Snapshot, TickReport};

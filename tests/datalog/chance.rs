@@ -153,12 +153,15 @@ fn encoded(program: &Program, facts: &[(&str, Vec<&str>)]) -> Vec<(PredicateId, 
     facts.iter().map(row).collect()
 }
 
+/// An outcome of a random variable: its probability, and the fact that it adds.
+type Outcome = (f64, Option<(String, Vec<String>)>);
+
 /// The probabilities of all derived rows, by enumeration of the worlds: an input predicate for each clause says for
 /// which values it is drawn, and which alternative.
 fn enumerated(clauses: &[Written], facts: &[(&str, Vec<&str>)], uncertain: &[f64]) -> BTreeMap<String, f64> {
     let mut source = DECLARED.to_owned();
     // Each random variable: its outcomes, with their probabilities and the fact that each adds.
-    let mut random: Vec<Vec<(f64, Option<(String, Vec<String>)>)>> = Vec::new();
+    let mut random: Vec<Vec<Outcome>> = Vec::new();
     for (number, clause) in clauses.iter().enumerate() {
         if !clause.is_drawn() {
             source += &clause.text();
@@ -177,7 +180,7 @@ fn enumerated(clauses: &[Written], facts: &[(&str, Vec<&str>)], uncertain: &[f64
         for world in 0..SYMBOLS.len().pow(variables.len() as u32) {
             let row = (0..variables.len()).map(|at| SYMBOLS[world / SYMBOLS.len().pow(at as u32) % SYMBOLS.len()]);
             let row: Vec<String> = row.map(str::to_owned).collect();
-            let mut outcomes: Vec<(f64, Option<(String, Vec<String>)>)> = (clause.heads.iter().enumerate())
+            let mut outcomes: Vec<Outcome> = (clause.heads.iter().enumerate())
                 .map(|(at, (p, _))| {
                     (
                         Written::probability(p.unwrap()),

@@ -524,7 +524,7 @@ impl<'a> Reader<'a> {
             uncertain.sort_by_key(|(row, _)| *row);
             if let Some(twice) = uncertain.windows(2).find(|pair| pair[0].0 == pair[1].0) {
                 let places = rows.iter().zip(&written).filter(|((row, _), _)| *row == twice[0].0);
-                let last = places.map(|(_, raw)| *raw).last().unwrap_or(raw);
+                let last = places.map(|(_, raw)| *raw).next_back().unwrap_or(raw);
                 let fault = self.fault(
                     last,
                     format!("a second probability of a row of `{name}`"),
