@@ -2,8 +2,8 @@
 
 `make solvers-marginals` runs it. Scenes are those of `compare.py`: an ego and four others under the rules of a
 configuration. In each, some of the base atoms are uncertain. Every figure is CPU time on one thread: that of
-`logicity infer --marginals` contains reading and printing JSON, that of ProbLog (Fierens et al. 2015) parsing, grounding
-and compiling its program, without which it has no answer.
+`logicity infer --marginals` contains reading and printing JSON, that of ProbLog (Fierens et al. 2015) parsing,
+grounding and compiling its program, without which it has no answer.
 """
 
 from __future__ import annotations
@@ -20,9 +20,10 @@ from pathlib import Path
 from statistics import median
 from typing import Any
 
+from scenes import EGO, ENTITIES, Atom, Logicity, Scene, all_atoms, record, write
+
 import rules as rule_files
 from rules import Refused
-from scenes import EGO, ENTITIES, Atom, Logicity, Scene, all_atoms, record, write
 
 try:
     from problog import get_evaluatable
@@ -141,7 +142,8 @@ def main() -> None:
             # The start of the program, with the first scene, does not count.
             repeated, first = ours(logicity, many)[1], ours(logicity, one)[1]
             fast.append((repeated - first) / (len(written) * arguments.copies - 1) * 1e6)
-    print(f"{len(scenes)} scenes with {arguments.doubts} uncertain atoms; {open_cases} probabilities between 0 and 1, all equal")
+    what = f"{open_cases} probabilities between 0 and 1, all equal"
+    print(f"{len(scenes)} scenes with {arguments.doubts} uncertain atoms; {what}")
     print(f"logicity  {median(fast):10.1f} us a decision ({min(fast):.1f} to {max(fast):.1f})")
     print(f"ProbLog   {median(slow):10.1f} us a decision ({min(slow):.1f} to {max(slow):.1f})")
     print(f"ratio     {median(slow) / median(fast):10.0f}")

@@ -63,8 +63,7 @@ def main() -> None:
             for position, (define, predicates) in enumerate(CASES.values()):
                 path = Path(folder) / f"{position}-{repeat}.yaml"
                 path.write_text(
-                    f"base: expert\npredicates: {{define: {{{define}}}}}\n"
-                    f"agents: {{test: {{repeat: {repeat}}}}}\n"
+                    f"base: expert\npredicates: {{define: {{{define}}}}}\nagents: {{test: {{repeat: {repeat}}}}}\n"
                 )
                 cities.append(logicity.Simulation(path, predicates=predicates))
             best = [min(milliseconds(city) for _ in range(ROUNDS)) for city in cities]

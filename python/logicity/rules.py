@@ -264,7 +264,7 @@ class Session:
     Args:
         program: The program.
         threads: The number of threads; 0 means one per core. It does not affect the results.
-        seed: The seed of the draws of clauses with probabilities, from 0 to 2**64 - 1. A draw depends on it, on the tick,
+        seed: The seed of the draws of clauses with probabilities, from 0 to 2**64 - 1. A draw depends on it, the tick,
             the clause and the values of its variables.
         max_rows: The limit of derived rows. Default: 100,000,000.
         max_steps: The limit of rows that a commit reads. Default: 100,000,000,000, which takes some minutes.

@@ -7,6 +7,7 @@ import random
 import pytest
 
 import logicity
+from logicity.rules import Row
 
 problog = pytest.importorskip("problog")
 from problog import get_evaluatable  # noqa: E402
@@ -129,7 +130,7 @@ def test_draws_follow_the_seed_and_the_tick() -> None:
     """Equal seeds and ticks draw equally, and other ticks otherwise."""
     program = logicity.Program(".decl n(x: number) .input n .decl a(x: number) 0.5 :: a(x) :- n(x).")
 
-    def run(seed: int) -> list[list[tuple[object, ...]]]:
+    def run(seed: int) -> list[list[Row]]:
         session = logicity.Session(program, seed=seed)
         session.insert("n", [(x,) for x in range(64)])
         session.commit()
