@@ -10,6 +10,7 @@ from collections.abc import Callable
 from pathlib import Path
 from typing import Any
 
+import numpy as np
 import pytest
 
 import logicity
@@ -191,6 +192,12 @@ city.tick({"Car_1": 1.5})  # type: ignore[dict-item]
     assert done.returncode == 0, done.stdout + done.stderr
 
 
+@logicity.predicate("IsAnywhere")
+def anywhere(state: logicity.CityState) -> Any:
+    """Hold for all agents."""
+    return np.ones(len(state), dtype=bool)
+
+
 def public_objects() -> list[Any]:
     """Return an object of every public class."""
     program = logicity.Program(".decl p(x: number)\n.input p\n.decl q(x: number)\n.output q\nq(x) :- p(x).\n")
@@ -203,11 +210,15 @@ def public_objects() -> list[Any]:
     errors: list[Exception] = [
         kind("text", []) for kind in (logicity.InputError, logicity.LimitError, logicity.UnsupportedError)
     ]
-    errors.append(logicity.UntrustedError("text"))
+    errors += [logicity.UntrustedError("text"), logicity.PredicateError("text")]
+    vector, pair = np.zeros(1, dtype=np.int32), np.zeros((1, 2), dtype=np.int32)
+    byte, flags = np.zeros(1, dtype=np.int8), np.zeros((1, 0), dtype=np.bool_)
+    state = logicity.CityState(0, (1, 1), byte, pair, byte, pair, vector, vector, vector, vector, (), flags)
     predicate = program.predicates["p"]
     rules = logicity.induce(logicity.demonstrations("easy", 10))
     return [
         *[program, predicate, predicate.columns[0], session, change, change.added, session.explain("q(1)")],
+        *[session.marginals("q"), anywhere, state],
         *[city, city.tick(), city.agents[0], city.explain(0), logicity.Inference("easy")],
         *[logicity.Benchmark("easy", "val"), measured, measured.episodes[0], measured.tsr, shown, shown[0], *errors],
         *[rules, rules.clauses[0], logicity.Oracle("rules/easy.dl"), logicity.RulePolicy.from_text(rules.text, "easy")],
