@@ -53,13 +53,13 @@ impl Functions {
     }
 
     fn call(&self, py: Python<'_>, state: &CityState<'_>, facts: &mut ExternalFacts) -> PyResult<()> {
-        let CityState { world, tick, agents } = *state;
-        let wanted = world.vocabulary.externals().filter_map(|(known, _)| {
+        let CityState { tick, agents, map, .. } = *state;
+        let wanted = state.vocabulary.externals().filter_map(|(known, _)| {
             let at = self.names.iter().position(|name| *name == known.name)?;
             Some((at, known.arity))
         });
         let wanted: Vec<(usize, usize)> = wanted.collect();
-        let concepts = world
+        let concepts = state
             .scenario
             .predicates
             .iter()
@@ -83,7 +83,6 @@ impl Functions {
             carried.iter().any(|carried| carried == concepts[concept])
         };
         let carried = Array2::from_shape_fn((count, concepts.len()), carries).into_pyarray(py);
-        let map = world.map();
         let results = self.functions.bind(py).call1((
             wanted,
             tick,

@@ -68,7 +68,7 @@ impl ExternalPredicates for Drawn {
         if state.tick >= self.fails_from.load(Ordering::Relaxed) {
             return Err("the light is broken".to_owned());
         }
-        for (number, (predicate, _)) in state.world.vocabulary.externals().enumerate() {
+        for (number, (predicate, _)) in state.vocabulary.externals().enumerate() {
             let one = |agent: &logicity::city::Agent| {
                 let heading = agent.heading.map_or(7, |heading| heading as u64);
                 (agent.cell.row * 31 + agent.cell.col * 17) as u64 + heading + state.tick / 5

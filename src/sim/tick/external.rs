@@ -1,16 +1,16 @@
 //! External predicates: a function of the caller computes their facts before each tick.
 //!
-//! A [`World`] has one [`ExternalPredicates`]. Every simulation of the world calls it once per tick, on the thread that
+//! A [`World`](crate::sim::World) has one [`ExternalPredicates`]. Every simulation of the world calls it once per tick, on the thread that
 //! runs the tick, so that both executors, observers and traces read the same facts.
 // Decision: docs/decisions/city.md#d004
 
-use crate::city::Agent;
+use crate::city::{Agent, CityMap};
+use crate::config::Scenario;
 use crate::datalog::internal::size;
 use crate::diag::{self, Diagnostic, Limit, did_you_mean, listed};
 use crate::predicate::{Definition, External};
 use crate::sim::codes;
 use crate::sim::tick::vocabulary::{BasePredicate, Vocabulary};
-use crate::sim::tick::world::World;
 use std::fmt::Debug;
 
 /// Computes the facts of the external predicates of a configuration: `IsGreen: {external: agent}`.
@@ -30,8 +30,12 @@ pub trait ExternalPredicates: Debug + Send + Sync {
 /// The state of a city on which a tick is decided.
 #[derive(Clone, Copy, Debug)]
 pub struct CityState<'a> {
-    /// The world.
-    pub world: &'a World,
+    /// The configuration.
+    pub scenario: &'a Scenario,
+    /// The base predicates, with the [external ones](Vocabulary::externals).
+    pub vocabulary: &'a Vocabulary,
+    /// The map.
+    pub map: &'a CityMap,
     /// The number of the tick, from 0.
     pub tick: u64,
     /// The agents, in list order.
@@ -78,11 +82,10 @@ impl ExternalFacts {
     /// Variant of [`new`](ExternalFacts::new) for the agents of a state.
     ///
     /// # Errors
-    /// `limit-exceeded` if an array with a byte per pair of agents exceeds [`World::limits`].
-    pub(super) fn within(state: &CityState<'_>) -> Result<ExternalFacts, Diagnostic> {
-        let (world, agents) = (state.world, state.agents.len());
-        let limit = world.limits.bytes;
-        let mut pairs = world
+    /// `limit-exceeded` if an array with a byte per pair of agents exceeds `limit` bytes.
+    pub(super) fn within(state: &CityState<'_>, limit: u64) -> Result<ExternalFacts, Diagnostic> {
+        let agents = state.agents.len();
+        let mut pairs = state
             .vocabulary
             .externals()
             .filter(|(_, arity)| *arity == External::Pair);
@@ -95,7 +98,7 @@ impl ExternalFacts {
                 );
                 Err(Diagnostic::new(diag::codes::LIMIT_EXCEEDED, message).exceeds(Limit::Memory(limit)))
             }
-            _ => Ok(ExternalFacts::new(&world.vocabulary, agents)),
+            _ => Ok(ExternalFacts::new(state.vocabulary, agents)),
         }
     }
 
@@ -238,10 +241,12 @@ pub(super) fn check_names(vocabulary: &Vocabulary, config: &str, names: &[String
 }
 
 /// Returns the diagnostic for external predicates without a function.
-pub(super) fn missing(world: &World, names: &[&str]) -> Diagnostic {
+pub(super) fn missing(scenario: &Scenario, names: &[&str]) -> Diagnostic {
     let place = |name: &str| {
-        let predicates = &world.scenario.predicates;
-        let config = predicates.iter().find(|predicate| predicate.name.value == name);
+        let config = scenario
+            .predicates
+            .iter()
+            .find(|predicate| predicate.name.value == name);
         config.map(|config| config.name.span)
     };
     let quoted: Vec<String> = names.iter().map(|name| format!("`{name}`")).collect();

@@ -632,11 +632,13 @@ impl Simulation {
             return Ok(&self.external);
         };
         let state = CityState {
-            world: &self.world,
+            scenario: &self.world.scenario,
+            vocabulary: &self.world.vocabulary,
+            map: self.world.map(),
             tick: self.tick,
             agents: &self.agents,
         };
-        let mut facts = ExternalFacts::within(&state)?;
+        let mut facts = ExternalFacts::within(&state, self.world.limits.bytes)?;
         external.compute(&state, &mut facts).map_err(|reason| {
             let message = format!("the external predicates failed in tick {}: {reason}", self.tick);
             Diagnostic::new(sim_codes::EXTERNAL_PREDICATE, message)

@@ -96,7 +96,7 @@ impl World {
         let lacking: Vec<&str> = names.filter(|name| !given.iter().any(|given| given == name)).collect();
         match lacking.as_slice() {
             [] => Ok(()),
-            names => Err(missing(self, names)),
+            names => Err(missing(&self.scenario, names)),
         }
     }
 
