@@ -22,6 +22,7 @@ pub use scene::{
 pub use tick::asked::{AskedFact, FactAccount};
 pub use tick::chance::Chance;
 pub use tick::executor::{DenseRules, Executor};
+#[cfg(feature = "cli")]
 pub(crate) use tick::external::Unprovided;
 pub use tick::external::{CityState, ExternalFacts, ExternalPredicates};
 pub(crate) use tick::ground::json_value;

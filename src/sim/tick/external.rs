@@ -195,9 +195,11 @@ impl Vocabulary {
 }
 
 /// Stands for functions that are not known, where no tick runs: no fact holds.
+#[cfg(feature = "cli")]
 #[derive(Clone, Debug)]
 pub(crate) struct Unprovided(Vec<String>);
 
+#[cfg(feature = "cli")]
 impl Unprovided {
     /// Stands for all external predicates of a vocabulary.
     pub fn of(vocabulary: &Vocabulary) -> Unprovided {
@@ -206,6 +208,7 @@ impl Unprovided {
     }
 }
 
+#[cfg(feature = "cli")]
 impl ExternalPredicates for Unprovided {
     fn names(&self) -> Vec<String> {
         self.0.clone()
