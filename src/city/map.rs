@@ -595,6 +595,7 @@ impl CityMap {
     }
 
     /// Returns the names and the cells of the zones, in the order of the configuration.
+    #[cfg(feature = "render")]
     pub(crate) fn zone_areas(&self) -> impl Iterator<Item = (&str, &Area)> {
         self.zones.iter().map(|(name, area)| (name.as_str(), &**area))
     }

@@ -25,6 +25,7 @@ pub use tick::executor::{DenseRules, Executor};
 #[cfg(feature = "cli")]
 pub(crate) use tick::external::Unprovided;
 pub use tick::external::{CityState, ExternalFacts, ExternalPredicates};
+#[cfg(feature = "render")]
 pub(crate) use tick::ground::json_value;
 pub use tick::ground::{Facts, MAX_ENTITIES, PastRows, ground};
 pub(crate) use tick::ground_state::GroundState;
