@@ -79,7 +79,7 @@ pub enum Functor {
     Cast,
     /// `range` has many values. The checker replaces it by an atom, so no evaluator applies it; see `check::range`.
     Range,
-    /// The alternative that a clause with probabilities draws. The checker makes it; see [`crate::chance`].
+    /// The alternative that a clause with probabilities draws. The checker makes it.
     Choose,
 }
 
