@@ -294,11 +294,10 @@ mod tests {
             variables.push(diagrams.variable(0.5).unwrap());
         }
         // In this order the formula needs a node for each subset of the first half.
-        let mut all = Ok(Formula::TRUE);
-        for at in 0..10 {
-            let pair = diagrams.or(variables[at], variables[at + 10]).unwrap();
-            all = all.and_then(|all| diagrams.and(all, pair));
-        }
+        let all = (0..10).try_fold(Formula::TRUE, |all, at| {
+            let pair = diagrams.or(variables[at], variables[at + 10])?;
+            diagrams.and(all, pair)
+        });
         assert_eq!(all, Err(TooLarge));
     }
 }
