@@ -5,7 +5,9 @@ mod shipped_world;
 
 use criterion::{Criterion, Throughput, criterion_group, criterion_main};
 use logicity::builtin::BuiltinFiles;
-use logicity::city::{Action, AgentKind, AgentSet, Places, Router, Split, Surroundings, advance, place_agents};
+use logicity::city::{
+    Action, ActionTable, AgentKind, AgentSet, Places, Router, Split, Surroundings, advance, place_agents,
+};
 use logicity::datalog::dense::{BitFacts, BitState, TrackFirings, has};
 use logicity::diag::Sources;
 use logicity::files::read_text;
@@ -89,7 +91,7 @@ fn rules(criterion: &mut Criterion) {
             let facts: BitFacts<WIDTH> = rules.bits(&facts, vocabulary, count, std::iter::empty::<&str>());
             facts.load(dense, &mut bit_state);
             bit_state.run(dense, &facts).expect("few steps");
-            for action in Action::ALL {
+            for action in Action::STANDARD {
                 let declared = world.vocabulary.action(action).expect("the rules use every action");
                 let set = bit_state.set(dense, declared).expect("derived");
                 let state = simulation.snapshot().expect("within limits");
@@ -167,9 +169,11 @@ fn moves(criterion: &mut Criterion) {
     let mut agents = place_agents(&set, &router, &places, Seed(1)).expect("agents placed");
     let mut group = criterion.benchmark_group("advance");
     group.throughput(Throughput::Elements(agents.len() as u64));
+    let actions = ActionTable::default();
     let mut surroundings = Surroundings {
         router: &router,
         places: &places,
+        actions: &actions,
         seed: Seed(1),
         tick: 0,
     };

@@ -152,8 +152,8 @@ fn judge(city: LoadedCity, sources: &Sources) -> Vec<Diagnostic> {
     };
     let examined = examine(program.rules(), Some(&theory), sources);
     found.extend(examined.diagnostics);
-    match conflicts(&examined.in_city) {
-        Ok(overlaps) => found.extend(conflict_lints(&overlaps, program.rules(), &scenario.actions.priority)),
+    match conflicts(&examined.in_city, &scenario.actions.table) {
+        Ok(overlaps) => found.extend(conflict_lints(&overlaps, program.rules(), &scenario.actions)),
         Err(faults) => found.extend(faults),
     }
     found.extend(World::new(scenario, program).err().unwrap_or_default());

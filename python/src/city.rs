@@ -30,7 +30,7 @@ use std::path::{Path, PathBuf};
 use std::sync::Arc;
 
 pub fn register(module: &Bound<'_, PyModule>) -> PyResult<()> {
-    module.add("ACTIONS", Action::ALL.map(Action::name))?;
+    module.add("ACTIONS", Action::STANDARD.map(Action::name))?;
     module.add("HEADINGS", Heading::ALL.map(Heading::name))?;
     module.add("REASONS", REASONS.map(|(_, name)| name))?;
     module.add_class::<PyInference>()?;
@@ -38,11 +38,12 @@ pub fn register(module: &Bound<'_, PyModule>) -> PyResult<()> {
 }
 
 /// The reasons for moves. Arrays store indices into this list.
-const REASONS: [(MoveReason, &str); 4] = [
+const REASONS: [(MoveReason, &str); 5] = [
     (MoveReason::Decided, "decided"),
     (MoveReason::OnlyMove, "only-move"),
     (MoveReason::Drawn, "drawn"),
     (MoveReason::Resting, "resting"),
+    (MoveReason::Parked, "parked"),
 ];
 
 /// The name of the source with overrides.
@@ -80,6 +81,15 @@ impl Loaded {
         })?;
         match loaded {
             Ok((mut city, files)) => {
+                if let Some(own) = city.scenario.actions.table.own().first() {
+                    let message = format!(
+                        "the Python package knows the four standard actions only, not `{}`",
+                        own.name.value
+                    );
+                    let fault = Diagnostic::new(logicity::yaml::codes::INVALID_VALUE, message);
+                    let fault = fault.at(own.name.span, "defined here");
+                    return Err(input_error(py, &[fault], &sources));
+                }
                 city.limits = limits_of(limits, city.limits);
                 Ok(Loaded { sources, city, files })
             }
@@ -345,7 +355,7 @@ impl PySimulation {
     /// Runs a tick. Each element of `controls` is the index of an agent and the index of the action that it takes.
     fn tick<'py>(&self, py: Python<'py>, controls: Vec<(usize, usize)>) -> PyResult<Tick<'py>> {
         let controls: Vec<(usize, Action)> = (controls.into_iter())
-            .map(|(agent, action)| (agent, Action::ALL[action]))
+            .map(|(agent, action)| (agent, Action::STANDARD[action]))
             .collect();
         let done = self.city.detached(py, |city, _| city.tick(&controls).map(|_| ()))?;
         done.map_err(|fault| self.error(py, fault))?;
@@ -357,14 +367,14 @@ impl PySimulation {
         self.city.with(|city| {
             let report = city.report();
             let agents = &report.agents;
-            let derived = |(agent, action): (usize, usize)| agents[agent].derived.contains(Action::ALL[action]);
+            let derived = |(agent, action): (usize, usize)| agents[agent].derived.contains(Action::STANDARD[action]);
             let reason = |reason| REASONS.iter().position(|(known, _)| *known == reason);
             Ok((
                 report.tick,
                 cells(py, agents.iter().map(|done| done.moved.from)),
                 codes(py, agents.iter().map(|done| heading(done.heading))),
-                Array2::from_shape_fn((agents.len(), Action::ALL.len()), derived).into_pyarray(py),
-                codes(py, agents.iter().map(|done| Some(done.action as usize))),
+                Array2::from_shape_fn((agents.len(), Action::STANDARD.len()), derived).into_pyarray(py),
+                codes(py, agents.iter().map(|done| Some(done.action.index()))),
                 cells(py, agents.iter().map(|done| done.moved.to)),
                 codes(py, agents.iter().map(|done| reason(done.moved.reason))),
                 agents
@@ -416,7 +426,7 @@ impl PySimulation {
         agent: usize,
         why_not: Option<usize>,
     ) -> PyResult<(String, Bound<'py, PyAny>)> {
-        let why_not = why_not.map(|action| Action::ALL[action]);
+        let why_not = why_not.map(|action| Action::STANDARD[action]);
         let explained = self.city.detached(py, |city, cancel| {
             let account = city.decision(agent)?.account(why_not, cancel)?;
             Ok((account.text(&self.sources), account.json(&self.sources)))

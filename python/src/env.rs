@@ -370,7 +370,7 @@ impl PyVectorEnv {
     fn action_masks(slf: &Bound<'_, Self>, mut out: PyReadwriteArray2<'_, i8>, ended: bool) -> PyResult<()> {
         let this = borrowed(slf)?;
         let sub_envs = this.vector.sub_envs();
-        let count = Action::ALL.len();
+        let count = Action::STANDARD.len();
         let rows = slice_of(&mut out, count * sub_envs.len())?;
         for (sub_env, row) in sub_envs.iter().zip(rows.chunks_exact_mut(count)) {
             let info = match ended {
@@ -402,7 +402,9 @@ impl PyVectorEnv {
     fn taken(slf: &Bound<'_, Self>, at: usize) -> PyResult<Vec<u8>> {
         let this = borrowed(slf)?;
         let taken = this.sub_env(at)?.env().taken().flatten();
-        Ok(taken.map(|&action| action as u8).collect())
+        Ok(taken
+            .map(|&action| u8::try_from(action.index()).expect("less than 16"))
+            .collect())
     }
 
     /// Restores environments from the starts of their episodes and the actions taken.

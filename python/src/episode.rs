@@ -116,11 +116,11 @@ fn read_oracle(given: &Bound<'_, PyAny>) -> Result<OracleRun, Diagnostic> {
     let counts = EpisodeMapping::new(
         format!("`constrained` of {what}"),
         &counts,
-        &Action::ALL.map(Action::name),
+        &Action::STANDARD.map(Action::name),
     )?;
     let mut constrained = [0; 4];
-    for action in Action::ALL {
-        constrained[action as usize] = counts.find(action.name())?.unwrap_or(0);
+    for action in Action::STANDARD {
+        constrained[action.index()] = counts.find(action.name())?.unwrap_or(0);
     }
     Ok(OracleRun {
         steps: run.get("steps")?,

@@ -208,7 +208,7 @@ fn describe<'py>(py: Python<'py>, task: &PyTask) -> PyResult<Bound<'py, PyAny>> 
         let reward = shared.reward(constraint.action, &[number], 1);
         json!({"clause": shared.label(number), "action": constraint.action.name(), "reward": reward})
     });
-    let by_action = Action::ALL.map(|action| (action.name(), config.reward.actions[action as usize]));
+    let by_action = Action::STANDARD.map(|action| (action.name(), config.reward.actions[action.index()]));
     let mut splits = serde_json::Map::new();
     for split in Split::ALL {
         let Some(agents) = world.scenario.agent_set(split) else {

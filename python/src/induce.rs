@@ -164,7 +164,7 @@ fn restore_rules(
 /// Returns the task of learning, with the actions in this order.
 fn induction_task(shared: &PyTask, order: &[String]) -> PyResult<Arc<InductionTask>> {
     let order: Vec<Action> = (order.iter())
-        .map(|name| one_of("order", name, &Action::ALL, Action::name))
+        .map(|name| one_of("order", name, &Action::STANDARD, Action::name))
         .collect::<PyResult<_>>()?;
     let world = Arc::clone(shared.task.world());
     Ok(Arc::new(InductionTask::new(world, &order)))
@@ -299,7 +299,9 @@ fn induce(
     }
     let mut examples: Examples = learning.examples();
     for (state, &action) in states.into_iter().zip(actions.as_array()) {
-        let known = usize::try_from(action).ok().and_then(|action| Action::ALL.get(action));
+        let known = usize::try_from(action)
+            .ok()
+            .and_then(|action| Action::STANDARD.get(action));
         let known = known.ok_or_else(|| PyValueError::new_err(format!("{action} is not an action")))?;
         let position = learning.action(*known).map_err(|fault| shared.error(py, fault))?;
         examples.push(state, position);
@@ -434,7 +436,7 @@ fn call(py: Python<'_>, oracle: &Py<PyAny>, task: &InductionTask, state: &State)
             "ask: expected a function that returns the name of an action, not {kind}"
         ))
     })?;
-    one_of("the answer to a question", &name, &Action::ALL, Action::name)
+    one_of("the answer to a question", &name, &Action::STANDARD, Action::name)
 }
 
 /// Returns the exception for an oracle that failed.

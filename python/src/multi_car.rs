@@ -76,7 +76,12 @@ impl PyMultiCarEnv {
     /// Returns the actions taken in the episode, one byte per car and step.
     fn taken(slf: &Bound<'_, Self>) -> PyResult<Vec<u8>> {
         let this = borrowed(slf)?;
-        Ok(this.env.taken().flatten().map(|&action| action as u8).collect())
+        Ok(this
+            .env
+            .taken()
+            .flatten()
+            .map(|&action| u8::try_from(action.index()).expect("less than 16"))
+            .collect())
     }
 
     /// Starts `episode`, and takes actions as `taken` returns them.

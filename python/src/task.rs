@@ -65,7 +65,7 @@ pub fn gymnasium_error(py: Python<'_>, name: &str, message: String) -> PyErr {
 
 /// Returns for each action 1 if it violates no clause, else 0; all 0 if the environment does not compute it.
 pub fn action_mask(info: &Info) -> [i8; 4] {
-    Action::ALL.map(|action| i8::from(info.allowed.is_some_and(|allowed| allowed.contains(action))))
+    Action::STANDARD.map(|action| i8::from(info.allowed.is_some_and(|allowed| allowed.contains(action))))
 }
 
 /// Writes for each clause whether the last action violated it.
@@ -83,7 +83,9 @@ pub fn read_actions(py: Python<'_>, taken: &[u8]) -> PyResult<Vec<Action>> {
 }
 
 pub fn read_action(py: Python<'_>, action: i64, of: impl Fn() -> String) -> PyResult<Action> {
-    let known = usize::try_from(action).ok().and_then(|action| Action::ALL.get(action));
+    let known = usize::try_from(action)
+        .ok()
+        .and_then(|action| Action::STANDARD.get(action));
     known.copied().ok_or_else(|| {
         let message = format!(
             "{action}{} is not an action; known: 0 Slow, 1 Normal, 2 Fast, 3 Stop",

@@ -140,7 +140,7 @@ impl WorldTables {
         let priorities = entities.maybe_ints("priority")?.iter();
         let priorities =
             priorities.map(|priority| priority.map(i64::from).ok_or_else(|| faulty("a priority is missing")));
-        let labels = codes(&entities, "label", Action::ALL.len())?;
+        let labels = codes(&entities, "label", Action::STANDARD.len())?;
         let names = entities.texts("name")?;
         let mut sides = Array2::from_elem((entities.rows(), 4), f32::NAN);
         for (pixels, mut place) in boxes(&entities)?.into_iter().zip(sides.rows_mut()) {
@@ -371,7 +371,7 @@ fn check_dataset(
     checked.map_err(|error| raise(py, error, &sources))?;
     let manifest = dataset.manifest();
     let by_name = |counts: [u64; 4]| -> serde_json::Map<String, serde_json::Value> {
-        let names = Action::ALL.iter().map(|action| action.name().to_owned());
+        let names = Action::STANDARD.iter().map(|action| action.name().to_owned());
         names.zip(counts.map(Into::into)).collect()
     };
     let counts = json!({

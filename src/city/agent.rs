@@ -37,6 +37,8 @@ pub struct Agent {
     pub speed: u8,
     /// The number of ticks since its last move, or since the start of the run.
     pub waited: u32,
+    /// The number of ticks for which it stands parked from the next tick on.
+    pub parked: u32,
     /// The direction of the next step; at the goal, of the last one.
     ahead: Heading,
     /// Steps to the end of the current piece of the route; 0 only at the goal.
@@ -78,6 +80,7 @@ impl Agent {
             rest: Rest::UnderWay,
             speed: 0,
             waited: 0,
+            parked: 0,
             ahead: Heading::Left,
             left: 0,
             next: 0,
@@ -103,7 +106,31 @@ impl Agent {
         self.route = route;
         (self.left, self.next, self.position) = (0, 0, 0);
         self.rest = Rest::UnderWay;
+        self.parked = 0;
         self.next_piece();
+    }
+
+    /// Replaces the rest of the route by a route from the agent's cell. The heading stays.
+    pub(super) fn change_route(&mut self, route: Route) {
+        debug_assert_eq!(route.start(), self.cell);
+        self.route = route;
+        (self.left, self.next, self.position) = (0, 0, 0);
+        self.next_piece();
+    }
+
+    /// Returns the cells where the next moves must end, in order, each with whether it is a node of the road graph.
+    pub(super) fn stops_ahead(&self) -> impl Iterator<Item = (Cell, bool)> + '_ {
+        let first = (self.next.checked_sub(1))
+            .and_then(|last| self.route.piece(last))
+            .map(|piece| (piece, self.left));
+        let rest = (self.next..)
+            .map_while(|index| self.route.piece(index))
+            .map(|piece| (piece, piece.steps()));
+        let mut at = self.cell;
+        first.into_iter().chain(rest).map(move |(piece, steps)| {
+            at = at.ahead(piece.heading(), steps.cast_signed());
+            (at, piece.ends_at_node())
+        })
     }
 
     /// Advances to the next piece of the route, if there is one.

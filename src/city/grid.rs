@@ -66,6 +66,16 @@ impl Heading {
         }
     }
 
+    /// Returns the direction to the right.
+    pub const fn clockwise(self) -> Heading {
+        match self {
+            Heading::Left => Heading::Up,
+            Heading::Up => Heading::Right,
+            Heading::Right => Heading::Down,
+            Heading::Down => Heading::Left,
+        }
+    }
+
     /// Returns the step of one cell: (rows, columns).
     pub const fn delta(self) -> (i32, i32) {
         match self {

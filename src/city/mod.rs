@@ -6,6 +6,7 @@
 //!
 //! This module does not depend on rules or predicates.
 
+mod action;
 mod agent;
 mod area;
 pub mod codes;
@@ -21,18 +22,19 @@ mod view;
 mod walk;
 mod zone;
 
+pub use action::{Action, ActionTable, Effect, OwnAction, Turn};
 pub(crate) use agent::place_agents_into;
 pub use agent::{Agent, Rest, place_agents};
 pub(crate) use area::{Area, Rectangle};
 pub use grid::{Cell, Heading};
 pub use map::{CityMap, Ground, Junction, Layout, SEMANTIC_MAX, STATIC_LAYERS};
 pub use model::{
-    Action, AgentConfig, AgentGroup, AgentKind, AgentName, AgentSet, Building, Buildings, Landmarks, MapConfig,
-    Routing, Sample, Split, TripEnds, Widths, ZoneConfig, ZonePart,
+    AgentConfig, AgentGroup, AgentKind, AgentName, AgentSet, Building, Buildings, Landmarks, MapConfig, Routing,
+    Sample, Split, TripEnds, Widths, ZoneConfig, ZonePart,
 };
 pub use motion::{MoveReason, Moved, Surroundings, advance, possible_cells, speed_cells};
 pub use places::Places;
 pub use roads::{Lane, Router};
-pub use route::{NoRoute, Route};
+pub use route::{NoRoute, Route, corners};
 pub(crate) use view::view_reach;
 pub use view::{FieldOfView, field_of_view};

@@ -340,37 +340,6 @@ impl Serialize for AgentConfig {
     }
 }
 
-/// An action: the speed that an agent chooses for a tick.
-#[derive(Clone, Copy, Debug, PartialEq, Eq, PartialOrd, Ord, Hash, Serialize)]
-pub enum Action {
-    /// Cars: 1 cell per tick.
-    Slow,
-    /// Cars: 2 cells per tick; pedestrians: 1.
-    Normal,
-    /// Cars: 3 cells per tick.
-    Fast,
-    /// No move.
-    Stop,
-}
-
-impl Action {
-    /// All four actions, in the order of their published indices.
-    pub const ALL: [Action; 4] = [Action::Slow, Action::Normal, Action::Fast, Action::Stop];
-
-    /// The default order of precedence: the safest action first.
-    pub const SAFEST_FIRST: [Action; 4] = [Action::Stop, Action::Slow, Action::Fast, Action::Normal];
-
-    /// Returns its name, which is also the name of its predicate.
-    pub const fn name(self) -> &'static str {
-        match self {
-            Action::Slow => "Slow",
-            Action::Normal => "Normal",
-            Action::Fast => "Fast",
-            Action::Stop => "Stop",
-        }
-    }
-}
-
 /// The cells where trips of cars start and end.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Serialize)]
 pub enum TripEnds {

@@ -1,6 +1,6 @@
 //! Movement: turns an action into a move.
 
-use crate::city::{Action, AgentKind};
+use crate::city::{Action, ActionTable, AgentKind, Effect};
 use crate::city::{Agent, Cell, Places, Rest, Router};
 use crate::rng::{Purpose, RngExt, Seed};
 
@@ -15,15 +15,15 @@ impl Purpose {
 /// The maximum number of cells that a car moves in one tick.
 const CAR_REACH: usize = 3;
 
-/// Returns the number of cells that agents of a kind move in one tick at a speed. `None` for speeds that pedestrians do
-/// not have.
+/// Returns the number of cells that agents of a kind move in one tick under a standard action. `None` for speeds that
+/// pedestrians do not have. [`ActionTable::speed_cells`] knows all actions.
 pub const fn speed_cells(kind: AgentKind, action: Action) -> Option<usize> {
     match (kind, action) {
         (_, Action::Stop) => Some(0),
         (AgentKind::Pedestrian, Action::Normal) | (AgentKind::Car, Action::Slow) => Some(1),
         (AgentKind::Car, Action::Normal) => Some(2),
         (AgentKind::Car, Action::Fast) => Some(CAR_REACH),
-        (AgentKind::Pedestrian, Action::Slow | Action::Fast) => None,
+        _ => None,
     }
 }
 
@@ -51,6 +51,8 @@ pub enum MoveReason {
     Drawn,
     /// The agent rests at its goal or cannot reach another.
     Resting,
+    /// The agent is parked, by the decision of this tick or of an earlier one.
+    Parked,
 }
 
 /// The move of an agent in a tick.
@@ -64,6 +66,8 @@ pub struct Moved {
     pub reason: MoveReason,
     /// Whether the agent set out for a new goal.
     pub replanned: bool,
+    /// Whether the decision changed its route to the same goal.
+    pub rerouted: bool,
 }
 
 impl Moved {
@@ -80,6 +84,8 @@ pub struct Surroundings<'a> {
     pub router: &'a Router,
     /// The candidates for new goals.
     pub places: &'a Places,
+    /// The actions.
+    pub actions: &'a ActionTable,
     /// The seed of the run.
     pub seed: Seed,
     /// The number of the tick, from 0.
@@ -92,6 +98,8 @@ pub struct Surroundings<'a> {
 /// An agent at its goal rests for two ticks, whatever the decision. In the third it draws a new goal, clears its
 /// heading and follows the decision of that tick on the new route. If it can reach no other goal, it stays and tries
 /// again in the next tick.
+///
+/// The effect of an action comes before its move. It applies only to an agent under way.
 // Inlined so that the compiler writes the result, which is larger than a register, in place.
 #[inline]
 pub fn advance(agent: &mut Agent, index: usize, decided: Action, surroundings: &Surroundings<'_>) -> Moved {
@@ -101,7 +109,16 @@ pub fn advance(agent: &mut Agent, index: usize, decided: Action, surroundings: &
         to: from,
         reason: MoveReason::Resting,
         replanned: false,
+        rerouted: false,
     };
+    if agent.parked > 0 {
+        agent.parked -= 1;
+        agent.record(0);
+        return Moved {
+            reason: MoveReason::Parked,
+            ..resting
+        };
+    }
     let mut replanned = false;
     if agent.at_goal() {
         match agent.rest {
@@ -114,7 +131,21 @@ pub fn advance(agent: &mut Agent, index: usize, decided: Action, surroundings: &
             return resting;
         }
     }
-    let (cells, reason) = choose(agent, decided, |most| draw_cells(most, index, surroundings));
+    let mut rerouted = false;
+    if !decided.is_standard() {
+        rerouted = affect(agent, decided, surroundings);
+        if agent.parked > 0 {
+            agent.parked -= 1;
+            agent.record(0);
+            return Moved {
+                reason: MoveReason::Parked,
+                replanned,
+                ..resting
+            };
+        }
+    }
+    let actions = surroundings.actions;
+    let (cells, reason) = choose(agent, decided, actions, |most| draw_cells(most, index, surroundings));
     agent.step(cells);
     agent.record(cells);
     Moved {
@@ -122,7 +153,27 @@ pub fn advance(agent: &mut Agent, index: usize, decided: Action, surroundings: &
         to: agent.cell,
         reason,
         replanned,
+        rerouted,
     }
+}
+
+/// Applies the effect of a decision. Returns whether it changed the route.
+#[inline(never)]
+fn affect(agent: &mut Agent, decided: Action, surroundings: &Surroundings<'_>) -> bool {
+    if !surroundings.actions.can_take(agent.kind, decided) {
+        return false;
+    }
+    let route = match surroundings.actions.effect(decided) {
+        None => None,
+        Some(Effect::Turn(turn)) => surroundings.router.turn(agent, turn),
+        Some(Effect::Reroute) => surroundings.router.reroute(agent),
+        Some(Effect::Park(ticks)) => {
+            agent.parked = ticks;
+            None
+        }
+    };
+    let changed = route.filter(|route| !route.cells().eq(agent.route().cells().skip(agent.position())));
+    changed.map(|route| agent.change_route(route)).is_some()
 }
 
 /// Sets out for a new goal; returns whether there is a reachable one. Not inlined, to keep the common moves short.
@@ -142,12 +193,17 @@ fn draw_cells(most: usize, index: usize, surroundings: &Surroundings<'_>) -> usi
 
 /// Returns the number of cells to move: the decided number if the route allows it, else the only possible one, else the
 /// result of `draw`, which chooses from 1 to its argument.
-fn choose(agent: &Agent, decided: Action, draw: impl FnOnce(usize) -> usize) -> (usize, MoveReason) {
+fn choose(
+    agent: &Agent,
+    decided: Action,
+    actions: &ActionTable,
+    draw: impl FnOnce(usize) -> usize,
+) -> (usize, MoveReason) {
     if decided == Action::Stop {
         return (0, MoveReason::Decided);
     }
     let most = possible_cells(agent);
-    match speed_cells(agent.kind, decided) {
+    match actions.speed_cells(agent.kind, decided) {
         Some(cells) if cells <= most => (cells, MoveReason::Decided),
         _ if most <= 1 => (most, MoveReason::OnlyMove),
         _ => (draw(most), MoveReason::Drawn),
@@ -208,7 +264,7 @@ mod tests {
     #[test]
     fn the_decision_counts_if_the_route_allows_it() {
         let mut car = car();
-        let chosen = |car: &Agent, decided| choose(car, decided, |most| most - 1);
+        let chosen = |car: &Agent, decided| choose(car, decided, &ActionTable::default(), |most| most - 1);
         assert_eq!(chosen(&car, Action::Fast), (3, MoveReason::Decided));
         assert_eq!(chosen(&car, Action::Stop), (0, MoveReason::Decided));
         car.step(1);
@@ -231,6 +287,7 @@ mod tests {
             let surroundings = Surroundings {
                 router: &router,
                 places: &places,
+                actions: &ActionTable::default(),
                 seed: Seed(1),
                 tick,
             };

@@ -14,7 +14,7 @@
 use crate::city::map::Strip;
 use crate::city::route::{NoRoute, Way, steps};
 use crate::city::walk::{search, walk};
-use crate::city::{AgentKind, Routing};
+use crate::city::{Agent, AgentKind, Routing, Turn};
 use crate::city::{Cell, CityMap, Heading, Layout, Route};
 use pathfinding::directed::astar::astar;
 use pathfinding::directed::bfs::bfs_bidirectional;
@@ -480,21 +480,103 @@ impl Router {
         }
         let end = first.lane(layout).end;
         way.bend(end, rows_first_out(start, end));
-        let mut at = first;
-        let mut enter = |heading| {
-            if at != first {
+        match self.turns(first, last).ok_or(NoRoute::Unconnected)? {
+            Found::Known(turns) => self.enter(way, first, turns.headings()),
+            Found::Long(headings) => self.enter(way, first, headings.into_iter()),
+        }
+        way.bend(goal, !rows_first_out(goal, way.at()));
+        Ok(())
+    }
+
+    /// Continues a way from the end of a lane to the start of the last of the lanes that it enters after it.
+    fn enter(&self, way: &mut Way<'_>, mut at: LanePlace, headings: impl Iterator<Item = Heading>) {
+        let layout = &self.map.layout;
+        for (count, heading) in headings.enumerate() {
+            if count > 0 {
                 way.straight(at.lane(layout).end);
             }
             at = LanePlace::starting(at.end(), heading);
             // Go straight to the line of the new lane, then along it.
             way.bend(at.lane(layout).start, at.is_horizontal());
-        };
-        match self.turns(first, last).ok_or(NoRoute::Unconnected)? {
-            Found::Known(turns) => turns.headings().for_each(&mut enter),
-            Found::Long(headings) => headings.into_iter().for_each(&mut enter),
         }
+    }
+
+    /// Returns the route to the car's goal that takes a direction at its next intersection; `None` if no street leads
+    /// there.
+    pub(super) fn turn(&self, agent: &Agent, turn: Turn) -> Option<Route> {
+        let lane = self.lane_ahead(agent)?;
+        let heading = match turn {
+            Turn::Straight => lane.heading,
+            Turn::Right => lane.heading.clockwise(),
+            Turn::Left => lane.heading.clockwise().opposite(),
+        };
+        Some(self.turned(agent, lane, heading)?.0)
+    }
+
+    /// Returns the best route to the car's goal that leaves its next intersection in another direction than its route;
+    /// `None` if its route ends before, or there is no other street.
+    pub(super) fn reroute(&self, agent: &Agent) -> Option<Route> {
+        let lane = self.lane_ahead(agent)?;
+        let end = lane.lane(&self.map.layout).end;
+        let mut nodes = std::iter::once((agent.cell, true))
+            .chain(agent.stops_ahead())
+            .filter(|(_, is_node)| *is_node)
+            .map(|(cell, _)| cell);
+        nodes.find(|&node| node == end)?;
+        let planned = nodes.next()?;
+        let is_other =
+            |&heading: &Heading| LanePlace::starting(lane.end(), heading).lane(&self.map.layout).start != planned;
+        let others = Heading::ALL.into_iter().filter(is_other);
+        let routes = others.filter_map(|heading| self.turned(agent, lane, heading));
+        routes.min_by_key(|(_, cost)| *cost).map(|(route, _)| route)
+    }
+
+    /// The lane whose end is the car's next intersection: that beside it or, in an intersection, the next of its route.
+    fn lane_ahead(&self, agent: &Agent) -> Option<LanePlace> {
+        if agent.kind != AgentKind::Car {
+            return None;
+        }
+        let next = || agent.stops_ahead().find(|(_, is_node)| *is_node);
+        (self.lane_beside(agent.cell)).or_else(|| self.lane_beside(next()?.0))
+    }
+
+    /// The best route that continues from the end of a lane with a heading, with its cost; `None` if no lane starts
+    /// there.
+    fn turned(&self, agent: &Agent, lane: LanePlace, heading: Heading) -> Option<(Route, u32)> {
+        let next = LanePlace::starting(lane.end(), heading);
+        self.roads.number(next)?;
+        let goal = agent.goal();
+        let last = self.lane_beside(goal)?;
+        let mut headings = vec![heading];
+        if next != last {
+            match self.turns(next, last)? {
+                Found::Known(turns) => headings.extend(turns.headings()),
+                Found::Long(more) => headings.extend(more),
+            }
+        }
+        let mut way = Way::new(&self.map, agent.kind, agent.cell);
+        if self.lane_beside(agent.cell).is_none() {
+            // It crosses the intersection as planned.
+            for (cell, is_node) in agent.stops_ahead() {
+                way.straight(cell);
+                if is_node {
+                    break;
+                }
+            }
+        }
+        let end = lane.lane(&self.map.layout).end;
+        way.bend(end, rows_first_out(way.at(), end));
+        let all = std::iter::once(lane.heading).chain(headings.iter().copied());
+        let turns = all.zip(&headings).filter(|(from, to)| from != *to).count();
+        let lanes = headings.len();
+        self.enter(&mut way, lane, headings.into_iter());
         way.bend(goal, !rows_first_out(goal, way.at()));
-        Ok(())
+        let route = way.finish();
+        let cost = match self.routing {
+            Routing::Hops => lanes,
+            Routing::Weighted => route.steps() + TURN_COST as usize * turns,
+        };
+        Some((route, u32::try_from(cost).unwrap_or(u32::MAX)))
     }
 
     /// The headings of the lanes that a best route between two lanes enters after the first.

@@ -51,7 +51,7 @@ impl Piece {
         self.0 >> 3
     }
 
-    fn ends_at_node(self) -> bool {
+    pub(super) fn ends_at_node(self) -> bool {
         self.0 & 4 != 0
     }
 }
@@ -82,6 +82,11 @@ impl Route {
         }))
     }
 
+    /// Returns the first and the last cell, and the cells between them where the route turns, each as row and column.
+    pub fn corners(&self) -> Vec<[i32; 2]> {
+        corners(self.cells())
+    }
+
     /// Returns the nodes of the road graph on the route, in order; no move of a car jumps over one. The routes of
     /// pedestrians have none.
     pub fn nodes(&self) -> impl Iterator<Item = Cell> + '_ {
@@ -102,6 +107,21 @@ impl Route {
     pub fn heap_bytes(&self) -> usize {
         std::mem::size_of_val(&*self.pieces)
     }
+}
+
+/// Returns the first and last of these cells of a route, and the cells between them where it turns.
+pub fn corners(cells: impl Iterator<Item = Cell>) -> Vec<[i32; 2]> {
+    let mut corners: Vec<[i32; 2]> = Vec::new();
+    for cell in cells {
+        let now = [cell.row, cell.col];
+        if let [.., a, b] = corners[..]
+            && (a[0] == b[0] && b[0] == now[0] || a[1] == b[1] && b[1] == now[1])
+        {
+            corners.pop();
+        }
+        corners.push(now);
+    }
+    corners
 }
 
 /// A route under construction.

@@ -395,7 +395,7 @@ impl<'a> Bench<'a> {
                     env.reset(stream.random())?;
                 }
                 env.observe(0, &mut observation);
-                env.step(&[Action::ALL[stream.random_range(0..Action::ALL.len())]])?;
+                env.step(&[Action::STANDARD[stream.random_range(0..Action::STANDARD.len())]])?;
             }
             Ok(())
         })?;

@@ -1,7 +1,6 @@
 //! `logicity check`: checks rule files and configurations.
 
 use crate::builtin::BuiltinFiles;
-use crate::city::Action;
 use crate::cli::configuration::{self, Checked, Opened};
 use crate::cli::failure::Failure;
 use crate::cli::limits::LimitOptions;
@@ -9,6 +8,7 @@ use crate::cli::load::{inputs_of, load_workspace_from};
 use crate::cli::report::{plural, report};
 use crate::cli::terminal;
 use crate::cli::trace::TraceReader;
+use crate::config::ActionsConfig;
 use crate::datalog::dense::{self, Unsupported};
 use crate::datalog::diff::{Cut, Equivalence};
 use crate::datalog::explain::ExplanationPrinter;
@@ -104,8 +104,8 @@ struct Report {
     /// The searches that reached a limit.
     unfinished: Vec<&'static str>,
     overlaps: Vec<Overlap>,
-    /// The order of precedence of actions.
-    precedence: Vec<Action>,
+    /// The actions and their order of precedence.
+    actions: ActionsConfig,
     covered: Option<Coverage>,
 }
 
@@ -120,7 +120,7 @@ fn examine(arguments: &Arguments, path: &Path, files: &dyn ReadFile, sources: &m
         return Ok(report);
     };
     if let Some(city) = given.as_ref().or(report.configuration.as_ref()) {
-        report.precedence = city.precedence().to_vec();
+        report.actions = city.actions();
     }
     let Some(rules) = report.load(&path, given.is_some(), files, sources)? else {
         return Ok(report);
@@ -133,8 +133,8 @@ fn examine(arguments: &Arguments, path: &Path, files: &dyn ReadFile, sources: &m
             return Ok(report);
         }
     };
-    report.overlaps = conflicts(&in_city)?;
-    let lints = conflict_lints(&report.overlaps, program.rules(), &report.precedence);
+    report.overlaps = conflicts(&in_city, &report.actions.table)?;
+    let lints = conflict_lints(&report.overlaps, program.rules(), &report.actions);
     report.found.extend(lints);
     if let Some(configuration) = &report.configuration {
         report.found.extend(configuration.bind(&program, None, sources));
@@ -157,7 +157,7 @@ impl Report {
             found: Vec::new(),
             unfinished: Vec::new(),
             overlaps: Vec::new(),
-            precedence: Action::SAFEST_FIRST.to_vec(),
+            actions: ActionsConfig::default(),
             covered: None,
         }
     }
@@ -240,7 +240,7 @@ impl Report {
             let printer = ExplanationPrinter::new(rules, &rules.symbols, sources);
             let costly = costly(rules).into_iter().map(|clause| printer.clause_json(clause));
             line["costly"] = costly.collect();
-            line["conflicts"] = overlaps_json(&self.overlaps, &self.precedence, rules, sources);
+            line["conflicts"] = overlaps_json(&self.overlaps, &self.actions, rules, sources);
             if let Some(covered) = &self.covered {
                 line["coverage"] = coverage_json(covered, rules, sources);
             }
@@ -273,7 +273,7 @@ impl Report {
                 "  incomplete: the search for {what} reached its limit and may have missed some"
             )?;
         }
-        print_overlaps(out, &self.overlaps, &self.precedence, rules, sources)?;
+        print_overlaps(out, &self.overlaps, &self.actions, rules, sources)?;
         if let (Some(covered), Some(trace)) = (&self.covered, &arguments.coverage) {
             print_coverage(out, covered, trace, rules, sources)?;
         }
@@ -389,7 +389,7 @@ fn executors_json(rules: &Rules, sources: &Sources) -> serde_json::Value {
 fn print_overlaps(
     out: &mut impl Write,
     overlaps: &[Overlap],
-    precedence: &[Action],
+    config: &ActionsConfig,
     rules: &Rules,
     sources: &Sources,
 ) -> io::Result<()> {
@@ -397,7 +397,7 @@ fn print_overlaps(
     let mut printed = false;
     for overlap in overlaps {
         let Overlap { actions, finding } = overlap;
-        let [first, second] = actions.map(|action| action.name());
+        let [first, second] = actions.map(|action| config.table.name(action));
         match finding {
             Finding::Excluded { .. } => {}
             Finding::Together { clauses, scene } => {
@@ -405,7 +405,7 @@ fn print_overlaps(
                 writeln!(
                     out,
                     "  conflicts: {first} and {second} can be derived together, and {} wins, as in this scene:",
-                    overlap.winner(precedence).name()
+                    config.table.name(overlap.winner(&config.priority))
                 )?;
                 writeln!(out, "    {}", scene_json(scene))?;
                 writeln!(out, "    {first} by {a}\n    {second} by {b}")?;
@@ -475,12 +475,12 @@ fn unproved(equivalence: &Equivalence) -> Vec<String> {
     }
 }
 
-fn overlaps_json(overlaps: &[Overlap], precedence: &[Action], rules: &Rules, sources: &Sources) -> serde_json::Value {
+fn overlaps_json(overlaps: &[Overlap], config: &ActionsConfig, rules: &Rules, sources: &Sources) -> serde_json::Value {
     let printer = ExplanationPrinter::new(rules, &rules.symbols, sources);
     let conflicts = overlaps.iter().map(|overlap| {
         let Overlap { actions, finding } = overlap;
-        let winner = overlap.winner(precedence).name();
-        let actions = actions.map(|action| action.name());
+        let winner = config.table.name(overlap.winner(&config.priority));
+        let actions = actions.map(|action| config.table.name(action));
         match finding {
             Finding::Excluded { given } => json!({
                 "actions": actions,

@@ -1,11 +1,11 @@
 //! Checks a configuration for `logicity check`: its files, and whether rules, map and agents fit together.
 
 use crate::builtin::BuiltinFiles;
-use crate::city::{Action, AgentKind, CityMap, MapConfig, Split};
+use crate::city::{AgentKind, CityMap, MapConfig, Split};
 use crate::cli::failure::Failure;
 use crate::cli::load::missing_is_usage;
 use crate::cli::report::plural;
-use crate::config::{Loaded, Scenario, load_any, missing_file};
+use crate::config::{ActionsConfig, Loaded, Scenario, load_any, missing_file};
 use crate::datalog::Program;
 use crate::diag::{Diagnostic, Sources, Span};
 use crate::files::ReadFile as _;
@@ -96,10 +96,10 @@ impl Checked {
         self.theory.as_deref()
     }
 
-    /// Returns the order in which derived actions take precedence. A map has none.
-    pub fn precedence(&self) -> &[Action] {
+    /// Returns the actions and their order of precedence: those of the standard for a map.
+    pub fn actions(&self) -> ActionsConfig {
         let scenario = self.scenario.as_ref();
-        scenario.map_or(&[], |scenario| &scenario.actions.priority)
+        scenario.map_or_else(ActionsConfig::default, |scenario| scenario.actions.clone())
     }
 
     /// Binds the predicates to the rules, creates the task and places the agents of each split. Returns the errors.

@@ -63,24 +63,17 @@ pub fn run(arguments: &Arguments, sources: &mut Sources) -> Result<(), Failure> 
             Failure::Usage(format!("the trace has no agent `{agent}`\nhelp: {help}"))
         })?),
     };
-    let action = |name: &String| {
-        Action::ALL
-            .into_iter()
-            .find(|action| action.name().eq_ignore_ascii_case(name))
-    };
-    let why_not = arguments
-        .why_not
-        .as_ref()
-        .and_then(action)
-        .filter(|_| position.is_some());
+    let rules = arguments.rules.as_deref();
+    let limits = trace.limits(rules, &arguments.limits);
+    let mut replay = trace.replay(sources, arguments.config.as_deref(), rules, true, limits)?;
+    let why_not = (arguments.why_not.as_ref())
+        .filter(|_| position.is_some())
+        .and_then(|name| replay.world().vocabulary.actions().find_ignoring_case(name));
     let fact = match (&arguments.why, &arguments.why_not) {
         (Some(fact), _) => Some(sources.add("--why", fact.as_str())),
         (None, Some(fact)) if why_not.is_none() => Some(sources.add("--why-not", fact.as_str())),
         _ => None,
     };
-    let rules = arguments.rules.as_deref();
-    let limits = trace.limits(rules, &arguments.limits);
-    let mut replay = trace.replay(sources, arguments.config.as_deref(), rules, true, limits)?;
     let tick = find(&mut trace, arguments.tick)?;
     replay.set(&tick).map_err(|fault| trace.placed(fault))?;
     if let Some(question) = fact {
@@ -91,11 +84,12 @@ pub fn run(arguments: &Arguments, sources: &mut Sources) -> Result<(), Failure> 
     };
 
     let derived = replay.derived(position);
+    let table = replay.world().vocabulary.actions();
     let Some(state) = tick.agents.get(position) else {
         return Err(trace.placed(Diagnostic::new(codes::INVALID_TRACE, "an agent is missing")));
     };
-    if !derived.iter().map(|action| action.name()).eq(state.derived.iter()) {
-        let found: Vec<&str> = derived.iter().map(|action| action.name()).collect();
+    if !derived.iter().map(|action| table.name(action)).eq(state.derived.iter()) {
+        let found: Vec<&str> = derived.iter().map(|action| table.name(action)).collect();
         let message = format!(
             "the state of tick {} gives {} [{}], but the trace has [{}]",
             tick.tick,
@@ -166,11 +160,12 @@ fn print(
         session: replay.session(),
         tick: tick.tick,
         agent: replay.agents()[position].id.clone(),
+        kind: replay.kinds()[position],
         value: replay.value(position),
         at: Cell { row, col },
         heading: state.heading()?,
         derived: replay.derived(position),
-        action: state.action()?,
+        action: state.action(replay.world().vocabulary.actions())?,
     };
     let account = (decision.account(why_not, &Cancel::never())).map_err(Diagnostic::from)?;
     let mut out = terminal::results(arguments.json);
@@ -206,6 +201,6 @@ fn steering(driven: &Driven, world: &World, sources: &Sources) -> Result<String,
     Ok(format!(
         "controlled externally: given its observation of ({}), the rules wanted {}; {judgement}",
         driven.observes.join(", "),
-        driven.wanted()?.name()
+        driven.wanted
     ))
 }

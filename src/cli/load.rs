@@ -28,7 +28,7 @@ impl From<LoadError> for Failure {
 /// Returns whether rules may derive `.input` predicates. A city computes its input, so no rule may derive that: the rules
 /// are for a city if they are checked for one or declare an action.
 pub fn inputs_of(texts: &Workspace, in_city: bool) -> InputPolicy {
-    match in_city || Action::ALL.iter().any(|action| texts.declares(action.name())) {
+    match in_city || Action::STANDARD.iter().any(|action| texts.declares(action.name())) {
         true => InputPolicy::Fixed,
         false => InputPolicy::Extensible,
     }

@@ -176,7 +176,7 @@ pub fn run(arguments: &Arguments, sources: &mut Sources) -> Result<(), Failure> 
     let answers = set.answers();
     let counts = askable(&world)
         .into_iter()
-        .map(|action| format!("{} {}", action.name(), answers[action as usize]));
+        .map(|action| format!("{} {}", action.name(), answers[action.index()]));
     let counts: Vec<String> = counts.collect();
     let mut out = messages(&paths);
     if let Some(folder) = &pictures {

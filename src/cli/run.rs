@@ -104,7 +104,7 @@ fn scale(text: &str) -> Result<Scale, String> {
 struct Tally {
     ticks: u64,
     deciding: Duration,
-    actions: [[u64; 4]; 2],
+    actions: [Vec<u64>; 2],
     /// The decisions with several derived actions: these actions, the chosen one, and the number of decisions.
     overlaps: BTreeMap<(Vec<Action>, Action), u64>,
     firings: Vec<u64>,
@@ -445,7 +445,9 @@ impl Tally {
                 AgentKind::Car => 0,
                 AgentKind::Pedestrian => 1,
             };
-            self.actions[kind][done.action as usize] += 1;
+            let counts = &mut self.actions[kind];
+            counts.resize(counts.len().max(done.action.index() + 1), 0);
+            counts[done.action.index()] += 1;
             if done.derived.len() > 1 {
                 let overlap = (done.derived.iter().collect(), done.action);
                 *self.overlaps.entry(overlap).or_default() += 1;
@@ -529,25 +531,24 @@ fn summary(simulation: &mut Simulation, tally: &Tally, sources: &Sources, writte
         plural(decisions, "decision"),
         plural(tally.goals, "goal")
     );
-    let _ = writeln!(
-        text,
-        "\n{:<12}{:>10}{:>10}{:>10}{:>10}",
-        "decisions", "Slow", "Normal", "Fast", "Stop"
-    );
-    for (kind, counts) in ["cars", "pedestrians"].into_iter().zip(tally.actions) {
-        let counts: String = Action::ALL
-            .iter()
-            .map(|&action| format!("{:>10}", counts[action as usize]))
+    let table = simulation.world().vocabulary.actions();
+    let column = |name: &str| format!("{name:>width$}", width = name.len().max(8) + 2);
+    let names: String = table.names().map(column).collect();
+    let _ = writeln!(text, "\n{:<12}{names}", "decisions");
+    for (kind, counts) in ["cars", "pedestrians"].into_iter().zip(&tally.actions) {
+        let count = |action: Action| counts.get(action.index()).copied().unwrap_or(0);
+        let counts: String = (table.all())
+            .map(|action| format!("{:>width$}", count(action), width = column(table.name(action)).len()))
             .collect();
         let _ = writeln!(text, "{kind:<12}{counts}");
     }
     for ((derived, chosen), count) in &tally.overlaps {
         let others = derived.iter().filter(|action| *action != chosen);
-        let others: Vec<&str> = others.map(|action| action.name()).collect();
+        let others: Vec<&str> = others.map(|action| table.name(*action)).collect();
         let _ = writeln!(
             text,
             "conflicts: {} won over {} in {}",
-            chosen.name(),
+            table.name(*chosen),
             others.join(" and "),
             plural(*count, "decision")
         );

@@ -257,7 +257,7 @@ impl Stats {
         let mut out = terminal::results(self.json);
         if self.json {
             let estimate = |Estimate { value, error }: Estimate| serde_json::json!({"value": value, "error": error});
-            let actions = Action::ALL.iter().map(|action| action.name().to_owned());
+            let actions = Action::STANDARD.iter().map(|action| action.name().to_owned());
             let actions = actions
                 .zip(found.actions.map(estimate))
                 .collect::<serde_json::Map<_, _>>();
@@ -274,8 +274,8 @@ impl Stats {
             "worlds: {}, labels of cars: {}; estimates with standard errors",
             found.worlds, found.labels
         )?;
-        for (action, share) in Action::ALL.into_iter().zip(found.actions) {
-            let paper = percent(published[action as usize], total(published));
+        for (action, share) in Action::STANDARD.into_iter().zip(found.actions) {
+            let paper = percent(published[action.index()], total(published));
             let share = with_error(share.times(100.0), 1);
             writeln!(out, "{:<16} {share:>16} %, published test {paper}", action.name())?;
         }
@@ -302,6 +302,6 @@ fn shares<'a>(counts: impl Iterator<Item = (&'a str, u64)>, total: u64) -> Strin
 }
 
 fn action_shares(actions: [u64; 4]) -> String {
-    let names = Action::ALL.iter().map(|action| action.name());
+    let names = Action::STANDARD.iter().map(|action| action.name());
     shares(names.zip(actions), total(actions))
 }

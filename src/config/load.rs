@@ -3,8 +3,9 @@
 //! `docs/reference/configuration.md` documents the keys for users. The city checks whether the values are consistent,
 //! for example whether a street has room for its lanes.
 
-use crate::city::{Action, AgentGroup, AgentKind, AgentSet, Building, Buildings, MapConfig, Routing, Split};
+use crate::city::{AgentGroup, AgentKind, AgentSet, Building, Buildings, MapConfig, Routing, Split};
 use crate::city::{TripEnds, Widths};
+use crate::config::actions::{actions, only_standard};
 use crate::config::codes;
 use crate::config::compose::{AGENTS, Composer, Kind, MAP, PREDICATES, RUN, Read, TASK};
 use crate::config::model::*;
@@ -189,7 +190,7 @@ fn scenario(composer: &mut Composer<'_>, tree: &YamlNode) -> Option<Scenario> {
         .and_then(|node| splits(node, predicates.as_ref(), &regions, faults));
     let actions = fields
         .required("actions", faults)
-        .and_then(|node| actions(node, faults));
+        .and_then(|node| actions(node, predicates.as_ref(), splits.as_deref(), faults));
     let routing = fields
         .required("routing", faults)
         .and_then(|node| choice(node, &Routing::ALL.map(|routing| (routing.name(), routing)), faults));
@@ -205,6 +206,9 @@ fn scenario(composer: &mut Composer<'_>, tree: &YamlNode) -> Option<Scenario> {
     let task_node = fields.optional("task");
     let task = task_node.map(|node| task::spf(composer, node, predicates.as_ref()));
     let faults = &mut composer.faults;
+    if let (Some(node), Some(actions)) = (task_node, &actions) {
+        only_standard(node, actions, faults);
+    }
     if let (Some(map), Some(predicates)) = (&map, &predicates) {
         unknown_zones(map, &predicates.used, faults);
     }
@@ -620,31 +624,5 @@ fn group(
         count,
         concepts: concepts.into_iter().map(|concept| concept.value).collect(),
         priority,
-    })
-}
-
-fn actions(node: &YamlNode, faults: &mut Vec<Diagnostic>) -> Option<ActionsConfig> {
-    let speeds = Action::ALL.map(|action| (action.name(), action));
-    let mut fields = Fields::open(node, "the actions", faults)?;
-    let priority = fields.required("priority", faults).and_then(|node| {
-        let items = list(node, "the four actions", faults)?;
-        let order: Option<Vec<_>> = items.iter().map(|item| choice(item, &speeds, faults)).collect();
-        let order = order?;
-        let mut sorted = order.clone();
-        sorted.sort_unstable();
-        if sorted != Action::ALL {
-            let message = "expected each of `Slow`, `Normal`, `Fast`, `Stop` exactly once";
-            faults.push(Diagnostic::new(yaml::codes::INVALID_VALUE, message).at(node.span, ""));
-            return None;
-        }
-        Some(order)
-    });
-    let default = fields
-        .required("default", faults)
-        .and_then(|node| choice(node, &speeds, faults));
-    fields.close(faults);
-    Some(ActionsConfig {
-        priority: priority?,
-        default: default?,
     })
 }

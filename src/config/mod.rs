@@ -9,6 +9,7 @@
 //! built-in files serve where it finds none. This module does not know what rules say or whether a map has room for its
 //! agents.
 
+mod actions;
 pub mod codes;
 mod compose;
 mod load;

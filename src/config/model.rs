@@ -2,11 +2,12 @@
 //!
 //! The serialized form omits file names and places. [`Scenario::hash`] is its hash.
 
-use crate::city::{Action, AgentSet, MapConfig, Routing, Split, TripEnds};
+use crate::city::{Action, ActionTable, AgentSet, MapConfig, Routing, Split, TripEnds};
 use crate::diag::Span;
 use crate::located::Located;
 use crate::predicate::Definition;
-use serde::Serialize;
+use serde::ser::SerializeStruct;
+use serde::{Serialize, Serializer};
 use std::path::PathBuf;
 use std::sync::Arc;
 
@@ -20,12 +21,40 @@ pub struct PredicateConfig {
 }
 
 /// The selection of one action from those that the rules derive for an agent.
-#[derive(Clone, Debug, Serialize)]
+#[derive(Clone, Debug)]
 pub struct ActionsConfig {
-    /// The order of precedence if several actions are derived. It contains each of the four once.
+    /// The actions: the four standard ones, and those that the configuration defines.
+    pub table: ActionTable,
+    /// The order of precedence if several actions are derived. It contains each action once.
     pub priority: Vec<Action>,
     /// The action if none is derived.
     pub default: Action,
+}
+
+/// The standard actions, the safest first.
+impl Default for ActionsConfig {
+    fn default() -> Self {
+        ActionsConfig {
+            table: ActionTable::default(),
+            priority: Action::SAFEST_FIRST.to_vec(),
+            default: Action::Normal,
+        }
+    }
+}
+
+/// Serializes names. The serialized form omits an empty list of own actions, so that hashes of configurations without
+/// them do not depend on it.
+impl Serialize for ActionsConfig {
+    fn serialize<S: Serializer>(&self, serializer: S) -> Result<S::Ok, S::Error> {
+        let names: Vec<&str> = self.priority.iter().map(|&action| self.table.name(action)).collect();
+        let mut config = serializer.serialize_struct("ActionsConfig", 3)?;
+        config.serialize_field("priority", &names)?;
+        config.serialize_field("default", self.table.name(self.default))?;
+        if !self.table.own().is_empty() {
+            config.serialize_field("define", self.table.own())?;
+        }
+        config.end()
+    }
 }
 
 /// The unit that costs of violations are counted by.
@@ -53,7 +82,7 @@ impl ViolationsPer {
 /// The rewards of a step of Safe Path Following; costs are negative.
 #[derive(Clone, Debug, Serialize)]
 pub struct RewardConfig {
-    /// For each action, in the order of [`Action::ALL`]; divided by four times the number of cells of the route.
+    /// For each action, in the order of [`Action::STANDARD`]; divided by four times the number of cells of the route.
     pub actions: [f64; 4],
     /// For a violation; not divided.
     pub violation: f64,

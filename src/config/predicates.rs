@@ -13,7 +13,7 @@ use std::collections::HashMap;
 /// The maximum number of base predicates of a scenario.
 const MAX_PREDICATES: usize = 1000;
 /// The predicate of the field of view. It is always defined, so configurations cannot define it.
-const SEES: &str = "Sees";
+pub(super) const SEES: &str = "Sees";
 
 /// The base predicates of a configuration.
 pub(super) struct Predicates {
@@ -42,7 +42,7 @@ pub(super) fn predicates(node: &YamlNode, faults: &mut Vec<Diagnostic>) -> Optio
     for (key, node) in entries.iter().filter(|(_, node)| !node.is_null()) {
         let fault = if key.text == SEES {
             Some(format!("`{SEES}` is predefined: it is the field of view"))
-        } else if Action::ALL.iter().any(|action| action.name() == key.text) {
+        } else if Action::STANDARD.iter().any(|action| action.name() == key.text) {
             Some(format!("`{}` is an action, which rules derive", key.text))
         } else if !is_name(&key.text) {
             let message = "expected the name of a predicate (letters, digits and `_`, no digit first)";
@@ -125,6 +125,13 @@ fn selected(
         }
     }
     Some(used)
+}
+
+impl Predicates {
+    /// Returns the definition of a predicate, used or not.
+    pub fn definition(&self, name: &str) -> Option<&PredicateConfig> {
+        self.defined.iter().find(|predicate| predicate.name.value == name)
+    }
 }
 
 /// The concepts that agents can carry.

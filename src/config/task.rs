@@ -76,7 +76,7 @@ fn reward(node: &YamlNode, faults: &mut Vec<Diagnostic>) -> Option<RewardConfig>
     let mut fields = Fields::open(node, "the reward", faults)?;
     let actions = fields.required("actions", faults).and_then(|node| {
         let mut fields = Fields::open(node, "the rewards of actions", faults)?;
-        let rewards = Action::ALL.map(|action| {
+        let rewards = Action::STANDARD.map(|action| {
             let node = fields.required(action.name(), faults)?;
             reward_value(node, faults)
         });

@@ -87,7 +87,7 @@ impl<'a> Comparison<'a> {
                 let tick = left.first + first.tick as u64;
                 let place = match (first.acts.first(), first.apart.first()) {
                     (Some(&agent), _) => {
-                        let [one, other] = self.runs.map(|run| run.action(first.tick, agent).name());
+                        let [one, other] = self.runs.map(|run| run.action_name(first.tick, agent));
                         format!(
                             "{} chooses {one} in one run, {other} in the other",
                             left.header.agents[agent].id

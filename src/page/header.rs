@@ -1,6 +1,6 @@
 //! What a page shows of a run besides its ticks: names, agents, predicates and clauses.
 
-use crate::city::{Action, Heading};
+use crate::city::Heading;
 use crate::datalog::explain::{Explainer, ExplanationPrinter};
 use crate::datalog::{ClauseId, Value};
 use crate::diag::{Diagnostic, Sources};
@@ -23,7 +23,7 @@ pub struct Header {
     seed: String,
     hash: String,
     pub agents: Vec<Agent>,
-    actions: [&'static str; 4],
+    pub actions: Vec<String>,
     headings: [&'static str; 4],
     predicates: Vec<Predicate>,
     /// Number of clauses whose firings the trace records: the first ones in [`Proofs::clauses`], in the order of the
@@ -94,7 +94,7 @@ impl Header {
             seed: header.seed.to_string(),
             hash: header.rules_hash.clone(),
             agents: agents.collect(),
-            actions: Action::ALL.map(Action::name),
+            actions: world.vocabulary.actions().names().map(str::to_owned).collect(),
             headings: Heading::ALL.map(Heading::name),
             predicates: predicates.collect(),
             counted,
@@ -112,10 +112,11 @@ impl Header {
         replay: &Replay,
         (explainer, printer): (&mut Explainer<'_>, &ExplanationPrinter<'_>),
         agent: usize,
-    ) -> Result<[i64; 4], Diagnostic> {
-        let mut nodes = [-1; 4];
-        for (node, action) in nodes.iter_mut().zip(Action::ALL) {
-            let Some(predicate) = replay.world().vocabulary.action(action) else {
+    ) -> Result<Vec<i64>, Diagnostic> {
+        let vocabulary = &replay.world().vocabulary;
+        let mut nodes = vec![-1; vocabulary.actions().all().len()];
+        for (node, action) in nodes.iter_mut().zip(vocabulary.actions().all()) {
+            let Some(predicate) = vocabulary.action(action) else {
                 continue;
             };
             let asked: [Option<Value>; 1] = [Some(replay.value(agent))];

@@ -1,13 +1,13 @@
 //! A running city for the viewer of a page: ticks and explanations as JSON, without a file.
 
-use crate::city::{Action, Agent};
+use crate::city::{ActionTable, Agent, corners};
 use crate::datalog::explain::{Explainer, ExplanationPrinter};
 use crate::diag::{Diagnostic, SourceId, Sources};
 use crate::page::header::{Header, Values};
-use crate::page::run::{corners, relative_view};
+use crate::page::run::relative_view;
 use crate::page::scenery::Scenery;
 use crate::render::Icons;
-use crate::sim::{Replay, Simulation, TraceHeader, TraceState, TraceTick, TraceWriter, World, trace_limits};
+use crate::sim::{Actions, Replay, Simulation, TraceHeader, TraceState, TraceTick, TraceWriter, World, trace_limits};
 use serde::Serialize;
 use serde_json::Value;
 use std::collections::VecDeque;
@@ -49,10 +49,10 @@ pub struct LiveTick {
     goal: Vec<[i32; 2]>,
     /// The position in [`Heading::ALL`](crate::city::Heading::ALL); `None` before the first move.
     heading: Vec<Option<u8>>,
-    /// The position in [`Action::ALL`].
-    action: Vec<u8>,
+    /// The position in `actions` of the header.
+    action: Vec<usize>,
     /// The actions derived before the default, as a bit set.
-    derived: Vec<u8>,
+    derived: Vec<u16>,
     /// First and last cell of the field of view, relative to the agent.
     view: Vec<[i32; 4]>,
     /// The clauses that fired.
@@ -67,7 +67,7 @@ pub struct LiveExplanation {
     tick: u64,
     agent: usize,
     /// For each action, the position of a node, or -1 if no rule has the action.
-    why: [i64; 4],
+    why: Vec<i64>,
     nodes: Vec<Value>,
     /// For each predicate, its rows. A row (x, y) is x times the number of agents plus y.
     rows: Vec<Vec<u64>>,
@@ -160,8 +160,9 @@ impl Live {
         for ((state, agent), route) in states.iter().zip(agents).zip(&mut self.routes) {
             let heading = state.heading()?;
             shown.heading.push(heading.map(|heading| heading as u8));
-            shown.action.push(state.action()? as u8);
-            shown.derived.push(derived_bits(state));
+            let actions = world.vocabulary.actions();
+            shown.action.push(state.action(actions)?.index());
+            shown.derived.push(derived_bits(state, actions));
             shown
                 .view
                 .push(relative_view(state.at, heading, world.scenario.view, world.map()));
@@ -218,7 +219,7 @@ fn find(past: &VecDeque<Past>, tick: u64) -> Option<&Past> {
     past.get(usize::try_from(tick.checked_sub(first)?).ok()?)
 }
 
-fn derived_bits(state: &TraceState) -> u8 {
-    let is_derived = |action: &Action| state.derived.iter().any(|name| name == action.name());
-    (Action::ALL.into_iter().filter(is_derived)).fold(0, |bits, action| bits | 1 << action as u8)
+fn derived_bits(state: &TraceState, actions: &ActionTable) -> u16 {
+    let derived: Actions = state.derived.iter().filter_map(|name| actions.find(name)).collect();
+    derived.bits()
 }

@@ -13,6 +13,7 @@ use crate::sim::{
     LOOK_TICKS, Replay, STUCK_TICKS, TraceHeader, TraceState, TraceTick, WaitsFor, find_deadlocks, waits,
 };
 use serde::Serialize;
+use std::fmt::Write as _;
 use std::io::{self, Write};
 
 /// The maximum number of decisions in a page; more make it slow to open.
@@ -73,7 +74,7 @@ pub struct Page {
     rows: Vec<Vec<u64>>,
     /// The explanations in the last tick, for each agent and action.
     #[serde(skip)]
-    why: Vec<[i64; 4]>,
+    why: Vec<Vec<i64>>,
     /// Packed explanations and facts.
     #[serde(skip)]
     parts: Vec<String>,
@@ -93,10 +94,12 @@ struct Columns {
     at: Vec<Vec<i32>>,
     /// A digit per tick: the position in `headings`, or 4 before the first move.
     heading: Vec<String>,
-    /// A digit per tick: the position in `actions`.
+    /// A hexadecimal digit per tick: the position in `actions`.
     action: Vec<String>,
-    /// A hexadecimal digit per tick: the actions derived before the default, as a bit set.
+    /// The actions derived before the default, as a bit set: a hexadecimal digit per tick for every four actions.
     derived: Vec<String>,
+    #[serde(skip)]
+    derived_digits: usize,
     /// Position of a tick, row and column, where the goal changes.
     goal: Vec<Vec<(usize, i32, i32)>>,
     /// A position in `views` per tick.
@@ -153,7 +156,7 @@ struct Driven {
     /// The agents that it observed, itself first.
     observes: Vec<usize>,
     /// Position in `actions` of the action that the rules wanted.
-    wanted: u8,
+    wanted: usize,
     /// The clauses that its action violated.
     broken: Vec<usize>,
 }
@@ -180,7 +183,7 @@ impl Page {
                 .collect(),
             first: 0,
             count: 0,
-            columns: Columns::new(count),
+            columns: Columns::new(count, world.vocabulary.actions().all().len().div_ceil(4)),
             last: Vec::new(),
             routes: vec![Vec::new(); count],
             deadlocks: Vec::new(),
@@ -192,7 +195,7 @@ impl Page {
             places: Vec::new(),
             taken: Vec::new(),
             rows: vec![Vec::new(); world.vocabulary.predicates.len()],
-            why: vec![[0; 4]; count],
+            why: vec![vec![0; world.vocabulary.actions().all().len()]; count],
             parts: Vec::new(),
             unpacked: Unpacked::default(),
         })
@@ -239,6 +242,7 @@ impl Page {
         self.explain(replay, sources)?;
         self.note_facts(replay);
         let (world, view) = (replay.world(), replay.world().scenario.view);
+        let actions = world.vocabulary.actions();
         let mut taken = Vec::with_capacity(tick.agents.len());
         for (position, agent) in tick.agents.iter().enumerate() {
             self.check_clauses(&agent.clauses)?;
@@ -248,14 +252,14 @@ impl Page {
                     tick: self.count,
                     agent: position,
                     observes: positions(replay, &driven.observes)?,
-                    wanted: driven.wanted()? as u8,
+                    wanted: driven.wanted(actions)?.index(),
                     broken: driven.broken.clone(),
                 });
             }
             let heading = agent.heading()?;
-            let action = agent.action()?;
+            let action = agent.action(actions)?;
             let view = relative_view(agent.at, heading, view, world.map());
-            let derived = (replay.derived(position).iter()).fold(0, |bits, action| bits | 1 << action as u32);
+            let derived = replay.derived(position).bits();
             self.columns
                 .push(position, self.places.get(position), agent, self.count);
             self.columns
@@ -327,6 +331,11 @@ impl Page {
         self.taken[tick][agent].1
     }
 
+    /// Returns the name of the action of an agent in a tick, given the position of the tick.
+    pub(super) fn action_name(&self, tick: usize, agent: usize) -> &str {
+        &self.header.actions[self.action(tick, agent).index()]
+    }
+
     fn check_clauses(&self, clauses: &[usize]) -> Result<(), Diagnostic> {
         let Some(clause) = clauses.iter().find(|clause| **clause >= self.header.counted) else {
             return Ok(());
@@ -340,7 +349,7 @@ impl Page {
         let session = replay.session();
         let printer = ExplanationPrinter::new(session.program().rules(), session.symbols(), sources);
         let mut explainer = Explainer::new(session);
-        let mut changes = Vec::with_capacity(4 * self.header.agents.len());
+        let mut changes = Vec::with_capacity(self.why.iter().map(Vec::len).sum());
         for position in 0..self.header.agents.len() {
             let nodes = (self.header).explain(replay, (&mut explainer, &printer), position)?;
             changes.extend(
@@ -378,19 +387,25 @@ impl Page {
 
     /// Plans the routes of agents with a new goal. A trace records only goals, but start and goal determine a route. An
     /// agent that reaches its goal starts the next route in the same tick; the next tick is the first to show the new
-    /// goal.
+    /// goal. The trace has the routes that actions changed.
     fn follow_routes(&mut self, replay: &Replay, tick: &TraceTick) {
         let router = &replay.world().router;
         for (position, agent) in tick.agents.iter().enumerate() {
             let now = self.count;
-            let (since, start) = match self.places.get(position).copied() {
-                Some((_, goal)) if goal == agent.goal => continue,
-                Some((at, goal)) if at == goal => (now - 1, at),
-                _ => (now, agent.at),
+            let routes = &mut self.routes[position];
+            let planned = match self.places.get(position).copied() {
+                Some((_, goal)) if goal == agent.goal => None,
+                Some((at, goal)) if at == goal => {
+                    let is_known = routes.last().is_some_and(|(since, _)| since + 1 == now);
+                    (!is_known).then_some((now - 1, at))
+                }
+                _ => agent.route.is_none().then_some((now, agent.at)),
             };
-            let route = router.plan(replay.kinds()[position], cell(start), cell(agent.goal));
-            let corners = route.map_or_else(|_| Vec::new(), |route| corners(route.cells()));
-            self.routes[position].push((since, corners));
+            if let Some((since, start)) = planned {
+                let route = router.plan(replay.kinds()[position], cell(start), cell(agent.goal));
+                routes.push((since, route.map_or_else(|_| Vec::new(), |route| route.corners())));
+            }
+            routes.extend(agent.route.iter().map(|corners| (now, corners.clone())));
         }
     }
 
@@ -434,8 +449,9 @@ fn positions(replay: &Replay, names: &[String]) -> Result<Vec<usize>, Diagnostic
 }
 
 impl Columns {
-    fn new(agents: usize) -> Columns {
+    fn new(agents: usize, derived_digits: usize) -> Columns {
         Columns {
+            derived_digits,
             at: vec![Vec::new(); agents],
             heading: vec![String::new(); agents],
             action: vec![String::new(); agents],
@@ -460,14 +476,15 @@ impl Columns {
     fn note(
         &mut self,
         agent: usize,
-        (heading, action, derived): (Option<Heading>, Action, u32),
+        (heading, action, derived): (Option<Heading>, Action, u16),
         view: [i32; 4],
         fired: &[usize],
     ) {
-        let digit = |number: u32| char::from_digit(number, 16).expect("four bits");
-        self.heading[agent].push(digit(heading.map_or(4, |heading| heading as u32)));
-        self.action[agent].push(digit(action as u32));
-        self.derived[agent].push(digit(derived));
+        let digit = |number: usize| char::from_digit(number as u32, 16).expect("four bits");
+        self.heading[agent].push(digit(heading.map_or(4, |heading| heading as usize)));
+        self.action[agent].push(digit(action.index()));
+        let width = self.derived_digits;
+        let _ = write!(self.derived[agent], "{derived:0width$x}");
         self.view[agent].push(position_in(&mut self.views, view));
         self.fired[agent].push(position_in(&mut self.fired_sets, fired.to_vec()));
     }
@@ -512,19 +529,4 @@ pub fn relative_view(at: [i32; 2], heading: Option<Heading>, view: u32, map: &Ci
 
 fn cell([row, col]: [i32; 2]) -> Cell {
     Cell { row, col }
-}
-
-/// Returns the first and last of these cells of a route, and the cells between them where it turns.
-pub fn corners(cells: impl Iterator<Item = Cell>) -> Vec<[i32; 2]> {
-    let mut corners: Vec<[i32; 2]> = Vec::new();
-    for cell in cells {
-        let now = [cell.row, cell.col];
-        if let [.., a, b] = corners[..]
-            && (a[0] == b[0] && b[0] == now[0] || a[1] == b[1] && b[1] == now[1])
-        {
-            corners.pop();
-        }
-        corners.push(now);
-    }
-    corners
 }

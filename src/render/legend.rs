@@ -30,11 +30,19 @@ pub(super) const MUTED: Rgb = [0x74, 0x7a, 0x85];
 
 /// Returns the color of an action.
 pub(super) const fn action_color(action: Action) -> Rgb {
+    /// The colors of actions that a configuration defines, by turns.
+    const OWN: [Rgb; 4] = [
+        [0xb0, 0x4f, 0xe0],
+        [0x14, 0xb8, 0xb8],
+        [0xf0, 0x5f, 0xb4],
+        [0x8a, 0x6a, 0x4f],
+    ];
     match action {
         Action::Stop => [0xe5, 0x23, 0x2b],
         Action::Slow => [0xff, 0xb4, 0x1f],
         Action::Normal => [0x2f, 0xb8, 0x4f],
         Action::Fast => [0x2f, 0x7f, 0xff],
+        _ => OWN[action.index() % OWN.len()],
     }
 }
 
@@ -272,9 +280,16 @@ pub(super) fn draw_status(
     let tick = format!("Tick {tick}");
     picture.text(&tick, (left, middle), &FONT_9X15_BOLD, TEXT, Alignment::Left);
     let mut line = format!("{} agents", agents.len());
-    if slow + normal + fast + stop > 0 {
+    let own = agents
+        .iter()
+        .filter(|sprite| sprite.action.is_some_and(|action| !action.is_standard()))
+        .count();
+    if slow + normal + fast + stop + own > 0 {
         let moving = slow + normal + fast;
         line += &format!("   {stop} stop   {moving} move: {slow} slow, {normal} normal, {fast} fast");
+    }
+    if own > 0 {
+        line += &format!("   {own} other actions");
     }
     if off_map > 0 {
         line += &format!("   {off_map} off the map");

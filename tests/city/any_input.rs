@@ -3,6 +3,7 @@
 
 use logicity::builtin::BuiltinFiles;
 use logicity::cancel::Cancel;
+use logicity::city::ActionTable;
 use logicity::config::{load_map, load_scenario};
 use logicity::datalog::Program;
 use logicity::diag::{self, Diagnostic, SourceId, Sources, render, to_json};
@@ -28,7 +29,8 @@ pub fn conflicts(bytes: &[u8]) {
     let (Some(program), _) = Program::load(&mut sources, entry, &builtin) else {
         return;
     };
-    for overlap in find_conflicts(program.rules()).expect("the two sides differ in one clause") {
+    for overlap in find_conflicts(program.rules(), &ActionTable::default()).expect("the two sides differ in one clause")
+    {
         if let Finding::Together { scene, .. } = overlap.finding {
             assert!(scene_json(&scene).is_object());
         }

@@ -43,7 +43,7 @@ fn agents_keep_moving_under_few_clauses() {
                         done.waited < stuck(city),
                         "agent {agent} of {city} waits in tick {tick} of seed {seed}"
                     );
-                    decided[done.action as usize] += 1;
+                    decided[done.action.index()] += 1;
                 }
             }
             assert!(decided[1] > decided[3], "{city}: {decided:?}");

@@ -3,7 +3,7 @@
 use crate::cases::cases;
 use crate::shipped_world::{MODES, world};
 use crate::written_program::program;
-use logicity::city::{Action, Split};
+use logicity::city::{Action, ActionTable, Split};
 use logicity::datalog::diff::{Cut, Difference, Equivalence, Options, diff};
 use logicity::datalog::{BaseType, Column, PredicateId, Value};
 use logicity::datalog::{Program, constraints};
@@ -18,7 +18,7 @@ use proptest::prelude::*;
 /// The finding for a pair of actions.
 fn finding(text: &str, pair: [Action; 2]) -> Finding {
     let program = program(text);
-    let found = conflicts(program.rules()).unwrap();
+    let found = conflicts(program.rules(), &ActionTable::default()).unwrap();
     for overlap in &found {
         if let Finding::Together { scene, .. } = &overlap.finding {
             assert!(holds(&program, scene, overlap.actions), "{scene:?}");
@@ -71,7 +71,7 @@ fn scene(text: &str, pair: [Action; 2]) -> String {
 fn the_modes_of_the_paper() {
     for file in MODES.iter().filter(|mode| **mode != "vap-hard") {
         let text = format!(".include \"{file}.dl\"");
-        let found = conflicts(program(&text).rules()).unwrap();
+        let found = conflicts(program(&text).rules(), &ActionTable::default()).unwrap();
         assert!(!found.is_empty());
         assert!(
             found
@@ -81,7 +81,7 @@ fn the_modes_of_the_paper() {
         );
     }
     let hard = program(".include \"vap-hard.dl\"");
-    for overlap in conflicts(hard.rules()).unwrap() {
+    for overlap in conflicts(hard.rules(), &ActionTable::default()).unwrap() {
         let together = matches!(overlap.finding, Finding::Together { .. });
         assert_eq!(together, overlap.actions == [Action::Slow, Action::Fast], "{overlap:?}");
     }
@@ -396,7 +396,7 @@ proptest! {
         let text = written(&genes, count == 0);
         let config = if published { "vap-hard" } else { "expert" };
         let precedence = world(config, None, |_| ()).scenario.actions.priority.clone();
-        for overlap in conflicts(program(&text).rules()).unwrap() {
+        for overlap in conflicts(program(&text).rules(), &ActionTable::default()).unwrap() {
             let Finding::Together { scene, .. } = &overlap.finding else { continue };
             let answer = inferred(config, &text, scene);
             prop_assert!(overlap.actions.iter().all(|&action| answer.derived.contains(action)), "{text}{answer:?}");
@@ -422,7 +422,7 @@ proptest! {
                 let of_ego = |action: &Action| {
                     derived.contains(&(action.name().to_owned(), vec![scene.entities[0].clone()]))
                 };
-                let mut expected: Actions = Action::ALL.into_iter().filter(of_ego).collect();
+                let mut expected: Actions = Action::STANDARD.into_iter().filter(of_ego).collect();
                 if expected == [Action::Normal].into_iter().collect() {
                     expected = Actions::default();
                 }
@@ -453,7 +453,7 @@ fn the_order_of_actions_decides_conflicts() {
         actions,
         finding: Finding::Excluded { given: Vec::new() },
     };
-    let published = Action::ALL;
+    let published = Action::STANDARD;
     for (pair, safest, first) in [
         ([Action::Slow, Action::Stop], Action::Stop, Action::Slow),
         ([Action::Fast, Action::Stop], Action::Stop, Action::Fast),

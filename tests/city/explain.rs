@@ -28,7 +28,7 @@ fn slow_every_decision_of_an_expert_run_is_explained() {
         let mut explainer = Explainer::new(session);
         for (position, agent) in report.agents.iter().enumerate() {
             let mut held = Vec::new();
-            for action in Action::ALL {
+            for action in Action::STANDARD {
                 let predicate = snapshot.world().vocabulary.action(action).unwrap();
                 let row = [snapshot.value(position)];
                 let explanation = match explainer.explain(predicate, &row).unwrap() {

@@ -1,5 +1,6 @@
 //! Tests of the city: configurations, maps, moves, decisions and Safe Path Following.
 
+mod actions;
 mod agreement;
 mod any_input;
 mod ask;

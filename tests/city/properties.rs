@@ -4,7 +4,9 @@
 use crate::cases::cases;
 use logicity::builtin::BuiltinFiles;
 use logicity::city::codes;
-use logicity::city::{Action, AgentGroup, AgentKind, AgentSet, Building, Buildings, MapConfig, Routing, Split};
+use logicity::city::{
+    Action, ActionTable, AgentGroup, AgentKind, AgentSet, Building, Buildings, MapConfig, Routing, Split,
+};
 use logicity::city::{
     Agent, Cell, CityMap, Ground, Heading, Junction, Lane, Layout, MoveReason, NoRoute, Places, Route, Router,
     Surroundings, advance, place_agents, possible_cells,
@@ -625,7 +627,7 @@ proptest! {
         ends in trip_ends(),
         seed in any::<u64>(),
         trip in proptest::option::of(20..200_u32),
-        decisions in proptest::collection::vec(proptest::sample::select(&Action::ALL[..]), 60..90),
+        decisions in proptest::collection::vec(proptest::sample::select(&Action::STANDARD[..]), 60..90),
     ) {
         let router = Router::new(map.clone(), Routing::Weighted);
         let places = Places::new(&router, ends, None, trip);
@@ -643,7 +645,8 @@ proptest! {
         let run = |mut agents: Vec<Agent>| -> Result<Vec<Cell>, TestCaseError> {
             let mut cells = Vec::new();
             for (tick, &decided) in (0..).zip(&decisions) {
-                let surroundings = Surroundings { router: &router, places: &places, seed: Seed(seed), tick };
+                let actions = &ActionTable::default();
+                let surroundings = Surroundings { router: &router, places: &places, actions, seed: Seed(seed), tick };
                 for (index, agent) in agents.iter_mut().enumerate() {
                     let (before, heading, position) = (agent.cell, agent.heading, agent.position());
                     let most = possible_cells(agent);
@@ -751,6 +754,7 @@ fn slow_agents_of_a_metropolis_are_small_and_keep_to_their_trips() {
         let surroundings = Surroundings {
             router: &router,
             places: &places,
+            actions: &ActionTable::default(),
             seed: Seed(1),
             tick,
         };

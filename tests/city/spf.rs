@@ -123,7 +123,7 @@ impl Plain {
             other => panic!("{other:?}"),
         };
         let row: Vec<usize> = atom.terms.iter().map(term).collect();
-        let holds = match Action::ALL.iter().any(|action| action.name() == name) {
+        let holds = match Action::STANDARD.iter().any(|action| action.name() == name) {
             true => row[0] == self.entities[0] && given.contains(name.as_str()),
             false => self.facts.contains(&(name.clone(), row)),
         };
@@ -144,7 +144,7 @@ impl Plain {
                     .filter(fires)
                     .map(|clause| &rules.predicates[head(clause)].name);
                 let actions = |name| {
-                    Action::ALL
+                    Action::STANDARD
                         .iter()
                         .map(|action| action.name())
                         .find(|action| action == name)
@@ -248,7 +248,7 @@ fn observers_agree_with_the_definitions() {
                     assert_eq!(derived, slow.derived(&city).unwrap());
                     assert_eq!(derived, twice.derived(&city).unwrap());
                     dense.write(&mut observation);
-                    let action = world.vocabulary.decide(derived);
+                    let action = world.vocabulary.decide(Some(AgentKind::Car), derived);
                     for decider in &mut deciders {
                         assert_eq!(decider.action(&observation, &Cancel::never()).unwrap(), action);
                     }
@@ -257,14 +257,14 @@ fn observers_agree_with_the_definitions() {
                         plain.derived(rules),
                         "{mode} {seed} {ego}"
                     );
-                    for action in Action::ALL {
+                    for action in Action::STANDARD {
                         let broken = dense.violations(&city, action).unwrap().to_vec();
                         let expected = plain.violations(&plain_task, action);
                         assert_eq!(broken, expected, "{mode} seed {seed} ego {ego} {action:?}");
                         // Clauses of the included file come first.
                         assert_eq!(broken, slow.violations(&city, action).unwrap());
                         assert_eq!(broken, twice.violations(&city, action).unwrap());
-                        seen[action as usize] += broken.len();
+                        seen[action.index()] += broken.len();
                     }
                 }
                 city.tick(&[]).unwrap();
@@ -351,7 +351,7 @@ fn slow_violations_of_random_clauses_agree_with_the_definitions() {
             let body = rules.clauses[clause.index()].body.iter();
             let name = |literal: &Literal| Some(rules.predicates[literal.atom()?.predicate.index()].name.clone());
             body.filter_map(name)
-                .filter(|name| Action::ALL.iter().any(|action| action.name() == name))
+                .filter(|name| Action::STANDARD.iter().any(|action| action.name() == name))
                 .count()
         };
         for city in &cities {
@@ -378,7 +378,7 @@ fn slow_violations_of_random_clauses_agree_with_the_definitions() {
                     "case {case} ego {ego}\n{text}"
                 );
                 several += usize::from(named.len() > 1);
-                for action in Action::ALL {
+                for action in Action::STANDARD {
                     let broken = once_of.violations(city, action).unwrap();
                     assert_eq!(
                         broken,
@@ -395,7 +395,7 @@ fn slow_violations_of_random_clauses_agree_with_the_definitions() {
                         relational_of.violations(city, action).unwrap(),
                         "case {case} {ego} {action:?}\n{text}"
                     );
-                    broke[action as usize] += broken.len();
+                    broke[action.index()] += broken.len();
                     let constraints = broken
                         .iter()
                         .map(|&constraint| once.oracle().constraints()[constraint].clause);
@@ -456,7 +456,7 @@ fn exact_observations_agree_with_the_definitions() {
                     met[3] += plain.iter().filter(|row| row[3..7] == [0.0; 4]).count();
                 }
                 let actions: Vec<Action> = (env.controlled_cars().iter())
-                    .map(|_| Action::ALL[random.random_range(0..4)])
+                    .map(|_| Action::STANDARD[random.random_range(0..4)])
                     .collect();
                 env.step(&actions).unwrap();
             }
@@ -533,9 +533,9 @@ fn slow_recorded_episodes() {
                     .iter()
                     .any(|constraint| constraint.action == action)
             };
-            for action in Action::ALL.into_iter().filter(|action| of(*action)) {
+            for action in Action::STANDARD.into_iter().filter(|action| of(*action)) {
                 assert!(
-                    asked[action as usize] >= 6,
+                    asked[action.index()] >= 6,
                     "{mode} {}: {action:?} occurs in {asked:?}",
                     split.name()
                 );
@@ -721,7 +721,7 @@ fn every_car_can_be_driven() {
             assert!(alone.entities().eq(controlled_car.observer().entities()));
             let derived = alone.derived(env.city()).unwrap();
             assert_eq!(derived, controlled_car.derived());
-            let wanted = task.world().vocabulary.decide(derived);
+            let wanted = task.world().vocabulary.decide(Some(AgentKind::Car), derived);
             assert_eq!(env.oracle_action(position), wanted);
             assert!(describe(&env, position).ends_with(&format!("the rules want {}\n", wanted.name())));
             let mut shown = vec![0.5; task.observation_width()];
@@ -958,7 +958,7 @@ fn shaped_episode(env: &mut Env, seed: u64) -> ShapedEpisode {
     while env.controlled_cars()[0].is_running() {
         let wanted = env.oracle_action(0);
         let action = match random.random_range(0..10) {
-            0 if seed.is_multiple_of(2) => Action::ALL[random.random_range(0..4)],
+            0 if seed.is_multiple_of(2) => Action::STANDARD[random.random_range(0..4)],
             _ => wanted,
         };
         let before = env.progress(0);

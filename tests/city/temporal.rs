@@ -4,7 +4,7 @@ use crate::agreement::{Counts, answer, multiply, observers_derive_as_sessions_do
 use crate::shipped_world::configured;
 use logicity::builtin::BuiltinFiles;
 use logicity::cancel::Cancel;
-use logicity::city::{Action, Split};
+use logicity::city::{Action, ActionTable, Split};
 use logicity::config::Scenario;
 use logicity::datalog::explain::ExplanationPrinter;
 use logicity::datalog::{BaseType, Value, diff, naive};
@@ -126,7 +126,7 @@ fn cities_agree_with_the_whole_history() {
                     let predicate = world.vocabulary.action(*action);
                     predicate.is_some_and(|predicate| model[predicate.index()].contains(&vec![names[agent]]))
                 };
-                let expected = Action::ALL.into_iter().filter(holds).collect();
+                let expected = Action::STANDARD.into_iter().filter(holds).collect();
                 let expected = world.vocabulary.before_default(expected);
                 assert_eq!(*found, expected, "agent {agent} in tick {tick} under\n{rules}");
                 derived += found.len();
@@ -303,7 +303,7 @@ fn single_ticks_refuse_rules_that_look_back() {
             .starts_with("simulations that begin in a later tick have no earlier ticks")
     );
     // Conflicts concern every possible past.
-    let overlaps = conflicts(rules).unwrap();
+    let overlaps = conflicts(rules, &ActionTable::default()).unwrap();
     assert!(
         overlaps
             .iter()

@@ -220,7 +220,9 @@ fn demanding_episodes_do_not_depend_on_threads() {
             .unwrap();
         let mut results = Vec::new();
         for step in 0..80_usize {
-            let actions: Vec<Action> = (0..count as usize).map(|at| Action::ALL[(at + step / 9) % 4]).collect();
+            let actions: Vec<Action> = (0..count as usize)
+                .map(|at| Action::STANDARD[(at + step / 9) % 4])
+                .collect();
             vector.step(&actions, &mut rows).unwrap();
             let first = &vector.sub_envs()[..20];
             let infos: Vec<_> = first
@@ -418,17 +420,17 @@ fn allowed_actions_violate_no_clause() {
                 // Repeat the episode up to here, and try every action.
                 if tried < 150 && (random.random_range(0..16) == 0 || allowed.len() < 4) {
                     tried += 1;
-                    for action in Action::ALL {
+                    for action in Action::STANDARD {
                         plain.reset(seed).unwrap();
                         env.taken().for_each(|taken| plain.step(taken).unwrap());
                         assert_eq!(plain.controlled_cars()[0].allowed(), None);
                         plain.step(&[action]).unwrap();
                         let broken = !plain.controlled_cars()[0].last().broken.is_empty();
                         assert_eq!(allowed.contains(action), !broken, "{mode} seed {seed} {action:?}");
-                        refused[action as usize] += usize::from(broken);
+                        refused[action.index()] += usize::from(broken);
                     }
                 }
-                let action = Action::ALL[random.random_range(0..4)];
+                let action = Action::STANDARD[random.random_range(0..4)];
                 let action = if allowed.contains(action) {
                     action
                 } else {

@@ -62,7 +62,9 @@ fn compare(config: &str, split: Split, view: ObservationKind, autoreset: Autores
             batch.reset(&begin, &mut shown).unwrap();
             alone.iter_mut().filter(|one| one.over).for_each(|one| one.begin(view));
         }
-        let actions: Vec<Action> = (0..COUNT).map(|_| Action::ALL[random.random_range(0..4)]).collect();
+        let actions: Vec<Action> = (0..COUNT)
+            .map(|_| Action::STANDARD[random.random_range(0..4)])
+            .collect();
         batch.step(&actions, &mut shown).unwrap();
         for (sub_env, one) in alone.iter_mut().enumerate() {
             let together = &batch.sub_envs()[sub_env];
@@ -157,7 +159,11 @@ fn a_replayed_batch_continues_identically() {
         begin[COUNT - 1] = None;
         first.reset(&begin, &mut shown).unwrap();
         let mut random = Seed(5).stream(Purpose::POLICY, 0, 0);
-        let mut actions = || -> Vec<Action> { (0..COUNT).map(|_| Action::ALL[random.random_range(0..4)]).collect() };
+        let mut actions = || -> Vec<Action> {
+            (0..COUNT)
+                .map(|_| Action::STANDARD[random.random_range(0..4)])
+                .collect()
+        };
         let proceed = |batch: &mut VectorEnv, actions: &[Action], shown: &mut [f32]| {
             let ready = |sub_env: &SubEnv| sub_env.is_ready(autoreset);
             let begin: Vec<_> = batch
@@ -309,7 +315,9 @@ fn a_batch_judges_as_fresh_observers() {
     let (mut unchanged, mut violated) = (0, 0);
     for _ in 0..200 {
         let before = shown.clone();
-        let actions: Vec<Action> = (0..COUNT).map(|_| Action::ALL[random.random_range(0..4)]).collect();
+        let actions: Vec<Action> = (0..COUNT)
+            .map(|_| Action::STANDARD[random.random_range(0..4)])
+            .collect();
         let judged = batch.sub_envs().iter().zip(&actions).map(|(sub_env, &action)| {
             let env = sub_env.env();
             let car = &env.controlled_cars()[0];

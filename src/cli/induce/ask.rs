@@ -456,7 +456,7 @@ fn read_action(line: &[u8]) -> Result<Action, OracleError> {
     let value: Value = serde_json::from_slice(line).map_err(|error| invalid(is_not, line, Some(json_error(&error))))?;
     let name = value.get("action").and_then(Value::as_str);
     let named = |name: &str| {
-        Action::ALL
+        Action::STANDARD
             .into_iter()
             .find(|action| action.name().eq_ignore_ascii_case(name))
     };
@@ -466,7 +466,7 @@ fn read_action(line: &[u8]) -> Result<Action, OracleError> {
 fn invalid(what: &str, line: &[u8], cause: Option<String>) -> OracleError {
     let text = String::from_utf8_lossy(line);
     let shown: String = text.trim_end().chars().take(SHOWN_MAX).collect();
-    let names: Vec<&str> = Action::ALL.iter().map(|action| action.name()).collect();
+    let names: Vec<&str> = Action::STANDARD.iter().map(|action| action.name()).collect();
     let help = format!(
         "expected a line such as {{\"action\": \"Stop\"}}, with one of {}",
         names.join(", ")

@@ -92,6 +92,7 @@ pub fn collect(
 ) -> Result<(InductionTask, Collected, Option<Collected>), Failure> {
     let (scenario, program) = (city.scenario.clone(), city.program.clone());
     let world = Arc::new(city.world()?);
+    world.vocabulary.only_standard_actions("learned rules")?;
     let task = InductionTask::new(Arc::clone(&world), &arguments.order);
     let mut files = FileCollector {
         task: &task,
@@ -308,7 +309,9 @@ impl FileCollector<'_> {
             replay.set(&tick).map_err(|fault| trace.placed(fault))?;
             for (agent, state) in tick.agents.iter().enumerate() {
                 let place = format!("{name}, {} in tick {}", replay.agents()[agent].id, tick.tick);
-                let action = state.action().and_then(|action| self.task.action(action));
+                let action = state
+                    .action(self.task.world().vocabulary.actions())
+                    .and_then(|action| self.task.action(action));
                 let action = action.map_err(|fault| trace.placed(fault))?;
                 let state = translator
                     .state(replay.facts(), agent)

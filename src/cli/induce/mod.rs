@@ -67,7 +67,7 @@ pub struct Arguments {
     page: Option<PathBuf>,
     /// Actions in the order in which the learned rules try them, separated by commas. The default action of the
     /// configuration comes last [default: Stop,Slow,Fast]
-    #[arg(long, value_name = "ACTIONS", value_delimiter = ',', value_parser = one_of(&Action::ALL, Action::name))]
+    #[arg(long, value_name = "ACTIONS", value_delimiter = ',', value_parser = one_of(&Action::STANDARD, Action::name))]
     order: Vec<Action>,
     /// Maximum number of variables of a clause [default: 3; with `--popper`, `max_vars` of the bias, which also bounds
     /// it]

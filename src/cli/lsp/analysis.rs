@@ -2,10 +2,10 @@
 // Decision: docs/decisions/tools.md#d031
 
 use crate::builtin;
-use crate::city::Action;
 use crate::cli::load::inputs_of;
 use crate::cli::lsp::city::City;
 use crate::cli::lsp::place::{Encoding, Text};
+use crate::config::ActionsConfig;
 use crate::datalog;
 use crate::datalog::ast;
 use crate::datalog::ast::{Item, Literal, Name, Term, TermKind, TypeDefinition};
@@ -83,9 +83,8 @@ pub struct Analysis {
     pub diagnostics: Vec<Diagnostic>,
     /// Lints: literals and clauses that are always true or redundant.
     pub hints: Vec<Diagnostic>,
-    /// The rules with the constraints of the city, and the order in which derived actions take precedence; `None` for
-    /// faulty rules.
-    pub deciding: Option<(Rules, Vec<Action>)>,
+    /// The rules with the constraints of the city, and the actions; `None` for faulty rules.
+    pub deciding: Option<(Rules, ActionsConfig)>,
     pub files: Vec<(SourceId, ast::File)>,
     /// All names, in the order of the documents.
     pub occurrences: Vec<Occurrence>,
@@ -120,14 +119,14 @@ impl Analysis {
             hints = examined.hints;
             match Program::new(rules) {
                 Ok(planned) => {
-                    let mut precedence = Action::SAFEST_FIRST.to_vec();
+                    let mut actions = ActionsConfig::default();
                     if let Some(theory) = theory {
                         let mut scenario = theory.scenario.clone();
                         scenario.rules.span = Span::new(entry, 0..0);
-                        precedence.clone_from(&scenario.actions.priority);
+                        actions.clone_from(&scenario.actions);
                         diagnostics.extend(Vocabulary::bind(&scenario, &planned).err().into_iter().flatten());
                     }
-                    deciding = Some((examined.in_city, precedence));
+                    deciding = Some((examined.in_city, actions));
                 }
                 Err(fault) => diagnostics.push(fault),
             }

@@ -19,9 +19,9 @@ mod transport;
 mod words;
 
 use crate::builtin::BuiltinFiles;
-use crate::city::Action;
 use crate::cli::failure::Failure;
 use crate::cli::limits::MemoryOption;
+use crate::config::ActionsConfig;
 use crate::datalog;
 use crate::datalog::Rules;
 use crate::diag::{Diagnostic, Fix, Label, Severity, SourceId, Sources, Span};
@@ -447,11 +447,11 @@ impl Server {
                     searched.push(document.path.clone());
                 }
                 Some(deciding) if self.search.is_none() => {
-                    let (rules, precedence) = deciding.clone();
+                    let (rules, actions) = deciding.clone();
                     self.search = Some(ConflictSearch {
                         path: document.path.clone(),
                         round: document.round,
-                        thread: thread::spawn(move || search_conflicts(&rules, &precedence)),
+                        thread: thread::spawn(move || search_conflicts(&rules, &actions)),
                     });
                 }
                 Some(_) => {}
@@ -724,9 +724,9 @@ fn shown_at(analysis: &Analysis, fault: &Diagnostic) -> Range<usize> {
 }
 
 /// Searches for pairs of actions that the rules can derive together.
-fn search_conflicts(rules: &Rules, precedence: &[Action]) -> Vec<Diagnostic> {
-    match conflicts(rules) {
-        Ok(overlaps) => conflict_lints(&overlaps, rules, precedence),
+fn search_conflicts(rules: &Rules, actions: &ActionsConfig) -> Vec<Diagnostic> {
+    match conflicts(rules, &actions.table) {
+        Ok(overlaps) => conflict_lints(&overlaps, rules, actions),
         Err(faults) => faults,
     }
 }

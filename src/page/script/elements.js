@@ -3,6 +3,12 @@
 // Helpers that all parts of the page share.
 
 const COLORS = { Slow: "#a06a00", Normal: "#0b7f5b", Fast: "#2f6fb0", Stop: "#c8401a" };
+/** The colors of actions that a configuration defines, by turns. */
+const OWN_COLORS = ["#8a3fc0", "#0b8a8a", "#c04f94", "#6f553f"];
+/** Gives a color to each action that has none. */
+function colorActions(actions) {
+  actions.forEach((action, index) => (COLORS[action] ??= OWN_COLORS[index % OWN_COLORS.length]));
+}
 /** Marks where two runs differ. */
 const DIFFERENT = "#c2188f";
 const $ = (id) => document.getElementById(id);

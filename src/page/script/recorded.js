@@ -84,7 +84,7 @@ class RecordedRun extends Run {
 
   /** Returns the position of the action that an agent takes. */
   act(tick, agent) {
-    return Number(this.data.action[agent][tick]);
+    return parseInt(this.data.action[agent][tick], 16);
   }
 
   /** Returns the heading of an agent; `undefined` before its first move. */
@@ -94,7 +94,8 @@ class RecordedRun extends Run {
 
   /** Returns the actions that were derived before the default, as a bit set. */
   bits(tick, agent) {
-    return parseInt(this.data.derived[agent][tick], 16);
+    const width = Math.ceil(this.data.actions.length / 4);
+    return parseInt(this.data.derived[agent].slice(width * tick, width * (tick + 1)), 16);
   }
 
   /** Returns the clauses that fired for an agent. */

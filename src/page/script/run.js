@@ -6,6 +6,7 @@
 class Run {
   constructor(data) {
     this.data = data;
+    colorActions(data.actions);
     this.agents = data.agents.length;
     this.names = new Map(data.agents.map((agent, index) => [agent.id, index]));
     /** The steps of driven agents, by tick. */

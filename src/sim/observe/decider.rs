@@ -1,7 +1,7 @@
 //! Decides on observations without a city.
 
 use crate::cancel::Cancel;
-use crate::city::Action;
+use crate::city::{Action, AgentKind};
 use crate::datalog::dense::holding;
 use crate::diag::Diagnostic;
 use crate::sim::observe::observer::Oracle;
@@ -75,7 +75,7 @@ impl Decider {
             cancel,
         };
         let derived = self.violations.derived(oracle.monitor(), vocabulary, observed)?;
-        Ok(vocabulary.decide(derived))
+        Ok(vocabulary.decide(Some(AgentKind::Car), derived))
     }
 }
 

@@ -114,7 +114,7 @@ enum Given {
 /// come last.
 fn with_actions_given(rules: &Rules, vocabulary: &Vocabulary) -> (Rules, [Option<PredicateId>; 4]) {
     let mut rules = rules.clone();
-    let given = Action::ALL.map(|action| {
+    let given = Action::STANDARD.map(|action| {
         let derived = vocabulary.action(action)?;
         let place = PredicateId(u32::try_from(rules.predicates.len()).expect("fewer than 2^32 predicates"));
         let predicate = datalog::Predicate {
@@ -581,7 +581,7 @@ impl Observed<'_> {
     fn unary(&self, predicate: usize) -> u64 {
         match predicate.checked_sub(self.atoms.layout.predicates) {
             None => self.atoms.unary(predicate),
-            Some(action) => u64::from(self.given.is_some_and(|given| given as usize == action)),
+            Some(action) => u64::from(self.given.is_some_and(|given| given.index() == action)),
         }
     }
 
@@ -701,7 +701,7 @@ impl State {
                             .is_some_and(|set| has(set, 0))
                     })
                 };
-                Action::ALL.into_iter().filter(holds).collect()
+                Action::STANDARD.into_iter().filter(holds).collect()
             }
             (State::Relational(Some(state)), _) => state.derived(vocabulary, ego),
             _ => unreachable!("it has been evaluated"),

@@ -6,7 +6,7 @@
 //! search, even for rules that `diff` cannot prove equivalent.
 // Decision: docs/decisions/analysis.md#d033
 
-use crate::city::Action;
+use crate::city::{Action, ActionTable};
 use crate::datalog::diff::{Difference, Equivalence, Options, diff, unsat_core};
 use crate::datalog::naive;
 use crate::datalog::{
@@ -77,22 +77,22 @@ pub enum Finding {
     NotFound(Equivalence),
 }
 
-/// Checks every pair of actions that both have clauses, in the order of [`Action::ALL`].
+/// Checks every pair of actions that both have clauses, in the order of the table.
 ///
 /// # Errors
 /// If [`diff`] rejects the rules.
-pub fn conflicts(rules: &Rules) -> Result<Vec<Overlap>, Vec<Diagnostic>> {
+pub fn conflicts(rules: &Rules, table: &ActionTable) -> Result<Vec<Overlap>, Vec<Diagnostic>> {
     // Every past is possible.
     let rules = &rules.of_one_tick();
     let action = |action: Action| {
-        let predicate = rules.predicate(action.name())?;
+        let predicate = rules.predicate(table.name(action))?;
         let columns = &rules.predicates[predicate.index()].columns;
         let symbol = columns.len() == 1 && columns[0].base == BaseType::Symbol;
         (symbol && clauses(rules, predicate).next().is_some()).then_some(predicate)
     };
     let mut found = Vec::new();
-    for (at, first) in Action::ALL.into_iter().enumerate() {
-        for second in Action::ALL.into_iter().skip(at + 1) {
+    for (at, first) in table.all().enumerate() {
+        for second in table.all().skip(at + 1) {
             if let (Some(one), Some(other)) = (action(first), action(second)) {
                 found.push(Overlap {
                     actions: [first, second],

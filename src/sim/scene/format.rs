@@ -482,11 +482,11 @@ impl<'a> Reader<'a> {
                 vec![fault.at(self.key_span(raw), "unknown name")]
             })?;
             let named: String = self.value(raw)?;
-            let action = Action::ALL
+            let action = Action::STANDARD
                 .into_iter()
                 .find(|action| action.name().eq_ignore_ascii_case(&named));
             let action = action.ok_or_else(|| {
-                let names: Vec<&str> = Action::ALL.iter().map(|action| action.name()).collect();
+                let names: Vec<&str> = Action::STANDARD.iter().map(|action| action.name()).collect();
                 vec![self.fault(
                     raw,
                     format!("`{named}` is not an action"),

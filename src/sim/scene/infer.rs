@@ -1,7 +1,7 @@
 //! Inference: the decisions of the rules in one scene.
 
 use crate::cancel::Cancel;
-use crate::city::{Action, CityMap, Heading};
+use crate::city::{Action, ActionTable, AgentKind, CityMap, Heading};
 use crate::config::{Scenario, load_map, load_scenario};
 use crate::datalog::dense::{BinaryFacts, BitFacts, BitState, Set, TooManySteps, TrackFirings, has};
 use crate::datalog::explain::Explainer;
@@ -62,6 +62,8 @@ pub type Explained = Result<Vec<serde_json::Value>, Vec<Diagnostic>>;
 pub struct SceneFacts {
     /// The names of the entities.
     pub names: Vec<String>,
+    /// Their kinds; empty if the scene does not say.
+    pub kinds: Vec<AgentKind>,
     /// The positions of the egos.
     pub egos: Vec<usize>,
     /// The base facts.
@@ -152,7 +154,16 @@ impl Answer<'_> {
     /// Returns the names of the egos with their actions, in the order of the scene.
     pub fn actions(&self) -> impl Iterator<Item = (&str, Action)> {
         let decided = self.scene.egos.iter().zip(&self.derived);
-        decided.map(|(&ego, &derived)| (self.scene.names[ego].as_str(), self.vocabulary.decide(derived)))
+        decided.map(|(&ego, &derived)| (self.scene.names[ego].as_str(), self.decide(ego, derived)))
+    }
+
+    fn decide(&self, ego: usize, derived: Actions) -> Action {
+        self.vocabulary.decide(self.scene.kinds.get(ego).copied(), derived)
+    }
+
+    /// Returns the actions of the configuration.
+    pub fn table(&self) -> &ActionTable {
+        self.vocabulary.actions()
     }
 
     /// Returns one answer per ego, in the order of the scene.
@@ -174,7 +185,7 @@ impl Answer<'_> {
                 id: name(&ego),
                 atoms: atoms.collect(),
                 sees: view.entities.iter().map(name).collect(),
-                action: self.vocabulary.decide(derived),
+                action: self.decide(ego, derived),
                 derived: self.vocabulary.before_default(derived),
             }
         })
@@ -205,8 +216,9 @@ impl Answer<'_> {
                 write_list(out, &rows, |out, row| row.write(out, &names))?;
             }
             let actions = self.vocabulary.before_default(derived);
-            let actions: Vec<&str> = actions.iter().map(Action::name).collect();
-            let action = self.vocabulary.decide(derived).name();
+            let table = self.table();
+            let actions: Vec<&str> = actions.iter().map(|action| table.name(action)).collect();
+            let action = table.name(self.decide(ego, derived));
             write!(out, "}},\"derived\":{},\"action\":{}}}", json!(actions), json!(action))?;
         }
         out.write_all(b"}")?;
@@ -492,6 +504,7 @@ impl Inference {
     fn geometric(&mut self, scene: GeometricScene, cancel: &Cancel) -> Result<SceneFacts, Vec<Diagnostic>> {
         let map = self.map(&scene).map_err(|fault| vec![fault])?;
         scene.check_cells(&map)?;
+        let kinds = scene.agents.iter().map(|agent| agent.kind).collect();
         let entities: Vec<Entity<'_>> = scene
             .agents
             .iter()
@@ -544,6 +557,7 @@ impl Inference {
         }
         Ok(SceneFacts {
             uncertain: uncertain(&self.vocabulary, &scene.given),
+            kinds,
             names: scene.agents.into_iter().map(|agent| agent.id).collect(),
             egos: scene.egos,
             facts,
@@ -601,6 +615,7 @@ impl Inference {
         }
         SceneFacts {
             uncertain: uncertain(&self.vocabulary, &scene.facts),
+            kinds: Vec::new(),
             names: scene.entities,
             egos: vec![scene.ego],
             facts,
@@ -861,7 +876,13 @@ impl Inference {
             let predicate = self.vocabulary.action(action);
             predicate.is_some_and(|predicate| bit_state.set(dense, predicate).is_some_and(|set| has(set, ego)))
         };
-        let derived = |&ego: &usize| Action::ALL.into_iter().filter(|&action| holds(action, ego)).collect();
+        let derived = |&ego: &usize| {
+            self.vocabulary
+                .actions()
+                .all()
+                .filter(|&action| holds(action, ego))
+                .collect()
+        };
         Ok(Ok(scene.egos.iter().map(derived).collect()))
     }
 }

@@ -1,6 +1,7 @@
 //! Warnings of rules that mean something else in the city than they seem to.
 
-use crate::city::{Action, AgentKind, AgentName, AgentSet};
+use crate::city::{Action, ActionTable, AgentKind, AgentName, AgentSet};
+use crate::config::ActionsConfig;
 use crate::datalog::optimize::{self, Lints};
 use crate::datalog::{
     self, Atom, Clause, ClauseId, Constraint, DeclaredConstraint, Literal, Predicate, PredicateId, Rules, Term, TypeId,
@@ -84,10 +85,12 @@ pub fn examine(rules: &Rules, city: Option<&CityTheory>, sources: &Sources) -> E
     diagnostics.extend(scenario.into_iter().flat_map(|scenario| {
         let mut found = agent_lints(rules, scenario.splits.iter().map(|(_, set)| set));
         found.extend(empty_predicates(rules, scenario, &empty));
-        found.extend(unused_outputs(rules));
+        found.extend(unused_outputs(rules, &scenario.actions.table));
         found
     }));
-    let actions = decided_actions(rules);
+    let standard = ActionTable::default();
+    let table = scenario.map_or(&standard, |scenario| &scenario.actions.table);
+    let actions = decided_actions(rules, table);
     if !actions.is_empty() {
         let collisions: Vec<&str> = match scenario {
             Some(scenario) => (scenario.predicates.iter())
@@ -109,13 +112,13 @@ pub fn examine(rules: &Rules, city: Option<&CityTheory>, sources: &Sources) -> E
 }
 
 /// Warns of outputs that are no action and that no clause reads: a city does not write them.
-fn unused_outputs(rules: &Rules) -> Vec<Diagnostic> {
+fn unused_outputs(rules: &Rules, table: &ActionTable) -> Vec<Diagnostic> {
     let atoms = rules
         .clauses
         .iter()
         .flat_map(|clause| clause.body.iter().filter_map(Literal::atom));
     let read: BTreeSet<PredicateId> = atoms.map(|atom| atom.predicate).collect();
-    let actions = || Action::ALL.iter().map(|action| action.name());
+    let actions = || table.names();
     let predicates = rules.predicates.iter().zip((0..).map(PredicateId));
     let unused = predicates.filter(|(predicate, id)| {
         predicate.output && !predicate.hidden && !read.contains(id) && actions().all(|action| action != predicate.name)
@@ -127,7 +130,16 @@ fn unused_outputs(rules: &Rules) -> Vec<Diagnostic> {
         match did_you_mean(name, actions()) {
             Some(near) => fault.help(format!("did you mean `{near}`?")),
             None => {
-                fault.help("the actions are `Slow`, `Normal`, `Fast` and `Stop`; `logicity query` prints other outputs")
+                let names: Vec<String> = actions().map(|action| format!("`{action}`")).collect();
+                let (last, first) = names.split_last().expect("the standard actions");
+                let message = format!(
+                    "the actions are {} and {last}; `logicity query` prints other outputs",
+                    first.join(", ")
+                );
+                fault.help(message).help(format!(
+                    "if agents take `{name}`, define it: `actions: {{define: {{{name}: {{cells: {{Car: 1}}}}}}}}` in the \
+                     configuration"
+                ))
             }
         }
     };
@@ -136,7 +148,9 @@ fn unused_outputs(rules: &Rules) -> Vec<Diagnostic> {
 
 /// Returns one warning for each constant that stands for an agent, but names none of these agent sets.
 pub fn agent_lints<'s>(rules: &Rules, sets: impl Iterator<Item = &'s AgentSet>) -> Vec<Diagnostic> {
-    let action = Action::ALL.iter().find_map(|action| rules.predicate(action.name()));
+    let action = Action::STANDARD
+        .iter()
+        .find_map(|action| rules.predicate(action.name()));
     let Some([agent]) = action.map(|action| rules.predicates[action.index()].columns.as_slice()) else {
         return Vec::new();
     };
@@ -239,17 +253,17 @@ fn agent_constants<'r>(
     })
 }
 
-/// Returns one warning for each pair of actions that can be derived together. `precedence` decides which action wins.
-pub fn conflict_lints(overlaps: &[Overlap], rules: &Rules, precedence: &[Action]) -> Vec<Diagnostic> {
+/// Returns one warning for each pair of actions that can be derived together. The order of precedence decides which action wins.
+pub fn conflict_lints(overlaps: &[Overlap], rules: &Rules, actions: &ActionsConfig) -> Vec<Diagnostic> {
     let together = overlaps.iter().filter_map(|overlap| match &overlap.finding {
         Finding::Together { clauses, .. } => Some((overlap, clauses)),
         Finding::Excluded { .. } | Finding::NotFound(_) => None,
     });
     let lint = |(overlap, clauses): (&Overlap, &[ClauseId; 2])| {
         let spans = clauses.map(|clause| rules.clauses[clause.index()].span);
-        let (winner, loser) = (overlap.winner(precedence), overlap.loser(precedence));
+        let (winner, loser) = (overlap.winner(&actions.priority), overlap.loser(&actions.priority));
         let span_of = |action| spans[usize::from(action != overlap.actions[0])];
-        let [wins, loses] = [winner, loser].map(Action::name);
+        let [wins, loses] = [winner, loser].map(|action| actions.table.name(action));
         let message = format!("the rules can derive {wins} and {loses} for one agent, and {wins} wins");
         let help = match span_of(winner) == span_of(loser) {
             true => "derive each action in a separate clause".to_owned(),
@@ -265,9 +279,9 @@ pub fn conflict_lints(overlaps: &[Overlap], rules: &Rules, precedence: &[Action]
 }
 
 /// Returns the action predicates with a clause other than the default: one whose body is more than negated actions.
-fn decided_actions(rules: &Rules) -> Vec<PredicateId> {
-    let actions: Vec<PredicateId> = (Action::ALL.into_iter())
-        .filter_map(|action| rules.predicate(action.name()))
+fn decided_actions(rules: &Rules, table: &ActionTable) -> Vec<PredicateId> {
+    let actions: Vec<PredicateId> = (table.names())
+        .filter_map(|action| rules.predicate(action))
         .filter(|predicate| rules.predicates[predicate.index()].columns.len() == 1)
         .collect();
     let own_view = |atom: &Atom| matches!(atom.terms.as_slice(), [one, other] if one == other);

@@ -87,7 +87,9 @@ impl AskedFact {
             let fault = Diagnostic::new(codes::ARITY_MISMATCH, message).at(written.whole, "");
             return Err(vec![fault.also(declared.span, "declared here")]);
         }
-        let agent = Action::ALL.iter().find_map(|action| rules.predicate(action.name()));
+        let agent = Action::STANDARD
+            .iter()
+            .find_map(|action| rules.predicate(action.name()));
         let agent = agent
             .and_then(|action| rules.predicates[action.index()].columns.first())
             .map(|column| column.ty);

@@ -15,7 +15,7 @@ use crate::sim::tick::world::World;
 use rayon::prelude::*;
 use std::ops::Range;
 use std::sync::Mutex;
-use std::sync::atomic::{AtomicU8, AtomicU64, Ordering};
+use std::sync::atomic::{AtomicU16, AtomicU64, Ordering};
 
 /// The maximum number of entities in one window.
 pub const WINDOW_MAX: usize = Width::SixtyFour.entities();
@@ -29,7 +29,7 @@ const TILE_ENTITIES: f64 = 40.0;
 #[derive(Debug, Default)]
 pub(super) struct Decisions {
     /// The bits of the [`Actions`] of each agent.
-    derived: Vec<AtomicU8>,
+    derived: Vec<AtomicU16>,
     /// The number of rows that each counted clause derived; empty if clauses are not counted.
     pub firings: Vec<usize>,
     /// `words` words per agent: bit `i` is set if the counted clause `i` derived an action for it.
@@ -44,7 +44,7 @@ impl Decisions {
     pub fn new(agents: usize, clauses: usize, watched: Watched) -> Self {
         let words = clauses.div_ceil(64);
         Decisions {
-            derived: (0..agents).map(|_| AtomicU8::new(0)).collect(),
+            derived: (0..agents).map(|_| AtomicU16::new(0)).collect(),
             firings: vec![0; clauses],
             fired: (0..agents * words).map(|_| AtomicU64::new(0)).collect(),
             words,
@@ -254,8 +254,8 @@ impl DenseExecutor {
         }
 
         let vocabulary: &Vocabulary = &world.vocabulary;
-        let action = |action: &Action| Some((*action, vocabulary.action(*action)?));
-        let actions: Vec<(Action, PredicateId)> = Action::ALL.iter().filter_map(action).collect();
+        let action = |action: Action| Some((action, vocabulary.action(action)?));
+        let actions: Vec<(Action, PredicateId)> = vocabulary.actions().all().filter_map(action).collect();
         let of_action = |clause: &ClauseId| {
             let head = rules.clauses[clause.index()].head.predicate;
             actions.iter().any(|(_, action)| *action == head)

@@ -196,7 +196,7 @@ impl GroundState {
             let predicate = vocabulary.action(*action);
             predicate.is_some_and(|predicate| self.session.contains(predicate, [self.entities[entity]]))
         };
-        Action::ALL.into_iter().filter(holds).collect()
+        vocabulary.actions().all().filter(holds).collect()
     }
 
     /// Adds the rows of the predicates that temporal operators are about.

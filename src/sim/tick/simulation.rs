@@ -113,6 +113,8 @@ pub struct AgentTick {
     pub speed: u8,
     /// The number of ticks without a move before this one.
     pub waited: u32,
+    /// The number of steps to the goal before the move.
+    pub remaining: u32,
     /// The derived actions, without the default.
     pub derived: Actions,
     /// The action in effect: decided by the rules or imposed by the caller.
@@ -501,7 +503,7 @@ impl Simulation {
             sum.wrapping_add(agent.position()).wrapping_add(agent.route().steps())
         });
         let ticks = self.report.agents.iter().step_by(2);
-        let ticks = ticks.fold(0, |sum: u64, tick| sum.wrapping_add(tick.action as u64));
+        let ticks = ticks.fold(0, |sum: u64, tick| sum.wrapping_add(tick.action.index() as u64));
         ticks.wrapping_add(agents as u64)
     }
 
@@ -513,10 +515,11 @@ impl Simulation {
     /// and all later ticks ([`Simulation::fallback`]).
     ///
     /// # Errors
-    /// `invalid-value` for a position outside the list; `limit-exceeded` if an evaluation by the relational executor
-    /// or what the rules read of earlier ticks exceeds the [limits](World::limits), too many agents are in one place for
-    /// the dense one, or it needs too many steps and the settings demand it; `external-predicate` if a function that
-    /// computes one fails; `cancelled` on cancellation. On error the city is unchanged.
+    /// `invalid-value` for a position outside the list or an action that the agent cannot take; `limit-exceeded` if an
+    /// evaluation by the relational executor or what the rules read of earlier ticks exceeds the
+    /// [limits](World::limits), too many agents are in one place for the dense one, or it needs too many steps and the
+    /// settings demand it; `external-predicate` if a function that computes one fails; `cancelled` on cancellation. On
+    /// error the city is unchanged.
     pub fn tick(&mut self, controls: &[(usize, Action)]) -> Result<&TickReport, Diagnostic> {
         self.tick_watched(controls, |_| ())
     }
@@ -535,6 +538,7 @@ impl Simulation {
             let message = format!("there is no agent {position} to control: there are {count}, counted from 0");
             return Err(Diagnostic::new(yaml::codes::INVALID_VALUE, message));
         }
+        self.check_controls(controls)?;
         let draws = Draws {
             seed: self.seed,
             time: self.tick,
@@ -600,6 +604,21 @@ impl Simulation {
         self.report.tick = self.tick;
         self.tick += 1;
         Ok(&self.report)
+    }
+
+    /// Checks that the controlled agents can take their actions.
+    fn check_controls(&self, controls: &[(usize, Action)]) -> Result<(), Diagnostic> {
+        let table = &self.world.scenario.actions.table;
+        let cannot = |&&(position, action): &&(usize, Action)| !table.can_take(self.agents[position].kind, action);
+        let Some(&(position, action)) = controls.iter().find(cannot) else {
+            return Ok(());
+        };
+        let (name, action) = (self.agents[position].name(), table.name(action));
+        let message = format!("{name} cannot take the action `{action}`");
+        let fault = Diagnostic::new(yaml::codes::INVALID_VALUE, message);
+        Err(fault.help(format!(
+            "the `cells` of `{action}` in the configuration list the kinds that can"
+        )))
     }
 
     /// Returns whether the memory lacks the last tick.
@@ -668,6 +687,7 @@ impl Simulation {
             surroundings: Surroundings {
                 router: &world.router,
                 places: &*places,
+                actions: &world.scenario.actions.table,
                 seed: self.seed,
                 tick: self.tick,
             },
@@ -881,11 +901,7 @@ fn decided<'a>((agent, done): (&'a Agent, &AgentTick)) -> Entity<'a> {
         progress: Progress {
             speed: done.speed.into(),
             waited: done.waited,
-            // It sets out from its goal.
-            remaining: match done.moved.replanned {
-                true => 0,
-                false => agent.remaining() + done.moved.cells(),
-            },
+            remaining: done.remaining,
         },
         ..entity(agent)
     }
@@ -992,11 +1008,12 @@ impl Moving<'_> {
     #[inline(always)]
     fn step(&self, index: usize, agent: &mut Agent, done: &mut AgentTick) {
         let derived = self.decisions.derived(index);
-        let action = self.controlled[index].unwrap_or_else(|| self.vocabulary.decide(derived));
+        let action = self.controlled[index].unwrap_or_else(|| self.vocabulary.decide(Some(agent.kind), derived));
         *done = AgentTick {
             heading: agent.heading,
             speed: agent.speed,
             waited: agent.waited,
+            remaining: agent.remaining(),
             derived: self.vocabulary.before_default(derived),
             action,
             moved: advance(agent, index, action, &self.surroundings),
@@ -1011,6 +1028,7 @@ impl AgentTick {
             heading: agent.heading,
             speed: agent.speed,
             waited: agent.waited,
+            remaining: agent.remaining(),
             derived: Actions::default(),
             action: Action::Stop,
             moved: Moved {
@@ -1018,6 +1036,7 @@ impl AgentTick {
                 to: agent.cell,
                 reason: MoveReason::Resting,
                 replanned: false,
+                rerouted: false,
             },
         }
     }

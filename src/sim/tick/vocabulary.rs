@@ -1,7 +1,7 @@
 //! The interface between configuration and rules: base predicates and actions of a scenario, bound to a program.
 // Decision: docs/decisions/city.md#d003
 
-use crate::city::Action;
+use crate::city::{Action, ActionTable, AgentKind};
 use crate::config::{ActionsConfig, PredicateConfig, Scenario};
 use crate::datalog::Program;
 use crate::datalog::codes;
@@ -11,7 +11,7 @@ use crate::predicate::{Definition, Quantity, Sees, Unit};
 
 /// A set of actions.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Hash)]
-pub struct Actions(u8);
+pub struct Actions(u16);
 
 impl Actions {
     /// Returns the number of actions.
@@ -26,27 +26,29 @@ impl Actions {
 
     /// Returns whether the set contains the action.
     pub fn contains(self, action: Action) -> bool {
-        self.0 >> action as u8 & 1 != 0
+        self.0 >> action.index() & 1 != 0
     }
 
     /// Adds an action.
     pub fn insert(&mut self, action: Action) {
-        self.0 |= 1 << action as u8;
+        self.0 |= 1 << action.index();
     }
 
-    /// Returns the actions in the order of [`Action::ALL`].
+    /// Returns the actions in the order of the table, the standard ones first.
     pub fn iter(self) -> impl Iterator<Item = Action> {
-        Action::ALL.into_iter().filter(move |&action| self.contains(action))
+        (0..Action::MAX)
+            .map(Action::at)
+            .filter(move |&action| self.contains(action))
     }
 
-    /// Returns one bit per action: bit `i` is `Action::ALL[i]`.
-    pub(crate) fn bits(self) -> u8 {
+    /// Returns one bit per action: bit `i` is the action with index `i`.
+    pub(crate) fn bits(self) -> u16 {
         self.0
     }
 
     /// The inverse of [`Actions::bits`].
-    pub(crate) fn from_bits(bits: u8) -> Actions {
-        Actions(bits & 15)
+    pub(crate) fn from_bits(bits: u16) -> Actions {
+        Actions(bits)
     }
 }
 
@@ -106,10 +108,14 @@ pub struct Vocabulary {
     pub sees: usize,
     /// Whether clauses of the rules have probabilities.
     pub draws: bool,
-    /// The predicate of each action, in the order of [`Action::ALL`]; `None` if the rules do not declare it.
-    actions: [Option<PredicateId>; 4],
-    /// The action to take, indexed by the bits of the derived actions.
-    decisions: [Action; 16],
+    /// The actions of the scenario.
+    table: ActionTable,
+    /// The predicate of each action, in the order of the table; `None` if the rules do not declare it.
+    actions: Vec<Option<PredicateId>>,
+    /// For each kind of agents, the action to take, indexed by the bits of the derived actions.
+    decisions: [Box<[Action]>; 2],
+    /// Those of an entity whose kind is unknown.
+    unknown: Box<[Action]>,
     default: Action,
 }
 
@@ -156,24 +162,25 @@ impl Vocabulary {
         faults.extend(unfilled(scenario, program));
         faults.extend(unremembered(program));
 
-        let actions = Action::ALL.map(|action| {
-            program.predicate(action.name()).filter(|&id| {
+        let table = &scenario.actions.table;
+        let bound = |name| {
+            program.predicate(name).filter(|&id| {
                 fits(&rules.predicates[id.index()], 1, None, &mut faults, || {
                     Diagnostic::new(
                         codes::RULE_MISMATCH,
-                        format!("the action `{}` must be a predicate over one agent", action.name()),
+                        format!("the action `{name}` must be a predicate over one agent"),
                     )
                 })
             })
-        });
+        };
+        let actions: Vec<Option<PredicateId>> = table.names().map(bound).collect();
         if faults.is_empty() && actions.iter().all(Option::is_none) {
+            let names: Vec<&str> = table.names().collect();
+            let message = format!("the rules have none of the actions {}", names.join(", "));
             faults.push(
-                Diagnostic::new(
-                    codes::RULE_MISMATCH,
-                    "the rules have none of the actions Slow, Normal, Fast, Stop",
-                )
-                .at(scenario.rules.span, "these rules")
-                .help("begin the file with `.include \"vocabulary.dl\"`, which declares them"),
+                Diagnostic::new(codes::RULE_MISMATCH, message)
+                    .at(scenario.rules.span, "these rules")
+                    .help("begin the file with `.include \"vocabulary.dl\"`, which declares them"),
             );
         }
         if faults.is_empty() {
@@ -181,8 +188,10 @@ impl Vocabulary {
                 predicates,
                 sees,
                 draws: rules.chance.is_some(),
+                table: table.clone(),
                 actions,
-                decisions: decisions(&scenario.actions),
+                decisions: AgentKind::ALL.map(|kind| decisions(&scenario.actions, Some(kind))),
+                unknown: decisions(&scenario.actions, None),
                 default: scenario.actions.default,
             })
         } else {
@@ -218,25 +227,44 @@ impl Vocabulary {
         })
     }
 
+    /// Checks that the configuration defines no actions. `what` knows the standard actions only, in the plural.
+    ///
+    /// # Errors
+    /// `rule-mismatch` if it defines one.
+    pub fn only_standard_actions(&self, what: &str) -> Result<(), Diagnostic> {
+        self.table.own().first().map_or(Ok(()), |own| {
+            let message = format!("{what} have the four standard actions only, not `{}`", own.name.value);
+            let fault = Diagnostic::new(codes::RULE_MISMATCH, message).at(own.name.span, "defined here");
+            Err(fault.help("use a configuration without `actions.define`"))
+        })
+    }
+
     /// Returns whether the facts of a predicate are known: the configuration defines it, or it is not an input.
     pub fn defines(&self, program: &Program, predicate: PredicateId) -> bool {
         let mut defined = self.predicates.iter().filter_map(|base| base.id);
         !program.rules().predicates[predicate.index()].input || defined.any(|one| one == predicate)
     }
 
+    /// Returns the actions of the scenario.
+    pub fn actions(&self) -> &ActionTable {
+        &self.table
+    }
+
     /// Returns the predicate of an action, if the rules declare it.
     pub fn action(&self, action: Action) -> Option<PredicateId> {
-        self.actions[action as usize]
+        self.actions[action.index()]
     }
 
     /// Returns the action that a predicate represents.
     pub fn action_of(&self, predicate: PredicateId) -> Option<Action> {
-        (Action::ALL.into_iter()).find(|&action| self.action(action) == Some(predicate))
+        self.table.all().find(|&action| self.action(action) == Some(predicate))
     }
 
-    /// Returns the action to take: the derived one of highest priority, otherwise the default of the scenario.
-    pub fn decide(&self, derived: Actions) -> Action {
-        self.decisions[usize::from(derived.bits())]
+    /// Returns the action that an agent of a kind takes: of the derived ones that it can take, that of highest
+    /// priority, otherwise the default of the scenario. An entity of unknown kind can take all actions.
+    pub fn decide(&self, kind: Option<AgentKind>, derived: Actions) -> Action {
+        let decisions = kind.map_or(&self.unknown, |kind| &self.decisions[kind as usize]);
+        decisions[usize::from(derived.bits())]
     }
 
     /// Returns the default action, taken if none is derived.
@@ -253,12 +281,16 @@ impl Vocabulary {
     }
 }
 
-fn decisions(config: &ActionsConfig) -> [Action; 16] {
-    std::array::from_fn(|bits| {
-        let derived = Actions(u8::try_from(bits).expect("it is less than 16"));
-        let first = config.priority.iter().copied().find(|&action| derived.contains(action));
+fn decisions(config: &ActionsConfig, kind: Option<AgentKind>) -> Box<[Action]> {
+    let decide = |bits| {
+        let derived = Actions(bits);
+        let can_take =
+            |action: &Action| derived.contains(*action) && kind.is_none_or(|kind| config.table.can_take(kind, *action));
+        let first = config.priority.iter().copied().find(can_take);
         first.unwrap_or(config.default)
-    })
+    };
+    let all: Actions = config.table.all().collect();
+    (0..=all.bits()).map(decide).collect()
 }
 
 /// Returns whether a predicate has `arity` columns of symbols, and then one of the type `value`, if there is one.

@@ -1,7 +1,7 @@
 //! Explains the decision of an agent in a tick.
 
 use crate::cancel::Cancel;
-use crate::city::Action;
+use crate::city::{Action, AgentKind};
 use crate::city::{Cell, Heading};
 use crate::datalog::Session;
 use crate::datalog::Value;
@@ -24,6 +24,8 @@ pub struct Decision<'a> {
     pub tick: u64,
     /// The name of the agent.
     pub agent: String,
+    /// Its kind.
+    pub kind: AgentKind,
     /// The value that represents the agent.
     pub value: Value,
     /// The cell before the move.
@@ -56,19 +58,21 @@ impl Simulation {
     /// If `agent` is outside the list.
     pub fn decision(&mut self, agent: usize) -> Result<Decision<'_>, Diagnostic> {
         let (name, report) = (self.agents()[agent].name().to_string(), self.report());
+        let kind = self.agents()[agent].kind;
         let (tick, mut done) = (report.tick, report.agents[agent]);
         let is_before_first_tick = self.now() == 0;
         let snapshot = self.snapshot()?;
         if is_before_first_tick {
             let vocabulary = &snapshot.world().vocabulary;
             done.derived = snapshot.state.derived(vocabulary, agent);
-            done.action = vocabulary.decide(done.derived);
+            done.action = vocabulary.decide(Some(kind), done.derived);
         }
         Ok(Decision {
             world: snapshot.world(),
             session: snapshot.session(),
             tick,
             agent: name,
+            kind,
             value: snapshot.value(agent),
             at: done.moved.from,
             heading: done.heading,
@@ -80,18 +84,18 @@ impl Simulation {
 
 impl<'a> Decision<'a> {
     /// Explains the decision: the derived actions, the chosen one first. If none was derived, it explains the default
-    /// action, or why all four were not derived. With `why_not`, it explains that action alone.
+    /// action, or why all were not derived. With `why_not`, it explains that action alone.
     ///
     /// # Errors
     /// If the work exceeds [`Explainer::LIMIT`], or on cancellation.
     pub fn account(self, why_not: Option<Action>, cancel: &Cancel) -> Result<Account<'a>, ExplainError> {
         let vocabulary = &self.world.vocabulary;
-        let by_rules = vocabulary.decide(self.derived);
+        let by_rules = vocabulary.decide(Some(self.kind), self.derived);
         let mut actions = match why_not {
             Some(action) => vec![action],
             None if self.derived.is_empty() => match vocabulary.action(by_rules) {
                 Some(predicate) if self.session.contains(predicate, [self.value]) => vec![by_rules],
-                _ => Action::ALL.to_vec(),
+                _ => vocabulary.actions().all().collect(),
             },
             None => self.derived.iter().collect(),
         };
@@ -127,10 +131,12 @@ impl Account<'_> {
             tick,
             agent,
             at,
+            kind,
             derived,
             action,
             ..
         } = &self.decision;
+        let table = self.decision.world.vocabulary.actions();
         let heading = self
             .decision
             .heading
@@ -140,30 +146,34 @@ impl Account<'_> {
             at.row,
             at.col,
             heading.unwrap_or_default(),
-            action.name()
+            table.name(*action)
         );
-        let by_rules = self.decision.world.vocabulary.decide(*derived);
+        let by_rules = self.decision.world.vocabulary.decide(Some(*kind), *derived);
         if *action != by_rules {
-            let _ = writeln!(text, "the action came from outside; the rules say {}", by_rules.name());
+            let _ = writeln!(
+                text,
+                "the action came from outside; the rules say {}",
+                table.name(by_rules)
+            );
         } else if derived.len() > 1 {
-            let names: Vec<&str> = derived.iter().map(|action| action.name()).collect();
+            let names: Vec<&str> = derived.iter().map(|action| table.name(action)).collect();
             let _ = writeln!(
                 text,
                 "derived: {}; {} is first in the configured order",
                 names.join(", "),
-                by_rules.name()
+                table.name(by_rules)
             );
         } else if derived.is_empty() && self.explanations.len() > 1 {
             text += "no action was derived, so the default was taken\n";
         }
         if let Some(action) = self.why_not.filter(|action| derived.contains(*action)) {
-            let _ = writeln!(text, "{} was derived as follows", action.name());
+            let _ = writeln!(text, "{} was derived as follows", table.name(action));
         }
         let printer = self.printer(sources);
         for (action, explanation) in &self.explanations {
             let _ = match explanation {
                 Some(explanation) => write!(text, "\n{}", printer.tree(explanation)),
-                None => writeln!(text, "\n{}: the rules do not declare it", action.name()),
+                None => writeln!(text, "\n{}: the rules do not declare it", table.name(*action)),
             };
         }
         text
@@ -174,9 +184,10 @@ impl Account<'_> {
     /// Each explanation has its `action` and, if the rules declare it, the `nodes` of [`ExplanationPrinter::json`].
     pub fn json(&self, sources: &Sources) -> serde_json::Value {
         let printer = self.printer(sources);
+        let table = self.decision.world.vocabulary.actions();
         let explanations: Vec<serde_json::Value> = (self.explanations.iter())
             .map(|(action, explanation)| {
-                let mut entry = json!({ "action": action.name() });
+                let mut entry = json!({ "action": table.name(*action) });
                 if let Some(explanation) = explanation {
                     entry["nodes"] = printer.json(explanation)["nodes"].take();
                 }
@@ -189,8 +200,8 @@ impl Account<'_> {
             "agent": decision.agent,
             "at": [decision.at.row, decision.at.col],
             "heading": decision.heading.map(Heading::name),
-            "derived": decision.derived.iter().map(Action::name).collect::<Vec<_>>(),
-            "action": decision.action.name(),
+            "derived": decision.derived.iter().map(|action| table.name(action)).collect::<Vec<_>>(),
+            "action": table.name(decision.action),
             "explanations": explanations,
         })
     }

@@ -1,6 +1,6 @@
 //! Reads a trace and restores the state of any tick as facts of a session.
 
-use crate::city::{Action, AgentKind};
+use crate::city::{Action, ActionTable, AgentKind};
 use crate::city::{Cell, Heading};
 use crate::datalog::{BaseType, Limits, Session, Value};
 use crate::diag::{Diagnostic, json_error};
@@ -98,6 +98,10 @@ pub struct TraceState {
     pub clauses: Vec<usize>,
     /// Row and column after the move.
     pub next: [i32; 2],
+    /// If the action changed the route: the corners of the rest of the route, from the cell before the move to the
+    /// goal.
+    #[serde(default)]
+    pub route: Option<Vec<[i32; 2]>>,
     /// The entry of an agent that the caller controlled.
     #[serde(default)]
     pub driven: Option<Driven>,
@@ -115,28 +119,27 @@ impl TraceState {
         self.heading.as_ref().map(named).transpose()
     }
 
-    /// Parses the action.
+    /// Parses the action, given the actions of the configuration.
     ///
     /// # Errors
     /// `invalid-trace`, without a source position.
-    pub fn action(&self) -> Result<Action, Diagnostic> {
-        action_named(&self.action)
+    pub fn action(&self, actions: &ActionTable) -> Result<Action, Diagnostic> {
+        action_named(&self.action, actions)
     }
 }
 
 impl Driven {
-    /// Parses the action that the rules chose.
+    /// Parses the action that the rules chose, given the actions of the configuration.
     ///
     /// # Errors
     /// `invalid-trace`, without a source position.
-    pub fn wanted(&self) -> Result<Action, Diagnostic> {
-        action_named(&self.wanted)
+    pub fn wanted(&self, actions: &ActionTable) -> Result<Action, Diagnostic> {
+        action_named(&self.wanted, actions)
     }
 }
 
-fn action_named(name: &str) -> Result<Action, Diagnostic> {
-    let known = Action::ALL.into_iter().find(|action| action.name() == name);
-    known.ok_or_else(|| invalid(format!("`{name}` is not the name of an action")))
+fn action_named(name: &str, actions: &ActionTable) -> Result<Action, Diagnostic> {
+    (actions.find(name)).ok_or_else(|| invalid(format!("`{name}` is not the name of an action")))
 }
 
 fn invalid(message: impl Into<String>) -> Diagnostic {

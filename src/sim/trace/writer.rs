@@ -1,7 +1,6 @@
 //! Writes the trace of a run as JSON lines: a header, then one line per tick.
 //! `docs/reference/traces.md` documents the format.
 
-use crate::city::Action;
 use crate::city::{Heading, Moved};
 use crate::diag::{SourceId, Sources};
 use crate::sim::tick::simulation::Simulation;
@@ -116,6 +115,7 @@ impl<W: Write> TraceWriter<W> {
     /// If a position is outside the list.
     pub fn tick_driven(&mut self, simulation: &Simulation, driven: &[(usize, Driven)]) -> io::Result<()> {
         let report = simulation.report();
+        let actions = simulation.world().vocabulary.actions();
         let mut agents: Vec<Value> = (report.agents.iter().zip(simulation.agents()).enumerate())
             .map(|(index, (tick, agent))| {
                 let Moved {
@@ -123,15 +123,20 @@ impl<W: Write> TraceWriter<W> {
                 } = tick.moved;
                 // An agent with a new goal started from the old one.
                 let goal = if replanned { from } else { agent.goal() };
-                json!({
+                let mut entry = json!({
                     "at": [from.row, from.col],
                     "heading": tick.heading.map(Heading::name),
                     "goal": [goal.row, goal.col],
-                    "derived": tick.derived.iter().map(Action::name).collect::<Vec<_>>(),
-                    "action": tick.action.name(),
+                    "derived": tick.derived.iter().map(|action| actions.name(action)).collect::<Vec<_>>(),
+                    "action": actions.name(tick.action),
                     "clauses": simulation.fired(index).collect::<Vec<_>>(),
                     "next": [to.row, to.col],
-                })
+                });
+                if tick.moved.rerouted {
+                    // The new route starts at the cell before the move.
+                    entry["route"] = json!(agent.route().corners());
+                }
+                entry
             })
             .collect();
         for (agent, driven) in driven {

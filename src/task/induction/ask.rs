@@ -226,6 +226,7 @@ impl<'a> RuleOracle<'a> {
             facts.rows[self.columns[predicate]].push([row[0] as u32, second as u32]);
         });
         let scene = SceneFacts {
+            kinds: Vec::new(),
             names: names(state),
             egos: vec![0],
             facts,

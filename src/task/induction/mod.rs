@@ -190,7 +190,7 @@ impl InductionTask {
 
     /// Returns a sentence about the derived predicates of the rules, which clauses cannot use, if there are any.
     fn unused_predicates(&self) -> Option<String> {
-        let actions = Action::ALL.map(Action::name);
+        let actions = Action::STANDARD.map(Action::name);
         let predicates = self.world.program.rules().predicates.iter();
         let derived = predicates.filter(|declared| declared.derived && !declared.input && !declared.hidden);
         let names: Vec<String> = derived

@@ -57,7 +57,7 @@ impl Steps {
                 .ok_or_else(|| faulty(format!("there is no metadata `{key}`")))
         };
         let (mode, split, episodes_hash) = (value("mode")?, value("split")?, value("episodes_hash")?);
-        let known = |name: &str| Action::ALL.into_iter().find(|action| action.name() == name);
+        let known = |name: &str| Action::STANDARD.into_iter().find(|action| action.name() == name);
         let actions: Option<Vec<Action>> = value("actions")?.split(',').map(known).collect();
         let atoms: Vec<String> = value("atoms")?
             .split(';')
@@ -258,7 +258,12 @@ mod tests {
         let steps = Steps::open(bytes)?;
         let mut rows = Vec::new();
         steps.for_each(|step: Step<'_>| {
-            rows.push((step.episode, step.step, step.observation.to_vec(), step.action as i32));
+            rows.push((
+                step.episode,
+                step.step,
+                step.observation.to_vec(),
+                step.action.index() as i32,
+            ));
             Ok::<_, Diagnostic>(())
         })?;
         assert_eq!(rows.len(), steps.count());

@@ -4,7 +4,7 @@ use crate::city::Action;
 use std::cmp::Reverse;
 use std::collections::BTreeMap;
 
-/// The answers of the paper's small set, in the order of [`Action::ALL`]. The paper prints accuracies only; these are
+/// The answers of the paper's small set, in the order of [`Action::STANDARD`]. The paper prints accuracies only; these are
 /// the only numbers with a sum of 117 that fit them.
 const PAPER_MIX: [usize; 4] = [20, 42, 25, 30];
 
@@ -46,14 +46,14 @@ pub fn shares(count: usize, available: &BTreeMap<Category, usize>) -> BTreeMap<C
     let mut groups_with = [0; 4];
     available
         .keys()
-        .for_each(|(_, action)| groups_with[*action as usize] += 1);
+        .for_each(|(_, action)| groups_with[action.index()] += 1);
     let mut taken: BTreeMap<&[String], usize> = available.keys().map(|(group, _)| (&group[..], 0)).collect();
     let mut shares: BTreeMap<Category, usize> = available.keys().map(|category| (category.clone(), 0)).collect();
     for _ in 0..count {
         let free = available.iter().filter(|&(category, &most)| shares[category] < most);
         let next = free.map(|(category, _)| category).min_by_key(|category| {
             let (group, action) = *category;
-            let preference = (Reverse(groups_with[*action as usize]), *action);
+            let preference = (Reverse(groups_with[action.index()]), *action);
             (taken[&group[..]], group, shares[*category], preference)
         });
         let Some(next) = next else { break };
@@ -63,7 +63,7 @@ pub fn shares(count: usize, available: &BTreeMap<Category, usize>) -> BTreeMap<C
     shares
 }
 
-/// Splits `count` in the proportions of the paper's small set, in the order of [`Action::ALL`].
+/// Splits `count` in the proportions of the paper's small set, in the order of [`Action::STANDARD`].
 pub fn paper_shares(count: usize) -> [usize; 4] {
     proportional(count, PAPER_MIX)
 }
@@ -91,7 +91,7 @@ mod tests {
         for ((group, action), &share) in shares {
             let best = groups.entry(group).or_default();
             *best = share.max(*best);
-            answers[*action as usize] += share;
+            answers[action.index()] += share;
         }
         [answers.into_iter().max().unwrap_or(0), groups.into_values().sum()]
     }
@@ -103,7 +103,7 @@ mod tests {
             let groups: u32 = random.random_range(1..5);
             let mut available: BTreeMap<Category, usize> = BTreeMap::new();
             for group in 0..groups {
-                for action in Action::ALL {
+                for action in Action::STANDARD {
                     // Every group has Stop.
                     if action == Action::Stop || random.random_range(0..2) == 0 {
                         available.insert((vec![group.to_string()], action), usize::MAX);

@@ -234,7 +234,7 @@ impl QuestionSet {
             let answers = |questions: &[Question]| questions.iter().any(|question| question.answer == *action);
             answers(&questions) && !answers(&demonstrations)
         };
-        if let (true, Some(action)) = (request.shots > 0, Action::ALL.into_iter().find(lacking)) {
+        if let (true, Some(action)) = (request.shots > 0, Action::STANDARD.into_iter().find(lacking)) {
             let (name, split) = (action.name(), request.demonstrations.name());
             let message = format!("no demonstration of {name} found among the cars of `{split}`");
             return Err(vec![
@@ -257,9 +257,9 @@ impl QuestionSet {
         })
     }
 
-    /// Returns the number of questions with each answer, in the order of [`Action::ALL`].
+    /// Returns the number of questions with each answer, in the order of [`Action::STANDARD`].
     pub fn answers(&self) -> [usize; 4] {
-        Action::ALL.map(|action| {
+        Action::STANDARD.map(|action| {
             let answers = self.questions.iter().filter(|question| question.answer == action);
             answers.count()
         })
@@ -277,14 +277,14 @@ impl QuestionSet {
             let answers = by_concepts
                 .entry(carried.map(|(index, _)| index).collect())
                 .or_default();
-            answers[question.answer as usize] += 1;
+            answers[question.answer.index()] += 1;
         }
         let most = |answers: [usize; 4]| answers.into_iter().max().unwrap_or(0);
         [most(self.answers()), by_concepts.into_values().map(most).sum()]
     }
 }
 
-/// Returns the actions that the rules can derive, in the order of [`Action::ALL`].
+/// Returns the actions that the rules can derive, in the order of [`Action::STANDARD`].
 pub fn askable(world: &World) -> Vec<Action> {
     let clauses = &world.program.rules().clauses;
     let asked = |action: &Action| {
@@ -293,7 +293,7 @@ pub fn askable(world: &World) -> Vec<Action> {
             predicate.is_some_and(|predicate| clauses.iter().any(|clause| clause.head.predicate == predicate));
         derived || *action == world.vocabulary.default_action()
     };
-    Action::ALL.into_iter().filter(asked).collect()
+    Action::STANDARD.into_iter().filter(asked).collect()
 }
 
 /// Returns the clauses that derive the answer from the facts of a question, in source order.
@@ -320,6 +320,7 @@ fn deriving(world: &World, question: &Question) -> Result<Vec<ClauseId>, Diagnos
 fn check(world: &World, request: &Request) -> Result<(), Vec<Diagnostic>> {
     (world.vocabulary.check_plain("questions")).map_err(|fault| vec![fault])?;
     (world.vocabulary.without_externals("questions")).map_err(|fault| vec![fault])?;
+    (world.vocabulary.only_standard_actions("questions")).map_err(|fault| vec![fault])?;
     (world.without_time("questions")).map_err(|fault| vec![fault])?;
     let scenario = &world.scenario;
     let concepts: Vec<&str> = (scenario.predicates.iter())
@@ -352,7 +353,7 @@ fn check(world: &World, request: &Request) -> Result<(), Vec<Diagnostic>> {
             Diagnostic::new(codes::INVALID_VALUE, message).help("use 0 (`--shots 0`), or at least one per action"),
         );
     }
-    let lacking: Vec<&str> = (Action::ALL.into_iter().map(Action::name))
+    let lacking: Vec<&str> = (Action::STANDARD.into_iter().map(Action::name))
         .filter(|action| !actions.contains(action))
         .collect();
     if request.mix == Mix::Paper && !lacking.is_empty() {
@@ -466,7 +467,7 @@ impl<'w> QuestionSearch<'w> {
         match self.mix {
             Mix::Equal => shares(self.count, &askable(self.world).into_iter().map(unlimited).collect()),
             Mix::Paper => {
-                let shares = Action::ALL.into_iter().zip(paper_shares(self.count));
+                let shares = Action::STANDARD.into_iter().zip(paper_shares(self.count));
                 shares.map(|(action, share)| ((Vec::new(), action), share)).collect()
             }
             Mix::ByConcept if self.worlds < CATEGORY_WORLDS => BTreeMap::new(),

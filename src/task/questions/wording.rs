@@ -28,9 +28,9 @@ pub struct RulesFile<'a> {
     pub sources: &'a Sources,
 }
 
-/// Returns the letter of an option: A to D, in the order of [`Action::ALL`].
+/// Returns the letter of an option: A to D, in the order of [`Action::STANDARD`].
 pub fn letter(action: Action) -> char {
-    ['A', 'B', 'C', 'D'][action as usize]
+    ['A', 'B', 'C', 'D'][action.index()]
 }
 
 impl QuestionSet {
@@ -74,7 +74,7 @@ impl QuestionSet {
             Prompt::Why => statement::labels(world, rules.sources, statement::of_actions(world)),
             Prompt::Examples | Prompt::Rules => Vec::new(),
         };
-        let options: Map<String, Value> = Action::ALL
+        let options: Map<String, Value> = Action::STANDARD
             .iter()
             .map(|&action| (letter(action).into(), action.name().into()))
             .collect();
@@ -157,7 +157,7 @@ impl QuestionSet {
     }
 
     fn rows(&self, questions: &[Question], out: &mut impl Write) -> io::Result<()> {
-        let options = Action::ALL.map(Action::name).join(",");
+        let options = Action::STANDARD.map(Action::name).join(",");
         for question in questions {
             // The text needs no escaping: neither names of predicates and concepts nor sentences contain quotes.
             writeln!(out, "\"{}\",{options},{}", self.text(question), letter(question.answer))?;

@@ -104,7 +104,7 @@ fn general(predicates: &[(String, Definition)]) -> String {
 
 /// Describes the actions of a car: `1 cell (Slow), .. or 0 cells (Stop)`.
 fn moves() -> String {
-    let moves = Action::ALL.map(|action| {
+    let moves = Action::STANDARD.map(|action| {
         let cells = speed_cells(AgentKind::Car, action).expect("cars take every action");
         let plural = if cells == 1 { "" } else { "s" };
         format!("{cells} cell{plural} ({})", action.name())

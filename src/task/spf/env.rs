@@ -359,7 +359,7 @@ impl Env {
             controlled_car.derived = controlled_car.observer.derived(&self.city)?;
             if self.judges {
                 let mut allowed = Actions::default();
-                for action in Action::ALL {
+                for action in Action::STANDARD {
                     if controlled_car.observer.violations(&self.city, action)?.is_empty() {
                         allowed.insert(action);
                     }
@@ -375,7 +375,7 @@ impl Env {
         self.task
             .world()
             .vocabulary
-            .decide(self.controlled_cars[controlled_car].derived)
+            .decide(Some(AgentKind::Car), self.controlled_cars[controlled_car].derived)
     }
 
     /// Advances the city by a tick. `actions` has one action per controlled car. The rules drive cars whose episode has

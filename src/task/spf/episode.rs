@@ -83,7 +83,7 @@ pub struct OracleRun {
     /// The sum of its rewards.
     pub total: f64,
     /// Number of steps in which the rules derived each action, in the order of
-    /// [`Action::ALL`](crate::city::Action::ALL).
+    /// [`Action::STANDARD`](crate::city::Action::STANDARD).
     pub constrained: [u32; 4],
 }
 
@@ -526,9 +526,9 @@ impl Line {
         let oracle = self.oracle.as_ref().map(|oracle| {
             let mut constrained = [0; 4];
             for (name, steps) in &oracle.constrained {
-                let action = Action::ALL.into_iter().find(|action| action.name() == name);
+                let action = Action::STANDARD.into_iter().find(|action| action.name() == name);
                 let action = action.ok_or_else(|| invalid(format!("`{name}` is not an action")))?;
-                constrained[action as usize] = *steps;
+                constrained[action.index()] = *steps;
             }
             Ok::<_, Diagnostic>(OracleRun {
                 steps: oracle.steps,

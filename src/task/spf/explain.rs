@@ -79,6 +79,7 @@ pub fn explain(
         session: &session,
         tick: env.steps().into(),
         agent: agent.name().to_string(),
+        kind: agent.kind,
         value,
         at: agent.cell,
         heading: agent.heading,

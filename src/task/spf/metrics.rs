@@ -154,7 +154,7 @@ pub(super) fn summarize_runs(task: &SpfTask, rollouts: &[Rollout], runs: usize, 
     let constraints = task.oracle().constraints();
     let asked = |action: Action| constraints.iter().any(|constraint| constraint.action == action);
     let by_action = |action: Action| {
-        let constrained = |rollout: &Rollout| rollout.constrained[action as usize] > 0;
+        let constrained = |rollout: &Rollout| rollout.constrained[action.index()] > 0;
         let obeyed = |rollout: &Rollout| {
             rollout
                 .broken
@@ -177,7 +177,7 @@ pub(super) fn summarize_runs(task: &SpfTask, rollouts: &[Rollout], runs: usize, 
         tsr: rate(&|rollout| Some(rollout.success)),
         compliance: rate(&|rollout| constrained(rollout).then_some(rollout.broken.is_empty())),
         dsr: rate(&|rollout| Some(rollout.broken.is_empty() && constrained(rollout))),
-        dsr_by_action: Action::ALL
+        dsr_by_action: Action::STANDARD
             .into_iter()
             .filter(|action| asked(*action))
             .map(by_action)

@@ -15,7 +15,7 @@ impl SpfTask {
     pub fn reward(&self, action: Action, broken: &[usize], cells: usize) -> f64 {
         if broken.is_empty() {
             #[allow(clippy::cast_precision_loss)] // a route has fewer than 2^32 cells
-            return self.config.reward.actions[action as usize] / (4.0 * cells as f64);
+            return self.config.reward.actions[action.index()] / (4.0 * cells as f64);
         }
         let of = |constraint: &usize| self.constraints[*constraint].1;
         match self.config.reward.violations_per {
@@ -28,7 +28,7 @@ impl SpfTask {
                         .filter(move |&&constraint| constraints[constraint].action == action)
                 };
                 let worst = |action| of_action(action).map(of).reduce(f64::min);
-                Action::ALL.into_iter().filter_map(worst).sum()
+                Action::STANDARD.into_iter().filter_map(worst).sum()
             }
         }
     }

@@ -47,7 +47,7 @@ pub struct Rollout {
     pub success: bool,
     /// Whether the episode reached its horizon.
     pub truncated: bool,
-    /// Number of steps in which the policy chose each action, in the order of [`Action::ALL`].
+    /// Number of steps in which the policy chose each action, in the order of [`Action::STANDARD`].
     pub actions: [u32; 4],
     /// Number of steps in which the rules derived each action, in the same order.
     pub constrained: [u32; 4],
@@ -56,9 +56,9 @@ pub struct Rollout {
 }
 
 /// Returns the names of the actions that have steps, and their numbers of steps, which are in the order of
-/// [`Action::ALL`].
+/// [`Action::STANDARD`].
 pub fn steps_by_action(steps: [u32; 4]) -> impl Iterator<Item = (&'static str, u32)> {
-    let named = Action::ALL.map(Action::name).into_iter().zip(steps);
+    let named = Action::STANDARD.map(Action::name).into_iter().zip(steps);
     named.filter(|(_, steps)| *steps > 0)
 }
 
@@ -72,8 +72,8 @@ impl Rollout {
         self.success = last.success;
         self.truncated = last.truncated;
         self.broken.clone_from(&last.broken);
-        self.actions[action as usize] += 1;
-        asked.for_each(|action| self.constrained[action as usize] += 1);
+        self.actions[action.index()] += 1;
+        asked.for_each(|action| self.constrained[action.index()] += 1);
     }
 }
 
@@ -92,7 +92,7 @@ pub fn rollout(env: &mut Env, policy: Policy) -> Result<Rollout, Diagnostic> {
             Policy::Oracle => env.oracle_action(controlled_car),
             Policy::Random(seed) => {
                 let mut stream = seed.stream(Purpose::POLICY, env.steps().into(), controlled_car as u64);
-                Action::ALL[stream.random_range(0..Action::ALL.len())]
+                Action::STANDARD[stream.random_range(0..Action::STANDARD.len())]
             }
             Policy::Always(action) => action,
         };
@@ -178,7 +178,7 @@ impl Wanted {
             *wanted = count / kinds + usize::from(kind < count % kinds);
         }
         let constraints = task.oracle().constraints();
-        let asked = Action::ALL.map(|action| constraints.iter().any(|constraint| constraint.action == action));
+        let asked = Action::STANDARD.map(|action| constraints.iter().any(|constraint| constraint.action == action));
         // 1 / (2k) of the episodes for k actions, because the rules may derive some actions for few egos only.
         let share = count.div_ceil(2 * asked.iter().filter(|asked| **asked).count().max(1));
         Wanted {
@@ -275,8 +275,11 @@ impl Wanted {
             };
             format!("{wanted} with {kind}")
         });
-        let actions = (Action::ALL.iter().zip(self.actions).filter(|(_, wanted)| *wanted > 0))
-            .map(|(action, wanted)| format!("{wanted} in which the rules derive {}", action.name()));
+        let actions = (Action::STANDARD
+            .iter()
+            .zip(self.actions)
+            .filter(|(_, wanted)| *wanted > 0))
+        .map(|(action, wanted)| format!("{wanted} in which the rules derive {}", action.name()));
         let mut lacking: Vec<String> = concepts.chain(actions).collect();
         if lacking.is_empty() {
             lacking.push("episodes that the oracle solves with a constrained step".to_owned());

@@ -153,7 +153,7 @@ impl Info {
     /// Updates the information about a controlled car.
     pub fn note(&mut self, env: &Env, controlled_car: usize) {
         let last = env.controlled_cars()[controlled_car].last();
-        self.oracle_action = env.oracle_action(controlled_car) as usize;
+        self.oracle_action = env.oracle_action(controlled_car).index();
         self.broken.clone_from(&last.broken);
         self.progress = env.progress(controlled_car);
         self.success = last.success;

@@ -124,7 +124,7 @@ fn labels(mode: Mode, manifest: &Manifest) -> String {
         .to_owned();
     let published = mode.published_actions();
     let totals = [manifest.actions, published].map(total);
-    for (index, action) in Action::ALL.into_iter().enumerate() {
+    for (index, action) in Action::STANDARD.into_iter().enumerate() {
         let (here, there) = (manifest.actions[index], published[index]);
         let [share, share_there] = [percent(here, totals[0]), percent(there, totals[1])];
         let name = action.name();

@@ -306,6 +306,7 @@ fn check_sample(inference: &Inference, sample: &Sample) -> Result<[u64; 4], Diag
         .filter(|&agent| sample.labels[agent].is_some())
         .collect();
     let scene = SceneFacts {
+        kinds: Vec::new(),
         names: sample.names.clone(),
         egos: cars.clone(),
         facts: sample.facts.clone(),
@@ -325,7 +326,7 @@ fn check_sample(inference: &Inference, sample: &Sample) -> Result<[u64; 4], Diag
             );
             return Err(Diagnostic::new(codes::INVALID_DATA_SET, message));
         }
-        actions[label as usize] += 1;
+        actions[label.index()] += 1;
     }
     Ok(actions)
 }

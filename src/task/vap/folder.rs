@@ -101,7 +101,7 @@ pub struct WorldRecord {
     pub seed: u64,
     /// The number of frames.
     pub frames: usize,
-    /// The number of cars with each label, in the order of [`Action::ALL`](crate::city::Action::ALL).
+    /// The number of cars with each label, in the order of [`Action::STANDARD`](crate::city::Action::STANDARD).
     pub actions: [u64; 4],
     /// The number of agents in all frames.
     pub agents: u64,

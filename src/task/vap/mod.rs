@@ -83,7 +83,7 @@ impl Mode {
         }
     }
 
-    /// Returns the label counts of the paper's fixed test set, in the order of [`Action::ALL`].
+    /// Returns the label counts of the paper's fixed test set, in the order of [`Action::STANDARD`].
     pub const fn published_actions(self) -> [u64; 4] {
         match self {
             Mode::Easy => [3042, 3978, 0, 7220],
@@ -214,6 +214,8 @@ impl Worlds {
         values.map_err(|fault| vec![fault])?;
         let known = world.vocabulary.without_externals("data sets of pictures");
         known.map_err(|fault| vec![fault])?;
+        let actions = world.vocabulary.only_standard_actions("data sets of pictures");
+        actions.map_err(|fault| vec![fault])?;
         let time = world.without_time("the frames of a data set of pictures");
         time.map_err(|fault| vec![fault])?;
         // Detects a missing split, and agents that cannot be placed.
@@ -401,12 +403,12 @@ fn draw_agents(like: &AgentSet, split: Split, stream: &mut impl Rng) -> AgentSet
     }
 }
 
-/// Counts the cars with each action, in the order of [`Action::ALL`].
+/// Counts the cars with each action, in the order of [`Action::STANDARD`].
 pub fn count_actions(frames: &[Frame]) -> [u64; 4] {
     let mut counts = [0; 4];
     let agents = frames.iter().flat_map(|frame| &frame.agents);
     for agent in agents.filter(|agent| agent.name.kind == AgentKind::Car) {
-        counts[agent.action as usize] += 1;
+        counts[agent.action.index()] += 1;
     }
     counts
 }

@@ -92,7 +92,7 @@ pub struct Statistics {
     pub worlds: usize,
     /// The number of labels of cars.
     pub labels: u64,
-    /// The share of each label, 0..=1, in the order of [`Action::ALL`](crate::city::Action::ALL).
+    /// The share of each label, 0..=1, in the order of [`Action::STANDARD`](crate::city::Action::STANDARD).
     pub actions: [Estimate; 4],
     /// The number of true atoms of a world, by predicate; see [`count_atoms`].
     pub atoms: BTreeMap<String, Estimate>,

@@ -136,7 +136,7 @@ pub const ENTITY_NUMBERS: [EntityColumn; 11] = [
     (
         "label",
         "action that the rules choose for a car: 0 slow, 1 normal, 2 fast, 3 stop; null for pedestrians",
-        |agent, _| (agent.name.kind == AgentKind::Car).then_some(agent.action as i32),
+        |agent, _| (agent.name.kind == AgentKind::Car).then_some(agent.action.index() as i32),
     ),
 ];
 
@@ -554,7 +554,7 @@ pub fn samples(
         Some(label) => {
             let action = usize::try_from(*label)
                 .ok()
-                .and_then(|label| Action::ALL.get(label).copied());
+                .and_then(|label| Action::STANDARD.get(label).copied());
             action
                 .map(Some)
                 .ok_or_else(|| faulty(format!("{label} is not a label")))

@@ -121,7 +121,7 @@ fn heading(value: &Value) -> Option<Heading> {
 
 /// The actions that the solver found; Normal if there is none.
 fn solved(ego: &Value) -> BTreeSet<Action> {
-    let named = |name: &Value| Action::ALL.into_iter().find(|action| name == action.name());
+    let named = |name: &Value| Action::STANDARD.into_iter().find(|action| name == action.name());
     let solved = ego["z3"].as_array().unwrap().iter();
     let mut actions: BTreeSet<Action> = solved.map(|name| named(name).unwrap()).collect();
     if actions.is_empty() {

@@ -1,7 +1,7 @@
 //! Fields of view, routes and moves equal the recorded ones.
 
 use super::{Recording, cell, cells, heading, index, kind, plain_agent, recordings, square_5x5};
-use logicity::city::{Action, AgentKind, Routing, TripEnds};
+use logicity::city::{Action, ActionTable, AgentKind, Routing, TripEnds};
 use logicity::city::{
     Agent, Cell, CityMap, Heading, MoveReason, Moved, Places, Rest, Route, Router, Surroundings, advance,
     field_of_view, possible_cells, speed_cells,
@@ -136,7 +136,7 @@ fn choices(agent: &Agent, decided: &BTreeSet<Action>) -> BTreeSet<usize> {
 /// The action that moves an agent by as many cells as its route allows.
 fn action_of(kind: AgentKind, cells: usize) -> Action {
     let moves = |action: &Action| speed_cells(kind, *action) == Some(cells);
-    Action::ALL.into_iter().find(moves).expect("the reach of an agent")
+    Action::STANDARD.into_iter().find(moves).expect("the reach of an agent")
 }
 
 /// The routes of a run: the recorded ones, or else planned ones for recorded starts and goals.
@@ -192,9 +192,11 @@ fn agents_move_as_recorded() {
         let mut agents: BTreeMap<(u64, u64), Option<Agent>> = BTreeMap::new();
         for line in recording.lines() {
             let (seed, tick) = (line["seed"].as_u64().unwrap(), line["tick"].as_i64().unwrap());
+            let actions = ActionTable::default();
             let surroundings = Surroundings {
                 router: &router,
                 places: &places,
+                actions: &actions,
                 seed: Seed(seed),
                 tick: tick.unsigned_abs(),
             };

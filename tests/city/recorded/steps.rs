@@ -68,9 +68,9 @@ fn recorded_steps() {
             let written: BTreeSet<usize> = (0..out.len()).filter(|&at| out[at] == 1.0).collect();
             assert_eq!(written, ones, "{place}");
             let derived = observer.derived(&city).unwrap();
-            let wanted = world.vocabulary.decide(derived);
-            assert_eq!(wanted, Action::ALL[index(&step["expert"])], "{place}");
-            let action = Action::ALL[index(&step["action"])];
+            let wanted = world.vocabulary.decide(Some(AgentKind::Car), derived);
+            assert_eq!(wanted, Action::STANDARD[index(&step["expert"])], "{place}");
+            let action = Action::STANDARD[index(&step["action"])];
             let broken = observer.violations(&city, action).unwrap().to_vec();
             assert_eq!(!broken.is_empty(), step["fail"].as_bool().unwrap(), "{place}");
             let mut reward = task.reward(action, &broken, index(&step["path_length4"]) / 4);
@@ -196,7 +196,7 @@ fn the_controlled_car_moves_as_recorded() {
             ego.at = at + cells;
             ego.heading = Heading::between(from, to).or(ego.heading);
             assert_eq!(ego.heading, heading(&state["dir"]));
-            ego.action = Action::ALL[index(&line["action"])];
+            ego.action = Action::STANDARD[index(&line["action"])];
             moves += 1;
         }
         assert!(routes > 0 && moves > 0, "{} is empty", recording.path.display());

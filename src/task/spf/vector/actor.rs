@@ -17,7 +17,7 @@ use rayon::prelude::*;
 use smallvec::SmallVec;
 
 /// The number of actions.
-const ACTIONS: usize = Action::ALL.len();
+const ACTIONS: usize = Action::STANDARD.len();
 
 /// The outputs of a network: a logit per action, and the value of the state.
 const OUTPUTS: usize = ACTIONS + 1;
@@ -368,7 +368,7 @@ impl EnvChunk {
                 self.done.next_values.push(known.value());
             }
             let action = known.action(random);
-            sub_env.step(Action::ALL[action], Autoreset::SameStep, view)?;
+            sub_env.step(Action::STANDARD[action], Autoreset::SameStep, view)?;
             view.write(sub_env.env(), 0, observation);
             let outcome = sub_env.outcome();
             ending = match sub_env.ended() {

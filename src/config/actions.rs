@@ -1,0 +1,245 @@
+//! Reads the actions of a configuration.
+
+use crate::city::{Action, ActionTable, AgentKind, AgentSet, Effect, OwnAction, Split, Turn};
+use crate::config::model::*;
+use crate::config::predicates::{Predicates, SEES};
+use crate::diag::{self, Diagnostic};
+use crate::located::Located;
+use crate::yaml::codes;
+use crate::yaml::read::{Fields, choice, entries, integer, is_name, list};
+use crate::yaml::{Key, YamlNode};
+
+/// The maximum number of ticks for which an action parks an agent.
+const MAX_PARKED: u32 = 1_000_000;
+
+/// Reads the actions: their definitions, their order of precedence, and the default.
+pub(super) fn actions(
+    node: &YamlNode,
+    predicates: Option<&Predicates>,
+    splits: Option<&[(Split, AgentSet)]>,
+    faults: &mut Vec<Diagnostic>,
+) -> Option<ActionsConfig> {
+    let mut fields = Fields::open(node, "the actions", faults)?;
+    let table = fields.optional("define").map_or_else(
+        || Some(ActionTable::default()),
+        |node| definitions(node, predicates, splits, faults),
+    );
+    let priority = fields.required("priority", faults);
+    let default = fields.required("default", faults);
+    fields.close(faults);
+    let table = table?;
+    let known: Vec<(&str, Action)> = table.names().zip(table.all()).collect();
+    let priority = priority.and_then(|node| precedence(node, &known, faults));
+    let default = default.and_then(|node| {
+        let action = choice(node, &known, faults)?;
+        if let Some(kind) = AgentKind::ALL.into_iter().find(|&kind| !table.can_take(kind, action)) {
+            let message = format!(
+                "the default is an action of all agents, but a {} cannot take it",
+                lower(kind)
+            );
+            let fault = Diagnostic::new(codes::INVALID_VALUE, message).at(node.span, "");
+            faults.push(fault.help(format!(
+                "add `{}` to its `cells`, or choose another default",
+                kind.name()
+            )));
+            return None;
+        }
+        Some(action)
+    });
+    let (priority, default) = (priority?, default?);
+    Some(ActionsConfig {
+        priority,
+        default,
+        table,
+    })
+}
+
+/// Reads the order of precedence: each action once.
+fn precedence(node: &YamlNode, known: &[(&str, Action)], faults: &mut Vec<Diagnostic>) -> Option<Vec<Action>> {
+    let what = match known.len() {
+        4 => "the four actions",
+        _ => "all actions",
+    };
+    let items = list(node, what, faults)?;
+    let order: Option<Vec<_>> = items.iter().map(|item| choice(item, known, faults)).collect();
+    let order = order?;
+    let mut sorted = order.clone();
+    sorted.sort_unstable();
+    if sorted.iter().copied().eq(known.iter().map(|(_, action)| *action)) {
+        return Some(order);
+    }
+    let names: Vec<String> = known.iter().map(|(name, _)| format!("`{name}`")).collect();
+    let message = format!("expected each of {} exactly once", names.join(", "));
+    let mut fault = Diagnostic::new(codes::INVALID_VALUE, message).at(node.span, "");
+    let is_missing = |(_, action): &&(&str, Action)| !action.is_standard() && !order.contains(action);
+    for (name, _) in known.iter().filter(is_missing) {
+        fault = fault.help(format!(
+            "add `{name}`: the first action in the list wins over those after it"
+        ));
+    }
+    faults.push(fault);
+    None
+}
+
+fn definitions(
+    node: &YamlNode,
+    predicates: Option<&Predicates>,
+    splits: Option<&[(Split, AgentSet)]>,
+    faults: &mut Vec<Diagnostic>,
+) -> Option<ActionTable> {
+    let before = faults.len();
+    let present: Vec<&(Key, YamlNode)> = entries(node, "definitions of actions", faults)?
+        .iter()
+        .filter(|(_, node)| !node.is_null())
+        .collect();
+    let most = Action::MAX - Action::STANDARD.len();
+    if present.len() > most {
+        let message = format!("{} actions are defined, the limit is {most}", present.len());
+        faults.push(Diagnostic::new(diag::codes::LIMIT_EXCEEDED, message).at(node.span, ""));
+        return None;
+    }
+    let mut own = Vec::new();
+    for (key, node) in present {
+        let name = Located {
+            value: key.text.clone(),
+            span: key.span,
+        };
+        check_name(&name, predicates, faults);
+        own.extend(definition(name, node, splits, faults));
+    }
+    (faults.len() == before).then(|| ActionTable::new(own))
+}
+
+/// Reports a name that is no predicate's, or another one's.
+fn check_name(name: &Located<String>, predicates: Option<&Predicates>, faults: &mut Vec<Diagnostic>) {
+    let Located { value, span } = name;
+    if Action::STANDARD.iter().any(|action| action.name() == value) {
+        let message = format!("`{value}` is a standard action, which every configuration has");
+        let fault = Diagnostic::new(codes::INVALID_VALUE, message).at(*span, "");
+        faults.push(fault.help("define an action of another name"));
+    } else if !is_name(value) {
+        let message = "expected the name of an action (letters, digits and `_`, no digit first)";
+        faults.push(Diagnostic::new(codes::INVALID_VALUE, format!("{message}, found `{value}`")).at(*span, ""));
+    } else if value == SEES {
+        let message = format!("`{SEES}` is predefined: it is the field of view");
+        faults.push(Diagnostic::new(codes::INVALID_VALUE, message).at(*span, ""));
+    } else if let Some(predicate) = predicates.and_then(|predicates| predicates.definition(value)) {
+        let message = format!("`{value}` is both an action and a base predicate");
+        let fault = Diagnostic::new(codes::INVALID_VALUE, message).at(*span, "an action, which rules derive");
+        faults.push(fault.also(predicate.name.span, "a predicate, which the city computes"));
+    }
+}
+
+fn definition(
+    name: Located<String>,
+    node: &YamlNode,
+    splits: Option<&[(Split, AgentSet)]>,
+    faults: &mut Vec<Diagnostic>,
+) -> Option<OwnAction> {
+    let before = faults.len();
+    let mut fields = Fields::open(node, "an action", faults)?;
+    let cells_node = fields.required("cells", faults);
+    let cells = cells_node.and_then(|node| cells(&name, node, splits, faults));
+    let turns = Turn::ALL.map(|turn| (turn.name(), turn));
+    let turn_node = fields.optional("turn");
+    let turn = turn_node.and_then(|node| choice(node, &turns, faults));
+    let reroute_node = fields.optional("reroute");
+    let reroute = reroute_node.and_then(|node| choice(node, &[("true", true), ("false", false)], faults));
+    let park_node = fields.optional("park");
+    let park = park_node.and_then(|node| integer(node, 1..=MAX_PARKED, faults));
+    fields.close(faults);
+    let effects: Vec<(&YamlNode, Effect)> = [
+        turn_node.zip(turn.map(Effect::Turn)),
+        reroute_node.zip(reroute.filter(|reroute| *reroute).map(|_| Effect::Reroute)),
+        park_node.zip(park.map(Effect::Park)),
+    ]
+    .into_iter()
+    .flatten()
+    .collect();
+    if let [(first, _), (second, _), ..] = effects[..] {
+        let message = format!("`{}` has more than one of `turn`, `reroute` and `park`", name.value);
+        let fault = Diagnostic::new(codes::INVALID_VALUE, message).at(second.span, "");
+        faults.push(
+            fault
+                .also(first.span, "the first")
+                .help("define an action for each of them"),
+        );
+    }
+    let (cells, effect) = (cells?, effects.first().copied());
+    match effect {
+        Some((node, Effect::Turn(_) | Effect::Reroute)) if cells[AgentKind::Pedestrian as usize].is_some() => {
+            let message = "pedestrians have no lanes, so they can neither `turn` nor `reroute`";
+            let fault = Diagnostic::new(codes::INVALID_VALUE, message).at(node.span, "");
+            faults.push(match cells_node {
+                Some(node) => fault.also(node.span, "remove `Pedestrian` here"),
+                None => fault,
+            });
+        }
+        Some((node, Effect::Park(_))) if cells.iter().flatten().any(|cells| *cells > 0) => {
+            let fault = Diagnostic::new(codes::INVALID_VALUE, "an agent that parks does not move");
+            let fault = fault.at(node.span, "");
+            faults.push(match cells_node {
+                Some(node) => fault.also(node.span, "write 0 cells for each kind"),
+                None => fault,
+            });
+        }
+        _ => {}
+    }
+    (faults.len() == before).then(|| OwnAction {
+        name,
+        cells,
+        effect: effect.map(|(_, effect)| effect),
+    })
+}
+
+/// Reads the cells per tick of the kinds that can take an action.
+fn cells(
+    name: &Located<String>,
+    node: &YamlNode,
+    splits: Option<&[(Split, AgentSet)]>,
+    faults: &mut Vec<Diagnostic>,
+) -> Option<[Option<u8>; 2]> {
+    let before = faults.len();
+    let mut fields = Fields::open(node, "the cells per tick of an action", faults)?;
+    let most = [3, 1];
+    let mut found = [None; 2];
+    for (kind, most) in AgentKind::ALL.into_iter().zip(most) {
+        if let Some(node) = fields.optional(kind.name()) {
+            found[kind as usize] = integer(node, 0..=most, faults);
+        }
+    }
+    fields.close(faults);
+    if faults.len() > before {
+        return None;
+    }
+    let takes = |kind: AgentKind| found[kind as usize].is_some();
+    let kinds: Vec<AgentKind> = AgentKind::ALL.into_iter().filter(|&kind| takes(kind)).collect();
+    let exist = |kind: &AgentKind| splits.is_none_or(|splits| splits.iter().any(|(_, set)| set.count(*kind) > 0));
+    if kinds.iter().any(exist) {
+        return Some(found);
+    }
+    let fault = Diagnostic::new(codes::INVALID_VALUE, format!("no agent can take `{}`", name.value));
+    let fault = fault.at(node.span, "");
+    faults.push(match kinds.as_slice() {
+        [] => fault.help("give the cells per tick of each kind that can take it: `cells: {Car: 1}`"),
+        [kind, ..] => fault.help(format!("the configuration has no {}", lower(*kind))),
+    });
+    None
+}
+
+fn lower(kind: AgentKind) -> String {
+    kind.name().to_lowercase()
+}
+
+/// Reports a task with other actions than the standard ones.
+pub(super) fn only_standard(task: &YamlNode, actions: &ActionsConfig, faults: &mut Vec<Diagnostic>) {
+    if let Some(own) = actions.table.own().first() {
+        let message = "a task has the four standard actions only";
+        let fault = Diagnostic::new(codes::INVALID_VALUE, message).at(own.name.span, "another action");
+        faults.push(
+            fault
+                .also(task.span, "the task")
+                .help("remove the task (`task: ~`), or the definition of the action"),
+        );
+    }
+}
