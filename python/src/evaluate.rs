@@ -138,7 +138,11 @@ impl PyBatchEvaluator {
 
     /// Returns the oracle's actions.
     fn oracle_actions<'py>(&self, py: Python<'py>) -> Bound<'py, PyArray1<i64>> {
-        let actions = self.evaluator.envs().iter().map(|env| env.oracle_action(0) as i64);
+        let actions = self
+            .evaluator
+            .envs()
+            .iter()
+            .map(|env| env.oracle_action(0).index() as i64);
         actions.collect::<Vec<i64>>().into_pyarray(py)
     }
 

@@ -93,7 +93,7 @@ impl PyLearnedRules {
             let chosen = self.learned.decide(self.task.vocabulary(), &states);
             chosen
                 .into_iter()
-                .map(|action| self.task.actions()[action] as i64)
+                .map(|action| self.task.actions()[action].index() as i64)
                 .collect::<Vec<_>>()
         });
         Ok(decided.into_pyarray(py))
@@ -224,7 +224,7 @@ fn read_steps(py: Python<'_>, path: PathBuf) -> PyResult<(String, String, String
         (observations.try_reserve_exact(steps.count().saturating_mul(steps.atoms.len()))).map_err(|_| too_large())?;
         steps.for_each(|step| {
             observations.extend_from_slice(step.observation);
-            actions.push(step.action as i64);
+            actions.push(step.action.index() as i64);
             episodes.push(step.episode);
             numbers.push(step.step);
             Ok::<_, Diagnostic>(())

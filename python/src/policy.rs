@@ -37,7 +37,7 @@ fn decide<'py>(
             false => decider.action(row, &cancel),
         };
         (rows.chunks_exact(width))
-            .map(|row| Ok(action(row)? as i64))
+            .map(|row| Ok(action(row)?.index() as i64))
             .collect::<Result<Vec<i64>, Diagnostic>>()
     })?;
     Ok(decided.map_err(|fault| task.error(py, fault))?.into_pyarray(py))

@@ -4,11 +4,21 @@ use crate::city::AgentKind;
 use crate::located::Located;
 use serde::ser::SerializeMap;
 use serde::{Serialize, Serializer};
+use std::fmt;
 
 /// What an agent chooses for a tick: a position in the [`ActionTable`] of the scenario. The first four positions are
 /// the standard actions, which every table has.
-#[derive(Clone, Copy, Debug, PartialEq, Eq, PartialOrd, Ord, Hash)]
+#[derive(Clone, Copy, PartialEq, Eq, PartialOrd, Ord, Hash)]
 pub struct Action(u8);
+
+impl fmt::Debug for Action {
+    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        match self.is_standard() {
+            true => f.write_str(self.name()),
+            false => write!(f, "Action({})", self.0),
+        }
+    }
+}
 
 #[allow(non_upper_case_globals)] // Variants of an open enumeration.
 impl Action {

@@ -351,7 +351,9 @@ fn environments_observe_external_predicates() {
                 }
             }
             for (vector, rows) in vectors.iter_mut().zip(&mut rows) {
-                vector.step(&vec![Action::ALL[step % 4]; count as usize], rows).unwrap();
+                vector
+                    .step(&vec![Action::STANDARD[step % 4]; count as usize], rows)
+                    .unwrap();
             }
         }
         assert!(view == ObservationKind::State || held > 500, "{held}");

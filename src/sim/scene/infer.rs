@@ -104,9 +104,9 @@ pub struct MarginalEgo {
     /// The name of the ego.
     pub id: String,
     /// The probability that the rules derive each action.
-    pub derived: Vec<(Action, Probability)>,
+    pub derived: Vec<(String, Probability)>,
     /// The probability that the ego takes each action; they add up to 1.
-    pub decided: Vec<(Action, Probability)>,
+    pub decided: Vec<(String, Probability)>,
 }
 
 impl MarginalAnswer {
@@ -117,10 +117,8 @@ impl MarginalAnswer {
             None => json!(probability.value),
             Some((low, high)) => json!({ "value": probability.value, "low": low, "high": high }),
         };
-        let all = |list: &[(Action, Probability)]| {
-            let entries = list
-                .iter()
-                .map(|(action, value)| (action.name().to_owned(), probability(value)));
+        let all = |list: &[(String, Probability)]| {
+            let entries = list.iter().map(|(action, value)| (action.clone(), probability(value)));
             serde_json::Value::Object(entries.collect())
         };
         let egos = self.egos.iter().map(|ego| {
@@ -736,6 +734,7 @@ impl Inference {
         cancel: &Cancel,
     ) -> Result<MarginalAnswer, Diagnostic> {
         let vocabulary = Arc::clone(&self.vocabulary);
+        let table = vocabulary.actions();
         let order = self.scenario.actions.priority.iter();
         let order: Vec<(Action, PredicateId)> = order
             .filter_map(|action| Some((*action, vocabulary.action(*action)?)))
@@ -751,11 +750,7 @@ impl Inference {
                 known.clear();
                 known
             }
-            None => {
-                let mut made = Marginals::new(&self.program, ids(), options).expect("actions are predicates");
-                made.set_order(ids()).expect("actions are predicates");
-                made
-            }
+            None => Marginals::new(&self.program, ids(), options).expect("actions are predicates"),
         };
         let names: Vec<Value> = scene.names.iter().map(|name| marginals.intern(name)).collect();
         let headings = Heading::ALL.map(|heading| marginals.intern(heading.name()));
@@ -785,36 +780,63 @@ impl Inference {
             };
             rows.iter().for_each(|(row, _)| insert(predicate, *row, None, 1.0));
         }
-        marginals.compute(cancel).map_err(|error| self.exceeded(&error))?;
-        let egos = scene.egos.iter().map(|&ego| {
-            let derived = order.iter().filter_map(|(action, predicate)| {
-                let probability = marginals.probability(*predicate, &[names[ego]][..])?;
-                Some((*action, probability))
-            });
-            let mut decided: Vec<(Action, Probability)> = Vec::new();
-            let actions = order
-                .iter()
-                .map(|(action, _)| *action)
-                .chain([self.scenario.actions.default]);
-            for (action, probability) in actions.zip(marginals.first(&[names[ego]])) {
-                match decided.iter_mut().find(|(known, _)| *known == action) {
-                    Some((_, known)) => *known = known.or(probability),
-                    None if probability.value > 0.0 => decided.push((action, probability)),
-                    None => {}
-                }
+        let mut egos: Vec<Option<MarginalEgo>> = scene.egos.iter().map(|_| None).collect();
+        // Kinds of agents can take different actions.
+        let kind = |ego: usize| scene.kinds.get(ego).copied();
+        while let Some(next) = egos.iter().position(Option::is_none) {
+            let kind_now = kind(scene.egos[next]);
+            let can_take =
+                |(action, _): &&(Action, PredicateId)| kind_now.is_none_or(|kind| table.can_take(kind, *action));
+            let order: Vec<(Action, PredicateId)> = order.iter().filter(can_take).copied().collect();
+            let ordered = marginals.set_order(order.iter().map(|(_, predicate)| *predicate));
+            ordered.expect("actions are predicates");
+            marginals.compute(cancel).map_err(|error| self.exceeded(&error))?;
+            let open = scene.egos.iter().zip(&mut egos);
+            for (&ego, answer) in open.filter(|(ego, _)| kind(**ego) == kind_now) {
+                let row = [names[ego]];
+                *answer = Some(self.marginal_ego(&scene.names[ego], &row, &order, &marginals));
             }
-            MarginalEgo {
-                id: scene.names[ego].clone(),
-                derived: derived.collect(),
-                decided,
-            }
-        });
+        }
         let answer = MarginalAnswer {
-            egos: egos.collect(),
+            egos: egos.into_iter().flatten().collect(),
             inexact: marginals.inexact().map(|inexact| inexact.show(self.program.rules())),
         };
         self.marginals = Some(marginals);
         Ok(answer)
+    }
+
+    /// Returns the probabilities of an ego, whose row this is, for actions in order of precedence.
+    fn marginal_ego(
+        &self,
+        id: &str,
+        row: &[Value],
+        order: &[(Action, PredicateId)],
+        marginals: &Marginals,
+    ) -> MarginalEgo {
+        let table = self.vocabulary.actions();
+        let name = |action: Action| table.name(action).to_owned();
+        let derived = order.iter().filter_map(|(action, predicate)| {
+            let probability = marginals.probability(*predicate, row)?;
+            Some((name(*action), probability))
+        });
+        let mut decided: Vec<(Action, Probability)> = Vec::new();
+        let actions = order.iter().map(|(action, _)| *action);
+        let actions = actions.chain([self.scenario.actions.default]);
+        for (action, probability) in actions.zip(marginals.first(row)) {
+            match decided.iter_mut().find(|(known, _)| *known == action) {
+                Some((_, known)) => *known = known.or(probability),
+                None if probability.value > 0.0 => decided.push((action, probability)),
+                None => {}
+            }
+        }
+        MarginalEgo {
+            id: id.to_owned(),
+            derived: derived.collect(),
+            decided: decided
+                .into_iter()
+                .map(|(action, value)| (name(action), value))
+                .collect(),
+        }
     }
 
     /// Explains a fact of an evaluated scene.
