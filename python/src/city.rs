@@ -241,7 +241,7 @@ type Tick<'py> = (
 );
 
 /// The name, type, concepts and priority of an agent.
-type AgentInfo = (String, &'static str, Vec<String>, i32);
+type AgentInfo = (String, String, Vec<String>, i32);
 
 /// The reason why a run ended early.
 enum Failure {
@@ -309,7 +309,7 @@ impl PySimulation {
         let info = |agent: &Agent| {
             (
                 agent.name().to_string(),
-                agent.kind.name(),
+                agent.name().kind_name().to_owned(),
                 agent.concepts.to_vec(),
                 agent.priority,
             )

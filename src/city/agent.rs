@@ -3,7 +3,7 @@
 
 use crate::cancel::Cancel;
 use crate::city::codes;
-use crate::city::{AgentConfig, AgentKind, AgentName, AgentSet};
+use crate::city::{AgentConfig, AgentKind, AgentName, AgentSet, KindId, KindName};
 use crate::city::{Cell, CityMap, Heading, NoRoute, Places, Route, Router, TripEnds};
 use crate::diag::Diagnostic;
 use crate::located::Located;
@@ -19,11 +19,13 @@ impl Purpose {
 /// An agent on its route.
 #[derive(Clone, Debug)]
 pub struct Agent {
-    /// Its kind.
+    /// Whether it drives or walks.
     pub kind: AgentKind,
+    /// Its kind, which the configuration may define.
+    pub kind_id: KindId,
     /// Its number within the kind, from 1.
     pub number: u32,
-    /// Its concepts, shared by equal agents.
+    /// Its concepts, shared by equal agents. The first one of a kind that the configuration defines is its name.
     pub concepts: Arc<[String]>,
     /// Right of way; a smaller number goes first.
     pub priority: i32,
@@ -72,6 +74,7 @@ impl Agent {
     fn with(name: AgentName, concepts: &Arc<[String]>, priority: i32, route: Route) -> Self {
         let mut agent = Agent {
             kind: name.kind,
+            kind_id: name.kind_id(),
             number: name.number,
             concepts: Arc::clone(concepts),
             priority,
@@ -93,8 +96,10 @@ impl Agent {
 
     /// Returns its name, for example `Car_1`.
     pub fn name(&self) -> AgentName {
+        let own = || Some((self.kind_id, KindName::new(self.concepts.first()?)?));
         AgentName {
             kind: self.kind,
+            own: (!self.kind_id.is_standard()).then(own).flatten(),
             number: self.number,
         }
     }
@@ -249,7 +254,7 @@ pub fn place_agents_into(
             .map_err(|reason| nowhere(set, router.map(), places, name, start, reason))?;
         match agents.get_mut(index) {
             Some(agent) => {
-                agent.kind = name.kind;
+                (agent.kind, agent.kind_id) = (name.kind, name.kind_id());
                 agent.number = name.number;
                 agent.priority = group.priority;
                 // The atomic reference count is expensive, and the concepts usually stay the same.

@@ -7,11 +7,13 @@
 //! This module does not depend on rules or predicates.
 
 mod action;
+mod action_table;
 mod agent;
 mod area;
 pub mod codes;
 mod generate;
 mod grid;
+mod kind;
 mod map;
 mod model;
 mod motion;
@@ -22,17 +24,19 @@ mod view;
 mod walk;
 mod zone;
 
-pub use action::{Action, ActionTable, Effect, OwnAction, Turn};
+pub use action::Action;
+pub use action_table::{ActionTable, Effect, OwnAction, Turn};
 pub(crate) use agent::place_agents_into;
 pub use agent::{Agent, Rest, place_agents};
 pub(crate) use area::{Area, Rectangle};
 pub use grid::{Cell, Heading};
+pub use kind::{AgentKind, AgentName, KindId, KindName, KindTable, OwnKind, speed_cells};
 pub use map::{CityMap, Ground, Junction, Layout, SEMANTIC_MAX, STATIC_LAYERS};
 pub use model::{
-    AgentConfig, AgentGroup, AgentKind, AgentName, AgentSet, Building, Buildings, Landmarks, MapConfig, Routing,
-    Sample, Split, TripEnds, Widths, ZoneConfig, ZonePart,
+    AgentConfig, AgentGroup, AgentSet, Building, Buildings, Landmarks, MapConfig, OwnGroups, Routing, Sample, Split,
+    TripEnds, Widths, ZoneConfig, ZonePart,
 };
-pub use motion::{MoveReason, Moved, Surroundings, advance, possible_cells, speed_cells};
+pub use motion::{MoveReason, Moved, Surroundings, advance, possible_cells};
 pub use places::Places;
 pub use roads::{Lane, Router};
 pub use route::{NoRoute, Route, corners};

@@ -2,34 +2,12 @@
 //!
 //! The serialized form omits file names and places, so that equal content has equal hashes.
 
+use crate::city::{AgentKind, AgentName, KindId, KindName};
 use crate::diag::Span;
 use crate::located::Located;
 use serde::ser::SerializeStruct;
 use serde::{Serialize, Serializer};
-use std::fmt;
 use std::sync::Arc;
-
-/// The kind of an agent.
-#[derive(Clone, Copy, Debug, PartialEq, Eq, PartialOrd, Ord, Hash, Serialize)]
-pub enum AgentKind {
-    /// A car, which drives on traffic streets.
-    Car,
-    /// A pedestrian, who walks on walking streets and crossings.
-    Pedestrian,
-}
-
-impl AgentKind {
-    /// Both kinds.
-    pub const ALL: [AgentKind; 2] = [AgentKind::Car, AgentKind::Pedestrian];
-
-    /// Returns its name in configurations, scenes and traces: `Car` or `Pedestrian`.
-    pub const fn name(self) -> &'static str {
-        match self {
-            AgentKind::Car => "Car",
-            AgentKind::Pedestrian => "Pedestrian",
-        }
-    }
-}
 
 /// A kind of building.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, PartialOrd, Ord, Hash, Serialize)]
@@ -188,21 +166,6 @@ impl Split {
     }
 }
 
-/// The name of an agent, displayed as `Car_1`, `Pedestrian_3`, ...
-#[derive(Clone, Copy, Debug, PartialEq, Eq, PartialOrd, Ord, Hash)]
-pub struct AgentName {
-    /// Its kind.
-    pub kind: AgentKind,
-    /// Its number within the kind, from 1.
-    pub number: u32,
-}
-
-impl fmt::Display for AgentName {
-    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
-        write!(f, "{}_{}", self.kind.name(), self.number)
-    }
-}
-
 /// An entry of an agent set: a number of equal agents.
 #[derive(Clone, Debug, PartialEq, Eq)]
 pub struct AgentGroup {
@@ -225,6 +188,19 @@ pub struct AgentConfig {
     pub priority: i32,
 }
 
+/// The entries of a kind that the configuration defines.
+#[derive(Clone, Debug, PartialEq, Eq)]
+pub struct OwnGroups {
+    /// Its position in the table.
+    pub kind: KindId,
+    /// Its name.
+    pub name: KindName,
+    /// Whether the agents drive or walk.
+    pub of: AgentKind,
+    /// The entries. The first concept of each is the name of the kind.
+    pub groups: Vec<AgentGroup>,
+}
+
 /// The agents of one split.
 #[derive(Clone, Debug)]
 pub struct AgentSet {
@@ -232,6 +208,8 @@ pub struct AgentSet {
     pub cars: Vec<AgentGroup>,
     /// The entries of pedestrians.
     pub pedestrians: Vec<AgentGroup>,
+    /// The entries of kinds that the configuration defines, in its order.
+    pub own: Vec<OwnGroups>,
     /// The number of repetitions of all entries, at least 1.
     pub repeat: u32,
     /// Starts and goals lie in rows and columns below this; `None` for the whole map.
@@ -243,10 +221,17 @@ pub struct AgentSet {
 }
 
 impl AgentSet {
-    /// Returns the number of agents of a kind.
+    /// Returns the number of agents that drive, or that walk.
     pub fn count(&self, kind: AgentKind) -> usize {
-        let once: usize = self.groups(kind).iter().map(|group| group.count as usize).sum();
-        once * self.repeat as usize
+        let of_kind = self.kinds().filter(|(name, _)| name.kind == kind);
+        of_kind.map(|(name, _)| self.count_of(name.kind_id())).sum()
+    }
+
+    /// Returns the number of agents of a kind, without those of kinds that the configuration derives from it.
+    pub fn count_of(&self, kind: KindId) -> usize {
+        let mut of_kind = self.kinds().filter(|(name, _)| name.kind_id() == kind);
+        let groups = of_kind.next().map_or(&[][..], |(_, groups)| groups);
+        groups.iter().map(|group| group.count as usize).sum::<usize>() * self.repeat as usize
     }
 
     /// Returns the number of agents.
@@ -261,17 +246,27 @@ impl AgentSet {
 
     /// Returns all entries.
     pub fn entries(&self) -> impl Iterator<Item = &AgentGroup> {
-        self.cars.iter().chain(&self.pedestrians)
+        self.kinds().flat_map(|(_, groups)| groups)
     }
 
-    fn groups(&self, kind: AgentKind) -> &[AgentGroup] {
-        match kind {
-            AgentKind::Car => &self.cars,
-            AgentKind::Pedestrian => &self.pedestrians,
-        }
+    /// Returns the entries of each kind, with the name of its first agent: cars, pedestrians, then the kinds that the
+    /// configuration defines.
+    pub fn kinds(&self) -> impl Iterator<Item = (AgentName, &[AgentGroup])> {
+        let standard = [(AgentKind::Car, &self.cars), (AgentKind::Pedestrian, &self.pedestrians)];
+        let standard = standard.map(|(kind, groups)| (AgentName::standard(kind, 1), groups.as_slice()));
+        let own = self.own.iter().map(|own| {
+            let name = AgentName {
+                kind: own.of,
+                own: Some((own.kind, own.name)),
+                number: 1,
+            };
+            (name, own.groups.as_slice())
+        });
+        standard.into_iter().chain(own)
     }
 
-    /// Returns the agents in list order: the first car (the ego of a task), all pedestrians, the other cars.
+    /// Returns the agents in list order: the first car (the ego of a task), all pedestrians, the other cars, then the
+    /// agents of kinds that the configuration defines.
     pub fn agents(&self) -> impl Iterator<Item = AgentConfig> + '_ {
         self.members().map(AgentConfig::of)
     }
@@ -282,15 +277,17 @@ impl AgentSet {
     }
 
     fn listed(&self, repeat: u32) -> impl Iterator<Item = (AgentName, &AgentGroup)> {
-        let of = move |kind| {
-            let groups = (0..repeat).flat_map(move |_| self.groups(kind));
+        let mut kinds = self.kinds().map(move |(name, groups)| {
+            let groups = (0..repeat).flat_map(move |_| groups);
             let alike = groups.flat_map(|group| std::iter::repeat_n(group, group.count as usize));
             (1..)
                 .zip(alike)
-                .map(move |(number, group)| (AgentName { kind, number }, group))
-        };
-        let mut cars = of(AgentKind::Car);
-        (cars.next().into_iter()).chain(of(AgentKind::Pedestrian)).chain(cars)
+                .map(move |(number, group)| (AgentName { number, ..name }, group))
+        });
+        let mut cars = kinds.next().into_iter().flatten();
+        let first = cars.next();
+        let pedestrians = kinds.next().into_iter().flatten();
+        first.into_iter().chain(pedestrians).chain(cars).chain(kinds.flatten())
     }
 }
 

@@ -1,6 +1,6 @@
 //! Movement: turns an action into a move.
 
-use crate::city::{Action, ActionTable, AgentKind, Effect};
+use crate::city::{Action, ActionTable, Effect};
 use crate::city::{Agent, Cell, Places, Rest, Router};
 use crate::rng::{Purpose, RngExt, Seed};
 
@@ -12,31 +12,13 @@ impl Purpose {
     pub const MOVE: Purpose = Purpose::new(4);
 }
 
-/// The maximum number of cells that a car moves in one tick.
-const CAR_REACH: usize = 3;
-
-/// Returns the number of cells that agents of a kind move in one tick under a standard action. `None` for speeds that
-/// pedestrians do not have. [`ActionTable::speed_cells`] knows all actions.
-pub const fn speed_cells(kind: AgentKind, action: Action) -> Option<usize> {
-    match (kind, action) {
-        (_, Action::Stop) => Some(0),
-        (AgentKind::Pedestrian, Action::Normal) | (AgentKind::Car, Action::Slow) => Some(1),
-        (AgentKind::Car, Action::Normal) => Some(2),
-        (AgentKind::Car, Action::Fast) => Some(CAR_REACH),
-        _ => None,
-    }
-}
-
-/// Returns the maximum number of cells that an agent can move; all smaller positive numbers are possible too.
+/// Returns the maximum number of cells that an agent can move with these actions; all smaller positive numbers are
+/// possible, too.
 ///
 /// A move is straight and jumps over no node of the road graph, so that cars always land on the lines where
 /// intersections begin and end. 0 at the goal.
-pub fn possible_cells(agent: &Agent) -> usize {
-    let reach = match agent.kind {
-        AgentKind::Car => CAR_REACH,
-        AgentKind::Pedestrian => 1,
-    };
-    agent.straight_ahead().min(reach)
+pub fn possible_cells(agent: &Agent, actions: &ActionTable) -> usize {
+    agent.straight_ahead().min(actions.reach(agent.kind_id))
 }
 
 /// The reason for an agent's move.
@@ -160,7 +142,7 @@ pub fn advance(agent: &mut Agent, index: usize, decided: Action, surroundings: &
 /// Applies the effect of a decision. Returns whether it changed the route.
 #[inline(never)]
 fn affect(agent: &mut Agent, decided: Action, surroundings: &Surroundings<'_>) -> bool {
-    if !surroundings.actions.can_take(agent.kind, decided) {
+    if !surroundings.actions.can_take(agent.kind_id, decided) {
         return false;
     }
     let route = match surroundings.actions.effect(decided) {
@@ -202,8 +184,8 @@ fn choose(
     if decided == Action::Stop {
         return (0, MoveReason::Decided);
     }
-    let most = possible_cells(agent);
-    match actions.speed_cells(agent.kind, decided) {
+    let most = possible_cells(agent, actions);
+    match actions.speed_cells(agent.kind_id, decided) {
         Some(cells) if cells <= most => (cells, MoveReason::Decided),
         _ if most <= 1 => (most, MoveReason::OnlyMove),
         _ => (draw(most), MoveReason::Drawn),
@@ -214,7 +196,7 @@ fn choose(
 mod tests {
     use super::*;
     use crate::city::generate::tests::square;
-    use crate::city::{AgentConfig, AgentName, Routing, TripEnds};
+    use crate::city::{AgentConfig, AgentKind, AgentName, Routing, TripEnds};
     use std::sync::Arc;
 
     /// A car that leaves the curb, stops at the node at the end of its lane, and turns right behind it.
@@ -225,10 +207,7 @@ mod tests {
             .plan(AgentKind::Car, Cell::new(56, 36), goal)
             .expect("a way around the block");
         let config = AgentConfig {
-            name: AgentName {
-                kind: AgentKind::Car,
-                number: 1,
-            },
+            name: AgentName::standard(AgentKind::Car, 1),
             concepts: Arc::default(),
             priority: 1,
         };
@@ -241,7 +220,11 @@ mod tests {
         // Three cells from the curb to the lane, five along it to its end at column 41, then on into the intersection.
         let mut seen = Vec::new();
         while car.cell.col < 45 {
-            seen.push((car.cell.row, car.cell.col, possible_cells(&car)));
+            seen.push((
+                car.cell.row,
+                car.cell.col,
+                possible_cells(&car, &ActionTable::default()),
+            ));
             car.step(1);
         }
         let expected = [

@@ -1,10 +1,10 @@
 //! Checks a configuration for `logicity check`: its files, and whether rules, map and agents fit together.
 
 use crate::builtin::BuiltinFiles;
-use crate::city::{AgentKind, CityMap, MapConfig, Split};
+use crate::city::{CityMap, MapConfig};
 use crate::cli::failure::Failure;
 use crate::cli::load::missing_is_usage;
-use crate::cli::report::plural;
+use crate::cli::report::agents_in_words;
 use crate::config::{ActionsConfig, Loaded, Scenario, load_any, missing_file};
 use crate::datalog::Program;
 use crate::diag::{Diagnostic, Sources, Span};
@@ -146,12 +146,13 @@ impl Checked {
         let Some(scenario) = &self.scenario else {
             return json!({ "map": map });
         };
-        let agents: serde_json::Map<String, Value> = splits(scenario)
-            .map(|(split, [cars, pedestrians])| {
-                (
-                    split.name().to_owned(),
-                    json!({ "cars": cars, "pedestrians": pedestrians }),
-                )
+        let agents: serde_json::Map<String, Value> = (scenario.splits.iter())
+            .map(|(split, set)| {
+                let counts = scenario.kinds.all().map(|kind| {
+                    let key = scenario.kinds.key(kind).to_owned();
+                    (key, json!(set.count_of(kind)))
+                });
+                (split.name().to_owned(), counts.collect::<serde_json::Value>())
             })
             .collect();
         json!({
@@ -168,9 +169,9 @@ impl Checked {
         let Some(scenario) = &self.scenario else {
             return writeln!(out, "{}: a map of {map}", path.display());
         };
-        let agents = splits(scenario).map(|(split, [cars, pedestrians])| {
-            let (cars, pedestrians) = (plural(cars as u64, "car"), plural(pedestrians as u64, "pedestrian"));
-            format!("{} {cars} and {pedestrians}", split.name())
+        let agents = scenario.splits.iter().map(|(split, set)| {
+            let agents = agents_in_words(&scenario.kinds, |kind| set.count_of(kind));
+            format!("{} {agents}", split.name())
         });
         let task = if scenario.task.is_some() {
             "Safe Path Following"
@@ -182,10 +183,4 @@ impl Checked {
         writeln!(out, "  agents: {}", agents.collect::<Vec<_>>().join(", "))?;
         writeln!(out, "  task: {task}")
     }
-}
-
-/// Returns the splits with their numbers of cars and pedestrians.
-fn splits(scenario: &Scenario) -> impl Iterator<Item = (Split, [usize; 2])> {
-    let splits = scenario.splits.iter();
-    splits.map(|(split, set)| (*split, AgentKind::ALL.map(|kind| set.count(kind))))
 }

@@ -160,7 +160,7 @@ fn print(
         session: replay.session(),
         tick: tick.tick,
         agent: replay.agents()[position].id.clone(),
-        kind: replay.kinds()[position],
+        kind: replay.kind_id(position),
         value: replay.value(position),
         at: Cell { row, col },
         heading: state.heading()?,

@@ -1,5 +1,6 @@
 //! Prints diagnostics and failures, and counts in messages.
 
+use crate::city::{KindId, KindTable};
 use crate::cli::failure::Failure;
 use crate::cli::limits::advised;
 use crate::cli::{signals, terminal};
@@ -49,6 +50,19 @@ pub fn report(diagnostics: &[Diagnostic], sources: &Sources) {
 pub fn plural(count: impl TryInto<u64>, word: &str) -> String {
     let count: u64 = count.try_into().unwrap_or(u64::MAX);
     format!("{count} {word}{}", if count == 1 { "" } else { "s" })
+}
+
+/// Formats the numbers of agents of each kind, for example `7 cars and 4 pedestrians`. Omits kinds of the configuration
+/// without agents.
+pub fn agents_in_words(kinds: &KindTable, count: impl Fn(KindId) -> usize) -> String {
+    let counted = kinds.all().filter_map(|kind| match (count(kind), kind.is_standard()) {
+        (0, false) => None,
+        (count, true) => Some(plural(count, &kinds.name(kind).to_lowercase())),
+        (count, false) => Some(plural(count, kinds.name(kind))),
+    });
+    let counted: Vec<String> = counted.collect();
+    let (last, first) = counted.split_last().expect("the standard kinds");
+    format!("{} and {last}", first.join(", "))
 }
 
 /// Formats counts, for example `2 errors, 1 warning`.

@@ -2,14 +2,14 @@
 
 use crate::cancel::Cancel;
 use crate::city::codes;
-use crate::city::{Action, AgentKind, Cell, Split};
+use crate::city::{Action, Cell, KindId, Split};
 use crate::cli::failure::Failure;
 use crate::cli::icons::IconOptions;
 use crate::cli::inputs::Inputs;
 use crate::cli::limits::LimitOptions;
 use crate::cli::load::load_city;
 use crate::cli::outputs::{ForceOption, finish, is_stdout, refuse_stdout_as_folder, unwritable};
-use crate::cli::report::{plural, report};
+use crate::cli::report::{agents_in_words, plural, report};
 use crate::cli::values::{integer, one_of, threads};
 use crate::cli::{signals, terminal};
 use crate::datalog::constraints;
@@ -104,7 +104,7 @@ fn scale(text: &str) -> Result<Scale, String> {
 struct Tally {
     ticks: u64,
     deciding: Duration,
-    actions: [Vec<u64>; 2],
+    actions: BTreeMap<KindId, Vec<u64>>,
     /// The decisions with several derived actions: these actions, the chosen one, and the number of decisions.
     overlaps: BTreeMap<(Vec<Action>, Action), u64>,
     firings: Vec<u64>,
@@ -252,7 +252,7 @@ struct Record {
     folder: PathBuf,
     trace: TraceWriter<Output>,
     pictures: Option<Pictures>,
-    names: Vec<String>,
+    names: Vec<Named>,
 }
 
 /// The animation, and the picture of the last tick.
@@ -270,6 +270,13 @@ struct Pictures {
 struct Drawing {
     overview: Overview,
     animation: Animation<Output>,
+}
+
+/// What never changes of an agent in pictures.
+struct Named {
+    name: String,
+    /// The concepts that its icon shows.
+    shown: Vec<String>,
 }
 
 /// What changes of a picture from tick to tick.
@@ -294,13 +301,14 @@ impl Frame {
     }
 
     /// Returns the agents as sprites. `names` are the agents' names.
-    fn sprites<'a>(&self, simulation: &'a Simulation, names: &'a [String]) -> Vec<Sprite<'a>> {
+    fn sprites<'a>(&self, simulation: &'a Simulation, names: &'a [Named]) -> Vec<Sprite<'a>> {
         let agents = simulation.agents().iter().zip(names).zip(&self.agents);
         agents
-            .map(|((agent, name), &(at, facing, action))| Sprite {
+            .map(|((agent, named), &(at, facing, action))| Sprite {
                 at,
                 facing,
-                ..Sprite::of(agent, name, action)
+                concepts: &named.shown,
+                ..Sprite::of(agent, &named.name, action)
             })
             .collect()
     }
@@ -311,7 +319,7 @@ impl Pictures {
     fn begin(
         &mut self,
         simulation: &Simulation,
-        names: &[String],
+        names: &[Named],
         part: Extent,
         first: &Frame,
         path: &Path,
@@ -330,7 +338,7 @@ impl Pictures {
     }
 
     /// Adds a frame to the animation.
-    fn add(&mut self, simulation: &Simulation, names: &[String], frame: Frame) -> io::Result<()> {
+    fn add(&mut self, simulation: &Simulation, names: &[Named], frame: Frame) -> io::Result<()> {
         match &mut self.drawing {
             Some(Drawing { overview, animation }) => {
                 animation.push(&overview.draw(frame.tick, &frame.sprites(simulation, names)))
@@ -356,7 +364,12 @@ impl Record {
         let create = |name: &str| arguments.force.create("run", &folder.join(name), inputs);
         let trace = TraceWriter::new(create("trace.jsonl")?, simulation, sources, rule_files)
             .map_err(|error| unwritable(&folder.join("trace.jsonl"), &error))?;
-        let names: Vec<String> = (simulation.agents().iter().map(|agent| agent.name().to_string())).collect();
+        let kinds = &simulation.world().scenario.kinds;
+        let named = simulation.agents().iter().map(|agent| Named {
+            name: agent.name().to_string(),
+            shown: kinds.shown(agent.kind, &agent.concepts).into_owned(),
+        });
+        let names: Vec<Named> = named.collect();
         let pictures = if arguments.no_pictures {
             None
         } else {
@@ -441,11 +454,7 @@ impl Tally {
     fn add(&mut self, simulation: &mut Simulation) {
         self.ticks += 1;
         for (index, (done, agent)) in (simulation.report().agents.iter().zip(simulation.agents())).enumerate() {
-            let kind = match agent.kind {
-                AgentKind::Car => 0,
-                AgentKind::Pedestrian => 1,
-            };
-            let counts = &mut self.actions[kind];
+            let counts = self.actions.entry(agent.kind_id).or_default();
             counts.resize(counts.len().max(done.action.index() + 1), 0);
             counts[done.action.index()] += 1;
             if done.derived.len() > 1 {
@@ -494,13 +503,13 @@ fn summary(simulation: &mut Simulation, tally: &Tally, sources: &Sources, writte
     let scenario = &world.scenario;
     let agents = simulation.agents();
     let mut text = String::new();
-    let cars = agents.iter().filter(|agent| agent.kind == AgentKind::Car).count();
+    let count = |kind| agents.iter().filter(|agent| agent.kind_id == kind).count();
     let _ = writeln!(
         text,
-        "{} ({}): {cars} cars and {} pedestrians on {}, seed {}",
+        "{} ({}): {} on {}, seed {}",
         scenario.name,
         simulation.split().name(),
-        agents.len() - cars,
+        agents_in_words(&scenario.kinds, count),
         world.map().name,
         simulation.seed().0,
     );
@@ -535,8 +544,18 @@ fn summary(simulation: &mut Simulation, tally: &Tally, sources: &Sources, writte
     let column = |name: &str| format!("{name:>width$}", width = name.len().max(8) + 2);
     let names: String = table.names().map(column).collect();
     let _ = writeln!(text, "\n{:<12}{names}", "decisions");
-    for (kind, counts) in ["cars", "pedestrians"].into_iter().zip(&tally.actions) {
-        let count = |action: Action| counts.get(action.index()).copied().unwrap_or(0);
+    for kind in scenario.kinds.all() {
+        let counts = tally.actions.get(&kind);
+        if counts.is_none() && !kind.is_standard() {
+            continue;
+        }
+        let kind = scenario.kinds.key(kind);
+        let count = |action: Action| {
+            counts
+                .and_then(|counts| counts.get(action.index()))
+                .copied()
+                .unwrap_or(0)
+        };
         let counts: String = (table.all())
             .map(|action| format!("{:>width$}", count(action), width = column(table.name(action)).len()))
             .collect();

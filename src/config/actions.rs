@@ -1,6 +1,7 @@
 //! Reads the actions of a configuration.
 
-use crate::city::{Action, ActionTable, AgentKind, AgentSet, Effect, OwnAction, Split, Turn};
+use crate::city::{Action, ActionTable, AgentKind, AgentSet, Effect, KindId, KindTable, OwnAction, Split, Turn};
+use crate::config::kinds::{Kinds, MOST};
 use crate::config::model::*;
 use crate::config::predicates::{Predicates, SEES};
 use crate::diag::{self, Diagnostic};
@@ -15,14 +16,15 @@ const MAX_PARKED: u32 = 1_000_000;
 /// Reads the actions: their definitions, their order of precedence, and the default.
 pub(super) fn actions(
     node: &YamlNode,
+    kinds: &Kinds<'_>,
     predicates: Option<&Predicates>,
     splits: Option<&[(Split, AgentSet)]>,
     faults: &mut Vec<Diagnostic>,
 ) -> Option<ActionsConfig> {
     let mut fields = Fields::open(node, "the actions", faults)?;
     let table = fields.optional("define").map_or_else(
-        || Some(ActionTable::default()),
-        |node| definitions(node, predicates, splits, faults),
+        || Some(ActionTable::new(Vec::new(), &kinds.table)),
+        |node| definitions(node, &kinds.table, predicates, splits, faults),
     );
     let priority = fields.required("priority", faults);
     let default = fields.required("default", faults);
@@ -30,28 +32,51 @@ pub(super) fn actions(
     let table = table?;
     let known: Vec<(&str, Action)> = table.names().zip(table.all()).collect();
     let priority = priority.and_then(|node| precedence(node, &known, faults));
-    let default = default.and_then(|node| {
-        let action = choice(node, &known, faults)?;
-        if let Some(kind) = AgentKind::ALL.into_iter().find(|&kind| !table.can_take(kind, action)) {
-            let message = format!(
-                "the default is an action of all agents, but a {} cannot take it",
-                lower(kind)
-            );
-            let fault = Diagnostic::new(codes::INVALID_VALUE, message).at(node.span, "");
-            faults.push(fault.help(format!(
-                "add `{}` to its `cells`, or choose another default",
-                kind.name()
-            )));
-            return None;
+    let own_default = |kind: KindId| {
+        kinds
+            .orders
+            .iter()
+            .any(|order| order.kind == kind && order.default.is_some())
+    };
+    let usual: Vec<KindId> = kinds.table.all().filter(|kind| !own_default(*kind)).collect();
+    let default = default.and_then(|node| default_of(&usual, node, &known, &table, &kinds.table, faults));
+    let mut of_kinds = Vec::new();
+    for order in &kinds.orders {
+        let own_priority = order.priority.map(|node| precedence(node, &known, faults));
+        let own_default =
+            (order.default).map(|node| default_of(&[order.kind], node, &known, &table, &kinds.table, faults));
+        let own_priority = own_priority.unwrap_or_else(|| priority.clone());
+        if let (Some(priority), Some(default)) = (own_priority, own_default.unwrap_or(default)) {
+            of_kinds.push((order.kind, priority, default));
         }
-        Some(action)
-    });
+    }
     let (priority, default) = (priority?, default?);
     Some(ActionsConfig {
         priority,
         default,
+        of_kinds,
         table,
     })
+}
+
+/// Reads the default action of some kinds.
+fn default_of(
+    of: &[KindId],
+    node: &YamlNode,
+    known: &[(&str, Action)],
+    table: &ActionTable,
+    kinds: &KindTable,
+    faults: &mut Vec<Diagnostic>,
+) -> Option<Action> {
+    let action = choice(node, known, faults)?;
+    let Some(kind) = of.iter().find(|&&kind| !table.can_take(kind, action)) else {
+        return Some(action);
+    };
+    let name = kinds.name(*kind);
+    let message = format!("the default is an action of all agents, but a {name} cannot take it");
+    let fault = Diagnostic::new(codes::INVALID_VALUE, message).at(node.span, "");
+    faults.push(fault.help(format!("add `{name}` to its `cells`, or choose another default")));
+    None
 }
 
 /// Reads the order of precedence: each action once.
@@ -83,6 +108,7 @@ fn precedence(node: &YamlNode, known: &[(&str, Action)], faults: &mut Vec<Diagno
 
 fn definitions(
     node: &YamlNode,
+    kinds: &KindTable,
     predicates: Option<&Predicates>,
     splits: Option<&[(Split, AgentSet)]>,
     faults: &mut Vec<Diagnostic>,
@@ -105,9 +131,9 @@ fn definitions(
             span: key.span,
         };
         check_name(&name, predicates, faults);
-        own.extend(definition(name, node, splits, faults));
+        own.extend(definition(name, node, kinds, splits, faults));
     }
-    (faults.len() == before).then(|| ActionTable::new(own))
+    (faults.len() == before).then(|| ActionTable::new(own, kinds))
 }
 
 /// Reports a name that is no predicate's, or another one's.
@@ -133,13 +159,14 @@ fn check_name(name: &Located<String>, predicates: Option<&Predicates>, faults: &
 fn definition(
     name: Located<String>,
     node: &YamlNode,
+    kinds: &KindTable,
     splits: Option<&[(Split, AgentSet)]>,
     faults: &mut Vec<Diagnostic>,
 ) -> Option<OwnAction> {
     let before = faults.len();
     let mut fields = Fields::open(node, "an action", faults)?;
     let cells_node = fields.required("cells", faults);
-    let cells = cells_node.and_then(|node| cells(&name, node, splits, faults));
+    let cells = cells_node.and_then(|node| cells(&name, node, kinds, splits, faults));
     let turns = Turn::ALL.map(|turn| (turn.name(), turn));
     let turn_node = fields.optional("turn");
     let turn = turn_node.and_then(|node| choice(node, &turns, faults));
@@ -166,12 +193,15 @@ fn definition(
         );
     }
     let (cells, effect) = (cells?, effects.first().copied());
+    let walks = |kind: &KindId| kinds.base(*kind) == AgentKind::Pedestrian && cells[kind.index()].is_some();
+    let walks = kinds.all().find(walks);
     match effect {
-        Some((node, Effect::Turn(_) | Effect::Reroute)) if cells[AgentKind::Pedestrian as usize].is_some() => {
+        Some((node, Effect::Turn(_) | Effect::Reroute)) if walks.is_some() => {
             let message = "pedestrians have no lanes, so they can neither `turn` nor `reroute`";
             let fault = Diagnostic::new(codes::INVALID_VALUE, message).at(node.span, "");
+            let walks = kinds.name(walks.expect("some kind"));
             faults.push(match cells_node {
-                Some(node) => fault.also(node.span, "remove `Pedestrian` here"),
+                Some(node) => fault.also(node.span, format!("remove `{walks}` here")),
                 None => fault,
             });
         }
@@ -192,43 +222,42 @@ fn definition(
     })
 }
 
-/// Reads the cells per tick of the kinds that can take an action.
+/// Reads the cells per tick of the kinds that can take an action. A kind of the configuration has those of the kind that
+/// it derives from, unless it is given its own.
 fn cells(
     name: &Located<String>,
     node: &YamlNode,
+    kinds: &KindTable,
     splits: Option<&[(Split, AgentSet)]>,
     faults: &mut Vec<Diagnostic>,
-) -> Option<[Option<u8>; 2]> {
+) -> Option<Vec<Option<u8>>> {
     let before = faults.len();
     let mut fields = Fields::open(node, "the cells per tick of an action", faults)?;
-    let most = [3, 1];
-    let mut found = [None; 2];
-    for (kind, most) in AgentKind::ALL.into_iter().zip(most) {
-        if let Some(node) = fields.optional(kind.name()) {
-            found[kind as usize] = integer(node, 0..=most, faults);
-        }
+    let mut found: Vec<Option<u8>> = Vec::new();
+    for kind in kinds.all() {
+        let node = fields.optional(kinds.name(kind).to_owned());
+        let base = KindId::from(kinds.base(kind)).index();
+        found.push(match node {
+            Some(node) => integer(node, 0..=MOST, faults),
+            None => found.get(base).copied().flatten(),
+        });
     }
-    fields.close(faults);
+    fields.close_with(None, faults);
     if faults.len() > before {
         return None;
     }
-    let takes = |kind: AgentKind| found[kind as usize].is_some();
-    let kinds: Vec<AgentKind> = AgentKind::ALL.into_iter().filter(|&kind| takes(kind)).collect();
-    let exist = |kind: &AgentKind| splits.is_none_or(|splits| splits.iter().any(|(_, set)| set.count(*kind) > 0));
-    if kinds.iter().any(exist) {
+    let able: Vec<KindId> = kinds.all().filter(|kind| found[kind.index()].is_some()).collect();
+    let exist = |kind: &KindId| splits.is_none_or(|splits| splits.iter().any(|(_, set)| set.count_of(*kind) > 0));
+    if able.iter().any(exist) {
         return Some(found);
     }
     let fault = Diagnostic::new(codes::INVALID_VALUE, format!("no agent can take `{}`", name.value));
     let fault = fault.at(node.span, "");
-    faults.push(match kinds.as_slice() {
+    faults.push(match able.as_slice() {
         [] => fault.help("give the cells per tick of each kind that can take it: `cells: {Car: 1}`"),
-        [kind, ..] => fault.help(format!("the configuration has no {}", lower(*kind))),
+        [kind, ..] => fault.help(format!("the configuration has no {}", kinds.name(*kind))),
     });
     None
-}
-
-fn lower(kind: AgentKind) -> String {
-    kind.name().to_lowercase()
 }
 
 /// Reports a task with other actions than the standard ones.

@@ -3,11 +3,12 @@
 //! `docs/reference/configuration.md` documents the keys for users. The city checks whether the values are consistent,
 //! for example whether a street has room for its lanes.
 
-use crate::city::{AgentGroup, AgentKind, AgentSet, Building, Buildings, MapConfig, Routing, Split};
-use crate::city::{TripEnds, Widths};
+use crate::city::{AgentGroup, AgentKind, AgentSet, Building, Buildings, KindName, KindTable, MapConfig, OwnGroups};
+use crate::city::{Routing, Split, TripEnds, Widths};
 use crate::config::actions::{actions, only_standard};
 use crate::config::codes;
 use crate::config::compose::{AGENTS, Composer, Kind, MAP, PREDICATES, RUN, Read, TASK};
+use crate::config::kinds::{Kinds, check as check_kinds, kinds, kinds_help};
 use crate::config::model::*;
 use crate::config::predicates::{Concepts, Predicates, carried, predicates};
 use crate::config::task;
@@ -20,6 +21,7 @@ use crate::yaml::read::{Fields, choice, integer, invalid, list, number, text};
 use crate::yaml::{Value, YamlNode};
 use sha2::{Digest, Sha256};
 use std::path::Path;
+use std::sync::Arc;
 
 /// The maximum number of agents of a split before repetition, plus the concepts that they carry.
 const MAX_AGENTS: u32 = 1_000_000;
@@ -178,19 +180,26 @@ fn scenario(composer: &mut Composer<'_>, tree: &YamlNode) -> Option<Scenario> {
     let map_node = fields.required("map", faults);
     let map = map_node.and_then(|node| map(node, composer.name_of(node), &mut composer.faults));
     let faults = &mut composer.faults;
-    let predicates = fields
-        .required("predicates", faults)
-        .and_then(|node| predicates(node, faults));
+    let kinds = fields
+        .optional("kinds")
+        .map_or_else(|| Some(Kinds::default()), |node| kinds(node, faults));
+    let predicates = (fields.required("predicates", faults))
+        .zip(kinds.as_ref())
+        .and_then(|(node, kinds)| predicates(node, &kinds.table, faults));
+    if let (Some(kinds), Some(predicates)) = (&kinds, &predicates) {
+        check_kinds(&kinds.table, predicates, faults);
+    }
     let regions = fields
         .optional("region")
         .map(|node| regions(node, faults))
         .unwrap_or_default();
     let splits = fields
         .required("agents", faults)
-        .and_then(|node| splits(node, predicates.as_ref(), &regions, faults));
-    let actions = fields
-        .required("actions", faults)
-        .and_then(|node| actions(node, predicates.as_ref(), splits.as_deref(), faults));
+        .zip(kinds.as_ref())
+        .and_then(|(node, kinds)| splits(node, &kinds.table, predicates.as_ref(), &regions, faults));
+    let actions = (fields.required("actions", faults))
+        .zip(kinds.as_ref())
+        .and_then(|(node, kinds)| actions(node, kinds, predicates.as_ref(), splits.as_deref(), faults));
     let routing = fields
         .required("routing", faults)
         .and_then(|node| choice(node, &Routing::ALL.map(|routing| (routing.name(), routing)), faults));
@@ -220,6 +229,7 @@ fn scenario(composer: &mut Composer<'_>, tree: &YamlNode) -> Option<Scenario> {
         rules: rules?,
         splits: splits?,
         predicates: predicates?.used,
+        kinds: kinds?.table,
         actions: actions?,
         routing: routing?,
         trip_ends: trip_ends?,
@@ -503,6 +513,7 @@ fn regions(node: &YamlNode, faults: &mut Vec<Diagnostic>) -> [Option<Located<u32
 
 fn splits(
     node: &YamlNode,
+    kinds: &KindTable,
     predicates: Option<&Predicates>,
     regions: &[Option<Located<u32>>; 3],
     faults: &mut Vec<Diagnostic>,
@@ -514,7 +525,7 @@ fn splits(
     let mut splits = Vec::new();
     for (split, region) in Split::ALL.into_iter().zip(regions) {
         if let Some(node) = fields.optional(split.name()) {
-            let set = agents(node, split, *region, concepts.as_ref(), faults);
+            let set = agents(node, kinds, split, *region, concepts.as_ref(), faults);
             splits.extend(set.map(|set| (split, set)));
         }
     }
@@ -531,6 +542,7 @@ fn splits(
 
 fn agents(
     node: &YamlNode,
+    kinds: &KindTable,
     split: Split,
     region: Option<Located<u32>>,
     concepts: Option<&Concepts<'_>>,
@@ -538,29 +550,39 @@ fn agents(
 ) -> Option<AgentSet> {
     let before = faults.len();
     let mut fields = Fields::open(node, "the agents of a split", faults)?;
-    let lists = [("cars", AgentKind::Car), ("pedestrians", AgentKind::Pedestrian)];
     let mut room = MAX_AGENTS;
-    let [cars, pedestrians] = lists.map(|(key, kind)| {
+    let mut entries = |key: &str, kind: AgentKind, own: Option<KindName>, faults: &mut Vec<Diagnostic>| {
         let mut groups = Vec::new();
-        for item in fields
-            .optional(key)
-            .and_then(|node| list(node, key, faults))
-            .unwrap_or_default()
-        {
+        let items = fields.optional(key.to_owned()).and_then(|node| list(node, key, faults));
+        for item in items.unwrap_or_default() {
             if faults.len() <= MAX_FAULTS {
-                groups.extend(group(item, kind, &mut room, concepts, faults));
+                groups.extend(group(item, kind, own, &mut room, concepts, faults));
             }
         }
         groups
+    };
+    let cars = entries("cars", AgentKind::Car, None, faults);
+    let pedestrians = entries("pedestrians", AgentKind::Pedestrian, None, faults);
+    let own = kinds.own_with_ids().map(|(kind, own)| OwnGroups {
+        kind,
+        name: own.name.value,
+        of: own.of,
+        groups: entries(own.name.value.as_str(), own.of, Some(own.name.value), faults),
     });
+    let own: Vec<OwnGroups> = own.collect();
+    let own: Vec<OwnGroups> = own.into_iter().filter(|own| !own.groups.is_empty()).collect();
     let repeat_node = fields.optional("repeat");
     let repeat = repeat_node.map_or(Some(1), |node| integer(node, 1..=MAX_REPEATED, faults));
     let trip = fields.optional("trip").map(|node| {
         let value = integer(node, 1..=MAX_REGION, faults)?;
         Some(Located { value, span: node.span })
     });
+    let before_keys = faults.len();
     fields.close(faults);
-    if cars.is_empty() && pedestrians.is_empty() && faults.len() == before && !node.partial {
+    for fault in &mut faults[before_keys..] {
+        fault.help.push(kinds_help(kinds));
+    }
+    if cars.is_empty() && pedestrians.is_empty() && own.is_empty() && faults.len() == before && !node.partial {
         let message = format!("the split `{}` has no agents", split.name());
         let fault = Diagnostic::new(yaml::codes::INVALID_VALUE, message).at(node.span, "");
         faults.push(fault.help("give it `cars` or `pedestrians`"));
@@ -568,6 +590,7 @@ fn agents(
     let set = AgentSet {
         cars,
         pedestrians,
+        own,
         repeat: repeat?,
         region,
         trip: trip.map_or(Some(None), |trip| trip.map(Some))?,
@@ -588,6 +611,7 @@ fn agents(
 fn group(
     node: &YamlNode,
     kind: AgentKind,
+    own: Option<KindName>,
     room: &mut u32,
     known: Option<&Concepts<'_>>,
     faults: &mut Vec<Diagnostic>,
@@ -611,6 +635,11 @@ fn group(
         .map_or(Some(1), |node| integer(node, 1..=MAX_AGENTS, faults));
     fields.close(faults);
     let (concepts, priority, count) = (concepts?, priority?, count?);
+    let own = own.map(|name| name.as_str().to_owned());
+    let concepts: Arc<[String]> = own
+        .into_iter()
+        .chain(concepts.into_iter().map(|concept| concept.value))
+        .collect();
     let needed = u32::try_from(1 + concepts.len())
         .ok()
         .and_then(|each| each.checked_mul(count));
@@ -622,7 +651,7 @@ fn group(
     *room = left;
     Some(AgentGroup {
         count,
-        concepts: concepts.into_iter().map(|concept| concept.value).collect(),
+        concepts,
         priority,
     })
 }

@@ -12,6 +12,7 @@
 mod actions;
 pub mod codes;
 mod compose;
+mod kinds;
 mod load;
 mod model;
 mod predicates;

@@ -2,7 +2,7 @@
 //!
 //! The serialized form omits file names and places. [`Scenario::hash`] is its hash.
 
-use crate::city::{Action, ActionTable, AgentSet, MapConfig, Routing, Split, TripEnds};
+use crate::city::{Action, ActionTable, AgentSet, KindId, KindTable, MapConfig, Routing, Split, TripEnds};
 use crate::diag::Span;
 use crate::located::Located;
 use crate::predicate::Definition;
@@ -29,6 +29,19 @@ pub struct ActionsConfig {
     pub priority: Vec<Action>,
     /// The action if none is derived.
     pub default: Action,
+    /// The kinds with an order of precedence or a default of their own.
+    pub of_kinds: Vec<(KindId, Vec<Action>, Action)>,
+}
+
+impl ActionsConfig {
+    /// Returns the order of precedence of a kind, and its default.
+    pub fn order(&self, kind: impl Into<KindId>) -> (&[Action], Action) {
+        let kind = kind.into();
+        let own = self.of_kinds.iter().find(|(of, ..)| *of == kind);
+        own.map_or((&self.priority, self.default), |(_, priority, default)| {
+            (priority, *default)
+        })
+    }
 }
 
 /// The standard actions, the safest first.
@@ -38,20 +51,29 @@ impl Default for ActionsConfig {
             table: ActionTable::default(),
             priority: Action::SAFEST_FIRST.to_vec(),
             default: Action::Normal,
+            of_kinds: Vec::new(),
         }
     }
 }
 
-/// Serializes names. The serialized form omits an empty list of own actions, so that hashes of configurations without
-/// them do not depend on it.
+/// Serializes names. The serialized form omits an empty list of own actions and of kinds with their own order, so
+/// that hashes of configurations without them do not depend on it.
 impl Serialize for ActionsConfig {
     fn serialize<S: Serializer>(&self, serializer: S) -> Result<S::Ok, S::Error> {
         let names: Vec<&str> = self.priority.iter().map(|&action| self.table.name(action)).collect();
-        let mut config = serializer.serialize_struct("ActionsConfig", 3)?;
+        let mut config = serializer.serialize_struct("ActionsConfig", 4)?;
         config.serialize_field("priority", &names)?;
         config.serialize_field("default", self.table.name(self.default))?;
         if !self.table.own().is_empty() {
             config.serialize_field("define", self.table.own())?;
+        }
+        if !self.of_kinds.is_empty() {
+            let named = |action: &Action| self.table.name(*action).to_owned();
+            let orders = self.of_kinds.iter().map(|(kind, priority, default)| {
+                let priority: Vec<String> = priority.iter().map(named).collect();
+                (kind.index(), priority, named(default))
+            });
+            config.serialize_field("of_kinds", &orders.collect::<Vec<_>>())?;
         }
         config.end()
     }
@@ -259,6 +281,9 @@ pub struct Scenario {
     pub splits: Vec<(Split, AgentSet)>,
     /// The base predicates, in the order of the observation. The last one is `Sees`, which observations omit.
     pub predicates: Vec<PredicateConfig>,
+    /// The kinds of agents.
+    #[serde(skip_serializing_if = "KindTable::is_standard")]
+    pub kinds: KindTable,
     /// The selection of one action from the derived ones.
     pub actions: ActionsConfig,
     /// The algorithm by which agents choose routes.

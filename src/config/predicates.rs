@@ -1,6 +1,7 @@
 //! Reads the base predicates of a configuration, and the concepts that they define.
 
-use crate::city::{Action, AgentKind};
+use crate::city::{Action, AgentKind, KindTable};
+use crate::config::kinds::of_own_kind;
 use crate::config::model::*;
 use crate::diag::{self, Diagnostic, MAX_FAULTS, Span, did_you_mean, listed};
 use crate::located::Located;
@@ -22,7 +23,7 @@ pub(super) struct Predicates {
     defined: Vec<PredicateConfig>,
 }
 
-pub(super) fn predicates(node: &YamlNode, faults: &mut Vec<Diagnostic>) -> Option<Predicates> {
+pub(super) fn predicates(node: &YamlNode, kinds: &KindTable, faults: &mut Vec<Diagnostic>) -> Option<Predicates> {
     let before = faults.len();
     let mut fields = Fields::open(node, "the predicates", faults)?;
     fields.optional("base");
@@ -58,7 +59,8 @@ pub(super) fn predicates(node: &YamlNode, faults: &mut Vec<Diagnostic>) -> Optio
             value: key.text.clone(),
             span: key.span,
         };
-        defined.extend(Definition::read(node, faults).map(|definition| PredicateConfig { name, definition }));
+        let definition = of_own_kind(node, kinds, faults).unwrap_or_else(|| Definition::read(node, faults));
+        defined.extend(definition.map(|definition| PredicateConfig { name, definition }));
     }
     let used = match selection {
         None => Some(defined.clone()),
@@ -144,7 +146,12 @@ impl<'p> Concepts<'p> {
     pub fn new(predicates: &'p Predicates) -> Self {
         let mut used: HashMap<&str, Vec<AgentKind>> = HashMap::new();
         for predicate in &predicates.used {
-            if let Some(Concept { of, concept }) = predicate.definition.concept() {
+            if let Some(Concept {
+                of,
+                concept,
+                is_kind: false,
+            }) = predicate.definition.concept()
+            {
                 used.entry(concept).or_default().push(*of);
             }
         }
@@ -158,7 +165,7 @@ impl<'p> Concepts<'p> {
         }
         let carried = |predicate: &&PredicateConfig| {
             let defined = predicate.definition.concept();
-            defined.is_some_and(|defined| defined.of == kind && defined.concept == concept)
+            defined.is_some_and(|defined| defined.of == kind && defined.concept == concept && !defined.is_kind)
         };
         let fault = if kinds.is_some() {
             let other = if kind == AgentKind::Car { "pedestrians" } else { "cars" };

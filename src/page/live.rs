@@ -7,7 +7,7 @@ use crate::page::header::{Header, Values};
 use crate::page::run::relative_view;
 use crate::page::scenery::Scenery;
 use crate::render::Icons;
-use crate::sim::{Actions, Replay, Simulation, TraceHeader, TraceState, TraceTick, TraceWriter, World, trace_limits};
+use crate::sim::{Actions, Replay, Simulation, TraceHeader, TraceState, TraceTick, TraceWriter, trace_limits};
 use serde::Serialize;
 use serde_json::Value;
 use std::collections::VecDeque;
@@ -118,11 +118,7 @@ impl Live {
     /// Returns the map and the icons, as the viewer reads them.
     pub fn scenery(&self, icons: &Icons) -> impl Serialize + use<> {
         let agents = self.replay.agents();
-        Scenery::new(self.world().map(), icons, agents, self.replay.kinds())
-    }
-
-    fn world(&self) -> &World {
-        self.simulation.world()
+        Scenery::new(icons, agents, &self.replay)
     }
 
     /// Runs a tick.

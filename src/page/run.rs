@@ -175,7 +175,7 @@ impl Page {
         }
         let count = header.agents.len();
         Ok(Page {
-            scenery: Scenery::new(world.map(), icons, &header.agents, replay.kinds()),
+            scenery: Scenery::new(icons, &header.agents, replay),
             header: Header::new(replay, header, sources),
             firings: world
                 .clause_actions()

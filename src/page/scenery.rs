@@ -1,8 +1,8 @@
 //! What stays the same in a run: map, buildings, and the icons of the agents.
 
-use crate::city::{AgentKind, CityMap, Heading};
+use crate::city::{AgentKind, Heading};
 use crate::render::{Atlas, Class, Facing, GroundPlan, Icons, Site, ZonePlan};
-use crate::sim::TraceAgent;
+use crate::sim::{Replay, TraceAgent};
 use base64::Engine as _;
 use base64::engine::general_purpose::STANDARD;
 use serde::Serialize;
@@ -60,14 +60,15 @@ struct Sprites {
 }
 
 impl Scenery {
-    pub fn new(map: &CityMap, icons: &Icons, agents: &[TraceAgent], kinds: &[AgentKind]) -> Scenery {
+    pub fn new(icons: &Icons, agents: &[TraceAgent], replay: &Replay) -> Scenery {
+        let (map, table) = (replay.world().map(), &replay.world().scenario.kinds);
         let [mut cars, mut pedestrians, mut buildings]: [Shown; 3] = Default::default();
-        let icons_of_agents = (agents.iter().zip(kinds).enumerate())
+        let icons_of_agents = (agents.iter().zip(replay.kinds()).enumerate())
             .map(|(position, (agent, &kind))| {
                 // The number in its name selects the instance, as in other pictures of the run.
                 let number = agent.id.rsplit('_').next().and_then(|number| number.parse().ok());
                 let instance = number.unwrap_or(u32::try_from(position).unwrap_or(0));
-                let class = Class::agent(kind, &agent.concepts);
+                let class = Class::agent(kind, &table.shown(kind, &agent.concepts));
                 match kind {
                     AgentKind::Car => vec![cars.position(class, instance, Facing::Up)],
                     AgentKind::Pedestrian => (Heading::ALL.iter())

@@ -12,6 +12,9 @@ pub struct Concept {
     pub of: AgentKind,
     /// The name in agent sets and scenes.
     pub concept: String,
+    /// Whether it is the name of a kind that the configuration defines, which `{kind: ...}` tests.
+    #[serde(skip_serializing_if = "std::ops::Not::not")]
+    pub is_kind: bool,
 }
 
 impl PredicateKind for Concept {
@@ -19,7 +22,8 @@ impl PredicateKind for Concept {
         let concept = name(nodes[0], "the name of a concept", faults).map(str::to_owned);
         let of = kind::read(nodes[1], faults);
         let (concept, of) = (concept?, of?);
-        Some(Concept { of, concept }.into())
+        let is_kind = false;
+        Some(Concept { of, concept, is_kind }.into())
     });
 
     fn phrase(&self) -> Phrase {
@@ -31,6 +35,7 @@ impl PredicateKind for Concept {
             (AgentKind::Car, "reckless") => Phrase::new("is driven recklessly"),
             (AgentKind::Pedestrian, "old") => Phrase::new("is old"),
             (AgentKind::Pedestrian, "young") => Phrase::new("is young"),
+            (_, kind) if self.is_kind => Phrase::new(format!("is a {kind}")),
             (_, concept) => Phrase::new(format!("has the property {concept}")),
         }
     }
@@ -40,6 +45,7 @@ impl PredicateKind for Concept {
         let concept = |of| Concept {
             of,
             concept: "old".into(),
+            is_kind: false,
         };
         AgentKind::ALL.map(|of| concept(of).into()).into()
     }

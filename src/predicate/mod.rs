@@ -639,7 +639,7 @@ impl Definition {
         let mut fields = Fields::open(node, "the definition of a predicate", faults)?;
         let further_keys = mappings.clone().flat_map(|(keys, _)| &keys[1..]);
         let keys = mappings.clone().map(|(keys, _)| &keys[0]).chain(further_keys);
-        let given: Vec<(&str, &YamlNode)> = keys.filter_map(|key| Some((*key, fields.optional(key)?))).collect();
+        let given: Vec<(&str, &YamlNode)> = keys.filter_map(|key| Some((*key, fields.optional(*key)?))).collect();
         fields.close(faults);
         let value = |key: &&str| Some(given.iter().find(|(given, _)| given == key)?.1);
         let found = mappings.clone().find_map(|(keys, read)| {

@@ -12,6 +12,7 @@ pub(super) struct Features {
     pub(super) police: bool,
     pub(super) tiro: bool,
     pub(super) reckless: bool,
+    pub(super) bicycle: bool,
 }
 
 /// A drawn car.
@@ -71,6 +72,9 @@ const TYRE: Ink = Ink::hex(0x0018_191c);
 ///
 /// Shapes are those of the concepts in both styles. The test style has other colors, light, windows and markings.
 pub(super) fn draw<R: Rng>(features: &Features, dice: &mut Dice<R>, noise: f32, style: Style) -> Drawing {
+    if features.bicycle {
+        return bicycle(dice, style);
+    }
     let shape = match features {
         Features { bus: true, .. } => Shape::Bus,
         Features { ambulance: true, .. } => Shape::Van,
@@ -125,6 +129,39 @@ pub(super) fn draw<R: Rng>(features: &Features, dice: &mut Dice<R>, noise: f32, 
     Drawing {
         body: car.body,
         ground: car.ground,
+        length,
+    }
+}
+
+/// Draws a bicycle with its rider.
+fn bicycle<R: Rng>(dice: &mut Dice<R>, style: Style) -> Drawing {
+    let length = dice.between(1.5, 1.65);
+    let frame = dice.ink(style.choose(&SPORTS_PAINTS[..], &TEST_SPORTS_PAINTS[..]));
+    let jacket = dice.ink(style.choose(&PAINTS[..], &TEST_PAINTS[..]));
+    let helmet = dice.ink(style.choose(&BUS_PAINTS[..], &TEST_BUS_PAINTS[..]));
+    let at = places(length);
+    let mut body = Sketch::default();
+    for wheel in [0.19, 0.81] {
+        body.oval(0.0, at(wheel), 0.07, 0.19 * length, TYRE);
+    }
+    body.line(&[(0.0, at(0.2)), (0.0, at(0.8))], 0.1, frame);
+    body.line(&[(-0.3, at(0.34)), (0.0, at(0.26)), (0.3, at(0.34))], 0.07, TYRE);
+    let skin = Ink::hex(0x00d9_a679);
+    for side in [-1.0, 1.0] {
+        body.line(
+            &[(side * 0.22, at(0.56)), (side * 0.29, at(0.36))],
+            0.1,
+            jacket.lit(-0.08),
+        );
+        body.oval(side * 0.29, at(0.35), 0.06, 0.06, skin);
+        body.oval(side * 0.13, at(0.66), 0.09, 0.17, Ink::hex(0x0033_3a45));
+    }
+    body.oval(0.0, at(0.57), 0.28, 0.2, jacket);
+    body.oval(0.0, at(0.5), 0.15, 0.17, helmet);
+    body.line(&[(0.0, at(0.44)), (0.0, at(0.55))], 0.04, helmet.lit(0.2));
+    Drawing {
+        body,
+        ground: Sketch::default(),
         length,
     }
 }

@@ -6,8 +6,9 @@ use crate::render::car;
 use crate::render::pedestrian;
 use std::fmt;
 
-/// The concepts with their own looks, in the order in which the name of a class lists them.
-const CONCEPTS: [(AgentKind, &str); 7] = [
+/// The concepts with their own looks, in the order in which the name of a class lists them. Data sets of pictures draw
+/// the first [`STANDARD`].
+const CONCEPTS: [(AgentKind, &str); 8] = [
     (AgentKind::Car, "ambulance"),
     (AgentKind::Car, "bus"),
     (AgentKind::Car, "police"),
@@ -15,7 +16,11 @@ const CONCEPTS: [(AgentKind, &str); 7] = [
     (AgentKind::Car, "reckless"),
     (AgentKind::Pedestrian, "old"),
     (AgentKind::Pedestrian, "young"),
+    (AgentKind::Car, "bicycle"),
 ];
+
+/// The number of concepts that the standard predicates define.
+const STANDARD: usize = 7;
 
 /// The subject of an icon: a building, or a type of agent with its concepts, all of which show.
 ///
@@ -72,10 +77,10 @@ impl Class {
         plain.then(|| Class::agent(kind, &parts.into_iter().map(str::to_owned).collect::<Vec<_>>()))
     }
 
-    /// Returns all classes of buildings, and of agents with at most one concept.
+    /// Returns all classes of buildings, and of agents with at most one concept of the standard predicates.
     pub fn known() -> Vec<Class> {
         let plain = AgentKind::ALL.map(|kind| (kind, None));
-        let mut agents: Vec<_> = CONCEPTS
+        let mut agents: Vec<_> = CONCEPTS[..STANDARD]
             .iter()
             .map(|&(kind, name)| (kind, Some(name)))
             .chain(plain)
@@ -106,6 +111,7 @@ impl Class {
             police: has("police"),
             tiro: has("tiro"),
             reckless: has("reckless"),
+            bicycle: has("bicycle"),
         };
         let pedestrian = pedestrian::Features {
             old: has("old"),
@@ -250,6 +256,7 @@ mod tests {
             "old+jogger",
             "gas-station",
             "bus+taxi+van",
+            "bicycle",
         ];
         for name in names {
             assert_eq!(Class::from_name(name).expect(name).to_string(), name);

@@ -6,6 +6,7 @@
 use crate::diag::{Diagnostic, Span, did_you_mean};
 use crate::yaml::codes;
 use crate::yaml::{Key, Value, YamlNode};
+use std::borrow::Cow;
 use std::fmt::Display;
 use std::ops::RangeInclusive;
 
@@ -23,7 +24,7 @@ pub(crate) struct Fields<'n> {
     what: &'static str,
     span: Span,
     entries: &'n [(Key, YamlNode)],
-    allowed: Vec<&'static str>,
+    allowed: Vec<Cow<'n, str>>,
     missing: Vec<&'static str>,
     /// Whether keys may be missing because the base could not be loaded.
     partial: bool,
@@ -42,9 +43,11 @@ impl<'n> Fields<'n> {
     }
 
     /// Returns the value of a key; a null value counts as absent.
-    pub fn optional(&mut self, key: &'static str) -> Option<&'n YamlNode> {
+    pub fn optional(&mut self, key: impl Into<Cow<'n, str>>) -> Option<&'n YamlNode> {
+        let key = key.into();
+        let found = self.find(&key);
         self.allowed.push(key);
-        let (_, node) = self.find(key)?;
+        let (_, node) = found?;
         (!matches!(node.value, Value::Absent) && !node.is_null()).then_some(node)
     }
 
@@ -86,7 +89,7 @@ impl<'n> Fields<'n> {
             faults.push(fault);
         }
         for (key, _) in self.entries {
-            if self.allowed.contains(&key.text.as_str()) {
+            if self.allowed.iter().any(|allowed| *allowed == key.text) {
                 continue;
             }
             let mut fault = Diagnostic::new(
@@ -95,7 +98,7 @@ impl<'n> Fields<'n> {
             )
             .at(key.span, "")
             .note(format!("allowed keys: {}", self.allowed.join(", ")));
-            if let Some(near) = did_you_mean(&key.text, self.allowed.iter().copied()) {
+            if let Some(near) = did_you_mean(&key.text, self.allowed.iter().map(Cow::as_ref)) {
                 fault = fault.did_you_mean(near, &[key.span]);
             }
             faults.push(fault);

@@ -284,7 +284,7 @@ const FAULTS: [(&str, &str); 14] = [
     ("define: {2nd: {cells: {Car: 1}}}", "expected the name of an action"),
     (
         "define: {Turn: {cells: {Car: 1}}}\n  priority: [Turn, Stop, Slow, Fast, Normal]\n  default: Turn",
-        "a pedestrian cannot take it",
+        "a Pedestrian cannot take it",
     ),
 ];
 

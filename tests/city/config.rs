@@ -565,13 +565,34 @@ fn the_hash_depends_on_content_and_not_on_files_places_or_names() {
 #[test]
 fn modes_and_data_sets_keep_their_hashes() {
     for (name, hash) in [
-        ("easy", "495361db6fd0ab9c4465d40e1a866570dbab3a09d63fcfe0c684539d16c00e6b"),
-        ("medium", "543a54d00de7e88ffa370fe72bbab814aaa61f953cce5dc4594267a0e1249c34"),
-        ("hard", "87ecf6800ee57a42547aef7d74f2169d2734f362c464f6db60d64a9996fb5e5f"),
-        ("expert", "c2231806ffc50353beca2b3efeff9d39765f4db5beb33eaacf6b82fb7834f0e8"),
-        ("transfer-easy", "82f274a57acc266ac4f0e3fcfd20f9a4af9786e1ba8f4d338b8214c31c8f6983"),
-        ("vap-easy", "7c4226cc733ae4bcde4f2c032c67554425967070aec97120656486445f5eae87"),
-        ("vap-hard", "7c4226cc733ae4bcde4f2c032c67554425967070aec97120656486445f5eae87"),
+        (
+            "easy",
+            "495361db6fd0ab9c4465d40e1a866570dbab3a09d63fcfe0c684539d16c00e6b",
+        ),
+        (
+            "medium",
+            "543a54d00de7e88ffa370fe72bbab814aaa61f953cce5dc4594267a0e1249c34",
+        ),
+        (
+            "hard",
+            "87ecf6800ee57a42547aef7d74f2169d2734f362c464f6db60d64a9996fb5e5f",
+        ),
+        (
+            "expert",
+            "c2231806ffc50353beca2b3efeff9d39765f4db5beb33eaacf6b82fb7834f0e8",
+        ),
+        (
+            "transfer-easy",
+            "82f274a57acc266ac4f0e3fcfd20f9a4af9786e1ba8f4d338b8214c31c8f6983",
+        ),
+        (
+            "vap-easy",
+            "7c4226cc733ae4bcde4f2c032c67554425967070aec97120656486445f5eae87",
+        ),
+        (
+            "vap-hard",
+            "7c4226cc733ae4bcde4f2c032c67554425967070aec97120656486445f5eae87",
+        ),
     ] {
         assert_eq!(load(Path::new(name)).hash, hash, "{name}");
     }

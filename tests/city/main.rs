@@ -14,6 +14,7 @@ mod executors;
 mod explain;
 mod external;
 mod hostile;
+mod kinds;
 #[path = "../datalog/near_files.rs"]
 mod near_files;
 #[path = "../datalog/pages.rs"]

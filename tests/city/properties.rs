@@ -395,6 +395,7 @@ fn agent_set(cars: usize, pedestrians: usize, region: Option<u32>) -> AgentSet {
     AgentSet {
         cars: vec![group(cars)],
         pedestrians: vec![group(pedestrians)],
+        own: Vec::new(),
         repeat: 1,
         region: region.map(located),
         trip: None,
@@ -649,7 +650,7 @@ proptest! {
                 let surroundings = Surroundings { router: &router, places: &places, actions, seed: Seed(seed), tick };
                 for (index, agent) in agents.iter_mut().enumerate() {
                     let (before, heading, position) = (agent.cell, agent.heading, agent.position());
-                    let most = possible_cells(agent);
+                    let most = possible_cells(agent, &ActionTable::default());
                     let way: Vec<Cell> = agent.route().cells().collect();
                     prop_assert_eq!(most, plainly_possible(&map, agent.kind, &way[position..]));
                     let moved = advance(agent, index, decided, &surroundings);

@@ -5,7 +5,7 @@ use crate::shipped_world::{SPF_MODES, task, task_of};
 use logicity::builtin::BuiltinFiles;
 use logicity::cancel::Cancel;
 use logicity::city::field_of_view;
-use logicity::city::{Action, AgentKind, Split};
+use logicity::city::{Action, AgentKind, KindTable, Split};
 use logicity::datalog::{ClauseId, Literal, Rules, Term};
 use logicity::diag::{Diagnostic, Sources};
 use logicity::rng::{Purpose, RngExt, Seed};
@@ -248,7 +248,7 @@ fn observers_agree_with_the_definitions() {
                     assert_eq!(derived, slow.derived(&city).unwrap());
                     assert_eq!(derived, twice.derived(&city).unwrap());
                     dense.write(&mut observation);
-                    let action = world.vocabulary.decide(Some(AgentKind::Car), derived);
+                    let action = world.vocabulary.decide(Some(AgentKind::Car.into()), derived);
                     for decider in &mut deciders {
                         assert_eq!(decider.action(&observation, &Cancel::never()).unwrap(), action);
                     }
@@ -721,7 +721,7 @@ fn every_car_can_be_driven() {
             assert!(alone.entities().eq(controlled_car.observer().entities()));
             let derived = alone.derived(env.city()).unwrap();
             assert_eq!(derived, controlled_car.derived());
-            let wanted = task.world().vocabulary.decide(Some(AgentKind::Car), derived);
+            let wanted = task.world().vocabulary.decide(Some(AgentKind::Car.into()), derived);
             assert_eq!(env.oracle_action(position), wanted);
             assert!(describe(&env, position).ends_with(&format!("the rules want {}\n", wanted.name())));
             let mut shown = vec![0.5; task.observation_width()];
@@ -852,7 +852,7 @@ fn agents_of_episodes_have_known_concepts() {
 fn set_of(text: &str) -> Result<EpisodeSet, Diagnostic> {
     let mut sources = Sources::new();
     let source = sources.add("mine.jsonl", text);
-    EpisodeSet::read(&sources, source)
+    EpisodeSet::read(&sources, source, &KindTable::default())
 }
 
 #[test]
@@ -900,7 +900,7 @@ fn unknown_keys_of_episodes_are_reported() {
         lines[line] = lines[line].replace(from, to);
         let mut sources = Sources::new();
         let source = sources.add("mine.jsonl", lines.join("\n"));
-        EpisodeSet::read(&sources, source).map_err(|fault| {
+        EpisodeSet::read(&sources, source, &KindTable::default()).map_err(|fault| {
             let place = sources.position(fault.primary.as_ref().expect("a place").span);
             (place.line, fault)
         })

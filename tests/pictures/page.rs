@@ -1087,7 +1087,7 @@ fn the_trace_of_a_driven_car_matches_the_task() {
                 let by_rules = run
                     .world
                     .vocabulary
-                    .decide(Some(replay.kinds()[agent]), replay.derived(agent));
+                    .decide(Some(replay.kind_id(agent)), replay.derived(agent));
                 assert_eq!(
                     state.action(run.world.vocabulary.actions()).unwrap(),
                     if agent == 0 { action } else { by_rules }

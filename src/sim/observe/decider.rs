@@ -75,7 +75,7 @@ impl Decider {
             cancel,
         };
         let derived = self.violations.derived(oracle.monitor(), vocabulary, observed)?;
-        Ok(vocabulary.decide(Some(AgentKind::Car), derived))
+        Ok(vocabulary.decide(Some(AgentKind::Car.into()), derived))
     }
 }
 

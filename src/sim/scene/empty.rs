@@ -170,7 +170,7 @@ fn reason(definition: &Definition) -> String {
     match definition {
         Definition::Static(Static::Kind(Kind(AgentKind::Car))) => "no agent is a car".to_owned(),
         Definition::Static(Static::Kind(Kind(AgentKind::Pedestrian))) => "no agent is a pedestrian".to_owned(),
-        Definition::Static(Static::Concept(Concept { of, concept })) => {
+        Definition::Static(Static::Concept(Concept { of, concept, .. })) => {
             format!("no {} has the concept `{concept}`", of.name().to_lowercase())
         }
         _ => "there is no such situation in this city".to_owned(),

@@ -1,7 +1,7 @@
 //! The scene format: one state of a city, or of abstract entities, as a line of JSON.
 //! `docs/reference/scenes.md` documents it.
 
-use crate::city::{Action, AgentKind};
+use crate::city::{Action, AgentKind, KindId, KindTable};
 use crate::city::{Cell, CityMap, Heading};
 use crate::datalog::Value;
 use crate::diag::{self, Diagnostic, Faults, SourceId, Sources, Span, did_you_mean, json_error, listed};
@@ -219,6 +219,8 @@ pub struct Terms<'a> {
     pub predicates: Vec<(&'a str, usize, Option<Unit>)>,
     /// Concepts with the kind of agent that carries them.
     pub concepts: Vec<(AgentKind, &'a str)>,
+    /// The kinds of agents.
+    pub kinds: &'a KindTable,
 }
 
 /// Parses a scene, or a list of scenes, which are successive ticks. The result is not empty.
@@ -344,7 +346,8 @@ impl<'a> Reader<'a> {
     fn agent(&self, raw: &'a RawValue) -> Read<SceneAgent> {
         let agent: RawAgent<'a> = self.value(raw)?;
         let mut faults = Vec::new();
-        let kind = keep(&mut faults, self.kind(agent.kind));
+        let named = keep(&mut faults, self.kind(agent.kind));
+        let kind = named.map(|kind| self.terms.kinds.base(kind));
         let heading = keep(&mut faults, agent.heading.map(|raw| self.heading(raw)).transpose());
         let at = keep(&mut faults, self.value::<[i32; 2]>(agent.at));
         let priority = keep(&mut faults, agent.priority.map_or(Ok(0), |raw| self.value(raw)));
@@ -352,7 +355,11 @@ impl<'a> Reader<'a> {
         let [speed, waited, remaining] = [agent.speed, agent.waited, agent.remaining].map(&mut count);
         let concepts = kind.and_then(|kind| {
             let concepts = agent.concepts.iter().map(|raw| self.concept(raw, kind));
-            keep(&mut faults, all(concepts))
+            let concepts: Vec<String> = keep(&mut faults, all(concepts))?;
+            // The first concept of a kind of the configuration is its name.
+            let own = named.filter(|kind| !kind.is_standard());
+            let own = own.map(|kind| self.terms.kinds.name(kind).to_owned());
+            Some(own.into_iter().chain(concepts).collect())
         });
         let progress = speed
             .zip(waited)
@@ -379,14 +386,14 @@ impl<'a> Reader<'a> {
         }
     }
 
-    fn kind(&self, raw: &'a RawValue) -> Read<AgentKind> {
+    fn kind(&self, raw: &'a RawValue) -> Read<KindId> {
         let name: String = self.value(raw)?;
-        let kind = AgentKind::ALL
-            .into_iter()
-            .find(|kind| kind.name().eq_ignore_ascii_case(&name));
-        kind.ok_or_else(|| {
+        let kinds = self.terms.kinds;
+        kinds.find_ignoring_case(&name).ok_or_else(|| {
             let message = format!("`{name}` is not a type of agent");
-            vec![self.fault(raw, message, "expected \"Car\" or \"Pedestrian\"")]
+            let names: Vec<String> = kinds.all().map(|kind| format!("\"{}\"", kinds.name(kind))).collect();
+            let (last, first) = names.split_last().expect("the standard kinds");
+            vec![self.fault(raw, message, &format!("expected {} or {last}", first.join(", ")))]
         })
     }
 

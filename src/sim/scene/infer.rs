@@ -1,7 +1,7 @@
 //! Inference: the decisions of the rules in one scene.
 
 use crate::cancel::Cancel;
-use crate::city::{Action, ActionTable, AgentKind, CityMap, Heading};
+use crate::city::{Action, ActionTable, CityMap, Heading, KindId};
 use crate::config::{Scenario, load_map, load_scenario};
 use crate::datalog::dense::{BinaryFacts, BitFacts, BitState, Set, TooManySteps, TrackFirings, has};
 use crate::datalog::explain::Explainer;
@@ -63,7 +63,7 @@ pub struct SceneFacts {
     /// The names of the entities.
     pub names: Vec<String>,
     /// Their kinds; empty if the scene does not say.
-    pub kinds: Vec<AgentKind>,
+    pub kinds: Vec<KindId>,
     /// The positions of the egos.
     pub egos: Vec<usize>,
     /// The base facts.
@@ -107,6 +107,13 @@ pub struct MarginalEgo {
     pub derived: Vec<(String, Probability)>,
     /// The probability that the ego takes each action; they add up to 1.
     pub decided: Vec<(String, Probability)>,
+}
+
+/// The actions that an agent can take, in order of precedence, and its default.
+#[derive(PartialEq)]
+struct Order {
+    actions: Vec<(Action, PredicateId)>,
+    default: Action,
 }
 
 impl MarginalAnswer {
@@ -423,8 +430,10 @@ impl Inference {
                 .collect(),
             concepts: (self.scenario.predicates.iter())
                 .filter_map(|predicate| predicate.definition.concept())
+                .filter(|concept| !concept.is_kind)
                 .map(|concept| (concept.of, concept.concept.as_str()))
                 .collect(),
+            kinds: &self.scenario.kinds,
         };
         let mut ticks = Vec::new();
         for scene in parse_scenes(sources, source, &terms)? {
@@ -502,7 +511,9 @@ impl Inference {
     fn geometric(&mut self, scene: GeometricScene, cancel: &Cancel) -> Result<SceneFacts, Vec<Diagnostic>> {
         let map = self.map(&scene).map_err(|fault| vec![fault])?;
         scene.check_cells(&map)?;
-        let kinds = scene.agents.iter().map(|agent| agent.kind).collect();
+        let kinds = (scene.agents.iter())
+            .map(|agent| self.scenario.kinds.of(agent.kind, &agent.concepts))
+            .collect();
         let entities: Vec<Entity<'_>> = scene
             .agents
             .iter()
@@ -734,7 +745,6 @@ impl Inference {
         cancel: &Cancel,
     ) -> Result<MarginalAnswer, Diagnostic> {
         let vocabulary = Arc::clone(&self.vocabulary);
-        let table = vocabulary.actions();
         let order = self.scenario.actions.priority.iter();
         let order: Vec<(Action, PredicateId)> = order
             .filter_map(|action| Some((*action, vocabulary.action(*action)?)))
@@ -781,18 +791,13 @@ impl Inference {
             rows.iter().for_each(|(row, _)| insert(predicate, *row, None, 1.0));
         }
         let mut egos: Vec<Option<MarginalEgo>> = scene.egos.iter().map(|_| None).collect();
-        // Kinds of agents can take different actions.
-        let kind = |ego: usize| scene.kinds.get(ego).copied();
         while let Some(next) = egos.iter().position(Option::is_none) {
-            let kind_now = kind(scene.egos[next]);
-            let can_take =
-                |(action, _): &&(Action, PredicateId)| kind_now.is_none_or(|kind| table.can_take(kind, *action));
-            let order: Vec<(Action, PredicateId)> = order.iter().filter(can_take).copied().collect();
-            let ordered = marginals.set_order(order.iter().map(|(_, predicate)| *predicate));
+            let order = self.order_of(scene, scene.egos[next]);
+            let ordered = marginals.set_order(order.actions.iter().map(|(_, predicate)| *predicate));
             ordered.expect("actions are predicates");
             marginals.compute(cancel).map_err(|error| self.exceeded(&error))?;
             let open = scene.egos.iter().zip(&mut egos);
-            for (&ego, answer) in open.filter(|(ego, _)| kind(**ego) == kind_now) {
+            for (&ego, answer) in open.filter(|(ego, _)| self.order_of(scene, **ego) == order) {
                 let row = [names[ego]];
                 *answer = Some(self.marginal_ego(&scene.names[ego], &row, &order, &marginals));
             }
@@ -805,23 +810,31 @@ impl Inference {
         Ok(answer)
     }
 
+    /// Returns the actions that an ego can take, in order of precedence, and its default.
+    fn order_of(&self, scene: &SceneFacts, ego: usize) -> Order {
+        let config = &self.scenario.actions;
+        let kind = scene.kinds.get(ego).copied();
+        let usual = (config.priority.as_slice(), config.default);
+        let (priority, default) = kind.map_or(usual, |kind| config.order(kind));
+        let can_take = |action: &&Action| kind.is_none_or(|kind| config.table.can_take(kind, **action));
+        let actions = priority.iter().filter(can_take);
+        Order {
+            actions: (actions.filter_map(|action| Some((*action, self.vocabulary.action(*action)?)))).collect(),
+            default,
+        }
+    }
+
     /// Returns the probabilities of an ego, whose row this is, for actions in order of precedence.
-    fn marginal_ego(
-        &self,
-        id: &str,
-        row: &[Value],
-        order: &[(Action, PredicateId)],
-        marginals: &Marginals,
-    ) -> MarginalEgo {
+    fn marginal_ego(&self, id: &str, row: &[Value], order: &Order, marginals: &Marginals) -> MarginalEgo {
         let table = self.vocabulary.actions();
         let name = |action: Action| table.name(action).to_owned();
-        let derived = order.iter().filter_map(|(action, predicate)| {
+        let derived = order.actions.iter().filter_map(|(action, predicate)| {
             let probability = marginals.probability(*predicate, row)?;
             Some((name(*action), probability))
         });
         let mut decided: Vec<(Action, Probability)> = Vec::new();
-        let actions = order.iter().map(|(action, _)| *action);
-        let actions = actions.chain([self.scenario.actions.default]);
+        let actions = order.actions.iter().map(|(action, _)| *action);
+        let actions = actions.chain([order.default]);
         for (action, probability) in actions.zip(marginals.first(row)) {
             match decided.iter_mut().find(|(known, _)| *known == action) {
                 Some((_, known)) => *known = known.or(probability),

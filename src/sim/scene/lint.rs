@@ -1,6 +1,6 @@
 //! Warnings of rules that mean something else in the city than they seem to.
 
-use crate::city::{Action, ActionTable, AgentKind, AgentName, AgentSet};
+use crate::city::{Action, ActionTable, AgentKind, AgentSet, KindId};
 use crate::config::ActionsConfig;
 use crate::datalog::optimize::{self, Lints};
 use crate::datalog::{
@@ -184,28 +184,27 @@ const SIMILAR_MAX: usize = 1000;
 
 /// The agents of some sets.
 struct Agents {
-    /// By kind: the number of agents in the largest set.
-    counts: [usize; 2],
+    /// By the name of the kind: the number of agents in the largest set.
+    counts: BTreeMap<KindId, (String, usize)>,
     /// Their names, for messages.
     ranges: String,
 }
 
 impl Agents {
     fn new<'s>(sets: impl Iterator<Item = &'s AgentSet>) -> Agents {
-        let mut counts = [0; 2];
+        let mut counts: BTreeMap<KindId, (String, usize)> = BTreeMap::new();
         for set in sets {
-            for (count, kind) in counts.iter_mut().zip(AgentKind::ALL) {
-                *count = set.count(kind).max(*count);
+            for (name, _) in set.kinds() {
+                let known = counts.entry(name.kind_id());
+                let (_, count) = known.or_insert_with(|| (name.kind_name().to_owned(), 0));
+                *count = set.count_of(name.kind_id()).max(*count);
             }
         }
-        let ranges = AgentKind::ALL
-            .iter()
-            .zip(counts)
-            .filter_map(|(kind, count)| match count {
-                0 => None,
-                1 => Some(format!("{}_1", kind.name())),
-                _ => Some(format!("{0}_1 to {0}_{count}", kind.name())),
-            });
+        let ranges = counts.values().filter_map(|(kind, count)| match count {
+            0 => None,
+            1 => Some(format!("{kind}_1")),
+            _ => Some(format!("{kind}_1 to {kind}_{count}")),
+        });
         let ranges: Vec<String> = ranges.collect();
         Agents {
             counts,
@@ -215,21 +214,21 @@ impl Agents {
 
     /// Returns whether an agent has this name.
     fn include(&self, name: &str) -> bool {
-        AgentKind::ALL.into_iter().zip(self.counts).any(|(kind, count)| {
-            let number = name.strip_prefix(kind.name()).and_then(|rest| rest.strip_prefix('_'));
+        self.counts.values().any(|(kind, count)| {
+            let number = name.strip_prefix(kind.as_str()).and_then(|rest| rest.strip_prefix('_'));
             let number: Option<u32> = number.and_then(|number| number.parse().ok());
             number.is_some_and(|number| {
-                let is_spelled_so = AgentName { kind, number }.to_string() == name;
-                is_spelled_so && number >= 1 && number as usize <= count
+                let is_spelled_so = format!("{kind}_{number}") == name;
+                is_spelled_so && number >= 1 && number as usize <= *count
             })
         })
     }
 
     /// Returns the name of an agent that is similar to this one.
     fn similar(&self, name: &str) -> Option<String> {
-        let names = AgentKind::ALL.into_iter().zip(self.counts).flat_map(|(kind, count)| {
-            let numbers = 1..=count.min(SIMILAR_MAX);
-            numbers.map(move |number| format!("{}_{number}", kind.name()))
+        let names = self.counts.values().flat_map(|(kind, count)| {
+            let numbers = 1..=(*count).min(SIMILAR_MAX);
+            numbers.map(move |number| format!("{kind}_{number}"))
         });
         let names: Vec<String> = names.collect();
         did_you_mean(name, names.iter().map(String::as_str)).map(str::to_owned)
@@ -360,7 +359,7 @@ fn unquoted_agents(rules: &Rules) -> Vec<Diagnostic> {
     found.into_values().collect()
 }
 
-/// Returns whether a name is that of an agent: `Car_1`, `Pedestrian_12`.
+/// Returns whether a name is that of a car or a pedestrian: `Car_1`, `Pedestrian_12`.
 fn is_agent(name: &str) -> bool {
     let number = (AgentKind::ALL.iter()).find_map(|kind| name.strip_prefix(kind.name())?.strip_prefix('_'));
     number.is_some_and(|number| !number.is_empty() && number.bytes().all(|byte| byte.is_ascii_digit()))

@@ -99,11 +99,11 @@ impl CityTheory {
             }
         };
         for (split, set) in &scenario.splits {
-            for (kind, groups) in [(AgentKind::Car, &set.cars), (AgentKind::Pedestrian, &set.pedestrians)] {
+            for (first, groups) in set.kinds() {
                 let mut number = 1;
                 for group in groups {
-                    let name = format!("`{}_{number}` of `{}`", kind.name(), split.name());
-                    add(kind, &group.concepts, name, set.span);
+                    let name = format!("`{}_{number}` of `{}`", first.kind_name(), split.name());
+                    add(first.kind, &group.concepts, name, set.span);
                     number += u64::from(group.count);
                 }
             }

@@ -609,7 +609,7 @@ impl Simulation {
     /// Checks that the controlled agents can take their actions.
     fn check_controls(&self, controls: &[(usize, Action)]) -> Result<(), Diagnostic> {
         let table = &self.world.scenario.actions.table;
-        let cannot = |&&(position, action): &&(usize, Action)| !table.can_take(self.agents[position].kind, action);
+        let cannot = |&&(position, action): &&(usize, Action)| !table.can_take(self.agents[position].kind_id, action);
         let Some(&(position, action)) = controls.iter().find(cannot) else {
             return Ok(());
         };
@@ -1008,7 +1008,7 @@ impl Moving<'_> {
     #[inline(always)]
     fn step(&self, index: usize, agent: &mut Agent, done: &mut AgentTick) {
         let derived = self.decisions.derived(index);
-        let action = self.controlled[index].unwrap_or_else(|| self.vocabulary.decide(Some(agent.kind), derived));
+        let action = self.controlled[index].unwrap_or_else(|| self.vocabulary.decide(Some(agent.kind_id), derived));
         *done = AgentTick {
             heading: agent.heading,
             speed: agent.speed,

@@ -1,7 +1,7 @@
 //! The interface between configuration and rules: base predicates and actions of a scenario, bound to a program.
 // Decision: docs/decisions/city.md#d003
 
-use crate::city::{Action, ActionTable, AgentKind};
+use crate::city::{Action, ActionTable, KindId};
 use crate::config::{ActionsConfig, PredicateConfig, Scenario};
 use crate::datalog::Program;
 use crate::datalog::codes;
@@ -113,7 +113,7 @@ pub struct Vocabulary {
     /// The predicate of each action, in the order of the table; `None` if the rules do not declare it.
     actions: Vec<Option<PredicateId>>,
     /// For each kind of agents, the action to take, indexed by the bits of the derived actions.
-    decisions: [Box<[Action]>; 2],
+    decisions: Vec<Box<[Action]>>,
     /// Those of an entity whose kind is unknown.
     unknown: Box<[Action]>,
     default: Action,
@@ -190,7 +190,11 @@ impl Vocabulary {
                 draws: rules.chance.is_some(),
                 table: table.clone(),
                 actions,
-                decisions: AgentKind::ALL.map(|kind| decisions(&scenario.actions, Some(kind))),
+                decisions: (scenario
+                    .kinds
+                    .all()
+                    .map(|kind| decisions(&scenario.actions, Some(kind))))
+                .collect(),
                 unknown: decisions(&scenario.actions, None),
                 default: scenario.actions.default,
             })
@@ -262,8 +266,8 @@ impl Vocabulary {
 
     /// Returns the action that an agent of a kind takes: of the derived ones that it can take, that of highest
     /// priority, otherwise the default of the scenario. An entity of unknown kind can take all actions.
-    pub fn decide(&self, kind: Option<AgentKind>, derived: Actions) -> Action {
-        let decisions = kind.map_or(&self.unknown, |kind| &self.decisions[kind as usize]);
+    pub fn decide(&self, kind: Option<KindId>, derived: Actions) -> Action {
+        let decisions = kind.map_or(&self.unknown, |kind| &self.decisions[kind.index()]);
         decisions[usize::from(derived.bits())]
     }
 
@@ -281,13 +285,14 @@ impl Vocabulary {
     }
 }
 
-fn decisions(config: &ActionsConfig, kind: Option<AgentKind>) -> Box<[Action]> {
+fn decisions(config: &ActionsConfig, kind: Option<KindId>) -> Box<[Action]> {
+    let usual = (config.priority.as_slice(), config.default);
+    let (priority, default) = kind.map_or(usual, |kind| config.order(kind));
     let decide = |bits| {
         let derived = Actions(bits);
         let can_take =
             |action: &Action| derived.contains(*action) && kind.is_none_or(|kind| config.table.can_take(kind, *action));
-        let first = config.priority.iter().copied().find(can_take);
-        first.unwrap_or(config.default)
+        priority.iter().copied().find(can_take).unwrap_or(default)
     };
     let all: Actions = config.table.all().collect();
     (0..=all.bits()).map(decide).collect()

@@ -123,8 +123,8 @@ impl World {
             return Ok(Arc::clone(plan));
         }
         let sets = self.scenario.splits.iter().map(|(_, set)| set);
-        let kinds = sets.flat_map(|set| [(AgentKind::Car, &set.cars), (AgentKind::Pedestrian, &set.pedestrians)]);
-        let members = kinds.flat_map(|(kind, groups)| groups.iter().map(move |group| (kind, &group.concepts)));
+        let kinds = sets.flat_map(AgentSet::kinds);
+        let members = kinds.flat_map(|(name, groups)| groups.iter().map(move |group| (name.kind, &group.concepts)));
         let task = self.scenario.task.iter().flat_map(|task| &task.ego);
         let egos = task.flat_map(|ego| ego.concepts.iter().map(|(_, concepts)| (AgentKind::Car, concepts)));
         let agents = egos.chain(members);
@@ -162,6 +162,35 @@ impl World {
                 Diagnostic::new(codes::RULE_MISMATCH, message).help("use rules without temporal operators here");
             Err(fault.at(rules.predicates[past.predicate.index()].span, "this looks back"))
         })
+    }
+
+    /// Checks that nothing goes beyond the published city: the rules read neither quantities, nor earlier ticks, nor
+    /// facts that a function computes, and draw nothing; actions and kinds of agents are the standard ones. `what`
+    /// knows only these, in the plural.
+    ///
+    /// # Errors
+    /// `rule-mismatch` if something does.
+    pub fn only_standard(&self, what: &str) -> Result<(), Diagnostic> {
+        self.vocabulary.check_plain(what)?;
+        self.vocabulary.without_externals(what)?;
+        self.vocabulary.only_standard_actions(what)?;
+        self.without_time(what)?;
+        if let Some(own) = self.scenario.kinds.own().first() {
+            let message = format!(
+                "{what} have cars and pedestrians only, not `{}`",
+                own.name.value.as_str()
+            );
+            let fault = Diagnostic::new(codes::RULE_MISMATCH, message).at(own.name.span, "defined here");
+            return Err(fault.help("use a configuration without `kinds`"));
+        }
+        match self.scenario.kinds.is_standard() {
+            true => Ok(()),
+            false => {
+                let message = format!("{what} have the usual speeds only, but `kinds` changes `cells`");
+                let fault = Diagnostic::new(codes::RULE_MISMATCH, message);
+                Err(fault.help("use a configuration without `kinds`"))
+            }
+        }
     }
 
     /// Returns the predicates that temporal operators are about, for this number of agents.

@@ -1,8 +1,7 @@
 //! Explains the decision of an agent in a tick.
 
 use crate::cancel::Cancel;
-use crate::city::{Action, AgentKind};
-use crate::city::{Cell, Heading};
+use crate::city::{Action, Cell, Heading, KindId};
 use crate::datalog::Session;
 use crate::datalog::Value;
 use crate::datalog::explain::{ExplainError, Explainer, Explanation, ExplanationPrinter};
@@ -25,7 +24,7 @@ pub struct Decision<'a> {
     /// The name of the agent.
     pub agent: String,
     /// Its kind.
-    pub kind: AgentKind,
+    pub kind: KindId,
     /// The value that represents the agent.
     pub value: Value,
     /// The cell before the move.
@@ -58,7 +57,7 @@ impl Simulation {
     /// If `agent` is outside the list.
     pub fn decision(&mut self, agent: usize) -> Result<Decision<'_>, Diagnostic> {
         let (name, report) = (self.agents()[agent].name().to_string(), self.report());
-        let kind = self.agents()[agent].kind;
+        let kind = self.agents()[agent].kind_id;
         let (tick, mut done) = (report.tick, report.agents[agent]);
         let is_before_first_tick = self.now() == 0;
         let snapshot = self.snapshot()?;

@@ -1,6 +1,6 @@
 //! Reads a trace and restores the state of any tick as facts of a session.
 
-use crate::city::{Action, ActionTable, AgentKind};
+use crate::city::{Action, ActionTable, AgentKind, KindId};
 use crate::city::{Cell, Heading};
 use crate::datalog::{BaseType, Limits, Session, Value};
 use crate::diag::{Diagnostic, json_error};
@@ -214,8 +214,7 @@ impl Replay {
         let mut kinds = Vec::new();
         let mut positions = HashMap::new();
         for (position, agent) in header.agents.iter().enumerate() {
-            let kind = [AgentKind::Car, AgentKind::Pedestrian]
-                .into_iter()
+            let kind = (AgentKind::ALL.into_iter())
                 .find(|kind| kind.name() == agent.kind)
                 .ok_or_else(|| invalid(format!("`{}` of `{}` is not a type of agent", agent.kind, agent.id)))?;
             kinds.push(kind);
@@ -373,7 +372,13 @@ impl Replay {
         &self.agents
     }
 
-    /// Returns the kinds of the agents, in the order of the header.
+    /// Returns the kind of the agent at a position, which the configuration may define.
+    pub fn kind_id(&self, position: usize) -> KindId {
+        let kinds = &self.world.scenario.kinds;
+        kinds.of(self.kinds[position], &self.agents[position].concepts)
+    }
+
+    /// Returns whether the agents drive or walk, in the order of the header.
     pub fn kinds(&self) -> &[AgentKind] {
         &self.kinds
     }

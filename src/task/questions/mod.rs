@@ -318,10 +318,7 @@ fn deriving(world: &World, question: &Question) -> Result<Vec<ClauseId>, Diagnos
 
 /// Checks a request for contradictions.
 fn check(world: &World, request: &Request) -> Result<(), Vec<Diagnostic>> {
-    (world.vocabulary.check_plain("questions")).map_err(|fault| vec![fault])?;
-    (world.vocabulary.without_externals("questions")).map_err(|fault| vec![fault])?;
-    (world.vocabulary.only_standard_actions("questions")).map_err(|fault| vec![fault])?;
-    (world.without_time("questions")).map_err(|fault| vec![fault])?;
+    (world.only_standard("questions")).map_err(|fault| vec![fault])?;
     let scenario = &world.scenario;
     let concepts: Vec<&str> = (scenario.predicates.iter())
         .filter_map(|predicate| predicate.definition.concept())

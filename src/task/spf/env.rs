@@ -162,7 +162,7 @@ impl Env {
         let city = Simulation::new_with(Arc::clone(task.world()), split, Seed(0), settings, cancel)?;
         let agents = city.agents().iter().enumerate();
         let cars = agents
-            .filter(|(_, agent)| agent.kind == AgentKind::Car)
+            .filter(|(_, agent)| agent.kind_id == AgentKind::Car.into())
             .map(|(position, _)| position);
         let driven = cars.take(match control {
             ControlMode::First => 1,
@@ -372,10 +372,10 @@ impl Env {
 
     /// Returns the action that the rules want of a controlled car.
     pub fn oracle_action(&self, controlled_car: usize) -> Action {
-        self.task
-            .world()
-            .vocabulary
-            .decide(Some(AgentKind::Car), self.controlled_cars[controlled_car].derived)
+        self.task.world().vocabulary.decide(
+            Some(AgentKind::Car.into()),
+            self.controlled_cars[controlled_car].derived,
+        )
     }
 
     /// Advances the city by a tick. `actions` has one action per controlled car. The rules drive cars whose episode has

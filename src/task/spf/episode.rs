@@ -7,7 +7,7 @@
 //! steps, by action).
 // Decision: docs/decisions/tasks.md#d043
 
-use crate::city::{Action, AgentConfig, AgentKind, AgentName, Split};
+use crate::city::{Action, AgentConfig, AgentName, KindId, KindTable, Split};
 use crate::city::{Agent, Cell, CityMap};
 use crate::config::codes;
 use crate::config::{PredicateConfig, SpfConfig};
@@ -130,7 +130,15 @@ impl EpisodeAgent {
     /// Checks that an agent set could contain it: its concepts are distinct, and a predicate defines each for its type.
     fn check_concepts(&self, predicates: &[PredicateConfig]) -> Result<(), Diagnostic> {
         let (name, kind) = (self.name, self.name.kind);
-        for (position, carried) in self.concepts.iter().enumerate() {
+        // The first concept of a kind that the configuration defines is its name.
+        let own = name.own.map(|(_, own)| own.as_str().to_owned());
+        if self.concepts.first() != own.as_ref() && own.is_some() {
+            return Err(invalid(format!(
+                "the first concept of {name} is not `{}`",
+                name.kind_name()
+            )));
+        }
+        for (position, carried) in self.concepts.iter().enumerate().skip(usize::from(own.is_some())) {
             if self.concepts[..position].contains(carried) {
                 return Err(invalid(format!("{name} has the concept `{carried}` twice")));
             }
@@ -288,12 +296,12 @@ fn invalid(message: impl Into<String>) -> Diagnostic {
 }
 
 /// Parses the name of an agent.
-fn agent_name(text: &str) -> Result<AgentName, Diagnostic> {
-    let named = |kind: AgentKind| {
-        let number = text.strip_prefix(kind.name())?.strip_prefix('_')?.parse().ok()?;
-        Some(AgentName { kind, number }).filter(|name| name.to_string() == text)
+fn agent_name(text: &str, kinds: &KindTable) -> Result<AgentName, Diagnostic> {
+    let named = |kind: KindId| {
+        let number = text.strip_prefix(kinds.name(kind))?.strip_prefix('_')?.parse().ok()?;
+        Some(kinds.agent_name(kind, number)).filter(|name| name.to_string() == text)
     };
-    let found = AgentKind::ALL.into_iter().find_map(named);
+    let found = kinds.all().find_map(named);
     found.ok_or_else(|| {
         invalid(format!(
             "`{text}` is not an agent name such as `Car_1` or `Pedestrian_3`"
@@ -333,7 +341,7 @@ impl EpisodeSet {
                 .help("create the file with `logicity episodes make`")
         })?;
         let source = sources.add(name.to_string(), text);
-        let set = EpisodeSet::read(sources, source)?;
+        let set = EpisodeSet::read(sources, source, &task.world().scenario.kinds)?;
         if set.split != split {
             let message = format!(
                 "the episodes are of the split `{}`, not `{}`",
@@ -374,7 +382,7 @@ impl EpisodeSet {
     /// # Errors
     /// `invalid-episode` with line and column. [`Env::reset_to`](super::Env::reset_to) checks whether an episode fits a
     /// city.
-    pub fn read(sources: &Sources, source: SourceId) -> Result<EpisodeSet, Diagnostic> {
+    pub fn read(sources: &Sources, source: SourceId, kinds: &KindTable) -> Result<EpisodeSet, Diagnostic> {
         let text = sources.text(source);
         let mut at = 0;
         let mut lines = text.split_inclusive('\n').map(|line| {
@@ -398,7 +406,8 @@ impl EpisodeSet {
             here(invalid("the header does not contain the `map` of the episodes"))
                 .help("draw the episodes again with `logicity episodes make`")
         })?;
-        let agent = |HeaderAgent { id, concepts, priority }| Ok((agent_name(&id)?, Character { concepts, priority }));
+        let agent =
+            |HeaderAgent { id, concepts, priority }| Ok((agent_name(&id, kinds)?, Character { concepts, priority }));
         let agents: Vec<(AgentName, Character)> = header
             .agents
             .into_iter()

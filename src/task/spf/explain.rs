@@ -79,7 +79,7 @@ pub fn explain(
         session: &session,
         tick: env.steps().into(),
         agent: agent.name().to_string(),
-        kind: agent.kind,
+        kind: agent.kind_id,
         value,
         at: agent.cell,
         heading: agent.heading,

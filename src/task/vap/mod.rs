@@ -210,14 +210,8 @@ impl Worlds {
         seed: u64,
     ) -> Result<Worlds, Vec<Diagnostic>> {
         let world = Arc::new(World::new(scenario, program)?);
-        let values = world.vocabulary.check_plain("data sets of pictures");
-        values.map_err(|fault| vec![fault])?;
-        let known = world.vocabulary.without_externals("data sets of pictures");
-        known.map_err(|fault| vec![fault])?;
-        let actions = world.vocabulary.only_standard_actions("data sets of pictures");
-        actions.map_err(|fault| vec![fault])?;
-        let time = world.without_time("the frames of a data set of pictures");
-        time.map_err(|fault| vec![fault])?;
+        let standard = world.only_standard("data sets of pictures");
+        standard.map_err(|fault| vec![fault])?;
         // Detects a missing split, and agents that cannot be placed.
         Simulation::new(Arc::clone(&world), split, Seed(seed), Settings::default()).map_err(|fault| vec![fault])?;
         let view = Viewport::published(Cell::new(0, 0)).expect("the first cell is a corner");

@@ -133,7 +133,7 @@ fn solved(ego: &Value) -> BTreeSet<Action> {
 /// An agent of this kind; its other properties do not matter.
 fn plain_agent(kind: AgentKind) -> AgentConfig {
     AgentConfig {
-        name: AgentName { kind, number: 1 },
+        name: AgentName::standard(kind, 1),
         concepts: Arc::default(),
         priority: 0,
     }

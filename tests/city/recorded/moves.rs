@@ -116,7 +116,7 @@ impl Step<'_> {
 
 /// The moves that an agent's route allows.
 fn possible(agent: &Agent) -> BTreeSet<(Heading, usize)> {
-    (1..=possible_cells(agent))
+    (1..=possible_cells(agent, &ActionTable::default()))
         .map(|cells| (agent.ahead(), cells))
         .collect()
 }
@@ -124,7 +124,7 @@ fn possible(agent: &Agent) -> BTreeSet<(Heading, usize)> {
 /// The numbers of cells that an agent may move: those of the decided actions that the route allows, or else those that
 /// the route allows.
 fn choices(agent: &Agent, decided: &BTreeSet<Action>) -> BTreeSet<usize> {
-    let most = possible_cells(agent);
+    let most = possible_cells(agent, &ActionTable::default());
     let wanted = decided.iter().filter_map(|&action| speed_cells(agent.kind, action));
     let mut choices: BTreeSet<usize> = wanted.filter(|&cells| cells <= most).collect();
     if choices.is_empty() {

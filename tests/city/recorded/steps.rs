@@ -4,7 +4,7 @@
 use super::{cell, cells, heading, index, plain_agent, recordings, square_5x5};
 use crate::shipped_world::{SPF_MODES, task};
 use logicity::city::{Action, AgentConfig, AgentKind, Routing, Split};
-use logicity::city::{Agent, Cell, Heading, Router, possible_cells, speed_cells};
+use logicity::city::{ActionTable, Agent, Cell, Heading, Router, possible_cells, speed_cells};
 use logicity::rng::Seed;
 use logicity::sim::{Chance, Observer, Settings, Simulation, World};
 use logicity::task::spf::SpfTask;
@@ -68,7 +68,7 @@ fn recorded_steps() {
             let written: BTreeSet<usize> = (0..out.len()).filter(|&at| out[at] == 1.0).collect();
             assert_eq!(written, ones, "{place}");
             let derived = observer.derived(&city).unwrap();
-            let wanted = world.vocabulary.decide(Some(AgentKind::Car), derived);
+            let wanted = world.vocabulary.decide(Some(AgentKind::Car.into()), derived);
             assert_eq!(wanted, Action::STANDARD[index(&step["expert"])], "{place}");
             let action = Action::STANDARD[index(&step["action"])];
             let broken = observer.violations(&city, action).unwrap().to_vec();
@@ -178,7 +178,7 @@ fn the_controlled_car_moves_as_recorded() {
             let first = ego.route.iter().position(|cell| *cell == from).unwrap();
             let moved = [ego.at, first].into_iter().find_map(|at| {
                 let rest = router.follow(AgentKind::Car, ego.route[at..].iter().copied()).unwrap();
-                let most = possible_cells(&Agent::new(&plain_agent(AgentKind::Car), rest));
+                let most = possible_cells(&Agent::new(&plain_agent(AgentKind::Car), rest), &ActionTable::default());
                 let cells = ego.route[at..=at + most].iter().position(|cell| *cell == to)?;
                 Some((at, cells, most))
             });
