@@ -1,7 +1,6 @@
 //! Reads the kinds of agents of a configuration.
 
 use crate::city::{Action, AgentKind, KindId, KindName, KindTable, OwnKind};
-use crate::config::predicates::Predicates;
 use crate::diag::{self, Diagnostic, listed};
 use crate::located::Located;
 use crate::predicate::{Concept, Definition};
@@ -182,23 +181,6 @@ pub(super) fn of_own_kind(
         }
         .into(),
     ))
-}
-
-/// Reports kinds with the name of a concept.
-pub(super) fn check(kinds: &KindTable, predicates: &Predicates, faults: &mut Vec<Diagnostic>) {
-    for own in kinds.own() {
-        let name = own.name.value.as_str();
-        let same = predicates.used.iter().find(|predicate| {
-            let concept = predicate.definition.concept();
-            concept.is_some_and(|concept| !concept.is_kind && concept.concept == name)
-        });
-        if let Some(same) = same {
-            let message = format!("`{name}` is both a kind of agents and a concept");
-            let fault = Diagnostic::new(codes::INVALID_VALUE, message).at(own.name.span, "a kind");
-            let help = format!("write `{{kind: {name}}}` for the agents of the kind, or rename the concept");
-            faults.push(fault.also(same.name.span, "its concept has this name").help(help));
-        }
-    }
 }
 
 /// Describes the kinds of a configuration, for help.

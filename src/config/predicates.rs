@@ -136,6 +136,23 @@ impl Predicates {
     }
 }
 
+/// Reports kinds with the name of a concept.
+pub(super) fn check_kinds(kinds: &KindTable, predicates: &Predicates, faults: &mut Vec<Diagnostic>) {
+    for own in kinds.own() {
+        let name = own.name.value.as_str();
+        let same = predicates.used.iter().find(|predicate| {
+            let concept = predicate.definition.concept();
+            concept.is_some_and(|concept| !concept.is_kind && concept.concept == name)
+        });
+        if let Some(same) = same {
+            let message = format!("`{name}` is both a kind of agents and a concept");
+            let fault = Diagnostic::new(codes::INVALID_VALUE, message).at(own.name.span, "a kind");
+            let help = format!("write `{{kind: {name}}}` for the agents of the kind, or rename the concept");
+            faults.push(fault.also(same.name.span, "its concept has this name").help(help));
+        }
+    }
+}
+
 /// The concepts that agents can carry.
 pub(super) struct Concepts<'p> {
     used: HashMap<&'p str, Vec<AgentKind>>,
