@@ -22,7 +22,7 @@ from .types import Action, Answer, Executor, Heading, Limits, MarginalAnswer, Sc
 __all__ = ["ACTIONS", "HEADINGS", "REASONS", "AgentInfo", "Decision", "Inference", "Simulation", "Tick", "infer"]
 
 ACTIONS: tuple[Action, ...] = cast("tuple[Action, ...]", tuple(_logicity.ACTIONS))
-"""The actions. Arrays store an action as its index, 0 to 3."""
+"""The standard actions, which come first in every city. Arrays store an action as its index, 0 to 3."""
 
 HEADINGS: tuple[Heading, ...] = cast("tuple[Heading, ...]", tuple(_logicity.HEADINGS))
 """The headings. Arrays store a heading as its index, 0 to 3, or -1 before the first move of the agent on its route."""
@@ -35,7 +35,7 @@ was drawn at random; the agent rests at its goal.
 """
 
 
-#: An action: its name, or its index in `ACTIONS`.
+#: An action: its name, or its index in `Simulation.action_names`.
 _ActionLike: TypeAlias = str | SupportsIndex
 
 #: The keys of one mapping: names or indices of agents. Mappings are invariant in their keys, hence a type variable.
@@ -154,8 +154,8 @@ class Tick:
         tick: The number of the tick, from 0.
         at: int32 (n, 2): row and column before the move, in cells.
         heading: int8 (n,): the heading before the move, an index into `HEADINGS`, or -1.
-        derived: bool (n, 4): whether the rules derived each of `ACTIONS`, without the default action.
-        action: int8 (n,): the action taken, by the rules or by `controls`, an index into `ACTIONS`.
+        derived: bool (n, k): whether the rules derived each of the k actions of the city, without the default action.
+        action: int8 (n,): the action taken, by the rules or by `controls`, an index into `Simulation.action_names`.
         next: int32 (n, 2): row and column after the move, in cells.
         reason: int8 (n,): the reason for the move, an index into `REASONS`.
         replanned: bool (n,): whether the agent received a new goal.
@@ -289,6 +289,11 @@ class Simulation:
         return tuple(AgentInfo(name, kind, tuple(concepts), rank) for name, kind, concepts, rank in self._city.agents())
 
     @cached_property
+    def action_names(self) -> tuple[str, ...]:
+        """The actions: those of `ACTIONS`, then those that the configuration defines."""
+        return tuple(self._city.action_names())
+
+    @cached_property
     def _index(self) -> dict[str, int]:
         return {agent.name: position for position, agent in enumerate(self.agents)}
 
@@ -309,7 +314,7 @@ class Simulation:
 
     @property
     def actions(self) -> npt.NDArray[np.int8]:
-        """The actions of the last tick: int8 (n,), indices into `ACTIONS`; Stop before the first tick. A copy."""
+        """The actions of the last tick: int8 (n,), indices into `action_names`; Stop before the first tick. A copy."""
         return self.last.action
 
     @property
@@ -324,7 +329,7 @@ class Simulation:
 
         Args:
             controls: Actions that replace those of the rules, by agent. Agents are names or indices into `agents`.
-                Actions are names or indices into `ACTIONS`. Examples: `{"Car_1": "Stop"}`, `{0: 3}`.
+                Actions are names or indices into `action_names`. Examples: `{"Car_1": "Stop"}`, `{0: 3}`.
 
         Raises:
             KeyError: If the agent is unknown.
@@ -336,7 +341,7 @@ class Simulation:
         actions: Mapping[Any, _ActionLike] = {} if controls is None else controls
         if not isinstance(actions, Mapping):
             raise TypeError(f"controls: expected a mapping, not {type(controls).__name__}")
-        numbers = [(self._agent(agent), _action(action)) for agent, action in actions.items()]
+        numbers = [(self._agent(agent), self._action(action)) for agent, action in actions.items()]
         done = Tick(*self._city.tick(numbers))
         if numbers:
             self._controls[done.tick] = numbers
@@ -435,9 +440,9 @@ class Simulation:
         Raises:
             ValueError: If the number of the action is unknown.
         """
-        if isinstance(action, str) and action not in ACTIONS:
+        if isinstance(action, str) and action not in self.action_names:
             return self.explain(agent, action)
-        return self._decision(agent, _action(action))
+        return self._decision(agent, self._action(action))
 
     def _decision(self, agent: str | int, why_not: int | None) -> Decision:
         text, data = self._city.explain(self._agent(agent), why_not)
@@ -453,11 +458,11 @@ class Simulation:
             raise KeyError(f"unknown agent {agent}: expected 0 to {len(self.agents) - 1}")
         return index(agent)
 
-
-def _action(action: _ActionLike) -> int:
-    if isinstance(action, str):
-        if action in ACTIONS:
-            return ACTIONS.index(action)
-    elif not isinstance(action, bool) and 0 <= index(action) < len(ACTIONS):
-        return index(action)
-    raise ValueError(f"{action!r} is not an action{did_you_mean(action, ACTIONS)}")
+    def _action(self, action: _ActionLike) -> int:
+        names = self.action_names
+        if isinstance(action, str):
+            if action in names:
+                return names.index(action)
+        elif not isinstance(action, bool) and 0 <= index(action) < len(names):
+            return index(action)
+        raise ValueError(f"{action!r} is not an action{did_you_mean(action, names)}")

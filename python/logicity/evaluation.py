@@ -153,8 +153,9 @@ class Evaluation:
 
     def _share(self, counts: Callable[[EpisodeRecord], Mapping[str, int]]) -> dict[str, float]:
         steps = sum(record.steps for record in self.episodes)
+        names = dict.fromkeys((*ACTIONS, *(name for record in self.episodes for name in counts(record))))
         return {
-            action: sum(counts(record).get(action, 0) for record in self.episodes) / max(steps, 1) for action in ACTIONS
+            action: sum(counts(record).get(action, 0) for record in self.episodes) / max(steps, 1) for action in names
         }
 
     def to_dict(self) -> dict[str, Any]:
@@ -325,7 +326,8 @@ class Benchmark:
         count = len(evaluator)
         observations = np.zeros((count, *self._task.shape(self._kind)), np.float32)
         running = np.ones(count, np.bool_)
-        act = _actor(policy, batched, evaluator)
+        names = self._task.actions()
+        act = _actor(policy, batched, evaluator, names)
         if folder is not None:
             folder.mkdir(parents=True, exist_ok=True)
             self.check_traces(folder, overwrite)
@@ -334,7 +336,7 @@ class Benchmark:
             while running.any():
                 evaluator.observe(observations)
                 given = observations if self._views is None else self._views(observations)
-                actions = _checked(act(given, running), count)
+                actions = _checked(act(given, running), count, names)
                 evaluator.step(actions)
                 if folder is not None:
                     for at in np.flatnonzero(running):
@@ -411,7 +413,7 @@ def _trace_name(episode: int) -> str:
 
 
 def _actor(
-    policy: Policy, batched: bool, evaluator: _logicity.BatchEvaluator
+    policy: Policy, batched: bool, evaluator: _logicity.BatchEvaluator, names: tuple[str, ...]
 ) -> Callable[[Observations | View, NDArray[np.bool_]], Any]:
     """Return a function from all observations and the mask of running episodes to actions."""
     if isinstance(policy, str):
@@ -449,22 +451,22 @@ def _actor(
             action = np.asarray(function(row))
             if action.size != 1:
                 raise ValueError(f"expected one action per observation, not an array of shape {action.shape}")
-            actions[at] = _checked(action.reshape(1), 1)[0]
+            actions[at] = _checked(action.reshape(1), 1, names)[0]
         return actions
 
     return one_by_one
 
 
-def _checked(actions: Any, count: int) -> Actions:
+def _checked(actions: Any, count: int, names: tuple[str, ...]) -> Actions:
     array = np.asarray(actions)
     if array.shape != (count,):
         raise ValueError(f"expected one action for each of {count} observations, not an array of shape {array.shape}")
     if not np.issubdtype(array.dtype, np.integer):
         raise TypeError(f"expected integer actions, not {array.dtype}")
     numbers = array.astype(np.int64)
-    wrong = np.flatnonzero((numbers < 0) | (numbers >= len(ACTIONS)))
+    wrong = np.flatnonzero((numbers < 0) | (numbers >= len(names)))
     if len(wrong):
-        known = ", ".join(f"{number} {name}" for number, name in enumerate(ACTIONS))
+        known = ", ".join(f"{number} {name}" for number, name in enumerate(names))
         raise ValueError(f"{numbers[wrong[0]]} is not an action; known: {known}")
     return numbers
 
@@ -508,7 +510,8 @@ def action_table(results: list[Evaluation]) -> str:
     rows = [("policy", "mode", "action", "chosen", "required", "DSR")]
     for each in results:
         chosen, required = each.chosen(), each.required()
-        for action in ACTIONS:
-            rate = each.dsr_by_action.get(action, "")
-            rows.append((each.policy, each.mode, action, f"{chosen[action]:.3f}", f"{required[action]:.3f}", str(rate)))
+        for action in dict.fromkeys((*chosen, *required)):
+            rate = str(each.dsr_by_action.get(action, ""))
+            shares = (f"{share.get(action, 0.0):.3f}" for share in (chosen, required))
+            rows.append((each.policy, each.mode, action, *shares, rate))
     return aligned(rows)

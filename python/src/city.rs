@@ -81,15 +81,6 @@ impl Loaded {
         })?;
         match loaded {
             Ok((mut city, files)) => {
-                if let Some(own) = city.scenario.actions.table.own().first() {
-                    let message = format!(
-                        "the Python package knows the four standard actions only, not `{}`",
-                        own.name.value
-                    );
-                    let fault = Diagnostic::new(logicity::yaml::codes::INVALID_VALUE, message);
-                    let fault = fault.at(own.name.span, "defined here");
-                    return Err(input_error(py, &[fault], &sources));
-                }
                 city.limits = limits_of(limits, city.limits);
                 Ok(Loaded { sources, city, files })
             }
@@ -352,11 +343,16 @@ impl PySimulation {
         Ok(layers.into_pyarray(py))
     }
 
+    /// Returns the names of the actions, in the order of their numbers.
+    fn action_names(&self) -> Vec<String> {
+        self.world.vocabulary.actions().names().map(str::to_owned).collect()
+    }
+
     /// Runs a tick. Each element of `controls` is the index of an agent and the index of the action that it takes.
     fn tick<'py>(&self, py: Python<'py>, controls: Vec<(usize, usize)>) -> PyResult<Tick<'py>> {
         let controls: Vec<(usize, Action)> = (controls.into_iter())
-            .map(|(agent, action)| (agent, Action::STANDARD[action]))
-            .collect();
+            .map(|(agent, action)| Ok((agent, self.action(action)?)))
+            .collect::<PyResult<_>>()?;
         let done = self.city.detached(py, |city, _| city.tick(&controls).map(|_| ()))?;
         done.map_err(|fault| self.error(py, fault))?;
         self.last(py)
@@ -367,13 +363,14 @@ impl PySimulation {
         self.city.with(|city| {
             let report = city.report();
             let agents = &report.agents;
-            let derived = |(agent, action): (usize, usize)| agents[agent].derived.contains(Action::STANDARD[action]);
+            let actions: Vec<Action> = self.world.vocabulary.actions().all().collect();
+            let derived = |(agent, action): (usize, usize)| agents[agent].derived.contains(actions[action]);
             let reason = |reason| REASONS.iter().position(|(known, _)| *known == reason);
             Ok((
                 report.tick,
                 cells(py, agents.iter().map(|done| done.moved.from)),
                 codes(py, agents.iter().map(|done| heading(done.heading))),
-                Array2::from_shape_fn((agents.len(), Action::STANDARD.len()), derived).into_pyarray(py),
+                Array2::from_shape_fn((agents.len(), actions.len()), derived).into_pyarray(py),
                 codes(py, agents.iter().map(|done| Some(done.action.index()))),
                 cells(py, agents.iter().map(|done| done.moved.to)),
                 codes(py, agents.iter().map(|done| reason(done.moved.reason))),
@@ -426,7 +423,7 @@ impl PySimulation {
         agent: usize,
         why_not: Option<usize>,
     ) -> PyResult<(String, Bound<'py, PyAny>)> {
-        let why_not = why_not.map(|action| Action::STANDARD[action]);
+        let why_not = why_not.map(|action| self.action(action)).transpose()?;
         let explained = self.city.detached(py, |city, cancel| {
             let account = city.decision(agent)?.account(why_not, cancel)?;
             Ok((account.text(&self.sources), account.json(&self.sources)))
@@ -481,6 +478,12 @@ impl PySimulation {
 }
 
 impl PySimulation {
+    /// Returns the action with a number.
+    fn action(&self, number: usize) -> PyResult<Action> {
+        let action = self.world.vocabulary.actions().all().nth(number);
+        action.ok_or_else(|| PyValueError::new_err(format!("{number} is not an action")))
+    }
+
     /// Returns the exception of a predicate that is the cause of a fault.
     fn raised(&self, fault: &Diagnostic) -> Option<PyErr> {
         self.functions.as_ref()?.exception(fault)

@@ -4,7 +4,8 @@ use crate::actor::PyPolicyNetwork;
 use crate::city::one_of;
 use crate::episode::{PyEpisode, PyEpisodeOption, read_episode};
 use crate::task::{
-    PyTask, action_mask, gymnasium_error, read_action, read_actions, split_named, view_named, write_violations,
+    PyTask, action_mask, gymnasium_error, read_action, read_actions, split_named, table_of, view_named,
+    write_violations,
 };
 use crate::{Signals, borrowed, borrowed_mut, slice_of};
 use logicity::city::{Action, Split};
@@ -229,8 +230,8 @@ impl PyVectorEnv {
         let mut observation = observation.try_readwrite()?;
         this.check(1)?;
         this.check_ready(py)?;
-        let actions = [read_action(py, action, String::new)?];
         let task = this.task.get();
+        let actions = [read_action(py, &task.task, action, String::new)?];
         let rows = this.rows(&mut observation)?;
         (this.signals.run_polled(|| this.vector.step(&actions, rows))?).map_err(|fault| task.error(py, fault))?;
         let sub_env = &this.vector.sub_envs()[0];
@@ -261,8 +262,9 @@ impl PyVectorEnv {
         this.check_ready(py)?;
         this.actions.clear();
         for (at, &action) in given.iter().enumerate() {
-            this.actions
-                .push(read_action(py, action, || format!(" (of environment {at})"))?);
+            this.actions.push(read_action(py, &this.task.get().task, action, || {
+                format!(" (of environment {at})")
+            })?);
         }
         let task = this.task.get();
         let rows = this.rows(&mut observations)?;
@@ -370,7 +372,8 @@ impl PyVectorEnv {
     fn action_masks(slf: &Bound<'_, Self>, mut out: PyReadwriteArray2<'_, i8>, ended: bool) -> PyResult<()> {
         let this = borrowed(slf)?;
         let sub_envs = this.vector.sub_envs();
-        let count = Action::STANDARD.len();
+        let table = table_of(&this.task.get().task);
+        let count = table.all().len();
         let rows = slice_of(&mut out, count * sub_envs.len())?;
         for (sub_env, row) in sub_envs.iter().zip(rows.chunks_exact_mut(count)) {
             let info = match ended {
@@ -378,7 +381,7 @@ impl PyVectorEnv {
                 true => sub_env.ended().map(|(_, info)| info),
             };
             if let Some(info) = info {
-                row.copy_from_slice(&action_mask(info));
+                row.copy_from_slice(&action_mask(table, info));
             }
         }
         Ok(())
@@ -421,7 +424,7 @@ impl PyVectorEnv {
         let read = |(episode, sub_env): (Option<BegunEpisode<'_>>, &SubEnv)| {
             let Some((start, taken)) = episode else { return Ok(None) };
             let start = read_episode(&start, sub_env.env()).map_err(|fault| task.error(py, fault))?;
-            Ok(Some((Arc::new(start), read_actions(py, &taken)?)))
+            Ok(Some((Arc::new(start), read_actions(py, &task.task, &taken)?)))
         };
         let episodes: Vec<_> = (episodes.into_iter().zip(this.vector.sub_envs()).map(read)).collect::<PyResult<_>>()?;
         let rows = this.rows(&mut observations)?;

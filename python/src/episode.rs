@@ -1,11 +1,12 @@
 //! Conversion of the start of an episode from and to Python.
 // Decision: docs/decisions/tasks.md#d006
 
+use crate::task::table_of;
 use logicity::city::Cell;
-use logicity::city::{Action, AgentName};
+use logicity::city::{ActionTable, AgentName};
 use logicity::diag::{Diagnostic, did_you_mean};
 use logicity::task::spf::codes;
-use logicity::task::spf::{Env, Episode, EpisodeAgent, OracleRun, steps_by_action};
+use logicity::task::spf::{Env, Episode, EpisodeAgent, OracleRun};
 use pyo3::exceptions::PyKeyError;
 use pyo3::prelude::*;
 use pyo3::types::{PyDict, PyInt, PyMapping};
@@ -62,9 +63,7 @@ impl PyEpisode {
             oracle: episode.oracle.as_ref().map(|oracle| PyOracle {
                 steps: oracle.steps,
                 total: oracle.total,
-                constrained: (steps_by_action(oracle.constrained))
-                    .map(|(action, steps)| (action.to_owned(), steps))
-                    .collect(),
+                constrained: oracle.constrained.clone(),
             }),
         }
     }
@@ -79,7 +78,9 @@ pub fn read_episode(given: &Bound<'_, PyDict>, env: &Env) -> Result<Episode, Dia
     Ok(Episode {
         seed: episode.get("seed")?,
         agents: agents.iter().enumerate().map(read).collect::<Result<_, _>>()?,
-        oracle: oracle.as_ref().map(read_oracle).transpose()?,
+        oracle: (oracle.as_ref())
+            .map(|run| read_oracle(run, table_of(env.task())))
+            .transpose()?,
     })
 }
 
@@ -109,18 +110,20 @@ fn read_agent(what: &str, given: &Bound<'_, PyAny>, env: &Env) -> Result<Episode
     })
 }
 
-fn read_oracle(given: &Bound<'_, PyAny>) -> Result<OracleRun, Diagnostic> {
+fn read_oracle(given: &Bound<'_, PyAny>, table: &ActionTable) -> Result<OracleRun, Diagnostic> {
     let what = "the oracle's run";
     let run = EpisodeMapping::new(what.to_owned(), given, &["steps", "return", "constrained"])?;
     let counts = run.get("constrained")?;
     let counts = EpisodeMapping::new(
         format!("`constrained` of {what}"),
         &counts,
-        &Action::STANDARD.map(Action::name),
+        &table.names().collect::<Vec<_>>(),
     )?;
-    let mut constrained = [0; 4];
-    for action in Action::STANDARD {
-        constrained[action.index()] = counts.find(action.name())?.unwrap_or(0);
+    let mut constrained = BTreeMap::new();
+    for action in table.names() {
+        if let Some(steps) = counts.find(action)?.filter(|steps| *steps > 0) {
+            constrained.insert(action.to_owned(), steps);
+        }
     }
     Ok(OracleRun {
         steps: run.get("steps")?,

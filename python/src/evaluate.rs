@@ -1,7 +1,7 @@
 //! Metrics of policies on recorded episodes, and the description of a task.
 
 use crate::episode::PyEpisode;
-use crate::task::{PyTask, read_action, split_named, view_named};
+use crate::task::{PyTask, read_action, split_named, table_of, view_named};
 use crate::{Signals, slice_of, to_python};
 use logicity::city::{Action, Split};
 use logicity::task::spf::{
@@ -152,8 +152,9 @@ impl PyBatchEvaluator {
         check(given.len(), self.evaluator.envs().len())?;
         self.actions.clear();
         for (at, &action) in given.iter().enumerate() {
-            self.actions
-                .push(read_action(py, action, || format!(" (of episode {at})"))?);
+            self.actions.push(read_action(py, &self.task.get().task, action, || {
+                format!(" (of episode {at})")
+            })?);
         }
         let (evaluator, actions) = (&mut self.evaluator, &self.actions);
         (self.signals.detach(py, || evaluator.step(actions))?).map_err(|fault| self.task.get().error(py, fault))
@@ -185,8 +186,9 @@ fn report<'py, 'a>(
     rollouts: impl Iterator<Item = (usize, &'a Rollout)>,
 ) -> PyResult<Bound<'py, PyAny>> {
     let record = |(episode, rollout): (usize, &Rollout)| {
-        let [actions, constrained] =
-            [rollout.actions, rollout.constrained].map(|steps| steps_by_action(steps).collect::<BTreeMap<&str, u32>>());
+        let table = table_of(&task.task);
+        let [actions, constrained] = [rollout.actions, rollout.constrained]
+            .map(|steps| steps_by_action(table, steps).collect::<BTreeMap<&str, u32>>());
         let labels = rollout.broken.iter().map(|&constraint| task.task.label(constraint));
         json!({
             "episode": episode, "steps": rollout.steps, "total": rollout.total, "success": rollout.success,
@@ -210,9 +212,11 @@ fn describe<'py>(py: Python<'py>, task: &PyTask) -> PyResult<Bound<'py, PyAny>> 
     });
     let constraints = oracle.constraints().iter().enumerate().map(|(number, constraint)| {
         let reward = shared.reward(constraint.action, &[number], 1);
-        json!({"clause": shared.label(number), "action": constraint.action.name(), "reward": reward})
+        json!({"clause": shared.label(number), "action": table_of(shared).name(constraint.action), "reward": reward})
     });
-    let by_action = Action::STANDARD.map(|action| (action.name(), config.reward.actions[action.index()]));
+    let by_action: BTreeMap<&str, f64> = (table_of(shared).names())
+        .zip(config.reward.actions.iter().copied())
+        .collect();
     let mut splits = serde_json::Map::new();
     for split in Split::ALL {
         let Some(agents) = world.scenario.agent_set(split) else {
@@ -236,7 +240,7 @@ fn describe<'py>(py: Python<'py>, task: &PyTask) -> PyResult<Bound<'py, PyAny>> 
         "horizon": config.horizon, "patience": config.patience, "overtime": config.reward.overtime,
         "shaping": config.reward.shaping, "order": config.order.name(),
         "config_hash": world.scenario.hash, "rules_hash": task.rules_hash,
-        "actions": BTreeMap::from(by_action), "constraints": constraints.collect::<Vec<Value>>(), "splits": splits,
+        "actions": by_action, "constraints": constraints.collect::<Vec<Value>>(), "splits": splits,
     });
     to_python(py, &description)
 }

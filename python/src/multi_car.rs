@@ -89,7 +89,7 @@ impl PyMultiCarEnv {
         let this = &mut *borrowed_mut(slf)?;
         let task = this.task.get();
         let start = read_episode(&episode, &this.env).map_err(|fault| task.error(py, fault))?;
-        let actions = read_actions(py, taken)?;
+        let actions = read_actions(py, &this.task.get().task, taken)?;
         let env = &mut this.env;
         let count = env.controlled_cars().len();
         let replayed = this.signals.detach(py, || {
@@ -124,8 +124,9 @@ impl PyMultiCarEnv {
         }
         this.actions.clear();
         for (controlled_car, action) in actions.into_iter().enumerate() {
-            this.actions
-                .push(read_action(py, action, || format!(" (of car {controlled_car})"))?);
+            this.actions.push(read_action(py, &this.task.get().task, action, || {
+                format!(" (of car {controlled_car})")
+            })?);
         }
         let (env, actions) = (&mut this.env, &this.actions);
         (this.signals.detach(py, || env.step(actions))?).map_err(|fault| this.task.get().error(py, fault))

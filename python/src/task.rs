@@ -6,7 +6,7 @@ use crate::output::{overwrite_if, unwritable};
 use crate::predicate::Functions;
 use crate::{LimitArguments, Signals, input_error, locked};
 use logicity::builtin::BuiltinFiles;
-use logicity::city::{Action, Split};
+use logicity::city::{Action, ActionTable, Split};
 use logicity::diag::{Diagnostic, SourceId, Sources};
 use logicity::files::Output;
 use logicity::render::{Icons, Marked, Overview, Sprite};
@@ -14,7 +14,7 @@ use logicity::task::spf::{
     ControlMode, ControlledCar, Env, Episode, EpisodeSet, Info, ObservationKind, Origin, RecordError, SpfTask, explain,
     record,
 };
-use numpy::{IntoPyArray, PyArray3, PyArrayMethods, ToPyArray};
+use numpy::{IntoPyArray, PyArray3, PyArrayMethods};
 use pyo3::exceptions::PyValueError;
 use pyo3::intern;
 use pyo3::prelude::*;
@@ -64,8 +64,9 @@ pub fn gymnasium_error(py: Python<'_>, name: &str, message: String) -> PyErr {
 }
 
 /// Returns for each action 1 if it violates no clause, else 0; all 0 if the environment does not compute it.
-pub fn action_mask(info: &Info) -> [i8; 4] {
-    Action::STANDARD.map(|action| i8::from(info.allowed.is_some_and(|allowed| allowed.contains(action))))
+pub fn action_mask(table: &ActionTable, info: &Info) -> Vec<i8> {
+    let allows = |action| i8::from(info.allowed.is_some_and(|allowed| allowed.contains(action)));
+    table.all().map(allows).collect()
 }
 
 /// Writes for each clause whether the last action violated it.
@@ -77,22 +78,35 @@ pub fn write_violations(info: &Info, out: &mut [bool]) {
 }
 
 /// Reads actions that an environment returned as bytes.
-pub fn read_actions(py: Python<'_>, taken: &[u8]) -> PyResult<Vec<Action>> {
-    let actions = taken.iter().map(|&action| read_action(py, action.into(), String::new));
+pub fn read_actions(py: Python<'_>, task: &SpfTask, taken: &[u8]) -> PyResult<Vec<Action>> {
+    let actions = taken
+        .iter()
+        .map(|&action| read_action(py, task, action.into(), String::new));
     actions.collect()
 }
 
-pub fn read_action(py: Python<'_>, action: i64, of: impl Fn() -> String) -> PyResult<Action> {
-    let known = usize::try_from(action)
-        .ok()
-        .and_then(|action| Action::STANDARD.get(action));
-    known.copied().ok_or_else(|| {
-        let message = format!(
-            "{action}{} is not an action; known: 0 Slow, 1 Normal, 2 Fast, 3 Stop",
-            of()
-        );
-        gymnasium_error(py, "InvalidAction", message)
-    })
+/// Reads an action of an ego. `of` says whose it is, for messages.
+pub fn read_action(py: Python<'_>, task: &SpfTask, action: i64, of: impl Fn() -> String) -> PyResult<Action> {
+    let table = table_of(task);
+    let known = usize::try_from(action).ok().and_then(|action| table.all().nth(action));
+    let message = match known {
+        Some(action) if task.possible_actions().contains(&action) => return Ok(action),
+        Some(action) => format!("{}{} is an action that a car cannot take", table.name(action), of()),
+        None => {
+            let names = table
+                .names()
+                .enumerate()
+                .map(|(number, name)| format!("{number} {name}"));
+            let names = names.collect::<Vec<_>>().join(", ");
+            format!("{action}{} is not an action; known: {names}", of())
+        }
+    };
+    Err(gymnasium_error(py, "InvalidAction", message))
+}
+
+/// Returns the actions of a task.
+pub fn table_of(task: &SpfTask) -> &ActionTable {
+    task.world().vocabulary.actions()
 }
 
 #[pymethods]
@@ -168,6 +182,11 @@ impl PyTask {
         PyTuple::new(py, constraints.map(|constraint| self.task.label(constraint)))
     }
 
+    /// Returns the names of the actions, in the order of their numbers.
+    fn actions<'py>(&self, py: Python<'py>) -> PyResult<Bound<'py, PyTuple>> {
+        PyTuple::new(py, table_of(&self.task).names().collect::<Vec<_>>())
+    }
+
     /// Returns the shape of a kind of observation.
     fn shape(&self, observation: &str) -> PyResult<Vec<usize>> {
         Ok(view_named(observation)?.shape(&self.task))
@@ -199,7 +218,7 @@ impl PyTask {
         let (path, by, overwrite) = output;
         let output = Output::create(&path, &by, overwrite_if(overwrite)).map_err(|error| unwritable(&path, &error))?;
         let split = split_named(split)?;
-        let actions = read_actions(py, actions)?;
+        let actions = read_actions(py, &self.task, actions)?;
         let signals = Signals::new();
         let cancel = signals.cancel();
         let env = signals.detach(py, || {
@@ -288,7 +307,10 @@ impl PyTask {
         dict.set_item(intern!(py, "steps"), info.steps)?;
         dict.set_item(intern!(py, "seed"), info.seed.cast_signed())?;
         if info.allowed.is_some() {
-            dict.set_item(intern!(py, "action_mask"), action_mask(info).to_pyarray(py))?;
+            dict.set_item(
+                intern!(py, "action_mask"),
+                action_mask(table_of(&self.task), info).into_pyarray(py),
+            )?;
         }
         Ok(dict)
     }

@@ -1,7 +1,7 @@
 //! `logicity episodes`: generates, checks and prints recorded episodes.
 
 use crate::builtin::BuiltinFiles;
-use crate::city::Split;
+use crate::city::{ActionTable, Split};
 use crate::cli::failure::Failure;
 use crate::cli::inputs::Inputs;
 use crate::cli::limits::LimitOptions;
@@ -14,9 +14,10 @@ use crate::files;
 use crate::task::spf::codes;
 use crate::task::spf::{
     Baseline, ControlMode, Env, Episode, EpisodeSet, Policy, RANDOM_RUNS, Rollout, SpfTask, make_episodes, rollout,
-    steps_by_action, summarize,
+    summarize,
 };
 use serde_json::json;
+use std::collections::BTreeMap;
 use std::io::Write;
 use std::path::PathBuf;
 use std::sync::Arc;
@@ -139,7 +140,7 @@ impl Which {
                 continue;
             }
             let done = rollout(&mut env, Policy::Oracle)?;
-            if let Some(difference) = differs(episode, &done) {
+            if let Some(difference) = differs(env.task().world().vocabulary.actions(), episode, &done) {
                 faults.push(of(Diagnostic::new(codes::INVALID_EPISODE, difference)));
             }
         }
@@ -158,7 +159,7 @@ impl Which {
 }
 
 /// Describes how a run differs from the recorded one.
-fn differs(episode: &Episode, done: &Rollout) -> Option<String> {
+fn differs(table: &ActionTable, episode: &Episode, done: &Rollout) -> Option<String> {
     let Some(oracle) = &episode.oracle else {
         return Some("the file has no oracle run for this episode".to_owned());
     };
@@ -169,11 +170,12 @@ fn differs(episode: &Episode, done: &Rollout) -> Option<String> {
         ));
     }
     let close = (done.total - oracle.total).abs() <= 1e-9;
-    let same = done.steps == oracle.steps && close && done.constrained == oracle.constrained;
+    let constrained = done.constrained_by_name(table);
+    let same = done.steps == oracle.steps && close && constrained == oracle.constrained;
     (!same).then(|| {
         format!(
             "oracle steps {}, return {}, but the record has {} and {}; constrained steps {:?}, but the record has {:?}",
-            done.steps, done.total, oracle.steps, oracle.total, done.constrained, oracle.constrained
+            done.steps, done.total, oracle.steps, oracle.total, constrained, oracle.constrained
         )
     })
 }
@@ -242,6 +244,8 @@ impl Show {
             "{:>7} {:20} {:>8} {:>5} {:>5} {:>7}  constrained",
             "episode", "ego", "priority", "cells", "steps", "return"
         )?;
+        let task = Arc::clone(env.task());
+        let table = task.world().vocabulary.actions();
         for (number, (episode, done)) in set.episodes.iter().zip(&oracle).enumerate() {
             env.reset_to(episode)?;
             let ego = &episode.agents[env.controlled_cars()[0].agent()];
@@ -251,7 +255,7 @@ impl Show {
                 out,
                 "{number:>7} {carried:20} {:>8} {cells:>5} {steps:>5} {total:>7.3}  {}",
                 ego.priority,
-                asked(done.constrained)
+                asked(table, &done.constrained_by_name(table))
             )?;
         }
         writeln!(out)?;
@@ -383,9 +387,9 @@ impl Spread {
 }
 
 /// Formats constrained steps, for example `Stop 3, Fast 1`.
-fn asked(constrained: [u32; 4]) -> String {
-    let words: Vec<String> = steps_by_action(constrained)
-        .map(|(action, steps)| format!("{action} {steps}"))
+fn asked(table: &ActionTable, constrained: &BTreeMap<String, u32>) -> String {
+    let words: Vec<String> = (table.names())
+        .filter_map(|action| Some(format!("{action} {}", constrained.get(action)?)))
         .collect();
     words.join(", ")
 }
@@ -400,7 +404,7 @@ fn one(env: &mut Env, episode: &Episode) -> Result<(), Failure> {
         writeln!(
             out,
             "oracle: {steps} steps, return {total:.4}, constrained: {}",
-            asked(oracle.constrained)
+            asked(env.task().world().vocabulary.actions(), &oracle.constrained)
         )?;
     }
     let place = |cell: crate::city::Cell| format!("[{}, {}]", cell.row, cell.col);

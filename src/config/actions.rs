@@ -259,16 +259,3 @@ fn cells(
     });
     None
 }
-
-/// Reports a task with other actions than the standard ones.
-pub(super) fn only_standard(task: &YamlNode, actions: &ActionsConfig, faults: &mut Vec<Diagnostic>) {
-    if let Some(own) = actions.table.own().first() {
-        let message = "a task has the four standard actions only";
-        let fault = Diagnostic::new(codes::INVALID_VALUE, message).at(own.name.span, "another action");
-        faults.push(
-            fault
-                .also(task.span, "the task")
-                .help("remove the task (`task: ~`), or the definition of the action"),
-        );
-    }
-}

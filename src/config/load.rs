@@ -3,9 +3,11 @@
 //! `docs/reference/configuration.md` documents the keys for users. The city checks whether the values are consistent,
 //! for example whether a street has room for its lanes.
 
-use crate::city::{AgentGroup, AgentKind, AgentSet, Building, Buildings, KindName, KindTable, MapConfig, OwnGroups};
+use crate::city::{
+    ActionTable, AgentGroup, AgentKind, AgentSet, Building, Buildings, KindName, KindTable, MapConfig, OwnGroups,
+};
 use crate::city::{Routing, Split, TripEnds, Widths};
-use crate::config::actions::{actions, only_standard};
+use crate::config::actions::actions;
 use crate::config::codes;
 use crate::config::compose::{AGENTS, Composer, Kind, MAP, PREDICATES, RUN, Read, TASK};
 use crate::config::kinds::{Kinds, kinds, kinds_help};
@@ -213,11 +215,11 @@ fn scenario(composer: &mut Composer<'_>, tree: &YamlNode) -> Option<Scenario> {
         .required("ticks", faults)
         .and_then(|node| integer(node, 1..=MAX_TICKS, faults));
     let task_node = fields.optional("task");
-    let task = task_node.map(|node| task::spf(composer, node, predicates.as_ref()));
+    let table = actions
+        .as_ref()
+        .map_or_else(ActionTable::default, |actions| actions.table.clone());
+    let task = task_node.map(|node| task::spf(composer, node, predicates.as_ref(), &table));
     let faults = &mut composer.faults;
-    if let (Some(node), Some(actions)) = (task_node, &actions) {
-        only_standard(node, actions, faults);
-    }
     if let (Some(map), Some(predicates)) = (&map, &predicates) {
         unknown_zones(map, &predicates.used, faults);
     }

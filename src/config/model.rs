@@ -104,8 +104,8 @@ impl ViolationsPer {
 /// The rewards of a step of Safe Path Following; costs are negative.
 #[derive(Clone, Debug, Serialize)]
 pub struct RewardConfig {
-    /// For each action, in the order of [`Action::STANDARD`]; divided by four times the number of cells of the route.
-    pub actions: [f64; 4],
+    /// For each action, in the order of the [`ActionTable`]; divided by four times the number of cells of the route.
+    pub actions: Vec<f64>,
     /// For a violation; not divided.
     pub violation: f64,
     /// The unit that costs of violations are counted by.

@@ -1,6 +1,6 @@
 //! Reads the task of a run configuration: Safe Path Following.
 
-use crate::city::{Action, AgentKind, Split};
+use crate::city::{ActionTable, AgentKind, Split};
 use crate::config::compose::Composer;
 use crate::config::model::*;
 use crate::config::predicates::{Concepts, Predicates, carried};
@@ -26,7 +26,12 @@ const MAX_STAGE_AGENTS: u32 = 1_000_000;
 const MAX_REWARD: f64 = 1e6;
 
 /// Reads the configuration of Safe Path Following.
-pub(super) fn spf(composer: &mut Composer<'_>, node: &YamlNode, predicates: Option<&Predicates>) -> Option<SpfConfig> {
+pub(super) fn spf(
+    composer: &mut Composer<'_>,
+    node: &YamlNode,
+    predicates: Option<&Predicates>,
+    table: &ActionTable,
+) -> Option<SpfConfig> {
     let mut fields = Fields::open(node, "a task", &mut composer.faults)?;
     fields.optional("base");
     let episodes = fields.optional("episodes").map(|node| episodes(composer, node));
@@ -43,7 +48,9 @@ pub(super) fn spf(composer: &mut Composer<'_>, node: &YamlNode, predicates: Opti
         (fields.optional("constrained_steps")).map_or(Some(1), |node| integer(node, 1..=MAX_HORIZON, faults));
     let curriculum = (fields.optional("curriculum")).map_or(Some(Vec::new()), |node| curriculum(node, faults));
     let route_length = (fields.required("route_length", faults)).and_then(|node| yes_or_no(node, faults));
-    let reward_of = fields.required("reward", faults).and_then(|node| reward(node, faults));
+    let reward_of = fields
+        .required("reward", faults)
+        .and_then(|node| reward(node, table, faults));
     let ego_of = fields.optional("ego").map(|node| ego(node, predicates, faults));
     let usual = "`base: configs/tasks/common.yaml` has defaults";
     fields.close_with(Some(usual), faults);
@@ -72,17 +79,23 @@ fn reward_value(node: &YamlNode, faults: &mut Vec<Diagnostic>) -> Option<f64> {
     number(node, range, "a reward from -1e6 to 1e6; costs are negative", faults)
 }
 
-fn reward(node: &YamlNode, faults: &mut Vec<Diagnostic>) -> Option<RewardConfig> {
+fn reward(node: &YamlNode, table: &ActionTable, faults: &mut Vec<Diagnostic>) -> Option<RewardConfig> {
     let mut fields = Fields::open(node, "the reward", faults)?;
     let actions = fields.required("actions", faults).and_then(|node| {
         let mut fields = Fields::open(node, "the rewards of actions", faults)?;
-        let rewards = Action::STANDARD.map(|action| {
-            let node = fields.required(action.name(), faults)?;
-            reward_value(node, faults)
-        });
+        let mut rewards = Vec::new();
+        for action in table.all() {
+            let node = match action.is_standard() {
+                true => fields.required(action.name(), faults),
+                false => fields.optional(table.name(action).to_owned()),
+            };
+            rewards.push(match node {
+                Some(node) => reward_value(node, faults),
+                None => (!action.is_standard()).then_some(0.0),
+            });
+        }
         fields.close(faults);
-        let [slow, normal, fast, stop] = rewards;
-        Some([slow?, normal?, fast?, stop?])
+        rewards.into_iter().collect::<Option<Vec<f64>>>()
     });
     let mut value = |key| {
         let node = fields.required(key, faults)?;

@@ -3,10 +3,11 @@
 use crate::agreement::{record, replay, simulation};
 use crate::config::load_memory;
 use crate::shipped_world::configured;
-use logicity::city::{Action, AgentKind, Heading, MoveReason};
+use logicity::city::{Action, AgentKind, Heading, MoveReason, Split};
 use logicity::diag::{Sources, render};
 use logicity::rng::{Purpose, RngExt, Seed};
 use logicity::sim::{Executor, Simulation, World};
+use logicity::task::spf::{ControlMode, Env, Episode, Policy, SpfTask, make_episodes, rollout};
 use std::collections::BTreeSet;
 use std::sync::Arc;
 
@@ -299,13 +300,73 @@ fn faulty_actions_have_messages_with_places() {
             "{actions}\n{message}"
         );
     }
-    let with_task = CONFIG.replace("task: ~\n", "");
-    let (sources, loaded) = load_memory(&[("main.yaml", &with_task)]);
-    let message = render(&loaded.expect_err("a task"), &sources, false);
-    assert!(
-        message.contains("a task has the four standard actions only"),
-        "{message}"
+}
+
+/// Environments have the actions of the configuration: the oracle takes them, another action violates the clause that
+/// demands one, masks say so, and their rewards count.
+#[test]
+fn environments_have_own_actions() {
+    let config = format!(
+        "{}task: {{reward: {{actions: {{TurnRight: -7}}}}}}\n",
+        CONFIG.replace("task: ~\n", "")
     );
+    // The second rule set is for the relational executor: it counts.
+    for more in ["", "Slow(X) :- IsBus(X), 2 < count : { Sees(X, Y) }, Not(TurnRight(X)).\n"] {
+        let rules = format!("{DECLARED}/// R1: turn\nTurnRight(X) :- IsCar(X), IsAtInter(X).\n{more}");
+        let (world, sources) = configured(&config, &rules, |_| ());
+        let table = &world.scenario.actions.table;
+        let turn = table.find("TurnRight").unwrap();
+        let park = table.find("Park").unwrap();
+        let task = Arc::new(SpfTask::new(Arc::clone(&world), &sources).unwrap_or_else(|faults| panic!("{faults:?}")));
+        assert_eq!(task.possible_actions().len(), 9);
+        let mut env = Env::new(Arc::clone(&task), Split::Test, ControlMode::First).unwrap();
+        env.judge_actions();
+        let (mut turned, mut broken) = (0, 0);
+        for seed in 0..12 {
+            env.reset(seed).unwrap();
+            while env.controlled_cars()[0].is_running() {
+                let oracle = env.oracle_action(0);
+                let car = &env.controlled_cars()[0];
+                let allowed = car.allowed().unwrap();
+                assert!(allowed.contains(oracle));
+                let cells = car.cells();
+                if oracle == turn {
+                    assert!(!allowed.contains(park) && !allowed.contains(Action::Normal));
+                    // Once, disobey.
+                    let given = if seed % 3 == 0 { park } else { turn };
+                    env.step(&[given]).unwrap();
+                    let last = env.controlled_cars()[0].last();
+                    match given == turn {
+                        true => {
+                            let reward = -7.0 / (4.0 * cells as f64);
+                            assert!((last.reward - reward).abs() < 1e-12 || last.terminated, "{}", last.reward);
+                            turned += 1;
+                        }
+                        false => {
+                            assert_eq!((last.broken.as_slice(), last.terminated), (&[0][..], true));
+                            broken += 1;
+                        }
+                    }
+                } else {
+                    env.step(&[oracle]).unwrap();
+                }
+            }
+        }
+        assert!(turned > 3 && broken > 0, "{turned} {broken}");
+        // A random policy takes all actions.
+        let mut taken = [0; Action::MAX];
+        for seed in 0..20 {
+            env.reset(seed).unwrap();
+            let done = rollout(&mut env, Policy::Random(Seed(seed))).unwrap();
+            for (sum, steps) in taken.iter_mut().zip(done.actions) {
+                *sum += steps;
+            }
+        }
+        assert!(taken[..9].iter().all(|steps| *steps > 0) && taken[9..].iter().all(|steps| *steps == 0), "{taken:?}");
+        let set = make_episodes(&task, Split::Test, 3, 1, |_| ()).unwrap();
+        let named = |episode: &Episode| episode.oracle.as_ref().unwrap().constrained.contains_key("TurnRight");
+        assert!(set.episodes.iter().all(named));
+    }
 }
 
 /// A definition changes the hash, and none leaves it.

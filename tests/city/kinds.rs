@@ -5,7 +5,7 @@ use crate::agreement::{record, replay, simulation};
 use crate::config::load_memory;
 use crate::shipped_world::configured;
 use logicity::builtin::BuiltinFiles;
-use logicity::city::{Action, AgentKind, KindTable, MoveReason, Split};
+use logicity::city::{Action, ActionTable, AgentKind, KindTable, MoveReason, Split};
 use logicity::diag::{Sources, render};
 use logicity::rng::{Purpose, RngExt, Seed};
 use logicity::sim::{Executor, Inference, Simulation, World};
@@ -264,10 +264,10 @@ fn episodes_with_own_kinds_are_written_and_read() {
     assert!(text.contains("\"Cyclist_3\""), "{text}");
     let mut sources = Sources::new();
     let source = sources.add("mine.jsonl", text);
-    let read = EpisodeSet::read(&sources, source, &kinds).unwrap();
+    let read = EpisodeSet::read(&sources, source, &kinds, &ActionTable::default()).unwrap();
     assert_eq!(read.episodes[0].agents, episode.agents);
     assert!(
-        EpisodeSet::read(&sources, source, &KindTable::default())
+        EpisodeSet::read(&sources, source, &KindTable::default(), &ActionTable::default())
             .unwrap_err()
             .message
             .contains("`Cyclist_1` is not an agent name")

@@ -5,7 +5,7 @@ use crate::shipped_world::{SPF_MODES, task, task_of};
 use logicity::builtin::BuiltinFiles;
 use logicity::cancel::Cancel;
 use logicity::city::field_of_view;
-use logicity::city::{Action, AgentKind, KindTable, Split};
+use logicity::city::{Action, ActionTable, AgentKind, KindTable, Split};
 use logicity::datalog::{ClauseId, Literal, Rules, Term};
 use logicity::diag::{Diagnostic, Sources};
 use logicity::rng::{Purpose, RngExt, Seed};
@@ -506,7 +506,7 @@ fn slow_recorded_episodes() {
             assert_eq!(set.config, mode);
             assert_eq!(set.episodes.len(), if split == Split::Val { 40 } else { 100 });
             let mut env = Env::new(Arc::clone(&task), split, ControlMode::First).unwrap();
-            let mut asked = [0; 4];
+            let mut asked = [0; Action::MAX];
             for (number, episode) in set.episodes.iter().enumerate() {
                 env.reset_to(episode).unwrap();
                 let done = rollout(&mut env, Policy::Oracle).unwrap();
@@ -517,8 +517,8 @@ fn slow_recorded_episodes() {
                     "{context}"
                 );
                 assert_eq!(
-                    (done.steps, done.constrained),
-                    (oracle.steps, oracle.constrained),
+                    (done.steps, &done.constrained_by_name(task.world().vocabulary.actions())),
+                    (oracle.steps, &oracle.constrained),
                     "{context}"
                 );
                 assert!((done.total - oracle.total).abs() < 1e-9, "{context}");
@@ -620,7 +620,7 @@ fn the_random_policy_scores_zero() {
 fn compliance_counts_only_runs_with_a_constrained_step() {
     let task = task("easy", None);
     let run = |stops: u32, broken: &[usize]| Rollout {
-        constrained: [0, 0, 0, stops],
+        constrained: std::array::from_fn(|action| if action == Action::Stop.index() { stops } else { 0 }),
         broken: broken.to_vec(),
         success: broken.is_empty(),
         ..Rollout::default()
@@ -852,7 +852,7 @@ fn agents_of_episodes_have_known_concepts() {
 fn set_of(text: &str) -> Result<EpisodeSet, Diagnostic> {
     let mut sources = Sources::new();
     let source = sources.add("mine.jsonl", text);
-    EpisodeSet::read(&sources, source, &KindTable::default())
+    EpisodeSet::read(&sources, source, &KindTable::default(), &ActionTable::default())
 }
 
 #[test]
@@ -900,7 +900,7 @@ fn unknown_keys_of_episodes_are_reported() {
         lines[line] = lines[line].replace(from, to);
         let mut sources = Sources::new();
         let source = sources.add("mine.jsonl", lines.join("\n"));
-        EpisodeSet::read(&sources, source, &KindTable::default()).map_err(|fault| {
+        EpisodeSet::read(&sources, source, &KindTable::default(), &ActionTable::default()).map_err(|fault| {
             let place = sources.position(fault.primary.as_ref().expect("a place").span);
             (place.line, fault)
         })

@@ -14,7 +14,6 @@ import numpy as np
 from numpy.typing import NDArray
 
 from .. import _logicity
-from ..city import ACTIONS
 from ..errors import checked_integer, extra
 
 with extra("gym"):
@@ -59,6 +58,7 @@ class BaseEnv:
         self._task = self._core_task = config.task()
         self._clauses, self._shape = self._task.clauses(), tuple(self._task.shape(self._kind))
         self._views = views_of(self._task, config.observation)
+        self._actions = self._task.actions()
 
     def _make_core(self, task: _logicity.Task) -> _logicity.VectorEnv:
         count, autoreset, threads = self._batch
@@ -96,6 +96,11 @@ class BaseEnv:
         return [None for _ in pictures]
 
     @property
+    def action_names(self) -> tuple[str, ...]:
+        """The names of the actions, in the order of the action space: `ACTIONS`, then those of the configuration."""
+        return self._actions
+
+    @property
     def clauses(self) -> tuple[str, ...]:
         """The names of the clauses that actions can violate, such as `S1`, in the order of `violations`."""
         return self._clauses
@@ -122,7 +127,7 @@ class BaseEnv:
 
     def _masks(self, ended: bool = False) -> NDArray[np.int8]:
         """Return the allowed actions of all environments, or those of the episodes that ended in the last step."""
-        masks = np.zeros((self._batch[0], len(ACTIONS)), np.int8)
+        masks = np.zeros((self._batch[0], len(self._actions)), np.int8)
         self._core.action_masks(masks, ended)
         return masks
 
@@ -265,14 +270,14 @@ def check_options(options: Mapping[str, Any], known: tuple[str, ...]) -> None:
             raise ValueError(f"unknown option `{option}`; known: {', '.join(known)}")
 
 
-def checked_action(action: Any) -> int:
-    """Return an action as an int. Raise `gymnasium.error.InvalidAction` if it is not 0, 1, 2 or 3."""
+def checked_action(action: Any, names: Sequence[str]) -> int:
+    """Return an action as an int. Raise `gymnasium.error.InvalidAction` if it is no index of a name."""
     try:
         number = operator.index(action)
     except TypeError:
         number = -1
-    if not 0 <= number < len(ACTIONS):
-        known = ", ".join(f"{number} {name}" for number, name in enumerate(ACTIONS))
+    if not 0 <= number < len(names):
+        known = ", ".join(f"{number} {name}" for number, name in enumerate(names))
         raise InvalidAction(f"{action!r} is not an action; known: {known}")
     return number
 

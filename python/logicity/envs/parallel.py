@@ -56,7 +56,7 @@ class SPFParallelEnv(BaseEnv, ParallelEnv[str, Any, "np.int64 | int"]):
         self._index = {name: car for car, name in enumerate(self.possible_agents)}
         # Each car has its own space, so that seeding one does not affect the others.
         self.observation_spaces = {name: self._space() for name in self.possible_agents}
-        self.action_spaces = {name: Discrete(4) for name in self.possible_agents}
+        self.action_spaces = {name: Discrete(len(self._actions)) for name in self.possible_agents}
         self._seeded = self._begun = False
 
     def _make_cars(self) -> _logicity.MultiCarEnv:
@@ -143,7 +143,7 @@ class SPFParallelEnv(BaseEnv, ParallelEnv[str, Any, "np.int64 | int"]):
             raise InvalidAction(f"missing action of {', '.join(missing)}")
         numbers = [0] * len(self.possible_agents)
         for name in live:
-            numbers[self._index[name]] = checked_action(actions[name])
+            numbers[self._index[name]] = checked_action(actions[name], self._actions)
         self._cars.step(numbers)
         outcomes = {name: self._cars.outcome(self._index[name]) for name in live}
         self.agents = [name for name in live if not (outcomes[name][1] or outcomes[name][2])]

@@ -102,7 +102,7 @@ class SPFEnv(BaseEnv, gymnasium.Env[Any, np.int64]):
     ) -> None:
         """Load the configuration and the rules."""
         self._load(EnvConfig(config, SPFEnv, **options), render_mode, episodes)
-        self._atoms, self.observation_space, self.action_space = atoms, self._space(), Discrete(4)
+        self._atoms, self.observation_space, self.action_space = atoms, self._space(), Discrete(len(self._actions))
         self._core = self._make_core(self._task)
         self._overrides: dict[str, Any] = {}
         self._seeded = self._begun = False
@@ -165,7 +165,7 @@ class SPFEnv(BaseEnv, gymnasium.Env[Any, np.int64]):
             gymnasium.error.InvalidAction: If the action is not 0, 1, 2 or 3.
         """
         self._check_begun()
-        array, number = np.empty(self._shape, np.float32), checked_action(action)
+        array, number = np.empty(self._shape, np.float32), checked_action(action, self._actions)
         reward, terminated, truncated, info = self._core.step_one(number, array)
         observation, info = self._result(array, info)
         return observation, reward, terminated, truncated, info

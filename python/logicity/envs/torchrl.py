@@ -20,7 +20,6 @@ with extra("torchrl"):
     from torchrl.data import Binary, Bounded, Categorical, Composite, TensorSpec, Unbounded
     from torchrl.envs import EnvBase
 
-from ..city import ACTIONS
 from .vector import SPFVectorEnv
 
 __all__ = ["SPFTorchRLEnv"]
@@ -79,7 +78,7 @@ class SPFTorchRLEnv(EnvBase):
         self._sources: dict[int, list[int]] = {}
         self._state: dict[str, NDArray[Any]] = {}
         self.observation_spec = Composite(self._specs(), shape=self.batch_size, device=self.device)
-        self.action_spec = Categorical(len(ACTIONS), (num_envs,), device=self.device, dtype=torch.int64)
+        self.action_spec = Categorical(len(self.envs.action_names), (num_envs,), device=self.device, dtype=torch.int64)
         self.reward_spec = Unbounded((num_envs, 1), device=self.device, dtype=torch.float32)
         flag = Categorical(2, (num_envs, 1), device=self.device, dtype=torch.bool)
         flags = {name: flag.clone() for name in ("done", "terminated", "truncated")}
@@ -102,9 +101,9 @@ class SPFTorchRLEnv(EnvBase):
         specs["progress"] = Bounded(0.0, 1.0, (count, 1), dtype=torch.float32)
         specs["violations"] = Binary(shape=(count, len(self.clauses)), dtype=torch.bool)
         if config.oracle:
-            specs["oracle_action"] = Bounded(0, len(ACTIONS) - 1, (count, 1), dtype=torch.int64)
+            specs["oracle_action"] = Bounded(0, len(self.envs.action_names) - 1, (count, 1), dtype=torch.int64)
         if config.action_masks:
-            specs["action_mask"] = Binary(shape=(count, len(ACTIONS)), dtype=torch.bool)
+            specs["action_mask"] = Binary(shape=(count, len(self.envs.action_names)), dtype=torch.bool)
         return specs
 
     def _set_seed(self, seed: int | None) -> None:

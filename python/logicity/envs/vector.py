@@ -83,7 +83,7 @@ class SPFVectorEnv(BaseEnv, VectorEnv[Any, NDArray[np.int64], NDArray[Any]]):
         batch = self.num_envs, self.autoreset_mode.value, threads
         self._load(EnvConfig(config, SPFVectorEnv, **options), render_mode, episodes, batch)
         self._atoms, self.copy = atoms, copy
-        self.single_observation_space, self.single_action_space = self._space(), Discrete(4)
+        self.single_observation_space, self.single_action_space = self._space(), Discrete(len(self._actions))
         self.observation_space = batch_space(self.single_observation_space, num_envs)
         self.action_space = batch_space(self.single_action_space, num_envs)
         self._core = self._make_core(self._task)

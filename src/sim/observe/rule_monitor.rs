@@ -112,14 +112,15 @@ enum Given {
 
 /// Returns the rules with the action predicates of all bodies replaced by input predicates, and these predicates. They
 /// come last.
-fn with_actions_given(rules: &Rules, vocabulary: &Vocabulary) -> (Rules, [Option<PredicateId>; 4]) {
+fn with_actions_given(rules: &Rules, vocabulary: &Vocabulary) -> (Rules, Vec<Option<PredicateId>>) {
     let mut rules = rules.clone();
-    let given = Action::STANDARD.map(|action| {
+    let table = vocabulary.actions();
+    let give = |action: Action| {
         let derived = vocabulary.action(action)?;
         let place = PredicateId(u32::try_from(rules.predicates.len()).expect("fewer than 2^32 predicates"));
         let predicate = datalog::Predicate {
-            name: format!("+given {}", action.name()),
-            doc: format!("the imposed action `{}`", action.name()),
+            name: format!("+given {}", table.name(action)),
+            doc: format!("the imposed action `{}`", table.name(action)),
             input: true,
             edb: None,
             output: false,
@@ -131,7 +132,8 @@ fn with_actions_given(rules: &Rules, vocabulary: &Vocabulary) -> (Rules, [Option
         };
         rules.predicates.push(predicate);
         Some((derived, place))
-    });
+    };
+    let given: Vec<Option<(PredicateId, PredicateId)>> = table.all().map(give).collect();
     for literal in rules.clauses.iter_mut().flat_map(|clause| &mut clause.body) {
         let (Literal::Positive(atom)
         | Literal::Negative(atom)
@@ -144,7 +146,8 @@ fn with_actions_given(rules: &Rules, vocabulary: &Vocabulary) -> (Rules, [Option
             atom.predicate = *place;
         }
     }
-    (rules, given.map(|given| given.map(|(_, place)| place)))
+    let places = given.into_iter().map(|given| given.map(|(_, place)| place));
+    (rules, places.collect())
 }
 
 /// Returns the clauses that demand an action. It excludes the default: a clause of the default action that reads only
@@ -222,7 +225,7 @@ impl Conditions {
                 None => return None,
             }
         }
-        let rules = BoundRules::new(&others, vocabulary, [None; 4], TrackFirings::Each)?;
+        let rules = BoundRules::new(&others, vocabulary, &[], TrackFirings::Each)?;
         Some(Conditions {
             rules: Box::new(rules),
             clauses,
@@ -286,7 +289,7 @@ impl BoundRules {
     fn new(
         rules: &Rules,
         vocabulary: &Vocabulary,
-        given: [Option<PredicateId>; 4],
+        given: &[Option<PredicateId>],
         counting: TrackFirings,
     ) -> Option<BoundRules> {
         let compiled = compile(rules, vocabulary, counting).ok()?;
@@ -296,7 +299,7 @@ impl BoundRules {
             return None;
         }
         let bound = vocabulary.predicates.iter().map(|predicate| predicate.id);
-        let bound: Vec<Option<PredicateId>> = bound.chain(given).collect();
+        let bound: Vec<Option<PredicateId>> = bound.chain(given.iter().copied()).collect();
         let place = |predicate: PredicateId| {
             let known = bound.iter().position(|bound| *bound == Some(predicate));
             let condition = || compiled.conditions.find(predicate).map(Given::Condition);
@@ -359,15 +362,15 @@ impl Evaluator {
         program: Program,
         vocabulary: &Vocabulary,
         limits: Limits,
-        given: [Option<PredicateId>; 4],
+        given: &[Option<PredicateId>],
         counting: TrackFirings,
     ) -> Evaluator {
         if let Some(rules) = BoundRules::new(program.rules(), vocabulary, given, counting) {
             return Evaluator::Dense(Box::new(rules));
         }
-        let given = given.into_iter().map(|id| {
+        let given = given.iter().map(|id| {
             Some(GroundPredicate {
-                id: id?,
+                id: (*id)?,
                 arity: 1,
                 value: None,
             })
@@ -393,8 +396,8 @@ impl RuleMonitor {
             None => {
                 let (checked, given) = with_actions_given(rules, vocabulary);
                 How::Twice {
-                    wanted: Evaluator::new(program.clone(), vocabulary, limits, [None; 4], TrackFirings::Off),
-                    checked: Evaluator::new(Program::new(checked)?, vocabulary, limits, given, TrackFirings::Each),
+                    wanted: Evaluator::new(program.clone(), vocabulary, limits, &[], TrackFirings::Off),
+                    checked: Evaluator::new(Program::new(checked)?, vocabulary, limits, &given, TrackFirings::Each),
                 }
             }
         };
@@ -701,7 +704,7 @@ impl State {
                             .is_some_and(|set| has(set, 0))
                     })
                 };
-                Action::STANDARD.into_iter().filter(holds).collect()
+                vocabulary.actions().all().filter(holds).collect()
             }
             (State::Relational(Some(state)), _) => state.derived(vocabulary, ego),
             _ => unreachable!("it has been evaluated"),

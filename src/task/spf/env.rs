@@ -359,7 +359,8 @@ impl Env {
             controlled_car.derived = controlled_car.observer.derived(&self.city)?;
             if self.judges {
                 let mut allowed = Actions::default();
-                for action in Action::STANDARD {
+                for action in self.task.possible_actions() {
+                    let action = *action;
                     if controlled_car.observer.violations(&self.city, action)?.is_empty() {
                         allowed.insert(action);
                     }

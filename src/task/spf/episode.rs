@@ -7,13 +7,13 @@
 //! steps, by action).
 // Decision: docs/decisions/tasks.md#d043
 
-use crate::city::{Action, AgentConfig, AgentName, KindId, KindTable, Split};
+use crate::city::{ActionTable, AgentConfig, AgentName, KindId, KindTable, Split};
 use crate::city::{Agent, Cell, CityMap};
 use crate::config::codes;
 use crate::config::{PredicateConfig, SpfConfig};
 use crate::diag::{self, Diagnostic, SourceId, Sources, Span, did_you_mean, json_error, listed};
 use crate::files::{ReadError, ReadFile};
-use crate::task::spf::{self, ControlMode, SpfTask, steps_by_action};
+use crate::task::spf::{self, ControlMode, SpfTask};
 use crate::yaml;
 use serde::{Deserialize, Serialize};
 use sha2::{Digest, Sha256};
@@ -84,7 +84,7 @@ pub struct OracleRun {
     pub total: f64,
     /// Number of steps in which the rules derived each action, in the order of
     /// [`Action::STANDARD`](crate::city::Action::STANDARD).
-    pub constrained: [u32; 4],
+    pub constrained: BTreeMap<String, u32>,
 }
 
 impl MapIdentity {
@@ -341,7 +341,10 @@ impl EpisodeSet {
                 .help("create the file with `logicity episodes make`")
         })?;
         let source = sources.add(name.to_string(), text);
-        let set = EpisodeSet::read(sources, source, &task.world().scenario.kinds)?;
+        let set = {
+            let scenario = &task.world().scenario;
+            EpisodeSet::read(sources, source, &scenario.kinds, &scenario.actions.table)?
+        };
         if set.split != split {
             let message = format!(
                 "the episodes are of the split `{}`, not `{}`",
@@ -382,7 +385,12 @@ impl EpisodeSet {
     /// # Errors
     /// `invalid-episode` with line and column. [`Env::reset_to`](super::Env::reset_to) checks whether an episode fits a
     /// city.
-    pub fn read(sources: &Sources, source: SourceId, kinds: &KindTable) -> Result<EpisodeSet, Diagnostic> {
+    pub fn read(
+        sources: &Sources,
+        source: SourceId,
+        kinds: &KindTable,
+        actions: &ActionTable,
+    ) -> Result<EpisodeSet, Diagnostic> {
         let text = sources.text(source);
         let mut at = 0;
         let mut lines = text.split_inclusive('\n').map(|line| {
@@ -418,7 +426,7 @@ impl EpisodeSet {
         for (start, text) in lines.filter(|(_, line)| !line.is_empty()) {
             let line: Line = parse(text, source, start, "an episode")?;
             let here = |fault: Diagnostic| fault.at(Span::new(source, start..start + text.len()), "in this episode");
-            episodes.push(line.read(&agents).map_err(here)?);
+            episodes.push(line.read(&agents, actions).map_err(here)?);
         }
         if episodes.is_empty() {
             return Err(here(invalid("the file has no episodes")).help("create some with `logicity episodes make`"));
@@ -477,9 +485,7 @@ impl EpisodeSet {
                 oracle: episode.oracle.as_ref().map(|oracle| LineOracle {
                     steps: oracle.steps,
                     total: oracle.total,
-                    constrained: steps_by_action(oracle.constrained)
-                        .map(|(action, steps)| (action.to_owned(), steps))
-                        .collect(),
+                    constrained: oracle.constrained.clone(),
                 }),
             };
             writeln!(out, "{}", serde_json::to_string(&line)?)?;
@@ -509,7 +515,7 @@ fn parse<'t, T: Deserialize<'t>>(line: &'t str, source: SourceId, start: usize, 
 }
 
 impl Line {
-    fn read(self, usual: &[(AgentName, Character)]) -> Result<Episode, Diagnostic> {
+    fn read(self, usual: &[(AgentName, Character)], actions: &ActionTable) -> Result<Episode, Diagnostic> {
         if self.trips.len() != usual.len() {
             let plural = if self.trips.len() == 1 { "" } else { "s" };
             let message = format!("{} trip{plural} of {} agents", self.trips.len(), usual.len());
@@ -533,16 +539,13 @@ impl Line {
             }
         };
         let oracle = self.oracle.as_ref().map(|oracle| {
-            let mut constrained = [0; 4];
-            for (name, steps) in &oracle.constrained {
-                let action = Action::STANDARD.into_iter().find(|action| action.name() == name);
-                let action = action.ok_or_else(|| invalid(format!("`{name}` is not an action")))?;
-                constrained[action.index()] = *steps;
+            if let Some(name) = oracle.constrained.keys().find(|name| actions.find(name).is_none()) {
+                return Err(invalid(format!("`{name}` is not an action")));
             }
             Ok::<_, Diagnostic>(OracleRun {
                 steps: oracle.steps,
                 total: oracle.total,
-                constrained,
+                constrained: oracle.constrained.clone(),
             })
         });
         Ok(Episode {

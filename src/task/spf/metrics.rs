@@ -98,10 +98,10 @@ impl Score {
 }
 
 /// The decision success rate for an action.
-#[derive(Clone, Copy, Debug, PartialEq, Serialize)]
+#[derive(Clone, Debug, PartialEq, Serialize)]
 pub struct ActionRate {
     /// Name of the action.
-    pub action: &'static str,
+    pub action: String,
     /// The proportion of runs without a violation of the action's clauses, among those in which the rules derived it.
     #[serde(flatten)]
     pub rate: Rate,
@@ -162,7 +162,7 @@ pub(super) fn summarize_runs(task: &SpfTask, rollouts: &[Rollout], runs: usize, 
                 .all(|&constraint| constraints[constraint].action != action)
         };
         ActionRate {
-            action: action.name(),
+            action: task.world().vocabulary.actions().name(action).to_owned(),
             rate: rate(&|rollout| constrained(rollout).then(|| obeyed(rollout))),
         }
     };
@@ -177,8 +177,8 @@ pub(super) fn summarize_runs(task: &SpfTask, rollouts: &[Rollout], runs: usize, 
         tsr: rate(&|rollout| Some(rollout.success)),
         compliance: rate(&|rollout| constrained(rollout).then_some(rollout.broken.is_empty())),
         dsr: rate(&|rollout| Some(rollout.broken.is_empty() && constrained(rollout))),
-        dsr_by_action: Action::STANDARD
-            .into_iter()
+        dsr_by_action: (0..Action::MAX)
+            .map(Action::at)
             .filter(|action| asked(*action))
             .map(by_action)
             .collect(),

@@ -37,7 +37,7 @@ pub use trace::{Origin, RecordError, record};
 pub use vector::{Autoreset, Begin, EpisodeSource, Info, ObservationKind, Outcome, SubEnv, VectorEnv};
 pub use vector::{Ending, Layer, PolicyNetwork, Trajectories};
 
-use crate::city::{AgentSet, Split};
+use crate::city::{Action, AgentKind, AgentSet, Split};
 use crate::config::{CurriculumStage, EntityOrder, Scenario, SpfConfig};
 use crate::datalog::explain::ExplanationPrinter;
 use crate::diag::{Diagnostic, Sources, did_you_mean, listed};
@@ -51,6 +51,8 @@ pub struct SpfTask {
     config: SpfConfig,
     /// For each constraint of the oracle, its label and the reward for violating it.
     constraints: Vec<(String, f64)>,
+    /// The actions that an ego, which is a car, can take.
+    possible: Vec<Action>,
     /// The greatest possible priority number.
     priority_scale: f32,
 }
@@ -107,7 +109,12 @@ impl SpfTask {
         let of_egos = config.ego.iter().flat_map(|ego| ego.priority);
         #[allow(clippy::cast_precision_loss)] // a scale
         let priority_scale = of_sets.chain(of_egos).max().unwrap_or(1).max(1) as f32;
+        let table = &scenario.actions.table;
         Ok(SpfTask {
+            possible: table
+                .all()
+                .filter(|&action| table.can_take(AgentKind::Car, action))
+                .collect(),
             oracle: Arc::new(oracle),
             constraints,
             priority_scale,
@@ -118,6 +125,11 @@ impl SpfTask {
     /// Returns the city and its rules.
     pub fn world(&self) -> &Arc<World> {
         self.oracle.world()
+    }
+
+    /// Returns the actions that an ego can take, in the order of the action table.
+    pub fn possible_actions(&self) -> &[Action] {
+        &self.possible
     }
 
     /// Returns the oracle, which decides and finds violations.

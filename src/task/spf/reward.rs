@@ -28,7 +28,7 @@ impl SpfTask {
                         .filter(move |&&constraint| constraints[constraint].action == action)
                 };
                 let worst = |action| of_action(action).map(of).reduce(f64::min);
-                Action::STANDARD.into_iter().filter_map(worst).sum()
+                self.world().vocabulary.actions().all().filter_map(worst).sum()
             }
         }
     }

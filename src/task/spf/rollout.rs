@@ -1,10 +1,11 @@
 //! Whole episodes under simple policies, and episode sets generated with them.
 
-use crate::city::{Action, Split};
+use crate::city::{Action, ActionTable, Split};
 use crate::diag::Diagnostic;
 use crate::diag::codes;
 use crate::rng::{Purpose, RngExt, Seed};
 use crate::task::spf::{ControlMode, Env, Episode, EpisodeSet, MapIdentity, OracleRun, SpfTask};
+use std::collections::BTreeMap;
 use std::sync::Arc;
 
 impl Purpose {
@@ -30,7 +31,7 @@ pub const DRAWS_MAX: u64 = 1000;
 pub enum Policy {
     /// Does what the rules want.
     Oracle,
-    /// Draws each action uniformly from all four.
+    /// Draws each action uniformly from those that a car can take.
     Random(Seed),
     /// Always takes the same action.
     Always(Action),
@@ -47,22 +48,26 @@ pub struct Rollout {
     pub success: bool,
     /// Whether the episode reached its horizon.
     pub truncated: bool,
-    /// Number of steps in which the policy chose each action, in the order of [`Action::STANDARD`].
-    pub actions: [u32; 4],
+    /// Number of steps in which the policy chose each action, in the order of the action table.
+    pub actions: [u32; Action::MAX],
     /// Number of steps in which the rules derived each action, in the same order.
-    pub constrained: [u32; 4],
+    pub constrained: [u32; Action::MAX],
     /// The violated clauses, by their positions in [`Oracle::constraints`](crate::sim::Oracle::constraints).
     pub broken: Vec<usize>,
 }
 
-/// Returns the names of the actions that have steps, and their numbers of steps, which are in the order of
-/// [`Action::STANDARD`].
-pub fn steps_by_action(steps: [u32; 4]) -> impl Iterator<Item = (&'static str, u32)> {
-    let named = Action::STANDARD.map(Action::name).into_iter().zip(steps);
-    named.filter(|(_, steps)| *steps > 0)
+/// Returns the names of the actions that have steps, and their numbers of steps, which are in the order of the table.
+pub fn steps_by_action(table: &ActionTable, steps: [u32; Action::MAX]) -> impl Iterator<Item = (&str, u32)> {
+    table.names().zip(steps).filter(|(_, steps)| *steps > 0)
 }
 
 impl Rollout {
+    /// Returns the number of steps in which the rules derived each action, without actions that they never derived.
+    pub fn constrained_by_name(&self, table: &ActionTable) -> BTreeMap<String, u32> {
+        let steps = steps_by_action(table, self.constrained);
+        steps.map(|(action, steps)| (action.to_owned(), steps)).collect()
+    }
+
     /// Adds the last step of the first controlled car, in which it took an action. `asked` are the actions that the
     /// rules derived before it.
     pub fn add(&mut self, env: &Env, action: Action, asked: impl Iterator<Item = Action>) {
@@ -92,7 +97,8 @@ pub fn rollout(env: &mut Env, policy: Policy) -> Result<Rollout, Diagnostic> {
             Policy::Oracle => env.oracle_action(controlled_car),
             Policy::Random(seed) => {
                 let mut stream = seed.stream(Purpose::POLICY, env.steps().into(), controlled_car as u64);
-                Action::STANDARD[stream.random_range(0..Action::STANDARD.len())]
+                let possible = env.task().possible_actions();
+                possible[stream.random_range(0..possible.len())]
             }
             Policy::Always(action) => action,
         };
@@ -161,7 +167,7 @@ struct Wanted {
     /// Number of episodes by concepts of the ego.
     concepts: Vec<(Arc<[String]>, usize)>,
     /// Number of episodes by action that the rules must derive in them.
-    actions: [usize; 4],
+    actions: [usize; Action::MAX],
 }
 
 impl Wanted {
@@ -178,7 +184,8 @@ impl Wanted {
             *wanted = count / kinds + usize::from(kind < count % kinds);
         }
         let constraints = task.oracle().constraints();
-        let asked = Action::STANDARD.map(|action| constraints.iter().any(|constraint| constraint.action == action));
+        let asked: [bool; Action::MAX] =
+            std::array::from_fn(|action| constraints.iter().any(|constraint| constraint.action.index() == action));
         // 1 / (2k) of the episodes for k actions, because the rules may derive some actions for few egos only.
         let share = count.div_ceil(2 * asked.iter().filter(|asked| **asked).count().max(1));
         Wanted {
@@ -190,12 +197,12 @@ impl Wanted {
     /// Accepts an episode if it meets an open requirement.
     fn take(&mut self, concepts: &[String], done: &Rollout) -> bool {
         let asks = |action: usize| done.constrained[action] > 0;
-        if !done.success || !(0..4).any(asks) {
+        if !done.success || !(0..Action::MAX).any(asks) {
             return false;
         }
-        let lacking = |actions: &[usize; 4]| (0..4).any(|action| actions[action] > 0);
-        let helps = (0..4).any(|action| self.actions[action] > 0 && asks(action));
-        if lacking(&self.actions) && !helps {
+        let lacking = self.actions.iter().any(|wanted| *wanted > 0);
+        let helps = (0..Action::MAX).any(|action| self.actions[action] > 0 && asks(action));
+        if lacking && !helps {
             return false;
         }
         if let Some((_, wanted)) = self.concepts.iter_mut().find(|(kind, _)| **kind == *concepts) {
@@ -243,7 +250,7 @@ pub fn make_episodes(
             episode.oracle = Some(OracleRun {
                 steps: done.steps,
                 total: done.total,
-                constrained: done.constrained,
+                constrained: done.constrained_by_name(task.world().vocabulary.actions()),
             });
             episodes.push(episode);
             watch(episodes.len());
@@ -252,7 +259,7 @@ pub fn make_episodes(
     if episodes.len() < count {
         let message = format!("found only {} of {count} episodes in {draws} draws", episodes.len());
         let fault = Diagnostic::new(codes::LIMIT_EXCEEDED, message).at(task.config().span, "of this task");
-        return Err(fault.help(wanted.missing()));
+        return Err(fault.help(wanted.missing(task.world().vocabulary.actions())));
     }
     // An order independent of the requirements.
     episodes.sort_by_key(|episode| episode.seed);
@@ -266,7 +273,7 @@ pub fn make_episodes(
 }
 
 impl Wanted {
-    fn missing(&self) -> String {
+    fn missing(&self, table: &ActionTable) -> String {
         let concepts = (self.concepts.iter().filter(|(_, wanted)| *wanted > 0)).map(|(kind, wanted)| {
             let kind = if kind.is_empty() {
                 "no concept".to_owned()
@@ -275,11 +282,9 @@ impl Wanted {
             };
             format!("{wanted} with {kind}")
         });
-        let actions = (Action::STANDARD
-            .iter()
-            .zip(self.actions)
-            .filter(|(_, wanted)| *wanted > 0))
-        .map(|(action, wanted)| format!("{wanted} in which the rules derive {}", action.name()));
+        let actions = (table.names().zip(self.actions))
+            .filter(|(_, wanted)| *wanted > 0)
+            .map(|(action, wanted)| format!("{wanted} in which the rules derive {action}"));
         let mut lacking: Vec<String> = concepts.chain(actions).collect();
         if lacking.is_empty() {
             lacking.push("episodes that the oracle solves with a constrained step".to_owned());
@@ -297,10 +302,12 @@ mod tests {
 
     #[test]
     fn what_is_lacking_is_never_nothing() {
-        let message = |concepts, actions| Wanted { concepts, actions }.missing();
-        assert!(message(vec![], [0; 4]).starts_with("missing: episodes that the oracle solves"));
+        let message = |concepts, actions| Wanted { concepts, actions }.missing(&ActionTable::default());
+        assert!(message(vec![], [0; Action::MAX]).starts_with("missing: episodes that the oracle solves"));
         let bus: Arc<[String]> = Arc::new(["bus".to_owned()]);
-        let message = message(vec![(bus, 2), (Arc::new([]), 1)], [0, 0, 0, 3]);
+        let mut actions = [0; Action::MAX];
+        actions[Action::Stop.index()] = 3;
+        let message = message(vec![(bus, 2), (Arc::new([]), 1)], actions);
         assert!(
             message.starts_with("missing: 2 with bus, 1 with no concept, 3 in which the rules derive Stop;"),
             "{message}"

@@ -417,6 +417,8 @@ impl VectorEnv {
         observations: &mut [f32],
     ) -> Result<Trajectories, Diagnostic> {
         let (count, width, view) = (self.sub_envs.len(), self.width, self.view);
+        let task = self.sub_envs[0].env().task();
+        (task.world().vocabulary).only_standard_actions("networks that run without a call per step")?;
         assert!(
             network.width() == width,
             "a network for observations of {width} numbers"
