@@ -109,6 +109,7 @@ type Parts = (Py<PyTask>, Vec<String>, Bodies, String, String);
 /// Returns rules from the parts of `__reduce__`.
 #[pyfunction]
 fn restore_rules(
+    py: Python<'_>,
     task: Py<PyTask>,
     order: Vec<String>,
     clauses: Bodies,
@@ -116,7 +117,7 @@ fn restore_rules(
     report: &str,
 ) -> PyResult<PyLearnedRules> {
     let invalid = || PyValueError::new_err("these are not the parts of learned rules");
-    let learning = induction_task(task.get(), &order)?;
+    let learning = induction_task(py, task.get(), &order)?;
     let vocabulary = learning.vocabulary();
     let mut actions = Vec::new();
     for bodies in clauses {
@@ -162,12 +163,13 @@ fn restore_rules(
 }
 
 /// Returns the task of learning, with the actions in this order.
-fn induction_task(shared: &PyTask, order: &[String]) -> PyResult<Arc<InductionTask>> {
+fn induction_task(py: Python<'_>, shared: &PyTask, order: &[String]) -> PyResult<Arc<InductionTask>> {
     let order: Vec<Action> = (order.iter())
         .map(|name| one_of("order", name, &Action::STANDARD, Action::name))
         .collect::<PyResult<_>>()?;
     let world = Arc::clone(shared.task.world());
-    Ok(Arc::new(InductionTask::new(world, &order)))
+    let task = InductionTask::new(world, &order).map_err(|fault| shared.error(py, fault))?;
+    Ok(Arc::new(task))
 }
 
 /// Returns the number of entities in an observation, and its length.
@@ -290,7 +292,7 @@ fn induce(
 ) -> PyResult<(PyLearnedRules, Option<Py<PyAny>>)> {
     let shared = task.get();
     let shape = shape_of(shared);
-    let learning = induction_task(shared, &order)?;
+    let learning = induction_task(py, shared, &order)?;
     let states = states(&learning, shape, &observations)?;
     let mut origin = Origin::default();
     origin.lines = lines;

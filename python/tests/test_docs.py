@@ -27,7 +27,15 @@ DOCS = Path(__file__).parents[2] / "docs"
 #: A block: the language, the words after it, and the text. Blocks of directives, such as ```{toctree}, do not match.
 BLOCK = re.compile(r"^```(\w+)(?: ([^\n]*))?\n(.*?)^```$", re.MULTILINE | re.DOTALL)
 #: The languages and words of blocks without a file name, which tests in Rust load or run.
-LOADED = [("dl", ""), ("yaml", ""), ("json", "scene"), ("json", "marginals"), ("json", "answer"), ("sh", "cargo"), ("text", "cargo")]
+LOADED = [
+    ("dl", ""),
+    ("yaml", ""),
+    ("json", "scene"),
+    ("json", "marginals"),
+    ("json", "answer"),
+    ("sh", "cargo"),
+    ("text", "cargo"),
+]
 
 
 @dataclass(frozen=True)

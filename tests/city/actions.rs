@@ -311,7 +311,10 @@ fn environments_have_own_actions() {
         CONFIG.replace("task: ~\n", "")
     );
     // The second rule set is for the relational executor: it counts.
-    for more in ["", "Slow(X) :- IsBus(X), 2 < count : { Sees(X, Y) }, Not(TurnRight(X)).\n"] {
+    for more in [
+        "",
+        "Slow(X) :- IsBus(X), 2 < count : { Sees(X, Y) }, Not(TurnRight(X)).\n",
+    ] {
         let rules = format!("{DECLARED}/// R1: turn\nTurnRight(X) :- IsCar(X), IsAtInter(X).\n{more}");
         let (world, sources) = configured(&config, &rules, |_| ());
         let table = &world.scenario.actions.table;
@@ -339,7 +342,11 @@ fn environments_have_own_actions() {
                     match given == turn {
                         true => {
                             let reward = -7.0 / (4.0 * cells as f64);
-                            assert!((last.reward - reward).abs() < 1e-12 || last.terminated, "{}", last.reward);
+                            assert!(
+                                (last.reward - reward).abs() < 1e-12 || last.terminated,
+                                "{}",
+                                last.reward
+                            );
                             turned += 1;
                         }
                         false => {
@@ -362,7 +369,10 @@ fn environments_have_own_actions() {
                 *sum += steps;
             }
         }
-        assert!(taken[..9].iter().all(|steps| *steps > 0) && taken[9..].iter().all(|steps| *steps == 0), "{taken:?}");
+        assert!(
+            taken[..9].iter().all(|steps| *steps > 0) && taken[9..].iter().all(|steps| *steps == 0),
+            "{taken:?}"
+        );
         let set = make_episodes(&task, Split::Test, 3, 1, |_| ()).unwrap();
         let named = |episode: &Episode| episode.oracle.as_ref().unwrap().constrained.contains_key("TurnRight");
         assert!(set.episodes.iter().all(named));

@@ -125,7 +125,7 @@ static TASK: LazyLock<(InductionTask, Sources, Vec<SourceId>)> = LazyLock::new(|
     let city = LoadedCity::load(&mut sources, Path::new("easy"), None, &BuiltinFiles).expect("built in");
     let rule_files = city.rule_files.clone();
     let world = Arc::new(city.world().expect("they fit"));
-    (InductionTask::new(world, &[]), sources, rule_files)
+    (InductionTask::new(world, &[]).unwrap(), sources, rule_files)
 });
 
 thread_local! {

@@ -92,8 +92,7 @@ pub fn collect(
 ) -> Result<(InductionTask, Collected, Option<Collected>), Failure> {
     let (scenario, program) = (city.scenario.clone(), city.program.clone());
     let world = Arc::new(city.world()?);
-    world.vocabulary.only_standard_actions("learned rules")?;
-    let task = InductionTask::new(Arc::clone(&world), &arguments.order);
+    let task = InductionTask::new(Arc::clone(&world), &arguments.order)?;
     let mut files = FileCollector {
         task: &task,
         limits: &arguments.limits,

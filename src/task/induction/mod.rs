@@ -40,7 +40,11 @@ impl InductionTask {
     /// of `order` has precedence over the others; actions that it lacks follow in the order of
     /// [`Action::SAFEST_FIRST`]. Learned rules derive at most one action, so the precedence of the configuration does
     /// not matter.
-    pub fn new(world: Arc<World>, order: &[Action]) -> InductionTask {
+    ///
+    /// # Errors
+    /// `rule-mismatch` if the configuration defines actions.
+    pub fn new(world: Arc<World>, order: &[Action]) -> Result<InductionTask, Diagnostic> {
+        world.vocabulary.only_standard_actions("learned rules")?;
         let known = &world.vocabulary;
         let symmetric = |predicate: &sim::BasePredicate| {
             (world.program.rules().constraints.iter()).any(|declared| match declared.constraint {
@@ -63,11 +67,11 @@ impl InductionTask {
             }
         }
         ordered.push(default);
-        InductionTask {
+        Ok(InductionTask {
             vocabulary: Vocabulary::new(predicates.collect(), 1, Some(guard)),
             actions: ordered,
             world,
-        }
+        })
     }
 
     /// Returns the world.
