@@ -41,8 +41,8 @@ RULES = """
 .output TurnRight, Halt
 .decl IsCyclist(x: agent)
 .input IsCyclist
-/// R1: right before an intersection
-TurnRight(X) :- IsCar(X), IsAtInter(X), Not(IsCyclist(X)).
+/// R1: right before an intersection, away from a walker
+TurnRight(X) :- IsCar(X), IsAtInter(X), Not(IsCyclist(X)), IsPedestrian(Y), NextTo(X, Y).
 Halt(X) :- IsPedestrian(X), IsOld(X).
 """
 NAMES = ("Slow", "Normal", "Fast", "Stop", "TurnRight", "Halt")
@@ -58,10 +58,10 @@ def config(tmp_path: Path) -> str:
 def test_a_simulation_has_own_actions_and_kinds(config: str) -> None:
     city = Simulation(config, split="test")
     assert city.action_names == NAMES
-    assert [agent.kind for agent in city.agents][-2:] == ["Cyclist", "Cyclist"]
+    assert [agent.type for agent in city.agents][-2:] == ["Cyclist", "Cyclist"]
     assert city.agents[-1].name == "Cyclist_2" and city.agents[-1].concepts == ("Cyclist",)
     old = next(row for row, agent in enumerate(city.agents) if "old" in agent.concepts)
-    done = city.tick({"Car_2": "TurnRight", 2: 4})
+    done = city.tick({"Car_2": "TurnRight", 0: 4})
     assert done.derived.shape == (len(city.agents), 6)
     assert done.action[old] == NAMES.index("Halt") and done.derived[old, 5]
     assert done.action[[agent.name for agent in city.agents].index("Car_2")] == 4
@@ -97,7 +97,7 @@ def test_environments_have_own_actions(config: str) -> None:
         env.step(5)
     with pytest.raises(gymnasium.error.InvalidAction, match="6 is not an action; known: 0 Slow.*5 Halt"):
         env.step(6)
-    vector = logicity.SPFVectorEnv(3, config, action_masks=True)
+    vector = logicity.envs.SPFVectorEnv(3, config, action_masks=True)
     assert vector.single_action_space.n == 6
     _, infos = vector.reset(seed=0)
     assert infos["action_mask"].shape == (3, 6)

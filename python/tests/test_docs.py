@@ -136,7 +136,13 @@ def test_number_of_blocks(capsys: pytest.CaptureFixture[str]) -> None:
 
 def test_the_tables_of_traces_list_every_key(tmp_path: Path) -> None:
     gymnasium = needs("gymnasium", "gym")
-    env = gymnasium.make("logicity/SPF-Expert-v0")
+    # An action that changes routes.
+    rules = '.include "vocabulary.dl"\n.decl Turn(x: agent)\n.output Turn\nTurn(X) :- IsCar(X).\n'
+    (tmp_path / "turn.dl").write_text(rules, encoding="utf-8")
+    actions = "{define: {Turn: {cells: {Car: 1}, turn: right}}, priority: [Turn, Stop, Slow, Fast, Normal]}"
+    config = f"base: expert\nrules: turn.dl\nactions: {actions}\n"
+    (tmp_path / "turn.yaml").write_text(config, encoding="utf-8")
+    env = gymnasium.make("logicity/SPF-Expert-v0", config=str(tmp_path / "turn.yaml"))
     _, info = env.reset(seed=0)
     env.step(info["oracle_action"])
     env.unwrapped.write_trace(tmp_path / "trace.jsonl")

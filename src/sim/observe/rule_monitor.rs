@@ -6,8 +6,8 @@
 // Decision: docs/decisions/executors.md#d042
 
 use crate::cancel::Cancel;
-use crate::city::Action;
 use crate::city::Agent;
+use crate::city::{Action, AgentKind};
 use crate::datalog;
 use crate::datalog::Program;
 use crate::datalog::dense::{Argument, BinaryFacts, BitState, Input, List, Set, TrackFirings, first, has, members};
@@ -167,6 +167,10 @@ fn constraints(rules: &Rules, vocabulary: &Vocabulary) -> Vec<ActionConstraint> 
     };
     let constraint = |(position, clause): (u32, &datalog::Clause)| {
         let action = vocabulary.action_of(clause.head.predicate)?;
+        // An ego is a car, so it cannot violate clauses of other actions.
+        if !vocabulary.actions().can_take(AgentKind::Car, action) {
+            return None;
+        }
         let default = action == vocabulary.default_action() && is_default(clause);
         (!clause.body.is_empty() && !default).then_some(ActionConstraint {
             clause: ClauseId(position),

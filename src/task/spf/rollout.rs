@@ -78,6 +78,8 @@ impl Rollout {
         self.truncated = last.truncated;
         self.broken.clone_from(&last.broken);
         self.actions[action.index()] += 1;
+        let possible = env.task().possible_actions();
+        let asked = asked.filter(|action| possible.contains(action));
         asked.for_each(|action| self.constrained[action.index()] += 1);
     }
 }
