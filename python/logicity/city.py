@@ -31,7 +31,7 @@ REASONS: tuple[str, ...] = tuple(_logicity.REASONS)
 """The reasons for an agent's move. Arrays store a reason as its index.
 
 In order: the rules decided the move; the route allowed no other move; no possible move had the decided speed, so one
-was drawn at random; the agent rests at its goal.
+was drawn at random; the agent rests at its goal; the agent is parked.
 """
 
 

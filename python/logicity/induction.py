@@ -378,7 +378,8 @@ def _stacked(
         if not np.issubdtype(taken.dtype, np.integer):
             raise TypeError(f"episode {number}: expected integer actions, not {taken.dtype}")
         if len(taken) and not 0 <= taken.min() <= taken.max() < len(ACTIONS):
-            raise ValueError(f"episode {number}: expected actions from 0 to {len(ACTIONS) - 1}")
+            known = ", ".join(ACTIONS)
+            raise ValueError(f"episode {number}: expected the actions 0 to {len(ACTIONS) - 1} ({known})")
         parts.append((count, f"episode {number}"))
         observations.append(seen[: len(taken)])
         actions.append(taken.astype(np.int64))

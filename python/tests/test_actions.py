@@ -137,5 +137,8 @@ def test_evaluations_have_own_actions(recorded: str) -> None:
 
 def test_learners_that_have_standard_actions_only_say_so(recorded: str) -> None:
     demonstrated = logicity.demonstrations(recorded, split="test")
-    with pytest.raises(InputError, match="learned rules have the four standard actions only, not `TurnRight`"):
+    with pytest.raises(ValueError, match=r"expected the actions 0 to 3 \(Slow, Normal, Fast, Stop\)"):
         logicity.induce(demonstrated)
+    oracle = logicity.Oracle(lambda scene: "Stop", questions=1)
+    with pytest.raises(InputError, match="learned rules have the four standard actions only, not `TurnRight`"):
+        logicity.induce(mode=recorded, oracle=oracle)

@@ -189,7 +189,7 @@ def test_simulation_state_is_arrays() -> None:
     names = [HEADINGS[code] for code in city.headings[moved]]
     signs = {"Left": (0, -1), "Right": (0, 1), "Up": (-1, 0), "Down": (1, 0)}
     assert [tuple(np.sign(way)) for way in step] == [signs[name] for name in names]
-    assert len(REASONS) == 4
+    assert len(REASONS) == 5
     assert city.goals.shape == (n, 2)
     # Later ticks do not change arrays that were returned before.
     city.run(20)

@@ -34,7 +34,6 @@ PARTS = {
 #: that a split has agents.
 FAULTY = {
     "invalid-value": {
-        "actions/default",
         "actions/priority",
         "agents/test/cars/2/priority",
         "agents/test/cars/3/count",

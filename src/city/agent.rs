@@ -3,7 +3,7 @@
 
 use crate::cancel::Cancel;
 use crate::city::codes;
-use crate::city::{AgentConfig, AgentKind, AgentName, AgentSet, KindId, KindName};
+use crate::city::{Action, AgentConfig, AgentKind, AgentName, AgentSet, KindId, KindName};
 use crate::city::{Cell, CityMap, Heading, NoRoute, Places, Route, Router, TripEnds};
 use crate::diag::Diagnostic;
 use crate::located::Located;
@@ -41,6 +41,8 @@ pub struct Agent {
     pub waited: u32,
     /// The number of ticks for which it stands parked from the next tick on.
     pub parked: u32,
+    /// The action that parked it, in effect while it stands.
+    pub parked_by: Action,
     /// The direction of the next step; at the goal, of the last one.
     ahead: Heading,
     /// Steps to the end of the current piece of the route; 0 only at the goal.
@@ -84,6 +86,7 @@ impl Agent {
             speed: 0,
             waited: 0,
             parked: 0,
+            parked_by: Action::Stop,
             ahead: Heading::Left,
             left: 0,
             next: 0,

@@ -133,6 +133,19 @@ impl fmt::Display for AgentName {
     }
 }
 
+/// The concepts with looks of their own in pictures, in the order in which a name lists them. A kind can look like any of
+/// them. The standard predicates define the first seven.
+pub const PICTURES: [(AgentKind, &str); 8] = [
+    (AgentKind::Car, "ambulance"),
+    (AgentKind::Car, "bus"),
+    (AgentKind::Car, "police"),
+    (AgentKind::Car, "tiro"),
+    (AgentKind::Car, "reckless"),
+    (AgentKind::Pedestrian, "old"),
+    (AgentKind::Pedestrian, "young"),
+    (AgentKind::Car, "bicycle"),
+];
+
 /// A kind that a configuration defines: cars or pedestrians with a name, speeds and looks of their own. The agents carry
 /// the name as their first concept.
 #[derive(Clone, Debug)]

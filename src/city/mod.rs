@@ -30,7 +30,7 @@ pub(crate) use agent::place_agents_into;
 pub use agent::{Agent, Rest, place_agents};
 pub(crate) use area::{Area, Rectangle};
 pub use grid::{Cell, Heading};
-pub use kind::{AgentKind, AgentName, KindId, KindName, KindTable, OwnKind, speed_cells};
+pub use kind::{AgentKind, AgentName, KindId, KindName, KindTable, OwnKind, PICTURES, speed_cells};
 pub use map::{CityMap, Ground, Junction, Layout, SEMANTIC_MAX, STATIC_LAYERS};
 pub use model::{
     AgentConfig, AgentGroup, AgentSet, Building, Buildings, Landmarks, MapConfig, OwnGroups, Routing, Sample, Split,

@@ -150,7 +150,7 @@ fn affect(agent: &mut Agent, decided: Action, surroundings: &Surroundings<'_>) -
         Some(Effect::Turn(turn)) => surroundings.router.turn(agent, turn),
         Some(Effect::Reroute) => surroundings.router.reroute(agent),
         Some(Effect::Park(ticks)) => {
-            agent.parked = ticks;
+            (agent.parked, agent.parked_by) = (ticks, decided);
             None
         }
     };

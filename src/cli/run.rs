@@ -275,6 +275,8 @@ struct Drawing {
 /// What never changes of an agent in pictures.
 struct Named {
     name: String,
+    /// Its kind, if the configuration defines it.
+    kind: Option<String>,
     /// The concepts that its icon shows.
     shown: Vec<String>,
 }
@@ -308,6 +310,7 @@ impl Frame {
                 at,
                 facing,
                 concepts: &named.shown,
+                kind_name: named.kind.as_deref(),
                 ..Sprite::of(agent, &named.name, action)
             })
             .collect()
@@ -324,8 +327,9 @@ impl Pictures {
         first: &Frame,
         path: &Path,
     ) -> Result<(), Failure> {
-        let map = simulation.world().map();
-        let overview = Overview::of_part(map, Arc::clone(&self.icons), part, self.scale);
+        let world = simulation.world();
+        let city = (world.map(), world.vocabulary.actions());
+        let overview = Overview::of_city(city, Arc::clone(&self.icons), part, self.scale);
         let overview = overview.map_err(|error| match self.scale {
             Some(_) => Failure::Usage(format!("{error}\nhelp: use a smaller `--scale`, or `--crop`")),
             None => Diagnostic::new(codes::INVALID_MAP, error.to_string()).into(),
@@ -367,6 +371,7 @@ impl Record {
         let kinds = &simulation.world().scenario.kinds;
         let named = simulation.agents().iter().map(|agent| Named {
             name: agent.name().to_string(),
+            kind: (!agent.kind_id.is_standard()).then(|| agent.name().kind_name().to_owned()),
             shown: kinds.shown(agent.kind, &agent.concepts).into_owned(),
         });
         let names: Vec<Named> = named.collect();

@@ -188,7 +188,7 @@ fn definition(
         let fault = Diagnostic::new(codes::INVALID_VALUE, message).at(second.span, "");
         faults.push(
             fault
-                .also(first.span, "the first")
+                .also(first.span, "and this")
                 .help("define an action for each of them"),
         );
     }

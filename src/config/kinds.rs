@@ -1,11 +1,11 @@
 //! Reads the kinds of agents of a configuration.
 
-use crate::city::{Action, AgentKind, KindId, KindName, KindTable, OwnKind};
+use crate::city::{Action, AgentKind, KindId, KindName, KindTable, OwnKind, PICTURES};
 use crate::diag::{self, Diagnostic, listed};
 use crate::located::Located;
 use crate::predicate::{Concept, Definition};
 use crate::yaml::codes;
-use crate::yaml::read::{Fields, choice, entries, integer, name};
+use crate::yaml::read::{Fields, choice, entries, integer};
 use crate::yaml::{Key, Value, YamlNode};
 
 /// The maximum number of cells per tick.
@@ -73,7 +73,9 @@ fn kind<'n>(key: &Key, node: &'n YamlNode, found: &mut Kinds<'n>, faults: &mut V
         None => fields.optional("picture"),
     };
     let picture = picture.map_or(Some(key.text.as_str()), |node| {
-        name(node, "the name of a picture, such as `bicycle` or `bus`", faults)
+        let of_kind = PICTURES.iter().filter(|(kind, _)| of.is_none_or(|of| of == *kind));
+        let known: Vec<(&str, &str)> = of_kind.map(|(_, picture)| (*picture, *picture)).collect();
+        choice(node, &known, faults)
     });
     let order = (fields.optional("priority"), fields.optional("default"));
     let usual = "`of: Car` drives on streets, `of: Pedestrian` walks on sidewalks";
@@ -124,7 +126,13 @@ fn own_name(key: &Key, table: &KindTable, faults: &mut Vec<Diagnostic>) -> Optio
             key.text
         ),
     };
-    faults.push(Diagnostic::new(codes::INVALID_VALUE, message).at(key.span, ""));
+    let mut fault = Diagnostic::new(codes::INVALID_VALUE, message).at(key.span, "");
+    let mut letters = key.text.chars();
+    if let (None, Some(first)) = (known, letters.next().filter(char::is_ascii_lowercase)) {
+        let capital = format!("{}{}", first.to_ascii_uppercase(), letters.as_str());
+        fault = fault.help(format!("write `{capital}`"));
+    }
+    faults.push(fault);
     None
 }
 
@@ -138,6 +146,9 @@ fn cells(node: &YamlNode, mut cells: [Option<u8>; 4], faults: &mut Vec<Diagnosti
         }
     }
     fields.close_with(None, faults);
+    for fault in &mut faults[before..] {
+        (fault.help).push("give the cells per tick under `Slow`, `Normal` and `Fast`; `Stop` is always 0".to_owned());
+    }
     if faults.len() > before {
         return None;
     }

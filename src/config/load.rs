@@ -618,10 +618,10 @@ fn group(
     known: Option<&Concepts<'_>>,
     faults: &mut Vec<Diagnostic>,
 ) -> Option<AgentGroup> {
-    let what = if kind == AgentKind::Car {
-        "a car"
-    } else {
-        "a pedestrian"
+    let what = match (kind, own) {
+        (_, Some(_)) => "an agent of this kind",
+        (AgentKind::Car, None) => "a car",
+        (AgentKind::Pedestrian, None) => "a pedestrian",
     };
     let mut fields = Fields::open(node, what, faults)?;
     let concepts = fields

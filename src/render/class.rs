@@ -1,23 +1,10 @@
 //! The subject of an icon, and its facing.
 
 use crate::city::Heading;
-use crate::city::{AgentKind, Building};
+use crate::city::{AgentKind, Building, PICTURES};
 use crate::render::car;
 use crate::render::pedestrian;
 use std::fmt;
-
-/// The concepts with their own looks, in the order in which the name of a class lists them. Data sets of pictures draw
-/// the first [`STANDARD`].
-const CONCEPTS: [(AgentKind, &str); 8] = [
-    (AgentKind::Car, "ambulance"),
-    (AgentKind::Car, "bus"),
-    (AgentKind::Car, "police"),
-    (AgentKind::Car, "tiro"),
-    (AgentKind::Car, "reckless"),
-    (AgentKind::Pedestrian, "old"),
-    (AgentKind::Pedestrian, "young"),
-    (AgentKind::Car, "bicycle"),
-];
 
 /// The number of concepts that the standard predicates define.
 const STANDARD: usize = 7;
@@ -44,10 +31,10 @@ impl Class {
 
     /// Returns the class of an agent. The order of the concepts does not matter.
     pub fn agent(kind: AgentKind, concepts: &[String]) -> Class {
-        let rank = |name: &str| CONCEPTS.iter().position(|&known| known == (kind, name));
+        let rank = |name: &str| PICTURES.iter().position(|&known| known == (kind, name));
         let mut concepts = concepts.to_vec();
         concepts.sort_by(|a, b| {
-            let place = |name: &str| rank(name).unwrap_or(CONCEPTS.len());
+            let place = |name: &str| rank(name).unwrap_or(PICTURES.len());
             (place(a), a).cmp(&(place(b), b))
         });
         concepts.dedup();
@@ -64,14 +51,14 @@ impl Class {
         }
         let mut parts: Vec<&str> = name.split('+').collect();
         let kind = parts.iter().find_map(|part| {
-            let of_concept = CONCEPTS.iter().find(|(_, known)| known == part).map(|(kind, _)| *kind);
+            let of_concept = PICTURES.iter().find(|(_, known)| known == part).map(|(kind, _)| *kind);
             of_concept.or_else(|| AgentKind::ALL.into_iter().find(|&kind| kind_name(kind) == *part))
         })?;
         if parts[0] == kind_name(kind) {
             parts.remove(0);
         }
         let plain = parts.iter().all(|part| {
-            let foreign = CONCEPTS.iter().any(|(other, known)| known == part && *other != kind);
+            let foreign = PICTURES.iter().any(|(other, known)| known == part && *other != kind);
             !part.is_empty() && !foreign && !AgentKind::ALL.into_iter().any(|kind| kind_name(kind) == *part)
         });
         plain.then(|| Class::agent(kind, &parts.into_iter().map(str::to_owned).collect::<Vec<_>>()))
@@ -80,7 +67,7 @@ impl Class {
     /// Returns all classes of buildings, and of agents with at most one concept of the standard predicates.
     pub fn known() -> Vec<Class> {
         let plain = AgentKind::ALL.map(|kind| (kind, None));
-        let mut agents: Vec<_> = CONCEPTS[..STANDARD]
+        let mut agents: Vec<_> = PICTURES[..STANDARD]
             .iter()
             .map(|&(kind, name)| (kind, Some(name)))
             .chain(plain)
@@ -122,7 +109,7 @@ impl Class {
 
     /// Returns whether a concept has its own looks.
     pub(super) fn is_drawn(kind: AgentKind, concept: &str) -> bool {
-        CONCEPTS.contains(&(kind, concept))
+        PICTURES.contains(&(kind, concept))
     }
 }
 

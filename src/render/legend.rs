@@ -1,7 +1,7 @@
 //! The legend beside the map and the status line above it.
 
 use crate::city::CityMap;
-use crate::city::{Action, AgentKind, Building};
+use crate::city::{Action, ActionTable, AgentKind, Building};
 use crate::render::class::{Class, Facing};
 use crate::render::ground::{MID_LINE, PAINT, Texture, roof};
 use crate::render::icon::Icons;
@@ -107,6 +107,11 @@ pub(super) fn zones_height(map: &CityMap) -> i32 {
     }
 }
 
+/// Returns the height of the list of actions that the configuration defines, in pixels.
+pub(super) fn actions_height(actions: &ActionTable) -> i32 {
+    ROW * i32::try_from(actions.own().len()).expect("at most 12")
+}
+
 /// Draws the names of zones.
 fn draw_zones(map: &CityMap, ground: Texture, column: &mut Column<'_>) {
     let count = map.zones().count();
@@ -141,7 +146,14 @@ fn draw_zones(map: &CityMap, ground: Texture, column: &mut Column<'_>) {
 
 /// Draws the part that is the same in every picture: buildings, streets, zones and actions. Returns where the rest
 /// begins.
-pub(super) fn draw_static(map: &CityMap, icons: &Icons, fine: bool, picture: &mut Picture, left: i32, top: i32) -> i32 {
+pub(super) fn draw_static(
+    (map, actions): (&CityMap, &ActionTable),
+    icons: &Icons,
+    fine: bool,
+    picture: &mut Picture,
+    left: i32,
+    top: i32,
+) -> i32 {
     let mut column = Column {
         picture,
         left,
@@ -196,8 +208,12 @@ pub(super) fn draw_static(map: &CityMap, icons: &Icons, fine: bool, picture: &mu
     column.y += BREAK;
     draw_zones(map, ground, &mut column);
     column.heading("ACTIONS");
-    for action in [Action::Stop, Action::Slow, Action::Normal, Action::Fast] {
-        column.row(action.name(), None, |picture, x, y| {
+    let own = actions.all().filter(|action| !action.is_standard());
+    for action in [Action::Stop, Action::Slow, Action::Normal, Action::Fast]
+        .into_iter()
+        .chain(own)
+    {
+        column.row(&one_line(actions.name(action), LONG_NAME), None, |picture, x, y| {
             draw_action(action, (x, y), picture)
         });
     }
@@ -216,9 +232,9 @@ pub(super) fn draw_agents(
     let mut column = Column { picture, left, y: top };
     let sections = [(AgentKind::Car, "CARS"), (AgentKind::Pedestrian, "PEDESTRIANS")];
     for (section, (kind, heading)) in sections.into_iter().enumerate() {
-        let mut classes: BTreeMap<Class, usize> = BTreeMap::new();
+        let mut classes: BTreeMap<(Option<&str>, Class), usize> = BTreeMap::new();
         for agent in agents.iter().filter(|agent| agent.kind == kind) {
-            *classes.entry(agent.class()).or_default() += 1;
+            *classes.entry((agent.kind_name, agent.class())).or_default() += 1;
         }
         // A section needs a heading, one class, and the line that counts the omitted ones.
         if classes.is_empty() || column.y + 3 * ROW > bottom {
@@ -229,13 +245,14 @@ pub(super) fn draw_agents(
             (column.picture).text(labels[section], right, &FONT_6X13, MUTED, Alignment::Right);
         }
         column.heading(heading);
-        for (position, (class, count)) in classes.iter().enumerate() {
+        for (position, ((kind_name, class), count)) in classes.iter().enumerate() {
             let left_over = classes.len() - position;
             if left_over > 1 && column.y + 2 * ROW > bottom {
                 column.row(&format!("and {left_over} more"), None, |_, _, _| {});
                 break;
             }
-            let name = capitalised(&one_line(&class.to_string(), NAME));
+            let name = kind_name.map_or_else(|| class.to_string(), str::to_owned);
+            let name = capitalised(&one_line(&name, NAME));
             column.row(&name, Some(*count), |picture, x, y| {
                 let size = match kind {
                     AgentKind::Car => 15,

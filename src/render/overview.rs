@@ -1,6 +1,6 @@
 //! Pictures of a city, or a part of it, with rulers, a legend and labels.
 
-use crate::city::AgentKind;
+use crate::city::{ActionTable, AgentKind};
 use crate::city::{Cell, CityMap, Heading};
 use crate::render::icon::Icons;
 use crate::render::label;
@@ -78,6 +78,19 @@ impl Overview {
         part: Extent,
         scale: Option<Scale>,
     ) -> Result<Overview, ViewportError> {
+        Overview::of_city((map, &ActionTable::default()), icons, part, scale)
+    }
+
+    /// Draws what does not change in pictures of a part of a city, whose legend lists these actions.
+    ///
+    /// # Errors
+    /// As [`Overview::of_part`].
+    pub fn of_city(
+        (map, actions): (&CityMap, &ActionTable),
+        icons: Arc<Icons>,
+        part: Extent,
+        scale: Option<Scale>,
+    ) -> Result<Overview, ViewportError> {
         let longer = part.rows.max(part.cols);
         if part.rows <= 0 || part.cols <= 0 {
             return Err(ViewportError::Empty);
@@ -95,12 +108,14 @@ impl Overview {
         let (map_wide, map_high) = (width.cast_signed(), height.cast_signed());
         let left = area.x + map_wide.max(LEAST_WIDTH) + MARGIN;
         let width = left + legend::WIDTH + MARGIN;
-        let height = (area.y + map_high).max(LEAST_HEIGHT + legend::zones_height(map)) + MARGIN;
+        let height = (area.y + map_high)
+            .max(LEAST_HEIGHT + legend::zones_height(map) + legend::actions_height(actions))
+            + MARGIN;
         let mut frame = Picture::new(width.cast_unsigned(), height.cast_unsigned(), PAPER);
         rulers(&mut frame, view, area);
         legend::draw_title(&map.name, &mut frame, left, STATUS / 2);
         let fine = scale.cells == 1;
-        let top = legend::draw_static(map, &icons, fine, &mut frame, left, STATUS);
+        let top = legend::draw_static((map, actions), &icons, fine, &mut frame, left, STATUS);
         Ok(Overview {
             frame,
             map: Renderer::with_zones(map, icons, view),

@@ -548,6 +548,7 @@ mod tests {
                         Sprite {
                             name: "",
                             kind: AgentKind::ALL[stream.random_range(0..2)],
+                            kind_name: None,
                             concepts: &concepts[first..stream.random_range(first..=concepts.len())],
                             at: Cell::new(
                                 corner.row + stream.random_range(-4..18),

@@ -12,6 +12,8 @@ pub struct Sprite<'a> {
     pub name: &'a str,
     /// Agent type.
     pub kind: AgentKind,
+    /// The name of its kind in the legend; `None` for the name of its class.
+    pub kind_name: Option<&'a str>,
     /// Concepts, for example `ambulance`; all of them show.
     pub concepts: &'a [String],
     /// Cell. Pictures omit agents off the map.
@@ -33,6 +35,7 @@ impl<'a> Sprite<'a> {
         Sprite {
             name,
             kind: agent.kind,
+            kind_name: None,
             concepts: &agent.concepts,
             at: agent.cell,
             facing: Facing::turning(agent.heading.unwrap_or(agent.ahead()), agent.ahead()),

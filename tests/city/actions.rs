@@ -3,6 +3,7 @@
 use crate::agreement::{record, replay, simulation};
 use crate::config::load_memory;
 use crate::shipped_world::configured;
+use logicity::cancel::Cancel;
 use logicity::city::{Action, AgentKind, Heading, MoveReason, Split};
 use logicity::diag::{Sources, render};
 use logicity::rng::{Purpose, RngExt, Seed};
@@ -107,12 +108,14 @@ fn changed_routes_lead_to_the_same_goal() {
 #[test]
 fn a_parked_agent_stands_whatever_the_rules_decide() {
     let (world, _) = city("Park(X) :- IsPedestrian(X).");
+    let park = world.scenario.actions.table.find("Park").unwrap();
     let mut city = simulation(&world, Executor::Auto, 1);
     let mut parked = 0;
     for _ in 0..40 {
         for done in &city.tick(&[]).unwrap().agents {
             if done.moved.reason == MoveReason::Parked {
                 assert_eq!(done.moved.from, done.moved.to);
+                assert_eq!(done.action, park);
                 parked += 1;
             }
         }
@@ -127,13 +130,17 @@ fn a_parked_agent_stands_whatever_the_rules_decide() {
         "{parked} ticks of {pedestrians} pedestrians"
     );
     // It drives on after four ticks.
-    let (world, _) = self::city("");
-    let park = world.scenario.actions.table.find("Park").unwrap();
+    let (world, sources) = self::city("");
     let mut city = simulation(&world, Executor::Auto, 1);
     city.tick(&[(0, park)]).unwrap();
     for tick in 1..6 {
         let done = city.tick(&[]).unwrap().agents[0];
         assert_eq!(done.moved.reason == MoveReason::Parked, tick < 4, "tick {tick}");
+        assert_eq!(done.action, if tick < 4 { park } else { Action::Normal });
+        let account = city.decision(0).unwrap().account(None, &Cancel::never()).unwrap();
+        let text = account.text(&sources);
+        let says = text.contains("it is parked since an earlier tick; the rules say Normal");
+        assert_eq!(says, tick < 4, "{text}");
     }
 }
 
@@ -232,11 +239,7 @@ fn traces_record_own_actions_and_changed_routes() {
     assert!(derived > 0);
     let mut city = simulation(&world, Executor::Auto, 1);
     city.tick(&[]).unwrap();
-    let account = city
-        .decision(0)
-        .unwrap()
-        .account(Some(turn), &logicity::cancel::Cancel::never())
-        .unwrap();
+    let account = city.decision(0).unwrap().account(Some(turn), &Cancel::never()).unwrap();
     assert!(
         account.text(&sources).contains("TurnRight"),
         "{}",

@@ -206,10 +206,11 @@ fn scenes_have_types_of_own_kinds() {
     for _ in 0..30 {
         let agents: Vec<serde_json::Value> = (city.agents().iter())
             .map(|agent| {
-                let own = usize::from(!agent.kind_id.is_standard());
+                // As in traces, or by name.
+                let own = usize::from(!agent.kind_id.is_standard() && agent.number > 1);
                 serde_json::json!({
                     "id": agent.name().to_string(),
-                    "type": agent.name().kind_name(),
+                    "type": if own == 1 { agent.name().kind_name().to_owned() } else { agent.kind.name().to_owned() },
                     "concepts": agent.concepts[own..],
                     "priority": agent.priority,
                     "at": [agent.cell.row, agent.cell.col],
@@ -283,7 +284,7 @@ fn pictures_and_questions_refuse_other_kinds() {
 }
 
 /// The text of each faulty `kinds`, and what the message says.
-const FAULTS: [(&str, &str); 16] = [
+const FAULTS: [(&str, &str); 19] = [
     ("kinds: {Cyclist: {}}", "the key `of` is missing in a kind of agents"),
     (
         "kinds: {Cyclist: {}}",
@@ -314,6 +315,15 @@ const FAULTS: [(&str, &str); 16] = [
         "kinds: {Cyclist: {of: Car, cells: {Slow: 0, Normal: 0, Fast: 0}}}",
         "agents of this kind would never move",
     ),
+    (
+        "kinds: {Cyclist: {of: Car, picture: bycicle}}",
+        "did you mean `bicycle`?",
+    ),
+    (
+        "kinds: {Cyclist: {of: Car, picture: old}}",
+        "expected one of `ambulance`, `bus`, `police`, `tiro`, `reckless`, `bicycle`, found `old`",
+    ),
+    ("kinds: {cyclist: {of: Car}}", "write `Cyclist`"),
     (
         "kinds: {Cyclist: {of: Car, default: Turn}}",
         "expected one of `Slow`, `Normal`, `Fast`, `Stop`, found `Turn`",

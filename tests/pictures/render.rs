@@ -106,6 +106,7 @@ impl Agent {
         Sprite {
             name: &self.name,
             kind: self.kind,
+            kind_name: None,
             concepts: &self.concepts,
             at: self.at,
             facing: self.facing,

@@ -101,8 +101,12 @@ fn check(clause: &Clause, faults: &mut Faults) {
         sum = sum.zip(constant).map(|(sum, constant)| sum + constant);
         let fault = match constant {
             Some(constant) if !(0.0..=1.0).contains(&constant) => {
-                Diagnostic::new(codes::INVALID_PROBABILITY, "a probability is at least 0 and at most 1")
-                    .help("write 25 percent as `0.25`")
+                Diagnostic::new(codes::INVALID_PROBABILITY, "a probability is at least 0 and at most 1").help(
+                    match constant {
+                        1.0..=100.0 => format!("write {constant} percent as `{}`", constant / 100.0),
+                        _ => "write a number from 0.0 to 1.0 before the `::`".to_owned(),
+                    },
+                )
             }
             None if has_aggregate(probability) => {
                 Diagnostic::new(codes::INVALID_PROBABILITY, "an aggregate in a probability")

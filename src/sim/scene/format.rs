@@ -348,13 +348,22 @@ impl<'a> Reader<'a> {
         let mut faults = Vec::new();
         let named = keep(&mut faults, self.kind(agent.kind));
         let kind = named.map(|kind| self.terms.kinds.base(kind));
+        // Traces give the name of a kind of the configuration as the first concept.
+        let as_concept = |named: KindId| {
+            let name: String = serde_json::from_str(agent.concepts.first()?.get()).ok()?;
+            let own = self.terms.kinds.of(kind?, &[name]);
+            (named.is_standard() && !own.is_standard()).then_some(own)
+        };
+        let own = named.and_then(as_concept);
+        let others = &agent.concepts[usize::from(own.is_some())..];
+        let named = own.or(named);
         let heading = keep(&mut faults, agent.heading.map(|raw| self.heading(raw)).transpose());
         let at = keep(&mut faults, self.value::<[i32; 2]>(agent.at));
         let priority = keep(&mut faults, agent.priority.map_or(Ok(0), |raw| self.value(raw)));
         let mut count = |raw: Option<&'a RawValue>| keep(&mut faults, raw.map_or(Ok(0), |raw| self.value::<u32>(raw)));
         let [speed, waited, remaining] = [agent.speed, agent.waited, agent.remaining].map(&mut count);
         let concepts = kind.and_then(|kind| {
-            let concepts = agent.concepts.iter().map(|raw| self.concept(raw, kind));
+            let concepts = others.iter().map(|raw| self.concept(raw, kind));
             let concepts: Vec<String> = keep(&mut faults, all(concepts))?;
             // The first concept of a kind of the configuration is its name.
             let own = named.filter(|kind| !kind.is_standard());

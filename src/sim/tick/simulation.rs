@@ -117,7 +117,7 @@ pub struct AgentTick {
     pub remaining: u32,
     /// The derived actions, without the default.
     pub derived: Actions,
-    /// The action in effect: decided by the rules or imposed by the caller.
+    /// The action in effect: decided by the rules, imposed by the caller, or that which parked the agent.
     pub action: Action,
     /// The move.
     pub moved: Moved,
@@ -1008,7 +1008,10 @@ impl Moving<'_> {
     #[inline(always)]
     fn step(&self, index: usize, agent: &mut Agent, done: &mut AgentTick) {
         let derived = self.decisions.derived(index);
-        let action = self.controlled[index].unwrap_or_else(|| self.vocabulary.decide(Some(agent.kind_id), derived));
+        let action = match agent.parked {
+            0 => self.controlled[index].unwrap_or_else(|| self.vocabulary.decide(Some(agent.kind_id), derived)),
+            _ => agent.parked_by,
+        };
         *done = AgentTick {
             heading: agent.heading,
             speed: agent.speed,

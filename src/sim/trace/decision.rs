@@ -1,7 +1,7 @@
 //! Explains the decision of an agent in a tick.
 
 use crate::cancel::Cancel;
-use crate::city::{Action, Cell, Heading, KindId};
+use crate::city::{Action, Cell, Effect, Heading, KindId};
 use crate::datalog::Session;
 use crate::datalog::Value;
 use crate::datalog::explain::{ExplainError, Explainer, Explanation, ExplanationPrinter};
@@ -33,7 +33,7 @@ pub struct Decision<'a> {
     pub heading: Option<Heading>,
     /// The derived actions, without the default.
     pub derived: Actions,
-    /// The action in effect: decided by the rules or imposed by the caller.
+    /// The action in effect: decided by the rules, imposed by the caller, or that which parked the agent.
     pub action: Action,
 }
 
@@ -148,7 +148,11 @@ impl Account<'_> {
             table.name(*action)
         );
         let by_rules = self.decision.world.vocabulary.decide(Some(*kind), *derived);
-        if *action != by_rules {
+        let parks = matches!(table.effect(*action), Some(Effect::Park(_)));
+        if *action != by_rules && parks && !derived.contains(*action) {
+            let by_rules = table.name(by_rules);
+            let _ = writeln!(text, "it is parked since an earlier tick; the rules say {by_rules}");
+        } else if *action != by_rules {
             let _ = writeln!(
                 text,
                 "the action came from outside; the rules say {}",

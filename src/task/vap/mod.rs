@@ -179,6 +179,7 @@ impl FrameAgent {
         Sprite {
             name,
             kind: self.name.kind,
+            kind_name: None,
             concepts: &self.concepts,
             at: self.at,
             facing: self.facing,
@@ -261,6 +262,7 @@ impl Worlds {
                 Some(Sprite {
                     name: "",
                     kind,
+                    kind_name: None,
                     concepts,
                     at: Cell::new(1 + 2 * turn as i32, 2 + 4 * place as i32),
                     facing,
