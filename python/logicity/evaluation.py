@@ -507,7 +507,7 @@ def table(results: list[Evaluation]) -> str:
 
 def action_table(results: list[Evaluation]) -> str:
     """Format a text table with one row per result and action: how often it is chosen and required, and its DSR."""
-    rows = [("policy", "mode", "action", "chosen", "required", "DSR")]
+    rows: list[tuple[str, ...]] = [("policy", "mode", "action", "chosen", "required", "DSR")]
     for each in results:
         chosen, required = each.chosen(), each.required()
         for action in dict.fromkeys((*chosen, *required)):

@@ -97,7 +97,7 @@ def test_environments_have_own_actions(config: str) -> None:
         env.step(5)
     with pytest.raises(gymnasium.error.InvalidAction, match="6 is not an action; known: 0 Slow.*5 Halt"):
         env.step(6)
-    vector = logicity.envs.SPFVectorEnv(3, config, action_masks=True)
+    vector: Any = logicity.envs.SPFVectorEnv(3, config, action_masks=True)
     assert vector.single_action_space.n == 6
     _, infos = vector.reset(seed=0)
     assert infos["action_mask"].shape == (3, 6)

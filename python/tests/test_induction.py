@@ -324,7 +324,7 @@ def test_the_options_of_the_environment_are_those_of_the_rules() -> None:
         (([3], "easy"), {}, TypeError, "observations"),
         (([SimpleNamespace(observations=np.zeros((2, 85)), actions=[1, 1, 1])], "easy"), {}, ValueError, "shape"),
         (([SimpleNamespace(observations=np.zeros((1, 85)), actions=[1.5])], "easy"), {}, TypeError, "integer"),
-        (([SimpleNamespace(observations=np.zeros((1, 85)), actions=[4])], "easy"), {}, ValueError, "from 0 to 3"),
+        (([SimpleNamespace(observations=np.zeros((1, 85)), actions=[4])], "easy"), {}, ValueError, "actions 0 to 3"),
         (([SimpleNamespace(observations=np.zeros((1, 84)), actions=[1])], "easy"), {}, ValueError, "85 numbers"),
         (([SimpleNamespace(observations=np.zeros((1, 85)), actions=[1])], "esay"), {}, Exception, "esay"),
         (([SimpleNamespace(observations=np.zeros((1, 85)), actions=[1])], "easy"), {"variables": 1}, ValueError, "2"),

@@ -2,7 +2,7 @@
 
 use std::fmt;
 
-/// What an agent chooses for a tick: a position in the [`ActionTable`] of the scenario. The first four positions are
+/// What an agent chooses for a tick: a position in the `ActionTable` of the scenario. The first four positions are
 /// the standard actions, which every table has.
 #[derive(Clone, Copy, PartialEq, Eq, PartialOrd, Ord, Hash)]
 pub struct Action(u8);
@@ -54,7 +54,7 @@ impl Action {
         self.index() < Self::STANDARD.len()
     }
 
-    /// Returns the name of a standard action, which is also the name of its predicate. [`ActionTable::name`] names the
+    /// Returns the name of a standard action, which is also the name of its predicate. `ActionTable::name` names the
     /// others, too.
     pub const fn name(self) -> &'static str {
         match self {

@@ -30,7 +30,7 @@ impl AgentKind {
 }
 
 /// Returns the number of cells that agents of a kind move in one tick under a standard action. `None` for speeds that
-/// pedestrians do not have. [`ActionTable::speed_cells`] knows all actions.
+/// pedestrians do not have. [`ActionTable::speed_cells`](crate::city::ActionTable::speed_cells) knows all actions.
 pub const fn speed_cells(kind: AgentKind, action: Action) -> Option<usize> {
     match (kind, action) {
         (_, Action::Stop) => Some(0),
@@ -133,8 +133,8 @@ impl fmt::Display for AgentName {
     }
 }
 
-/// The concepts with looks of their own in pictures, in the order in which a name lists them. A kind can look like any of
-/// them. The standard predicates define the first seven.
+/// The concepts with looks of their own in pictures, in the order in which a name lists them. A kind can look like any
+/// of them. The standard predicates define the first seven.
 pub const PICTURES: [(AgentKind, &str); 8] = [
     (AgentKind::Car, "ambulance"),
     (AgentKind::Car, "bus"),
@@ -146,8 +146,8 @@ pub const PICTURES: [(AgentKind, &str); 8] = [
     (AgentKind::Car, "bicycle"),
 ];
 
-/// A kind that a configuration defines: cars or pedestrians with a name, speeds and looks of their own. The agents carry
-/// the name as their first concept.
+/// A kind that a configuration defines: cars or pedestrians with a name, speeds and looks of their own. The agents
+/// carry the name as their first concept.
 #[derive(Clone, Debug)]
 pub struct OwnKind {
     /// Its name.
