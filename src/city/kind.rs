@@ -7,7 +7,7 @@ use serde::{Serialize, Serializer};
 use std::borrow::Cow;
 use std::fmt;
 
-/// The ways of an agent and how it moves.
+/// Whether an agent drives or walks.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, PartialOrd, Ord, Hash, Serialize)]
 pub enum AgentKind {
     /// A car, which drives on traffic streets.
@@ -63,7 +63,7 @@ impl KindId {
     }
 }
 
-/// The name of a kind that a configuration defines: ASCII, without a null character.
+/// The name of a kind that a configuration defines.
 #[derive(Clone, Copy, PartialEq, Eq, PartialOrd, Ord, Hash)]
 pub struct KindName([u8; KindName::MAX]);
 

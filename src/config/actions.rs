@@ -47,7 +47,12 @@ pub(super) fn actions(
             (order.default).map(|node| default_of(&[order.kind], node, &known, &table, &kinds.table, faults));
         let own_priority = own_priority.unwrap_or_else(|| priority.clone());
         if let (Some(priority), Some(default)) = (own_priority, own_default.unwrap_or(default)) {
-            of_kinds.push((order.kind, priority, default));
+            of_kinds.push(KindActions {
+                kind: order.kind,
+                name: kinds.table.name(order.kind).to_owned(),
+                priority,
+                default,
+            });
         }
     }
     let (priority, default) = (priority?, default?);

@@ -30,17 +30,28 @@ pub struct ActionsConfig {
     /// The action if none is derived.
     pub default: Action,
     /// The kinds with an order of precedence or a default of their own.
-    pub of_kinds: Vec<(KindId, Vec<Action>, Action)>,
+    pub of_kinds: Vec<KindActions>,
+}
+
+/// The selection of an action for agents of a kind.
+#[derive(Clone, Debug)]
+pub struct KindActions {
+    /// The kind.
+    pub kind: KindId,
+    /// Its name.
+    pub name: String,
+    /// The order of precedence if several actions are derived. It contains each action once.
+    pub priority: Vec<Action>,
+    /// The action if none is derived.
+    pub default: Action,
 }
 
 impl ActionsConfig {
     /// Returns the order of precedence of a kind, and its default.
     pub fn order(&self, kind: impl Into<KindId>) -> (&[Action], Action) {
         let kind = kind.into();
-        let own = self.of_kinds.iter().find(|(of, ..)| *of == kind);
-        own.map_or((&self.priority, self.default), |(_, priority, default)| {
-            (priority, *default)
-        })
+        let own = self.of_kinds.iter().find(|own| own.kind == kind);
+        own.map_or((&self.priority, self.default), |own| (&own.priority, own.default))
     }
 }
 
@@ -69,9 +80,9 @@ impl Serialize for ActionsConfig {
         }
         if !self.of_kinds.is_empty() {
             let named = |action: &Action| self.table.name(*action).to_owned();
-            let orders = self.of_kinds.iter().map(|(kind, priority, default)| {
-                let priority: Vec<String> = priority.iter().map(named).collect();
-                (kind.index(), priority, named(default))
+            let orders = self.of_kinds.iter().map(|own| {
+                let priority: Vec<String> = own.priority.iter().map(named).collect();
+                (own.kind.index(), priority, named(&own.default))
             });
             config.serialize_field("of_kinds", &orders.collect::<Vec<_>>())?;
         }

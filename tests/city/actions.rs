@@ -1,15 +1,14 @@
 //! Actions that a configuration defines: what they do to routes, and the messages about faulty ones.
 
-use crate::agreement::{record, replay, simulation};
-use crate::config::load_memory;
+use crate::agreement::{Counts, executors, record, replay, simulation};
+use crate::config::{load_memory, refused};
 use crate::shipped_world::configured;
 use logicity::cancel::Cancel;
 use logicity::city::{Action, AgentKind, Heading, MoveReason, Split};
-use logicity::diag::{Sources, render};
+use logicity::diag::Sources;
 use logicity::rng::{Purpose, RngExt, Seed};
 use logicity::sim::{Executor, Simulation, World};
 use logicity::task::spf::{ControlMode, Env, Episode, Policy, SpfTask, make_episodes, rollout};
-use std::collections::BTreeSet;
 use std::sync::Arc;
 
 /// A city whose cars can turn, reroute and park.
@@ -183,7 +182,7 @@ fn executors_agree_on_random_rules_with_own_actions() {
         "IsTiro(X)",
         "IsOld(X)",
     ];
-    let mut taken = BTreeSet::new();
+    let mut taken = Counts::default();
     for case in 0..3_u64 {
         let mut random = Seed(case).stream(Purpose::TEST, 0, 0);
         let mut rules = String::new();
@@ -200,18 +199,12 @@ fn executors_agree_on_random_rules_with_own_actions() {
                 crate::agreement::multiply(scenario, times);
             }
         });
-        let mut cities = [(Executor::Relational, 1), (Executor::Dense, 1), (Executor::Dense, 2)]
-            .map(|(executor, threads)| simulation(&world, executor, threads));
-        for tick in 0..(if times < 20 { 40 } else { 3 }) {
-            let [one, two, three] = cities.each_mut().map(|city| city.tick(&[]).unwrap().agents.clone());
-            assert!(one == two && two == three, "case {case}, tick {tick}");
-            taken.extend(
-                one.iter()
-                    .map(|done| world.scenario.actions.table.name(done.action).to_owned()),
-            );
-        }
+        taken.go_the_same_way(&mut executors(&world), if times < 20 { 40 } else { 3 });
     }
-    assert!(taken.len() >= 6, "{taken:?}");
+    assert!(
+        taken.actions.iter().filter(|count| **count > 0).count() >= 6,
+        "{taken:?}"
+    );
 }
 
 /// A trace records changed routes and names the actions; its replay has the same facts and explains them.
@@ -295,13 +288,8 @@ const FAULTS: [(&str, &str); 14] = [
 #[test]
 fn faulty_actions_have_messages_with_places() {
     for (actions, expected) in FAULTS {
-        let text = format!("base: expert\ntask: ~\nactions:\n  {actions}\n");
-        let (sources, loaded) = load_memory(&[("main.yaml", &text)]);
-        let message = render(&loaded.expect_err(actions), &sources, false);
-        assert!(
-            message.contains(expected) && message.contains(".yaml:"),
-            "{actions}\n{message}"
-        );
+        let message = refused(&format!("base: expert\ntask: ~\nactions:\n  {actions}\n"));
+        assert!(message.contains(expected), "{actions}\n{message}");
     }
 }
 

@@ -27,6 +27,12 @@ pub fn simulation(world: &Arc<World>, executor: Executor, threads: usize) -> Sim
     Simulation::new(Arc::clone(world), Split::Test, Seed(3), settings).unwrap()
 }
 
+/// A city under both executors, the dense one also on two threads.
+pub fn executors(world: &Arc<World>) -> [Simulation; 3] {
+    let executors = [(Executor::Relational, 1), (Executor::Dense, 1), (Executor::Dense, 2)];
+    executors.map(|(executor, threads)| simulation(world, executor, threads))
+}
+
 /// Runs the simulations and compares their reports.
 pub fn go_the_same_way(simulations: &mut [Simulation], ticks: u64) {
     Counts::default().go_the_same_way(simulations, ticks);
@@ -35,7 +41,7 @@ pub fn go_the_same_way(simulations: &mut [Simulation], ticks: u64) {
 /// How often agents did each action, and clauses derived an action, in a tick.
 #[derive(Debug, Default)]
 pub struct Counts {
-    actions: [usize; 4],
+    pub actions: [usize; Action::MAX],
     fired: usize,
 }
 
@@ -66,7 +72,7 @@ impl Counts {
 
     /// Checks that the rules did something.
     pub fn check(&self) {
-        let enough = self.actions.iter().all(|count| *count > 100) && self.fired > 500;
+        let enough = Action::STANDARD.iter().all(|action| self.actions[action.index()] > 100) && self.fired > 500;
         assert!(enough, "{self:?}");
     }
 }

@@ -37,6 +37,14 @@ fn load(path: &Path) -> Scenario {
     load_scenario(&mut sources, path, &BuiltinFiles).unwrap_or_else(|faults| panic!("{}", rendered(&sources, &faults)))
 }
 
+/// Returns the message about a faulty configuration with this text.
+pub fn refused(text: &str) -> String {
+    let (sources, loaded) = load_memory(&[("main.yaml", text)]);
+    let message = render(&loaded.expect_err(text), &sources, false);
+    assert!(message.contains(".yaml:"), "{message}");
+    message
+}
+
 /// Loads `main.yaml` of a few files in memory, which may refer to built-in files.
 pub fn load_memory(files: &[(&str, &str)]) -> (Sources, Result<Scenario, Vec<Diagnostic>>) {
     let read = |path: &Path| {

@@ -1,7 +1,7 @@
 //! External predicates: functions of the caller, in runs, traces, scenes, tasks and observations.
 
 use crate::agreement::{
-    Counts, answer, go_the_same_way, multiply, observers_derive_as_sessions_do, record, replay, simulation,
+    Counts, answer, executors, go_the_same_way, multiply, observers_derive_as_sessions_do, record, replay, simulation,
 };
 use crate::shipped_world::configured;
 use logicity::builtin::BuiltinFiles;
@@ -157,8 +157,7 @@ Slow(X) :- IsGreen(X), Not(Stop(X)).
 Fast(X) :- Sees(X, Y), IsRival(Y, X), IsClose(X, Y), Not(Stop(X)).
 ";
     let (world, _) = world_of(RULES, |scenario| multiply(scenario, 20), Drawn::all());
-    let mut cities = [(Executor::Relational, 1), (Executor::Dense, 1), (Executor::Dense, 2)]
-        .map(|(executor, threads)| simulation(&world, executor, threads));
+    let mut cities = executors(&world);
     assert_eq!(cities[2].threads(), 2);
     go_the_same_way(&mut cities, 5);
 }

@@ -1,14 +1,14 @@
 //! Kinds of agents that a configuration defines: where and how fast they move, what rules read of them, and the messages
 //! about faulty ones.
 
-use crate::agreement::{record, replay, simulation};
-use crate::config::load_memory;
+use crate::agreement::{executors, go_the_same_way, record, replay, simulation};
+use crate::config::{load_memory, refused};
 use crate::shipped_world::configured;
 use logicity::builtin::BuiltinFiles;
 use logicity::city::{Action, ActionTable, AgentKind, KindTable, MoveReason, Split};
 use logicity::diag::{Sources, render};
 use logicity::rng::{Purpose, RngExt, Seed};
-use logicity::sim::{Executor, Inference, Simulation, World};
+use logicity::sim::{CityTheory, Executor, Inference, Simulation, World, conflict_lints, conflicts, examine};
 use logicity::task::spf::{ControlMode, Env, EpisodeSet, MapIdentity, SpfTask};
 use std::sync::Arc;
 
@@ -118,13 +118,18 @@ fn kinds_have_their_own_speeds() {
 fn predicates_tell_kinds_apart() {
     let (world, _) =
         city("Slow(X) :- IsCyclist(X), IsCar(X), Not(IsPedestrian(X)).\nFast(X) :- IsRunner(X), IsPedestrian(X).");
-    let mut city = simulation(&world, Executor::Auto, 1);
+    cyclists_are_slow_and_runners_fast(&world, Action::Normal);
+}
+
+/// Checks the actions of a tick. `others` is that of cars and pedestrians.
+fn cyclists_are_slow_and_runners_fast(world: &Arc<World>, others: Action) {
+    let mut city = simulation(world, Executor::Auto, 1);
     let report = city.tick(&[]).unwrap().clone();
     for (done, agent) in report.agents.iter().zip(city.agents()) {
         let expected = match agent.name().kind_name() {
             "Cyclist" => Action::Slow,
             "Runner" => Action::Fast,
-            _ => Action::Normal,
+            _ => others,
         };
         assert_eq!(done.action, expected, "{}", agent.name());
     }
@@ -138,16 +143,24 @@ fn a_kind_has_its_own_precedence_and_default() {
     let declared = ".type agent <: symbol\n.decl IsCyclist, IsRunner, IsBus(x: agent)\n.decl Sees(x: agent, y: agent)
         .input IsCyclist, IsRunner, IsBus, Sees\n.decl Stop, Fast, Normal(x: agent)\n.output Stop, Fast, Normal\n";
     let (world, _) = configured(CONFIG, &format!("{declared}{rules}"), |_| ());
-    let mut city = simulation(&world, Executor::Auto, 1);
-    let report = city.tick(&[]).unwrap().clone();
-    for (done, agent) in report.agents.iter().zip(city.agents()) {
-        let expected = match agent.name().kind_name() {
-            "Cyclist" => Action::Slow,
-            "Runner" => Action::Fast,
-            _ => Action::Stop,
-        };
-        assert_eq!(done.action, expected, "{}", agent.name());
-    }
+    cyclists_are_slow_and_runners_fast(&world, Action::Stop);
+}
+
+/// A warning about two actions names the kinds whose order of precedence decides otherwise.
+#[test]
+fn conflicts_name_kinds_with_another_winner() {
+    let (world, sources) = city("Stop(X) :- IsBus(X).\nFast(X) :- IsBus(X).");
+    let (rules, config) = (world.program.rules(), &world.scenario.actions);
+    let theory = CityTheory::new(world.scenario.clone()).unwrap();
+    let found = conflicts(&examine(rules, Some(&theory), &sources).in_city, &config.table).unwrap();
+    let lints = conflict_lints(&found, rules, config);
+    let text = render(&lints, &sources, false);
+    assert!(
+        text.contains("the rules can derive Stop and Fast for one agent, and Stop wins"),
+        "{text}"
+    );
+    assert!(text.contains("by their own `priority`, Fast wins for Runner"), "{text}");
+    assert!(!text.contains("Cyclist"), "{text}");
 }
 
 /// Both executors, on one thread and on two, decide the same on random rules; a replay has the same facts.
@@ -177,12 +190,7 @@ fn executors_and_replays_agree_on_random_rules_with_own_kinds() {
                 crate::agreement::multiply(scenario, times);
             }
         });
-        let mut cities = [(Executor::Relational, 1), (Executor::Dense, 1), (Executor::Dense, 2)]
-            .map(|(executor, threads)| simulation(&world, executor, threads));
-        for tick in 0..(if times < 20 { 40 } else { 3 }) {
-            let [one, two, three] = cities.each_mut().map(|city| city.tick(&[]).unwrap().agents.clone());
-            assert!(one == two && two == three, "case {case}, tick {tick}");
-        }
+        go_the_same_way(&mut executors(&world), if times < 20 { 40 } else { 3 });
         if times == 1 {
             let (trace, facts) = record(&world, &sources, 20, |_| ());
             assert!(
@@ -351,18 +359,11 @@ const FAULTS: [(&str, &str); 19] = [
 #[test]
 fn faulty_kinds_have_messages_with_places() {
     for (kinds, expected) in FAULTS {
-        let text = format!("base: expert\ntask: ~\n{kinds}\n");
-        let (sources, loaded) = load_memory(&[("main.yaml", &text)]);
-        let message = render(&loaded.expect_err(kinds), &sources, false);
-        assert!(
-            message.contains(expected) && message.contains(".yaml:"),
-            "{kinds}\n{message}"
-        );
+        let message = refused(&format!("base: expert\ntask: ~\n{kinds}\n"));
+        assert!(message.contains(expected), "{kinds}\n{message}");
     }
     let many: Vec<String> = (0..15).map(|number| format!("K{number}: {{of: Car}}")).collect();
-    let text = format!("base: expert\nkinds: {{{}}}\n", many.join(", "));
-    let (sources, loaded) = load_memory(&[("main.yaml", &text)]);
-    let message = render(&loaded.expect_err("too many"), &sources, false);
+    let message = refused(&format!("base: expert\nkinds: {{{}}}\n", many.join(", ")));
     assert!(message.contains("15 kinds are defined, the limit is 14"), "{message}");
 }
 

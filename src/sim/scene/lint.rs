@@ -7,7 +7,7 @@ use crate::datalog::{
     self, Atom, Clause, ClauseId, Constraint, DeclaredConstraint, Literal, Predicate, PredicateId, Rules, Term, TypeId,
     Value, VarId,
 };
-use crate::diag::{Diagnostic, Faults, MAX_FAULTS, Sources, Span, did_you_mean};
+use crate::diag::{Diagnostic, Faults, MAX_FAULTS, Sources, Span, did_you_mean, listed};
 use crate::sim::codes;
 use crate::sim::scene::conflict::{Finding, Overlap};
 use crate::sim::scene::empty::empty_predicates;
@@ -252,7 +252,8 @@ fn agent_constants<'r>(
     })
 }
 
-/// Returns one warning for each pair of actions that can be derived together. The order of precedence decides which action wins.
+/// Returns one warning for each pair of actions that can be derived together. The order of precedence decides which
+/// action wins.
 pub fn conflict_lints(overlaps: &[Overlap], rules: &Rules, actions: &ActionsConfig) -> Vec<Diagnostic> {
     let together = overlaps.iter().filter_map(|overlap| match &overlap.finding {
         Finding::Together { clauses, .. } => Some((overlap, clauses)),
@@ -268,11 +269,17 @@ pub fn conflict_lints(overlaps: &[Overlap], rules: &Rules, actions: &ActionsConf
             true => "derive each action in a separate clause".to_owned(),
             false => format!("if {wins} should win, add `Not({wins}(X))` to the clause of {loses}"),
         };
-        Diagnostic::new(codes::ACTION_CONFLICT, message)
+        let lint = Diagnostic::new(codes::ACTION_CONFLICT, message)
             .at(span_of(loser), format!("this clause derives {loses}"))
             .also(span_of(winner), format!("this one derives {wins}"))
-            .note("`actions.priority` of the configuration is the order of precedence")
-            .help(help)
+            .note("`actions.priority` of the configuration is the order of precedence");
+        let others = (actions.of_kinds.iter()).filter(|own| overlap.winner(&own.priority) != winner);
+        let others: Vec<&str> = others.map(|own| own.name.as_str()).collect();
+        let lint = match others.is_empty() {
+            true => lint,
+            false => lint.note(format!("by their own `priority`, {loses} wins for {}", listed(&others))),
+        };
+        lint.help(help)
     };
     together.map(lint).collect()
 }
