@@ -15,7 +15,7 @@ mod root;
 #[path = "../tests/datalog/written_program.rs"]
 mod written_program;
 
-use logicity_datalog::dense::{BitFacts, BitState, Dense, TrackFirings, choose, has};
+use logicity_datalog::dense::{BitFacts, BitState, Dense, TrackFirings, has};
 use logicity_datalog::{Limits, PredicateId, Program, Session, Value};
 use std::fmt::Write;
 use std::time::{Duration, Instant};
@@ -172,9 +172,7 @@ fn measure(program: &Program, entities: usize, facts: &[(PredicateId, Vec<usize>
     let value: Vec<Value> = (0..entities)
         .map(|entity| Value(rules.symbols.intern(&format!("e{entity}")).0))
         .collect();
-    let choice = choose(rules);
-    assert!(choice.all_dense(), "{choice:?}");
-    let dense = Dense::new(rules, &choice, TrackFirings::Off, |_| false);
+    let dense = Dense::new(rules, TrackFirings::Off, |_| false).expect("it supports the rules");
     let mut state: BitState<1> = BitState::new(&dense, entities);
     let mut fell_back = false;
     let mut taken = least(

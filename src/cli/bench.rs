@@ -310,7 +310,7 @@ impl<'a> Bench<'a> {
             grow(&mut city.scenario, arguments.split, agents);
         }
         let world = Arc::new(city.world()?);
-        let simulation = Self::place(arguments, &world, arguments.seed)?;
+        let simulation = Self::place(arguments, &world, arguments.seed, arguments.executor)?;
         Ok(Bench {
             arguments,
             world,
@@ -318,9 +318,9 @@ impl<'a> Bench<'a> {
         })
     }
 
-    fn place(arguments: &Arguments, world: &Arc<World>, seed: u64) -> Result<Simulation, Failure> {
+    fn place(arguments: &Arguments, world: &Arc<World>, seed: u64, executor: Executor) -> Result<Simulation, Failure> {
         let settings = Settings {
-            executor: arguments.executor,
+            executor,
             count_firings: false,
             threads: arguments.threads.map_or(1, NonZeroUsize::get),
         };
@@ -345,7 +345,7 @@ impl<'a> Bench<'a> {
         while timed.wall < self.arguments.seconds {
             if timed.times > 0 {
                 seed = seed.wrapping_add(1);
-                self.simulation = Self::place(self.arguments, &self.world, seed)?;
+                self.simulation = Self::place(self.arguments, &self.world, seed, self.arguments.executor)?;
             }
             let simulation = &mut self.simulation;
             let (start, cpu, mut done) = (Instant::now(), cpu_time(), 0);
@@ -500,6 +500,11 @@ impl<'a> Bench<'a> {
     }
 
     fn infer(&mut self) -> Result<(), Failure> {
+        if self.simulation.hands_over() {
+            // Facts in memory are those of one executor.
+            let seed = self.arguments.seed;
+            self.simulation = Self::place(self.arguments, &self.world, seed, Executor::Relational)?;
+        }
         if self.simulation.executor() == Executor::Relational {
             return self.infer_relational();
         }

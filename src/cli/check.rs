@@ -12,7 +12,7 @@ use crate::config::ActionsConfig;
 use crate::datalog::dense::{self, Unsupported};
 use crate::datalog::diff::{Cut, Equivalence};
 use crate::datalog::explain::ExplanationPrinter;
-use crate::datalog::{BaseType, Clause, ClauseId, Column, InputPolicy, PredicateId, Program, Rules};
+use crate::datalog::{BaseType, Clause, ClauseId, Column, InputPolicy, PredicateId, Program, Rules, Stratum};
 use crate::diag::{Diagnostic, Sources, to_json};
 use crate::files::ReadFile;
 use crate::sim::{
@@ -296,38 +296,37 @@ fn with_conditions(rules: &Rules) -> Rules {
 
 /// Returns the names of the visible predicates of each stratum, in evaluation order.
 fn strata(rules: &Rules) -> Vec<Vec<&str>> {
-    executors(rules).into_iter().map(|(names, _)| names).collect()
+    let visible = |stratum: &Stratum| visible_of(rules, stratum);
+    rules
+        .strata
+        .iter()
+        .map(visible)
+        .filter(|names| !names.is_empty())
+        .collect()
 }
 
-/// Returns for each stratum the names of its visible predicates and why the dense executor cannot evaluate it, if it
-/// cannot.
-fn executors(rules: &Rules) -> Vec<(Vec<&str>, Option<Unsupported>)> {
-    let reasons = dense::choose(&with_conditions(rules)).relational;
-    let strata = rules.strata.iter().map(|stratum| {
-        let shown = |predicate: &&PredicateId| !rules.predicates[predicate.index()].hidden;
-        let shown = stratum.predicates.iter().filter(shown);
-        shown
-            .map(|predicate| rules.predicates[predicate.index()].name.as_str())
-            .collect::<Vec<_>>()
-    });
-    strata.zip(reasons).filter(|(names, _)| !names.is_empty()).collect()
+fn visible_of<'r>(rules: &'r Rules, stratum: &Stratum) -> Vec<&'r str> {
+    let predicates = stratum
+        .predicates
+        .iter()
+        .map(|predicate| &rules.predicates[predicate.index()]);
+    let visible = predicates.filter(|predicate| !predicate.hidden);
+    visible.map(|predicate| predicate.name.as_str()).collect()
 }
 
-/// Describes a reason with the place of the clause at its root.
+/// Describes a reason with the place of the clause.
 fn because(reason: &Unsupported, rules: &Rules, sources: &Sources) -> String {
-    let rules = &with_conditions(rules);
     format!("{} at {}", reason.show(rules), sources.locate(reason.span))
 }
 
 /// The number of agents for which `check` estimates the steps of the dense executor.
 const CROWD: usize = 64;
 
-/// Returns the clauses for which the dense executor may give up; none if it does not evaluate all strata.
+/// Returns the clauses for which the dense executor may give up; none if it does not evaluate all.
 fn costly(rules: &Rules) -> Vec<ClauseId> {
     let rules = &with_conditions(rules);
-    let choice = dense::choose(rules);
-    match choice.all_dense() {
-        true => choice.costly(rules, CROWD, CROWD),
+    match dense::obstacles(rules).is_empty() {
+        true => dense::costly(rules, CROWD, CROWD),
         false => Vec::new(),
     }
 }
@@ -347,23 +346,21 @@ fn print_costly(out: &mut impl Write, rules: &Rules, sources: &Sources) -> io::R
 }
 
 fn print_executors(out: &mut impl Write, rules: &Rules, sources: &Sources) -> io::Result<()> {
-    let executors = executors(rules);
-    if executors.iter().all(|(_, reason)| reason.is_none()) {
+    let rules = &with_conditions(rules);
+    let reasons = dense::obstacles(rules);
+    if reasons.is_empty() {
         writeln!(out, "  executor: dense")?;
         return print_costly(out, rules, sources);
     }
-    writeln!(out, "  executor: relational")?;
+    writeln!(
+        out,
+        "  executor: dense; relational for these clauses and what they read"
+    )?;
     let mut helped = HashSet::new();
-    for (names, reason) in executors {
-        let Some(reason) = reason else { continue };
-        let (names, because) = (names.join(", "), because(&reason, rules, sources));
-        match reason.reads {
-            None => writeln!(out, "    {names} cannot be dense: {because}")?,
-            Some(_) => writeln!(
-                out,
-                "    {names} cannot be dense, since the relational executor needs it: {because}"
-            )?,
-        }
+    for reason in reasons {
+        let head = rules.clauses[reason.clause.index()].head.predicate;
+        let name = rules.predicates[head.index()].title();
+        writeln!(out, "    {name}: {}", because(&reason, rules, sources))?;
         if let Some(help) = reason.help().filter(|_| helped.insert(reason.span)) {
             writeln!(out, "      help: {help}")?;
         }
@@ -371,16 +368,30 @@ fn print_executors(out: &mut impl Write, rules: &Rules, sources: &Sources) -> io
     Ok(())
 }
 
+/// Returns for each stratum which executor evaluates its clauses: the relational one in a city if `because` has reasons.
 fn executors_json(rules: &Rules, sources: &Sources) -> serde_json::Value {
-    let strata = executors(rules).into_iter().map(|(names, reason)| match reason {
-        None => json!({ "predicates": names, "executor": "dense" }),
-        Some(reason) => json!({
-            "predicates": names,
-            "executor": "relational",
-            "because": because(&reason, rules, sources),
-            "clause": ExplanationPrinter::new(rules, &rules.symbols, sources).clause_json(reason.clause),
-            "help": reason.help(),
-        }),
+    let with_conditions = with_conditions(rules);
+    let reasons = dense::obstacles(&with_conditions);
+    let printer = ExplanationPrinter::new(rules, &rules.symbols, sources);
+    let strata = rules.strata.iter().filter_map(|stratum| {
+        let names = visible_of(rules, stratum);
+        let own = reasons.iter().filter(|reason| stratum.clauses.contains(&reason.clause));
+        let relational: Vec<serde_json::Value> = own
+            .map(|reason| {
+                json!({
+                    "because": because(reason, &with_conditions, sources),
+                    "clause": printer.clause_json(reason.clause),
+                    "help": reason.help(),
+                })
+            })
+            .collect();
+        let executor = match relational.len() {
+            0 => "dense",
+            some if stratum.recursive || some == stratum.clauses.len() => "relational",
+            _ => "both",
+        };
+        let found = json!({ "predicates": names, "executor": executor, "relational": relational });
+        (!names.is_empty()).then_some(found)
     });
     strata.collect()
 }

@@ -13,6 +13,7 @@ mod conflicts;
 mod executors;
 mod explain;
 mod external;
+mod handed;
 mod hostile;
 mod kinds;
 #[path = "../datalog/near_files.rs"]

@@ -2681,11 +2681,24 @@ fn check_names_executors_only_for_cities() {
     let folder = tempfile::tempdir().unwrap();
     let general = ".decl A(x: number, y: number)\n.input A\n.decl B(x: number)\n.output B\nB(x) :- A(x, 7).\n";
     let general = write(folder.path(), "general.dl", general);
-    let city = ".include \"vocabulary.dl\"\nStop(X) :- CollidingClose(X, \"Car_1\").\n";
+    let city = ".include \"vocabulary.dl\"\nStop(X) :- CollidingClose(X, \"Car_1\").\nSlow(X) :- IsCar(X).\n";
     let city = write(folder.path(), "city.dl", city);
     let printed = |rules: &str| out(&logicity(["check", rules]));
     assert!(printed(&general).ends_with("strata: B\n"), "{}", printed(&general));
-    assert!(printed(&city).contains("Stop cannot be dense"), "{}", printed(&city));
+    let executors = "executor: dense; relational for these clauses and what they read\n    \
+                     Stop: a clause of `Stop` names a constant at ";
+    assert!(printed(&city).contains(executors), "{}", printed(&city));
+    let json: Value = serde_json::from_str(&out(&logicity(["check", "--json", &city]))).unwrap();
+    let executor = |name: &str| {
+        let strata = json["executors"].as_array().unwrap();
+        let found = strata.iter().find(|stratum| stratum["predicates"][0] == name);
+        (
+            found.unwrap()["executor"].clone(),
+            found.unwrap()["relational"].as_array().unwrap().len(),
+        )
+    };
+    assert_eq!(executor("Stop"), ("relational".into(), 1));
+    assert_eq!(executor("Slow"), ("dense".into(), 0));
 }
 
 #[test]

@@ -496,6 +496,17 @@ pub enum PastOperator {
     Since(PredicateId, Vec<usize>),
 }
 
+impl Past {
+    /// Returns the predicates of earlier ticks that the rows follow from: that before `since`, and the operand.
+    pub fn operands(&self) -> impl Iterator<Item = PredicateId> {
+        let held = match self.operator {
+            PastOperator::Since(held, _) => Some(held),
+            PastOperator::Once | PastOperator::Always => None,
+        };
+        held.into_iter().chain([self.operand])
+    }
+}
+
 impl Rules {
     /// Returns the predicate with that name, if there is one.
     pub fn predicate(&self, name: &str) -> Option<PredicateId> {

@@ -1,6 +1,6 @@
-//! Decides which strata the dense executor can evaluate.
+//! Decides which clauses the dense executor can evaluate.
 
-use crate::check::{Atom, ClauseId, Literal, PredicateId, Rules, Stratum, Term};
+use crate::check::{Atom, Clause, ClauseId, Literal, PredicateId, Rules, Stratum, Term, VarId};
 use crate::dense::body::{DenseBody, PAIR, decompose};
 use crate::dense::count::{BoundedCount, bounded_counts, is_stored};
 use crate::dense::program::Dense;
@@ -8,64 +8,16 @@ use crate::diag::Span;
 use crate::syntax::ast::{BaseType, Comparison};
 use crate::syntax::functor::{AggregateOp, Functor};
 use std::collections::HashMap;
-use std::fmt;
 
-/// The executor of each stratum.
-#[derive(Clone, Debug, PartialEq, Eq)]
-pub struct Choice {
-    /// Indexed by position of the stratum: why it needs the relational executor; `None` if it is dense.
-    pub relational: Vec<Option<Unsupported>>,
-}
-
-impl Choice {
-    /// Returns whether the dense executor evaluates the stratum.
-    pub fn is_dense(&self, stratum: usize) -> bool {
-        self.relational[stratum].is_none()
-    }
-
-    /// Returns the clauses of dense strata whose searches may take more than [`Dense::steps_max`] steps over this many
-    /// entities, `egos` of them to decide about. A run of the other clauses always ends.
-    pub fn costly(&self, rules: &Rules, entities: usize, egos: usize) -> Vec<ClauseId> {
-        let strata = rules
-            .strata
-            .iter()
-            .enumerate()
-            .filter(|(position, _)| self.is_dense(*position));
-        let clauses = strata.flat_map(|(_, stratum)| &stratum.clauses).copied();
-        let steps: Vec<(ClauseId, u64)> = clauses
-            .map(|clause| (clause, steps(rules, clause, entities as u64, egos as u64)))
-            .collect();
-        let all = steps.iter().fold(0_u64, |sum, (_, steps)| sum.saturating_add(*steps));
-        let max = Dense::steps_max(entities);
-        // If the sum alone exceeds it, the most expensive clause counts.
-        let largest = steps.iter().map(|(_, steps)| *steps).max().unwrap_or(0);
-        let costly = |steps: u64| steps > max || all > max && steps == largest;
-        steps
-            .into_iter()
-            .filter(|(_, steps)| costly(*steps))
-            .map(|(clause, _)| clause)
-            .collect()
-    }
-
-    /// Returns whether the dense executor evaluates all strata.
-    pub fn all_dense(&self) -> bool {
-        self.relational.iter().all(Option::is_none)
-    }
-}
-
-/// The reason why the dense executor cannot evaluate a stratum: a clause at the root, in this stratum or in one that
-/// depends on it.
+/// The reason why the dense executor cannot evaluate a clause.
 #[derive(Clone, Debug, PartialEq, Eq)]
 pub struct Unsupported {
     /// What the dense executor does not support.
     pub construct: Construct,
-    /// The clause with the construct.
+    /// The clause; the first one of a recursive stratum.
     pub clause: ClauseId,
     /// The place of the construct.
     pub span: Span,
-    /// The predicate of the stratum that the clause reads, directly or through others, if the clause is in another
-    /// stratum. Relational strata run before dense ones.
-    pub reads: Option<PredicateId>,
 }
 
 /// A construct that the dense executor does not support.
@@ -95,6 +47,14 @@ pub enum Construct {
 }
 
 impl Unsupported {
+    fn at(clause: ClauseId, (construct, span): (Construct, Span)) -> Unsupported {
+        Unsupported {
+            construct,
+            clause,
+            span,
+        }
+    }
+
     /// Returns the reason as a sentence without a full stop, to follow "because".
     pub fn show(&self, rules: &Rules) -> String {
         let named = |predicate: PredicateId| {
@@ -153,60 +113,35 @@ impl Unsupported {
     }
 }
 
-impl fmt::Display for Choice {
-    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
-        let dense = self.relational.iter().filter(|reason| reason.is_none()).count();
-        write!(f, "{dense} of {} strata dense", self.relational.len())
-    }
+/// Returns why the dense executor cannot evaluate clauses, in the order of strata: one reason for each such clause, and
+/// for each recursive stratum.
+pub fn obstacles(rules: &Rules) -> Vec<Unsupported> {
+    let aggregates = aggregates(rules);
+    let mut is_known = vec![false; rules.clauses.len()];
+    let found = rules.strata.iter().flat_map(|stratum| obstacles_in(rules, stratum));
+    let found = found.map(|reason| visible(rules, &aggregates, reason));
+    found
+        .filter(|reason| !std::mem::replace(&mut is_known[reason.clause.index()], true))
+        .collect()
 }
 
-/// Chooses the executor of every stratum.
-///
-/// A stratum is dense if the dense executor supports it and no relational stratum depends on it. So the relational
-/// executor can run first.
-pub fn choose(rules: &Rules) -> Choice {
-    let aggregates = aggregates(rules);
-    let obstacles = rules.strata.iter().map(|stratum| obstacle(rules, stratum));
-    let obstacles = obstacles.map(|found| found.map(|one| visible(rules, &aggregates, one)));
-    let mut relational: Vec<Option<Unsupported>> = obstacles.collect();
-    let mut home = vec![None; rules.predicates.len()];
-    for (position, stratum) in rules.strata.iter().enumerate() {
-        for predicate in &stratum.predicates {
-            home[predicate.index()] = Some(position);
-        }
-    }
-    // A predicate that does not fit is derived by a clause that does not: that one is the root.
-    for position in 0..relational.len() {
-        let used = match &relational[position] {
-            Some(Unsupported {
-                construct: Construct::Columns(used) | Construct::NotSymbols(used),
-                ..
-            }) => home[used.index()],
-            _ => None,
-        };
-        if let Some(used) = used.filter(|used| *used != position)
-            && relational[used].is_some()
-        {
-            relational[position] = relational[used].clone();
-        }
-    }
-    // Strata are in dependency order.
-    for position in (0..rules.strata.len()).rev() {
-        let Some(root) = relational[position].clone() else {
-            continue;
-        };
-        for predicate in rules.read_by(rules.strata[position].clauses.iter().copied()).0 {
-            if let Some(read) = home[predicate.index()]
-                && read != position
-            {
-                relational[read].get_or_insert(Unsupported {
-                    reads: Some(predicate),
-                    ..root.clone()
-                });
-            }
-        }
-    }
-    Choice { relational }
+/// Returns the clauses whose searches may take more than [`Dense::steps_max`] steps over this many entities, `egos` of
+/// them to decide about. A run of the other clauses always ends. The dense executor evaluates all `rules`.
+pub fn costly(rules: &Rules, entities: usize, egos: usize) -> Vec<ClauseId> {
+    let clauses = rules.strata.iter().flat_map(|stratum| &stratum.clauses).copied();
+    let steps: Vec<(ClauseId, u64)> = clauses
+        .map(|clause| (clause, steps(rules, clause, entities as u64, egos as u64)))
+        .collect();
+    let all = steps.iter().fold(0_u64, |sum, (_, steps)| sum.saturating_add(*steps));
+    let max = Dense::steps_max(entities);
+    // If the sum alone exceeds it, the most expensive clause counts.
+    let largest = steps.iter().map(|(_, steps)| *steps).max().unwrap_or(0);
+    let costly = |steps: u64| steps > max || all > max && steps == largest;
+    steps
+        .into_iter()
+        .filter(|(_, steps)| costly(*steps))
+        .map(|(clause, _)| clause)
+        .collect()
 }
 
 /// Returns the maximum number of steps that the searches of a clause take.
@@ -231,55 +166,86 @@ fn steps(rules: &Rules, clause: ClauseId, entities: u64, egos: u64) -> u64 {
     sum
 }
 
-/// Returns the reason in the stratum itself why it cannot be dense, if any.
-fn obstacle(rules: &Rules, stratum: &Stratum) -> Option<Unsupported> {
-    let at = |clause: ClauseId| {
-        move |(construct, span): (Construct, Span)| Unsupported {
-            construct,
-            clause,
-            span,
-            reads: None,
-        }
-    };
-    if stratum.recursive {
-        let within = |atom: &&Atom| stratum.predicates.contains(&atom.predicate);
-        let step = |&clause: &ClauseId| {
-            let mut atoms = rules.clauses[clause.index()].body.iter().filter_map(Literal::atom);
-            let atom = atoms.find(within)?;
-            Some(at(clause)((Construct::Recursion(atom.predicate), atom.span)))
-        };
-        return stratum.clauses.iter().find_map(step);
+/// Returns the reasons in a stratum why its clauses cannot be dense: one for each such clause, or one for a recursive
+/// stratum.
+pub(super) fn obstacles_in(rules: &Rules, stratum: &Stratum) -> Vec<Unsupported> {
+    if !stratum.recursive {
+        return (stratum.clauses.iter().filter_map(|&id| obstacle(rules, id))).collect();
     }
-    stratum.clauses.iter().find_map(|&id| {
-        let clause = &rules.clauses[id.index()];
-        let wildcards = clause.body.iter().flat_map(Literal::terms);
-        let wildcards = wildcards.filter(|term| **term == Term::Wildcard).count();
-        let many = clause.variables.len() + wildcards > Dense::VARIABLES_MAX;
-        let found = many.then_some((Construct::Variables, clause.span));
-        // Expressions and aggregates are the reason for columns of numbers.
-        let counts: Vec<BoundedCount> = bounded_counts(clause);
-        let counts = || counts.iter().filter(|count| is_stored(rules, count));
-        let counted = |position: usize| counts().any(|count| count.literals.contains(&position));
-        let literals = || clause.body.iter().enumerate();
-        let others = || {
-            literals()
-                .filter(|(position, _)| !counted(*position))
-                .map(|(_, literal)| literal)
-        };
-        let body = || {
-            let aggregated = counts().filter_map(|count| unfit(rules, clause.body[count.literals[0]].atom()?));
-            aggregated.chain(others().filter_map(|literal| obstacle_in(rules, literal)))
-        };
-        let computed = |(construct, _): &(Construct, Span)| {
-            matches!(
-                construct,
-                Construct::Draw | Construct::Expression | Construct::Aggregate(_) | Construct::Comparison
-            )
-        };
-        let found = found.or_else(|| body().find(computed));
-        let found = found.or_else(|| unfit(rules, &clause.head)).or_else(|| body().next());
-        found.map(at(id))
-    })
+    let within = |atom: &&Atom| stratum.predicates.contains(&atom.predicate);
+    let step = |&clause: &ClauseId| {
+        let mut atoms = rules.clauses[clause.index()].body.iter().filter_map(Literal::atom);
+        let atom = atoms.find(within)?;
+        Some(Unsupported::at(
+            clause,
+            (Construct::Recursion(atom.predicate), atom.span),
+        ))
+    };
+    stratum.clauses.iter().find_map(step).into_iter().collect()
+}
+
+/// Returns the reason in the clause itself why it cannot be dense, if any.
+pub(super) fn obstacle(rules: &Rules, id: ClauseId) -> Option<Unsupported> {
+    let clause = &rules.clauses[id.index()];
+    let wildcards = clause.body.iter().flat_map(Literal::terms);
+    let wildcards = wildcards.filter(|term| **term == Term::Wildcard).count();
+    let many = clause.variables.len() + wildcards > Dense::VARIABLES_MAX;
+    let found = many.then_some((Construct::Variables, clause.span));
+    // Expressions and aggregates are the reason for columns of numbers.
+    let counts: Vec<BoundedCount> = bounded_counts(clause);
+    let counts = || counts.iter().filter(|count| is_stored(rules, count));
+    let counted = |position: usize| counts().any(|count| count.literals.contains(&position));
+    let literals = || clause.body.iter().enumerate();
+    let others = || {
+        literals()
+            .filter(|(position, _)| !counted(*position))
+            .map(|(_, literal)| literal)
+    };
+    let body = || {
+        let aggregated = counts().filter_map(|count| unfit(rules, clause.body[count.literals[0]].atom()?));
+        aggregated.chain(others().filter_map(|literal| obstacle_in(rules, literal)))
+    };
+    let computed = |(construct, _): &(Construct, Span)| {
+        matches!(
+            construct,
+            Construct::Draw | Construct::Expression | Construct::Aggregate(_) | Construct::Comparison
+        )
+    };
+    let found = found.or_else(|| body().find(computed));
+    let found = found.or_else(|| unfit(rules, &clause.head)).or_else(|| body().next());
+    found.map(|found| Unsupported::at(id, found))
+}
+
+/// Returns the positions of the literals of a clause that cannot be dense, and of those that share a value with them.
+pub(super) fn unsupported_literals(rules: &Rules, clause: &Clause) -> Vec<usize> {
+    let bases = rules.bases(clause);
+    let values = |position: usize| {
+        let variables = clause.body[position].variables();
+        variables.filter(|variable| bases[variable.index()] != BaseType::Symbol)
+    };
+    let counts: Vec<BoundedCount> = bounded_counts(clause);
+    let stored = |position: &usize| {
+        let mut of_count = counts.iter().filter(|count| count.literals.contains(position));
+        of_count.any(|count| {
+            let counted = clause.body[count.literals[0]].atom();
+            is_stored(rules, count) && counted.is_some_and(|atom| unfit(rules, atom).is_none())
+        })
+    };
+    let is_unsupported = |position: &usize| {
+        let literal = &clause.body[*position];
+        !stored(position) && obstacle_in(rules, literal).is_some()
+    };
+    let mut found: Vec<usize> = (0..clause.body.len()).filter(is_unsupported).collect();
+    let mut next = 0;
+    while let Some(&position) = found.get(next) {
+        let shared: Vec<VarId> = values(position).collect();
+        let joins = |other: &usize| !found.contains(other) && values(*other).any(|value| shared.contains(&value));
+        let joined: Vec<usize> = (0..clause.body.len()).filter(joins).collect();
+        found.extend(joined);
+        next += 1;
+    }
+    found.sort_unstable();
+    found
 }
 
 /// Returns the reason in the clause that the author wrote: for one in a hidden predicate, the aggregate that the
@@ -288,12 +254,7 @@ fn visible(rules: &Rules, aggregates: &Aggregates, found: Unsupported) -> Unsupp
     let head = rules.clauses[found.clause.index()].head.predicate;
     let aggregate = aggregates.get(&head).filter(|_| rules.predicates[head.index()].hidden);
     match aggregate {
-        Some(&(clause, op, span)) => Unsupported {
-            construct: Construct::Aggregate(op),
-            clause,
-            span,
-            reads: None,
-        },
+        Some(&(clause, op, span)) => Unsupported::at(clause, (Construct::Aggregate(op), span)),
         None => found,
     }
 }
@@ -346,13 +307,17 @@ fn obstacle_in(rules: &Rules, literal: &Literal) -> Option<(Construct, Span)> {
 }
 
 fn unfit(rules: &Rules, atom: &Atom) -> Option<(Construct, Span)> {
-    let predicate = &rules.predicates[atom.predicate.index()];
-    if !(1..=2).contains(&predicate.arity()) {
-        return Some((Construct::Columns(atom.predicate), atom.span));
-    }
-    if predicate.columns.iter().any(|column| column.base != BaseType::Symbol) {
-        return Some((Construct::NotSymbols(atom.predicate), atom.span));
-    }
+    let shape = unfit_shape(rules, atom.predicate).map(|construct| (construct, atom.span));
     let constant = atom.terms.iter().any(|term| matches!(term, Term::Constant(_)));
-    constant.then_some((Construct::Constant, atom.span))
+    shape.or_else(|| constant.then_some((Construct::Constant, atom.span)))
+}
+
+/// Returns the reason why the dense executor cannot store a predicate, if any.
+pub(super) fn unfit_shape(rules: &Rules, id: PredicateId) -> Option<Construct> {
+    let predicate = &rules.predicates[id.index()];
+    if !(1..=2).contains(&predicate.arity()) {
+        return Some(Construct::Columns(id));
+    }
+    let symbols = predicate.columns.iter().all(|column| column.base == BaseType::Symbol);
+    (!symbols).then_some(Construct::NotSymbols(id))
 }

@@ -1,7 +1,7 @@
 //! Compiles rules to a list of operations on sets.
 
 use crate::check::{ClauseId, Literal, PredicateId, Rules};
-use crate::dense::analyze::Choice;
+use crate::dense::analyze::{Unsupported, obstacles};
 use crate::dense::body::{DenseBody, Lit, PAIR, Property, Relates, SearchPlan, Seek, decompose};
 use crate::dense::program::{
     Any, Argument, Branch, DemandOp, Dense, Fired, Home, Input, List, Op, Place, Range, Rare, Reg, SearchStep, Test,
@@ -10,17 +10,26 @@ use crate::dense::program::{
 use std::collections::{BTreeMap, BTreeSet};
 
 impl Dense {
-    /// Compiles the strata that [`super::choose`] made dense for these rules. Predicates of other strata are inputs.
+    /// Compiles rules. Predicates without clauses are inputs.
     ///
     /// `steady` names inputs that seldom change. Sets that depend on these alone are recomputed only when one of them
     /// changes.
-    pub fn new(rules: &Rules, choice: &Choice, counting: TrackFirings, steady: impl Fn(PredicateId) -> bool) -> Dense {
-        let strata = || (rules.strata.iter().enumerate()).filter(|(position, _)| choice.is_dense(*position));
+    ///
+    /// # Errors
+    /// The first of the [`obstacles`](super::obstacles), if there is one.
+    pub fn new(
+        rules: &Rules,
+        counting: TrackFirings,
+        steady: impl Fn(PredicateId) -> bool,
+    ) -> Result<Dense, Unsupported> {
+        if let Some(obstacle) = obstacles(rules).into_iter().next() {
+            return Err(obstacle);
+        }
         let mut derived = vec![false; rules.predicates.len()];
-        for predicate in strata().flat_map(|(_, stratum)| &stratum.predicates) {
+        for predicate in rules.strata.iter().flat_map(|stratum| &stratum.predicates) {
             derived[predicate.index()] = true;
         }
-        let clauses = strata().flat_map(|(_, stratum)| &stratum.clauses);
+        let clauses = rules.strata.iter().flat_map(|stratum| &stratum.clauses);
         let bodies: Vec<(ClauseId, DenseBody)> = clauses
             .filter_map(|&clause| Some((clause, DenseBody::new(&rules.clauses[clause.index()])?)))
             .collect();
@@ -29,7 +38,7 @@ impl Dense {
         compiler.find_inputs(&bodies, steady);
         compiler.find_shared(&bodies);
         let mut bodies = bodies.iter().peekable();
-        for (_, stratum) in strata() {
+        for stratum in &rules.strata {
             for &predicate in &stratum.predicates {
                 compiler.declare(predicate);
             }
@@ -38,7 +47,7 @@ impl Dense {
             }
             compiler.complete();
         }
-        compiler.out
+        Ok(compiler.out)
     }
 }
 

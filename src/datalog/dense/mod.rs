@@ -6,14 +6,15 @@
 //! entities. An existential is a search that stops at the first witness, and a negation is a mask.
 //!
 //! ```text
-//! Rules --choose--> Choice (which strata) --compile--> Dense (immutable, shareable)
-//!                                                        |
-//!      facts: BitState::set_input, BinaryFacts --------------> BitState::run --> BitState::set, BitState::row
+//! Rules --lift--> Lifted --divide--> Division --compile--> Dense (immutable, shareable)
+//!                                                             |
+//!           facts: BitState::set_input, BinaryFacts --------------> BitState::run --> BitState::set, BitState::row
 //! ```
 //!
-//! - `analyze` decides which strata the executor supports and why it does not support others.
+//! - `analyze` decides which clauses the executor supports and why it does not support others.
 //! - `body` splits a clause into conditions on its variables.
 //! - `count` finds bounds on counts in a body.
+//! - `division` makes clauses that it does not support facts, which the relational executor derives.
 //! - `condition` replaces literals on values by conditions, which the caller evaluates.
 //! - `compile` translates these to a `program`: a short list of operations on numbered sets. It shares conditions
 //!   between clauses.
@@ -29,6 +30,7 @@ mod body;
 mod compile;
 mod condition;
 mod count;
+mod division;
 mod facts;
 mod program;
 mod run;
@@ -36,8 +38,9 @@ mod search;
 mod sets;
 mod tree;
 
-pub use analyze::{Choice, Construct, Unsupported, choose};
+pub use analyze::{Construct, Unsupported, costly, obstacles};
 pub use condition::{Condition, ConditionValues, Lifted, lift};
+pub use division::{Division, Handed, divide};
 pub use facts::BitFacts;
 pub use program::{Argument, Dense, Input, List, TrackFirings};
 pub use run::BitState;

@@ -3,19 +3,20 @@
 use crate::city::Action;
 use crate::city::{Agent, Cell, CityMap};
 use crate::datalog::dense::{Set, TooManySteps, TrackFirings, has, members};
-use crate::datalog::{ClauseId, PredicateId};
+use crate::datalog::{ClauseId, PredicateId, Value};
 use crate::diag::Diagnostic;
 use crate::diag::codes;
 use crate::sim::tick::executor::not_dense;
+use crate::sim::tick::ground::MAX_ENTITIES;
 use crate::sim::tick::memory::Watched;
 use crate::sim::tick::vocabulary::{Actions, Vocabulary};
 use crate::sim::tick::width::{Width, in_words};
-use crate::sim::tick::window::{AgentState, Grounder, Near, Now, Position, Window};
+use crate::sim::tick::window::{AgentState, Grounder, Near, Now, Plan, Position, Window};
 use crate::sim::tick::world::World;
 use rayon::prelude::*;
 use std::ops::Range;
-use std::sync::Mutex;
 use std::sync::atomic::{AtomicU16, AtomicU64, Ordering};
+use std::sync::{Arc, Mutex};
 
 /// The maximum number of entities in one window.
 pub const WINDOW_MAX: usize = Width::SixtyFour.entities();
@@ -83,6 +84,23 @@ impl Decisions {
         word.store(word.load(Ordering::Relaxed) | 1 << (clause % 64), Ordering::Relaxed);
     }
 
+    /// Counts the rows that a counted clause derived. Those of an action are about agents; a constant may name none.
+    pub fn count(
+        &mut self,
+        clause: usize,
+        of_action: bool,
+        rows: &[Vec<Value>],
+        agent: impl Fn(Value) -> Option<usize>,
+    ) {
+        self.firings[clause] = match of_action {
+            false => rows.len(),
+            true => {
+                let agents = rows.iter().filter_map(|row| agent(row[0]));
+                agents.inspect(|&agent| self.add_fired(agent, clause)).count()
+            }
+        };
+    }
+
     /// Returns the counted clauses that derived an action for the agent.
     pub fn fired(&self, agent: usize) -> impl Iterator<Item = usize> {
         let words = self.fired[agent * self.words..(agent + 1) * self.words]
@@ -102,8 +120,8 @@ impl Decisions {
 struct Reading {
     grounder: Grounder,
     actions: Vec<(Action, PredicateId)>,
-    /// The counted clauses, each with whether its head is an action.
-    clauses: Vec<(ClauseId, bool)>,
+    /// The counted clauses, each with whether its head is an action; `None` for those that are handed over.
+    clauses: Vec<Option<(ClauseId, bool)>>,
     /// The predicates that temporal operators are about, with their numbers of columns.
     watched: Vec<(PredicateId, usize)>,
 }
@@ -170,7 +188,8 @@ impl Reading {
                 }
             }
         }
-        for (position, (firings, &(clause, of_action))) in firings.iter_mut().zip(&self.clauses).enumerate() {
+        for (position, (firings, clause)) in firings.iter_mut().zip(&self.clauses).enumerate() {
+            let Some((clause, of_action)) = *clause else { continue };
             *firings += window.bit_state.count_fired(dense, clause).unwrap_or(0);
             if of_action && let Some(set) = window.bit_state.fired(dense, clause) {
                 for entity in members(set) {
@@ -227,7 +246,7 @@ impl Few {
 }
 
 impl DenseExecutor {
-    /// Creates an executor that counts the firings of `clauses`.
+    /// Creates an executor that counts the firings of `clauses`. It hands a part of the rules over only if `divides`.
     ///
     /// # Errors
     /// `dense-unsupported` if it cannot evaluate the rules for this number of agents; the message names the reason.
@@ -235,7 +254,7 @@ impl DenseExecutor {
         world: &World,
         agents: &[Agent],
         clauses: &[ClauseId],
-        threads: usize,
+        (threads, divides): (usize, bool),
     ) -> Result<DenseExecutor, Diagnostic> {
         let rules = world.program.rules();
         let counting = match clauses {
@@ -243,6 +262,10 @@ impl DenseExecutor {
             _ => TrackFirings::Each,
         };
         let plan = world.plan(counting)?;
+        if plan.rules.handed.is_some() && (!divides || agents.len() > MAX_ENTITIES) {
+            let all = world.compile(counting).map(|_| ());
+            return Err(all.expect_err("a part of the rules is handed over"));
+        }
         let dense = &plan.rules.dense;
         let sees = world.vocabulary.predicates[world.vocabulary.sees].id;
         let in_tiles = dense.is_local() && sees.is_some_and(|sees| dense.is_guarded_by(sees));
@@ -260,9 +283,15 @@ impl DenseExecutor {
             let head = rules.clauses[clause.index()].head.predicate;
             actions.iter().any(|(_, action)| *action == head)
         };
+        let handed = plan.rules.handed.iter().flat_map(|handed| &handed.clauses);
+        let handed: Vec<ClauseId> = handed.map(|(clause, _)| *clause).collect();
+        let counted = |clause: &ClauseId| {
+            let own = handed.binary_search(clause).is_err();
+            own.then(|| (*clause, of_action(clause)))
+        };
         let mut reading = Reading {
             grounder: Grounder::new(plan),
-            clauses: clauses.iter().map(|clause| (*clause, of_action(clause))).collect(),
+            clauses: clauses.iter().map(counted).collect(),
             actions,
             watched: world.watched(0).predicates().to_vec(),
         };
@@ -281,6 +310,11 @@ impl DenseExecutor {
             _ => Shape::Tiles(Box::new(Tiles::new(&reading.grounder, world.map(), bodies, threads))),
         };
         Ok(DenseExecutor { reading, shape })
+    }
+
+    /// Returns the plan.
+    pub fn plan(&self) -> &Arc<Plan> {
+        self.reading.grounder.plan()
     }
 
     /// Replaces the agents by the same number of others.

@@ -2,10 +2,11 @@
 
 use crate::city::Heading;
 use crate::datalog::dense::{
-    self, BitFacts, Condition, ConditionValues, Dense, Lifted, TooManySteps, TrackFirings, choose, lift,
+    self, BitFacts, Condition, ConditionValues, Dense, Division, Handed, Lifted, TooManySteps, TrackFirings,
+    Unsupported, divide, lift,
 };
 use crate::datalog::internal::symbol_hash;
-use crate::datalog::{ClauseId, Comparison, PredicateId, Rules, Value};
+use crate::datalog::{ClauseId, Comparison, Past, PredicateId, Program, Rules, Value};
 use crate::diag::{self, Diagnostic, Span};
 use crate::predicate::{Quantity, Unit};
 use crate::sim::codes;
@@ -92,13 +93,83 @@ pub struct DenseRules {
     pub dense: Dense,
     /// The conditions, which are inputs of the program.
     pub(crate) conditions: Conditions,
-    strata: dense::Choice,
+    /// The rules whose rows are inputs of the program; `None` if it evaluates all rules.
+    pub(super) handed: Option<HandedRules>,
+}
+
+/// The rules that the dense executor hands over to a session.
+#[derive(Debug)]
+pub(super) struct HandedRules {
+    pub program: Program,
+    /// The predicates that the dense executor reads, each with the predicate of the program that has its rows, and its
+    /// number of columns.
+    pub predicates: Vec<(PredicateId, PredicateId, usize)>,
+    /// By position in the vocabulary: whether the program reads the predicate.
+    pub is_read: Vec<bool>,
+    /// By position in [`Rules::pasts`]: whether the program reads the memory.
+    pub reads_past: Vec<bool>,
+    /// The clauses that are handed over, sorted, each with its position in the program.
+    pub clauses: Vec<(ClauseId, ClauseId)>,
+    /// Why the first of them is handed over.
+    pub reason: Diagnostic,
+}
+
+impl HandedRules {
+    /// Prepares the rules that are handed over, a part of `all`.
+    fn new(handed: Handed, all: &Rules, vocabulary: &Vocabulary) -> Result<HandedRules, Diagnostic> {
+        let reads = |predicate: PredicateId| handed.read.binary_search(&predicate).is_ok();
+        let first = handed.reasons.first().expect("a division has a reason");
+        let message = format!(
+            "the relational executor evaluates some clauses, the first because {}",
+            first.show(all)
+        );
+        Ok(HandedRules {
+            is_read: vocabulary
+                .predicates
+                .iter()
+                .map(|known| known.id.is_some_and(reads))
+                .collect(),
+            reads_past: all.pasts.iter().map(|past| reads(past.predicate)).collect(),
+            predicates: handed
+                .predicates
+                .iter()
+                .map(|&(dense, here)| (dense, here, handed.rules.predicates[here.index()].arity()))
+                .collect(),
+            clauses: handed.clauses,
+            reason: located(Diagnostic::new(codes::DENSE_UNSUPPORTED, message), all, first),
+            program: Program::new(handed.rules)?,
+        })
+    }
 }
 
 impl DenseRules {
-    /// Returns [`dense::Choice::costly`].
+    fn new(
+        rules: Rules,
+        conditions: Vec<Condition>,
+        quantities: Vec<ReadQuantity>,
+        vocabulary: &Vocabulary,
+        counting: TrackFirings,
+    ) -> Result<DenseRules, Diagnostic> {
+        let steady = |declared| {
+            let mut predicates = vocabulary.predicates.iter();
+            predicates.any(|predicate| predicate.id == Some(declared) && predicate.definition.is_static())
+        };
+        let dense = Dense::new(&rules, counting, steady);
+        Ok(DenseRules {
+            dense: dense.map_err(|reason| located(not_dense(&reason.show(&rules)), &rules, &reason))?,
+            handed: None,
+            conditions: Conditions {
+                list: conditions,
+                headings: Heading::ALL.map(|heading| Value(rules.symbols.intern(heading.name()).0)),
+                rules,
+                quantities,
+            },
+        })
+    }
+
+    /// Returns [`dense::costly`].
     pub(crate) fn costly(&self, entities: usize, egos: usize) -> Vec<ClauseId> {
-        self.strata.costly(&self.conditions.rules, entities, egos)
+        dense::costly(&self.conditions.rules, entities, egos)
     }
 
     /// Returns whether the rules draw.
@@ -178,7 +249,7 @@ pub(crate) struct Conditions {
     /// The symbols of the headings, in the order of [`Heading::ALL`].
     headings: [Value; 4],
     /// The positions in the vocabulary of the quantities.
-    quantities: Vec<(PredicateId, usize, Quantity)>,
+    quantities: Vec<ReadQuantity>,
 }
 
 impl Conditions {
@@ -300,37 +371,58 @@ pub(crate) fn compile(
     vocabulary: &Vocabulary,
     counting: TrackFirings,
 ) -> Result<DenseRules, Diagnostic> {
+    let (lifted, quantities) = lift_quantities(rules, vocabulary);
+    DenseRules::new(lifted.rules, lifted.conditions, quantities, vocabulary, counting)
+}
+
+/// Variant of [`compile`] that hands over clauses which the dense executor does not support: a session derives their
+/// rows first.
+///
+/// # Errors
+/// As [`compile`], if it must store a predicate that it cannot.
+pub(super) fn compile_divided(
+    rules: &Rules,
+    vocabulary: &Vocabulary,
+    counting: TrackFirings,
+) -> Result<DenseRules, Diagnostic> {
+    let (lifted, quantities) = lift_quantities(rules, vocabulary);
+    let pasts = rules.pasts.iter();
+    let watched: Vec<PredicateId> = pasts.flat_map(Past::operands).collect();
+    let is_wanted = |predicate| vocabulary.action_of(predicate).is_some() || watched.contains(&predicate);
+    let is_counted = |predicate: PredicateId| {
+        let known = rules.predicates.get(predicate.index());
+        counting != TrackFirings::Off && known.is_some_and(|known| !known.hidden)
+    };
+    let Some(Division { dense, handed }) = divide(rules, &lifted, is_wanted, is_counted) else {
+        return compile(rules, vocabulary, counting);
+    };
+    let mut compiled = DenseRules::new(dense, lifted.conditions, quantities, vocabulary, counting)?;
+    if let Some(handed) = handed {
+        compiled.handed = Some(HandedRules::new(handed, rules, vocabulary)?);
+    }
+    Ok(compiled)
+}
+
+/// A quantity that the rules read, with its position in the vocabulary.
+type ReadQuantity = (PredicateId, usize, Quantity);
+
+fn lift_quantities(rules: &Rules, vocabulary: &Vocabulary) -> (Lifted, Vec<ReadQuantity>) {
     let quantities = vocabulary.predicates.iter().enumerate();
     let quantities = quantities.filter_map(|(position, known)| Some((known.id?, position, known.quantity()?)));
-    let quantities: Vec<(PredicateId, usize, Quantity)> = quantities.collect();
+    let quantities: Vec<ReadQuantity> = quantities.collect();
     let lifted = lift(rules, |predicate| {
         let known = quantities.iter().find(|(id, ..)| *id == predicate);
         known.map(|(.., quantity)| quantity.agents())
     });
-    let choice = choose(&lifted.rules);
-    let reasons = || choice.relational.iter().flatten();
-    let root = reasons().find(|reason| reason.reads.is_none());
-    if let Some(reason) = root.or_else(|| reasons().next()) {
-        let clause = rules.clauses[reason.clause.index()].span;
-        let mut fault = not_dense(&reason.show(&lifted.rules)).at(reason.span, "this is not supported");
-        if clause.start != reason.span.start {
-            fault = fault.also(clause, "in this clause");
-        }
-        return Err(reason.help().into_iter().fold(fault, Diagnostic::help));
+    (lifted, quantities)
+}
+
+/// Adds the places of a reason to the fault that names it.
+fn located(fault: Diagnostic, rules: &Rules, reason: &Unsupported) -> Diagnostic {
+    let clause = rules.clauses[reason.clause.index()].span;
+    let mut fault = fault.at(reason.span, "this is not supported");
+    if clause.start != reason.span.start {
+        fault = fault.also(clause, "in this clause");
     }
-    let steady = |declared| {
-        let mut predicates = vocabulary.predicates.iter();
-        predicates.any(|predicate| predicate.id == Some(declared) && predicate.definition.is_static())
-    };
-    let Lifted { rules, conditions } = lifted;
-    Ok(DenseRules {
-        dense: Dense::new(&rules, &choice, counting, steady),
-        strata: choice,
-        conditions: Conditions {
-            list: conditions,
-            headings: Heading::ALL.map(|heading| Value(rules.symbols.intern(heading.name()).0)),
-            rules,
-            quantities,
-        },
-    })
+    reason.help().into_iter().fold(fault, Diagnostic::help)
 }

@@ -42,7 +42,7 @@ pub struct CityState<'a> {
     pub agents: &'a [Agent],
 }
 
-/// The facts of the external predicates in a tick, as one set of agents per predicate over one agent, and one set per
+/// The facts of the external predicates in a tick, or those that a session derives for the dense executor, as one set of agents per predicate over one agent, and one set per
 /// agent and predicate over two.
 #[derive(Clone, Debug, Default, PartialEq, Eq)]
 pub struct ExternalFacts {
@@ -59,10 +59,17 @@ struct Table {
 }
 
 impl ExternalFacts {
+    /// Facts of no predicates.
+    pub(super) const NONE: ExternalFacts = ExternalFacts {
+        agents: 0,
+        words: 0,
+        tables: Vec::new(),
+    };
+
     /// Creates facts about this number of agents, none of which hold.
-    fn new(vocabulary: &Vocabulary, agents: usize) -> ExternalFacts {
+    pub(super) fn new(predicates: impl Iterator<Item = External>, agents: usize) -> ExternalFacts {
         let words = agents.div_ceil(64);
-        let table = |(_, arity): (&BasePredicate, External)| Table {
+        let table = |arity: External| Table {
             arity,
             bits: vec![
                 0;
@@ -75,7 +82,7 @@ impl ExternalFacts {
         ExternalFacts {
             agents,
             words,
-            tables: vocabulary.externals().map(table).collect(),
+            tables: predicates.map(table).collect(),
         }
     }
 
@@ -98,7 +105,10 @@ impl ExternalFacts {
                 );
                 Err(Diagnostic::new(diag::codes::LIMIT_EXCEEDED, message).exceeds(Limit::Memory(limit)))
             }
-            _ => Ok(ExternalFacts::new(state.vocabulary, agents)),
+            _ => {
+                let predicates = state.vocabulary.externals().map(|(_, arity)| arity);
+                Ok(ExternalFacts::new(predicates, agents))
+            }
         }
     }
 
@@ -126,6 +136,21 @@ impl ExternalFacts {
                 set[row / 64] &= !(1 << (row % 64));
             }
         }
+    }
+
+    /// Removes all facts.
+    pub(super) fn clear(&mut self) {
+        self.tables.iter_mut().for_each(|table| table.bits.fill(0));
+    }
+
+    /// Adds a fact; the second agent counts only in predicates over two.
+    pub(super) fn add(&mut self, predicate: usize, first: usize, second: usize) {
+        let table = &mut self.tables[predicate];
+        let (row, member) = match table.arity {
+            External::Agent => (0, first),
+            External::Pair => (first, second),
+        };
+        table.bits[row * self.words + member / 64] |= 1 << (member % 64);
     }
 
     /// Returns whether a predicate holds; the second agent counts only in predicates over two.

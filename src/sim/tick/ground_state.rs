@@ -6,6 +6,7 @@ use crate::datalog::{BaseType, EvalError, Limits, Past, PredicateId, Program, Se
 use crate::sim::tick::ground::Facts;
 use crate::sim::tick::memory::Watched;
 use crate::sim::tick::vocabulary::{Actions, Vocabulary};
+use std::cmp::Ordering;
 use std::collections::HashMap;
 
 /// A session that holds grounded facts.
@@ -119,28 +120,30 @@ impl GroundState {
         }
         for (index, predicate) in self.predicates.iter().enumerate() {
             let Some(predicate) = *predicate else { continue };
-            let (old, new) = (&self.facts, facts);
-            let changed = |row: &(usize, [u32; 2]), of: &Facts, other: &Facts| match predicate.value {
-                None => other.rows[index].binary_search(&row.1).is_err(),
-                Some(_) => other.value(index, row.1) != Some(of.values[index][row.0]),
-            };
-            for row in old.rows[index]
-                .iter()
-                .copied()
-                .enumerate()
-                .filter(|row| changed(row, old, new))
-            {
-                let words = self.words(predicate, row.1, old.values[index].get(row.0));
-                (self.session.retract(predicate.id, &words[..predicate.columns()])).expect("bound predicates fit");
-            }
-            for row in new.rows[index]
-                .iter()
-                .copied()
-                .enumerate()
-                .filter(|row| changed(row, new, old))
-            {
-                let words = self.words(predicate, row.1, new.values[index].get(row.0));
-                (self.session.insert(predicate.id, &words[..predicate.columns()])).expect("bound predicates fit");
+            // Both lists are sorted.
+            let (mut before, mut after) = (0, 0);
+            loop {
+                let old = self.facts.rows[index].get(before);
+                let new = facts.rows[index].get(after);
+                let order = match (old, new) {
+                    (None, None) => break,
+                    (Some(old), Some(new)) => old.cmp(new),
+                    (Some(_), None) => Ordering::Less,
+                    (None, Some(_)) => Ordering::Greater,
+                };
+                let [of_old, of_new] =
+                    [(&self.facts, before), (facts, after)].map(|(of, row)| of.values[index].get(row));
+                let is_same = order.is_eq() && of_old == of_new;
+                if let Some(row) = old.filter(|_| order.is_le() && !is_same) {
+                    let words = self.words(predicate, *row, of_old);
+                    (self.session.retract(predicate.id, &words[..predicate.columns()])).expect("bound predicates fit");
+                }
+                if let Some(row) = new.filter(|_| order.is_ge() && !is_same) {
+                    let words = self.words(predicate, *row, of_new);
+                    (self.session.insert(predicate.id, &words[..predicate.columns()])).expect("bound predicates fit");
+                }
+                before += usize::from(order.is_le());
+                after += usize::from(order.is_ge());
             }
         }
         for (index, predicate) in self.pasts.iter().enumerate() {

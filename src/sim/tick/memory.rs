@@ -71,13 +71,7 @@ impl Watched {
     /// Lists the predicates that the windows of `pasts` are about, for a city of this number of agents. `arity` returns
     /// the number of columns.
     pub fn of(pasts: &[Past], agents: usize, arity: impl Fn(PredicateId) -> usize) -> Watched {
-        let held = |past: &Past| match past.operator {
-            PastOperator::Since(held, _) => Some(held),
-            PastOperator::Once | PastOperator::Always => None,
-        };
-        let all = pasts
-            .iter()
-            .flat_map(|past| held(past).into_iter().chain([past.operand]));
+        let all = pasts.iter().flat_map(Past::operands);
         let mut predicates: Vec<(PredicateId, usize)> = all.map(|predicate| (predicate, arity(predicate))).collect();
         predicates.sort_unstable();
         predicates.dedup();
@@ -483,8 +477,17 @@ impl Memory {
     /// Returns the rows of each hidden predicate, sorted, with the ticks that explain them: a tick of the window in which
     /// the operand held, or the first one if it held in all.
     pub fn rows(&self) -> Vec<PastRows> {
-        let rows = |record: &Record| record.rows(self.agents, self.ticks);
-        self.records.iter().map(rows).collect()
+        self.rows_of(|_| true)
+    }
+
+    /// Variant of [`rows`](Memory::rows) that leaves predicates without rows unless `wanted` selects their positions.
+    pub fn rows_of(&self, wanted: impl Fn(usize) -> bool) -> Vec<PastRows> {
+        let records = self.records.iter().enumerate();
+        let rows = |(position, record): (usize, &Record)| match wanted(position) {
+            true => record.rows(self.agents, self.ticks),
+            false => PastRows::new(),
+        };
+        records.map(rows).collect()
     }
 
     /// Returns the [rows](Memory::rows) over some of the agents.

@@ -11,6 +11,7 @@ pub(super) mod executor;
 pub(super) mod external;
 pub(super) mod ground;
 pub(super) mod ground_state;
+mod handed;
 pub(super) mod memory;
 pub(super) mod simulation;
 pub(super) mod vocabulary;

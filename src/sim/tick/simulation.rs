@@ -18,6 +18,7 @@ use crate::sim::tick::executor::{Choice, Executor, given_up, of_rules};
 use crate::sim::tick::external::{CityState, ExternalFacts};
 use crate::sim::tick::ground::{Facts, MAX_ENTITIES, ground_with};
 use crate::sim::tick::ground_state::GroundState;
+use crate::sim::tick::handed::HandedState;
 use crate::sim::tick::memory::Memory;
 use crate::sim::tick::vocabulary::{Actions, Vocabulary};
 use crate::sim::tick::window::{Now, Position};
@@ -30,6 +31,9 @@ use rayon::prelude::*;
 use std::io;
 use std::sync::{Arc, OnceLock, mpsc};
 use std::time::Duration;
+
+/// The facts of rules that the dense executor evaluates itself.
+static NOT_HANDED: ExternalFacts = ExternalFacts::NONE;
 
 /// Settings of a [`Simulation`]. They do not affect its results.
 #[derive(Clone, Copy, Debug)]
@@ -68,9 +72,11 @@ pub struct Simulation {
     positions: Vec<Position>,
     /// The dense executor; `None` if `state` decides.
     dense: Option<DenseExecutor>,
+    /// The rules that the dense executor hands over.
+    handed: Option<Box<HandedState>>,
     /// The executor that the settings demand.
     demanded: Executor,
-    /// Why the dense executor was not chosen or gave up.
+    /// Why the dense executor was not chosen, hands over a part of the rules, or gave up.
     fallback: Option<Diagnostic>,
     decisions: Decisions,
     /// What the rules read of earlier ticks in the last tick; before the first one, nothing.
@@ -242,9 +248,16 @@ impl Simulation {
             false => 1,
         };
         let chosen = (settings.executor)
-            .choose(|| DenseExecutor::new(&world, &agents, to_count, threads))
+            .choose(|| {
+                DenseExecutor::new(
+                    &world,
+                    &agents,
+                    to_count,
+                    (threads, settings.executor == Executor::Auto),
+                )
+            })
             .map_err(|fault| of_rules(fault, scenario.rules.span))?;
-        let (dense, fallback) = match chosen {
+        let (dense, mut fallback) = match chosen {
             Choice::Dense(dense) => (Some(dense), None),
             Choice::Relational(reason) => (None, reason),
         };
@@ -265,6 +278,12 @@ impl Simulation {
                     fault.help("`logicity check` lists the rules that the dense executor cannot evaluate, and why")
                 }
             });
+        }
+        let handed = dense
+            .as_ref()
+            .and_then(|dense| HandedState::new(&world, dense.plan(), &names_of(&agents)));
+        if let Some(handed) = &handed {
+            fallback = Some(handed.rules().reason.clone());
         }
         let pool = start_threads(threads)?;
         let watched = world.watched(agents.len());
@@ -298,6 +317,7 @@ impl Simulation {
             },
             agents,
             dense,
+            handed: handed.map(Box::new),
             demanded: settings.executor,
             fallback,
             state: None,
@@ -444,8 +464,13 @@ impl Simulation {
         }
     }
 
-    /// Returns why [`Executor::Auto`] chose the relational executor or fell back to it. The message is a sentence without
-    /// a full stop; the place is in the rules.
+    /// Returns whether the dense executor hands a part of the rules over to the relational one.
+    pub fn hands_over(&self) -> bool {
+        self.handed.is_some()
+    }
+
+    /// Returns why [`Executor::Auto`] chose the relational executor, for all rules or for some, or fell back to it. The
+    /// message is a sentence without a full stop; the place is in the rules.
     pub fn fallback(&self) -> Option<&Diagnostic> {
         self.fallback.as_ref()
     }
@@ -544,7 +569,6 @@ impl Simulation {
             time: self.tick,
         };
         self.external()?;
-        let map = self.world.map();
         let threads = threads_of(self.threads.as_ref())?;
         // Until now the memory was that of the last tick, for explanations. After an error it is already that of this one.
         if let Some(next) = self.next_memory.take() {
@@ -553,6 +577,8 @@ impl Simulation {
             self.memory.advance(&self.decisions.watched);
         }
         self.memory.check(self.world.limits.bytes)?;
+        self.evaluate_handed(draws)?;
+        let map = self.world.map();
         if let Some(dense) = &mut self.dense {
             let decisions = &mut self.decisions;
             let now = Now {
@@ -564,13 +590,14 @@ impl Simulation {
                     names: &self.names,
                 },
                 external: self.next_external.get().unwrap_or(&self.external),
+                handed: self.handed.as_ref().map_or(&NOT_HANDED, |handed| handed.facts()),
             };
             let decided = match &threads {
                 Some(pool) => pool.install(|| dense.decide(map, now, decisions)),
                 None => dense.decide(map, now, decisions),
             };
             match decided {
-                Ok(()) => {}
+                Ok(()) => self.count_handed(),
                 Err(Undecided::Crowded(fault)) => return Err(fault),
                 Err(Undecided::TooManySteps(error)) => {
                     let agents = self.agents.len();
@@ -579,7 +606,7 @@ impl Simulation {
                     }
                     let message = format!("the dense executor gave up in tick {}: {error}", self.tick);
                     self.fallback = Some(Diagnostic::new(diag::codes::LIMIT_EXCEEDED, message));
-                    self.dense = None;
+                    (self.dense, self.handed) = (None, None);
                 }
             }
         }
@@ -733,17 +760,57 @@ impl Simulation {
         }
     }
 
-    /// Decides with the relational executor.
-    fn decide_by_facts(&mut self, draws: Draws) -> Result<(), Diagnostic> {
+    /// Returns the facts on which the tick is decided. `is_read` selects predicates by their positions in the vocabulary,
+    /// `reads_past` those about earlier ticks.
+    fn ground(
+        &self,
+        draws: Draws,
+        is_read: impl Fn(usize) -> bool,
+        reads_past: impl Fn(usize) -> bool,
+    ) -> Result<Facts, Diagnostic> {
         let world = &*self.world;
         let entities: Vec<Entity<'_>> = self.agents.iter().map(entity).collect();
         let (vocabulary, view) = (&world.vocabulary, world.scenario.view);
-        let unread = |index: usize| !vocabulary.is_read(index);
+        let unread = |index: usize| !is_read(index);
         let bounds = (world.limits.bytes, &self.cancel);
         let mut facts = ground_with(vocabulary, world.map(), view, &entities, &draws, unread, bounds)?;
-        facts.past = self.memory.rows();
+        facts.past = self.memory.rows_of(reads_past);
         let external = self.next_external.get().unwrap_or(&self.external);
-        facts.add_external(vocabulary, external, |index| !unread(index));
+        facts.add_external(vocabulary, external, is_read);
+        Ok(facts)
+    }
+
+    /// Derives what the dense executor hands over.
+    fn evaluate_handed(&mut self, draws: Draws) -> Result<(), Diagnostic> {
+        let Some(handed) = &self.handed else {
+            return Ok(());
+        };
+        let reads_past = |past: usize| handed.rules().reads_past[past];
+        let mut facts = self.ground(draws, |index| handed.lacks(index), reads_past)?;
+        handed.add_pairs(&self.agents, draws, &mut facts);
+        match &mut self.handed {
+            Some(handed) => handed.evaluate(&facts, &self.cancel),
+            None => Ok(()),
+        }
+    }
+
+    /// Counts the firings of the clauses that the dense executor hands over.
+    fn count_handed(&mut self) {
+        let Some(handed) = self.handed.as_ref().filter(|_| !self.decisions.firings.is_empty()) else {
+            return;
+        };
+        for (index, (clause, action)) in self.world.clause_actions().enumerate() {
+            if let Some(rows) = handed.fired(clause) {
+                self.decisions
+                    .count(index, action.is_some(), &rows, |value| handed.agent(value));
+            }
+        }
+    }
+
+    /// Decides with the relational executor.
+    fn decide_by_facts(&mut self, draws: Draws) -> Result<(), Diagnostic> {
+        let vocabulary = &self.world.vocabulary;
+        let facts = self.ground(draws, |index| vocabulary.is_read(index), |_| true)?;
         let state = (self.state).get_or_insert_with(|| ground_state(&self.world, &self.agents));
         state
             .set_with(&facts, &self.cancel)
@@ -759,14 +826,8 @@ impl Simulation {
         if !self.decisions.firings.is_empty() {
             for (index, (clause, action)) in self.world.clause_actions().enumerate() {
                 let rows = state.session().fired(clause);
-                self.decisions.firings[index] = match action {
-                    None => rows.len(),
-                    // A constant in the head may name no agent.
-                    Some(_) => {
-                        let agents = rows.iter().filter_map(|row| state.entity(row[0]));
-                        agents.inspect(|&agent| self.decisions.add_fired(agent, index)).count()
-                    }
-                };
+                self.decisions
+                    .count(index, action.is_some(), &rows, |value| state.entity(value));
             }
         }
         Ok(())
@@ -875,6 +936,7 @@ impl Simulation {
                 names: &self.names,
             },
             external: self.next_external.get().unwrap_or(&self.external),
+            handed: self.handed.as_ref().map_or(&NOT_HANDED, |handed| handed.facts()),
         };
         self.dense.as_mut()?.count_facts(self.world.map(), now)
     }
@@ -1058,9 +1120,13 @@ fn agent_set(scenario: &Scenario, split: Split) -> Result<&AgentSet, Diagnostic>
 }
 
 fn ground_state(world: &World, agents: &[Agent]) -> Box<GroundState> {
-    let names: Vec<String> = agents.iter().map(|agent| agent.name().to_string()).collect();
+    let names = names_of(agents);
     let names = names.iter().map(String::as_str);
     Box::new(GroundState::new(&world.program, &world.vocabulary, world.limits, names))
+}
+
+fn names_of(agents: &[Agent]) -> Vec<String> {
+    agents.iter().map(|agent| agent.name().to_string()).collect()
 }
 
 fn entity(agent: &Agent) -> Entity<'_> {

@@ -103,6 +103,8 @@ pub(crate) struct Now<'a> {
     pub drawing: Drawing<'a>,
     /// The facts of the external predicates.
     pub external: &'a ExternalFacts,
+    /// The facts of the rules that a session evaluates.
+    pub handed: &'a ExternalFacts,
 }
 
 impl Now<'_> {
@@ -153,6 +155,8 @@ enum Hidden {
     Past(usize),
     /// An external predicate, by its position among them.
     External(usize),
+    /// A predicate of rules that a session evaluates, by its position among them.
+    Handed(usize),
 }
 
 impl Hidden {
@@ -162,9 +166,11 @@ impl Hidden {
             thresholds.unwrap_or(Hidden::Condition(condition))
         });
         let mut externals = vocabulary.externals();
+        let mut handed = rules.handed.iter().flat_map(|handed| &handed.predicates);
         condition
             .or_else(|| rules.past(predicate).map(Hidden::Past))
             .or_else(|| (externals.position(|(known, _)| known.id == Some(predicate))).map(Hidden::External))
+            .or_else(|| (handed.position(|(dense, ..)| *dense == predicate)).map(Hidden::Handed))
     }
 }
 
@@ -350,6 +356,7 @@ impl Plan {
             }
             Hidden::Past(past) => now.memory.holds(past, bodies[0].agent, bodies[1].agent),
             Hidden::External(external) => now.external.holds(external, bodies[0].agent, bodies[1].agent),
+            Hidden::Handed(handed) => now.handed.holds(handed, bodies[0].agent, bodies[1].agent),
         }
     }
 
@@ -367,6 +374,11 @@ impl Grounder {
             known: BTreeMap::new(),
             inputs: Vec::new(),
         }
+    }
+
+    /// Returns the plan.
+    pub fn plan(&self) -> &Arc<Plan> {
+        &self.plan
     }
 
     /// Returns whether both have the same plan.
@@ -642,6 +654,7 @@ fn run_in<const W: usize>(
                 None => set_of(bodies.iter().map(|body| now.memory.holds_alone(*past, body.agent))),
             },
             Hidden::External(external) if !diagonal && whole => set_of_words(now.external.members(*external)),
+            Hidden::Handed(handed) if !diagonal && whole => set_of_words(now.handed.members(*handed)),
             _ => set_of(bodies.iter().map(|body| grounder.meets(hidden, now, [body, body]))),
         };
         bit_state.set_input(&grounder.rules.dense, *input, set);
@@ -841,6 +854,9 @@ impl<S> Scene<'_, S> {
             }
             if let (Hidden::External(external), Argument::Second, true) = (hidden, list.axis, self.whole) {
                 return and(near, &set_of_words(self.now.external.row(*external, at)));
+            }
+            if let (Hidden::Handed(handed), Argument::Second, true) = (hidden, list.axis, self.whole) {
+                return and(near, &set_of_words(self.now.handed.row(*handed, at)));
             }
             let [at, bodies] = [&self.bodies[at..=at], self.bodies];
             return keep(near, |other| {

@@ -8,7 +8,7 @@ use crate::datalog::codes;
 use crate::datalog::dense::TrackFirings;
 use crate::datalog::{Limits, Program};
 use crate::diag::Diagnostic;
-use crate::sim::tick::executor::{DenseRules, compile};
+use crate::sim::tick::executor::{DenseRules, compile, compile_divided};
 use crate::sim::tick::external::{ExternalPredicates, check_names, missing};
 use crate::sim::tick::memory::Watched;
 use crate::sim::tick::vocabulary::Vocabulary;
@@ -114,10 +114,10 @@ impl World {
         Arc::clone(self.counted.get_or_init(|| self.clauses().collect()))
     }
 
-    /// Returns the plan of the dense executor.
+    /// Returns the plan of the dense executor, which may hand over a part of the rules.
     ///
     /// # Errors
-    /// As [`World::compile`].
+    /// `dense-unsupported` if nothing remains for it.
     pub(super) fn plan(&self, counting: TrackFirings) -> Result<Arc<Plan>, Diagnostic> {
         if let (TrackFirings::Off, Some(plan)) = (counting, self.plan.get()) {
             return Ok(Arc::clone(plan));
@@ -128,7 +128,7 @@ impl World {
         let task = self.scenario.task.iter().flat_map(|task| &task.ego);
         let egos = task.flat_map(|ego| ego.concepts.iter().map(|(_, concepts)| (AgentKind::Car, concepts)));
         let agents = egos.chain(members);
-        let rules = self.compile(counting)?;
+        let rules = compile_divided(self.program.rules(), &self.vocabulary, counting)?;
         let plan = Arc::new(Plan::new(
             rules,
             &self.vocabulary,
