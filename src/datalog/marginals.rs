@@ -34,6 +34,7 @@ use crate::session::Session;
 use crate::symbol::Symbols;
 use crate::syntax::ast::BaseType;
 use crate::value::{Value, symbol_hash};
+use smallvec::SmallVec;
 
 /// How marginals are computed.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
@@ -117,7 +118,7 @@ pub struct Marginals {
     program: Program,
     queries: Vec<PredicateId>,
     options: MarginalOptions,
-    facts: BTreeMap<(PredicateId, Box<[Value]>), f64>,
+    facts: Facts,
     /// The input predicates that had an uncertain fact, for which the grounding was made.
     uncertain: BTreeSet<PredicateId>,
     grounding: Option<Grounding>,
@@ -126,6 +127,8 @@ pub struct Marginals {
     results: Vec<(PredicateId, Marginal)>,
     /// See [`Marginals::set_order`].
     order: Vec<PredicateId>,
+    /// See [`Marginals::set_rows`].
+    asked: Option<AskedRows>,
     /// For each row of a predicate of the order, the probability that each is the first one.
     firsts: BTreeMap<Box<[Value]>, Vec<Probability>>,
     inexact: Option<Inexact>,
@@ -147,13 +150,14 @@ impl Marginals {
         let nodes_max = usize::try_from(options.limits.bytes / 4 / NODE_BYTES).unwrap_or(usize::MAX);
         Ok(Marginals {
             queries: queries.collect::<Result<_, _>>()?,
-            facts: BTreeMap::new(),
+            facts: Facts::new(program.rules().predicates.len()),
             uncertain: BTreeSet::new(),
             grounding: None,
             diagrams: Diagrams::new(options.nodes_max.min(nodes_max)),
             symbols: program.rules().symbols.clone(),
             results: Vec::new(),
             order: Vec::new(),
+            asked: None,
             firsts: BTreeMap::new(),
             inexact: None,
             program: program.clone(),
@@ -217,6 +221,15 @@ impl Marginals {
         Ok(())
     }
 
+    /// Restricts the results to these rows of the queried predicates, which need less work; `None` stands for all rows.
+    pub fn set_rows(&mut self, rows: Option<&[&[Value]]>) {
+        let rows = rows.map(|rows| rows.iter().map(|row| (*row).into()).collect());
+        if rows != self.asked {
+            self.asked = rows;
+            self.grounding.iter_mut().for_each(|grounding| grounding.needed = None);
+        }
+    }
+
     /// Returns the word for a symbol, for use in rows of facts.
     pub fn intern(&mut self, text: &str) -> Value {
         Value(self.symbols.intern(text).0)
@@ -245,7 +258,7 @@ impl Marginals {
             self.grounding = None;
         }
         self.note(to, &words, true);
-        self.facts.insert((to, words), probability);
+        self.facts.insert(to, words, probability);
         Ok(())
     }
 
@@ -256,15 +269,18 @@ impl Marginals {
     pub fn retract(&mut self, predicate: impl AsPredicate, row: impl IntoRow) -> Result<(), RowError> {
         let (to, words) = self.encoded(predicate, &row)?;
         self.note(to, &words, false);
-        self.facts.remove(&(to, words));
+        self.facts.remove(to, &words);
         Ok(())
     }
 
     /// Removes all facts.
     pub fn clear(&mut self) {
-        for (to, words) in std::mem::take(&mut self.facts).into_keys() {
-            self.note(to, &words, false);
+        if let Some(grounding) = &mut self.grounding {
+            for (to, words, _) in self.facts.iter() {
+                grounding.note(to, words, false);
+            }
         }
+        self.facts.clear();
     }
 
     fn note(&mut self, to: PredicateId, words: &[Value], holds: bool) {
@@ -273,13 +289,9 @@ impl Marginals {
         }
     }
 
-    fn encoded(
-        &self,
-        predicate: impl AsPredicate,
-        row: &impl IntoRow,
-    ) -> Result<(PredicateId, Box<[Value]>), RowError> {
+    fn encoded(&self, predicate: impl AsPredicate, row: &impl IntoRow) -> Result<(PredicateId, FactRow), RowError> {
         let (predicate, to) = self.program.base(predicate)?;
-        let words: Box<[Value]> = match row.words() {
+        let words: FactRow = match row.words() {
             Some(words) => words.into(),
             None => {
                 let mut words = Vec::new();
@@ -297,6 +309,7 @@ impl Marginals {
     /// If the evaluation exceeds a limit, or the caller cancels it. The facts stay as they are.
     pub fn compute(&mut self, cancel: &Cancel) -> Result<(), EvalError> {
         (self.inexact, self.results, self.firsts) = (None, Vec::new(), BTreeMap::new());
+        self.facts.sort();
         // Earlier scenes may have left many rows.
         let kept = 4 * self.facts.len() + LIFTED_MAX;
         self.grounding = self.grounding.take().filter(|known| known.lifted_rows <= kept);
@@ -310,8 +323,8 @@ impl Marginals {
                 let sets = (&self.uncertain, lifted);
                 let mut grounding = Grounding::new(&self.program, sets, &self.queries, &self.symbols);
                 grounding.session.set_limits(self.options.limits);
-                for (to, words) in self.facts.keys() {
-                    grounding.note(*to, words, true);
+                for (to, words, _) in self.facts.iter() {
+                    grounding.note(to, words, true);
                 }
                 self.grounding.insert(grounding)
             }
@@ -323,9 +336,11 @@ impl Marginals {
                     grounding.session.set_symbols(self.symbols.clone());
                 }
                 grounding.commit(cancel)?;
+                grounding.find_needed(&self.queries, self.asked.as_ref());
                 let formulas = grounding.formulas(&self.facts, &mut self.diagrams, cancel)?;
+                let asked = self.asked.as_ref();
                 let firsts = formulas.and_then(|formulas| {
-                    let firsts = grounding.firsts(&self.order, &formulas, &mut self.diagrams)?;
+                    let firsts = grounding.firsts((&self.order, asked), &formulas, &mut self.diagrams)?;
                     Ok((formulas, firsts))
                 });
                 firsts.map_err(|TooLarge| Inexact::TooLarge)
@@ -335,16 +350,13 @@ impl Marginals {
             Ok((formulas, firsts)) => {
                 self.firsts = firsts;
                 let of = |predicate: PredicateId| {
-                    let rows = grounding.session.encoded_rows(predicate).enumerate();
+                    let rows = asked_rows(&grounding.session, predicate, self.asked.as_ref());
                     let row = |(at, row): (usize, &[Value])| {
-                        let formula = formulas[predicate.index()]
-                            .as_ref()
-                            .map_or(Formula::TRUE, |all| all[at]);
-                        let value = self.diagrams.probability(formula);
+                        let value = self.diagrams.probability(formulas.at(predicate, at));
                         let interval = None;
                         (value > 0.0).then(|| (row.into(), Probability { value, interval }))
                     };
-                    (predicate, rows.filter_map(row).collect())
+                    (predicate, rows.into_iter().filter_map(row).collect())
                 };
                 self.results = self.queries.iter().map(|predicate| of(*predicate)).collect();
                 if self.symbols.len() < grounding.session.symbols().len() {
@@ -365,9 +377,10 @@ impl Marginals {
         session.set_limits(self.options.limits);
         let samples = self.options.samples.max(1);
         let mut counts: Vec<BTreeMap<Box<[Value]>, u32>> = vec![BTreeMap::new(); self.queries.len()];
-        for (to, words) in self.facts.keys() {
-            session.change_row(*to, words, true);
+        for (to, words, _) in self.facts.iter() {
+            session.change_row(to, words, true);
         }
+        let is_asked = |row: &[Value]| self.asked.as_ref().is_none_or(|asked| asked.contains(row));
         let mut firsts: BTreeMap<Box<[Value]>, Vec<u32>> = BTreeMap::new();
         let streams: Vec<u64> = (self.program.rules().predicates.iter())
             .map(|predicate| chance::stream(&predicate.name))
@@ -375,7 +388,7 @@ impl Marginals {
         for sample in 0..samples {
             let word = chance::word(self.options.seed, u64::from(sample));
             session.set_chance(word);
-            for ((to, words), probability) in self.facts.iter().filter(|(_, probability)| **probability < 1.0) {
+            for (to, words, probability) in self.facts.iter().filter(|(.., probability)| *probability < 1.0) {
                 let draw = chance::Draw::new(word, streams[to.index()]);
                 let columns = self.program.rules().predicates[to.index()].columns.iter();
                 let draw = columns
@@ -384,11 +397,11 @@ impl Marginals {
                         BaseType::Symbol => draw.symbol(symbol_hash(*value, &self.symbols)),
                         _ => draw.value(value.0),
                     });
-                session.change_row(*to, words, draw.number() < *probability);
+                session.change_row(to, words, draw.number() < probability);
             }
             session.commit_with(cancel)?;
             for (predicate, counts) in self.queries.iter().zip(&mut counts) {
-                for row in session.encoded_rows(*predicate) {
+                for row in session.encoded_rows(*predicate).filter(|row| is_asked(row)) {
                     match counts.get_mut(row) {
                         Some(count) => *count += 1,
                         None => _ = counts.insert(row.into(), 1),
@@ -397,7 +410,8 @@ impl Marginals {
             }
             let mut taken: BTreeSet<&[Value]> = BTreeSet::new();
             for (place, predicate) in self.order.iter().enumerate() {
-                for row in session.encoded_rows(*predicate).filter(|row| taken.insert(row)) {
+                let rows = session.encoded_rows(*predicate).filter(|row| is_asked(row));
+                for row in rows.filter(|row| taken.insert(row)) {
                     let counts = firsts.entry(row.into()).or_insert_with(|| vec![0; self.order.len()]);
                     counts[place] += 1;
                 }
@@ -498,14 +512,97 @@ impl Probability {
     }
 }
 
+/// The rows of [`Marginals::set_rows`].
+type AskedRows = BTreeSet<Box<[Value]>>;
+
+/// The words of a fact.
+type FactRow = SmallVec<[Value; 4]>;
+
+/// The facts of the input predicates, with their probabilities.
+struct Facts {
+    /// By predicate: the rows, and whether they are sorted, each once. The last of equal rows counts.
+    tables: Vec<(Vec<(FactRow, f64)>, bool)>,
+}
+
+impl Facts {
+    fn new(predicates: usize) -> Facts {
+        Facts {
+            tables: vec![(Vec::new(), true); predicates],
+        }
+    }
+
+    fn insert(&mut self, to: PredicateId, row: FactRow, probability: f64) {
+        let (rows, sorted) = &mut self.tables[to.index()];
+        *sorted &= rows.last().is_none_or(|(last, _)| *last < row);
+        rows.push((row, probability));
+    }
+
+    fn remove(&mut self, to: PredicateId, row: &[Value]) {
+        self.sort();
+        let (rows, _) = &mut self.tables[to.index()];
+        if let Ok(at) = rows.binary_search_by(|(known, _)| (**known).cmp(row)) {
+            rows.remove(at);
+        }
+    }
+
+    fn clear(&mut self) {
+        for (rows, sorted) in &mut self.tables {
+            rows.clear();
+            *sorted = true;
+        }
+    }
+
+    fn sort(&mut self) {
+        for (rows, sorted) in self.tables.iter_mut().filter(|(_, sorted)| !sorted) {
+            // The order of equal rows stays.
+            rows.sort_by(|(one, _), (other, _)| one.cmp(other));
+            rows.reverse();
+            rows.dedup_by(|(one, _), (other, _)| one == other);
+            rows.reverse();
+            *sorted = true;
+        }
+    }
+
+    fn len(&self) -> usize {
+        self.tables.iter().map(|(rows, _)| rows.len()).sum()
+    }
+
+    fn of(&self, predicate: PredicateId) -> &[(FactRow, f64)] {
+        &self.tables[predicate.index()].0
+    }
+
+    fn iter(&self) -> impl Iterator<Item = (PredicateId, &[Value], f64)> {
+        let tables = (0..).map(PredicateId).zip(&self.tables);
+        tables.flat_map(|(id, (rows, _))| rows.iter().map(move |(row, probability)| (id, &**row, *probability)))
+    }
+}
+
+/// Returns the rows of a predicate that are asked for, with their positions.
+fn asked_rows<'s>(
+    session: &'s Session,
+    predicate: PredicateId,
+    asked: Option<&AskedRows>,
+) -> Vec<(usize, &'s [Value])> {
+    match asked {
+        None => session.encoded_rows(predicate).enumerate().collect(),
+        Some(asked) => {
+            let found = asked
+                .iter()
+                .filter_map(|row| find_row(session, predicate, row))
+                .map(|at| at as usize);
+            found.map(|at| (at, session.row(predicate, at))).collect()
+        }
+    }
+}
+
 /// The maximum number of facts that count as uncertain although they are certain.
 const LIFTED_MAX: usize = 512;
 
 /// A session that derives what there may be, and the clauses of what is uncertain.
 struct Grounding {
     session: Session,
-    /// The inputs of which the session keeps all rows that there ever were.
-    lifted: BTreeSet<PredicateId>,
+    /// By predicate: whether it is an input of which the session keeps all rows that there ever were.
+    is_lifted: Vec<bool>,
     /// The number of these rows.
     lifted_rows: usize,
     /// Whether facts of the session have changed since its commit.
@@ -516,11 +613,43 @@ struct Grounding {
     inputs: Vec<PredicateId>,
     strata: Vec<GroundStratum>,
     inexact: Option<Inexact>,
+    /// What the queries depend on. Made on demand; every commit and other queried rows clear it.
+    needed: Option<Needed>,
 }
 
-/// The uncertain predicates of a stratum.
+/// The rows on which the queried rows depend.
+struct Needed {
+    /// Formulas of all rows before the first clause is evaluated.
+    formulas: Formulas,
+    /// The rows of the uncertain input predicates, with their positions.
+    inputs: Vec<(PredicateId, Vec<(u32, FactRow)>)>,
+}
+
+/// The formulas of the rows of the uncertain predicates.
+#[derive(Clone)]
+struct Formulas {
+    /// By predicate: the place of its first row; `None` for predicates that are certain.
+    starts: Vec<Option<usize>>,
+    all: Vec<Formula>,
+}
+
+impl Formulas {
+    /// The formula of the row at this position; of a certain predicate, that it holds.
+    #[inline]
+    fn at(&self, predicate: PredicateId, row: usize) -> Formula {
+        self.starts[predicate.index()].map_or(Formula::TRUE, |start| self.all[start + row])
+    }
+
+    #[inline]
+    fn set(&mut self, predicate: PredicateId, row: usize, formula: Formula) {
+        if let Some(start) = self.starts[predicate.index()] {
+            self.all[start + row] = formula;
+        }
+    }
+}
+
+/// The clauses of the uncertain predicates of a stratum.
 struct GroundStratum {
-    predicates: Vec<PredicateId>,
     clauses: Vec<GroundClause>,
 }
 
@@ -545,6 +674,8 @@ struct Instances {
     positions: Vec<u32>,
     /// The rows that match negated atoms with `_`.
     groups: Vec<Vec<u32>>,
+    /// The numbers of the instances on which the queried rows depend, sorted.
+    needed: Vec<u32>,
 }
 
 /// The position of a row that there cannot be.
@@ -558,6 +689,8 @@ impl Grounding {
         symbols: &Symbols,
     ) -> Grounding {
         let rules = program.rules();
+        let mut is_lifted = vec![false; rules.predicates.len()];
+        lifted.iter().for_each(|predicate| is_lifted[predicate.index()] = true);
         let inputs: BTreeSet<PredicateId> = inputs.union(&lifted).copied().collect();
         let uncertain = relevant(rules, uncertain(rules, &inputs), queries);
         let is_uncertain = |atom: &Atom| uncertain[atom.predicate.index()];
@@ -585,8 +718,7 @@ impl Grounding {
         }
         let in_stratum = |stratum: &Stratum, atom: &Atom| stratum.predicates.contains(&atom.predicate);
         let strata = rules.strata.iter().filter_map(|stratum| {
-            let predicates = stratum.predicates.iter().copied();
-            let predicates: Vec<PredicateId> = predicates.filter(|predicate| uncertain[predicate.index()]).collect();
+            let is_empty = !stratum.predicates.iter().any(|predicate| uncertain[predicate.index()]);
             let clauses = stratum.clauses.iter().filter_map(|clause: &ClauseId| {
                 let mut clause = ground[clause.index()].take()?;
                 let (recursive, lower) = clause
@@ -599,7 +731,7 @@ impl Grounding {
                 Some(clause)
             });
             let clauses = clauses.collect();
-            (!predicates.is_empty()).then_some(GroundStratum { predicates, clauses })
+            (!is_empty).then_some(GroundStratum { clauses })
         });
         let strata = strata.collect();
         let inputs = inputs
@@ -610,19 +742,20 @@ impl Grounding {
         let made = Program::new(restratified(made)).expect("the clauses have fewer literals than those of the program");
         Grounding {
             session: made.session_with(symbols.clone()),
-            lifted,
+            is_lifted,
             lifted_rows: 0,
             changed: true,
             uncertain,
             inputs,
             strata,
             inexact,
+            needed: None,
         }
     }
 
     /// Notes a change of a fact.
     fn note(&mut self, to: PredicateId, words: &[Value], holds: bool) {
-        if self.lifted.contains(&to) {
+        if self.is_lifted[to.index()] {
             if !holds || self.session.contains(to, words) {
                 return;
             }
@@ -641,23 +774,73 @@ impl Grounding {
         self.changed = false;
         let clauses = self.strata.iter_mut().flat_map(|stratum| &mut stratum.clauses);
         clauses.for_each(|clause| clause.find(&self.session));
+        self.needed = None;
         Ok(())
+    }
+
+    /// Finds the rows and instances on which the queried rows depend.
+    fn find_needed(&mut self, queries: &[PredicateId], asked: Option<&AskedRows>) {
+        if self.needed.is_some() {
+            return;
+        }
+        let rows = |predicate: u32| match self.uncertain[predicate as usize] {
+            true => vec![false; self.session.len(PredicateId(predicate))],
+            false => Vec::new(),
+        };
+        let mut needed: Vec<Vec<bool>> = (0..self.uncertain.len() as u32).map(rows).collect();
+        for query in queries.iter().filter(|query| self.uncertain[query.index()]) {
+            for (at, _) in asked_rows(&self.session, *query, asked) {
+                needed[query.index()][at] = true;
+            }
+        }
+        // From the last stratum to the first, so that all readers come before.
+        for stratum in self.strata.iter_mut().rev() {
+            stratum
+                .clauses
+                .iter_mut()
+                .for_each(|clause| clause.found.needed.clear());
+            let mut more = true;
+            while std::mem::take(&mut more) {
+                for clause in &mut stratum.clauses {
+                    more |= clause.find_needed(&mut needed);
+                }
+            }
+        }
+        let rows_of = |input: PredicateId| {
+            let rows = (0..).zip(self.session.encoded_rows(input)).zip(&needed[input.index()]);
+            let needed = rows.filter(|(_, needed)| **needed);
+            (input, needed.map(|((at, row), _)| (at, row.into())).collect())
+        };
+        let inputs = self.inputs.iter().map(|input| rows_of(*input)).collect();
+        let mut next = 0;
+        let start = |(rows, uncertain): (&Vec<bool>, &bool)| {
+            uncertain.then(|| {
+                next += rows.len();
+                next - rows.len()
+            })
+        };
+        let starts = needed.iter().zip(&self.uncertain).map(start).collect();
+        self.needed = Some(Needed {
+            formulas: Formulas {
+                starts,
+                all: vec![Formula::FALSE; next],
+            },
+            inputs,
+        });
     }
 
     /// Returns the probabilities of [`Marginals::first`] for all rows of these predicates.
     fn firsts(
         &self,
-        order: &[PredicateId],
-        formulas: &[Option<Vec<Formula>>],
+        (order, asked): (&[PredicateId], Option<&AskedRows>),
+        known: &Formulas,
         diagrams: &mut Diagrams,
     ) -> Result<BTreeMap<Box<[Value]>, Vec<Probability>>, TooLarge> {
         let mut rows: BTreeMap<&[Value], Vec<Formula>> = BTreeMap::new();
         for (place, predicate) in order.iter().enumerate() {
-            for (at, row) in self.session.encoded_rows(*predicate).enumerate() {
-                let formula = formulas[predicate.index()]
-                    .as_ref()
-                    .map_or(Formula::TRUE, |all| all[at]);
-                rows.entry(row).or_insert_with(|| vec![Formula::FALSE; order.len()])[place] = formula;
+            for (at, row) in asked_rows(&self.session, *predicate, asked) {
+                let formulas = rows.entry(row).or_insert_with(|| vec![Formula::FALSE; order.len()]);
+                formulas[place] = known.at(*predicate, at);
             }
         }
         let mut firsts = BTreeMap::new();
@@ -679,23 +862,23 @@ impl Grounding {
         Ok(firsts)
     }
 
-    /// Returns the formula of each row of the uncertain predicates, by position; `None` for other predicates.
-    #[allow(clippy::type_complexity)]
+    /// Returns the formulas of the needed rows.
     fn formulas(
         &self,
-        facts: &BTreeMap<(PredicateId, Box<[Value]>), f64>,
+        facts: &Facts,
         diagrams: &mut Diagrams,
         cancel: &Cancel,
-    ) -> Result<Result<Vec<Option<Vec<Formula>>>, TooLarge>, EvalError> {
+    ) -> Result<Result<Formulas, TooLarge>, EvalError> {
         diagrams.clear();
+        let needed = self.needed.as_ref().expect("it is known which rows are needed");
         let mut work = Work {
             session: &self.session,
             diagrams,
-            formulas: vec![None; self.uncertain.len()],
+            formulas: needed.formulas.clone(),
             draws: HashMap::new(),
             cancel,
         };
-        match work.run(self, facts) {
+        match work.run(self, &needed.inputs, facts) {
             Ok(()) => Ok(Ok(work.formulas)),
             Err(Stop::TooLarge) => Ok(Err(TooLarge)),
             Err(Stop::Cancelled) => Err(EvalError::Cancelled { clause: ClauseId(0) }),
@@ -719,7 +902,7 @@ impl From<TooLarge> for Stop {
 struct Work<'w> {
     session: &'w Session,
     diagrams: &'w mut Diagrams,
-    formulas: Vec<Option<Vec<Formula>>>,
+    formulas: Formulas,
     /// The alternatives of each draw. Lookup only, never iterated.
     draws: HashMap<(u64, Box<[Value]>), Vec<Formula>>,
     cancel: &'w Cancel,
@@ -734,24 +917,24 @@ struct Instance {
 }
 
 impl Work<'_> {
-    fn run(&mut self, grounding: &Grounding, facts: &BTreeMap<(PredicateId, Box<[Value]>), f64>) -> Result<(), Stop> {
-        for &input in &grounding.inputs {
-            let mut formulas = Vec::with_capacity(self.session.len(input));
+    fn run(
+        &mut self,
+        grounding: &Grounding,
+        inputs: &[(PredicateId, Vec<(u32, FactRow)>)],
+        facts: &Facts,
+    ) -> Result<(), Stop> {
+        for (input, rows) in inputs {
             // Both are sorted. Facts of the source are no such facts; clauses add them below.
-            let given = facts.range((input, Box::default())..);
-            let mut given = given.take_while(|((of, _), _)| *of == input).peekable();
-            for row in self.session.encoded_rows(input) {
-                while given.next_if(|((_, known), _)| **known < *row).is_some() {}
-                let probability = given.next_if(|((_, known), _)| **known == *row);
-                formulas.push(self.random(probability.map_or(0.0, |(_, probability)| *probability))?);
+            let mut given = facts.of(*input).iter().peekable();
+            for (at, row) in rows {
+                while given.next_if(|(known, _)| known < row).is_some() {}
+                if let Some((_, probability)) = given.next_if(|(known, _)| known == row) {
+                    let formula = self.random(*probability)?;
+                    self.formulas.set(*input, *at as usize, formula);
+                }
             }
-            self.formulas[input.index()] = Some(formulas);
         }
         for stratum in &grounding.strata {
-            // Facts of the source may add to those of an input.
-            for &predicate in stratum.predicates.iter().filter(|id| !grounding.inputs.contains(id)) {
-                self.formulas[predicate.index()] = Some(vec![Formula::FALSE; self.session.len(predicate)]);
-            }
             let mut instances = Vec::new();
             for clause in &stratum.clauses {
                 self.instances(clause, &mut instances)?;
@@ -772,10 +955,12 @@ impl Work<'_> {
 
     /// Evaluates the instances of a clause, and collects those that are recursive.
     fn instances(&mut self, clause: &GroundClause, recursive: &mut Vec<Instance>) -> Result<(), Stop> {
-        for (number, positions) in clause.found.positions.chunks_exact(clause.width()).enumerate() {
-            if number % 1024 == 1023 && self.cancel.requested() {
+        for (count, &number) in clause.found.needed.iter().enumerate() {
+            if count % 1024 == 1023 && self.cancel.requested() {
                 return Err(Stop::Cancelled);
             }
+            let number = number as usize;
+            let positions = &clause.found.positions[number * clause.width()..][..clause.width()];
             let (lower, own) = positions[1..].split_at(clause.lower.len());
             let mut fixed = Formula::TRUE;
             for ((atom, negated), &at) in clause.lower.iter().zip(lower) {
@@ -848,16 +1033,13 @@ impl Work<'_> {
     fn add(&mut self, (predicate, at): (PredicateId, u32), reason: Formula) -> Result<bool, TooLarge> {
         let before = self.at((predicate, at));
         let after = self.diagrams.or(before, reason)?;
-        if let Some(formulas) = &mut self.formulas[predicate.index()] {
-            formulas[at as usize] = after;
-        }
+        self.formulas.set(predicate, at as usize, after);
         Ok(before != after)
     }
 
     #[inline]
     fn at(&self, (predicate, at): (PredicateId, u32)) -> Formula {
-        let formulas = self.formulas[predicate.index()].as_ref();
-        formulas.map_or(Formula::TRUE, |formulas| formulas[at as usize])
+        self.formulas.at(predicate, at as usize)
     }
 
     /// Returns the formula that the alternative of a draw is chosen.
@@ -893,6 +1075,35 @@ impl GroundClause {
         1 + self.lower.len() + self.recursive.len()
     }
 
+    /// Finds the instances of needed rows, and marks the rows that they read. Returns whether there are further ones.
+    fn find_needed(&mut self, needed: &mut [Vec<bool>]) -> bool {
+        let width = self.width();
+        let found = &mut self.found;
+        let before = found.needed.len();
+        found.needed.clear();
+        for (number, positions) in (0..).zip(found.positions.chunks_exact(width)) {
+            let heads = &needed[self.head.predicate.index()];
+            if !heads.get(positions[0] as usize).is_some_and(|needed| *needed) {
+                continue;
+            }
+            found.needed.push(number);
+            let lower = self.lower.iter().map(|(atom, negated)| (atom, *negated));
+            let atoms = lower.chain(self.recursive.iter().map(|atom| (atom, false)));
+            for ((atom, negated), &at) in atoms.zip(&positions[1..]) {
+                let rows = &mut needed[atom.predicate.index()];
+                let grouped = negated && atom.terms.contains(&Term::Wildcard);
+                match (grouped, at) {
+                    (true, group) => found.groups[group as usize]
+                        .iter()
+                        .for_each(|at| rows[*at as usize] = true),
+                    (false, NOWHERE) => {}
+                    (false, at) => rows[at as usize] = true,
+                }
+            }
+        }
+        found.needed.len() > before
+    }
+
     /// Finds the rows of all instances.
     fn find(&mut self, session: &Session) {
         let mut found = Instances::default();
@@ -924,11 +1135,15 @@ impl GroundClause {
 /// Returns the position of the row of an atom, all of whose terms have values.
 fn find(session: &Session, atom: &Atom, instance: &[Value]) -> Option<u32> {
     let wanted = atom.terms.iter().map(|term| value(term, instance));
-    let wanted: smallvec::SmallVec<[Value; 4]> = wanted.collect::<Option<_>>()?;
-    let (mut low, mut high) = (0, session.len(atom.predicate));
+    let wanted: SmallVec<[Value; 4]> = wanted.collect::<Option<_>>()?;
+    find_row(session, atom.predicate, &wanted)
+}
+
+fn find_row(session: &Session, predicate: PredicateId, wanted: &[Value]) -> Option<u32> {
+    let (mut low, mut high) = (0, session.len(predicate));
     while low < high {
         let middle = low.midpoint(high);
-        match session.row(atom.predicate, middle).cmp(&*wanted) {
+        match session.row(predicate, middle).cmp(wanted) {
             Ordering::Less => low = middle + 1,
             Ordering::Equal => return u32::try_from(middle).ok(),
             Ordering::Greater => high = middle,

@@ -17,7 +17,8 @@ use std::collections::HashMap;
 pub struct Proofs {
     /// Clauses: `head`, `file`, `line`, `doc`, `label`, `text`.
     pub clauses: Vec<Value>,
-    /// A fact is `{"t": text, "by": ..}`. If a clause derives it, it also has `"c"` (position in `clauses`), `"b"`
+    /// A fact is `{"t": text, "by": ..}`, with the words `"w"` for the ticks of one that follows from earlier ones. If a
+    /// clause derives it, it also has `"c"` (position in `clauses`), `"b"`
     /// (binding) and `"p"` (premises). An absent fact is `{"f": text, "by": ..}`. If clauses could derive it, it also
     /// has `"m"`: for each, `[clause, binding, failures]`. A premise or failure is `[text, kind, node or -1]`. Only the
     /// nodes since the last [`Proofs::forget`].
@@ -147,6 +148,9 @@ fn short(node: &Value, clauses: &[usize], numbers: &[Option<u32>]) -> Value {
     };
     if let Some(text) = node.get("holds") {
         let mut short = json!({ "t": text, "by": node["by"] });
+        if let Some(when) = node.get("when") {
+            short["w"] = when.clone();
+        }
         if let Some(premises) = node.get("premises") {
             short["p"] = literals(premises);
             short["b"] = node["binding"].clone();

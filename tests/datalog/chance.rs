@@ -374,6 +374,19 @@ proptest! {
             kept.compute(&Cancel::never()).unwrap();
             let fresh = marginals(&program, &facts, &uncertain, MarginalOptions::default());
             close(&shown(&kept), &shown(&fresh), 1e-12)?;
+            // Of few rows only, and again of all.
+            let asked: Vec<Vec<&str>> = vec![vec![SYMBOLS[usize::from(bits) % SYMBOLS.len()]], vec!["u", "v"]];
+            let words: Vec<Vec<Value>> =
+                asked.iter().map(|row| row.iter().map(|name| kept.intern(name)).collect()).collect();
+            let rows: Vec<&[Value]> = words.iter().map(Vec::as_slice).collect();
+            kept.set_rows(Some(&rows));
+            kept.compute(&Cancel::never()).unwrap();
+            let mut expected = shown(&fresh);
+            expected.retain(|name, _| asked.iter().any(|row| name[1..] == format!("{row:?}")));
+            let found = shown(&kept);
+            prop_assert!(found.keys().eq(expected.keys()), "{found:?} {expected:?}");
+            close(&found, &expected, 1e-12)?;
+            kept.set_rows(None);
         }
     }
 }

@@ -304,7 +304,7 @@ fn page_tree(data: &Value, number: i64) -> Value {
         (Some(text), Some(premises), _) => {
             json!([text, node["by"], clause(&node["c"]), node["b"], literals(premises)])
         }
-        (Some(text), None, _) => json!([text, node["by"]]),
+        (Some(text), None, _) => json!([text, node["by"], node["w"]]),
         (None, _, Some(misses)) => {
             let miss = |miss: &Value| json!([clause(&miss[0]), miss[1], literals(&miss[2])]);
             json!([
@@ -344,7 +344,7 @@ fn engine_tree(nodes: &Value, number: u64) -> Value {
                 literals(premises)
             ])
         }
-        (Some(text), None, _) => json!([text, node["by"]]),
+        (Some(text), None, _) => json!([text, node["by"], node["when"]]),
         (None, _, Some(misses)) => {
             let miss = |miss: &Value| json!([clause(&miss["clause"]), miss["binding"], literals(&miss["fails"])]);
             json!([

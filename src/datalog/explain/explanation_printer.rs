@@ -130,8 +130,8 @@ impl<'a> ExplanationPrinter<'a> {
         match &fact.origin {
             Origin::Input => json!({ "holds": holds, "height": fact.height, "by": "input" }),
             Origin::Past(tick) => json!({
-                "holds": format!("{holds}{}", self.ticks(fact.predicate, *tick)), "height": fact.height, "by": "past",
-                "tick": tick,
+                "holds": holds, "height": fact.height, "by": "past", "tick": tick,
+                "when": self.ticks(fact.predicate, *tick),
             }),
             Origin::Source(clause) => json!({
                 "holds": holds, "height": fact.height, "by": "text", "clause": self.clause_json(*clause),
@@ -347,14 +347,13 @@ impl<'a> ExplanationPrinter<'a> {
     /// Returns the words for the ticks in which the operand of a temporal operator held.
     fn ticks(&self, predicate: PredicateId, tick: u64) -> String {
         let past = self.rules.pasts.iter().find(|past| past.predicate == predicate);
-        let ticks = match past.map(|past| (&past.operator, past.first, past.last)) {
+        match past.map(|past| (&past.operator, past.first, past.last)) {
             Some((PastOperator::Always, first, Some(last))) if last > first => {
                 format!("in the ticks {tick} to {}", tick + u64::from(last - first))
             }
             Some((PastOperator::Since(..), ..)) => format!("since tick {tick}"),
             _ => format!("in tick {tick}"),
-        };
-        format!("  {ticks}")
+        }
     }
 
     fn row_within(&self, id: PredicateId, pattern: &[Option<Value>], depth: usize) -> String {
@@ -608,12 +607,24 @@ impl Drawing<'_> {
                 let mut item = Item::leaf(self.printer.row(fact.predicate, &pattern));
                 match &fact.origin {
                     Origin::Input => {}
-                    Origin::Past(tick) => item.text += &self.printer.ticks(fact.predicate, *tick),
+                    Origin::Past(tick) => {
+                        item.text = format!("{}  {}", item.text, self.printer.ticks(fact.predicate, *tick));
+                    }
                     Origin::Source(clause) => {
                         let clause = &self.printer.rules.clauses[clause.index()];
                         item.text = format!("{}  [{}]", item.text, self.printer.place(clause));
                     }
-                    Origin::Derived(_) => self.below(id, depth, &mut item),
+                    Origin::Derived(derivation) => {
+                        // What a temporal operator reads of the present is that itself.
+                        if let [Premise::Fact(same)] = derivation.premises[..]
+                            && self.printer.rules.predicates[fact.predicate.index()].hidden
+                            && let Node::Fact(read) = self.explanation.node(same)
+                            && self.printer.row(read.predicate, &pattern) == item.text
+                        {
+                            return self.node(same, depth);
+                        }
+                        self.below(id, depth, &mut item);
+                    }
                 }
                 item
             }
@@ -826,7 +837,7 @@ impl Drawing<'_> {
                             predicate,
                             origin: Origin::Past(tick),
                             ..
-                        }) => item.text += &self.printer.ticks(*predicate, *tick),
+                        }) => item.text = format!("{}  {}", item.text, self.printer.ticks(*predicate, *tick)),
                         Node::Fact(_) => item.children.push(self.node(id, depth + 1)),
                     }
                 }

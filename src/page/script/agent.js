@@ -238,7 +238,11 @@ class AgentPanel {
     const node = this.run.nodes[number];
     const item = make("li", {});
     if (node.t !== undefined) {
+      // What a temporal operator reads of the present is that itself.
+      const [same] = node.p?.length === 1 && node.p[0][0] === text && node.p[0][2] >= 0 ? node.p : [];
+      if (same) return this.branch(same[2], text, expanded);
       item.append(make("span", { class: "yes" }, ...this.linked(text)));
+      if (node.w) item.append(`  ${node.w}`);
       if (node.c === undefined) return item;
       item.append(" by ", this.clauseLink(node.c));
       // A fact in the rule file has a clause but no premises.
@@ -292,6 +296,7 @@ class AgentPanel {
                   : " is false";
           const failure = make("li", {}, make("span", { class: "no" }, ...this.linked(text)), say);
           const node = child < 0 ? undefined : this.run.nodes[child];
+          if (node?.w) failure.append(`  ${node.w}`);
           if (node && (node.c !== undefined || node.m) && !expanded.has(child))
             failure.append(make("ul", {}, this.branch(child, node.t ?? node.f, expanded)));
           return failure;

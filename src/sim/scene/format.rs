@@ -11,7 +11,7 @@ use crate::sim::tick::ground::MAX_ENTITIES;
 use indexmap::IndexMap;
 use indexmap::map::Entry;
 use serde::Deserialize;
-use serde::de::{self, Deserializer, MapAccess, Visitor};
+use serde::de::{self, DeserializeSeed, Deserializer, MapAccess, SeqAccess, Visitor};
 use serde_json::value::RawValue;
 use std::collections::HashMap;
 use std::fmt;
@@ -86,8 +86,8 @@ pub struct SceneAgent {
 /// The rows of a predicate, as stated in a scene.
 #[derive(Clone, Debug)]
 pub struct GivenPredicate {
-    /// The name of the predicate.
-    pub name: String,
+    /// The position of the predicate in [`Terms::predicates`].
+    pub predicate: usize,
     /// Rows of positions in the scene's agents or entities, with 0 in columns that the predicate does not have; sorted,
     /// each once.
     pub rows: Vec<[u32; 2]>,
@@ -260,6 +260,10 @@ struct Reader<'a> {
 
 impl<'a> Reader<'a> {
     fn scenes(&self) -> Read<Vec<Scene>> {
+        // Most scenes are so; the others, and what is no scene, take more passes over the text.
+        if let Ok(raw) = serde_json::from_str::<RawSymbolic<'a>>(self.text) {
+            return Ok(vec![Scene::Symbolic(self.symbolic(raw)?)]);
+        }
         let whole: &RawValue = self.read(self.text, 0)?;
         if !whole.get().starts_with('[') {
             return Ok(vec![self.scene(whole)?]);
@@ -278,7 +282,7 @@ impl<'a> Reader<'a> {
         }
         let Entries(keys) = self.value(whole)?;
         if keys.contains_key("entities") {
-            self.symbolic(whole).map(Scene::Symbolic)
+            self.symbolic(self.value(whole)?).map(Scene::Symbolic)
         } else if keys.contains_key("agents") || keys.contains_key("map") {
             self.geometric(whole).map(Scene::Geometric)
         } else {
@@ -431,8 +435,7 @@ impl<'a> Reader<'a> {
         }])
     }
 
-    fn symbolic(&self, whole: &'a RawValue) -> Read<SymbolicScene> {
-        let raw: RawSymbolic<'a> = self.value(whole)?;
+    fn symbolic(&self, raw: RawSymbolic<'a>) -> Read<SymbolicScene> {
         self.bounded(&raw.entities, "entities")?;
         let entities: Vec<String> = all(raw.entities.iter().map(|name| self.value(name)))?;
         let spans = raw.entities.iter().map(|raw| self.span(raw));
@@ -520,7 +523,8 @@ impl<'a> Reader<'a> {
         what: &str,
     ) -> Read<Vec<GivenPredicate>> {
         all(entries.into_iter().map(|(name, raw)| {
-            let Some(&(_, arity, unit)) = self.terms.predicates.iter().find(|(known, ..)| *known == name) else {
+            let known = self.terms.predicates.iter().position(|(known, ..)| *known == name);
+            let Some((predicate, &(_, arity, unit))) = known.map(|at| (at, &self.terms.predicates[at])) else {
                 let message = format!("`{name}` is not a base predicate");
                 let fault = Diagnostic::new(codes::INVALID_SCENE, message).at(self.key_span(raw), "unknown predicate");
                 let known = self.terms.predicates.iter().map(|(known, ..)| *known);
@@ -529,46 +533,65 @@ impl<'a> Reader<'a> {
                     None => fault.help(format!("base predicates are: {}", listed(&known.collect::<Vec<_>>()))),
                 }]);
             };
-            let written: Vec<&RawValue> = self.value(raw)?;
-            let mut uncertain = Vec::new();
-            let mut rows = all(written.iter().map(|raw| {
-                let (row, probability) = self.uncertain(raw, unit)?;
-                let row = self.row(row, (arity, unit), names, what)?;
-                uncertain.extend(probability.map(|probability| (row.0, probability)));
-                Ok(row)
-            }))?;
-            uncertain.sort_by_key(|(row, _)| *row);
-            if let Some(twice) = uncertain.windows(2).find(|pair| pair[0].0 == pair[1].0) {
-                let places = rows.iter().zip(&written).filter(|((row, _), _)| *row == twice[0].0);
-                let last = places.map(|(_, raw)| *raw).next_back().unwrap_or(raw);
-                let fault = self.fault(
-                    last,
-                    format!("a second probability of a row of `{name}`"),
-                    "given again here",
-                );
-                return Err(vec![fault]);
+            if let (None, Some((rows, uncertain))) = (unit, plain_rows(raw, arity, names)) {
+                return Ok(GivenPredicate {
+                    predicate,
+                    rows,
+                    values: Vec::new(),
+                    uncertain,
+                });
             }
-            let mut spans: HashMap<[u32; 2], &RawValue> = HashMap::new();
-            for (&(row, value), &raw) in rows.iter().zip(&written) {
-                // A quantity has one value.
-                if let Some(first) = spans.insert(row, raw)
-                    && unit.is_some()
-                    && rows.iter().any(|&(other, known)| other == row && known != value)
-                {
-                    let fault = self.fault(raw, format!("a second value of `{name}`"), "given again here");
-                    return Err(vec![fault.also(self.span(first), "first given here")]);
-                }
-            }
-            rows.sort_unstable();
-            rows.dedup();
-            let (rows, values): (Vec<_>, Vec<_>) = rows.into_iter().unzip();
-            Ok(GivenPredicate {
-                name,
-                rows,
-                values: if unit.is_some() { values } else { Vec::new() },
-                uncertain,
-            })
+            self.checked_rows(raw, predicate, names, what)
         }))
+    }
+
+    /// Parses the rows of a predicate, and finds the places of faults in them.
+    fn checked_rows(
+        &self,
+        raw: &'a RawValue,
+        predicate: usize,
+        names: &HashMap<String, usize>,
+        what: &str,
+    ) -> Read<GivenPredicate> {
+        let (name, arity, unit) = self.terms.predicates[predicate];
+        let written: Vec<&RawValue> = self.value(raw)?;
+        let mut uncertain = Vec::new();
+        let mut rows = all(written.iter().map(|raw| {
+            let (row, probability) = self.uncertain(raw, unit)?;
+            let row = self.row(row, (arity, unit), names, what)?;
+            uncertain.extend(probability.map(|probability| (row.0, probability)));
+            Ok(row)
+        }))?;
+        uncertain.sort_by_key(|(row, _)| *row);
+        if let Some(twice) = uncertain.windows(2).find(|pair| pair[0].0 == pair[1].0) {
+            let places = rows.iter().zip(&written).filter(|((row, _), _)| *row == twice[0].0);
+            let last = places.map(|(_, raw)| *raw).next_back().unwrap_or(raw);
+            let fault = self.fault(
+                last,
+                format!("a second probability of a row of `{name}`"),
+                "given again here",
+            );
+            return Err(vec![fault]);
+        }
+        let mut spans: HashMap<[u32; 2], &RawValue> = HashMap::new();
+        for (&(row, value), &raw) in rows.iter().zip(&written).filter(|_| unit.is_some()) {
+            // A quantity has one value.
+            if let Some(first) = spans.insert(row, raw)
+                && rows.iter().any(|&(other, known)| other == row && known != value)
+            {
+                let fault = self.fault(raw, format!("a second value of `{name}`"), "given again here");
+                return Err(vec![fault.also(self.span(first), "first given here")]);
+            }
+        }
+        rows.sort_unstable();
+        rows.dedup();
+        let (rows, values): (Vec<_>, Vec<_>) = rows.into_iter().unzip();
+        Ok(GivenPredicate {
+            predicate,
+            rows,
+            values: if unit.is_some() { values } else { Vec::new() },
+            uncertain,
+        })
     }
 
     /// Parses a row that may have a probability, `{"row": .., "probability": 0.7}`, and returns both.
@@ -668,6 +691,147 @@ impl<'a> Reader<'a> {
     }
 }
 
+/// Rows, sorted, each once, and the probabilities of those that have one, sorted.
+type PlainRows = (Vec<[u32; 2]>, Vec<([u32; 2], f64)>);
+
+/// Parses the rows of a predicate without a value in one pass; `None` if something is wrong with them.
+fn plain_rows(raw: &RawValue, arity: usize, names: &HashMap<String, usize>) -> Option<PlainRows> {
+    let mut read = serde_json::Deserializer::from_str(raw.get());
+    let rows: Vec<([u32; 2], Option<f64>)> = Rows(RowSeed {
+        arity,
+        names,
+        may_be_uncertain: true,
+    })
+    .deserialize(&mut read)
+    .ok()?;
+    let uncertain = rows
+        .iter()
+        .filter_map(|(row, probability)| Some((*row, (*probability)?)));
+    let mut uncertain: Vec<([u32; 2], f64)> = uncertain.collect();
+    let mut rows: Vec<[u32; 2]> = rows.into_iter().map(|(row, _)| row).collect();
+    rows.sort_unstable();
+    rows.dedup();
+    uncertain.sort_by_key(|(row, _)| *row);
+    let twice = uncertain.windows(2).any(|pair| pair[0].0 == pair[1].0);
+    (!twice).then_some((rows, uncertain))
+}
+
+/// Parses a list of rows.
+struct Rows<'n>(RowSeed<'n>);
+
+impl<'de> DeserializeSeed<'de> for Rows<'_> {
+    type Value = Vec<([u32; 2], Option<f64>)>;
+
+    fn deserialize<D: Deserializer<'de>>(self, deserializer: D) -> Result<Self::Value, D::Error> {
+        deserializer.deserialize_seq(self)
+    }
+}
+
+impl<'de> Visitor<'de> for Rows<'_> {
+    type Value = Vec<([u32; 2], Option<f64>)>;
+
+    fn expecting(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        f.write_str("a list of rows")
+    }
+
+    fn visit_seq<A: SeqAccess<'de>>(self, mut list: A) -> Result<Self::Value, A::Error> {
+        let mut rows = Vec::new();
+        while let Some(row) = list.next_element_seed(self.0)? {
+            rows.push(row);
+        }
+        Ok(rows)
+    }
+}
+
+/// Parses a row of names, which may have a probability below 1.
+#[derive(Clone, Copy)]
+struct RowSeed<'n> {
+    arity: usize,
+    names: &'n HashMap<String, usize>,
+    may_be_uncertain: bool,
+}
+
+impl<'de> DeserializeSeed<'de> for RowSeed<'_> {
+    type Value = ([u32; 2], Option<f64>);
+
+    fn deserialize<D: Deserializer<'de>>(self, deserializer: D) -> Result<Self::Value, D::Error> {
+        deserializer.deserialize_any(self)
+    }
+}
+
+impl<'de> Visitor<'de> for RowSeed<'_> {
+    type Value = ([u32; 2], Option<f64>);
+
+    fn expecting(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        f.write_str("a row")
+    }
+
+    fn visit_str<E: de::Error>(self, name: &str) -> Result<Self::Value, E> {
+        match self.arity {
+            1 => Ok(([NameSeed(self.names).visit_str(name)?, 0], None)),
+            _ => Err(E::custom("one name")),
+        }
+    }
+
+    fn visit_seq<A: SeqAccess<'de>>(self, mut list: A) -> Result<Self::Value, A::Error> {
+        let (mut row, mut length) = ([0; 2], 0);
+        while let Some(name) = list.next_element_seed(NameSeed(self.names))? {
+            *row.get_mut(length).ok_or_else(|| de::Error::custom("too many names"))? = name;
+            length += 1;
+        }
+        match length == self.arity {
+            true => Ok((row, None)),
+            false => Err(de::Error::custom("another number of names")),
+        }
+    }
+
+    fn visit_map<A: MapAccess<'de>>(self, mut map: A) -> Result<Self::Value, A::Error> {
+        let certain = RowSeed {
+            may_be_uncertain: false,
+            ..self
+        };
+        let (mut found, mut probability) = (None, None);
+        while let Some(key) = map.next_key::<&str>()? {
+            match key {
+                "row" if found.is_none() && self.may_be_uncertain => found = Some(map.next_value_seed(certain)?),
+                "probability" if probability.is_none() => probability = Some(map.next_value::<f64>()?),
+                _ => return Err(de::Error::custom("another key")),
+            }
+        }
+        match (found, probability) {
+            (Some((row, _)), Some(1.0)) => Ok((row, None)),
+            (Some((row, _)), Some(probability)) if probability > 0.0 && probability < 1.0 => {
+                Ok((row, Some(probability)))
+            }
+            _ => Err(de::Error::custom("no probability")),
+        }
+    }
+}
+
+/// Parses a name, and returns its position.
+struct NameSeed<'n>(&'n HashMap<String, usize>);
+
+impl<'de> DeserializeSeed<'de> for NameSeed<'_> {
+    type Value = u32;
+
+    fn deserialize<D: Deserializer<'de>>(self, deserializer: D) -> Result<u32, D::Error> {
+        deserializer.deserialize_str(self)
+    }
+}
+
+impl Visitor<'_> for NameSeed<'_> {
+    type Value = u32;
+
+    fn expecting(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        f.write_str("a name")
+    }
+
+    fn visit_str<E: de::Error>(self, name: &str) -> Result<u32, E> {
+        let position = self.0.get(name).and_then(|position| u32::try_from(*position).ok());
+        position.ok_or_else(|| E::custom("an unknown name"))
+    }
+}
+
 const FORMS: &str = "expected {\"map\": .., \"agents\": [..]} or {\"entities\": [..], \"ego\": .., \"facts\": {..}}";
 const HELP: &str = "docs/reference/scenes.md describes the two forms of a scene";
 
@@ -688,5 +852,65 @@ impl GeometricScene {
             })
             .collect();
         if faults.failed() { Err(faults.finish()) } else { Ok(()) }
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::rng::{Purpose, RngExt, Seed};
+
+    /// Rows in one pass equal those with places, and are refused where those are.
+    #[test]
+    fn plain_rows_equal_checked_rows() {
+        const PARTS: [&str; 16] = [
+            r#"["a"]"#,
+            r#"["b"]"#,
+            r#""a""#,
+            r#"["a","b"]"#,
+            r#"["b","a"]"#,
+            r#"["a","a"]"#,
+            r#"{"row":["a","b"],"probability":0.25}"#,
+            r#"{"probability":0.5,"row":["b"]}"#,
+            r#"{"row":"b","probability":1}"#,
+            r#"{"row":["b","b"],"probability":1.0}"#,
+            r#"{"row":["a"],"probability":0}"#,
+            r#"{"row":{"row":["a"],"probability":1},"probability":1}"#,
+            r#"{"row":["a"]}"#,
+            r#"["c"]"#,
+            r#"["a","b","a"]"#,
+            "3",
+        ];
+        let mut counts = [0; 2];
+        let names = HashMap::from([("a".to_owned(), 0), ("b".to_owned(), 1)]);
+        let kinds = KindTable::default();
+        for case in 0..4000 {
+            let mut random = Seed(case).stream(Purpose::TEST, 0, 0);
+            // Most rows have no fault.
+            let usual = if random.random_bool(0.2) { PARTS.len() } else { 10 };
+            let rows: Vec<&str> = (0..random.random_range(0..5))
+                .map(|_| PARTS[random.random_range(0..usual)])
+                .collect();
+            let mut sources = Sources::new();
+            let source = sources.add("scene", format!("[{}]", rows.join(" , ")));
+            let arity = random.random_range(1..3);
+            let terms = Terms {
+                predicates: vec![("P", arity, None)],
+                concepts: Vec::new(),
+                kinds: &kinds,
+            };
+            let reader = Reader {
+                source,
+                text: sources.text(source),
+                terms: &terms,
+            };
+            let raw: &RawValue = serde_json::from_str(reader.text).expect("it is JSON");
+            let found = plain_rows(raw, arity, &names);
+            let checked = reader.checked_rows(raw, 0, &names, "entity");
+            let checked = checked.ok().map(|checked| (checked.rows, checked.uncertain));
+            assert_eq!(found, checked, "{}", reader.text);
+            counts[usize::from(found.is_some())] += 1;
+        }
+        assert!(counts.iter().all(|count| *count > 300), "{counts:?}");
     }
 }

@@ -1,5 +1,6 @@
 //! Scenes: single states from outside, the decisions of the rules in them, and scenes with conflicting actions.
 
+mod answer;
 mod conflict;
 mod constraints;
 mod empty;
@@ -7,10 +8,13 @@ mod format;
 mod infer;
 mod judge;
 mod lint;
+mod marginals;
 mod theory;
 
+pub use answer::{Answer, EgoAnswer, SceneFacts};
 pub use conflict::{CONFLICT_BUDGET, Finding, Overlap, conflicts, scene_json};
 pub use constraints::CityConstraints;
-pub use infer::{Answer, EgoAnswer, Explained, Inference, SceneFacts};
+pub use infer::{Explained, Inference};
 pub use lint::{Examined, agent_lints, conflict_lints, examine};
+pub use marginals::{MarginalAnswer, MarginalEgo};
 pub use theory::CityTheory;

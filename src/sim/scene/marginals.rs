@@ -1,0 +1,209 @@
+//! The probabilities of the actions of egos, in scenes with uncertain facts and under rules with probabilities.
+
+use crate::cancel::Cancel;
+use crate::city::{Action, Heading};
+use crate::datalog::{BaseType, MarginalOptions, Marginals, PredicateId, Probability, Value};
+use crate::diag::{Diagnostic, SourceId, Sources, Span};
+use crate::sim::codes;
+use crate::sim::scene::answer::SceneFacts;
+use crate::sim::scene::infer::Inference;
+use crate::sim::tick::ground_state::GroundPredicate;
+use serde_json::json;
+use smallvec::SmallVec;
+use std::sync::Arc;
+
+/// The probabilities of the actions of the egos of a scene.
+#[derive(Clone, Debug)]
+pub struct MarginalAnswer {
+    /// The egos, in the order of the scene.
+    pub egos: Vec<MarginalEgo>,
+    /// Why the probabilities are estimates, as a sentence without a full stop; `None` if they are exact.
+    pub inexact: Option<String>,
+}
+
+/// The probabilities of the actions of an ego. Those of impossible actions are left out.
+#[derive(Clone, Debug)]
+pub struct MarginalEgo {
+    /// The name of the ego.
+    pub id: String,
+    /// The probability that the rules derive each action.
+    pub derived: Vec<(String, Probability)>,
+    /// The probability that the ego takes each action; they add up to 1.
+    pub decided: Vec<(String, Probability)>,
+}
+
+/// The actions that an agent can take, in order of precedence, and its default.
+#[derive(PartialEq)]
+struct Order {
+    actions: Vec<(Action, PredicateId)>,
+    default: Action,
+}
+
+impl MarginalAnswer {
+    /// Returns the answer as JSON: `{"egos": {ID: {"derived": {ACTION: 0.4}, "action": {ACTION: 0.4}}}, "exact": true}`.
+    /// An estimate is `{"value", "low", "high"}`, and has the key `because` in place of `exact`.
+    pub fn to_json(&self) -> serde_json::Value {
+        let probability = |probability: &Probability| match probability.interval {
+            None => json!(probability.value),
+            Some((low, high)) => json!({ "value": probability.value, "low": low, "high": high }),
+        };
+        let all = |list: &[(String, Probability)]| {
+            let entries = list.iter().map(|(action, value)| (action.clone(), probability(value)));
+            serde_json::Value::Object(entries.collect())
+        };
+        let egos = self.egos.iter().map(|ego| {
+            let entry = json!({ "derived": all(&ego.derived), "action": all(&ego.decided) });
+            (ego.id.clone(), entry)
+        });
+        let egos = serde_json::Value::Object(egos.collect());
+        match &self.inexact {
+            None => json!({ "egos": egos, "exact": true }),
+            Some(reason) => json!({ "egos": egos, "exact": false, "because": reason }),
+        }
+    }
+}
+
+impl Inference {
+    /// Returns the probabilities of the actions of each ego of the scene in `source`, which may state rows with a
+    /// probability. Clauses with probabilities draw nothing, but count with all their alternatives.
+    ///
+    /// # Errors
+    /// As [`Inference::answer`]; `invalid-scene` for a list of scenes if facts or actions of the earlier ones are
+    /// uncertain.
+    pub fn marginals(
+        &mut self,
+        sources: &Sources,
+        source: SourceId,
+        options: MarginalOptions,
+        cancel: &Cancel,
+    ) -> Result<MarginalAnswer, Vec<Diagnostic>> {
+        let scene = self.ground_with(sources, source, cancel)?;
+        let whole = Span::new(source, 0..sources.text(source).len());
+        if !scene.facts.past.is_empty() && self.program.rules().chance.is_some() {
+            let message = "the actions of the earlier ticks of this list are uncertain, since the rules draw them";
+            let fault = Diagnostic::new(codes::INVALID_SCENE, message).at(whole, "");
+            return Err(vec![
+                fault.help("use rules without probabilities, or a scene of one tick"),
+            ]);
+        }
+        let found = self.probabilities(&scene, options, cancel);
+        found.map_err(|fault| vec![fault.at(whole, "in this scene")])
+    }
+
+    fn probabilities(
+        &mut self,
+        scene: &SceneFacts,
+        options: MarginalOptions,
+        cancel: &Cancel,
+    ) -> Result<MarginalAnswer, Diagnostic> {
+        let vocabulary = Arc::clone(&self.vocabulary);
+        let order = self.scenario.actions.priority.iter();
+        let order: Vec<(Action, PredicateId)> = order
+            .filter_map(|action| Some((*action, vocabulary.action(*action)?)))
+            .collect();
+        let options = MarginalOptions {
+            limits: self.limits,
+            ..options
+        };
+        let ids = || order.iter().map(|(_, predicate)| *predicate);
+        let known = self.marginals.take().filter(|known| *known.options() == options);
+        let mut marginals = match known {
+            Some(mut known) => {
+                known.clear();
+                known
+            }
+            None => Marginals::new(&self.program, ids(), options).expect("actions are predicates"),
+        };
+        let names: Vec<Value> = scene.names.iter().map(|name| marginals.intern(name)).collect();
+        let headings = Heading::ALL.map(|heading| marginals.intern(heading.name()));
+        let mut insert = |predicate: GroundPredicate, row: [u32; 2], value: Option<Value>, probability: f64| {
+            let words = row[..predicate.arity].iter().map(|entity| names[*entity as usize]);
+            let value = value.map(|value| match predicate.value {
+                Some(BaseType::Symbol) => headings[value.0 as usize],
+                _ => value,
+            });
+            let words: SmallVec<[Value; 4]> = words.chain(value).collect();
+            let inserted = marginals.insert(predicate.id, &words[..], probability);
+            inserted.expect("facts of the vocabulary fit");
+        };
+        for (index, predicate) in GroundPredicate::of(&vocabulary).enumerate() {
+            let Some(predicate) = predicate else { continue };
+            let rows = scene.facts.rows[index].iter().enumerate();
+            rows.for_each(|(at, row)| insert(predicate, *row, scene.facts.values[index].get(at).copied(), 1.0));
+            let uncertain = scene.uncertain.iter().filter(|(of, ..)| *of == index);
+            uncertain.for_each(|(_, row, probability)| insert(predicate, *row, None, *probability));
+        }
+        let rules = self.program.rules();
+        for (past, rows) in rules.pasts.iter().zip(&scene.facts.past) {
+            let predicate = GroundPredicate {
+                id: past.predicate,
+                arity: rules.predicates[past.predicate.index()].arity(),
+                value: None,
+            };
+            rows.iter().for_each(|(row, _)| insert(predicate, *row, None, 1.0));
+        }
+        let rows: Vec<[Value; 1]> = scene.egos.iter().map(|ego| [names[*ego]]).collect();
+        let rows: Vec<&[Value]> = rows.iter().map(|row| &row[..]).collect();
+        marginals.set_rows(Some(&rows));
+        let mut egos: Vec<Option<MarginalEgo>> = scene.egos.iter().map(|_| None).collect();
+        while let Some(next) = egos.iter().position(Option::is_none) {
+            let order = self.order_of(scene, scene.egos[next]);
+            let ordered = marginals.set_order(order.actions.iter().map(|(_, predicate)| *predicate));
+            ordered.expect("actions are predicates");
+            marginals.compute(cancel).map_err(|error| self.exceeded(&error))?;
+            let open = scene.egos.iter().zip(&mut egos);
+            for (&ego, answer) in open.filter(|(ego, _)| self.order_of(scene, **ego) == order) {
+                let row = [names[ego]];
+                *answer = Some(self.marginal_ego(&scene.names[ego], &row, &order, &marginals));
+            }
+        }
+        let answer = MarginalAnswer {
+            egos: egos.into_iter().flatten().collect(),
+            inexact: marginals.inexact().map(|inexact| inexact.show(self.program.rules())),
+        };
+        self.marginals = Some(marginals);
+        Ok(answer)
+    }
+
+    /// Returns the actions that an ego can take, in order of precedence, and its default.
+    fn order_of(&self, scene: &SceneFacts, ego: usize) -> Order {
+        let config = &self.scenario.actions;
+        let kind = scene.kinds.get(ego).copied();
+        let usual = (config.priority.as_slice(), config.default);
+        let (priority, default) = kind.map_or(usual, |kind| config.order(kind));
+        let can_take = |action: &&Action| kind.is_none_or(|kind| config.table.can_take(kind, **action));
+        let actions = priority.iter().filter(can_take);
+        Order {
+            actions: (actions.filter_map(|action| Some((*action, self.vocabulary.action(*action)?)))).collect(),
+            default,
+        }
+    }
+
+    /// Returns the probabilities of an ego, whose row this is, for actions in order of precedence.
+    fn marginal_ego(&self, id: &str, row: &[Value], order: &Order, marginals: &Marginals) -> MarginalEgo {
+        let table = self.vocabulary.actions();
+        let name = |action: Action| table.name(action).to_owned();
+        let derived = order.actions.iter().filter_map(|(action, predicate)| {
+            let probability = marginals.probability(*predicate, row)?;
+            Some((name(*action), probability))
+        });
+        let mut decided: Vec<(Action, Probability)> = Vec::new();
+        let actions = order.actions.iter().map(|(action, _)| *action);
+        let actions = actions.chain([order.default]);
+        for (action, probability) in actions.zip(marginals.first(row)) {
+            match decided.iter_mut().find(|(known, _)| *known == action) {
+                Some((_, known)) => *known = known.or(probability),
+                None if probability.value > 0.0 => decided.push((action, probability)),
+                None => {}
+            }
+        }
+        MarginalEgo {
+            id: id.to_owned(),
+            derived: derived.collect(),
+            decided: decided
+                .into_iter()
+                .map(|(action, value)| (name(action), value))
+                .collect(),
+        }
+    }
+}
