@@ -16,7 +16,8 @@ use crate::datalog::{BaseType, Clause, ClauseId, Column, InputPolicy, PredicateI
 use crate::diag::{Diagnostic, Sources, to_json};
 use crate::files::ReadFile;
 use crate::sim::{
-    CONFLICT_BUDGET, Coverage, Finding, Overlap, conflict_lints, conflicts, examine as examine_rules, scene_json,
+    CONFLICT_BUDGET, Coverage, Finding, Overlap, conflict_lints, conflicts, earlier_facts, examine as examine_rules,
+    scene_json,
 };
 use serde_json::json;
 use std::collections::HashSet;
@@ -418,7 +419,11 @@ fn print_overlaps(
                     "  conflicts: {first} and {second} can be derived together, and {} wins, as in this scene:",
                     config.table.name(overlap.winner(&config.priority))
                 )?;
-                writeln!(out, "    {}", scene_json(scene))?;
+                writeln!(out, "    {}", scene_json(scene, &[rules]))?;
+                let earlier = earlier_facts(scene, rules);
+                if !earlier.is_empty() {
+                    writeln!(out, "    after ticks that make these hold: {}", earlier.join(", "))?;
+                }
                 writeln!(out, "    {first} by {a}\n    {second} by {b}")?;
                 printed = true;
             }
@@ -503,7 +508,8 @@ fn overlaps_json(overlaps: &[Overlap], config: &ActionsConfig, rules: &Rules, so
                 "finding": "together",
                 "winner": winner,
                 "clauses": clauses.map(|clause| printer.clause_json(clause)),
-                "scene": scene_json(scene),
+                "scene": scene_json(scene, &[rules]),
+                "earlier": earlier_facts(scene, rules),
             }),
             Finding::NotFound(equivalence) => json!({
                 "actions": actions,

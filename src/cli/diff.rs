@@ -99,10 +99,10 @@ pub fn run(arguments: &Arguments, sources: &mut Sources) -> Result<u8, Failure> 
     };
     let mut out = terminal::results(arguments.json || arguments.scene);
     if arguments.json {
-        writeln!(out, "{}", verdict.json())?;
+        writeln!(out, "{}", verdict.json(&sides))?;
     } else if arguments.scene {
         if let Equivalence::Different(difference) = &equivalence {
-            writeln!(out, "{}", scene_json(difference))?;
+            writeln!(out, "{}", scene_json(difference, &sides.each_ref()))?;
         }
     } else {
         let names = [&arguments.left, &arguments.right].map(|path| path.display().to_string());

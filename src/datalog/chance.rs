@@ -55,6 +55,7 @@ pub(crate) struct Draw(u64);
 
 impl Draw {
     /// Begins the draw of a stream in a tick.
+    #[inline]
     pub fn new(word: u64, stream: u64) -> Draw {
         Draw(mix(word ^ stream))
     }
@@ -65,11 +66,13 @@ impl Draw {
     }
 
     /// Adds the value of a variable with a symbol, of which this is the [`hash`].
+    #[inline]
     pub fn symbol(self, hash: u64) -> Draw {
         Draw(mix(self.0 ^ hash))
     }
 
     /// Returns the drawn number, at least 0 and below 1.
+    #[inline]
     pub fn number(self) -> f64 {
         (mix(self.0) >> 11) as f64 / (1_u64 << 53) as f64
     }
@@ -94,6 +97,7 @@ pub(crate) fn alternative(number: f64, probabilities: impl Iterator<Item = f32>)
 
 /// The mixing function of SplitMix64 (Steele, Lea, Flood: Fast splittable pseudorandom number generators, 2014), after
 /// its constant increment.
+#[inline]
 fn mix(word: u64) -> u64 {
     let word = word.wrapping_add(0x9e37_79b9_7f4a_7c15);
     let word = (word ^ word >> 30).wrapping_mul(0xbf58_476d_1ce4_e5b9);

@@ -17,7 +17,8 @@ pub use load::{LoadError, LoadedCity};
 pub use observe::{ActionConstraint, Decider, OBSERVED_MAX, Observer, Oracle};
 pub use scene::{
     Answer, CONFLICT_BUDGET, CityConstraints, CityTheory, EgoAnswer, Examined, Explained, Finding, Inference,
-    MarginalAnswer, MarginalEgo, Overlap, SceneFacts, agent_lints, conflict_lints, conflicts, examine, scene_json,
+    MarginalAnswer, MarginalEgo, Overlap, SceneFacts, agent_lints, conflict_lints, conflicts, earlier_facts, examine,
+    scene_json,
 };
 pub use tick::asked::{AskedFact, FactAccount};
 pub use tick::chance::Chance;

@@ -32,7 +32,7 @@ pub fn conflicts(bytes: &[u8]) {
     for overlap in find_conflicts(program.rules(), &ActionTable::default()).expect("the two sides differ in one clause")
     {
         if let Finding::Together { scene, .. } = overlap.finding {
-            assert!(scene_json(&scene).is_object());
+            assert!(scene_json(&scene, &[program.rules()]).is_object());
         }
     }
 }

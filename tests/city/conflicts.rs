@@ -11,7 +11,8 @@ use logicity::diag::{Sources, render};
 use logicity::files::read_text;
 use logicity::rng::Seed;
 use logicity::sim::{
-    Actions, EgoAnswer, Executor, Finding, Inference, Overlap, Settings, Simulation, conflicts, scene_json,
+    Actions, EgoAnswer, Executor, Finding, Inference, Overlap, Settings, Simulation, conflicts, earlier_facts,
+    scene_json,
 };
 use proptest::prelude::*;
 
@@ -61,10 +62,47 @@ fn rules(body: &str) -> String {
 }
 
 fn scene(text: &str, pair: [Action; 2]) -> String {
-    match finding(&rules(text), pair) {
-        Finding::Together { scene, .. } => scene_json(&scene).to_string(),
+    let text = rules(text);
+    match finding(&text, pair) {
+        Finding::Together { scene, .. } => scene_json(&scene, &[program(&text).rules()]).to_string(),
         other => panic!("{other:?}"),
     }
+}
+
+/// Numbers are numbers, and what follows from earlier ticks is no fact of the scene.
+#[test]
+fn scenes_with_values_and_earlier_ticks() {
+    let program = program(&rules(
+        ".decl Waited(x: agent, n: number) .input Waited\n.decl Tick(t: number) .input Tick\n\
+         Stop(X) :- Waited(X, n), n > 3.\nSlow(X) :- IsCar(X), Tick(t), t > 8.\n\
+         Fast(X) :- IsBus(X), once[1,3] IsAtInter(X).",
+    ));
+    let found = conflicts(program.rules(), &ActionTable::default()).unwrap();
+    let scenes = found.into_iter().filter_map(|overlap| match overlap.finding {
+        Finding::Together { scene, .. } => Some((overlap.actions, scene)),
+        _ => None,
+    });
+    let (mut numbers, mut earlier) = (0, 0);
+    for (actions, scene) in scenes {
+        let json = scene_json(&scene, &[program.rules()]);
+        let facts = json["facts"].as_object().unwrap();
+        assert!(facts.keys().all(|name| !name.contains(' ')), "{json}");
+        if actions.contains(&Action::Stop) {
+            assert!(facts["Waited"][0][1].as_i64().unwrap() > 3, "{json}");
+            numbers += 1;
+        }
+        if actions.contains(&Action::Slow) {
+            assert!(facts["Tick"][0].as_i64().unwrap() > 8, "{json}");
+            numbers += 1;
+        }
+        if actions.contains(&Action::Fast) {
+            let ego = json["ego"].as_str().unwrap();
+            let expected = format!("once[1,3] IsAtInter({ego})");
+            assert!(earlier_facts(&scene, program.rules()).contains(&expected), "{json}");
+            earlier += 1;
+        }
+    }
+    assert!(numbers > 1 && earlier > 0, "{numbers} {earlier}");
 }
 
 #[test]
@@ -89,7 +127,7 @@ fn the_modes_of_the_paper() {
         panic!()
     };
     assert_eq!(
-        scene_json(&scene).to_string(),
+        scene_json(&scene, &[hard.rules()]).to_string(),
         r#"{"entities":["e0","e1"],"ego":"e0","facts":{"IsPedestrian":["e1"],"IsCar":["e0"],"IsAmbulance":["e0"],"IsTiro":["e0"],"IsOld":["e1"],"IsClose":[["e0","e1"],["e1","e0"]],"RightOf":[["e1","e0"]]}}"#
     );
 }
@@ -188,7 +226,7 @@ fn constants_and_comparisons_are_respected() {
     let numbers = ".decl age(x: agent, n: number) .input age Stop(X) :- age(X, 5). Slow(X) :- IsCar(X).";
     assert_eq!(
         scene(numbers, both),
-        r#"{"entities":["e0"],"ego":"e0","facts":{"IsCar":["e0"],"age":[["e0","5"]]}}"#
+        r#"{"entities":["e0"],"ego":"e0","facts":{"IsCar":["e0"],"age":[["e0",5]]}}"#
     );
     let many =
         "Stop(X) :- LeftOf(A, X), LeftOf(B, X), LeftOf(C, X), LeftOf(D, X), A < B, B < C, C < D, Not(LeftOf(X, X)).
@@ -377,7 +415,7 @@ fn inferred(config: &str, text: &str, scene: &Difference) -> EgoAnswer {
     let mut inference = Inference::new(scenario, program, Seed(0), Executor::Auto, read_text).expect("rules fit");
     inference.check_constraints();
     let mut sources = Sources::new();
-    let source = sources.add("scene", scene_json(scene).to_string());
+    let source = sources.add("scene", scene_json(scene, &[world.program.rules()]).to_string());
     let answer = inference.answer(&sources, source);
     let answer = answer.unwrap_or_else(|faults| panic!("{text}{}", render(&faults, &sources, false)));
     answer.egos().last().expect("a scene has an ego")

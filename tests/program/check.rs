@@ -449,7 +449,7 @@ fn reasons_against_the_dense_executor_name_the_clause_at_the_root() {
             &["run", "expert", "--rules", &rules, "--ticks", "1", "--no-trace"],
             b"",
         ));
-        let line = format!("the dense executor cannot evaluate these rules, because {reason} at ");
+        let line = format!("the relational executor evaluates some clauses, the first because {reason} at ");
         assert!(ran.contains(&line) && ran.contains(&format!("{place}\n")), "{ran}");
         let demanded = [
             "run",

@@ -17,8 +17,8 @@ pub struct Verdict<'a> {
 }
 
 impl Verdict<'_> {
-    pub fn json(&self) -> Value {
-        let mut line = json(self.equivalence);
+    pub fn json(&self, rules: &[Rules; 2]) -> Value {
+        let mut line = json(self.equivalence, rules);
         if let Equivalence::Equivalent { .. } = self.equivalence {
             line["given"] = json!(self.given);
         }
@@ -105,7 +105,7 @@ fn show_difference(difference: &Difference, names: &[String; 2], rules: &[Rules;
     };
     let mut text = format!(
         "different; {size} that shows it, ready for `logicity infer`:\n{}\n",
-        scene_json(difference)
+        scene_json(difference, &rules.each_ref())
     );
     for scope in &difference.everybody_sees {
         text += &format!("`{scope}` holds for all pairs of entities\n");
@@ -150,7 +150,7 @@ fn atom(rules: &Rules, name: &str, row: &[String]) -> String {
     format!("{name}({})", values.collect::<Vec<_>>().join(", "))
 }
 
-fn json(equivalence: &Equivalence) -> Value {
+fn json(equivalence: &Equivalence, rules: &[Rules; 2]) -> Value {
     match equivalence {
         Equivalence::Equivalent { entities } => {
             json!({ "verdict": "equivalent", "proved": true, "entities": entities })
@@ -174,7 +174,7 @@ fn json(equivalence: &Equivalence) -> Value {
             json!({
                 "verdict": "different",
                 "smallest": difference.smallest,
-                "scene": scene_json(difference),
+                "scene": scene_json(difference, &rules.each_ref()),
                 "everybody_sees": difference.everybody_sees,
                 "left": derived(&difference.derived[0]),
                 "right": derived(&difference.derived[1]),

@@ -25,6 +25,75 @@ pub struct Condition {
     /// The number of entities, 1 or 2.
     pub entities: usize,
     steps: Vec<Step>,
+    /// The condition, if it is nothing but a draw with constant probabilities about entities.
+    draw: Option<EntityDraw>,
+}
+
+/// A draw about one entity or two that succeeds for the numbers from `low` to below `high`.
+#[derive(Clone, Copy, Debug)]
+struct EntityDraw {
+    stream: u64,
+    places: [usize; 2],
+    count: usize,
+    low: f64,
+    high: f64,
+}
+
+impl EntityDraw {
+    /// Returns the draw that the steps of a condition are.
+    fn of(steps: &[Step]) -> Option<EntityDraw> {
+        let [
+            Step::Draw {
+                stream,
+                probabilities,
+                alternative,
+                values,
+            },
+        ] = steps
+        else {
+            return None;
+        };
+        let places: Option<Vec<usize>> = (values.iter())
+            .map(|value| match value {
+                DrawValue::Entity(place) => Some(*place),
+                DrawValue::Value(_) | DrawValue::Symbol(_) => None,
+            })
+            .collect();
+        let (places, count) = match places?[..] {
+            [] => ([0; 2], 0),
+            [x] => ([x; 2], 1),
+            [x, y] => ([x, y], 2),
+            _ => return None,
+        };
+        let constant = |operand: &Operand| match operand {
+            Operand::Constant(value) => Some(value.as_float()),
+            Operand::Variable(_) => None,
+        };
+        let probabilities: Vec<f32> = probabilities.iter().map(constant).collect::<Option<_>>()?;
+        chance::alternative(0.0, probabilities.iter().copied())?;
+        // The sums are those that the draw adds up.
+        let sum = |count: usize| (probabilities[..count].iter()).fold(0.0, |sum, one| sum + f64::from(*one));
+        let (low, high) = match *alternative < probabilities.len() {
+            true => (sum(*alternative), sum(*alternative + 1)),
+            false => (sum(probabilities.len()), f64::INFINITY),
+        };
+        Some(EntityDraw {
+            stream: *stream,
+            places,
+            count,
+            low,
+            high,
+        })
+    }
+
+    #[inline]
+    fn succeeds(&self, given: &impl ConditionValues) -> bool {
+        let begun = chance::Draw::new(given.word(), self.stream);
+        let places = self.places[..self.count].iter();
+        let draw = places.fold(begun, |draw, place| draw.symbol(given.symbol_hash(*place)));
+        let number = draw.number();
+        self.low <= number && number < self.high
+    }
 }
 
 /// A value in a condition: that of a variable or a constant.
@@ -107,18 +176,15 @@ pub struct Lifted {
 
 impl Condition {
     /// Returns whether the condition holds for the entities at the places 0 and 1.
+    #[inline]
     pub fn holds(&self, symbols: &Symbols, given: &impl ConditionValues) -> bool {
-        if let [
-            Step::Draw {
-                stream,
-                probabilities,
-                alternative,
-                values,
-            },
-        ] = &self.steps[..]
-        {
-            return drawn(*stream, probabilities, *alternative, values, &[], symbols, given);
+        match &self.draw {
+            Some(draw) => draw.succeeds(given),
+            None => self.steps_hold(symbols, given),
         }
+    }
+
+    fn steps_hold(&self, symbols: &Symbols, given: &impl ConditionValues) -> bool {
         let mut values = [Value::default(); Condition::VARIABLES_MAX];
         let get = |values: &[Value], operand: Operand| match operand {
             Operand::Variable(variable) => values[variable],
@@ -213,7 +279,6 @@ impl Condition {
 }
 
 /// Returns whether a draw chooses the alternative.
-#[inline]
 fn drawn(
     stream: u64,
     probabilities: &[Operand],
@@ -269,6 +334,7 @@ pub fn lift(rules: &Rules, entities: impl Fn(PredicateId) -> Option<usize>) -> L
             conditions.push(Condition {
                 predicate,
                 entities: made.terms.len(),
+                draw: EntityDraw::of(&made.steps),
                 steps: made.steps,
             });
         }

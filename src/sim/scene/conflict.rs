@@ -10,8 +10,8 @@ use crate::city::{Action, ActionTable};
 use crate::datalog::diff::{Difference, Equivalence, Options, diff, unsat_core};
 use crate::datalog::naive;
 use crate::datalog::{
-    Atom, BaseType, Clause, ClauseId, DeclaredConstraint, Literal, Predicate, PredicateId, Rules, Stratum, Term, Value,
-    VarId, parse_value,
+    Atom, BaseType, Clause, ClauseId, Column, DeclaredConstraint, Literal, Predicate, PredicateId, Rules, Stratum,
+    Term, Value, VarId, parse_value,
 };
 use crate::diag::Diagnostic;
 use serde_json::{Map, json};
@@ -226,8 +226,9 @@ fn scopes(scene: &Difference) -> Vec<(String, Vec<Vec<String>>)> {
         .collect()
 }
 
-/// Returns the scene in the format of `logicity infer`, which assumes a complete `Sees` unless the scene lists it.
-pub fn scene_json(scene: &Difference) -> serde_json::Value {
+/// Returns the scene in the format of `logicity infer`, which assumes a complete `Sees` unless the scene lists it. `rules`
+/// declare its predicates. What follows from earlier ticks or draws is missing.
+pub fn scene_json(scene: &Difference, rules: &[&Rules]) -> serde_json::Value {
     let scopes = scopes(scene);
     let is_complete = |rows: &[Vec<String>]| {
         let mut pairs = scene
@@ -238,13 +239,42 @@ pub fn scene_json(scene: &Difference) -> serde_json::Value {
     };
     let listed = (scene.facts.iter().chain(&scopes)).filter(|(name, rows)| name != "Sees" || !is_complete(rows));
     let facts: Map<String, serde_json::Value> = listed
-        .map(|(name, rows)| {
-            let rows = rows.iter().map(|row| match row.as_slice() {
-                [only] => json!(only),
-                row => json!(row),
+        .filter_map(|(name, rows)| {
+            let declared = declared(rules, name)?;
+            let value = |(text, column): (&String, &Column)| match column.base {
+                BaseType::Symbol => json!(text),
+                // A number that JSON cannot write is none of a scene.
+                _ => serde_json::from_str(text).unwrap_or_else(|_| json!(text)),
+            };
+            let rows = rows.iter().map(|row| {
+                let mut values: Vec<serde_json::Value> = row.iter().zip(&declared.columns).map(value).collect();
+                match values.len() {
+                    1 => values.remove(0),
+                    _ => values.into(),
+                }
             });
-            (name.clone(), rows.collect())
+            (!declared.hidden).then(|| (name.clone(), rows.collect()))
         })
         .collect();
     json!({ "entities": scene.entities, "ego": scene.entities.first(), "facts": facts })
+}
+
+/// Returns what the scene takes from earlier ticks, as atoms.
+pub fn earlier_facts(scene: &Difference, rules: &Rules) -> Vec<String> {
+    let chance = rules
+        .chance
+        .map(|chance| rules.predicates[chance.index()].name.as_str());
+    let facts = scene.facts.iter().filter(|(name, _)| {
+        let hidden = declared(&[rules], name).is_some_and(|declared| declared.hidden);
+        hidden && chance != Some(name.as_str())
+    });
+    let atoms = facts.flat_map(|(name, rows)| rows.iter().map(move |row| format!("{name}({})", row.join(", "))));
+    atoms.collect()
+}
+
+fn declared<'r>(rules: &[&'r Rules], name: &str) -> Option<&'r Predicate> {
+    let mut found = rules
+        .iter()
+        .filter_map(|rules| Some(&rules.predicates[rules.predicate(name)?.index()]));
+    found.next()
 }
