@@ -4,12 +4,14 @@
 use crate::agreement::{self, Counts, multiply, observers_derive_as_sessions_do, record, replay, simulation};
 use crate::shipped_world::configured;
 use logicity::builtin::BuiltinFiles;
+use logicity::cancel::Cancel;
 use logicity::city::Action;
 use logicity::config::Scenario;
+use logicity::datalog::MarginalOptions;
 use logicity::datalog::explain::ExplanationPrinter;
 use logicity::diag::Sources;
 use logicity::rng::{Purpose, RngExt, Seed};
-use logicity::sim::{Decider, Executor, Oracle, World};
+use logicity::sim::{Decider, Executor, Inference, Oracle, World};
 use std::sync::Arc;
 
 /// Expert mode with two quantities, these rules, and the changes of `edit`.
@@ -259,5 +261,33 @@ fn what_draws_nothing_refuses_such_rules() {
     assert_eq!(
         fault.message,
         "questions draw nothing, but clauses of the rules have probabilities"
+    );
+}
+
+/// In a list of scenes, earlier ticks must be certain only where temporal operators read them.
+#[test]
+fn marginals_of_a_list_of_scenes() {
+    let scenes = r#"[{"entities": ["a"], "ego": "a", "facts": {"IsAtInter": ["a"]}},
+        {"entities": ["a"], "ego": "a", "facts": {"IsBus": ["a"]}}]"#;
+    let answer = |rules: &str| {
+        let text = format!(".include \"vocabulary.dl\"\n{rules}");
+        let (world, _) = configured("base: expert\n", &text, |_| ());
+        let (scenario, program) = (world.scenario.clone(), world.program.clone());
+        let mut inference = Inference::new(scenario, program, Seed(0), Executor::Auto, BuiltinFiles).unwrap();
+        let mut sources = Sources::new();
+        let source = sources.add("scene", scenes);
+        let found = inference.marginals(&sources, source, MarginalOptions::default(), &Cancel::never());
+        found
+            .map(|answer| answer.to_json())
+            .map_err(|faults| faults[0].message.clone())
+    };
+    let rules = "0.25 :: Slow(X) :- IsBus(X).\nStop(X) :- Slow(X), once[1,2] IsAtInter(X).";
+    let found = answer(rules).unwrap();
+    assert_eq!(found["egos"]["a"]["derived"]["Stop"], 0.25, "{found}");
+    let rules = "0.25 :: Slow(X) :- IsAtInter(X).\nStop(X) :- once[1,2] Slow(X).";
+    let fault = answer(rules).unwrap_err();
+    assert!(
+        fault.starts_with("temporal operators read `Slow` of the earlier ticks"),
+        "{fault}"
     );
 }

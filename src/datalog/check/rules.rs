@@ -514,6 +514,23 @@ impl Rules {
         Some(PredicateId(u32::try_from(index).expect("fewer than 2^32 predicates")))
     }
 
+    /// Returns whether the rows of a predicate depend on those of another, through any number of clauses.
+    pub fn depends_on(&self, predicate: PredicateId, other: PredicateId) -> bool {
+        let mut is_known = vec![false; self.predicates.len()];
+        let mut open = vec![predicate];
+        while let Some(predicate) = open.pop() {
+            if predicate == other {
+                return true;
+            }
+            if !std::mem::replace(&mut is_known[predicate.index()], true) {
+                let clauses = self.clauses.iter().filter(|clause| clause.head.predicate == predicate);
+                let atoms = clauses.flat_map(|clause| clause.body.iter().filter_map(Literal::atom));
+                open.extend(atoms.map(|atom| atom.predicate));
+            }
+        }
+        false
+    }
+
     /// Returns the rules of a single tick: what they read of earlier ticks and of chance is input.
     pub fn of_one_tick(&self) -> Rules {
         let mut rules = self.clone();

@@ -2,7 +2,7 @@
 
 use crate::cancel::Cancel;
 use crate::city::{Action, Heading};
-use crate::datalog::{BaseType, MarginalOptions, Marginals, PredicateId, Probability, Value};
+use crate::datalog::{BaseType, MarginalOptions, Marginals, Past, PredicateId, Probability, Value};
 use crate::diag::{Diagnostic, SourceId, Sources, Span};
 use crate::sim::codes;
 use crate::sim::scene::answer::SceneFacts;
@@ -68,7 +68,7 @@ impl Inference {
     /// probability. Clauses with probabilities draw nothing, but count with all their alternatives.
     ///
     /// # Errors
-    /// As [`Inference::answer`]; `invalid-scene` for a list of scenes if facts or actions of the earlier ones are
+    /// As [`Inference::answer`]; `invalid-scene` for a list of scenes if what temporal operators read of the earlier ones is
     /// uncertain.
     pub fn marginals(
         &mut self,
@@ -79,15 +79,26 @@ impl Inference {
     ) -> Result<MarginalAnswer, Vec<Diagnostic>> {
         let scene = self.ground_with(sources, source, cancel)?;
         let whole = Span::new(source, 0..sources.text(source).len());
-        if !scene.facts.past.is_empty() && self.program.rules().chance.is_some() {
-            let message = "the actions of the earlier ticks of this list are uncertain, since the rules draw them";
-            let fault = Diagnostic::new(codes::INVALID_SCENE, message).at(whole, "");
-            return Err(vec![
-                fault.help("use rules without probabilities, or a scene of one tick"),
-            ]);
+        if !scene.facts.past.is_empty() {
+            self.check_certain_past().map_err(|fault| vec![fault.at(whole, "")])?;
         }
         let found = self.probabilities(&scene, options, cancel);
         found.map_err(|fault| vec![fault.at(whole, "in this scene")])
+    }
+
+    /// Checks that no operand of a temporal operator depends on a draw.
+    fn check_certain_past(&self) -> Result<(), Diagnostic> {
+        let rules = self.program.rules();
+        let is_drawn = |operand: &PredicateId| rules.chance.is_some_and(|chance| rules.depends_on(*operand, chance));
+        let Some(drawn) = rules.pasts.iter().flat_map(Past::operands).find(is_drawn) else {
+            return Ok(());
+        };
+        let message = format!(
+            "temporal operators read `{}` of the earlier ticks of this list, which is uncertain, since the rules draw it",
+            rules.predicates[drawn.index()].title()
+        );
+        let fault = Diagnostic::new(codes::INVALID_SCENE, message);
+        Err(fault.help("use rules in which the operands depend on no draw, or a scene of one tick"))
     }
 
     fn probabilities(
