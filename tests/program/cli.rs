@@ -2312,8 +2312,8 @@ fn the_summary_names_the_executor() {
     };
     assert!(summary(&["--threads", "2"]).contains("\ndense executor, 1 thread\n"));
     assert!(summary(&["--executor", "relational"]).contains("\nrelational executor, 1 thread\n"));
-    let reason = "relational executor, 1 thread: the dense executor cannot evaluate these rules, because `Far` depends on \
-                  itself at ";
+    let reason = "dense executor, 1 thread: the relational executor evaluates some clauses, the first because `Far` \
+                  depends on itself at ";
     let summary = summary(&["--rules", &rules]);
     assert!(
         summary.contains(reason) && summary.contains("far.dl:4:14\n"),

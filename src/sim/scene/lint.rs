@@ -253,12 +253,18 @@ fn agent_constants<'r>(
 }
 
 /// Returns one warning for each pair of actions that can be derived together. The order of precedence decides which
-/// action wins.
+/// action wins. That an action wins over one that is derived by default only needs no warning.
 pub fn conflict_lints(overlaps: &[Overlap], rules: &Rules, actions: &ActionsConfig) -> Vec<Diagnostic> {
     let together = overlaps.iter().filter_map(|overlap| match &overlap.finding {
         Finding::Together { clauses, .. } => Some((overlap, clauses)),
         Finding::Excluded { .. } | Finding::NotFound(_) => None,
     });
+    let decided = decided_actions(rules, &actions.table);
+    let is_default = |action: Action| {
+        let predicate = rules.predicate(actions.table.name(action));
+        predicate.is_none_or(|predicate| !decided.contains(&predicate))
+    };
+    let together = together.filter(|(overlap, _)| !is_default(overlap.loser(&actions.priority)));
     let lint = |(overlap, clauses): (&Overlap, &[ClauseId; 2])| {
         let spans = clauses.map(|clause| rules.clauses[clause.index()].span);
         let (winner, loser) = (overlap.winner(&actions.priority), overlap.loser(&actions.priority));
@@ -266,9 +272,13 @@ pub fn conflict_lints(overlaps: &[Overlap], rules: &Rules, actions: &ActionsConf
         let [wins, loses] = [winner, loser].map(|action| actions.table.name(action));
         let message = format!("the rules can derive {wins} and {loses} for one agent, and {wins} wins");
         let help = match span_of(winner) == span_of(loser) {
-            true => "derive each action in a separate clause".to_owned(),
-            false => format!("if {wins} should win, add `Not({wins}(X))` to the clause of {loses}"),
+            true => Some("derive each action in a separate clause".to_owned()),
+            false if is_default(winner) => None,
+            false => Some(format!(
+                "if {wins} should win, add `Not({wins}(X))` to the clause of {loses}"
+            )),
         };
+        let order = format!("if {loses} should win, put it before {wins} in `actions.priority`");
         let lint = Diagnostic::new(codes::ACTION_CONFLICT, message)
             .at(span_of(loser), format!("this clause derives {loses}"))
             .also(span_of(winner), format!("this one derives {wins}"))
@@ -279,7 +289,7 @@ pub fn conflict_lints(overlaps: &[Overlap], rules: &Rules, actions: &ActionsConf
             true => lint,
             false => lint.note(format!("by their own `priority`, {loses} wins for {}", listed(&others))),
         };
-        lint.help(help)
+        help.into_iter().fold(lint, Diagnostic::help).help(order)
     };
     together.map(lint).collect()
 }
