@@ -97,8 +97,14 @@ QUOTES: dict[str, list[str]] = {
         f"`no-pixels` has a wAcc of {vap('vap-50', 'no-pixels', 'random', 'threshold', 'easy')} there, the rules on "
         f"predicted concepts {vap('vap-50', 'rules', 'random', 'threshold', 'easy')}, and `modular-gnn` "
         f"{vap('vap-50', 'modular-gnn', 'random', mode='easy')}",
-        f"the rules fall to {vap('vap-50', 'rules', 'plain random', 'threshold', 'easy')} and `modular-gnn` to "
-        f"{vap('vap-50', 'modular-gnn', 'plain random', mode='easy')}",
+        f"the rules fall to {vap('vap-50', 'rules', 'plain random', 'threshold', 'easy')}, `modular-gnn` to "
+        f"{vap('vap-50', 'modular-gnn', 'plain random', mode='easy')}, "
+        f"`e2e-gnn` from {vap('vap-50', 'e2e-gnn', 'random', mode='easy')} to "
+        f"{vap('vap-50', 'e2e-gnn', 'plain random', mode='easy')}, and `e2e-nlm` from "
+        f"{vap('vap-50', 'e2e-nlm', 'random', mode='easy')} to "
+        f"{vap('vap-50', 'e2e-nlm', 'plain random', mode='easy')}",
+        f"`e2e-gnn` has {vap('vap-50', 'e2e-gnn', 'fixed')} and `e2e-nlm` {vap('vap-50', 'e2e-nlm', 'fixed')}, "
+        f"and both have {vap('vap-50', 'e2e-gnn', 'plain fixed')} with the paper's heads",
     ],
 }
 
