@@ -269,7 +269,7 @@ class Simulation:
 
     @property
     def executor(self) -> Executor:
-        """The executor in use: `"dense"` or `"relational"`."""
+        """The executor in use: `"relational"`, or `"dense"`, for which the relational one may evaluate some clauses."""
         return cast(Executor, self._city.executor())
 
     @property

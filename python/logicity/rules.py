@@ -222,9 +222,10 @@ class Explanation:
         text: The explanation as a text tree, also `str()`.
         nodes: The same tree as data. The first node is the fact. Nodes refer to each other by index. A node that holds
             is `{"holds", "height", "by": "input" | "text" | "clause" | "range" | "past", "clause", "binding",
-            "premises"}`; one that follows from earlier ticks has the nearest `tick` and the words `when`. A
-            node that does not hold is `{"absent", "because": "not-a-fact" | "no-clause" | "not-looked-into" | "range",
-            "clauses"}`. Each of its `clauses` has a `clause`, the nearest `binding`, and the failing literals under
+            "premises"}`. A node that follows from earlier ticks also has `tick`, the nearest one, and `when`, the ticks
+            in words. A node that does not hold is `{"absent", "because": "not-a-fact" | "no-clause" |
+            "not-looked-into" | "range", "clauses"}`. Each of its `clauses` has a `clause`, the nearest `binding`, and
+            the failing literals under
             `fails`. An entry of `premises` or `fails` has the `literal` under the binding, and its `kind`: `fact`,
             `in-view`, `not`, `comparison`, `expression` or `aggregate`. The first three kinds also have the `node` that
             explains the literal.

@@ -20,7 +20,8 @@ Split = Literal["train", "val", "test"]
 
 Executor = Literal["auto", "dense", "relational"]
 """The executor of the rules, which does not affect the results. `auto` is `dense` (bit sets) if the dense executor can
-evaluate the rules, and `relational` otherwise.
+evaluate the rules, and `relational` otherwise. In a city, it evaluates clauses that `dense` does not support with
+`relational`, and the others with `dense`.
 """
 
 

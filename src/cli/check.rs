@@ -323,7 +323,7 @@ fn because(reason: &Unsupported, rules: &Rules, sources: &Sources) -> String {
 /// The number of agents for which `check` estimates the steps of the dense executor.
 const CROWD: usize = 64;
 
-/// Returns the clauses for which the dense executor may give up; none if it does not evaluate all.
+/// Returns the clauses for which the dense executor may give up; none if it does not evaluate all clauses.
 fn costly(rules: &Rules) -> Vec<ClauseId> {
     let rules = &with_conditions(rules);
     match dense::obstacles(rules).is_empty() {
@@ -369,7 +369,8 @@ fn print_executors(out: &mut impl Write, rules: &Rules, sources: &Sources) -> io
     Ok(())
 }
 
-/// Returns for each stratum which executor evaluates its clauses: the relational one in a city if `because` has reasons.
+/// Returns the executor of each stratum in a city: `dense`, `relational`, or `both`. `relational` lists the clauses that
+/// the dense one does not support, and why.
 fn executors_json(rules: &Rules, sources: &Sources) -> serde_json::Value {
     let with_conditions = with_conditions(rules);
     let reasons = dense::obstacles(&with_conditions);

@@ -118,7 +118,7 @@ pub struct Marginals {
     program: Program,
     queries: Vec<PredicateId>,
     options: MarginalOptions,
-    facts: Facts,
+    facts: FactTables,
     /// The input predicates that had an uncertain fact, for which the grounding was made.
     uncertain: BTreeSet<PredicateId>,
     grounding: Option<Grounding>,
@@ -150,7 +150,7 @@ impl Marginals {
         let nodes_max = usize::try_from(options.limits.bytes / 4 / NODE_BYTES).unwrap_or(usize::MAX);
         Ok(Marginals {
             queries: queries.collect::<Result<_, _>>()?,
-            facts: Facts::new(program.rules().predicates.len()),
+            facts: FactTables::new(program.rules().predicates.len()),
             uncertain: BTreeSet::new(),
             grounding: None,
             diagrams: Diagrams::new(options.nodes_max.min(nodes_max)),
@@ -519,14 +519,14 @@ type AskedRows = BTreeSet<Box<[Value]>>;
 type FactRow = SmallVec<[Value; 4]>;
 
 /// The facts of the input predicates, with their probabilities.
-struct Facts {
+struct FactTables {
     /// By predicate: the rows, and whether they are sorted, each once. The last of equal rows counts.
     tables: Vec<(Vec<(FactRow, f64)>, bool)>,
 }
 
-impl Facts {
-    fn new(predicates: usize) -> Facts {
-        Facts {
+impl FactTables {
+    fn new(predicates: usize) -> FactTables {
+        FactTables {
             tables: vec![(Vec::new(), true); predicates],
         }
     }
@@ -865,7 +865,7 @@ impl Grounding {
     /// Returns the formulas of the needed rows.
     fn formulas(
         &self,
-        facts: &Facts,
+        facts: &FactTables,
         diagrams: &mut Diagrams,
         cancel: &Cancel,
     ) -> Result<Result<Formulas, TooLarge>, EvalError> {
@@ -921,7 +921,7 @@ impl Work<'_> {
         &mut self,
         grounding: &Grounding,
         inputs: &[(PredicateId, Vec<(u32, FactRow)>)],
-        facts: &Facts,
+        facts: &FactTables,
     ) -> Result<(), Stop> {
         for (input, rows) in inputs {
             // Both are sorted. Facts of the source are no such facts; clauses add them below.

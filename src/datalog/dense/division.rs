@@ -7,9 +7,9 @@
 //! relational:  +handed(X) :- IsCar(X), n = count : { Near(X, _) }, m = count : { Sees(X, _) }, n * 2 > m.
 //! ```
 //!
-//! A clause gives away the literals that the dense executor does not support, if at most two of their variables are
-//! those of other literals, and the whole clause otherwise. Of a recursive stratum the dense executor reads all rows.
-//! Each executor derives the predicates that it reads, some of them both.
+//! The relational executor derives the unsupported literals of a clause if the rest shares at most two variables with
+//! them, otherwise the whole clause. It derives recursive strata, and the dense executor reads all their rows. Predicates
+//! that both read are derived twice.
 
 use crate::check::{Atom, Clause, ClauseId, Column, Literal, Predicate, PredicateId, Rules, Stratum, Term, VarId};
 use crate::dense::analyze::{Unsupported, obstacle, obstacles, obstacles_in, unfit_shape, unsupported_literals};
@@ -43,7 +43,7 @@ pub struct Handed {
 }
 
 /// The executor of a stratum.
-enum Part {
+enum StratumExecutor {
     /// The dense executor, except for these clauses.
     Dense(Vec<ClauseId>),
     /// The relational executor, since the stratum is recursive; the dense one reads its rows.
@@ -65,16 +65,16 @@ pub fn divide(
     let part = |stratum: &Stratum| {
         let mut predicates = stratum.predicates.iter();
         match predicates.any(|predicate| unfit_shape(&lifted.rules, *predicate).is_some()) {
-            true => Part::Hidden,
-            false if stratum.recursive => Part::Read,
+            true => StratumExecutor::Hidden,
+            false if stratum.recursive => StratumExecutor::Read,
             false => {
                 let reasons = obstacles_in(&lifted.rules, stratum).into_iter();
-                Part::Dense(reasons.map(|reason| reason.clause).collect())
+                StratumExecutor::Dense(reasons.map(|reason| reason.clause).collect())
             }
         }
     };
-    let parts: Vec<Part> = lifted.rules.strata.iter().map(part).collect();
-    let is_whole = |part: &Part| matches!(part, Part::Dense(handed) if handed.is_empty());
+    let parts: Vec<StratumExecutor> = lifted.rules.strata.iter().map(part).collect();
+    let is_whole = |part: &StratumExecutor| matches!(part, StratumExecutor::Dense(handed) if handed.is_empty());
     if parts.iter().all(is_whole) {
         return Some(Division {
             dense: lifted.rules.clone(),
@@ -92,10 +92,10 @@ pub fn divide(
         is_kept[position] = needed || stratum.predicates.iter().any(|predicate| counted(*predicate));
         match part {
             _ if !is_kept[position] => {}
-            Part::Hidden if needed => return None,
-            Part::Hidden => divider.need(stratum),
-            Part::Read => divider.read(stratum),
-            Part::Dense(handed) => {
+            StratumExecutor::Hidden if needed => return None,
+            StratumExecutor::Hidden => divider.need(stratum),
+            StratumExecutor::Read => divider.read(stratum),
+            StratumExecutor::Dense(handed) => {
                 handed.into_iter().for_each(|clause| divider.divide(lifted, clause));
                 let (read, _) = divider.dense.read_by(stratum.clauses.iter().copied());
                 is_needed.resize(divider.dense.predicates.len(), false);
@@ -117,7 +117,7 @@ struct Divider<'r> {
     /// By clause that is divided: the clause of its hidden predicate.
     pieces: Vec<Option<Clause>>,
     handed: Vec<(PredicateId, PredicateId)>,
-    /// By predicate: whether all its rows are needed of the relational executor.
+    /// By predicate: whether the relational executor must derive all its rows.
     is_read: Vec<bool>,
 }
 

@@ -615,7 +615,7 @@ impl Drawing<'_> {
                         item.text = format!("{}  [{}]", item.text, self.printer.place(clause));
                     }
                     Origin::Derived(derivation) => {
-                        // What a temporal operator reads of the present is that itself.
+                        // In the present tick, the fact of a temporal operator is its operand: show it once.
                         if let [Premise::Fact(same)] = derivation.premises[..]
                             && self.printer.rules.predicates[fact.predicate.index()].hidden
                             && let Node::Fact(read) = self.explanation.node(same)

@@ -238,7 +238,7 @@ class AgentPanel {
     const node = this.run.nodes[number];
     const item = make("li", {});
     if (node.t !== undefined) {
-      // What a temporal operator reads of the present is that itself.
+      // In the present tick, the fact of a temporal operator is its operand: show it once.
       const [same] = node.p?.length === 1 && node.p[0][0] === text && node.p[0][2] >= 0 ? node.p : [];
       if (same) return this.branch(same[2], text, expanded);
       item.append(make("span", { class: "yes" }, ...this.linked(text)));

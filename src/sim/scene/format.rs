@@ -260,8 +260,10 @@ struct Reader<'a> {
 
 impl<'a> Reader<'a> {
     fn scenes(&self) -> Read<Vec<Scene>> {
-        // Most scenes are so; the others, and what is no scene, take more passes over the text.
-        if let Ok(raw) = serde_json::from_str::<RawSymbolic<'a>>(self.text) {
+        // Most scenes are symbolic: one pass. Other scenes and errors take more. A list would fill the fields, too.
+        if self.text.trim_start().starts_with('{')
+            && let Ok(raw) = serde_json::from_str::<RawSymbolic<'a>>(self.text)
+        {
             return Ok(vec![Scene::Symbolic(self.symbolic(raw)?)]);
         }
         let whole: &RawValue = self.read(self.text, 0)?;
@@ -694,7 +696,7 @@ impl<'a> Reader<'a> {
 /// Rows, sorted, each once, and the probabilities of those that have one, sorted.
 type PlainRows = (Vec<[u32; 2]>, Vec<([u32; 2], f64)>);
 
-/// Parses the rows of a predicate without a value in one pass; `None` if something is wrong with them.
+/// Parses the rows of a predicate without a value in one pass; `None` if they have a fault.
 fn plain_rows(raw: &RawValue, arity: usize, names: &HashMap<String, usize>) -> Option<PlainRows> {
     let mut read = serde_json::Deserializer::from_str(raw.get());
     let rows: Vec<([u32; 2], Option<f64>)> = Rows(RowSeed {
@@ -860,7 +862,28 @@ mod tests {
     use super::*;
     use crate::rng::{Purpose, RngExt, Seed};
 
-    /// Rows in one pass equal those with places, and are refused where those are.
+    /// A list is no scene, even if its elements would fill the fields of one.
+    #[test]
+    fn a_scene_is_an_object() {
+        let kinds = KindTable::default();
+        let terms = Terms {
+            predicates: vec![("P", 1, None)],
+            concepts: Vec::new(),
+            kinds: &kinds,
+        };
+        for (text, is_scene) in [
+            (r#"{"entities": ["a"], "ego": "a", "facts": {"P": ["a"]}}"#, true),
+            (r#" [{"entities": ["a"], "ego": "a"}]"#, true),
+            (r#"[["a"], "a", {"P": ["a"]}]"#, false),
+            (r#"[["a"], "a"]"#, false),
+        ] {
+            let mut sources = Sources::new();
+            let source = sources.add("scene", text);
+            assert_eq!(parse_scenes(&sources, source, &terms).is_ok(), is_scene, "{text}");
+        }
+    }
+
+    /// One-pass parsing equals `checked_rows`, and rejects the same rows.
     #[test]
     fn plain_rows_equal_checked_rows() {
         const PARTS: [&str; 16] = [

@@ -253,7 +253,7 @@ fn agent_constants<'r>(
 }
 
 /// Returns one warning for each pair of actions that can be derived together. The order of precedence decides which
-/// action wins. That an action wins over one that is derived by default only needs no warning.
+/// action wins. There is no warning if the losing action is derived by default only.
 pub fn conflict_lints(overlaps: &[Overlap], rules: &Rules, actions: &ActionsConfig) -> Vec<Diagnostic> {
     let together = overlaps.iter().filter_map(|overlap| match &overlap.finding {
         Finding::Together { clauses, .. } => Some((overlap, clauses)),

@@ -16,7 +16,8 @@ use crate::sim::tick::vocabulary::Vocabulary;
 /// The executor that evaluates the rules.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
 pub enum Executor {
-    /// Dense if it can evaluate the rules for this number of agents, otherwise relational.
+    /// Dense if it supports the rules for this number of agents. In a city, the relational executor evaluates clauses
+    /// that it does not support. Otherwise relational.
     #[default]
     Auto,
     /// Evaluates predicates as bit words.
@@ -50,7 +51,7 @@ impl Executor {
         match make() {
             Ok(made) => Ok(Choice::Dense(made)),
             Err(fault) if self == Executor::Auto => Ok(Choice::Relational(Some(fault))),
-            Err(fault) => Err(fault.help("`--executor auto` falls back to the relational executor, for fewer agents")),
+            Err(fault) => Err(fault.help("`--executor auto` uses the relational executor for what the dense one does not support, for fewer agents")),
         }
     }
 }

@@ -42,8 +42,9 @@ pub struct CityState<'a> {
     pub agents: &'a [Agent],
 }
 
-/// The facts of the external predicates in a tick, or those that a session derives for the dense executor, as one set of agents per predicate over one agent, and one set per
-/// agent and predicate over two.
+/// The facts of the external predicates in a tick, or of the predicates that a session derives for the dense executor.
+///
+/// There is one set of agents per predicate over one agent, and one set per agent and predicate over two.
 #[derive(Clone, Debug, Default, PartialEq, Eq)]
 pub struct ExternalFacts {
     agents: usize,

@@ -9,7 +9,7 @@ use crate::predicate::{Definition, External, PairRelation, Relation, Subject, Vi
 use crate::sim::tick::chance::{Chance, Draws};
 use crate::sim::tick::executor::HandedRules;
 use crate::sim::tick::external::ExternalFacts;
-use crate::sim::tick::ground::Facts;
+use crate::sim::tick::ground::{Facts, Stopped};
 use crate::sim::tick::ground_state::{GroundPredicate, GroundState};
 use crate::sim::tick::vocabulary::BasePredicate;
 use crate::sim::tick::window::Plan;
@@ -66,15 +66,31 @@ impl HandedState {
         self.rules().is_read[predicate] && self.relations.iter().all(|(known, _)| *known != predicate)
     }
 
-    /// Adds the facts that the caller does not ground.
-    pub fn add_pairs(&self, agents: &[Agent], draws: Draws, facts: &mut Facts) {
+    /// Adds the facts that the caller does not ground, up to `limit` bytes of facts.
+    ///
+    /// # Errors
+    /// As [`ground_with`](crate::sim::tick::ground::ground_with).
+    pub fn add_pairs(
+        &self,
+        agents: &[Agent],
+        draws: Draws,
+        facts: &mut Facts,
+        (limit, cancel): (u64, &Cancel),
+    ) -> Result<(), Stopped> {
         let subjects: Vec<Subject> = agents.iter().map(subject).collect();
         let mut bits = vec![0; subjects.len()];
         for (predicate, relation) in &self.relations {
+            let left = limit.saturating_sub(facts.bytes()) / size_of::<[u32; 2]>() as u64;
             let rows = &mut facts.rows[*predicate];
             let draw = |x: usize, y: usize, probability: f64| draws.decides(*predicate, x, y, probability);
-            with_relation!(relation, relation => relate(relation, &self.views, &subjects, draw, &mut bits, rows));
+            let stop = |rows: &[[u32; 2]]| match cancel.requested() {
+                true => Err(Stopped::Cancelled),
+                false if rows.len() as u64 > left => Err(Stopped::TooManyFacts { limit }),
+                false => Ok(()),
+            };
+            with_relation!(relation, relation => relate((relation, &self.views), &subjects, draw, stop, &mut bits, rows))?;
         }
+        Ok(())
     }
 
     /// Derives the rows from these facts.
@@ -127,25 +143,27 @@ fn subject(agent: &Agent) -> Subject {
     }
 }
 
-/// Adds the rows of a relation. `bits` has a word for each agent.
+/// Adds the rows of a relation. Asks `stop` before each first agent. `bits` has a word for each agent.
 fn relate<R: Relation>(
-    relation: &R,
-    views: &Views,
+    (relation, views): (&R, &Views),
     subjects: &[Subject],
     draw: impl Fn(usize, usize, f64) -> bool,
+    stop: impl Fn(&[[u32; 2]]) -> Result<(), Stopped>,
     bits: &mut [u64],
     rows: &mut Vec<[u32; 2]>,
-) {
+) -> Result<(), Stopped> {
     let number = |agent: usize| u32::try_from(agent).expect("fewer than 2^32 agents");
     if subjects.len() <= 64 {
         bits.fill(0);
         relation.relate(views, subjects.iter().copied(), draw, bits);
         for (x, related) in bits.iter().enumerate() {
+            stop(rows)?;
             rows.extend(members(&[*related]).map(|y| [number(x), number(y)]));
         }
-        return;
+        return stop(rows);
     }
     for (x, first) in subjects.iter().enumerate() {
+        stop(rows)?;
         for (y, second) in subjects.iter().enumerate() {
             let holds = match x == y {
                 true => R::REFLEXIVE,
@@ -156,4 +174,5 @@ fn relate<R: Relation>(
             }
         }
     }
+    stop(rows)
 }

@@ -787,7 +787,8 @@ impl Simulation {
         };
         let reads_past = |past: usize| handed.rules().reads_past[past];
         let mut facts = self.ground(draws, |index| handed.lacks(index), reads_past)?;
-        handed.add_pairs(&self.agents, draws, &mut facts);
+        let bounds = (self.world.limits.bytes, &self.cancel);
+        handed.add_pairs(&self.agents, draws, &mut facts, bounds)?;
         match &mut self.handed {
             Some(handed) => handed.evaluate(&facts, &self.cancel),
             None => Ok(()),
