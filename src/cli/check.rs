@@ -347,8 +347,8 @@ fn print_costly(out: &mut impl Write, rules: &Rules, sources: &Sources) -> io::R
 }
 
 fn print_executors(out: &mut impl Write, rules: &Rules, sources: &Sources) -> io::Result<()> {
-    let rules = &with_conditions(rules);
-    let reasons = dense::obstacles(rules);
+    let with_conditions = with_conditions(rules);
+    let reasons = dense::obstacles(&with_conditions);
     if reasons.is_empty() {
         writeln!(out, "  executor: dense")?;
         return print_costly(out, rules, sources);
@@ -361,7 +361,7 @@ fn print_executors(out: &mut impl Write, rules: &Rules, sources: &Sources) -> io
     for reason in reasons {
         let head = rules.clauses[reason.clause.index()].head.predicate;
         let name = rules.predicates[head.index()].title();
-        writeln!(out, "    {name}: {}", because(&reason, rules, sources))?;
+        writeln!(out, "    {name}: {}", because(&reason, &with_conditions, sources))?;
         if let Some(help) = reason.help().filter(|_| helped.insert(reason.span)) {
             writeln!(out, "      help: {help}")?;
         }
@@ -369,8 +369,8 @@ fn print_executors(out: &mut impl Write, rules: &Rules, sources: &Sources) -> io
     Ok(())
 }
 
-/// Returns the executor of each stratum in a city: `dense`, `relational`, or `both`. `relational` lists the clauses that
-/// the dense one does not support, and why.
+/// Returns the executor of each stratum in a city: `dense`, `relational`, or `both`. `relational` lists the clauses
+/// that the dense one does not support, and why.
 fn executors_json(rules: &Rules, sources: &Sources) -> serde_json::Value {
     let with_conditions = with_conditions(rules);
     let reasons = dense::obstacles(&with_conditions);

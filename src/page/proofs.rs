@@ -17,8 +17,8 @@ use std::collections::HashMap;
 pub struct Proofs {
     /// Clauses: `head`, `file`, `line`, `doc`, `label`, `text`.
     pub clauses: Vec<Value>,
-    /// A fact is `{"t": text, "by": ..}`. One that follows from earlier ticks also has `"w"`, the words for these ticks.
-    /// If a clause derives it, it also has `"c"` (position in `clauses`), `"b"` (binding) and `"p"` (premises). An
+    /// A fact is `{"t": text, "by": ..}`. One that follows from earlier ticks also has `"w"`, these ticks in words. If
+    /// a clause derives it, it also has `"c"` (position in `clauses`), `"b"` (binding) and `"p"` (premises). An
     /// absent fact is `{"f": text, "by": ..}`. If clauses could derive it, it also has `"m"`: for each, `[clause,
     /// binding, failures]`. A premise or failure is `[text, kind, node or -1]`. Only the nodes since the last
     /// [`Proofs::forget`].

@@ -21,6 +21,7 @@ pub use scene::{
     scene_json,
 };
 pub use tick::asked::{AskedFact, FactAccount};
+pub use tick::batch::Batch;
 pub use tick::chance::Chance;
 pub use tick::executor::{DenseRules, Executor};
 #[cfg(feature = "cli")]
@@ -30,8 +31,8 @@ pub use tick::external::{CityState, ExternalFacts, ExternalPredicates};
 pub(crate) use tick::ground::json_value;
 pub use tick::ground::{Facts, MAX_ENTITIES, PastRows, ground};
 pub(crate) use tick::ground_state::GroundState;
-pub use tick::simulation::{AgentTick, Batch, Phase, Settings, Simulation, Snapshot, TickReport};
-pub(crate) use tick::simulation::{run_polled, start_threads, threads_of};
+pub(crate) use tick::pool::{run_polled, start_threads, threads_of};
+pub use tick::simulation::{AgentTick, Phase, Settings, Simulation, Snapshot, TickReport};
 pub use tick::vocabulary::{Actions, BasePredicate, Vocabulary};
 pub use tick::width::Width;
 #[cfg(feature = "cli")]

@@ -1,6 +1,6 @@
 //! Rules that the dense executor supports in part: it hands the other clauses over to a session.
 
-use crate::agreement::{Counts, go_the_same_way, multiply, simulation};
+use crate::agreement::{Counts, multiply, simulation};
 use crate::shipped_world::configured;
 use logicity::city::{Action, Split};
 use logicity::config::Scenario;
@@ -194,5 +194,18 @@ fn clauses_that_are_handed_over_keep_to_the_limits() {
     };
     assert_eq!(fault.code, codes::LIMIT_EXCEEDED);
     assert_eq!(city.now(), ticks);
-    go_the_same_way(&mut [city], 0);
+
+    // The facts of all pairs exceed the limit before the session sees them.
+    let mut world = self::world("Stop(X) :- Between(X, Y, Z), Waited(Z, n), n < 3.", |scenario| {
+        multiply(scenario, 5);
+        scenario.view = 1000;
+    });
+    Arc::get_mut(&mut world).unwrap().limits.bytes = 20_000;
+    let fault = uncounted(&world, 1).tick(&[]).unwrap_err();
+    assert_eq!(fault.code, codes::LIMIT_EXCEEDED);
+    assert!(
+        fault.message.contains("the facts about the agents"),
+        "{}",
+        fault.message
+    );
 }

@@ -41,6 +41,7 @@ use crate::syntax::packed::FactRuns;
 use std::borrow::Cow;
 
 pub use chance::Draw;
+pub(crate) use rules::bind_all;
 pub use rules::{
     Atom, Clause, ClauseId, Column, Constraint, DeclaredConstraint, Directive, Literal, Past, PastOperator, Predicate,
     PredicateId, RowFormat, RowPlace, Rules, Stratum, Term, Type, TypeId, VarId,

@@ -314,6 +314,24 @@ impl Literal {
         self.terms().filter_map(Term::variable)
     }
 
+    /// Returns the variables that the literal binds if it holds; `None` while it needs further bound variables.
+    pub(crate) fn binds(&self, bound: &[bool]) -> Option<Vec<VarId>> {
+        let known = |term: &Term| term.variable().is_none_or(|variable| bound[variable.index()]);
+        let variables = |terms: &[Term]| terms.iter().filter_map(Term::variable).collect();
+        match self {
+            Literal::Positive(atom) | Literal::Guard(atom) => Some(variables(&atom.terms)),
+            Literal::Negative(atom) => atom.terms.iter().all(known).then(Vec::new),
+            Literal::Compare { op, left, right, .. } => match (known(left), known(right)) {
+                (true, true) => Some(Vec::new()),
+                (false, false) => None,
+                _ if *op == Comparison::Equal => Some(variables(&[*left, *right])),
+                _ => None,
+            },
+            Literal::Compute { to, arguments, .. } => arguments.iter().all(known).then(|| variables(&[*to])),
+            Literal::Aggregate { to, atom, .. } => atom.terms.iter().all(known).then(|| variables(&[*to])),
+        }
+    }
+
     /// Mutable variant of `terms`.
     pub(crate) fn terms_mut(&mut self) -> impl Iterator<Item = &mut Term> {
         let (list, further): (&mut [Term], [Option<&mut Term>; 2]) = match self {
@@ -323,6 +341,26 @@ impl Literal {
             Literal::Aggregate { to, atom, .. } => (&mut atom.terms, [Some(to), None]),
         };
         list.iter_mut().chain(further.into_iter().flatten())
+    }
+}
+
+/// Binds the variables that these literals bind, in any order. Returns whether none of them lacks a variable then.
+pub(crate) fn bind_all<'l>(literals: impl Iterator<Item = &'l Literal>, bound: &mut [bool]) -> bool {
+    let mut waiting: Vec<&Literal> = literals.collect();
+    loop {
+        let before = waiting.len();
+        waiting.retain(|literal| match literal.binds(bound) {
+            Some(variables) => {
+                variables
+                    .into_iter()
+                    .for_each(|variable| bound[variable.index()] = true);
+                false
+            }
+            None => true,
+        });
+        if waiting.len() == before {
+            return waiting.is_empty();
+        }
     }
 }
 

@@ -8,14 +8,16 @@
 //! ```
 //!
 //! The relational executor derives the unsupported literals of a clause if the rest shares at most two variables with
-//! them, otherwise the whole clause. It derives recursive strata, and the dense executor reads all their rows. Predicates
-//! that both read are derived twice.
+//! them, otherwise the whole clause. It derives recursive strata, and the dense executor reads all their rows.
+//! Predicates that both read are derived twice.
 
-use crate::check::{Atom, Clause, ClauseId, Column, Literal, Predicate, PredicateId, Rules, Stratum, Term, VarId};
+use crate::check::{
+    Atom, Clause, ClauseId, Column, Literal, Predicate, PredicateId, Rules, Stratum, Term, VarId, bind_all,
+};
 use crate::dense::analyze::{Unsupported, obstacle, obstacles, obstacles_in, unfit_shape, unsupported_literals};
 use crate::dense::condition::Lifted;
 use crate::diag::Span;
-use crate::syntax::ast::{BaseType, Comparison};
+use crate::syntax::ast::BaseType;
 
 /// Rules divided between the executors.
 #[derive(Clone, Debug)]
@@ -364,8 +366,8 @@ struct Piece {
 }
 
 impl Piece {
-    /// Finds the part; `None` if only the whole clause has fewer than three such variables. The first `given` predicates
-    /// are those of the relational executor.
+    /// Finds the part; `None` if only the whole clause has fewer than three such variables. The first `given`
+    /// predicates are those of the relational executor.
     fn of(rules: &Rules, given: usize, id: ClauseId) -> Option<Piece> {
         let clause = &rules.clauses[id.index()];
         let unsupported = unsupported_literals(rules, clause);
@@ -419,8 +421,9 @@ impl Piece {
         loop {
             let mut wanted = of(&body);
             wanted.extend(&shared);
-            let bound = bound_by(clause, &body);
-            let Some(unbound) = wanted.iter().find(|variable| !bound.contains(variable)) else {
+            let mut bound = vec![false; clause.variables.len()];
+            bind_all(body.iter().map(|position| &clause.body[*position]), &mut bound);
+            let Some(unbound) = wanted.iter().find(|variable| !bound[variable.index()]) else {
                 break;
             };
             let binds = |position: &&usize| clause.body[**position].variables().any(|variable| variable == *unbound);
@@ -440,38 +443,6 @@ impl Piece {
             body,
             columns: shared.into_iter().map(column).collect::<Option<_>>()?,
         })
-    }
-}
-
-/// Returns the variables that these literals of a clause bind.
-fn bound_by(clause: &Clause, body: &[usize]) -> Vec<VarId> {
-    let mut bound: Vec<VarId> = Vec::new();
-    loop {
-        let before = bound.len();
-        for position in body {
-            let literal = &clause.body[*position];
-            let is_bound = |term: &Term| term.variable().is_none_or(|variable| bound.contains(&variable));
-            let binds: Vec<&Term> = match literal {
-                Literal::Positive(atom) | Literal::Guard(atom) => atom.terms.iter().collect(),
-                Literal::Compute { to, arguments, .. } if arguments.iter().all(is_bound) => vec![to],
-                Literal::Aggregate { to, atom, .. } if atom.terms.iter().all(is_bound) => vec![to],
-                Literal::Compare {
-                    op: Comparison::Equal,
-                    left,
-                    right,
-                    ..
-                } if is_bound(left) || is_bound(right) => vec![left, right],
-                _ => Vec::new(),
-            };
-            for variable in binds.into_iter().filter_map(Term::variable) {
-                if !bound.contains(&variable) {
-                    bound.push(variable);
-                }
-            }
-        }
-        if bound.len() == before {
-            return bound;
-        }
     }
 }
 

@@ -226,8 +226,8 @@ fn scopes(scene: &Difference) -> Vec<(String, Vec<Vec<String>>)> {
         .collect()
 }
 
-/// Returns the scene in the format of `logicity infer`, which assumes a complete `Sees` unless the scene lists it. `rules`
-/// declare its predicates. What follows from earlier ticks or draws is missing.
+/// Returns the scene in the format of `logicity infer`, which assumes a complete `Sees` unless the scene lists it.
+/// `rules` declare its predicates. What follows from earlier ticks or draws is missing.
 pub fn scene_json(scene: &Difference, rules: &[&Rules]) -> serde_json::Value {
     let scopes = scopes(scene);
     let is_complete = |rows: &[Vec<String>]| {

@@ -68,8 +68,8 @@ impl Inference {
     /// probability. Clauses with probabilities draw nothing, but count with all their alternatives.
     ///
     /// # Errors
-    /// As [`Inference::answer`]; `invalid-scene` for a list of scenes if what temporal operators read of the earlier ones is
-    /// uncertain.
+    /// As [`Inference::answer`]; `invalid-scene` for a list of scenes if what temporal operators read of the earlier
+    /// ones is uncertain.
     pub fn marginals(
         &mut self,
         sources: &Sources,
@@ -94,7 +94,8 @@ impl Inference {
             return Ok(());
         };
         let message = format!(
-            "temporal operators read `{}` of the earlier ticks of this list, which is uncertain, since the rules draw it",
+            "temporal operators read `{}` of the earlier ticks of this list, which is uncertain, since the rules draw \
+             it",
             rules.predicates[drawn.index()].title()
         );
         let fault = Diagnostic::new(codes::INVALID_SCENE, message);

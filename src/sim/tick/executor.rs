@@ -51,7 +51,10 @@ impl Executor {
         match make() {
             Ok(made) => Ok(Choice::Dense(made)),
             Err(fault) if self == Executor::Auto => Ok(Choice::Relational(Some(fault))),
-            Err(fault) => Err(fault.help("`--executor auto` uses the relational executor for what the dense one does not support, for fewer agents")),
+            Err(fault) => Err(fault.help(
+                "`--executor auto` uses the relational executor for what the dense one does not support, for fewer \
+                 agents",
+            )),
         }
     }
 }

@@ -137,6 +137,20 @@ impl From<Stopped> for Diagnostic {
     }
 }
 
+/// Returns what stops the grounding of another predicate, given its rows so far: a request, or more bytes of facts than
+/// the limit.
+pub(crate) fn bounded<'c>(
+    facts: &Facts,
+    (limit, cancel): (u64, &'c Cancel),
+) -> impl Fn(&[[u32; 2]]) -> Result<(), Stopped> + use<'c> {
+    let left = limit.saturating_sub(facts.bytes()) / size_of::<[u32; 2]>() as u64;
+    move |rows| match cancel.requested() {
+        true => Err(Stopped::Cancelled),
+        false if rows.len() as u64 > left => Err(Stopped::TooManyFacts { limit }),
+        false => Ok(()),
+    }
+}
+
 /// Bounded variant of [`ground`]. For every entity it polls `cancel` and counts the bytes of the facts.
 pub(crate) fn ground_with(
     vocabulary: &Vocabulary,
@@ -145,7 +159,7 @@ pub(crate) fn ground_with(
     entities: &[Entity<'_>],
     chance: &impl Chance,
     skip: impl Fn(usize) -> bool,
-    (limit, cancel): (u64, &Cancel),
+    bounds: (u64, &Cancel),
 ) -> Result<Facts, Stopped> {
     let mut facts = Facts::new(vocabulary.predicates.len());
     facts.chance = if vocabulary.draws { chance.word() } else { 0 };
@@ -155,12 +169,7 @@ pub(crate) fn ground_with(
         if skip(index) {
             continue;
         }
-        let left = limit.saturating_sub(facts.bytes()) / size_of::<[u32; 2]>() as u64;
-        let stop = |rows: &[[u32; 2]]| match cancel.requested() {
-            true => Err(Stopped::Cancelled),
-            false if rows.len() as u64 > left => Err(Stopped::TooManyFacts { limit }),
-            false => Ok(()),
-        };
+        let stop = bounded(&facts, bounds);
         let rows = &mut facts.rows[index];
         match &predicate.definition {
             Definition::Static(kind) => unary(rows, entities, stop, |x| kind.holds(x.kind, x.concepts)),

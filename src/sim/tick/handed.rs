@@ -9,7 +9,7 @@ use crate::predicate::{Definition, External, PairRelation, Relation, Subject, Vi
 use crate::sim::tick::chance::{Chance, Draws};
 use crate::sim::tick::executor::HandedRules;
 use crate::sim::tick::external::ExternalFacts;
-use crate::sim::tick::ground::{Facts, Stopped};
+use crate::sim::tick::ground::{Facts, Stopped, bounded};
 use crate::sim::tick::ground_state::{GroundPredicate, GroundState};
 use crate::sim::tick::vocabulary::BasePredicate;
 use crate::sim::tick::window::Plan;
@@ -27,12 +27,12 @@ pub(super) struct HandedState {
 }
 
 impl HandedState {
-    /// Creates the session for the agents of these names; `None` if the plan hands nothing over.
-    pub fn new(world: &World, plan: &Arc<Plan>, names: &[String]) -> Option<HandedState> {
+    /// Creates the session for these agents; `None` if the plan hands nothing over.
+    pub fn new(world: &World, plan: &Arc<Plan>, agents: &[Agent]) -> Option<HandedState> {
         let rules = plan.rules.handed.as_ref()?;
         let predicates = GroundPredicate::of(&world.vocabulary).zip(&rules.is_read);
         let predicates = predicates.map(|(predicate, read)| predicate.filter(|_| *read));
-        let names_of = names.iter().map(String::as_str);
+        let names: Vec<String> = agents.iter().map(|agent| agent.name().to_string()).collect();
         let arities = rules.predicates.iter().map(|(.., columns)| match columns {
             1 => External::Agent,
             _ => External::Pair,
@@ -45,8 +45,13 @@ impl HandedState {
         Some(HandedState {
             relations: known.filter_map(relation).collect(),
             views: Views::new(world.scenario.view),
-            state: GroundState::over(&rules.program, predicates.collect(), world.limits, names_of),
-            facts: ExternalFacts::new(arities, names.len()),
+            state: GroundState::over(
+                &rules.program,
+                predicates.collect(),
+                world.limits,
+                names.iter().map(String::as_str),
+            ),
+            facts: ExternalFacts::new(arities, agents.len()),
             plan: Arc::clone(plan),
         })
     }
@@ -66,29 +71,24 @@ impl HandedState {
         self.rules().is_read[predicate] && self.relations.iter().all(|(known, _)| *known != predicate)
     }
 
-    /// Adds the facts that the caller does not ground, up to `limit` bytes of facts.
+    /// Adds the facts that the caller does not ground, within these bounds.
     ///
     /// # Errors
     /// As [`ground_with`](crate::sim::tick::ground::ground_with).
     pub fn add_pairs(
         &self,
-        agents: &[Agent],
+        subjects: &[Subject],
         draws: Draws,
         facts: &mut Facts,
-        (limit, cancel): (u64, &Cancel),
+        bounds: (u64, &Cancel),
     ) -> Result<(), Stopped> {
-        let subjects: Vec<Subject> = agents.iter().map(subject).collect();
         let mut bits = vec![0; subjects.len()];
         for (predicate, relation) in &self.relations {
-            let left = limit.saturating_sub(facts.bytes()) / size_of::<[u32; 2]>() as u64;
+            let stop = bounded(facts, bounds);
             let rows = &mut facts.rows[*predicate];
             let draw = |x: usize, y: usize, probability: f64| draws.decides(*predicate, x, y, probability);
-            let stop = |rows: &[[u32; 2]]| match cancel.requested() {
-                true => Err(Stopped::Cancelled),
-                false if rows.len() as u64 > left => Err(Stopped::TooManyFacts { limit }),
-                false => Ok(()),
-            };
-            with_relation!(relation, relation => relate((relation, &self.views), &subjects, draw, stop, &mut bits, rows))?;
+            let (views, bits) = (&self.views, &mut bits);
+            with_relation!(relation, relation => relate((relation, views), subjects, draw, stop, bits, rows))?;
         }
         Ok(())
     }
@@ -131,15 +131,6 @@ impl HandedState {
     /// Returns the position in the list of the agent that a value represents.
     pub fn agent(&self, value: Value) -> Option<usize> {
         self.state.entity(value)
-    }
-}
-
-fn subject(agent: &Agent) -> Subject {
-    Subject {
-        kind: agent.kind,
-        priority: agent.priority,
-        at: agent.cell,
-        heading: agent.heading,
     }
 }
 

@@ -1,11 +1,12 @@
 //! The tick: from the state of the agents to facts, and from facts to one action per agent.
 //!
 //! `vocabulary` binds the configuration to the rules. The relational executor takes its facts from `ground` and keeps
-//! them in a `ground_state`. The dense one computes them in a `window`, and has a session of its own for clauses that it
-//! does not support (`handed`). `memory` keeps what temporal operators read of earlier ticks, `external` the facts that a
-//! function of the caller computes. See [`Executor`](crate::sim::Executor).
+//! them in a `ground_state`. The dense one computes them in a `window`, and has a session of its own for clauses that
+//! it does not support (`handed`). `memory` keeps what temporal operators read of earlier ticks, `external` the facts
+//! that a function of the caller computes. `batch` runs many cities. See [`Executor`](crate::sim::Executor).
 
 pub(super) mod asked;
+pub(super) mod batch;
 pub(super) mod chance;
 mod dense_executor;
 pub(super) mod executor;
@@ -14,6 +15,7 @@ pub(super) mod ground;
 pub(super) mod ground_state;
 mod handed;
 pub(super) mod memory;
+pub(super) mod pool;
 pub(super) mod simulation;
 pub(super) mod vocabulary;
 pub(super) mod width;

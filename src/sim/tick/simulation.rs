@@ -9,7 +9,7 @@ use crate::datalog::Session;
 use crate::datalog::internal::symbol_hash;
 use crate::datalog::{ClauseId, Value};
 use crate::diag::{self, Diagnostic};
-use crate::predicate::{Entity, Progress};
+use crate::predicate::{Entity, Progress, Subject};
 use crate::rng::Seed;
 use crate::sim::codes as sim_codes;
 use crate::sim::tick::chance::{Chance, Drawing, Draws};
@@ -20,6 +20,7 @@ use crate::sim::tick::ground::{Facts, MAX_ENTITIES, ground_with};
 use crate::sim::tick::ground_state::GroundState;
 use crate::sim::tick::handed::HandedState;
 use crate::sim::tick::memory::Memory;
+use crate::sim::tick::pool::{start_threads, threads_of};
 use crate::sim::tick::vocabulary::{Actions, Vocabulary};
 use crate::sim::tick::window::{Now, Position};
 use crate::sim::tick::world::World;
@@ -28,9 +29,7 @@ use crate::yaml;
 use ndarray::Array3;
 use rayon::ThreadPool;
 use rayon::prelude::*;
-use std::io;
-use std::sync::{Arc, OnceLock, mpsc};
-use std::time::Duration;
+use std::sync::{Arc, OnceLock};
 
 /// The facts of rules that the dense executor evaluates itself.
 static NOT_HANDED: ExternalFacts = ExternalFacts::NONE;
@@ -281,7 +280,7 @@ impl Simulation {
         }
         let handed = dense
             .as_ref()
-            .and_then(|dense| HandedState::new(&world, dense.plan(), &names_of(&agents)));
+            .and_then(|dense| HandedState::new(&world, dense.plan(), &agents));
         if let Some(handed) = &handed {
             fallback = Some(handed.rules().reason.clone());
         }
@@ -760,8 +759,8 @@ impl Simulation {
         }
     }
 
-    /// Returns the facts on which the tick is decided. `is_read` selects predicates by their positions in the vocabulary,
-    /// `reads_past` those about earlier ticks.
+    /// Returns the facts on which the tick is decided. `is_read` selects predicates by their positions in the
+    /// vocabulary, `reads_past` those about earlier ticks.
     fn ground(
         &self,
         draws: Draws,
@@ -788,7 +787,8 @@ impl Simulation {
         let reads_past = |past: usize| handed.rules().reads_past[past];
         let mut facts = self.ground(draws, |index| handed.lacks(index), reads_past)?;
         let bounds = (self.world.limits.bytes, &self.cancel);
-        handed.add_pairs(&self.agents, draws, &mut facts, bounds)?;
+        let subjects: Vec<Subject> = self.agents.iter().map(|agent| entity(agent).subject()).collect();
+        handed.add_pairs(&subjects, draws, &mut facts, bounds)?;
         match &mut self.handed {
             Some(handed) => handed.evaluate(&facts, &self.cancel),
             None => Ok(()),
@@ -970,93 +970,6 @@ fn decided<'a>((agent, done): (&'a Agent, &AgentTick)) -> Entity<'a> {
     }
 }
 
-/// Starts a thread pool; `None` for a single thread.
-///
-/// # Errors
-/// `limit-exceeded` if the threads cannot be started.
-pub(crate) fn start_threads(threads: usize) -> Result<Option<Pool>, Diagnostic> {
-    let pool = (threads > 1).then(|| Pool::new(threads));
-    pool.transpose().map_err(|error| no_threads(threads, &error))
-}
-
-/// Returns the threads of a pool. A forked process starts them on its first call.
-///
-/// # Errors
-/// `limit-exceeded` if the threads cannot be started.
-pub(crate) fn threads_of(pool: Option<&Pool>) -> Result<Option<Arc<ThreadPool>>, Diagnostic> {
-    let threads = |pool: &Pool| pool.threads().map_err(|error| no_threads(pool.count(), &error));
-    pool.map(threads).transpose()
-}
-
-fn no_threads(count: usize, error: &io::Error) -> Diagnostic {
-    let message = format!("{count} threads cannot be started: {error}");
-    Diagnostic::new(diag::codes::LIMIT_EXCEEDED, message).help("use fewer threads")
-}
-
-/// The interval between polls of the thread that waits for a pool.
-const POLL_INTERVAL: Duration = Duration::from_millis(50);
-
-/// Runs work in a pool while the calling thread waits and calls `poll`. Some callbacks work on the calling thread only;
-/// for example, Python checks for signals on its main thread.
-pub(crate) fn run_polled<R: Send>(pool: &ThreadPool, poll: &(dyn Fn() + Sync), work: impl FnOnce() -> R + Send) -> R {
-    let (done, result) = mpsc::channel();
-    let received = pool.in_place_scope(|scope| {
-        scope.spawn(move |_| done.send(work()).expect("the caller waits for it"));
-        loop {
-            match result.recv_timeout(POLL_INTERVAL) {
-                Err(mpsc::RecvTimeoutError::Timeout) => poll(),
-                received => break received,
-            }
-        }
-    });
-    received.expect("the scope resumes a panic of the work")
-}
-
-/// Independent cities that advance in lockstep. Each gives the same results as it does alone.
-pub struct Batch {
-    cities: Vec<Simulation>,
-    threads: Option<Pool>,
-}
-
-impl Batch {
-    /// Creates a batch that runs on `threads` threads. Each city itself should use one thread.
-    ///
-    /// # Errors
-    /// `limit-exceeded` if the threads cannot be started.
-    pub fn new(cities: Vec<Simulation>, threads: usize) -> Result<Batch, Diagnostic> {
-        Ok(Batch {
-            cities,
-            threads: start_threads(threads)?,
-        })
-    }
-
-    /// Returns the cities.
-    pub fn cities(&self) -> &[Simulation] {
-        &self.cities
-    }
-
-    /// Returns the cities for changes, for example [`Simulation::restart`].
-    pub fn cities_mut(&mut self) -> &mut [Simulation] {
-        &mut self.cities
-    }
-
-    /// Runs one tick of every city. `controls` maps the position of a city to its controls (see [`Simulation::tick`]).
-    ///
-    /// # Errors
-    /// As [`Simulation::tick`]: the error of the first city that fails. The other cities advance.
-    pub fn tick<'c>(&mut self, controls: impl Fn(usize) -> &'c [(usize, Action)] + Sync) -> Result<(), Diagnostic> {
-        let fault = |(position, city): (usize, &mut Simulation)| Some((position, city.tick(controls(position)).err()?));
-        let faults = match &threads_of(self.threads.as_ref())? {
-            Some(pool) => pool.install(|| {
-                let faults = self.cities.par_iter_mut().enumerate().filter_map(fault);
-                faults.min_by_key(|(position, _)| *position)
-            }),
-            None => (self.cities.iter_mut().enumerate().filter_map(fault)).min_by_key(|(position, _)| *position),
-        };
-        faults.map_or(Ok(()), |(_, fault)| Err(fault))
-    }
-}
-
 /// The data that agents need to move in a tick.
 struct Moving<'a> {
     decisions: &'a Decisions,
@@ -1121,13 +1034,9 @@ fn agent_set(scenario: &Scenario, split: Split) -> Result<&AgentSet, Diagnostic>
 }
 
 fn ground_state(world: &World, agents: &[Agent]) -> Box<GroundState> {
-    let names = names_of(agents);
+    let names: Vec<String> = agents.iter().map(|agent| agent.name().to_string()).collect();
     let names = names.iter().map(String::as_str);
     Box::new(GroundState::new(&world.program, &world.vocabulary, world.limits, names))
-}
-
-fn names_of(agents: &[Agent]) -> Vec<String> {
-    agents.iter().map(|agent| agent.name().to_string()).collect()
 }
 
 fn entity(agent: &Agent) -> Entity<'_> {

@@ -108,6 +108,14 @@ pub(crate) struct Now<'a> {
 }
 
 impl Now<'_> {
+    #[inline]
+    fn given(&self, source: Source) -> &ExternalFacts {
+        match source {
+            Source::Caller => self.external,
+            Source::Session => self.handed,
+        }
+    }
+
     /// Returns whether the numbers of an agent are within all thresholds.
     #[inline]
     fn is_within(&self, map: &CityMap, thresholds: &[Threshold], body: &AgentState) -> bool {
@@ -153,10 +161,17 @@ enum Hidden {
     Condition(usize),
     /// What a temporal operator reads of earlier ticks, by its position in the memory.
     Past(usize),
-    /// An external predicate, by its position among them.
-    External(usize),
-    /// A predicate of rules that a session evaluates, by its position among them.
-    Handed(usize),
+    /// A predicate whose facts come from this source, by its position there.
+    Given(Source, usize),
+}
+
+/// Who computes the facts of predicates.
+#[derive(Clone, Copy, Debug)]
+enum Source {
+    /// The caller: external predicates.
+    Caller,
+    /// A session: what the rules of the dense executor lack.
+    Session,
 }
 
 impl Hidden {
@@ -169,8 +184,14 @@ impl Hidden {
         let mut handed = rules.handed.iter().flat_map(|handed| &handed.predicates);
         condition
             .or_else(|| rules.past(predicate).map(Hidden::Past))
-            .or_else(|| (externals.position(|(known, _)| known.id == Some(predicate))).map(Hidden::External))
-            .or_else(|| (handed.position(|(dense, ..)| *dense == predicate)).map(Hidden::Handed))
+            .or_else(|| {
+                let position = externals.position(|(known, _)| known.id == Some(predicate))?;
+                Some(Hidden::Given(Source::Caller, position))
+            })
+            .or_else(|| {
+                let position = handed.position(|(dense, ..)| *dense == predicate)?;
+                Some(Hidden::Given(Source::Session, position))
+            })
     }
 }
 
@@ -355,8 +376,7 @@ impl Plan {
                 self.rules.conditions.holds(condition, value, word, hashes)
             }
             Hidden::Past(past) => now.memory.holds(past, bodies[0].agent, bodies[1].agent),
-            Hidden::External(external) => now.external.holds(external, bodies[0].agent, bodies[1].agent),
-            Hidden::Handed(handed) => now.handed.holds(handed, bodies[0].agent, bodies[1].agent),
+            Hidden::Given(source, predicate) => (now.given(source)).holds(predicate, bodies[0].agent, bodies[1].agent),
         }
     }
 
@@ -653,8 +673,9 @@ fn run_in<const W: usize>(
                 Some(holding) => set_of_words(holding),
                 None => set_of(bodies.iter().map(|body| now.memory.holds_alone(*past, body.agent))),
             },
-            Hidden::External(external) if !diagonal && whole => set_of_words(now.external.members(*external)),
-            Hidden::Handed(handed) if !diagonal && whole => set_of_words(now.handed.members(*handed)),
+            Hidden::Given(source, predicate) if !diagonal && whole => {
+                set_of_words(now.given(*source).members(*predicate))
+            }
             _ => set_of(bodies.iter().map(|body| grounder.meets(hidden, now, [body, body]))),
         };
         bit_state.set_input(&grounder.rules.dense, *input, set);
@@ -852,11 +873,8 @@ impl<S> Scene<'_, S> {
             {
                 return and(near, &set_of_words(row));
             }
-            if let (Hidden::External(external), Argument::Second, true) = (hidden, list.axis, self.whole) {
-                return and(near, &set_of_words(self.now.external.row(*external, at)));
-            }
-            if let (Hidden::Handed(handed), Argument::Second, true) = (hidden, list.axis, self.whole) {
-                return and(near, &set_of_words(self.now.handed.row(*handed, at)));
+            if let (Hidden::Given(source, predicate), Argument::Second, true) = (hidden, list.axis, self.whole) {
+                return and(near, &set_of_words(self.now.given(*source).row(*predicate, at)));
             }
             let [at, bodies] = [&self.bodies[at..=at], self.bodies];
             return keep(near, |other| {

@@ -4,7 +4,7 @@
 pub(super) mod heights;
 
 use crate::cancel::Cancel;
-use crate::check::{Atom, Clause, ClauseId, Literal, PredicateId, Rules, Term, VarId};
+use crate::check::{Atom, Clause, ClauseId, Literal, PredicateId, Rules, Term, bind_all};
 use crate::eval::correlated::CorrelatedValues;
 use crate::eval::output::Abort;
 use crate::explain::search::heights::Heights;
@@ -677,61 +677,26 @@ fn in_order(clause: &Clause, binding: &Binding) -> Vec<usize> {
     let mut bound: Vec<bool> = binding.iter().map(Option::is_some).collect();
     let mut order = Vec::new();
     while order.len() < clause.body.len() {
-        let ready = |literal: &usize| !order.contains(literal) && binds(&clause.body[*literal], &bound).is_some();
+        let ready = |literal: &usize| !order.contains(literal) && clause.body[*literal].binds(&bound).is_some();
         let Some(next) = (0..clause.body.len()).find(ready) else {
             break;
         };
-        for variable in binds(&clause.body[next], &bound).unwrap_or_default() {
-            bound[variable] = true;
+        for variable in clause.body[next].binds(&bound).unwrap_or_default() {
+            bound[variable.index()] = true;
         }
         order.push(next);
     }
     order
 }
 
-/// Returns the variables that a satisfied literal binds; `None` while it needs further bound variables.
-fn binds(literal: &Literal, bound: &[bool]) -> Option<Vec<usize>> {
-    let variable = |term: &Term| term.variable().map(VarId::index);
-    let known = |term: &Term| variable(term).is_none_or(|variable| bound[variable]);
-    match literal {
-        Literal::Positive(atom) | Literal::Guard(atom) => Some(atom.terms.iter().filter_map(variable).collect()),
-        Literal::Negative(atom) => atom.terms.iter().all(known).then(Vec::new),
-        Literal::Compare { op, left, right, .. } => match (known(left), known(right)) {
-            (true, true) => Some(Vec::new()),
-            (false, false) => None,
-            _ if *op == Comparison::Equal => Some([left, right].into_iter().filter_map(variable).collect()),
-            _ => None,
-        },
-        Literal::Compute { to, arguments, .. } => {
-            (arguments.iter().all(known)).then(|| variable(to).into_iter().collect())
-        }
-        Literal::Aggregate { to, atom, .. } => {
-            (atom.terms.iter().all(known)).then(|| variable(to).into_iter().collect())
-        }
-    }
-}
-
 /// Returns whether the pending literals bind every variable that they or the head need.
 pub(super) fn safe(clause: &Clause, pending: &[bool]) -> bool {
     let mut bound = vec![false; clause.variables.len()];
-    let mut waiting: Vec<&Literal> = (clause.body.iter().zip(pending))
-        .filter_map(|(literal, pending)| pending.then_some(literal))
-        .collect();
-    loop {
-        let before = waiting.len();
-        waiting.retain(|literal| match binds(literal, &bound) {
-            Some(variables) => {
-                variables.into_iter().for_each(|variable| bound[variable] = true);
-                false
-            }
-            None => true,
-        });
-        if waiting.len() == before {
-            break;
-        }
-    }
+    let literals = clause.body.iter().zip(pending);
+    let literals = literals.filter_map(|(literal, pending)| pending.then_some(literal));
+    let all_hold = bind_all(literals, &mut bound);
     let head = clause.head.terms.iter();
-    waiting.is_empty()
+    all_hold
         && head
             .into_iter()
             .all(|term| !matches!(term, Term::Variable(variable) if !bound[variable.index()]))

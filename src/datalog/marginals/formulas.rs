@@ -1,0 +1,259 @@
+//! The formulas of rows, from the instances of clauses.
+
+use crate::cancel::Cancel;
+use crate::chance;
+use crate::check::{ClauseId, Draw, PredicateId, Term};
+use crate::diagram::{Diagrams, Formula, TooLarge};
+use crate::eval::limits::EvalError;
+use crate::marginals::facts::{AskedRows, FactRow, FactTables, asked_rows};
+use crate::marginals::grounding::{Formulas, GroundClause, Grounding, NOWHERE, value};
+use crate::session::Session;
+use crate::value::Value;
+use std::collections::{BTreeMap, BTreeSet, HashMap};
+
+impl Grounding {
+    /// Returns the probabilities of [`Marginals::first`](super::Marginals::first) for the rows of these predicates that
+    /// are asked for.
+    pub fn firsts(
+        &self,
+        (order, asked): (&[PredicateId], Option<&AskedRows>),
+        known: &Formulas,
+        diagrams: &mut Diagrams,
+    ) -> Result<BTreeMap<Box<[Value]>, Vec<f64>>, TooLarge> {
+        let mut rows: BTreeMap<&[Value], Vec<Formula>> = BTreeMap::new();
+        for (place, predicate) in order.iter().enumerate() {
+            for (at, row) in asked_rows(&self.session, *predicate, asked) {
+                let formulas = rows.entry(row).or_insert_with(|| vec![Formula::FALSE; order.len()]);
+                formulas[place] = known.at(*predicate, at);
+            }
+        }
+        let mut firsts = BTreeMap::new();
+        for (row, formulas) in rows {
+            let mut none = Formula::TRUE;
+            let mut each = Vec::with_capacity(formulas.len() + 1);
+            for formula in formulas {
+                let first = diagrams.and(none, formula)?;
+                each.push(first);
+                none = diagrams.and(none, formula.not())?;
+            }
+            each.push(none);
+            let each = each.into_iter().map(|formula| diagrams.probability(formula));
+            firsts.insert(row.into(), each.collect());
+        }
+        Ok(firsts)
+    }
+
+    /// Returns the formulas of the needed rows.
+    pub fn formulas(
+        &self,
+        facts: &FactTables,
+        diagrams: &mut Diagrams,
+        cancel: &Cancel,
+    ) -> Result<Result<Formulas, TooLarge>, EvalError> {
+        diagrams.clear();
+        let needed = self.needed.as_ref().expect("it is known which rows are needed");
+        let mut work = Work {
+            session: &self.session,
+            diagrams,
+            formulas: needed.formulas.clone(),
+            draws: HashMap::new(),
+            cancel,
+        };
+        match work.run(self, &needed.inputs, facts) {
+            Ok(()) => Ok(Ok(work.formulas)),
+            Err(Stop::TooLarge) => Ok(Err(TooLarge)),
+            Err(Stop::Cancelled) => Err(EvalError::Cancelled { clause: ClauseId(0) }),
+        }
+    }
+}
+
+/// Why formulas are not complete.
+enum Stop {
+    TooLarge,
+    Cancelled,
+}
+
+impl From<TooLarge> for Stop {
+    fn from(_: TooLarge) -> Stop {
+        Stop::TooLarge
+    }
+}
+
+/// The formulas so far.
+struct Work<'w> {
+    session: &'w Session,
+    diagrams: &'w mut Diagrams,
+    formulas: Formulas,
+    /// The alternatives of each draw. Lookup only, never iterated.
+    draws: HashMap<(u64, Box<[Value]>), Vec<Formula>>,
+    cancel: &'w Cancel,
+}
+
+/// An instance of a recursive clause: the position of its head, what holds of it apart from the recursion, and the
+/// positions of the recursive atoms.
+struct Instance {
+    head: (PredicateId, u32),
+    fixed: Formula,
+    recursive: Vec<(PredicateId, u32)>,
+}
+
+impl Work<'_> {
+    fn run(
+        &mut self,
+        grounding: &Grounding,
+        inputs: &[(PredicateId, Vec<(u32, FactRow)>)],
+        facts: &FactTables,
+    ) -> Result<(), Stop> {
+        for (input, rows) in inputs {
+            // Both are sorted. Facts of the source are no such facts; clauses add them below.
+            let mut given = facts.of(*input).iter().peekable();
+            for (at, row) in rows {
+                while given.next_if(|(known, _)| known < row).is_some() {}
+                if let Some((_, probability)) = given.next_if(|(known, _)| known == row) {
+                    let formula = self.random(*probability)?;
+                    self.formulas.set(*input, *at as usize, formula);
+                }
+            }
+        }
+        for stratum in &grounding.strata {
+            let mut instances = Vec::new();
+            for clause in &stratum.clauses {
+                self.instances(clause, &mut instances)?;
+            }
+            self.fixpoint(&instances)?;
+        }
+        Ok(())
+    }
+
+    /// Returns a formula that holds with this probability, independently of all others.
+    fn random(&mut self, probability: f64) -> Result<Formula, TooLarge> {
+        match probability {
+            ..=0.0 => Ok(Formula::FALSE),
+            1.0.. => Ok(Formula::TRUE),
+            _ => self.diagrams.variable(probability),
+        }
+    }
+
+    /// Evaluates the instances of a clause, and collects those that are recursive.
+    fn instances(&mut self, clause: &GroundClause, recursive: &mut Vec<Instance>) -> Result<(), Stop> {
+        for (count, &number) in clause.found.needed.iter().enumerate() {
+            if count % 1024 == 1023 && self.cancel.requested() {
+                return Err(Stop::Cancelled);
+            }
+            let number = number as usize;
+            let positions = &clause.found.positions[number * clause.width()..][..clause.width()];
+            let (lower, own) = positions[1..].split_at(clause.lower.len());
+            let mut fixed = Formula::TRUE;
+            for ((atom, negated), &at) in clause.lower.iter().zip(lower) {
+                let formula = match negated {
+                    false => self.at((atom.predicate, at)),
+                    true if at == NOWHERE => continue,
+                    true if atom.terms.contains(&Term::Wildcard) => {
+                        let mut all = Formula::FALSE;
+                        for &at in &clause.found.groups[at as usize] {
+                            all = self.diagrams.or(all, self.at((atom.predicate, at)))?;
+                        }
+                        all.not()
+                    }
+                    true => self.at((atom.predicate, at)).not(),
+                };
+                fixed = self.diagrams.and(fixed, formula)?;
+                if fixed == Formula::FALSE {
+                    break;
+                }
+            }
+            if fixed == Formula::FALSE {
+                continue;
+            }
+            if let (Some(draw), Some(instances)) = (&clause.draw, clause.instances) {
+                let drawn = self.drawn(draw, self.session.row(instances, number))?;
+                fixed = self.diagrams.and(fixed, drawn)?;
+            }
+            let head = (clause.head.predicate, positions[0]);
+            if own.is_empty() {
+                self.add(head, fixed)?;
+            } else {
+                let own = clause.recursive.iter().zip(own);
+                recursive.push(Instance {
+                    head,
+                    fixed,
+                    recursive: own.map(|(atom, at)| (atom.predicate, *at)).collect(),
+                });
+            }
+        }
+        Ok(())
+    }
+
+    /// Evaluates recursive instances until no formula changes. Formulas only grow, so this ends.
+    fn fixpoint(&mut self, instances: &[Instance]) -> Result<(), Stop> {
+        let mut changed: BTreeSet<(PredicateId, u32)> = BTreeSet::new();
+        let mut first = true;
+        while first || !changed.is_empty() {
+            let mut next = BTreeSet::new();
+            for instance in instances {
+                if !first && !instance.recursive.iter().any(|atom| changed.contains(atom)) {
+                    continue;
+                }
+                if self.cancel.requested() {
+                    return Err(Stop::Cancelled);
+                }
+                let mut formula = instance.fixed;
+                for atom in &instance.recursive {
+                    formula = self.diagrams.and(formula, self.at(*atom))?;
+                }
+                if self.add(instance.head, formula)? {
+                    next.insert(instance.head);
+                }
+            }
+            (first, changed) = (false, next);
+        }
+        Ok(())
+    }
+
+    /// Adds a reason for a row. Returns whether its formula changes.
+    fn add(&mut self, (predicate, at): (PredicateId, u32), reason: Formula) -> Result<bool, TooLarge> {
+        let before = self.at((predicate, at));
+        let after = self.diagrams.or(before, reason)?;
+        self.formulas.set(predicate, at as usize, after);
+        Ok(before != after)
+    }
+
+    #[inline]
+    fn at(&self, (predicate, at): (PredicateId, u32)) -> Formula {
+        self.formulas.at(predicate, at as usize)
+    }
+
+    /// Returns the formula that the alternative of a draw is chosen.
+    fn drawn(&mut self, draw: &Draw, instance: &[Value]) -> Result<Formula, TooLarge> {
+        let values = draw.values.iter().map(|term| value(term, instance).unwrap_or_default());
+        let key = (draw.stream, values.collect::<Box<[Value]>>());
+        if let Some(alternatives) = self.draws.get(&key) {
+            return Ok(alternatives.get(draw.alternative).copied().unwrap_or(Formula::FALSE));
+        }
+        let probabilities = draw.probabilities.iter();
+        let probabilities = probabilities.map(|term| value(term, instance).unwrap_or_default().as_float());
+        let probabilities: Vec<f32> = probabilities.collect();
+        let mut alternatives = Vec::new();
+        if chance::alternative(0.0, probabilities.iter().copied()).is_some() {
+            // The first alternatives are not chosen, and this one is, of what is left.
+            let (mut before, mut left) = (Formula::TRUE, 1.0);
+            for probability in probabilities.into_iter().map(exact) {
+                let chosen = self.random(if left > 0.0 { probability / left } else { 0.0 })?;
+                alternatives.push(self.diagrams.and(before, chosen)?);
+                before = self.diagrams.and(before, chosen.not())?;
+                left -= probability;
+            }
+        }
+        let found = alternatives.get(draw.alternative).copied().unwrap_or(Formula::FALSE);
+        self.draws.insert(key, alternatives);
+        Ok(found)
+    }
+}
+
+/// Returns the number that a float of single precision was probably written as: 0.3, not 0.30000001192.
+fn exact(probability: f32) -> f64 {
+    probability
+        .to_string()
+        .parse()
+        .unwrap_or_else(|_| f64::from(probability))
+}
