@@ -18,7 +18,7 @@ use std::sync::Arc;
 fn with_rules(rules: &str, edit: impl FnOnce(&mut Scenario)) -> (Arc<World>, Sources) {
     let config =
         "base: expert\npredicates:\n  define:\n    Waited: {quantity: waited}\n    Heading: {quantity: heading}\n";
-    let declared = ".include \"vocabulary.dl\"\n.decl Waited(x: agent, n: number)\n.type heading <: symbol\n.decl Heading(x: agent, h: heading)\n\
+    let declared = ".include \"vocabulary.dl\"\n.decl Waited(x: agent, n: number)\n.decl Heading(x: agent, h: symbol)\n\
                     .input Waited, Heading\n.decl Bold(x: agent)\n.decl Trusts(x: agent, y: agent)\n.scope Sees\n";
     configured(config, &format!("{declared}{rules}"), edit)
 }
@@ -257,7 +257,7 @@ fn explanations_show_draws() {
 #[test]
 fn what_draws_nothing_refuses_such_rules() {
     let (world, _) = with_rules("0.5 :: Stop(X) :- IsCar(X).\n", |_| ());
-    let fault = world.vocabulary.check_plain("questions").unwrap_err();
+    let fault = world.vocabulary.without_draws("questions").unwrap_err();
     assert_eq!(
         fault.message,
         "questions draw nothing, but clauses of the rules have probabilities"

@@ -102,14 +102,15 @@ impl Scopes {
             _ => None,
         };
         for (index, ty) in clause.types.iter().enumerate() {
-            clause.guarded[index] = ego != Some(variable(index)) && fits(*ty, guard.seen, names);
+            clause.guarded[index] = ego != Some(variable(index)) && is_seen(*ty, guard.seen, names);
         }
         let in_view = |atom: &Atom, column: usize| {
             let types = names.signatures[atom.predicate.index()]
                 .columns
                 .as_deref()
                 .unwrap_or_default();
-            atom.terms[column] == Term::Wildcard && types[column].is_some_and(|ty| names.meet(ty, guard.seen).is_some())
+            atom.terms[column] == Term::Wildcard
+                && types[column].is_some_and(|ty| is_seen(VariableType::Type(ty), guard.seen, names))
         };
         // For each literal: whether each of its columns is a `_` in view.
         let wildcards: Vec<Vec<bool>> = (clause.body.iter())
@@ -325,6 +326,17 @@ impl Scopes {
 
 fn variable(index: usize) -> VarId {
     VarId(u32::try_from(index).expect("fewer than 2^32 variables"))
+}
+
+/// Returns whether a scope guards a variable of that type. A value of a base type, such as the symbol of a heading, is
+/// nothing that an agent sees, unless the second column of the scope has this type itself.
+pub(crate) fn is_seen(ty: VariableType, seen: TypeId, names: &Names) -> bool {
+    let is_base = match ty {
+        VariableType::Unknown => return false,
+        VariableType::Base(_) => true,
+        VariableType::Type(ty) => ty == Names::base_type(names.base(ty)),
+    };
+    fits(ty, seen, names) && (!is_base || seen == Names::base_type(names.base(seen)))
 }
 
 /// Returns whether a variable of that type fits a column of the scope.

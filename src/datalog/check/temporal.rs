@@ -23,8 +23,8 @@ use crate::diag::{Diagnostic, Faults};
 use crate::check::names::Names;
 use crate::check::rules::{Past, PastOperator, Predicate};
 use crate::syntax::ast::{
-    Aggregate, Atom, Clause, ColumnDecl, Decl, Item, Literal, Name, Operator, Place, Scope, Temporal, Term, TermKind,
-    TypeDefinition,
+    Aggregate, Atom, BaseType, Clause, ColumnDecl, Decl, Item, Literal, Name, Operator, Place, Scope, Temporal, Term,
+    TermKind, TypeDefinition,
 };
 use crate::syntax::printer::write_operator;
 
@@ -484,7 +484,9 @@ impl<'c> Lowering<'c, '_> {
                 TermKind::Variable(_) => term.kind != ego.kind,
                 kind => *kind == TermKind::Wildcard,
             };
-            other && (self.is_within(&seen.ty.text, &column.ty.text) || self.is_within(&column.ty.text, &seen.ty.text))
+            let [seen, ty] = [&seen.ty.text, &column.ty.text];
+            let is_value = BaseType::ALL.iter().any(|base| base.name() == ty) && ty != seen;
+            other && !is_value && (self.is_within(seen, ty) || self.is_within(ty, seen))
         };
         let mut terms = atom.terms.iter().zip(columns);
         terms.position(|(term, column)| guarded(term, column))

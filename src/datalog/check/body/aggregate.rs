@@ -439,7 +439,7 @@ impl<'c> Check<'_, 'c> {
                 .clone()
                 .unwrap_or_default();
             for (term, ty) in atom.terms.iter_mut().zip(types) {
-                let in_view = ty.is_some_and(|ty| self.names.meet(ty, guard.seen).is_some());
+                let in_view = ty.is_some_and(|ty| scope::is_seen(VariableType::Type(ty), guard.seen, self.names));
                 match *term {
                     Term::Wildcard if in_view && negated => {
                         let fault = Diagnostic::new(
@@ -459,7 +459,7 @@ impl<'c> Check<'_, 'c> {
                     Term::Variable(id) => {
                         let known = &finish.variables[id.index()];
                         let is_own = self.level(id) == Some(head.level);
-                        if is_own && !known.hidden && scope::fits(known.ty, guard.seen, self.names) {
+                        if is_own && !known.hidden && scope::is_seen(known.ty, guard.seen, self.names) {
                             targets.insert(id);
                         }
                     }
