@@ -4,7 +4,7 @@ use logicity::builtin::BuiltinFiles;
 use logicity::city::{Action, Split};
 use logicity::diag::Sources;
 use logicity::induce::{Examples, LearnedRules, Predicate, State, Vocabulary};
-use logicity::sim::LoadedCity;
+use logicity::sim::{LoadedCity, ObservedColumn};
 use logicity::task::spf::{ControlMode, ControlledCar, Env, EpisodeSet, SpfTask};
 use std::path::Path;
 use std::sync::Arc;
@@ -30,17 +30,12 @@ impl Mode {
         let task = Arc::new(SpfTask::new(Arc::clone(&world), &sources).expect("a task"));
         let mut load = |split| EpisodeSet::load(&task, split, &mut sources, &BuiltinFiles).expect("episodes");
         let (train, test) = (load(Split::Train), load(Split::Test));
-        let predicates = (task.oracle().columns())
-            .map(|(position, _)| {
-                let predicate = &world.vocabulary.predicates[position];
-                let name = predicate.name.to_string();
-                Predicate {
-                    arity: predicate.arity,
-                    is_symmetric: name == "IsClose" || name == "NextTo",
-                    name,
-                }
-            })
-            .collect();
+        let predicate = |column: ObservedColumn| Predicate {
+            arity: column.arity,
+            is_symmetric: column.name == "IsClose" || column.name == "NextTo",
+            name: column.name,
+        };
+        let predicates = task.oracle().columns().into_iter().map(predicate).collect();
         Mode {
             task,
             train,

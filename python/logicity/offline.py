@@ -73,7 +73,9 @@ class Demonstrations(Sequence[Trajectory]):
         mode: The mode, or the path of the configuration file.
         split: The split of the episodes.
         episodes_hash: SHA-256 of the set of episodes.
-        atoms: The atom of each number of an observation. Empty if the observations are of the kind `state`.
+        atoms: The atom of each number of an observation; for a value of a quantity, the name of its column with the
+            entities, such as `("Waited", (0,))`. Empty if the observations are of the kind `state`.
+        quantities: The names of the columns of quantities in `atoms`, such as `Waited` or `Heading=Up`.
         asked: The actions that the rules can require.
         env: The gymnasium spec of the environment.
     """
@@ -82,6 +84,7 @@ class Demonstrations(Sequence[Trajectory]):
     split: str
     episodes_hash: str
     atoms: tuple[Atom, ...]
+    quantities: tuple[str, ...]
     asked: tuple[str, ...]
     env: gymnasium.envs.registration.EnvSpec
     trajectories: tuple[Trajectory, ...]
@@ -185,12 +188,15 @@ class Demonstrations(Sequence[Trajectory]):
         Raises:
             FileExistsError: If a file must not be replaced.
             OSError: If a file cannot be written.
-            ValueError: If the observations are not of the kind `groundings`, or `max_vars` is less than 1.
+            ValueError: If the observations are not of the kind `groundings` or contain quantities, or `max_vars` is
+                less than 1.
         """
         if max_vars is not None and as_integer("max_vars", max_vars) < 1:
             raise ValueError(f"`max_vars`: expected at least 1, not {max_vars}")
         if not self.atoms:
             raise ValueError('Popper needs atoms: make the demonstrations with `observation="groundings"`')
+        if self.quantities:
+            raise ValueError(f"Popper's files have truth values only, but the observations have `{self.quantities[0]}`")
         path = Path(checked_path("folder", folder))
         examples = list(self.examples(distinct=distinct))
         facts = [line for step, (seen, _) in enumerate(examples) for line in self._facts(step, seen, negated)]
@@ -356,7 +362,9 @@ def demonstrations(
     atoms = tuple(atoms_of(description)) if observation == "groundings" else ()
     asked = {constraint["action"] for constraint in description["constraints"]}
     named = tuple(action for action in ACTIONS if action in asked)
-    return Demonstrations(name, split, description["splits"][split]["hash"], atoms, named, spec, trajectories)
+    quantities = tuple(column["predicate"] for column in description["columns"] if "quantity" in column and atoms)
+    hashed = description["splits"][split]["hash"]
+    return Demonstrations(name, split, hashed, atoms, quantities, named, spec, trajectories)
 
 
 def _run_oracle(env: gymnasium.Env[Any, Any], episode: int) -> Trajectory:

@@ -206,9 +206,15 @@ fn report<'py, 'a>(
 fn describe<'py>(py: Python<'py>, task: &PyTask) -> PyResult<Bound<'py, PyAny>> {
     let (shared, world) = (&task.task, task.task.world());
     let (config, oracle) = (shared.config(), shared.oracle());
-    let columns = oracle.columns().map(|(predicate, width)| {
-        let predicate = &world.vocabulary.predicates[predicate];
-        json!({"predicate": predicate.name, "arity": predicate.arity, "width": width})
+    let columns = oracle.columns().into_iter().map(|column| {
+        let mut described = json!({"predicate": column.name, "arity": column.arity, "width": column.width});
+        if let Some(quantity) = world.vocabulary.predicates[column.predicate].quantity() {
+            described["quantity"] = json!(quantity.name());
+        }
+        if let Some(scale) = column.scale {
+            described["scale"] = json!(scale);
+        }
+        described
     });
     let constraints = oracle.constraints().iter().enumerate().map(|(number, constraint)| {
         let reward = shared.reward(constraint.action, &[number], 1);

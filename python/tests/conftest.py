@@ -254,3 +254,38 @@ def serve() -> Iterator[Serve]:
     for http in running:
         http.shutdown()
         http.server_close()
+
+
+QUANTITIES = """
+base: expert
+rules: patience.dl
+predicates:
+  define:
+    Waited: {quantity: waited}
+    Heading: {quantity: heading}
+    Priority: {quantity: priority}
+    Distance: {quantity: distance}
+    Tick: {quantity: tick}
+"""
+PATIENCE = """
+.include "vocabulary.dl"
+.decl Waited, Priority(x: agent, n: number)
+.decl Heading(x: agent, h: symbol)
+.decl Distance(x: agent, y: agent, d: float)
+.decl Tick(t: number)
+.input Waited, Heading, Priority, Distance, Tick
+/// P1
+Stop(X) :- IsInInter(Y), IsAtInter(X), Waited(X, n), n < 9.
+/// P2
+Slow(X) :- Distance(X, Y, d), d < 40.0, Heading(X, h), Heading(Y, h), Not(Stop(X)).
+/// P3
+Fast(X) :- Tick(t), t % 5 = 4, Priority(X, n), Priority(Y, m), n < m, Not(Stop(X)), Not(Slow(X)).
+"""
+
+
+@pytest.fixture
+def patience(tmp_path: Path) -> str:
+    """Return a configuration whose rules read quantities."""
+    (tmp_path / "patience.dl").write_text(PATIENCE)
+    (tmp_path / "patience.yaml").write_text(QUANTITIES)
+    return str(tmp_path / "patience.yaml")

@@ -312,3 +312,13 @@ def test_a_graph_network_equals_explicit_loops_over_edges(reverse: bool, present
                 after.append(convolution.nn(total))
             nodes = after
         assert torch.allclose(network.readout(nodes[0]), fast[scene], atol=1e-12)
+
+
+@pytest.mark.parametrize("algorithm", list(LEARNERS))
+def test_networks_learn_from_quantities(algorithm: str, patience: str) -> None:
+    learner = LEARNERS[algorithm](config(algorithm, SMALL[algorithm], mode=patience))
+    learner.fit(3, nothing)
+    policy = learner.policy()
+    observation = learner._data.observations[:1]
+    other = observation + torch.from_numpy(policy.layout.unbounded)
+    assert not torch.equal(policy.network(observation), policy.network(other))

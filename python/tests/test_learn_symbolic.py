@@ -197,6 +197,7 @@ def learner(algorithm: str, mode: str = "easy", share: float = 1.0, **settings: 
         seed=0,
         threads=1,
         demonstrations=share,
+        overrides={},
     )
     return cls(config)
 
@@ -607,3 +608,9 @@ def test_popper_that_does_not_stop_is_killed(monkeypatch: pytest.MonkeyPatch, tm
     program = fake_popper(tmp_path, f"{child}time.sleep(100)")
     with pytest.raises(ValueError, match=r"time-out: popper found no rules for Stop within 0\.5 seconds"):
         trained("popper", share=0.02, program=program, timeout=0.5, negated=False)
+
+
+@pytest.mark.parametrize("algorithm", ["popper", "maxsynth", "foldrm"])
+def test_learners_of_rules_refuse_quantities(algorithm: str, patience: str) -> None:
+    with pytest.raises(ValueError, match=f"`{algorithm}` learns from truth values, but .* the quantity `Waited`"):
+        learner(algorithm, patience)

@@ -2,6 +2,7 @@ from __future__ import annotations
 
 import copy
 import pickle
+from pathlib import Path
 from typing import Any
 
 import gymnasium
@@ -348,3 +349,72 @@ def test_layouts_need_all_ground_atoms_once() -> None:
             Layout.of_atoms(wrong)
     with pytest.raises(ValueError, match="`Q` has 3 arguments"):
         Layout.of_atoms([*atoms, ("Q", (0, 0, 1))])
+
+
+def _made(config: str, **options: Any) -> gymnasium.Env[Any, Any]:
+    return gymnasium.make("logicity/SPF-Expert-v0", config=config, **options)
+
+
+def test_observations_have_quantities(patience: str) -> None:
+    names = logicity.observation_names(patience)
+    assert names[-10:-5] == tuple(f"Distance(4, {entity})" for entity in range(5))
+    assert names[-5:] == tuple(f"Tick({entity})" for entity in range(5))
+    assert "Heading=Up(3)" in names and "Waited(4)" in names
+    columns = {column["predicate"]: column for column in _logicity.describe(load_task(patience))["columns"]}
+    assert columns["Heading=Left"]["quantity"] == "heading" and "scale" not in columns["Heading=Left"]
+    assert "quantity" not in columns["IsClose"]
+    env = _made(patience)
+    judge = logicity.RulePolicy(str(Path(patience).with_suffix(".dl")), patience)
+    taken = set()
+    for seed in range(8):
+        (observation, info), step, over = env.reset(seed=seed), 0, False
+        while not over and step < 60:
+            assert env.observation_space.contains(observation)
+            value = dict(zip(names, observation, strict=True))
+            assert value["Tick(0)"] * columns["Tick"]["scale"] == pytest.approx(step)
+            assert value["Distance(0, 1)"] == value["Distance(1, 0)"]
+            # The rules decide on the numbers as they did in the city.
+            assert judge.predict(observation[None])[0][0] == info["oracle_action"]
+            taken.add(info["oracle_action"])
+            observation, _, terminated, truncated, info = env.step(info["oracle_action"])
+            over, step = terminated or truncated, step + 1
+    assert taken == {0, 1, 2, 3}
+
+
+@pytest.mark.parametrize("kind", ["relational", "graph", "state"])
+def test_views_have_quantities(patience: str, kind: Any) -> None:
+    plain, env = _made(patience), _made(patience, observation=kind)
+    (observation, _), (view, _) = plain.reset(seed=3), env.reset(seed=3)
+    for _ in range(20):
+        assert env.observation_space.contains(view)
+        value = dict(zip(logicity.observation_names(patience), observation, strict=True))
+        if kind == "state":
+            # The ego's row ends with Waited, four headings, Priority and Tick.
+            headings = [value[f"Heading={name}(0)"] for name in ("Left", "Right", "Up", "Down")]
+            assert view[0, -7:].tolist() == [value["Waited(0)"], *headings, value["Priority(0)"], value["Tick(0)"]]
+            assert view[0, 3:7].tolist() == headings
+        else:
+            parts = ("unary", "binary", "mask") if kind == "relational" else ("nodes", "edges", "node_mask")
+            unary, binary, mask = (view[name] for name in parts)
+            binary = binary.reshape(5, 5, -1)
+            assert unary[:, -1].tolist() == [value[f"Tick({entity})"] for entity in range(5)]
+            assert binary[2, 1, -1] == value["Distance(2, 1)"]
+            kinds = [max(value[f"IsCar({entity})"], value[f"IsPedestrian({entity})"]) for entity in range(5)]
+            assert mask.tolist() == kinds
+        observation, _, over, _, _ = plain.step(1)
+        view, *_ = env.step(1)
+        if over:
+            break
+
+
+def test_who_needs_truth_values_refuses_quantities(patience: str, tmp_path: Path) -> None:
+    found = logicity.demonstrations(patience, 1)
+    assert found.quantities == (
+        "Waited",
+        *(f"Heading={name}" for name in ("Left", "Right", "Up", "Down")),
+        "Priority",
+        "Distance",
+        "Tick",
+    )
+    with pytest.raises(ValueError, match="truth values only, but the observations have `Waited`"):
+        found.to_popper(tmp_path / "popper")

@@ -717,6 +717,12 @@ impl CityMap {
         (junction.is_at(kind) || junction.is_inside()).then(|| self.intersection_near(cell))
     }
 
+    /// Returns the number of intersections, 0 on a map of one block.
+    pub fn intersections(&self) -> u32 {
+        let [rows, cols] = self.layout.blocks().map(|blocks| blocks.unsigned_abs() + 1);
+        rows * cols - 4
+    }
+
     /// The number of the nearest intersection, from 1, row by row, without the corners of the world.
     fn intersection_near(&self, cell: Cell) -> u32 {
         let [row, col] = [cell.row, cell.col].map(|at| self.layout.strip(at).1);

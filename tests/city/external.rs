@@ -312,10 +312,10 @@ fn environments_observe_external_predicates() {
     const RULES: &str = "Stop(X) :- IsGreen(X), IsAtInter(X).\nSlow(X) :- IsRival(X, Y), Not(Stop(X)).\n";
     let (world, sources) = world_of(RULES, |_| (), Drawn::all());
     let task = Arc::new(SpfTask::new(Arc::clone(&world), &sources).unwrap());
-    let columns = (task.oracle().columns()).scan(0, |start, (predicate, width)| {
+    let columns = task.oracle().columns().into_iter().scan(0, |start, column| {
         let first = *start;
-        *start += width;
-        Some((predicate, first, width))
+        *start += column.width;
+        Some((column.predicate, first, column.width))
     });
     let names = &world.vocabulary.predicates;
     let columns: Vec<_> = columns

@@ -3,12 +3,13 @@
 use crate::agreement::{self, Counts, multiply, observers_derive_as_sessions_do, record, replay, simulation};
 use crate::shipped_world::configured;
 use logicity::builtin::BuiltinFiles;
+use logicity::city::{Action, Agent, AgentKind};
 use logicity::config::Scenario;
 use logicity::datalog::Value;
 use logicity::diag::Sources;
 use logicity::predicate::Quantity;
 use logicity::rng::{Purpose, RngExt, Seed};
-use logicity::sim::{Decider, Executor, Oracle, TraceTick, World};
+use logicity::sim::{Decider, Executor, Observer, Oracle, TraceTick, World};
 use std::sync::Arc;
 
 /// The declarations of all quantities.
@@ -205,10 +206,124 @@ fn observers_decide_on_quantities_as_sessions_do() {
         };
         let (world, _) = with_quantities(&(rules + apart), |_| ());
         let oracle = Arc::new(Oracle::new(Arc::clone(&world), 6).unwrap());
-        assert!(Decider::new(Arc::clone(&oracle)).is_err());
         derived += observers_derive_as_sessions_do(&oracle, &world, 12);
     }
     assert!(derived > 300, "{derived}");
+}
+
+/// What the rules decide on observations, which are numbers, is what they decide on the facts. A task may observe the
+/// ego alone.
+#[test]
+fn rules_decide_on_observed_quantities() {
+    let mut decided = [0; 4];
+    for case in 0..8 {
+        let rules = random_rules(&mut Seed(100 + case).stream(Purpose::TEST, 0, 0));
+        let (world, _) = with_quantities(&rules, |_| ());
+        let entities = if case % 4 == 3 { 1 } else { 6 };
+        let oracle = Arc::new(Oracle::new(Arc::clone(&world), entities).unwrap());
+        let mut decider = Decider::new(Arc::clone(&oracle)).unwrap();
+        let mut city = simulation(&world, Executor::Auto, 1);
+        let egos = (0..city.agents().len()).filter(|ego| city.agents()[*ego].kind == AgentKind::Car);
+        let mut observers: Vec<Observer> = egos.map(|ego| Observer::new(Arc::clone(&oracle), ego)).collect();
+        observers.iter_mut().for_each(|observer| observer.begin(&city));
+        let mut observation = vec![f32::NAN; oracle.width()];
+        for _ in 0..40 {
+            for observer in &mut observers {
+                observer.look(&city).unwrap();
+                let derived = observer.derived(&city).unwrap();
+                let expected = world.vocabulary.decide(Some(AgentKind::Car.into()), derived);
+                observer.write(&mut observation);
+                assert_eq!(
+                    decider.action(&observation, city.cancel()).unwrap(),
+                    expected,
+                    "{rules}"
+                );
+                let (session, ego) = observer.session(&city).unwrap();
+                let holds = |action: &Action| session.contains(world.vocabulary.action(*action).unwrap(), [ego]);
+                assert_eq!(
+                    world
+                        .vocabulary
+                        .before_default(Action::STANDARD.into_iter().filter(holds).collect()),
+                    derived
+                );
+                decided[expected.index()] += 1;
+            }
+            city.tick(&[]).unwrap();
+        }
+    }
+    assert!(decided.iter().all(|&count| count > 100), "{decided:?}");
+}
+
+/// Observed numbers are the values of the quantities, divided by the scales of their columns.
+#[test]
+fn observations_have_the_values_of_quantities() {
+    let (world, _) = with_quantities("Stop(X) :- CollidingClose(X, Y), Waited(X, n), n < 9.", |_| ());
+    let oracle = Arc::new(Oracle::new(Arc::clone(&world), 4).unwrap());
+    let columns = oracle.columns();
+    assert_eq!(columns.iter().map(|column| column.width).sum::<usize>(), oracle.width());
+    let scales: Vec<(&str, Option<f32>)> = columns
+        .iter()
+        .rev()
+        .take(11)
+        .map(|column| (column.name.as_str(), column.scale))
+        .collect();
+    let headings = ["Down", "Up", "Right", "Left"].map(|heading| format!("Heading={heading}"));
+    let map = world.map();
+    #[allow(clippy::cast_precision_loss)]
+    let expected = [
+        ("Tick", Some(world.scenario.task.as_ref().unwrap().horizon as f32)),
+        ("Distance", Some(32.0)),
+        ("Intersection", Some(map.intersections() as f32)),
+        ("Remaining", Some((map.rows() + map.cols()) as f32)),
+        ("Waited", Some(world.scenario.task.as_ref().unwrap().horizon as f32)),
+        ("Priority", Some(oracle.priority_scale())),
+        (&headings[0], None),
+        (&headings[1], None),
+        (&headings[2], None),
+        (&headings[3], None),
+        ("Speed", Some(3.0)),
+    ];
+    assert_eq!(scales, expected);
+    let mut city = simulation(&world, Executor::Auto, 1);
+    let mut observer = Observer::new(Arc::clone(&oracle), 0);
+    observer.begin(&city);
+    let mut observation = vec![f32::NAN; oracle.width()];
+    let (mut most, mut waits) = (0, 0);
+    for _ in 0..80 {
+        observer.look(&city).unwrap();
+        observer.write(&mut observation);
+        let seen: Vec<&Agent> = observer.entities().map(|at| &city.agents()[at]).collect();
+        most = most.max(seen.len());
+        let mut rest = &observation[..];
+        for column in &columns {
+            let (numbers, after) = rest.split_at(column.width);
+            rest = after;
+            let (name, heading) = column.name.split_once('=').unwrap_or((&column.name, ""));
+            for (place, number) in numbers.iter().enumerate() {
+                let number = (number * column.scale.unwrap_or(1.0)).round() as i64;
+                let agent = seen.get(place).filter(|_| column.arity == 1);
+                let expected = match (name, agent) {
+                    ("Speed", Some(agent)) => i64::from(agent.speed),
+                    ("Waited", Some(agent)) => i64::from(agent.waited),
+                    ("Remaining", Some(agent)) => i64::from(agent.remaining()),
+                    ("Priority", Some(agent)) => i64::from(agent.priority),
+                    ("Tick", Some(_)) => i64::try_from(city.now()).unwrap(),
+                    ("Heading", Some(agent)) => i64::from(agent.heading.is_some_and(|now| now.name() == heading)),
+                    ("Intersection", Some(agent)) => map.intersection(agent.kind, agent.cell).unwrap_or(0).into(),
+                    ("Distance", _) => match [seen.get(place / 4), seen.get(place % 4)] {
+                        [Some(x), Some(y)] => x.cell.distance(y.cell).round() as i64,
+                        _ => 0,
+                    },
+                    (_, None) if column.arity == 1 => 0,
+                    _ => continue,
+                };
+                assert_eq!(number, expected, "{name} at {place}");
+                waits += i64::from(name == "Waited") * number;
+            }
+        }
+        city.tick(&[]).unwrap();
+    }
+    assert!(most == 4 && waits > 10, "{most} {waits}");
 }
 
 fn answer(rules: &str, executor: Executor, scene: &str) -> Result<serde_json::Value, String> {
@@ -268,7 +383,7 @@ Fast(X) :- Distance(X, Y, d), d < 3.5, Remaining(Y, 7).
 #[test]
 fn rules_that_read_quantities_are_refused_where_facts_have_no_values() {
     let (world, _) = with_quantities("Stop(X) :- Waited(X, n), n < 3.", |_| ());
-    let fault = world.vocabulary.check_plain("questions").unwrap_err();
+    let fault = world.vocabulary.without_quantities("questions").unwrap_err();
     assert_eq!(
         fault.message,
         "questions contain no quantities, but the rules declare `Speed` as input"

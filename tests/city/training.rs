@@ -83,7 +83,8 @@ fn the_nearest_entities_come_first_and_the_rules_require_the_same() {
                 };
                 let (before, after) = (written(&list), written(&nearest));
                 let mut base = 0;
-                for (_, width) in task.oracle().columns() {
+                for column in task.oracle().columns() {
+                    let width = column.width;
                     for first in 0..sorted.len() {
                         match width == entities {
                             true => assert_eq!(after[base + first], before[base + at(first)]),

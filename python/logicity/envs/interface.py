@@ -23,6 +23,7 @@ with extra("gym"):
     from gymnasium.spaces import Box, Space
 
 from .config import EnvConfig, array_kind
+from .layout import Layout
 from .views import Observations, View, views_of
 
 RENDER_MODES = ["human", "rgb_array", "ansi"]
@@ -70,7 +71,14 @@ class BaseEnv:
     def _space(self) -> Space[Any]:
         if self._views is not None:
             return self._views.space()
-        return Box(0.0 if self._kind == "groundings" else -1.0, 1.0, self._shape, np.float32)
+        described = _logicity.describe(self._task)
+        if self._kind == "groundings":
+            return Box(*Layout.of_description(described).bounds(), dtype=np.float32)
+        high = np.ones(self._shape, np.float32)
+        about_one = [column for column in described["columns"] if "quantity" in column and column["arity"] == 1]
+        if about_one:
+            high[:, -len(about_one) :] = [np.inf if "scale" in column else 1.0 for column in about_one]
+        return Box(-high, high, dtype=np.float32)
 
     def _output(self, observations: Observations) -> Observations | View:
         """Return the views of observations, or the observations without views."""

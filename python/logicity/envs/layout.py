@@ -1,9 +1,9 @@
-"""The layout of observations: the position of each truth value in an observation of the kind `groundings`."""
+"""The layout of observations: the position of each number in an observation of the kind `groundings`."""
 
 from __future__ import annotations
 
 import itertools
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Collection, Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from typing import Any
 
@@ -16,7 +16,10 @@ __all__ = ["Layout", "atoms_of"]
 
 
 def atoms_of(description: Mapping[str, Any]) -> Iterator[Atom]:
-    """Yield the atoms of a `groundings` observation in order, from the description of the task."""
+    """Yield the atom of each number of a `groundings` observation in order, from the description of the task.
+
+    The atom of a value of a quantity has the name of its column and the entities, such as `("Waited", (0,))`.
+    """
     for column in description["columns"]:
         for entities in itertools.product(range(description["entities"]), repeat=column["arity"]):
             yield column["predicate"], entities
@@ -24,16 +27,18 @@ def atoms_of(description: Mapping[str, Any]) -> Iterator[Atom]:
 
 @dataclass(frozen=True, eq=False)
 class Layout:
-    """The positions of the truth values in a `groundings` observation.
+    """The positions of the truth values and of the values of quantities in a `groundings` observation.
 
     Attributes:
         entities: The number N of observed entities. Entity 0 is the ego.
-        unary: The names of the U unary predicates, in the order of the observation.
-        binary: The names of the B binary predicates, in the same order.
+        unary: The names of the U unary predicates and columns of quantities, in the order of the observation.
+        binary: The names of the B binary ones, in the same order.
         unary_at: int64 (N, U): the position of P(i).
         binary_at: int64 (N, N, B): the position of P(i, j).
         route_length: The position of the route length, if the task observes it.
         width: The length of an observation.
+        unbounded: Which of the numbers are values of quantities, divided by the scales of their columns; the others are
+            from 0 to 1. Bool (width,).
     """
 
     entities: int
@@ -43,17 +48,20 @@ class Layout:
     binary_at: NDArray[np.int64]
     route_length: int | None
     width: int
+    unbounded: NDArray[np.bool_]
 
     @classmethod
     def of_description(cls, description: Mapping[str, Any]) -> Layout:
         """Return the layout of a task from its description."""
-        return cls.of_atoms(tuple(atoms_of(description)), bool(description["route_length"]))
+        scaled = {column["predicate"] for column in description["columns"] if "scale" in column}
+        return cls.of_atoms(tuple(atoms_of(description)), bool(description["route_length"]), scaled)
 
     @classmethod
-    def of_atoms(cls, atoms: Sequence[Atom], route_length: bool = False) -> Layout:
+    def of_atoms(cls, atoms: Sequence[Atom], route_length: bool = False, scaled: Collection[str] = ()) -> Layout:
         """Return the layout of observations of these atoms, such as `Demonstrations.atoms`.
 
         They are all ground atoms of each predicate, in the order of the observation. A route length may follow them.
+        `scaled` has the names of the columns whose numbers are not truth values.
 
         Raises:
             ValueError: If a predicate is neither unary nor binary, or a ground atom is missing or repeated.
@@ -79,6 +87,7 @@ class Layout:
             np.array(binary_at, np.int64).reshape(count, count, len(binary)),
             len(atoms) if route_length else None,
             len(atoms) + route_length,
+            np.array([*(name in scaled for name, _ in atoms), *[False] * route_length], np.bool_),
         )
 
     def atoms(self) -> tuple[Atom, ...]:
@@ -91,12 +100,17 @@ class Layout:
         return tuple(atom for _, atom in sorted(atoms.items()))
 
     def occurrences(self) -> NDArray[np.float32]:
-        """Return float32 (width, N): 1 where an entity occurs in an atom, else 0."""
+        """Return float32 (width, N): 1 where a number is about an entity, else 0."""
         each, marks = np.arange(self.entities), np.zeros((self.width, self.entities), np.float32)
         marks[self.unary_at, each[:, None]] = 1.0
         marks[self.binary_at, each[:, None, None]] = 1.0
         marks[self.binary_at, each[None, :, None]] = 1.0
         return marks
+
+    def bounds(self) -> tuple[NDArray[np.float32], NDArray[np.float32]]:
+        """Return the smallest and the greatest possible observation, float32 (width,)."""
+        high = np.where(self.unbounded, np.inf, 1.0).astype(np.float32)
+        return np.where(self.unbounded, -high, 0.0).astype(np.float32), high
 
     def edge_links(self) -> NDArray[np.int64]:
         """Return int64 (N * N, 2): the source i and the target j of the edge N * i + j."""

@@ -1,6 +1,7 @@
 """Relational and graph views of `groundings` observations.
 
-An observation of the kind `groundings` is a vector of truth values of ground atoms, whose positions `Layout` knows.
+An observation of the kind `groundings` is a vector of truth values of ground atoms and of values of quantities, whose
+positions `Layout` knows.
 `Views` maps batches of observations to two other views, without a loop over observations.
 `logicity.envs.wrappers.RelationalObservation` and `GraphObservation` describe the arrays of the views, and wrap
 environments. `logicity.envs.SPFEnv` makes environments with such observations.
@@ -47,12 +48,15 @@ class Views:
             from gymnasium.spaces import Box, Dict, MultiBinary
 
         spaces: dict[str, Space[Any]] = {}
+        with np.errstate(invalid="ignore"):  # masks of unbounded numbers are not used
+            low, high = map(self, self.layout.bounds())
         for name, values in self(np.zeros(self.layout.width, np.float32)).items():
             if values.dtype == np.int8:
                 spaces[name] = MultiBinary(len(values))
+            elif name == "edge_links":
+                spaces[name] = Box(0, self.layout.entities - 1, values.shape, values.dtype.type)
             else:
-                high = self.layout.entities - 1 if name == "edge_links" else 1.0
-                spaces[name] = Box(0, high, values.shape, values.dtype.type)
+                spaces[name] = Box(low[name], high[name], dtype=np.float32)
         return Dict(spaces)
 
     def shapes(self) -> dict[str, tuple[int, ...]]:
@@ -62,7 +66,7 @@ class Views:
     def __call__(self, observations: NDArray[np.float32]) -> View:
         """Return the views of observations of shape (..., width), as new arrays."""
         layout, before = self.layout, observations.shape[:-1]
-        mask = (observations @ self._occurrences > 0).astype(np.int8)
+        mask = (np.abs(observations) @ self._occurrences > 0).astype(np.int8)
         mask[..., 0] = 1
         unary, binary = observations[..., layout.unary_at], observations[..., layout.binary_at]
         view: View

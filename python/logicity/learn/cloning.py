@@ -352,7 +352,7 @@ _LEARNERS: dict[str, type[CloningLearner]] = {"mlp": MlpLearner, "gnn": GnnLearn
 def shuffled(observations: Tensor, layout: Layout, generator: torch.Generator) -> Tensor:
     """Permute the present entities other than the ego, at random in each of the observations, (batch, width)."""
     batch, count = len(observations), layout.entities
-    present = observations @ torch.from_numpy(layout.occurrences()) > 0
+    present = observations.abs() @ torch.from_numpy(layout.occurrences()) > 0
     # Absent entities stay behind all others, and the ego stays first.
     keys = torch.rand(batch, count, generator=generator) + torch.where(present, 0.0, 1.0 + torch.arange(count))
     keys[:, 0] = -1.0

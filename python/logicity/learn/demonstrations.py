@@ -148,7 +148,7 @@ class RelationalView(nn.Module):
         count, batch = self.layout.entities, len(observations)
         unary = observations.index_select(1, self._unary).view(batch, count, -1)
         binary = observations.index_select(1, self._binary).view(batch, count, count, -1)
-        mask = observations @ self._occurrences.to(observations.dtype) > 0
+        mask = observations.abs() @ self._occurrences.to(observations.dtype) > 0
         mask[:, 0] = True
         return unary, binary, mask
 

@@ -221,8 +221,8 @@ def as_bits(observations: Observations) -> Bits:
     bits = observations.astype(np.uint8)
     if not np.array_equal(bits, observations) or bits.max(initial=0) > 1:
         raise ValueError(
-            "the learner needs binary observations: use `observation: groundings`, and do not set `route_length` in "
-            "the task"
+            "the learner needs binary observations: use `observation: groundings`, and a configuration without "
+            "`route_length` in the task and without quantities"
         )
     return bits
 

@@ -7,9 +7,11 @@ from collections.abc import Callable, Mapping
 from pathlib import Path
 from typing import Any, ClassVar, Literal, TypeAlias
 
+from .. import _logicity
 from ..envs.views import Actions, Observations
 from ..errors import extra
 from ..files import read_tensors
+from ..tasks import load_task
 from ..types import ArrayKind
 from .curves import Curves
 from .settings import LearnerSettings, Training
@@ -119,6 +121,8 @@ class Learner(ABC):
     interacts: ClassVar[bool]
     #: The kinds of observations that the learner can use.
     observations: ClassVar[tuple[ArrayKind, ...]] = ("groundings",)
+    #: Whether observations may have values of quantities beside truth values.
+    takes_quantities: ClassVar[bool] = True
     #: The suffix of the files of its policies.
     suffix: ClassVar[str] = ".pt"
     #: The class of its policies.
@@ -139,6 +143,13 @@ class Learner(ABC):
             ValueError: If the mode is unknown, or the learner rejects the settings or the observations.
         """
         self.config, self.log = config, log
+        if not self.takes_quantities:
+            columns = _logicity.describe(load_task(config.mode, overrides=config.overrides))["columns"]
+            if quantities := [column["predicate"].partition("=")[0] for column in columns if "quantity" in column]:
+                raise ValueError(
+                    f"`{config.algorithm}` learns from truth values, but observations in {config.mode} have the "
+                    f"quantity `{quantities[0]}`"
+                )
         self._settings: Any = config.settings
         #: Shows a line about a long step to the user. `train` replaces it.
         self.say: Callable[[str], None] = lambda line: None

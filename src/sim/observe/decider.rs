@@ -20,10 +20,10 @@ impl Decider {
     /// Creates a decider with the rules of an oracle.
     ///
     /// # Errors
-    /// `rule-mismatch` if the rules read quantities or earlier ticks, which observations do not contain.
+    /// `rule-mismatch` if the rules draw or read earlier ticks, which observations do not contain.
     pub fn new(oracle: Arc<Oracle>) -> Result<Decider, Diagnostic> {
         let world = oracle.world();
-        world.vocabulary.check_plain("observations")?;
+        world.vocabulary.without_draws("observations")?;
         world.without_time("observations")?;
         Ok(Decider {
             atoms: oracle.no_atoms(),
@@ -34,8 +34,8 @@ impl Decider {
 
     /// Returns the action of the ego. A fact holds if its number exceeds 0.5.
     ///
-    /// Observations have neither the number of entities nor `Sees`. The entities are the ego, those with a fact, and
-    /// those before them. Each of them sees all of them.
+    /// Observations have neither the number of entities nor `Sees`. The entities are the ego, those with a fact or a
+    /// number other than 0, and those before them. Each of them sees all of them.
     ///
     /// # Errors
     /// `limit-exceeded` if the rules derive too many rows; `cancelled` on cancellation.
@@ -46,25 +46,18 @@ impl Decider {
         let (oracle, atoms) = (&*self.oracle, &mut self.atoms);
         let vocabulary = &oracle.world().vocabulary;
         let most = oracle.entities();
-        let (mut rest, mut all) = (observation, 1_u64);
-        for (predicate, width) in oracle.columns() {
-            let (values, after) = rest.split_at(width);
-            rest = after;
-            if vocabulary.predicates[predicate].arity == 1 {
-                atoms.words[predicate] = bits(values);
-                all |= atoms.unary(predicate);
-                continue;
-            }
-            let rows = atoms.rows_mut(predicate);
-            for (first, (row, values)) in rows.iter_mut().zip(values.chunks_exact(most)).enumerate() {
-                *row = bits(values);
-                all |= *row | u64::from(*row != 0) << first;
-            }
+        let (truths, numbers) = observation.split_at(oracle.atoms_width());
+        let mut all = 1 | oracle.numbers().mentioned(numbers);
+        for (&(set, _), values) in oracle.sets().iter().zip(truths.chunks_exact(most)) {
+            atoms.words[set] = bits(values);
+            let related = atoms.layout.related(set).filter(|_| atoms.words[set] != 0);
+            all |= atoms.words[set] | related.map_or(0, |first| 1 << first);
         }
         let present = 64 - all.leading_zeros() as usize;
         let sees = atoms.rows_mut(vocabulary.sees);
         sees.fill(0);
         sees[..present].fill(u64::MAX >> (64 - present));
+        oracle.numbers().read(numbers, present, &mut atoms.values);
         self.violations.forget();
         let observed = Observed {
             atoms: &self.atoms,

@@ -18,6 +18,7 @@ use crate::diag::Diagnostic;
 use crate::predicate::{
     CellTable, Definition, External, Measured, PairRelation, Progress, Quantity, Relation, Static, Views, with_relation,
 };
+use crate::sim::observe::numbers::{Numbers, greatest_priority};
 use crate::sim::observe::rule_monitor::{
     ActionConstraint, AtomLayout, Atoms, Entities, Observed, RuleMonitor, Violations,
 };
@@ -46,9 +47,29 @@ pub struct Oracle {
     how: Vec<How>,
     layout: AtomLayout,
     /// The sets of [`Atoms`] in the order of an observation, each with the place of its first number there.
-    columns: Vec<(usize, usize)>,
+    sets: Vec<(usize, usize)>,
+    /// What follows the sets.
+    numbers: Numbers,
+    /// See [`Oracle::priority_scale`].
+    priority_scale: f32,
     views: Views,
     monitor: RuleMonitor,
+}
+
+/// Consecutive numbers of an observation: the truth values of a predicate, or the values of a quantity.
+#[derive(Clone, Debug)]
+pub struct ObservedColumn {
+    /// The predicate's name. For a quantity of headings, followed by the heading, as in `Heading=Up`: such a column has
+    /// truth values.
+    pub name: String,
+    /// The position of the predicate in the vocabulary.
+    pub predicate: usize,
+    /// The number of entities that each number is about, 1 or 2.
+    pub arity: usize,
+    /// The numbers in the column: those of all lists of so many entities, in lexicographic order.
+    pub width: usize,
+    /// If the column has values of a quantity, by what they are divided.
+    pub scale: Option<f32>,
 }
 
 /// The fast form of a predicate.
@@ -111,7 +132,9 @@ impl Oracle {
             entities,
             nearest_first: false,
             layout,
-            columns: sets.zip((0..).step_by(entities)).collect(),
+            sets: sets.zip((0..).step_by(entities)).collect(),
+            numbers: Numbers::new(&world.scenario, world.map(), &vocabulary.predicates, entities),
+            priority_scale: greatest_priority(&world.scenario),
             how,
             views: Views::new(world.scenario.view),
             monitor: RuleMonitor::new(&world.program, vocabulary, world.limits)?,
@@ -165,22 +188,57 @@ impl Oracle {
         FieldOfView::around(ego.at, self.views.of(ego.heading))
     }
 
-    /// Returns the length of the vector that [`Observer::write`] fills: one number per predicate, except `Sees`, and
-    /// entity or pair of entities.
-    pub fn width(&self) -> usize {
-        self.columns.len() * self.entities
+    /// Returns the greatest absolute priority that the configuration gives, at least 1.
+    pub fn priority_scale(&self) -> f32 {
+        self.priority_scale
     }
 
-    /// Returns the observed predicates, in order, with the length of each in the vector. Quantities are not among them.
-    pub fn columns(&self) -> impl Iterator<Item = (usize, usize)> {
-        let vocabulary = &self.world.vocabulary;
-        let observed = vocabulary
-            .predicates
-            .iter()
-            .enumerate()
-            .filter(|(position, predicate)| *position != vocabulary.sees && predicate.value.is_none());
-        observed.map(|(position, predicate)| (position, self.entities.pow(exponent(predicate.arity))))
+    /// Returns the sets of [`Atoms`] in the order of an observation, each with the place of its first number there.
+    pub(super) fn sets(&self) -> &[(usize, usize)] {
+        &self.sets
     }
+
+    /// Returns the quantities of an observation.
+    pub(super) fn numbers(&self) -> &Numbers {
+        &self.numbers
+    }
+
+    /// Returns the length of the vector that [`Observer::write`] fills: all [`Oracle::columns`].
+    pub fn width(&self) -> usize {
+        self.atoms_width() + self.numbers.width()
+    }
+
+    /// Returns the length of the first part of the vector, the truth values of atoms.
+    pub(super) fn atoms_width(&self) -> usize {
+        self.sets.len() * self.entities
+    }
+
+    /// Returns the columns of an observation; see [`observed_columns`].
+    pub fn columns(&self) -> Vec<ObservedColumn> {
+        observed_columns(&self.world, self.entities)
+    }
+}
+
+/// Returns the columns of observations of up to `entities` entities in order: first the predicates without values
+/// except `Sees`, in the order of the vocabulary, then the quantities in the same order.
+pub fn observed_columns(world: &World, entities: usize) -> Vec<ObservedColumn> {
+    let vocabulary = &world.vocabulary;
+    let column = |predicate: usize, suffix: &str, arity, scale| ObservedColumn {
+        name: format!("{}{suffix}", vocabulary.predicates[predicate].name),
+        predicate,
+        arity,
+        width: entities.pow(exponent(arity)),
+        scale,
+    };
+    let atoms = (vocabulary.predicates.iter().enumerate())
+        .filter(|(position, predicate)| *position != vocabulary.sees && predicate.value.is_none())
+        .map(|(position, predicate)| column(position, "", predicate.arity, None));
+    let numbers = Numbers::new(&world.scenario, world.map(), &vocabulary.predicates, entities);
+    let numbers = numbers.columns.iter().map(|known| match known.heading {
+        Some(heading) => column(known.predicate, &format!("={}", heading.name()), known.arity(), None),
+        None => column(known.predicate, "", known.arity(), Some(known.scale)),
+    });
+    atoms.chain(numbers).collect()
 }
 
 /// Observes the city for one ego.
@@ -339,11 +397,7 @@ impl Observer {
                 How::Local(table) => holding(bodies.iter().map(|body| table.holds(body.junction, body.kind))),
                 How::Place(area) => holding(bodies.iter().map(|body| area.contains(body.at))),
                 How::Quantity(quantity) => {
-                    let measured = |body: &AgentState| Measured {
-                        subject: body.subject(),
-                        progress: Progress::of(&agents[body.agent as usize]),
-                    };
-                    let bodies: Vec<Measured> = bodies.iter().map(measured).collect();
+                    let bodies: Vec<Measured> = bodies.iter().map(|body| measured(body, agents)).collect();
                     let values = &mut self.atoms.values[predicate];
                     for (place, known) in values.iter_mut().enumerate() {
                         let value = measure(oracle, *quantity, chance.tick(), &bodies, place);
@@ -389,23 +443,26 @@ impl Observer {
         changed
     }
 
-    /// Writes the observation: 1 for each true atom and 0 for each false one, by predicate in the order of the
-    /// vocabulary, without `Sees`.
+    /// Writes the observation: the [columns](Oracle::columns) with 1 for each true atom and 0 for each false one, then
+    /// those with the values of quantities, divided by the scale of the column.
     ///
     /// Let n be [`Oracle::entities`]. A unary predicate P takes n numbers, with P(entity i) at i. A binary one takes n
-    /// times n numbers, with P(i, j) at `n * i + j`. Absent entities have zeros.
+    /// times n numbers, with P(i, j) at `n * i + j`. Absent entities and missing values have zeros. A quantity of the
+    /// city is repeated for each entity.
     ///
     /// # Panics
     /// If `out` is shorter than [`Oracle::width`].
     pub fn write(&self, out: &mut [f32]) {
         let oracle = &*self.oracle;
         // Few atoms hold.
-        out[..oracle.width()].fill(0.0);
-        for &(set, start) in &oracle.columns {
+        let (atoms, numbers) = out[..oracle.width()].split_at_mut(oracle.atoms_width());
+        atoms.fill(0.0);
+        for &(set, start) in &oracle.sets {
             for member in members(&[self.atoms.words[set]]) {
-                out[start + member] = 1.0;
+                atoms[start + member] = 1.0;
             }
         }
+        oracle.numbers.write(&self.atoms.values, self.bodies.len(), numbers);
     }
 
     /// Returns the length of a row of the `state` observation; see [`Observer::write_state`].
@@ -414,7 +471,7 @@ impl Observer {
             .how
             .iter()
             .filter(|how| !matches!(how, How::Pair(_) | How::Quantity(_) | How::External(_, External::Pair)));
-        8 + unary.count()
+        8 + unary.count() + oracle.numbers.about_one().count()
     }
 
     /// Writes the `state` observation: a row for the ego, then one for each other agent in its field of view, in the
@@ -424,12 +481,13 @@ impl Observer {
     /// - 1;
     /// - the rows and the columns from the ego to the agent, divided by the half-width of the field of view, -1 to 1;
     /// - the heading, one-hot over Left, Right, Up, Down, and all 0 before the first move;
-    /// - the priority divided by `priority_scale`, clamped to -1 to 1;
-    /// - 1 or 0 for each unary predicate, in the order of the vocabulary.
+    /// - the priority divided by [`Oracle::priority_scale`], clamped to -1 to 1;
+    /// - 1 or 0 for each unary predicate, in the order of the vocabulary;
+    /// - the [columns](Oracle::columns) of quantities that are about one entity.
     ///
     /// # Panics
     /// If the city has external predicates and was not [observed](Observer::look) in this state.
-    pub fn write_state(&self, city: &Simulation, priority_scale: f32, out: &mut [f32]) {
+    pub fn write_state(&self, city: &Simulation, out: &mut [f32]) {
         let oracle = &*self.oracle;
         let external = city.external().expect("computed for the observation");
         out.fill(0.0);
@@ -443,7 +501,8 @@ impl Observer {
             if let Some(heading) = body.heading {
                 row[3 + heading as usize] = 1.0;
             }
-            row[7] = (body.priority as f32 / priority_scale).clamp(-1.0, 1.0);
+            row[7] = (body.priority as f32 / oracle.priority_scale).clamp(-1.0, 1.0);
+            let (truths, numbers) = row[8..].split_at_mut(width - 8 - oracle.numbers.about_one().count());
             let unary = oracle.how.iter().enumerate().filter_map(|(predicate, how)| match how {
                 How::Static(_) => Some(is_steadily(&self.steady, self.words, body, predicate)),
                 How::Local(table) => Some(table.holds(body.junction, body.kind)),
@@ -451,9 +510,14 @@ impl Observer {
                 How::External(number, External::Agent) => Some(external.holds(*number, body.agent, 0)),
                 How::Pair(_) | How::Quantity(_) | How::External(_, External::Pair) => None,
             });
-            for (holds, value) in unary.zip(&mut row[8..]) {
+            for (holds, value) in unary.zip(truths) {
                 *value = f32::from(u8::from(holds));
             }
+            let measured = measured(body, city.agents());
+            let value = |quantity: Quantity| quantity.measure(oracle.world.map(), city.now(), &[&measured]);
+            oracle
+                .numbers
+                .write_entity(|quantity| value(quantity).map(word), numbers);
         };
         let ego = AgentState::new(oracle.world.map(), self.ego, &city.agents()[self.ego]);
         let view = oracle.view(&ego);
@@ -553,6 +617,14 @@ fn observed<'a>(atoms: &'a Atoms, bodies: &'a [AgentState], city: &'a Simulation
         memory: Some(city.remembered()),
         drawing: city.drawing(),
         cancel: city.cancel(),
+    }
+}
+
+/// Returns what quantities read of an entity.
+fn measured(body: &AgentState, agents: &[Agent]) -> Measured {
+    Measured {
+        subject: body.subject(),
+        progress: Progress::of(&agents[body.agent as usize]),
     }
 }
 

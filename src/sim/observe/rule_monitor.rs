@@ -445,6 +445,11 @@ impl AtomLayout {
     pub fn rows(self, predicate: usize) -> usize {
         self.predicates + (predicate - self.first_pair) * self.entities
     }
+
+    /// Returns the entity whose related ones are in a set; `None` if the set is about a predicate over one agent.
+    pub fn related(self, set: usize) -> Option<usize> {
+        Some(set.checked_sub(self.predicates)? % self.entities)
+    }
 }
 
 impl Atoms {
@@ -622,7 +627,8 @@ impl Observed<'_> {
         let most = self.atoms.layout.entities;
         let agent = |entity: usize| self.entities.position(entity);
         let row = |place: usize| match values.len() {
-            1 => Some([0, 0]),
+            // That of the city, which is about no agent, or that of the only observed one.
+            1 => Some([agent(0), 0]),
             alone if alone == most => (place < self.entities.count()).then(|| [agent(place), 0]),
             _ => {
                 let pair = [place / most, place % most];

@@ -208,16 +208,23 @@ impl Vocabulary {
         self.predicates[predicate].id.is_some()
     }
 
-    /// Checks that the rules read no quantities and draw nothing. `what` holds facts without values, in the plural.
+    /// Checks that the rules draw nothing. `what` is known without draws, in the plural.
     ///
     /// # Errors
     /// `rule-mismatch` if they do.
-    pub fn check_plain(&self, what: &str) -> Result<(), Diagnostic> {
-        if self.draws {
-            let message = format!("{what} draw nothing, but clauses of the rules have probabilities");
-            let fault = Diagnostic::new(codes::RULE_MISMATCH, message);
-            return Err(fault.help("use rules without probabilities here"));
+    pub fn without_draws(&self, what: &str) -> Result<(), Diagnostic> {
+        if !self.draws {
+            return Ok(());
         }
+        let message = format!("{what} draw nothing, but clauses of the rules have probabilities");
+        Err(Diagnostic::new(codes::RULE_MISMATCH, message).help("use rules without probabilities here"))
+    }
+
+    /// Checks that the rules read no quantities. `what` holds facts without values, in the plural.
+    ///
+    /// # Errors
+    /// `rule-mismatch` if they do.
+    pub fn without_quantities(&self, what: &str) -> Result<(), Diagnostic> {
         let read = self
             .predicates
             .iter()

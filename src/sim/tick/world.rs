@@ -171,7 +171,8 @@ impl World {
     /// # Errors
     /// `rule-mismatch` if something does.
     pub fn only_standard(&self, what: &str) -> Result<(), Diagnostic> {
-        self.vocabulary.check_plain(what)?;
+        self.vocabulary.without_draws(what)?;
+        self.vocabulary.without_quantities(what)?;
         self.vocabulary.without_externals(what)?;
         self.vocabulary.only_standard_actions(what)?;
         self.without_time(what)?;

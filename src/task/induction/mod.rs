@@ -249,15 +249,14 @@ impl InductionTask {
         Ok(())
     }
 
-    /// Returns the atoms of an observation of `entities` entities, in the order of its numbers, such as `IsCar(0)`.
+    /// Returns the atoms of an observation of `entities` entities, in the order of its numbers, such as `IsCar(0)`; for
+    /// quantities, their names with the entities, such as `Waited(0)`.
     pub fn observed_atoms(&self, entities: usize) -> Vec<String> {
-        let known = &self.world.vocabulary;
-        let observed = known.predicates.iter().enumerate();
-        let observed = observed.filter(|(at, predicate)| *at != known.sees && predicate.value.is_none());
-        let atoms = observed.flat_map(|(_, predicate)| {
-            tuples(predicate.arity, entities).map(|entities| {
+        let columns = sim::observed_columns(&self.world, entities);
+        let atoms = columns.iter().flat_map(|column| {
+            tuples(column.arity, entities).map(|entities| {
                 let numbers: Vec<String> = entities.iter().map(usize::to_string).collect();
-                format!("{}({})", predicate.name, numbers.join(","))
+                format!("{}({})", column.name, numbers.join(","))
             })
         });
         atoms.collect()

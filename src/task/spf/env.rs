@@ -474,7 +474,7 @@ impl Env {
 
     /// Writes the `state` observation, [`SpfTask::state_shape`] numbers row by row; see [`Observer::write_state`].
     pub fn observe_state(&self, controlled_car: usize, out: &mut [f32]) {
-        (self.controlled_cars[controlled_car].observer).write_state(&self.city, self.task.priority_scale, out);
+        (self.controlled_cars[controlled_car].observer).write_state(&self.city, out);
     }
 
     /// Returns the fraction of its route that a controlled car has covered, 0 to 1.

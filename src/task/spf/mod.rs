@@ -53,8 +53,6 @@ pub struct SpfTask {
     constraints: Vec<(String, f64)>,
     /// The actions that an ego, which is a car, can take.
     possible: Vec<Action>,
-    /// The greatest possible priority number.
-    priority_scale: f32,
 }
 
 impl SpfTask {
@@ -104,11 +102,6 @@ impl SpfTask {
             own.map_or(config.reward.violation, |(_, reward)| *reward)
         };
         let constraints = labels.iter().map(|label| (label.clone(), reward(label))).collect();
-        let of_sets =
-            (scenario.splits.iter()).flat_map(|(_, set)| set.entries().map(|group| group.priority.unsigned_abs()));
-        let of_egos = config.ego.iter().flat_map(|ego| ego.priority);
-        #[allow(clippy::cast_precision_loss)] // a scale
-        let priority_scale = of_sets.chain(of_egos).max().unwrap_or(1).max(1) as f32;
         let table = &scenario.actions.table;
         Ok(SpfTask {
             possible: table
@@ -117,7 +110,6 @@ impl SpfTask {
                 .collect(),
             oracle: Arc::new(oracle),
             constraints,
-            priority_scale,
             config,
         })
     }
@@ -159,7 +151,7 @@ impl SpfTask {
 
     /// Returns the divisor of priorities in the `state` observation: the greatest possible priority number.
     pub fn priority_scale(&self) -> f32 {
-        self.priority_scale
+        self.oracle.priority_scale()
     }
 
     /// Returns the number of agents in the next drawn episode of an environment after `begun` others, by the

@@ -124,10 +124,8 @@ impl Chance for Draws<'_> {
     fn happens(&self, predicate: usize, first: usize, second: usize, _: f64) -> bool {
         let n = self.task.oracle().entities();
         let columns = self.task.oracle().columns();
-        let base: usize = columns
-            .take_while(|(before, _)| *before != predicate)
-            .map(|(_, width)| width)
-            .sum();
+        let before = columns.iter().take_while(|column| column.predicate != predicate);
+        let base: usize = before.map(|column| column.width).sum();
         let place = |agent| self.entities.iter().position(|&entity| entity == agent).unwrap();
         self.ones.contains(&(base + n * place(first) + place(second)))
     }
