@@ -283,6 +283,19 @@ pub fn parse(base: BaseType, text: &str) -> Option<Value> {
 }
 
 impl Comparison {
+    /// Returns whether the comparison holds of two whole numbers. Those of text hold of none.
+    pub fn holds_of_numbers(self, left: i32, right: i32) -> bool {
+        match self {
+            Comparison::Equal => left == right,
+            Comparison::NotEqual => left != right,
+            Comparison::Less => left < right,
+            Comparison::LessEqual => left <= right,
+            Comparison::Greater => left > right,
+            Comparison::GreaterEqual => left >= right,
+            Comparison::Match | Comparison::NotMatch | Comparison::Contains | Comparison::NotContains => false,
+        }
+    }
+
     /// Returns whether the comparison holds. Numbers compare by value; symbols are equal by id and ordered by text.
     /// `matches` returns whether the pattern `left` matches `right`.
     pub(crate) fn holds(

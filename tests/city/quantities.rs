@@ -33,7 +33,7 @@ fn with_quantities(rules: &str, edit: impl FnOnce(&mut Scenario)) -> (Arc<World>
 
 /// Random rules: clauses of actions with conditions on the quantities of one agent or two.
 fn random_rules(random: &mut impl RngExt) -> String {
-    const FACTS: [&str; 22] = [
+    const FACTS: [&str; 26] = [
         "Waited(X, n), n > 2",
         "Waited(X, n), n >= 1, n < 6",
         "Speed(X, 2)",
@@ -43,6 +43,10 @@ fn random_rules(random: &mut impl RngExt) -> String {
         "Sees(X, Y), Not(Heading(Y, \"Left\"))",
         "Heading(X, h), Heading(Y, h)",
         "Heading(Y, _)",
+        "Heading(X, \"Up\"), Tick(n), n % 4 < 2",
+        "Speed(X, n), Waited(Y, n)",
+        "Priority(Y, n), Speed(X, m), m <= n",
+        "Waited(Y, n), Waited(X, m), n != m",
         "Priority(X, n), Priority(Y, m), n < m",
         "Distance(X, Y, d), d < 8.5",
         "Distance(Y, X, d), d >= 4.0, d <= 15.0",

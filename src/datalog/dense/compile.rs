@@ -543,13 +543,14 @@ impl<'a> Compiler<'a> {
     fn steps(&mut self, search: &SearchPlan) -> Vec<SearchStep> {
         let step = |seek: &Seek| {
             let asked = self.ask(&seek.properties);
-            let tests = (seek.predicates.iter())
-                .map(|&(relates, to, holds)| Test {
-                    list: self.place(relates),
-                    to,
-                    holds,
-                })
-                .collect();
+            let tests = seek.predicates.iter().map(|&(relates, to, holds)| Test {
+                list: self.place(relates),
+                to,
+                holds,
+            });
+            let mut tests: Vec<Test> = tests.collect();
+            // A row that is known leaves few values for the facts that are computed.
+            tests.sort_by_key(|test| !test.holds || !matches!(test.list, Place::Derived(_, Argument::Second)));
             SearchStep {
                 among: self.combine(asked),
                 tests: Range::extend(&mut self.out.tests, tests),

@@ -226,8 +226,14 @@ impl Condition {
                 arguments,
                 to,
             } => {
-                let arguments: Vec<Value> = arguments.iter().map(|operand| get(&values, *operand)).collect();
-                let found = functor.apply(*base, &arguments, symbols);
+                let found = match arguments[..] {
+                    // Without an allocation, as most functors.
+                    [one, two] => functor.apply(*base, &[get(&values, one), get(&values, two)], symbols),
+                    _ => {
+                        let arguments = arguments.iter().map(|operand| get(&values, *operand));
+                        functor.apply(*base, &arguments.collect::<Vec<Value>>(), symbols)
+                    }
+                };
                 values[*to] = found.unwrap_or_default();
                 found.is_some()
             }
@@ -272,6 +278,70 @@ impl Condition {
         // A value that is loaded only must exist.
         let is_compared = |loaded: &PredicateId| compared.iter().any(|(compared, ..)| compared == loaded);
         loaded.values().all(is_compared).then_some(compared)
+    }
+
+    /// Returns the condition as a comparison of a number of the first entity with one of the second, by the predicates of
+    /// the numbers. `None` if it is anything else.
+    pub fn comparison(&self) -> Option<(PredicateId, Comparison, PredicateId)> {
+        let number = |step: &Step| match step {
+            Step::Load {
+                predicate,
+                entities,
+                to,
+            } => match entities[..] {
+                [place] => Some((place, *predicate, *to)),
+                _ => None,
+            },
+            _ => None,
+        };
+        // The second is compared with the first, or has its value.
+        let (first, op, second) = match &self.steps[..] {
+            [one, two, Step::Compare { op, base, left, right }] if *base == BaseType::Number => {
+                let (one, two) = (number(one)?, number(two)?);
+                let (Operand::Variable(left), Operand::Variable(right)) = (left, right) else {
+                    return None;
+                };
+                match (*left == one.2, *right == two.2, *left == two.2, *right == one.2) {
+                    (true, true, ..) => (one, *op, two),
+                    (.., true, true) => (two, *op, one),
+                    _ => return None,
+                }
+            }
+            [
+                one,
+                Step::Has {
+                    predicate,
+                    entities,
+                    value: Some(Operand::Variable(value)),
+                    holds: true,
+                },
+            ] => {
+                let one = number(one)?;
+                match entities[..] {
+                    [place] if *value == one.2 => (one, Comparison::Equal, (place, *predicate, usize::MAX)),
+                    _ => return None,
+                }
+            }
+            _ => return None,
+        };
+        match (first.0, second.0) {
+            (0, 1) => Some((first.1, op, second.1)),
+            (1, 0) => Some((second.1, op.mirrored(), first.1)),
+            _ => None,
+        }
+    }
+
+    /// Returns the predicates that the condition reads. `None` if it draws.
+    pub fn reads(&self) -> Option<Vec<PredicateId>> {
+        let mut reads = Vec::new();
+        for step in &self.steps {
+            match step {
+                Step::Load { predicate, .. } | Step::Has { predicate, .. } => reads.push(*predicate),
+                Step::Draw { .. } => return None,
+                Step::Copy { .. } | Step::Compare { .. } | Step::Compute { .. } => {}
+            }
+        }
+        Some(reads)
     }
 
     /// The maximum number of variables for values.

@@ -84,7 +84,14 @@ impl<const W: usize, P: BinaryFacts<W>> ValueSearch<'_, W, P> {
 
     /// Returns the values of the first step for which the second one, if any, has a value.
     pub fn values(&self, ego: usize, steps: &[SearchStep]) -> Set<W> {
-        let mut set = self.narrow(&steps[0], &[ego]);
+        let mut set = self.sets[steps[0].among.index()];
+        for test in self.program.tests(steps[0].tests) {
+            // A test of no values would still look for what is in reach.
+            if is_empty(&set) {
+                return set;
+            }
+            set = self.pass(std::slice::from_ref(test), set, &[ego]);
+        }
         if let Some(second) = steps.get(1) {
             for value in members(&set) {
                 if !self.has_value(second, ego, value) {
@@ -114,7 +121,14 @@ impl<const W: usize, P: BinaryFacts<W>> ValueSearch<'_, W, P> {
             let at = bound[test.to];
             let fitting = match test.list {
                 Place::Input(list) => self.pairs.narrow(list, at, set),
-                Place::Derived(list, Argument::Second) => and(set, &self.rows[list * self.count + at]),
+                Place::Derived(list, Argument::Second) => {
+                    let fitting = and(set, &self.rows[list * self.count + at]);
+                    // Most rows have few members, and the tests that follow compute facts.
+                    if test.holds && is_empty(&fitting) {
+                        return fitting;
+                    }
+                    fitting
+                }
                 Place::Derived(list, Argument::First) => {
                     let mut fitting = [0; W];
                     for member in members(&set) {

@@ -266,7 +266,7 @@ impl Conditions {
     pub fn thresholds(&self, condition: usize) -> Option<Vec<Threshold>> {
         let compared = self.list[condition].thresholds()?;
         let threshold = |(predicate, op, number): (PredicateId, Comparison, i32)| {
-            let &(.., quantity) = self.quantities.iter().find(|(id, ..)| *id == predicate)?;
+            let quantity = self.quantity(predicate)?;
             // Below the lowest number there is none.
             let (low, high, inside) = match op {
                 Comparison::Equal => (number, number, true),
@@ -285,6 +285,29 @@ impl Conditions {
             })
         };
         compared.into_iter().map(threshold).collect()
+    }
+
+    /// Returns a condition as a comparison of a whole number of an agent with one of another agent; `None` if it is
+    /// anything else.
+    pub fn comparison(&self, condition: usize) -> Option<(Quantity, Comparison, Quantity)> {
+        let (first, op, second) = self.list[condition].comparison()?;
+        let number = |predicate| {
+            self.quantity(predicate)
+                .filter(|quantity| quantity.unit() == Unit::Number)
+        };
+        Some((number(first)?, op, number(second)?))
+    }
+
+    /// Returns the quantities that a condition on one agent reads. `None` if it draws, or is about two agents.
+    pub fn reads(&self, condition: usize) -> Option<Vec<Quantity>> {
+        let condition = &self.list[condition];
+        let reads = condition.reads().filter(|_| condition.entities == 1)?;
+        reads.into_iter().map(|predicate| self.quantity(predicate)).collect()
+    }
+
+    fn quantity(&self, predicate: PredicateId) -> Option<Quantity> {
+        let mut known = self.quantities.iter();
+        known.find(|(id, ..)| *id == predicate).map(|(.., quantity)| *quantity)
     }
 
     /// Returns whether a condition holds. `value` returns the value, as in [`Facts::values`], of the quantity at this

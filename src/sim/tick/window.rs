@@ -10,13 +10,13 @@ use crate::city::{Agent, Area, Cell, CityMap, Heading, Junction};
 use crate::datalog::dense::{
     Argument, BinaryFacts, BitState, Input, List, Set, TooManySteps, and, first, holding, is_empty, members, without,
 };
-use crate::datalog::{PredicateId, Value};
+use crate::datalog::{Comparison, PredicateId, Value};
 use crate::predicate::{
-    CellTable, Definition, Measured, Pair, PairRelation, Progress, Quantity, Reach, Relation, Static, Subject, Views,
-    headings, with_relation,
+    CellTable, Definition, Measure, Measured, Pair, PairRelation, Progress, Quantity, Reach, Relation, Static, Subject,
+    Views, headings, with_relation,
 };
 use crate::sim::tick::chance::{Chance, Drawing, Draws};
-use crate::sim::tick::executor::{DenseRules, Threshold};
+use crate::sim::tick::executor::{Conditions, DenseRules, Threshold};
 use crate::sim::tick::external::ExternalFacts;
 use crate::sim::tick::ground::word;
 use crate::sim::tick::memory::Memory;
@@ -119,20 +119,26 @@ impl Now<'_> {
     /// Returns whether the numbers of an agent are within all thresholds.
     #[inline]
     fn is_within(&self, map: &CityMap, thresholds: &[Threshold], body: &AgentState) -> bool {
+        let number = |threshold: &Threshold| self.number(map, threshold.quantity, body);
+        (thresholds.iter()).all(|threshold| number(threshold).is_some_and(|number| threshold.holds(number)))
+    }
+
+    /// Returns a whole number of an agent.
+    #[inline]
+    fn number(&self, map: &CityMap, quantity: Quantity, body: &AgentState) -> Option<i32> {
         let agent = &self.agents[body.agent as usize];
         let count = |number: u32| i32::try_from(number).unwrap_or(i32::MAX);
-        thresholds.iter().all(|threshold| {
-            threshold.holds(match threshold.quantity {
-                Quantity::Waited => count(agent.waited),
-                Quantity::Speed => i32::from(agent.speed),
-                Quantity::Priority => body.priority,
-                Quantity::Tick => i32::try_from(self.draws.time).unwrap_or(i32::MAX),
-                quantity => match self.value(map, quantity, [body; 2], &[0]) {
-                    Some(value) => value.as_number(),
-                    None => return false,
-                },
-            })
-        })
+        match quantity {
+            Quantity::Waited => Some(count(agent.waited)),
+            Quantity::Speed => Some(i32::from(agent.speed)),
+            Quantity::Priority => Some(body.priority),
+            Quantity::Tick => Some(self.tick()),
+            quantity => self.value(map, quantity, [body; 2], &[0]).map(Value::as_number),
+        }
+    }
+
+    fn tick(&self) -> i32 {
+        i32::try_from(self.draws.time).unwrap_or(i32::MAX)
     }
 
     /// Returns the value of a quantity for the agents at these places of `bodies`.
@@ -157,12 +163,46 @@ impl Now<'_> {
 enum Hidden {
     /// A condition on whole numbers of one agent.
     Thresholds(Vec<Threshold>),
-    /// A condition on quantities, by its position.
+    /// A comparison of whole numbers of two agents.
+    Comparison(Quantity, Comparison, Quantity),
+    /// A condition on the heading of an agent: those for which it holds.
+    Headings(HeadingSet),
+    /// A condition, by its position, on the heading of an agent and the tick, or on the tick alone.
+    TickAndHeading(usize),
+    Tick(usize),
+    /// Another condition on quantities, by its position.
     Condition(usize),
     /// What a temporal operator reads of earlier ticks, by its position in the memory.
     Past(usize),
     /// A predicate whose facts come from this source, by its position there.
     Given(Source, usize),
+}
+
+/// The headings, and the lack of one, for which a condition holds.
+#[derive(Clone, Copy, Debug)]
+struct HeadingSet(u8);
+
+impl HeadingSet {
+    /// Finds the headings of an agent for which a condition on its heading and the tick holds in this tick.
+    fn new(conditions: &Conditions, condition: usize, tick: i32) -> HeadingSet {
+        let holds = |heading: Option<Heading>| {
+            let value = |_, quantity, _: &[usize]| match quantity {
+                Quantity::Heading => heading.map(|heading| word(Measure::Heading(heading))),
+                _ => Some(Value::number(tick)),
+            };
+            conditions.holds(condition, value, 0, [0; 2])
+        };
+        let bits = headings()
+            .into_iter()
+            .enumerate()
+            .map(|(bit, heading)| u8::from(holds(heading)) << bit);
+        HeadingSet(bits.fold(0, |set, bit| set | bit))
+    }
+
+    #[inline]
+    fn contains(self, heading: Option<Heading>) -> bool {
+        self.0 >> heading.map_or(0, |heading| heading as usize + 1) & 1 != 0
+    }
 }
 
 /// Who computes the facts of predicates.
@@ -177,8 +217,22 @@ enum Source {
 impl Hidden {
     fn of(rules: &DenseRules, vocabulary: &Vocabulary, predicate: PredicateId) -> Option<Hidden> {
         let condition = rules.conditions.find(predicate).map(|condition| {
-            let thresholds = rules.conditions.thresholds(condition).map(Hidden::Thresholds);
-            thresholds.unwrap_or(Hidden::Condition(condition))
+            let conditions = &rules.conditions;
+            let thresholds = conditions.thresholds(condition).map(Hidden::Thresholds);
+            let comparison = |(first, op, second)| Hidden::Comparison(first, op, second);
+            let known = thresholds.or_else(|| conditions.comparison(condition).map(comparison));
+            known.unwrap_or_else(|| match conditions.reads(condition).as_deref() {
+                Some([Quantity::Tick, rest @ ..]) if rest.iter().all(|of| *of == Quantity::Tick) => {
+                    Hidden::Tick(condition)
+                }
+                Some(reads) if reads.iter().all(|of| *of == Quantity::Heading) => {
+                    Hidden::Headings(HeadingSet::new(conditions, condition, 0))
+                }
+                Some(reads) if reads.iter().all(|of| matches!(of, Quantity::Heading | Quantity::Tick)) => {
+                    Hidden::TickAndHeading(condition)
+                }
+                _ => Hidden::Condition(condition),
+            })
         });
         let mut externals = vocabulary.externals();
         let mut handed = rules.handed.iter().flat_map(|handed| &handed.predicates);
@@ -369,7 +423,13 @@ impl Plan {
     fn meets(&self, hidden: &Hidden, now: Now<'_>, bodies: [&AgentState; 2]) -> bool {
         match *hidden {
             Hidden::Thresholds(ref thresholds) => now.is_within(&self.map, thresholds, bodies[0]),
-            Hidden::Condition(condition) => {
+            Hidden::Comparison(first, op, second) => {
+                let [x, y] = bodies;
+                let numbers = (now.number(&self.map, first, x), now.number(&self.map, second, y));
+                matches!(numbers, (Some(left), Some(right)) if op.holds_of_numbers(left, right))
+            }
+            Hidden::Headings(headings) => headings.contains(bodies[0].heading),
+            Hidden::Condition(condition) | Hidden::Tick(condition) | Hidden::TickAndHeading(condition) => {
                 let value = |_, quantity, places: &[usize]| now.value(&self.map, quantity, bodies, places);
                 let Drawing { word, names } = now.drawing;
                 let hashes = bodies.map(|body| names.get(body.agent as usize).copied().unwrap_or_default());
@@ -668,6 +728,17 @@ fn run_in<const W: usize>(
         let set = match hidden {
             Hidden::Thresholds(thresholds) => {
                 set_of(bodies.iter().map(|body| now.is_within(&grounder.map, thresholds, body)))
+            }
+            Hidden::Headings(headings) => set_of(bodies.iter().map(|body| headings.contains(body.heading))),
+            Hidden::TickAndHeading(condition) => {
+                let headings = HeadingSet::new(&grounder.rules.conditions, *condition, now.tick());
+                set_of(bodies.iter().map(|body| headings.contains(body.heading)))
+            }
+            Hidden::Tick(_) => {
+                let holds = bodies
+                    .first()
+                    .is_some_and(|body| grounder.meets(hidden, now, [body, body]));
+                if holds { first(bodies.len()) } else { [0; W] }
             }
             Hidden::Past(past) if !diagonal => match now.memory.holding(*past).filter(|_| whole) {
                 Some(holding) => set_of_words(holding),
