@@ -16,6 +16,7 @@ predicates:
     Speed: {quantity: speed}
     Distance: {quantity: distance}
     Tick: {quantity: tick}
+    Heading: {quantity: heading}
 ";
 
 /// Predicates with clauses that need the relational executor, beside others that do not.
@@ -23,7 +24,15 @@ const DECLARED: &str = ".include \"vocabulary.dl\"
 .decl Waited, Speed(x: agent, n: number)
 .decl Distance(x: agent, y: agent, d: float)
 .decl Tick(t: number)
-.input Waited, Speed, Distance, Tick
+.decl Heading(x: agent, h: symbol)
+.input Waited, Speed, Distance, Tick, Heading
+.decl Vertical, Driven(h: symbol)
+.decl Opposite(h: symbol, g: symbol)
+.decl Favorite(x: agent, h: symbol)
+Vertical(\"Up\"). Vertical(\"Down\").
+Opposite(\"Up\", \"Down\"). Opposite(\"Down\", \"Up\"). Opposite(\"Left\", \"Right\"). Opposite(\"Right\", \"Left\").
+Favorite(\"Car_1\", \"Up\"). Favorite(\"Car_3\", \"Left\").
+Favorite(X, h) :- Heading(X, h), IsTiro(X).
 .decl Chained, Near(x: agent, y: agent)
 .decl Crowded, Even, Odd, Halted(x: agent)
 .decl Between(x: agent, y: agent, z: agent)
@@ -44,6 +53,7 @@ Halted(X) :- Waited(X, n), n > 1.
 Between(X, Y, Z) :- Sees(X, Y), Sees(X, Z), NextTo(Y, Z).
 Gap(X, n) :- IsCar(X), n = min d : { Waited(Y, d), Sees(X, Y) }.
 .scope
+Driven(h) :- Heading(Y, h), IsBus(Y).
 Jam() :- n = count : { Waited(Y, m), m > 2 }, n > 2.
 .scope Sees
 ";
@@ -51,7 +61,7 @@ Jam() :- n = count : { Waited(Y, m), m > 2 }, n > 2.
 /// Random clauses of actions, about a third of which the dense executor does not support.
 fn random_rules(random: &mut impl RngExt) -> String {
     // Each fact has its own variables.
-    const FACTS: [&str; 24] = [
+    const FACTS: [&str; 32] = [
         "Sees(X, Y#)",
         "IsClose(X, Y#), Not(IsAtInter(Y#))",
         "NextTo(Y#, X)",
@@ -76,6 +86,14 @@ fn random_rules(random: &mut impl RngExt) -> String {
         "Waited(X, a#), Waited(Y#, b#), Waited(Z#, c#), a# + b# > c#",
         "once[1,4] Crowded(X)",
         "Not(historically[1,3] Halted(X))",
+        "Heading(X, h#), Vertical(h#)",
+        "Heading(X, h#), Not(Vertical(h#))",
+        "Heading(X, h#), Heading(Y#, g#), Opposite(h#, g#)",
+        "Heading(X, h#), Favorite(X, h#)",
+        "Favorite(Y#, _), Sees(X, Y#)",
+        "Heading(X, h#), Driven(h#)",
+        "Heading(Y#, h#), Driven(h#), h# != \"Up\"",
+        "Driven(_), IsAtInter(X)",
     ];
     let mut clauses = String::new();
     for head in ["Stop", "Slow", "Fast"] {
@@ -208,4 +226,25 @@ fn clauses_that_are_handed_over_keep_to_the_limits() {
         "{}",
         fault.message
     );
+}
+
+/// Constants that name no agent cannot be rows of bits, but `_` sees them: the city goes on without the dense executor.
+#[test]
+fn rows_about_no_agent_end_the_dense_executor() {
+    let rules = ".include \"vocabulary.dl\"
+.scope
+.decl Wanted(x: agent)
+Wanted(\"Nobody\") :- IsInInter(X), IsCar(X).
+Stop(X) :- IsAtInter(X), Wanted(_).
+";
+    let world = configured("base: expert", rules, |_| ()).0;
+    let mut cities = [
+        simulation(&world, Executor::Relational, 1),
+        simulation(&world, Executor::Auto, 1),
+    ];
+    assert_eq!(cities[1].executor(), Executor::Dense);
+    Counts::default().go_the_same_way(&mut cities, 200);
+    let message = &cities[1].fallback().unwrap().message;
+    assert!(message.contains("something that is no agent"), "{message}");
+    assert_eq!(cities[1].executor(), Executor::Relational);
 }

@@ -28,8 +28,8 @@ pub enum Construct {
     Recursion(PredicateId),
     /// The predicate has no columns, or more than two.
     Columns(PredicateId),
-    /// The predicate has a column that does not hold symbols.
-    NotSymbols(PredicateId),
+    /// The predicate has a column whose values may be no entities.
+    NotEntities(PredicateId),
     /// A constant.
     Constant,
     /// A draw about more than two entities, or about the value of an expression on several.
@@ -72,9 +72,9 @@ impl Unsupported {
                 named(predicate),
                 rules.predicates[predicate.index()].arity()
             ),
-            Construct::NotSymbols(predicate) => {
+            Construct::NotEntities(predicate) => {
                 format!(
-                    "a clause of {head} uses {}, which has a column that does not hold symbols",
+                    "a clause of {head} uses {}, which has a column that may hold values other than agents",
                     named(predicate)
                 )
             }
@@ -104,7 +104,7 @@ impl Unsupported {
                  take no part in a draw",
             ),
             Construct::Variables => Some("derive a part of the body in a predicate of its own"),
-            Construct::NotSymbols(_)
+            Construct::NotEntities(_)
             | Construct::Expression
             | Construct::Comparison
             | Construct::Aggregate(_)
@@ -319,5 +319,5 @@ pub(super) fn unfit_shape(rules: &Rules, id: PredicateId) -> Option<Construct> {
         return Some(Construct::Columns(id));
     }
     let symbols = predicate.columns.iter().all(|column| column.base == BaseType::Symbol);
-    (!symbols).then_some(Construct::NotSymbols(id))
+    (!symbols).then_some(Construct::NotEntities(id))
 }

@@ -11,6 +11,7 @@
 
 use crate::chance;
 use crate::check::{Atom, Clause, Draw, Literal, Predicate, PredicateId, Rules, Term, VarId};
+use crate::dense::values::value_columns;
 use crate::symbol::Symbols;
 use crate::syntax::ast::{BaseType, Comparison};
 use crate::syntax::functor::Functor;
@@ -168,7 +169,8 @@ pub trait ConditionValues {
 /// Rules that read values in conditions only, as far as possible.
 #[derive(Clone, Debug)]
 pub struct Lifted {
-    /// The rules. Clauses have the positions that they had before.
+    /// The rules. Clauses have the positions that they had before. Columns for symbols that may be no entities have the
+    /// base type of whole numbers.
     pub rules: Rules,
     /// The conditions, each once.
     pub conditions: Vec<Condition>,
@@ -428,6 +430,11 @@ pub fn lift(rules: &Rules, entities: impl Fn(PredicateId) -> Option<usize>) -> L
         }
     });
     let clauses = clauses.collect();
+    for (predicate, values) in predicates.iter_mut().zip(value_columns(rules, &entities)) {
+        for (column, _) in predicate.columns.iter_mut().zip(values).filter(|(_, value)| *value) {
+            column.base = BaseType::Unsigned;
+        }
+    }
     Lifted {
         rules: Rules {
             clauses,

@@ -227,7 +227,7 @@ impl<'r> Divider<'r> {
         let is_read = |stratum: &Stratum| stratum.predicates.iter().any(|one| self.is_read[one.index()]);
         let is_stored = |stratum: &Stratum| {
             let mut predicates = stratum.predicates.iter();
-            predicates.all(|one| unfit_shape(self.rules, *one).is_none())
+            predicates.all(|one| unfit_shape(&lifted.rules, *one).is_none())
         };
         let strata = self.rules.strata.iter().zip(kept);
         let strata = strata.filter(|(stratum, kept)| **kept && is_stored(stratum));
@@ -251,7 +251,8 @@ impl<'r> Divider<'r> {
         clauses.sort_unstable();
 
         self.dense.strata = dense_strata;
-        self.relational.predicates.clone_from(&self.dense.predicates);
+        let made = &self.dense.predicates[self.relational.predicates.len()..];
+        self.relational.predicates.extend_from_slice(made);
         let is_divided: Vec<bool> = self.pieces.iter().map(Option::is_some).collect();
         let read = self.restrict();
         let number = self.renumber(&read);

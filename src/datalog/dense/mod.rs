@@ -37,6 +37,7 @@ mod run;
 mod search;
 mod sets;
 mod tree;
+mod values;
 
 pub use analyze::{Construct, Unsupported, costly, obstacles};
 pub use condition::{Condition, ConditionValues, Lifted, lift};

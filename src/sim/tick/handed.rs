@@ -93,11 +93,12 @@ impl HandedState {
         Ok(())
     }
 
-    /// Derives the rows from these facts.
+    /// Derives the rows from these facts. Returns whether all of them are about agents: the dense executor cannot read
+    /// one with a constant that names no agent.
     ///
     /// # Errors
     /// As [`GroundState::set_with`].
-    pub fn evaluate(&mut self, facts: &Facts, cancel: &Cancel) -> Result<(), Diagnostic> {
+    pub fn evaluate(&mut self, facts: &Facts, cancel: &Cancel) -> Result<bool, Diagnostic> {
         let HandedState {
             plan,
             state,
@@ -109,16 +110,14 @@ impl HandedState {
         derived.clear();
         for (position, &(_, predicate, columns)) in rules.predicates.iter().enumerate() {
             for row in state.session().encoded_rows(predicate) {
-                // A constant may name no agent.
                 let mut agents = row[..columns].iter().map(|value| state.entity(*value));
-                if let (Some(Some(first)), second) = (agents.next(), agents.next())
-                    && let Some(second) = second.unwrap_or(Some(0))
-                {
-                    derived.add(position, first, second);
-                }
+                let (Some(Some(first)), Some(second)) = (agents.next(), agents.next().unwrap_or(Some(0))) else {
+                    return Ok(false);
+                };
+                derived.add(position, first, second);
             }
         }
-        Ok(())
+        Ok(true)
     }
 
     /// Returns the rows that a clause derived; `None` if it is not handed over.

@@ -779,7 +779,7 @@ impl Simulation {
         Ok(facts)
     }
 
-    /// Derives what the dense executor hands over.
+    /// Derives what the dense executor hands over, or gives that executor up.
     fn evaluate_handed(&mut self, draws: Draws) -> Result<(), Diagnostic> {
         let Some(handed) = &self.handed else {
             return Ok(());
@@ -789,10 +789,18 @@ impl Simulation {
         let bounds = (self.world.limits.bytes, &self.cancel);
         let subjects: Vec<Subject> = self.agents.iter().map(|agent| entity(agent).subject()).collect();
         handed.add_pairs(&subjects, draws, &mut facts, bounds)?;
-        match &mut self.handed {
-            Some(handed) => handed.evaluate(&facts, &self.cancel),
-            None => Ok(()),
+        if let Some(handed) = &mut self.handed
+            && !handed.evaluate(&facts, &self.cancel)?
+        {
+            let message = format!(
+                "the dense executor gave up in tick {}: a clause that it hands over derives a row about something that \
+                 is no agent",
+                self.tick
+            );
+            self.fallback = Some(Diagnostic::new(sim_codes::DENSE_UNSUPPORTED, message));
+            (self.dense, self.handed) = (None, None);
         }
+        Ok(())
     }
 
     /// Counts the firings of the clauses that the dense executor hands over.
