@@ -475,6 +475,7 @@ MODULES = {
     "logicity.describe": "Observations",
     "logicity.offline": "Demonstrations",
     "logicity.induction": "Learned rules",
+    "logicity.torch": "Rules as a layer",
     "logicity.envs": "Environments",
     "logicity.envs.registration": "Environments by name",
     "logicity.envs.layout": "Layouts of observations",

@@ -34,6 +34,7 @@ if TYPE_CHECKING:
     from . import icons as icons
     from . import learn as learn
     from . import questions as questions
+    from . import torch as torch
     from . import vap as vap
     from .city import ACTIONS, HEADINGS, REASONS, AgentInfo, Decision, Inference, Simulation, Tick, infer
     from .describe import observation_names
@@ -102,7 +103,7 @@ _NAMES = {
     ],
 }
 _HOMES = {name: module for module, names in _NAMES.items() for name in names}
-_MODULES = ("envs", "icons", "learn", "questions", "vap")
+_MODULES = ("envs", "icons", "learn", "questions", "torch", "vap")
 
 __all__ = [
     "ACTIONS",

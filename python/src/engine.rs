@@ -39,10 +39,10 @@ fn check<'py>(py: Python<'py>, text: &str, name: &str) -> PyResult<Bound<'py, Py
 }
 
 /// A checked and planned program with its sources.
-struct Loaded {
+pub struct Loaded {
     workspace: Workspace,
-    sources: Sources,
-    program: Program,
+    pub sources: Sources,
+    pub program: Program,
     warnings: Vec<Diagnostic>,
 }
 
@@ -71,6 +71,13 @@ impl Loaded {
 /// A checked and planned program.
 #[pyclass(name = "Program", module = "logicity._logicity", frozen)]
 pub struct PyProgram(Arc<Loaded>);
+
+impl PyProgram {
+    /// Returns the program and its sources.
+    pub fn loaded(&self) -> &Loaded {
+        &self.0
+    }
+}
 
 /// The name and the source of a file.
 type File = (String, String);

@@ -14,6 +14,7 @@
 // Decision: docs/decisions/tools.md#d028
 
 mod actor;
+mod checked;
 mod city;
 mod columns;
 mod config;
@@ -425,6 +426,7 @@ fn _logicity(module: &Bound<'_, PyModule>) -> PyResult<()> {
     module.add_function(wrap_pyfunction!(end_forked, module)?)?;
     config::register(module)?;
     engine::register(module)?;
+    checked::register(module)?;
     city::register(module)?;
     output::register(module)?;
     task::register(module)?;

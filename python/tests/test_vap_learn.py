@@ -10,7 +10,7 @@ import subprocess
 import sys
 from itertools import pairwise
 from pathlib import Path
-from typing import Any
+from typing import Any, get_args
 
 import numpy as np
 import pytest
@@ -26,12 +26,12 @@ torch: Any = needs("torch", "vap")
 needs("stable_baselines3", "learn")
 from logicity.commands import run as command  # noqa: E402
 from logicity.files import read_tensors  # noqa: E402
+from logicity.torch import Semantics  # noqa: E402
 from logicity.vap import crops  # noqa: E402
 from logicity.vap.concepts import RELATIONS, ConceptModel, ConceptSettings, CropNetwork  # noqa: E402
 from logicity.vap.crops import crop_boxes  # noqa: E402
 from logicity.vap.features import DataSpec, compute_features, load_features, prepared  # noqa: E402
-from logicity.vap.reasoners import make_reasoner  # noqa: E402
-from logicity.vap.soft_rules import SoftRules  # noqa: E402
+from logicity.vap.reasoners import make_reasoner, rule_degrees  # noqa: E402
 from logicity.vap.stages import facts_of, scenes_of  # noqa: E402
 from logicity.vap.training import (  # noqa: E402
     Samples,
@@ -307,25 +307,21 @@ def test_the_backbone_reads_regions_where_the_boxes_are(tmp_path: Path, monkeypa
 def test_the_rules_on_true_facts_are_exact(mode: Any, tmp_path: Path) -> None:
     made = make_dataset(tmp_path / "set", mode, "train", agents="random", worlds=2, images=False, threads=1)
     samples = Samples.load(made)
-    rules = SoftRules(Program.load(f"rules/vap-{mode}.dl"))
-    cars = samples.facts["mask"]
-    for semantics in ("product", "max-min"):
-        degrees = rules.degrees(
-            samples.facts["unary"].float(), samples.relations.float(), samples.facts["valid"], semantics
-        )
+    rules, cars = Program.load(f"rules/vap-{mode}.dl"), samples.facts["mask"]
+    facts = (samples.facts["unary"].float(), samples.relations.float(), samples.facts["valid"])
+    for semantics in get_args(Semantics):
+        degrees = rule_degrees(rules, semantics, *facts)
         assert (degrees.argmax(-1)[cars] == samples.facts["actions"][cars]).all()
         assert set(degrees[cars].unique().tolist()) == {0.0, 1.0} and (degrees[cars].sum(-1) == 1).all()
 
 
-def test_the_order_of_actions_is_that_of_the_configuration() -> None:
-    rules = SoftRules(Program.load("rules/vap-easy.dl"))
-    read = {name: yaml.safe_load((ROOT / "configs" / f"{name}.yaml").read_text()) for name in ("common", "vap-easy")}
-    assert list(rules.precedence) == read["vap-easy"]["actions"]["priority"]
-    assert rules.default == read["common"]["actions"]["default"]
+def test_the_precedence_of_actions_is_that_of_the_configuration() -> None:
+    read = yaml.safe_load((ROOT / "configs" / "vap-easy.yaml").read_text())
+    assert list(ACTIONS) == read["actions"]["priority"]
 
 
 def test_the_rules_on_wrong_facts_are_those_of_inference(samples: Samples) -> None:
-    rules, inference = SoftRules(Program.load("rules/vap-hard.dl")), Inference("configs/vap-hard.yaml")
+    rules, inference = Program.load("rules/vap-hard.dl"), Inference("configs/vap-hard.yaml")
     generator = torch.Generator().manual_seed(3)
     chosen = torch.arange(0, len(samples), 8)
     batch = samples.batch(chosen)
@@ -343,12 +339,12 @@ def test_the_rules_on_wrong_facts_are_those_of_inference(samples: Samples) -> No
         )
         for scene in scenes_of(unary, binary, part)
     ]
-    degrees = rules.degrees(unary.float(), binary.float(), batch["valid"], "max-min")
+    degrees = rule_degrees(rules, "godel", unary.float(), binary.float(), batch["valid"])
     assert degrees.argmax(-1)[batch["mask"]].tolist() == expected and len(set(expected)) == 4
 
 
 def test_probabilities_are_carried_through_the_rules() -> None:
-    rules = SoftRules(Program.load("rules/vap-easy.dl"))
+    rules = Program.load("rules/vap-easy.dl")
     unary, binary = torch.zeros(1, 3, len(UNARY)), torch.zeros(1, 3, 3, len(RELATIONS))
     valid = torch.tensor([[True, True, True]])
     unary[0, 0, UNARY.index("IsAtInter")] = 0.9
@@ -356,57 +352,21 @@ def test_probabilities_are_carried_through_the_rules() -> None:
     binary[0, 0, :, RELATIONS.index("Sees")] = torch.tensor([0.0, 0.8, 0.4])
     # Stop: 0.9 x 0.5 x 0.8 = 0.36 for the second entity, 0.9 x 0.25 x 0.4 = 0.09 for the third.
     stop = ACTIONS.index("Stop")
-    assert rules.degrees(unary, binary, valid, "product")[0, 0, stop] == pytest.approx(1 - 0.64 * 0.91)
-    assert rules.degrees(unary, binary, valid, "max-min")[0, 0, stop] == pytest.approx(0.5)
+    assert rule_degrees(rules, "product", unary, binary, valid)[0, 0, stop] == pytest.approx(1 - 0.64 * 0.91)
+    assert rule_degrees(rules, "godel", unary, binary, valid)[0, 0, stop] == pytest.approx(0.5)
     absent = torch.tensor([[True, False, True]])
-    assert rules.degrees(unary, binary, absent, "product")[0, 0, stop] == pytest.approx(0.09)
+    assert rule_degrees(rules, "product", unary, binary, absent)[0, 0, stop] == pytest.approx(0.09)
 
 
-def test_max_min_answers_are_those_of_thresholded_facts() -> None:
-    rules = SoftRules(Program.load("rules/vap-hard.dl"))
+def test_godel_answers_are_those_of_thresholded_facts() -> None:
+    rules = Program.load("rules/vap-hard.dl")
     generator = torch.Generator().manual_seed(0)
     unary = torch.rand(50, 6, len(UNARY), generator=generator)
     binary = torch.rand(50, 6, 6, len(RELATIONS), generator=generator) ** 3
     valid = torch.ones(50, 6, dtype=torch.bool)
-    soft = rules.degrees(unary, binary, valid, "max-min").argmax(-1)
-    hard = rules.degrees((unary > 0.5).float(), (binary > 0.5).float(), valid, "product").argmax(-1)
+    soft = rule_degrees(rules, "godel", unary, binary, valid).argmax(-1)
+    hard = rule_degrees(rules, "product", (unary > 0.5).float(), (binary > 0.5).float(), valid).argmax(-1)
     assert (soft == hard).all() and len(soft.unique()) == 4
-
-
-@pytest.mark.parametrize(
-    ("text", "message"),
-    [
-        ("Stop(X) :- IsClose(X, Y), X != Y.", "only literals of predicates can have truth degrees, not `X != Y` in"),
-        ('Stop("Car_1").', "only clauses with a body have truth degrees"),
-        ("Stop(X) :- IsCar(X), Not(IsClose(X, _)).", "`Not(IsClose(X, _))` has no truth degree, in"),
-        ("Stop(X) :- IsClose(X, Y), Stop(Y).", "`Stop(Y)` has no truth degree"),
-        ("Slow(X) :- IsBus(X), Fast(X).\nFast(X) :- Slow(X).", "`Fast(X)` has no truth degree"),
-        (
-            "Normal(X) :- IsBus(X).",
-            "`Normal` holds if no other action does: `Normal(X) :- IsBus(X).` has no truth degree",
-        ),
-    ],
-)
-def test_clauses_without_truth_degrees_are_reported(text: str, message: str) -> None:
-    program = Program(f'.include "rules/vocabulary.dl"\n{text}')
-    with pytest.raises(ValueError, match=re.escape(message)):
-        SoftRules(program)
-
-
-def test_clauses_may_have_comments_other_negations_and_anonymous_variables() -> None:
-    program = Program(
-        """.include "rules/vocabulary.dl"
-        Stop(X) :- // IsBus(X),
-            IsCar(X), not IsBus(X), !IsOld(X), Not( Fast(X) ), IsClose(X, _), NextTo(X, _).
-        """
-    )
-    unary, binary = torch.zeros(1, 3, len(UNARY)), torch.zeros(1, 3, 3, len(RELATIONS))
-    unary[0, 0, UNARY.index("IsCar")], unary[0, 0, UNARY.index("IsBus")] = 1.0, 0.5
-    binary[0, 0, 1:, RELATIONS.index("Sees")] = 1.0
-    # The two anonymous variables are different entities.
-    binary[0, 0, 1, RELATIONS.index("IsClose")], binary[0, 0, 2, RELATIONS.index("NextTo")] = 0.8, 0.5
-    degrees = SoftRules(program).degrees(unary, binary, torch.ones(1, 3, dtype=torch.bool))
-    assert degrees[0, 0].tolist() == pytest.approx([0.0, 0.8, 0.0, 0.2])
 
 
 # --- models

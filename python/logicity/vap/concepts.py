@@ -214,7 +214,7 @@ def pairs_of(valid: Tensor) -> Tensor:
 def in_view(binary: Tensor, valid: Tensor) -> tuple[Tensor, Tensor]:
     """Return the degrees to which present entities see each other, (B, N, N), and the diagonal, bool (N, N).
 
-    An entity sees itself. The arguments are those of `SoftRules.degrees`.
+    An entity sees itself. `binary` is (B, N, N, 7) in the order of `RELATIONS`.
     """
     eye = torch.eye(valid.shape[1], dtype=torch.bool, device=valid.device)
     return binary[..., RELATIONS.index("Sees")].masked_fill(eye, 1.0) * pairs_of(valid), eye

@@ -1,4 +1,4 @@
-"""Reasoners: networks that predict actions from the truth values of predicates. Needs the extra `vap`."""
+"""Reasoners: networks and rules that predict actions from the degrees of predicates. Needs the extra `vap`."""
 
 from __future__ import annotations
 
@@ -6,6 +6,8 @@ from typing import Literal
 
 from ..city import ACTIONS
 from ..errors import extra
+from ..rules import Program
+from ..torch import RuleLayer, Semantics
 from .data import UNARY
 
 with extra("vap"):
@@ -14,7 +16,21 @@ with extra("vap"):
 
 from .concepts import RELATIONS, in_view
 
-__all__ = ["GraphReasoner", "LogicReasoner", "make_reasoner"]
+__all__ = ["GraphReasoner", "LogicReasoner", "make_reasoner", "rule_degrees"]
+
+
+def rule_degrees(rules: Program, semantics: Semantics, unary: Tensor, binary: Tensor, valid: Tensor) -> Tensor:
+    """Return the degree to which each action is the answer of rules, (B, N, 4) in the order of `ACTIONS`.
+
+    The order is also that of precedence, as in `configs/vap-easy.yaml`. The other arguments are those of the networks,
+    see `make_reasoner`. An entity sees itself, and no other binary predicate relates it to itself.
+    """
+    layer = RuleLayer(rules, semantics, priority=ACTIONS)
+    sees, eye = in_view(binary, valid)
+    values = {name: binary[..., at].masked_fill(eye, 0.0) for at, name in enumerate(RELATIONS)} | {"Sees": sees}
+    known = unary[..., [UNARY.index(name) for name in layer.unary]]
+    degrees: Tensor = layer(known, torch.stack([values[name] for name in layer.binary], -1), valid)
+    return degrees
 
 
 def make_reasoner(name: Literal["gnn", "nlm"]) -> nn.Module:

@@ -34,8 +34,7 @@ from .concepts import RELATIONS, ConceptModel, ConceptSettings
 from .data import BINARY, UNARY, symbolic_facts
 from .features import Backbone, DataSpec, Kind, prepared, weights_file
 from .metrics import vap_metrics
-from .reasoners import make_reasoner
-from .soft_rules import SoftRules
+from .reasoners import make_reasoner, rule_degrees
 from .training import (
     Samples,
     TrainingSettings,
@@ -179,9 +178,9 @@ class VapWork:
         samples = Samples.load(tables, {} if features is None else {settings.concepts.perception: features})
         return samples.subset(settings.fraction, self.seed) if split == "train" and settings.fraction < 1 else samples
 
-    def rules(self) -> SoftRules:
+    def rules(self) -> Program:
         """Return the rules of the mode."""
-        return SoftRules(Program.load(f"rules/vap-{self.mode}.dl"))
+        return Program.load(f"rules/vap-{self.mode}.dl")
 
     def part(self, name: str, model: Mapping[str, Any]) -> torch.nn.Module:
         """Return `concepts` or `reasoner` with the weights in a model. An empty model gives random ones of the seed."""
@@ -233,10 +232,10 @@ def measure(work: VapWork, model: dict[str, Any]) -> tuple[dict[str, Any], dict[
     if stage == "concepts":
         actions = _by_rules(work.rules(), unary, binary, test)
     elif stage == "induction":
-        actions = _by_rules(SoftRules(Program(model["rules"])), unary, binary, test)
+        actions = _by_rules(Program(model["rules"]), unary, binary, test)
     elif stage == "bound":
         shown = torch.tensor([name not in model["absent"] for name in UNARY])
-        degrees = work.rules().degrees(unary * shown, binary, test.facts["valid"], "max-min")
+        degrees = rule_degrees(work.rules(), "godel", unary * shown, binary, test.facts["valid"])
         actions = {"": degrees.argmax(-1)}
     else:
         actions = {"": predict_actions(work.part("reasoner", model), unary, binary, test.facts["valid"])}
@@ -269,13 +268,13 @@ def evaluation(predicted: Tensor, samples: Samples) -> dict[str, Any]:
     return {"recall": dict(metrics.recall), "a_acc": metrics.a_acc, "w_acc": metrics.w_acc, "worlds": worlds}
 
 
-def _by_rules(rules: SoftRules, unary: Tensor, binary: Tensor, samples: Samples) -> dict[str, Tensor]:
+def _by_rules(rules: Program, unary: Tensor, binary: Tensor, samples: Samples) -> dict[str, Tensor]:
     """Return the actions of the rules on thresholded facts, and on probabilities."""
     valid = samples.facts["valid"]
     facts = ((unary > 0.5).float(), (binary > 0.5).float())
     return {
-        "threshold": rules.degrees(*facts, valid, "max-min").argmax(-1),
-        "product": rules.degrees(unary, binary, valid, "product").argmax(-1),
+        "threshold": rule_degrees(rules, "godel", *facts, valid).argmax(-1),
+        "product": rule_degrees(rules, "product", unary, binary, valid).argmax(-1),
     }
 
 

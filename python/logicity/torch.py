@@ -1,0 +1,652 @@
+"""Rules as a differentiable layer. Needs the extra `learn`.
+
+`RuleLayer` computes the degrees from 0 to 1 to which rules derive atoms, from the degrees of the facts that they read:
+
+| semantics | a and b | a or b | not a |
+|---|---|---|---|
+| `godel` | min(a, b) | max(a, b) | 1 - a |
+| `product` | a b | 1 - (1 - a)(1 - b) | 1 - a |
+| `lukasiewicz` | max(0, a + b - 1) | min(1, a + b) | 1 - a |
+
+The degree of a clause is that of the conjunction of its literals, and an atom has the degree of the disjunction over
+all clauses that derive it and all values of their other variables. With the degrees 0 and 1, all three are the rules
+themselves. With probabilities of independent facts, `product` counts a fact that several clauses or values share
+several times. The degree of `godel` is above 0.5 exactly if the facts above 0.5 derive the atom.
+"""
+
+from __future__ import annotations
+
+import os
+from collections.abc import Iterable, Sequence
+from dataclasses import dataclass
+from typing import Any, Literal, TypeAlias, cast, get_args
+
+from . import _logicity
+from .errors import extra
+from .rules import Program
+
+with extra("learn"):
+    import torch
+    from torch import Tensor, nn
+    from torch.autograd.function import FunctionCtx, once_differentiable
+
+__all__ = ["RuleLayer", "Semantics"]
+
+Semantics: TypeAlias = Literal["godel", "product", "lukasiewicz"]
+"""The meaning of conjunction, disjunction and negation."""
+
+#: The order of actions and the default in `configs/common.yaml`.
+PRIORITY = ("Stop", "Slow", "Fast", "Normal")
+DEFAULT = "Normal"
+#: The largest number of entities that an atom or a clause relates.
+VARIABLES_MAX = 6
+
+
+@dataclass(frozen=True)
+class _Atom:
+    """A predicate, by its position, and its variables. `None` is `_`."""
+
+    predicate: int
+    terms: tuple[int | None, ...]
+
+
+@dataclass(frozen=True)
+class _Clause:
+    """A clause whose variables are those of the head, in order, and then the others.
+
+    Attributes:
+        head: The head.
+        literals: The atoms of the body, and whether each holds.
+        same: Pairs of variables, and whether they are the same entity.
+        count: The number of variables.
+        probability: That of the head, 1 without one.
+        label: The label, such as `S1`.
+    """
+
+    head: _Atom
+    literals: tuple[tuple[_Atom, bool], ...]
+    same: tuple[tuple[int, int, bool], ...]
+    count: int
+    probability: float
+    label: str
+
+
+@dataclass
+class _Stratum:
+    """The clauses of predicates that are computed together, by the position of the predicate."""
+
+    clauses: dict[int, list[_Clause]]
+    recursive: bool
+
+
+@dataclass(frozen=True)
+class _Past:
+    """What a temporal operator reads; see `_logicity.checked`."""
+
+    predicate: int
+    operand: int
+    operator: str
+    held: tuple[int, tuple[int, ...]] | None
+    first: int
+    last: int | None
+
+
+class _Tick:
+    """The degrees in one tick.
+
+    Attributes:
+        count: The number of entities.
+        values: Those of derived predicates: (B, N, ..., N), or (B, E, N, ...) if only those of the egos are needed.
+        selected: Those of predicates in which a dimension has the egos only, by predicate and dimension.
+        blocks: Those of all binary inputs, with the egos only in a dimension, 1 or 2, or with all entities in both.
+    """
+
+    def __init__(self, unary: Tensor, binary: Tensor, mask: Tensor | None) -> None:
+        self.count, self.binary = unary.shape[1], binary
+        self.mask = None if mask is None else mask.to(unary.dtype)
+        self.unary = unary if self.mask is None else unary * self.mask[..., None]
+        self.values: dict[int, Tensor] = {}
+        self.selected: dict[tuple[int, int], Tensor] = {}
+        self.blocks: dict[int, tuple[Tensor, ...]] = {}
+
+    def zeros(self, arity: int) -> Tensor:
+        """Return degrees 0 of a predicate."""
+        return self.unary.new_zeros(self.unary.shape[0], *[self.count] * arity)
+
+    def eye(self) -> Tensor:
+        """Return which entities are the same, (1, N, N)."""
+        return torch.eye(self.count, dtype=self.unary.dtype, device=self.unary.device)[None]
+
+    def unary_input(self, column: int) -> Tensor:
+        """Return the degrees of a unary input."""
+        if -1 not in self.blocks:
+            self.blocks[-1] = self.unary.movedim(-1, 0).contiguous().unbind(0)
+        return self.blocks[-1][column]
+
+    def binary_input(self, column: int, axis: int, egos: Tensor | None) -> Tensor:
+        """Return the degrees of a binary input, with the egos alone in the dimension `axis`; in none if it is 0."""
+        if not axis and egos is not None:
+            # Few inputs are needed for all entities.
+            return self._masked(self.binary[..., column], self.mask, self.mask)
+        if axis not in self.blocks:
+            block, first, second = self.binary, self.mask, self.mask
+            if axis and egos is not None:
+                block = block.index_select(axis, egos)
+                chosen = None if self.mask is None else self.mask.index_select(1, egos)
+                first, second = (chosen, second) if axis == 1 else (first, chosen)
+            block = self._masked(block.movedim(-1, 0).contiguous(), first, second)
+            self.blocks[axis] = block.unbind(0)
+        return self.blocks[axis][column]
+
+    @staticmethod
+    def _masked(values: Tensor, first: Tensor | None, second: Tensor | None) -> Tensor:
+        return values if first is None or second is None else values * (first[:, :, None] * second[:, None, :])
+
+
+class RuleLayer(nn.Module):
+    """The rules of a file on degrees from 0 to 1, differentiable with respect to them.
+
+    The rules may negate, recur to a bounded depth, have probabilities, and read earlier ticks. Their predicates relate
+    entities; clauses that compare or count values are refused.
+
+    Args:
+        rules: A rule file, which may be a built-in one such as `rules/expert.dl`, or a program.
+        semantics: `godel`, `product` or `lukasiewicz`; see the module.
+        queries: Further derived predicates to compute. `degrees` returns them.
+        priority: The actions in the order of `actions.priority` of a configuration: the first that is derived is
+            taken. By default that of `configs/common.yaml`. Actions that the rules do not declare are not derived.
+        default: The action of an entity for which none is derived.
+        depth: How often the clauses of recursive predicates are applied. Atoms whose derivation needs more are 0.
+        learn_weights: Whether each clause that the layer uses has a weight, from 0 to 1, which is a conjunct of its
+            body. `weight_logits` is its parameter, with one element for each of `clauses`.
+
+    Attributes:
+        unary: The names of the U input predicates over one entity, in the order of the input.
+        binary: The names of the R input predicates over two entities, in the same order.
+        actions: The names of the actions: `priority`, and the default if it is not among them.
+        clauses: The labels of the clauses that the layer uses.
+        temporal: Whether the rules read earlier ticks. Inputs then have a dimension of time.
+        weight_logits: (clauses,): the logits of the weights, initially 3, a weight of 0.95. `None` without
+            `learn_weights`.
+
+    Raises:
+        InputError: If the rules are invalid.
+        OSError: If the file cannot be read.
+        ValueError: If an action or a query needs a clause that has no degree, or is not derived.
+    """
+
+    weight_logits: nn.Parameter | None
+
+    def __init__(
+        self,
+        rules: str | os.PathLike[str] | Program,
+        semantics: Semantics = "product",
+        *,
+        queries: Iterable[str] = (),
+        priority: Sequence[str] = PRIORITY,
+        default: str = DEFAULT,
+        depth: int | None = None,
+        learn_weights: bool = False,
+    ) -> None:
+        """Read the clauses."""
+        super().__init__()
+        if semantics not in get_args(Semantics):
+            raise ValueError(f"semantics: expected one of {', '.join(get_args(Semantics))}, not {semantics!r}")
+        if depth is not None and depth < 1:
+            raise ValueError(f"depth: expected at least 1, not {depth}")
+        self.semantics, self.depth = semantics, depth
+        self.program = rules if isinstance(rules, Program) else Program.load(rules)
+        checked = _logicity.checked(self.program._program)
+        self._predicates: list[dict[str, Any]] = checked["predicates"]
+        self._places = {each["name"]: place for place, each in enumerate(self._predicates) if not each["hidden"]}
+        self.queries = tuple(dict.fromkeys(queries))
+        self.actions = tuple(dict.fromkeys([*priority, default]))
+        self.default = default
+        inputs = [(name, self._predicates[place]) for name, place in self._places.items()]
+        inputs = [(name, each) for name, each in inputs if each["input"] and all(each["symbols"])]
+        self.unary = tuple(name for name, each in inputs if len(each["symbols"]) == 1)
+        self.binary = tuple(name for name, each in inputs if len(each["symbols"]) == 2)
+        #: The column of each input, by the position of the predicate that has its facts.
+        self._inputs = {
+            place if self._predicates[place]["edb"] is None else self._predicates[place]["edb"]: column
+            for names in (self.unary, self.binary)
+            for column, place in enumerate(self._places[name] for name in names)
+        }
+        self._pasts = [
+            _Past(
+                each["predicate"],
+                each["operand"],
+                each["operator"],
+                None if each["held"] is None else (each["held"][0], tuple(each["held"][1])),
+                each["first"],
+                each["last"],
+            )
+            for each in checked["pasts"]
+        ]
+        self._derived_actions = [name for name in self.actions if self._is_derived(name)]
+        for name in self.queries:
+            if name not in self._places:
+                raise ValueError(f"queries: the rules declare no predicate `{name}`")
+            if not self._predicates[self._places[name]]["derived"]:
+                raise ValueError(f"queries: no clause derives `{name}`")
+        self._strata = self._needed(checked["strata"])
+        used = [clause for stratum in self._strata for clauses in stratum.clauses.values() for clause in clauses]
+        self.clauses = tuple(clause.label for clause in used)
+        self._numbers = {id(clause): number for number, clause in enumerate(used)}
+        needed = {atom.predicate for clause in used for atom, _ in clause.literals}
+        self._pasts = [past for past in self._pasts if past.predicate in needed]
+        self.temporal = bool(self._pasts)
+        self._alone = self._read_by_egos(used)
+        self.weight_logits = nn.Parameter(torch.full((len(used),), 3.0)) if learn_weights else None
+
+    def extra_repr(self) -> str:
+        """Return what `repr` shows."""
+        return f"{self.program._program.files()[0][0]}, {self.semantics}, {len(self.clauses)} clauses"
+
+    def forward(
+        self, unary: Tensor, binary: Tensor, mask: Tensor | None = None, egos: Sequence[int] | None = None
+    ) -> Tensor:
+        """Return the degree to which each action is the answer, (B, E, A) in the order of `actions`.
+
+        An action is the answer if it is derived, and none that comes before it in the order of priority. The answer
+        with the greatest degree is the decision. With degrees 0 and 1, exactly one action has the degree 1.
+
+        Args:
+            unary: (B, N, U), the degrees of the atoms of `self.unary`; with temporal operators (B, T, N, U).
+            binary: (B, N, N, R), those of `self.binary`, or (B, T, N, N, R).
+            mask: (B, N) or (B, T, N): 1 or true for the entities that are present; by default all are. No atom holds of
+                the others.
+            egos: The E entities that decide; by default all N.
+
+        Returns:
+            (B, E, A), or (B, T, E, A) with temporal operators.
+
+        Raises:
+            ValueError: If a shape is wrong, or an ego does not exist.
+        """
+        return self.degrees(unary, binary, mask, egos)[0]
+
+    def degrees(
+        self, unary: Tensor, binary: Tensor, mask: Tensor | None = None, egos: Sequence[int] | None = None
+    ) -> tuple[Tensor, dict[str, Tensor]]:
+        """Variant of `forward` that also returns the degrees of derived actions and of `queries` by name.
+
+        Those of an action are (B, E) and do not depend on the order of priority; those of a query are (B, N) for a
+        predicate over one entity, (B, N, N) for one over two, and so on. With temporal operators, T follows B.
+        """
+        self._check(unary, binary, mask)
+        count = unary.shape[-2]
+        if egos is not None and not all(-count <= ego < count for ego in egos):
+            raise ValueError(f"egos: there are {count} entities, so {list(egos)} names one that does not exist")
+        chosen = None if egos is None else torch.tensor([ego % count for ego in egos], device=unary.device)
+        if not self.temporal:
+            return self._answer(self._tick(unary, binary, mask, chosen, []), chosen)
+        history: list[_Tick] = []
+        answers, derived = [], []
+        for tick in range(unary.shape[1]):
+            now = (unary[:, tick], binary[:, tick], None if mask is None else mask[:, tick])
+            history.append(self._tick(*now, chosen, history))
+            answer, names = self._answer(history[-1], chosen)
+            answers.append(answer)
+            derived.append(names)
+        return torch.stack(answers, 1), {name: torch.stack([each[name] for each in derived], 1) for name in derived[0]}
+
+    def weights(self) -> Tensor | None:
+        """Return the weights of `clauses`, (clauses,) from 0 to 1; `None` without `learn_weights`."""
+        return None if self.weight_logits is None else self.weight_logits.sigmoid()
+
+    # --- reading clauses
+
+    def _is_derived(self, action: str) -> bool:
+        place = self._places.get(action)
+        if place is None:
+            return False
+        each = self._predicates[place]
+        if each["symbols"] != [True]:
+            raise ValueError(f"priority: `{action}` is not a predicate over one entity")
+        return bool(each["derived"])
+
+    def _needed(self, strata: list[dict[str, Any]]) -> list[_Stratum]:
+        """Return the strata of the predicates on which actions and queries depend, in order."""
+        actions = {self._places[name] for name in self._derived_actions}
+        declared = {self._places[name] for name in self.actions if name in self._places}
+        given = [
+            clause for stratum in strata for clause in stratum["clauses"] if not self._is_default(clause, declared)
+        ]
+        clauses: dict[int, list[_Clause]] = {}
+        open_ = [*actions, *(self._places[name] for name in self.queries)]
+        while open_:
+            place = open_.pop()
+            if place in clauses:
+                continue
+            clauses[place] = [self._clause(each) for each in given if each["head"]["predicate"] == place]
+            open_ += [atom.predicate for clause in clauses[place] for atom, _ in clause.literals]
+            for past in self._pasts:
+                if past.predicate == place:
+                    open_ += [past.operand, *([past.held[0]] if past.held else [])]
+        chosen = []
+        for stratum in strata:
+            found = {place: clauses[place] for place in stratum["predicates"] if clauses.get(place)}
+            if not found:
+                continue
+            if stratum["recursive"] and self.depth is None:
+                name = self._predicates[stratum["predicates"][0]]["name"]
+                raise ValueError(f"`{name}` is recursive: give the `depth` to which its clauses are applied")
+            chosen.append(_Stratum(found, stratum["recursive"]))
+        return chosen
+
+    def _is_default(self, clause: dict[str, Any], actions: set[int]) -> bool:
+        """Return whether a clause says that the default is taken if no other action is derived."""
+        if clause["head"]["predicate"] != self._places.get(self.default) or not clause["body"]:
+            return False
+        terms = clause["head"]["terms"]
+        for literal in clause["body"]:
+            if "atom" not in literal:
+                return False
+            atom = literal["atom"]
+            negates = not literal["holds"] and atom["predicate"] in actions and atom["terms"] == terms
+            reflexive = (
+                literal["holds"] and atom["terms"] == [*terms, *terms] and self._predicates[atom["predicate"]]["input"]
+            )
+            if not negates and not reflexive:
+                return False
+        return True
+
+    def _clause(self, given: dict[str, Any]) -> _Clause:
+        def refuse(reason: str) -> ValueError:
+            return ValueError(f"{given['place']}: the clause has no degree, since it {reason}: `{given['text']}`")
+
+        if not given["body"]:
+            raise refuse("is a fact about constants" if given["head"]["terms"] else "is a fact")
+        literals: list[tuple[_Atom, bool]] = []
+        same: list[tuple[int, int, bool]] = []
+        numbers: dict[int, int] = {}
+        fresh = iter(range(-1, -1000, -1))
+
+        def atom(plain: dict[str, Any], holds: bool) -> _Atom:
+            predicate = self._predicates[plain["predicate"]]
+            if not all(predicate["symbols"]):
+                raise refuse(f"reads values of `{predicate['name']}`")
+            if predicate["input"] and len(predicate["symbols"]) not in (1, 2):
+                raise refuse(f"reads `{predicate['name']}`, an input over {len(predicate['symbols'])} entities")
+            if "constant" in plain["terms"]:
+                raise refuse("names a constant")
+            terms = [term if term is not None or not holds else next(fresh) for term in plain["terms"]]
+            return _Atom(plain["predicate"], tuple(None if term is None else number(term) for term in terms))
+
+        def number(term: int) -> int:
+            return numbers.setdefault(term, len(numbers))
+
+        head = atom(given["head"], True)
+        for literal in given["body"]:
+            if "other" in literal:
+                raise refuse(literal["other"])
+            if "same" in literal:
+                if "constant" in literal["same"]:
+                    raise refuse("names a constant")
+                one, other = (number(term) for term in literal["same"])
+                same.append((one, other, literal["holds"]))
+            else:
+                literals.append((atom(literal["atom"], literal["holds"]), literal["holds"]))
+        if len(numbers) > VARIABLES_MAX:
+            raise refuse(f"has more than {VARIABLES_MAX} variables")
+        probability = 1.0
+        if given["probabilities"] is not None:
+            if None in given["probabilities"]:
+                raise refuse("has a probability that is not a constant")
+            chosen = given["alternative"]
+            probability = given["probabilities"][chosen]
+        return _Clause(head, tuple(literals), tuple(same), len(numbers), probability, given["label"])
+
+    def _read_by_egos(self, clauses: list[_Clause]) -> set[int]:
+        """Return the derived predicates of which only the atoms that begin with an ego are read."""
+        remembered = {past.operand for past in self._pasts} | {past.held[0] for past in self._pasts if past.held}
+        repeated = {clause.head.predicate for clause in clauses if len(set(clause.head.terms)) < len(clause.head.terms)}
+        alone = {clause.head.predicate for clause in clauses if clause.head.terms}
+        alone -= remembered | repeated | {self._places[name] for name in self.queries}
+        while True:
+            others = {
+                atom.predicate
+                for clause in clauses
+                for atom, _ in clause.literals
+                if clause.head.predicate not in alone or not atom.terms or atom.terms[0] != 0
+            }
+            if not alone & others:
+                return alone
+            alone -= others
+
+    # --- evaluation
+
+    def _check(self, unary: Tensor, binary: Tensor, mask: Tensor | None) -> None:
+        leading = "(B, T, N" if self.temporal else "(B, N"
+        dimensions = 4 if self.temporal else 3
+        if unary.ndim != dimensions or unary.shape[-1] != len(self.unary):
+            raise ValueError(f"unary: expected the shape {leading}, {len(self.unary)}), not {tuple(unary.shape)}")
+        shape = (*unary.shape[:-1], unary.shape[-2], len(self.binary))
+        if binary.shape != shape:
+            raise ValueError(f"binary: expected the shape {shape}, not {tuple(binary.shape)}")
+        if mask is not None and mask.shape != unary.shape[:-1]:
+            raise ValueError(f"mask: expected the shape {tuple(unary.shape[:-1])}, not {tuple(mask.shape)}")
+
+    def _tick(
+        self, unary: Tensor, binary: Tensor, mask: Tensor | None, egos: Tensor | None, history: list[_Tick]
+    ) -> _Tick:
+        """Compute all predicates in one tick, after those of earlier ticks."""
+        tick = _Tick(unary, binary, mask)
+        for past in self._pasts:
+            tick.values[past.predicate] = self._remembered(past, history, tick)
+        for stratum in self._strata:
+            rounds = (self.depth or 1) if stratum.recursive else 1
+            for _ in range(rounds):
+                found = {place: self._derive(clauses, tick, egos) for place, clauses in stratum.clauses.items()}
+                tick.values.update(found)
+                # What recursive clauses read has changed.
+                tick.selected = {key: value for key, value in tick.selected.items() if key[0] not in found}
+        return tick
+
+    def _value(self, place: int, tick: _Tick, egos: Tensor | None = None) -> Tensor:
+        """Return the degrees of a predicate; 0 if nothing derives it, or nothing has yet."""
+        if place in tick.values:
+            return tick.values[place]
+        arity = len(self._predicates[place]["symbols"])
+        if place not in self._inputs:
+            return tick.zeros(arity)
+        column = self._inputs[place]
+        return tick.unary_input(column) if arity == 1 else tick.binary_input(column, 0, egos)
+
+    def _remembered(self, past: _Past, history: list[_Tick], now: _Tick) -> Tensor:
+        """Return the degrees of what a temporal operator reads. Before the first tick nothing held."""
+
+        def ago(place: int, ticks: int) -> Tensor:
+            return self._value(place, history[-ticks])
+
+        last = len(history) if past.last is None else past.last
+        ticks = range(past.first, min(last, len(history)) + 1)
+        if not ticks or (past.operator == "always" and last > len(history)):
+            return now.zeros(len(self._predicates[past.operand]["symbols"]))
+        if past.operator == "always":
+            return self._all([ago(past.operand, tick) for tick in ticks])
+        degrees, held = [], None
+        for tick in range(1, ticks.stop):
+            if tick in ticks:
+                degree = ago(past.operand, tick)
+                degrees.append(degree if held is None else self._both(degree, held))
+            if past.held is not None:
+                # What stands before `since` must hold in all ticks after the one in which the operand held.
+                place, columns = past.held
+                degree = _aligned(ago(place, tick), columns, len(self._predicates[past.operand]["symbols"]))
+                held = degree if held is None else self._both(held, degree)
+        return self._any(torch.stack(degrees, -1), 1)
+
+    def _derive(self, clauses: list[_Clause], tick: _Tick, egos: Tensor | None) -> Tensor:
+        """Return the degrees of a predicate from those of the predicates in the bodies of its clauses."""
+        found = [self._degree(clause, tick, egos) for clause in clauses]
+        return found[0] if len(found) == 1 else self._any(torch.stack(torch.broadcast_tensors(*found), -1), 1)
+
+    def _degree(self, clause: _Clause, tick: _Tick, egos: Tensor | None) -> Tensor:
+        """Return the degrees of the head of a clause."""
+        narrowed = egos if clause.head.predicate in self._alone else None
+        # The degrees of the literals over the same variables.
+        groups: dict[frozenset[int], Tensor] = {}
+
+        def add(axes: Sequence[int], value: Tensor, holds: bool) -> None:
+            value = _aligned(value, axes, clause.count)
+            value = value if holds else 1 - value
+            key = frozenset(axes)
+            groups[key] = self._both(groups[key], value) if key in groups else value
+
+        for atom, holds in clause.literals:
+            value = self._selected(atom, tick, egos, narrowed)
+            add([term for term in atom.terms if term is not None], value, holds)
+        for one, other, holds in clause.same:
+            eye = tick.eye()
+            if narrowed is not None and 0 in (one, other):
+                eye = eye[:, narrowed]
+                one, other = (one, other) if one == 0 else (other, one)
+            add((one, other), eye, holds)
+        # Literals over few variables are combined with those over more, whose degrees are large.
+        left = sorted(groups, key=len)
+        for place, key in enumerate(left[:-1]):
+            larger = next((other for other in left[place + 1 :] if key <= other), left[-1])
+            groups[larger] = self._both(groups[larger], groups.pop(key))
+        total = groups[left[-1]]
+        weights = self.weights()
+        if weights is not None:
+            total = self._both(total, weights[self._numbers[id(clause)]])
+        if clause.probability != 1:
+            total = self._both(total, total.new_tensor(clause.probability))
+        heads = list(dict.fromkeys(cast("tuple[int, ...]", clause.head.terms)))
+        total = self._any(total, clause.count - len(heads))
+        if len(heads) == len(clause.head.terms):
+            return total
+        # P(X, X) holds of equal entities only.
+        terms = clause.head.terms
+        total = _aligned(total, [terms.index(head) for head in heads], len(terms))
+        for place, term in enumerate(terms):
+            if (first := terms.index(term)) < place:
+                total = total * _aligned(tick.eye(), (first, place), len(terms))
+        return total
+
+    def _selected(self, atom: _Atom, tick: _Tick, egos: Tensor | None, narrowed: Tensor | None) -> Tensor:
+        """Return the degrees of an atom: (B, ...) with a dimension for each variable, E long for variable 0 of egos."""
+        axes = [axis + 1 for axis, term in enumerate(atom.terms) if narrowed is not None and term == 0]
+        if axes and atom.predicate in self._inputs and len(atom.terms) == 2:
+            value = tick.binary_input(self._inputs[atom.predicate], axes.pop(0), narrowed)
+        else:
+            value = self._value(atom.predicate, tick, egos)
+            if atom.predicate in self._alone:
+                axes = axes[1:]
+        for axis in axes:
+            key = (atom.predicate, axis)
+            if len(atom.terms) > 1 or key not in tick.selected:
+                tick.selected[key] = value.index_select(axis, cast(Tensor, narrowed))
+            value = tick.selected[key]
+        free = [axis + 1 for axis, term in enumerate(atom.terms) if term is None]
+        if free:
+            kept = [axis + 1 for axis, term in enumerate(atom.terms) if term is not None]
+            value = self._any(value.permute(0, *kept, *free), len(free))
+        return value
+
+    def _answer(self, tick: _Tick, egos: Tensor | None) -> tuple[Tensor, dict[str, Tensor]]:
+        """Return the degrees of the answers, and those of derived actions and queries by name."""
+        derived: dict[str, Tensor] = {}
+        for name in self._derived_actions:
+            place = self._places[name]
+            if place in tick.values:
+                value = tick.values[place]
+                derived[name] = value if egos is None or place in self._alone else value.index_select(1, egos)
+        shape = (tick.unary.shape[0], tick.count if egos is None else len(egos))
+        left, answers = tick.unary.new_ones(shape), dict.fromkeys(self.actions, tick.unary.new_zeros(shape))
+        for name in self.actions:
+            if name in derived:
+                answers[name] = self._both(left, derived[name])
+                left = self._both(left, 1 - derived[name])
+        rest = torch.stack([answers[self.default], left], -1)
+        answers[self.default] = rest.sum(-1) if self.semantics == "product" else self._any(rest, 1)
+        queries = {name: self._value(self._places[name], tick) for name in self.queries}
+        return torch.stack([answers[name] for name in self.actions], -1), derived | queries
+
+    # --- semantics
+
+    def _both(self, first: Tensor, second: Tensor) -> Tensor:
+        if self.semantics == "product":
+            return first * second
+        if self.semantics == "godel":
+            return cast(Tensor, _Minimum.apply(first, second))
+        return (first + second - 1).clamp(min=0)
+
+    def _all(self, values: Sequence[Tensor]) -> Tensor:
+        total = values[0]
+        for value in values[1:]:
+            total = self._both(total, value)
+        return total
+
+    def _any(self, values: Tensor, dimensions: int) -> Tensor:
+        """Return the disjunction over the last dimensions."""
+        if not dimensions:
+            return values
+        flat = values.flatten(values.ndim - dimensions)
+        if self.semantics == "product":
+            return cast(Tensor, _NoisyOr.apply(flat))
+        return flat.max(-1).values if self.semantics == "godel" else flat.sum(-1).clamp(max=1)
+
+
+class _Minimum(torch.autograd.Function):
+    """The minimum of two tensors, with the whole gradient for one of them: half the time of that of `torch.minimum`."""
+
+    @staticmethod
+    def forward(ctx: FunctionCtx, first: Tensor, second: Tensor) -> Tensor:
+        ctx.save_for_backward(first, second)
+        return torch.minimum(first, second)
+
+    @staticmethod
+    @once_differentiable  # type: ignore[untyped-decorator]
+    def backward(ctx: Any, gradient: Tensor) -> tuple[Tensor, Tensor]:
+        first, second = ctx.saved_tensors
+        chosen = gradient * (first < second).to(gradient.dtype)
+        return chosen.sum_to_size(first.shape), (gradient - chosen).sum_to_size(second.shape)
+
+
+class _NoisyOr(torch.autograd.Function):
+    """1 - (1 - a)(1 - b)... over the last dimension, whose gradient is right and fast where some are 1."""
+
+    @staticmethod
+    def forward(ctx: FunctionCtx, values: Tensor) -> Tensor:
+        others = 1 - values
+        product = others.prod(-1)
+        ctx.save_for_backward(others, product)
+        return 1 - product
+
+    @staticmethod
+    @once_differentiable  # type: ignore[untyped-decorator]
+    def backward(ctx: Any, gradient: Tensor) -> Tensor:
+        others, product = ctx.saved_tensors
+        # The derivative is the product of the other factors. With one factor 0, all others have the derivative 0.
+        zero = others == 0
+        zeros = zero.sum(-1, keepdim=True)
+        rest = torch.where(zero, 1, others).prod(-1, keepdim=True)
+        alone = torch.where(zeros == 1, zero * rest, torch.zeros_like(others))
+        derivative = torch.where(zeros == 0, product[..., None] / others.masked_fill(zero, 1), alone)
+        return cast(Tensor, gradient[..., None] * derivative)
+
+
+def _aligned(value: Tensor, axes: Sequence[int], count: int) -> Tensor:
+    """Return degrees with a dimension for each of `count` variables after the first dimension.
+
+    `axes` has the variable of each dimension of `value` after the first. A variable with two of them selects equal
+    ones.
+    """
+    left = list(axes)
+    for axis in sorted({axis for axis in left if left.count(axis) > 1}):
+        while left.count(axis) > 1:
+            first = left.index(axis)
+            second = left.index(axis, first + 1)
+            value = value.diagonal(dim1=first + 1, dim2=second + 1)
+            left = [each for place, each in enumerate(left) if place not in (first, second)] + [axis]
+    order = sorted(range(len(left)), key=left.__getitem__)
+    if order != list(range(len(left))):
+        value = value.permute(0, *(place + 1 for place in order))
+    present = set(left)
+    shape, sizes = [value.shape[0]], iter(value.shape[1:])
+    shape += [next(sizes) if axis in present else 1 for axis in range(count)]
+    return value.reshape(shape)

@@ -1,0 +1,404 @@
+"""Rules as a layer, compared with the engine and with loops over their definition."""
+
+from __future__ import annotations
+
+import itertools
+import math
+import random
+from typing import Any
+
+import pytest
+import yaml
+from conftest import ROOT, needs
+
+from logicity import Program, Session
+
+torch = needs("torch", "learn")
+from logicity.torch import DEFAULT, PRIORITY, RuleLayer  # noqa: E402
+
+SEMANTICS = ("godel", "product", "lukasiewicz")
+DECLARED = """
+.type agent <: symbol
+.decl A, B, C(x: agent)
+.decl R, S(x: agent, y: agent)
+.input A, B, C, R, S
+"""
+UNARY, BINARY = ("A", "B", "C"), ("R", "S")
+
+#: A literal: the predicate, its variables (None is `_`), and whether it holds; or `=` with two variables.
+Clause = tuple[str, tuple[str, ...], list[tuple[str, tuple[str | None, ...], bool]]]
+
+
+def random_clauses(chance: random.Random, past: bool = False) -> tuple[str, list[Clause], dict[str, int]]:
+    """Return declarations, clauses in the order of strata, and the arities of derived predicates."""
+    arities: dict[str, int] = {}
+    clauses: list[Clause] = []
+    text = ""
+    known = dict.fromkeys(UNARY, 1) | dict.fromkeys(BINARY, 2)
+    for number in range(chance.randint(2, 4)):
+        name, arity = f"D{number}", chance.choice([1, 1, 2])
+        for _ in range(chance.randint(1, 3)):
+            variables = ["X", "Y", "Z"][: chance.randint(arity, 3)]
+            head: tuple[str, ...] = ("X",) if arity == 1 else chance.choice([("X", "Y"), ("Y", "X"), ("X", "X")])
+            body: list[tuple[str, tuple[str | None, ...], bool]] = []
+            for variable in variables:
+                chosen = chance.choice([*known])
+                others = [variable, *(chance.choice(variables) for _ in range(known[chosen] - 1))]
+                chance.shuffle(others)
+                body.append((chosen, tuple(others), True))
+            for _ in range(chance.randint(0, 3)):
+                chosen, holds = chance.choice([*known, "="]), chance.random() < 0.5
+                if chosen == "=":
+                    body.append(("=", (chance.choice(variables), chance.choice(variables)), holds))
+                    continue
+                places: list[str | None] = [chance.choice(variables) for _ in range(known[chosen])]
+                if chance.random() < 0.3:
+                    places[-1] = None
+                body.append((chosen, tuple(places), holds))
+            clauses.append((name, head, body))
+        arities[name] = known[name] = arity
+        text += f".decl {name}({', '.join(f'c{column}: agent' for column in range(arity))})\n.output {name}\n"
+    operators = ["once[1,2] ", "previous ", "historically[1,2] ", "for[2] ", "once "]
+    for name, head, body in clauses:
+        literals = []
+        for predicate, terms, holds in body:
+            if predicate == "=":
+                literals.append(f"{terms[0]} {'=' if holds else '!='} {terms[1]}")
+                continue
+            atom = f"{predicate}({', '.join(term or '_' for term in terms)})"
+            if past and chance.random() < 0.3:
+                atom = chance.choice(operators) + atom
+            elif past and chance.random() < 0.1 and len(terms) == 1:
+                atom = f"A({terms[0] or '_'}) since[1,2] {atom}" if terms[0] else atom
+            literals.append(atom if holds else f"Not({atom})")
+        text += f"{name}({', '.join(head)}) :- {', '.join(literals)}.\n"
+    return DECLARED + text, clauses, arities
+
+
+def facts(shape: tuple[int, ...], seed: int, crisp: bool, dtype: Any = None) -> tuple[Any, Any]:
+    """Return random degrees: unary of `shape` with three columns, and binary with two."""
+    generator = torch.Generator().manual_seed(seed)
+    unary = torch.rand(*shape, len(UNARY), generator=generator, dtype=dtype)
+    binary = torch.rand(*shape, shape[-1], len(BINARY), generator=generator, dtype=dtype)
+    return ((unary < 0.5).to(unary), (binary < 0.4).to(binary)) if crisp else (unary, binary)
+
+
+def insert(session: Session, unary: Any, binary: Any, sign: bool = True) -> None:
+    """Insert or retract the facts of one scene."""
+    change = session.insert if sign else session.retract
+    for column, name in enumerate(UNARY):
+        change(name, [(f"e{x}",) for x in range(len(unary)) if unary[x, column] > 0.5])
+    for column, name in enumerate(BINARY):
+        rows = itertools.product(range(len(unary)), repeat=2)
+        change(name, [(f"e{x}", f"e{y}") for x, y in rows if binary[x, y, column] > 0.5])
+
+
+def derived(session: Session, name: str, arity: int, count: int) -> Any:
+    """Return the rows of a predicate as degrees."""
+    degrees = torch.zeros(*[count] * arity)
+    for row in session.rows(name):
+        degrees[tuple(int(str(entity)[1:]) for entity in row)] = 1.0
+    return degrees
+
+
+def combine(semantics: str, degrees: list[float], conjunction: bool) -> float:
+    """Return the conjunction or disjunction of degrees."""
+    if semantics == "godel":
+        return min(degrees, default=1.0) if conjunction else max(degrees, default=0.0)
+    if semantics == "product":
+        return math.prod(degrees) if conjunction else 1 - math.prod(1 - degree for degree in degrees)
+    if conjunction:
+        total = 1.0
+        for degree in degrees:
+            total = max(0.0, total + degree - 1)
+        return total
+    return min(1.0, sum(degrees))
+
+
+def by_definition(clauses: list[Clause], arities: dict[str, int], unary: Any, binary: Any, semantics: str) -> Any:
+    """Return the degrees of all derived atoms by loops over entities."""
+    count = len(unary)
+    values: dict[str, Any] = {name: unary[:, at].tolist() for at, name in enumerate(UNARY)}
+    values |= {name: binary[..., at].tolist() for at, name in enumerate(BINARY)}
+
+    def degree(name: str, row: tuple[int, ...]) -> float:
+        found: Any = values[name]
+        for entity in row:
+            found = found[entity]
+        return float(found)
+
+    for name, arity in arities.items():
+        found = torch.zeros(*[count] * arity, dtype=torch.float64)
+        for row in itertools.product(range(count), repeat=arity):
+            of_clauses = []
+            for head_name, head, body in clauses:
+                if head_name != name:
+                    continue
+                variables = list(dict.fromkeys([*head, *(term for _, terms, _ in body for term in terms if term)]))
+                # Each `_` of a positive literal is a variable of its own.
+                atoms = []
+                for number, (predicate, terms, holds) in enumerate(body):
+                    if holds and None in terms:
+                        variables.append(f"_{number}")
+                        terms = tuple(term or f"_{number}" for term in terms)
+                    atoms.append((predicate, terms, holds))
+                bodies = []
+                for entities in itertools.product(range(count), repeat=len(variables)):
+                    at = dict(zip(variables, entities, strict=True))
+                    if tuple(at[variable] for variable in head) != row:
+                        continue
+                    literals = []
+                    for predicate, terms, holds in atoms:
+                        if predicate == "=":
+                            value = float(at[terms[0] or ""] == at[terms[1] or ""])
+                        else:
+                            free = [range(count) if term is None else [at[term]] for term in terms]
+                            options = [degree(predicate, chosen) for chosen in itertools.product(*free)]
+                            value = options[0] if None not in terms else combine(semantics, options, False)
+                        literals.append(value if holds else 1 - value)
+                    bodies.append(combine(semantics, literals, True))
+                of_clauses.append(combine(semantics, bodies, False))
+            found[row] = combine(semantics, of_clauses, False)
+        values[name] = found.tolist()
+    return {name: torch.tensor(values[name]) for name in arities}
+
+
+@pytest.mark.parametrize("semantics", SEMANTICS)
+def test_degrees_0_and_1_are_the_rules(semantics: Any) -> None:
+    held = total = 0
+    for seed in range(40):
+        text, _, arities = random_clauses(random.Random(seed))
+        program = Program(text)
+        layer = RuleLayer(program, semantics, queries=arities)
+        unary, binary = facts((6, 4), seed, True)
+        _, found = layer.degrees(unary, binary)
+        for at in range(len(unary)):
+            session = Session(program)
+            insert(session, unary[at], binary[at])
+            session.commit()
+            for name, arity in arities.items():
+                expected = derived(session, name, arity, 4)
+                assert torch.equal(found[name][at], expected), text
+                held, total = held + int(expected.sum()), total + expected.numel()
+    assert 0.1 * total < held < 0.9 * total
+
+
+@pytest.mark.parametrize("semantics", SEMANTICS)
+def test_degrees_are_those_of_the_definition(semantics: Any) -> None:
+    for seed in range(12):
+        text, clauses, arities = random_clauses(random.Random(100 + seed))
+        layer = RuleLayer(Program(text), semantics, queries=arities)
+        unary, binary = facts((1, 3), seed, False, torch.float64)
+        _, found = layer.degrees(unary**2, binary**2)
+        expected = by_definition(clauses, arities, unary[0] ** 2, binary[0] ** 2, semantics)
+        for name in arities:
+            torch.testing.assert_close(found[name][0], expected[name].double())
+
+
+@pytest.mark.parametrize("semantics", SEMANTICS)
+def test_gradients_are_right(semantics: Any) -> None:
+    for seed in range(6):
+        text, _, arities = random_clauses(random.Random(200 + seed))
+        layer = RuleLayer(Program(text), semantics, queries=arities, learn_weights=True).double()
+        unary, binary = (each.requires_grad_() for each in facts((2, 3), seed, False, torch.float64))
+
+        def run(*given: Any, layer: Any = layer) -> Any:
+            return tuple(layer.degrees(*given[:2])[1].values())
+
+        assert torch.autograd.gradcheck(run, (unary, binary, layer.weight_logits))
+
+
+def test_gradients_are_right_where_facts_are_certain() -> None:
+    layer = RuleLayer(Program(DECLARED + ".decl D(x: agent)\nD(X) :- A(X), R(X, Y), B(Y).\n"), "product", queries=["D"])
+    for seed in range(5):
+        unary, binary = facts((3, 3), seed, True, torch.float64)
+        unary.requires_grad_(), binary.requires_grad_()
+        layer.degrees(unary, binary)[1]["D"].sum().backward()
+        # The degree is linear in the facts of B and R, which occur once in the disjunction.
+        for given in (unary, binary):
+            for at in itertools.product(*map(range, given.shape)):
+                if given is unary and UNARY[at[-1]] == "A":
+                    continue
+                ends = []
+                for degree in (0.0, 1.0):
+                    changed = [unary.detach().clone(), binary.detach().clone()]
+                    changed[given is binary][at] = degree
+                    ends.append(layer.degrees(*changed)[1]["D"].sum())
+                assert given.grad[at] == pytest.approx(float(ends[1] - ends[0]))
+
+
+@pytest.mark.parametrize("semantics", SEMANTICS)
+def test_windows_of_time_are_those_of_sessions(semantics: Any) -> None:
+    compared = 0
+    for seed in range(30):
+        text, _, arities = random_clauses(random.Random(300 + seed), past=True)
+        program = Program(text)
+        layer = RuleLayer(program, semantics, queries=arities)
+        if not layer.temporal:
+            continue
+        compared += 1
+        unary, binary = facts((2, 5, 3), seed, True)
+        _, found = layer.degrees(unary, binary)
+        for at in range(2):
+            session = Session(program)
+            for tick in range(5):
+                insert(session, unary[at, tick], binary[at, tick])
+                if tick:
+                    insert(
+                        session,
+                        unary[at, tick - 1] * (1 - unary[at, tick]),
+                        binary[at, tick - 1] * (1 - binary[at, tick]),
+                        False,
+                    )
+                session.commit() if not tick else session.advance()
+                for name, arity in arities.items():
+                    assert torch.equal(found[name][at, tick], derived(session, name, arity, 3)), (
+                        seed,
+                        tick,
+                        name,
+                        text,
+                    )
+    assert compared > 15
+
+
+@pytest.mark.parametrize("mode", ["easy", "expert", "vap-hard"])
+@pytest.mark.parametrize("semantics", SEMANTICS)
+def test_egos_are_a_part_of_all(mode: str, semantics: Any) -> None:
+    layer = RuleLayer(f"rules/{mode}.dl", semantics)
+    generator = torch.Generator().manual_seed(0)
+    unary = torch.rand(4, 6, len(layer.unary), generator=generator)
+    binary = torch.rand(4, 6, 6, len(layer.binary), generator=generator)
+    mask = torch.rand(4, 6, generator=generator) < 0.8
+    everyone = layer(unary, binary, mask)
+    assert everyone.shape == (4, 6, 4) and layer.actions == PRIORITY
+    for egos in ([0], [2, 5], [-1]):
+        torch.testing.assert_close(layer(unary, binary, mask, egos), everyone[:, egos])
+    # Absent entities do not matter.
+    unary[~mask] = 0.7
+    binary[~mask] = 0.3
+    binary.transpose(1, 2)[~mask] = 0.9
+    torch.testing.assert_close(layer(unary, binary, mask), everyone)
+    if semantics != "lukasiewicz":
+        answers = everyone.sum(-1) if semantics == "product" else everyone.amax(-1)
+        assert (answers > 0.49).all()
+
+
+def test_the_order_of_actions_is_that_of_the_configuration() -> None:
+    read = yaml.safe_load((ROOT / "configs" / "common.yaml").read_text())
+    assert list(PRIORITY) == read["actions"]["priority"] and read["actions"]["default"] == DEFAULT
+
+
+def test_answers_follow_the_priority() -> None:
+    text = '.include "vocabulary.dl"\nStop(X) :- IsAtInter(X).\nSlow(X) :- IsTiro(X).\n'
+    unary, binary = torch.zeros(1, 2, 11), torch.zeros(1, 2, 2, 7)
+    layer = RuleLayer(Program(text))
+    unary, binary = torch.zeros(1, 2, len(layer.unary)), torch.zeros(1, 2, 2, len(layer.binary))
+    unary[0, 0, layer.unary.index("IsAtInter")], unary[0, 0, layer.unary.index("IsTiro")] = 0.6, 0.5
+    answer, found = layer.degrees(unary, binary, egos=[0])
+    assert answer[0, 0].tolist() == pytest.approx([0.6, 0.4 * 0.5, 0.0, 0.4 * 0.5])
+    assert found["Stop"].tolist() == [[pytest.approx(0.6)]] and found["Slow"].tolist() == [[0.5]]
+    other = RuleLayer(Program(text), priority=("Slow", "Stop"), default="Fast")
+    assert other.actions == ("Slow", "Stop", "Fast")
+    assert other(unary, binary, egos=[0])[0, 0].tolist() == pytest.approx([0.5, 0.5 * 0.6, 0.5 * 0.4])
+
+
+def test_the_default_is_what_the_others_leave() -> None:
+    # Rules without clauses for Slow and Fast, whose negations the clause of Normal names nevertheless.
+    layer = RuleLayer(Program('.include "vocabulary.dl"\nStop(X) :- IsAtInter(X).\n'), priority=("Normal", "Stop"))
+    unary = torch.zeros(1, 1, len(layer.unary))
+    unary[..., layer.unary.index("IsAtInter")] = 0.25
+    answer = layer(unary, torch.zeros(1, 1, 1, len(layer.binary)))
+    assert answer[0, 0].tolist() == pytest.approx([0.75, 0.25]) and layer.actions == ("Normal", "Stop")
+
+
+def test_probabilities_and_weights_are_conjuncts() -> None:
+    text = DECLARED + ".decl D, E(x: agent)\n0.8 :: D(X) :- A(X).\n0.3 :: D(X); 0.5 :: E(X) :- B(X).\n"
+    layer: Any = RuleLayer(Program(text), queries=["D", "E"], learn_weights=True)
+    unary, binary = torch.zeros(1, 1, 3), torch.zeros(1, 1, 1, 2)
+    unary[..., 0], unary[..., 1] = 0.5, 1.0
+    assert layer.weights() is not None and layer.weights().shape == (3,) and len(layer.clauses) == 3
+    with torch.no_grad():
+        layer.weight_logits.copy_(torch.tensor([0.0, 100.0, 100.0]))
+    found = layer.degrees(unary, binary)[1]
+    assert found["D"].item() == pytest.approx(1 - (1 - 0.5 * 0.8 * 0.5) * (1 - 0.3))
+    assert found["E"].item() == pytest.approx(0.5)
+    found["D"].sum().backward()
+    assert layer.weight_logits.grad.abs().gt(0).tolist() == [True, False, False]
+
+
+def test_recursion_has_a_depth() -> None:
+    text = DECLARED + ".decl P(x: agent, y: agent)\nP(X, Y) :- R(X, Y).\nP(X, Z) :- P(X, Y), R(Y, Z).\n"
+    with pytest.raises(ValueError, match="`P` is recursive: give the `depth`"):
+        RuleLayer(Program(text), queries=["P"])
+    unary, binary = facts((3, 5), 1, True)
+    for depth in (1, 2, 4):
+        layer = RuleLayer(Program(text), "godel", queries=["P"], depth=depth)
+        edges = binary[..., 0] > 0.5
+        reached = edges
+        for _ in range(depth - 1):
+            reached = edges | ((reached.float() @ edges.float()) > 0)
+        assert torch.equal(layer.degrees(unary, binary)[1]["P"] > 0.5, reached)
+
+
+@pytest.mark.parametrize("dtype", [torch.bfloat16, torch.float16, torch.float64])
+def test_precisions(dtype: Any) -> None:
+    layer = RuleLayer("rules/expert.dl")
+    unary, binary = torch.rand(2, 4, len(layer.unary)), torch.rand(2, 4, 4, len(layer.binary))
+    expected = layer(unary, binary)
+    found = layer(unary.to(dtype).requires_grad_(), binary.to(dtype))
+    assert found.dtype == dtype
+    torch.testing.assert_close(found.float(), expected, atol=0.05, rtol=0)
+    found.sum().backward()
+
+
+@pytest.mark.parametrize("semantics", SEMANTICS)
+def test_compiled_layers_are_equal(semantics: Any) -> None:
+    layer = RuleLayer("rules/expert.dl", semantics)
+    unary, binary = torch.rand(2, 4, len(layer.unary)), torch.rand(2, 4, 4, len(layer.binary))
+    compiled = torch.compile(layer, backend="aot_eager", fullgraph=True)
+    given = [(unary.clone().requires_grad_(), run) for run in (layer, compiled)]
+    answers = [run(each, binary) for each, run in given]
+    torch.testing.assert_close(answers[0], answers[1])
+    for answer in answers:
+        answer[..., 0].sum().backward()
+    torch.testing.assert_close(given[0][0].grad, given[1][0].grad)
+
+
+@pytest.mark.parametrize(
+    ("text", "message"),
+    [
+        ("D(X) :- A(X), n = count : { R(X, Y) }, n > 2.", r"rules.dl:\d+:1: .*it aggregates"),
+        ("D(X) :- A(X), V(X, n), n > 2.", "it reads values of `V`"),
+        ('D(X) :- R(X, "e1").', "it names a constant"),
+        ('D("e1"). D(X) :- A(X).', "it is a fact about constants"),
+        ('D(X) :- A(X), X = "e1".', "it names a constant"),
+        ("D(X) :- A(X), T(X, Y, Z).", "it reads `T`, an input over 3 entities"),
+    ],
+)
+def test_clauses_without_degrees_are_refused(text: str, message: str) -> None:
+    declared = ".decl V(x: agent, n: number)\n.decl T(x: agent, y: agent, z: agent)\n.input V, T\n.decl D(x: agent)\n"
+    with pytest.raises(ValueError, match=message):
+        RuleLayer(Program(DECLARED + declared + text, "rules.dl"), queries=["D"])
+    # Clauses on which nothing depends may be of any kind.
+    RuleLayer(Program(DECLARED + declared + text, "rules.dl"))
+
+
+def test_faulty_arguments_are_reported() -> None:
+    layer = RuleLayer("rules/easy.dl")
+    unary, binary = torch.zeros(2, 3, len(layer.unary)), torch.zeros(2, 3, 3, len(layer.binary))
+    for arguments, message in [
+        ((unary[..., 1:], binary), r"unary: expected the shape \(B, N, "),
+        ((unary, binary[:, :2]), r"binary: expected the shape \(2, 3, 3, "),
+        ((unary, binary, unary), r"mask: expected the shape \(2, 3\)"),
+        ((unary, binary, None, [3]), "there are 3 entities"),
+    ]:
+        with pytest.raises(ValueError, match=message):
+            layer(*arguments)
+    with pytest.raises(ValueError, match="expected one of godel, product, lukasiewicz, not 'fuzzy'"):
+        RuleLayer("rules/easy.dl", "fuzzy")  # type: ignore[arg-type]
+    with pytest.raises(ValueError, match="no predicate `Halt`"):
+        RuleLayer("rules/easy.dl", queries=["Halt"])
+    with pytest.raises(ValueError, match="no clause derives `IsCar`"):
+        RuleLayer("rules/easy.dl", queries=["IsCar"])
+    with pytest.raises(ValueError, match="depth: expected at least 1"):
+        RuleLayer("rules/easy.dl", depth=0)
