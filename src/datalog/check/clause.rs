@@ -417,7 +417,7 @@ fn lone_variables<'c>(
         faults,
     };
     lone.in_equations(body, variables, names);
-    lone.outside_of_aggregates(variables, guarded);
+    lone.outside_of_aggregates(variables, guarded, names);
     if !is_scoped {
         lone.in_aggregates(body);
     }
@@ -498,14 +498,21 @@ impl<'c> LoneVariables<'c, '_> {
         }
     }
 
-    fn outside_of_aggregates(&mut self, variables: &'c [Known], guarded: &[bool]) {
+    fn outside_of_aggregates(&mut self, variables: &'c [Known], guarded: &[bool], names: &Names) {
         for (variable, guarded) in variables.iter().zip(guarded) {
             let name = variable.name.as_str();
             let once = variable.count == 1 && !variable.hidden && is_explicit(name);
             if *guarded || !once || self.reported.contains(&name) || !self.is_lone(name) {
                 continue;
             }
-            self.report(name, singleton(name, variable.first));
+            let mut fault = singleton(name, variable.first);
+            let is_symbol = base(variable.ty, names) == Some(BaseType::Symbol);
+            if is_symbol && name.len() > 1 && name.starts_with(|first: char| first.is_ascii_uppercase()) {
+                fault = fault.help(format!(
+                    "if you mean the symbol `{name}`, write it in quotes: `\"{name}\"`"
+                ));
+            }
+            self.report(name, fault);
         }
     }
 

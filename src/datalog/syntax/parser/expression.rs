@@ -241,6 +241,9 @@ impl Parser<'_> {
         }
         let help = match word {
             "autoinc" => NUMBERED,
+            _ if word.starts_with(|first: char| first.is_ascii_uppercase()) => {
+                "if it is a predicate, close the atom before it: literals are separated, as in `IsCar(X), IsBus(X)`"
+            }
             _ => "an argument is a variable, a constant, `_` or an expression; the reference lists the functors",
         };
         self.unsupported(self.span(name), &format!("the functor `{word}` is"), help)

@@ -420,6 +420,7 @@ impl<'a> Parser<'a> {
             ("=", Kind::Greater) => Some("the head of a clause comes first: `A(x) :- B(x).`"),
             (">", _) if self.at > 0 && self.previous().kind == Kind::Equal => Some("\"at least\" is written `>=`"),
             ("is", _) => Some("equality is written `=`"),
+            ("mod" | "MOD", _) => Some("the remainder is written `%`, as in `n % 4 = 3`"),
             _ => None,
         }
     }
