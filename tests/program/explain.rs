@@ -149,3 +149,29 @@ fn infer_explains_facts_of_scenes() {
     );
     assert!(out(&wrong).contains("\"error\""), "{}", out(&wrong));
 }
+
+/// Ticks have the numbers that successive scenes state; otherwise they count from 0.
+#[test]
+fn proofs_number_the_ticks_of_scenes_as_these_do() {
+    let folder = tempfile::tempdir().unwrap();
+    let rules = write(
+        folder.path(),
+        "t.dl",
+        ".include \"vocabulary.dl\"\nStop(X) :- IsCar(X), previous IsBus(X).\n",
+    );
+    let scene = |tick: u32| {
+        format!(
+            r#"{{"map": "square-5x5", "tick": {tick}, "agents": [{{"id": "Bus", "type": "Car", "at": [102, 20], "concepts": ["bus"]}}]}}"#
+        )
+    };
+    for (ticks, shown) in [([19, 20], "in tick 19"), ([0, 0], "in tick 0"), ([7, 9], "in tick 0")] {
+        let scenes = format!("[{}, {}]\n", scene(ticks[0]), scene(ticks[1]));
+        let output = run(&["infer", "--rules", &rules, "--why", "Stop(Bus)"], scenes.as_bytes());
+        assert_eq!(code(&output), 0, "{}", err(&output));
+        assert!(
+            out(&output).contains(&format!("\"when\":\"{shown}\"")),
+            "{}",
+            out(&output)
+        );
+    }
+}

@@ -217,7 +217,9 @@ impl Inference {
             kinds: &self.scenario.kinds,
         };
         let mut ticks = Vec::new();
-        for scene in parse_scenes(sources, source, &terms)? {
+        let scenes = parse_scenes(sources, source, &terms)?;
+        let first = first_tick(&scenes);
+        for scene in scenes {
             ticks.push(match scene {
                 Scene::Geometric(scene) => self.geometric(scene, cancel)?,
                 Scene::Symbolic(scene) => self.symbolic(scene),
@@ -227,6 +229,9 @@ impl Inference {
         let whole = Span::new(source, 0..sources.text(source).len());
         let past = self.past(&ticks, &present, cancel);
         present.facts.past = past.map_err(|fault| vec![fault.at(whole, "in an earlier tick of this list")])?;
+        for (_, tick) in present.facts.past.iter_mut().flatten() {
+            *tick += first;
+        }
         Ok(present)
     }
 
@@ -601,6 +606,21 @@ fn uncertain(list: &[GivenPredicate]) -> Vec<(usize, [u32; 2], f64)> {
     let mut rows: Vec<(usize, [u32; 2], f64)> = rows.collect();
     rows.sort_by_key(|(predicate, ..)| *predicate);
     rows
+}
+
+/// Returns the number of the first of successive scenes: its tick if they state successive ticks, otherwise 0.
+fn first_tick(scenes: &[Scene]) -> u64 {
+    let stated: Option<Vec<u64>> = (scenes.iter())
+        .map(|scene| match scene {
+            Scene::Geometric(scene) => Some(scene.tick),
+            Scene::Symbolic(_) => None,
+        })
+        .collect();
+    let follows = |ticks: &[u64]| ticks[0].checked_add(1) == Some(ticks[1]);
+    match stated.as_deref() {
+        Some(ticks) if ticks.windows(2).all(follows) => ticks[0],
+        _ => 0,
+    }
 }
 
 /// Returns the fault of a scene on a map without a zone that a predicate tests.
