@@ -18,7 +18,7 @@ from __future__ import annotations
 
 import os
 from collections.abc import Iterable, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Any, Literal, TypeAlias, cast, get_args
 
 from . import _logicity
@@ -61,6 +61,7 @@ class _Clause:
         count: The number of variables.
         probability: That of the head, 1 without one.
         label: The label, such as `S1`.
+        number: The position among the clauses of the layer.
     """
 
     head: _Atom
@@ -69,6 +70,7 @@ class _Clause:
     count: int
     probability: float
     label: str
+    number: int = -1
 
 
 @dataclass
@@ -230,9 +232,12 @@ class RuleLayer(nn.Module):
             if not self._predicates[self._places[name]]["derived"]:
                 raise ValueError(f"queries: no clause derives `{name}`")
         self._strata = self._needed(checked["strata"])
-        used = [clause for stratum in self._strata for clauses in stratum.clauses.values() for clause in clauses]
+        used: list[_Clause] = []
+        for stratum in self._strata:
+            for place, clauses in stratum.clauses.items():
+                stratum.clauses[place] = [replace(each, number=len(used) + at) for at, each in enumerate(clauses)]
+                used += stratum.clauses[place]
         self.clauses = tuple(clause.label for clause in used)
-        self._numbers = {id(clause): number for number, clause in enumerate(used)}
         needed = {atom.predicate for clause in used for atom, _ in clause.literals}
         self._pasts = [past for past in self._pasts if past.predicate in needed]
         self.temporal = bool(self._pasts)
@@ -427,6 +432,9 @@ class RuleLayer(nn.Module):
             raise ValueError(f"binary: expected the shape {shape}, not {tuple(binary.shape)}")
         if mask is not None and mask.shape != unary.shape[:-1]:
             raise ValueError(f"mask: expected the shape {tuple(unary.shape[:-1])}, not {tuple(mask.shape)}")
+        for name, values in (("unary", unary), ("binary", binary)):
+            if not values.is_floating_point():
+                raise ValueError(f"{name}: expected degrees of a floating-point type, not {values.dtype}")
 
     def _tick(
         self, unary: Tensor, binary: Tensor, mask: Tensor | None, egos: Tensor | None, history: list[_Tick]
@@ -512,7 +520,7 @@ class RuleLayer(nn.Module):
         total = groups[left[-1]]
         weights = self.weights()
         if weights is not None:
-            total = self._both(total, weights[self._numbers[id(clause)]])
+            total = self._both(total, weights[clause.number])
         if clause.probability != 1:
             total = self._both(total, total.new_tensor(clause.probability))
         heads = list(dict.fromkeys(cast("tuple[int, ...]", clause.head.terms)))

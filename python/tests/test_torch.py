@@ -2,8 +2,10 @@
 
 from __future__ import annotations
 
+import copy
 import itertools
 import math
+import pickle
 import random
 from typing import Any
 
@@ -95,7 +97,7 @@ def insert(session: Session, unary: Any, binary: Any, sign: bool = True) -> None
 
 def derived(session: Session, name: str, arity: int, count: int) -> Any:
     """Return the rows of a predicate as degrees."""
-    degrees = torch.zeros(*[count] * arity)
+    degrees = torch.zeros([count] * arity)
     for row in session.rows(name):
         degrees[tuple(int(str(entity)[1:]) for entity in row)] = 1.0
     return degrees
@@ -326,6 +328,45 @@ def test_probabilities_and_weights_are_conjuncts() -> None:
     assert layer.weight_logits.grad.abs().gt(0).tolist() == [True, False, False]
 
 
+@pytest.mark.parametrize("semantics", SEMANTICS)
+def test_predicates_may_have_no_column_or_three(semantics: Any) -> None:
+    text = (
+        DECLARED
+        + """
+    .decl Jam()
+    .decl Chain(x: agent, y: agent, z: agent)
+    .decl D(x: agent)
+    Jam() :- A(X), B(X).
+    Chain(X, Y, Z) :- R(X, Y), S(Y, Z), X != Z.
+    D(X) :- C(X), Not(Jam()).
+    D(Y) :- Chain(X, Y, _), Jam().
+    D(Z) :- Chain(X, X, Z).
+    """
+    )
+    program, arities = Program(text), {"Jam": 0, "Chain": 3, "D": 1}
+    layer = RuleLayer(program, semantics, queries=arities)
+    unary, binary = facts((20, 3), 7, True)
+    found = layer.degrees(unary, binary)[1]
+    for at in range(len(unary)):
+        session = Session(program)
+        insert(session, unary[at], binary[at])
+        session.commit()
+        for name, arity in arities.items():
+            assert torch.equal(found[name][at], derived(session, name, arity, 3)), name
+
+
+def test_copies_are_equal() -> None:
+    layer: Any = RuleLayer("rules/expert.dl", learn_weights=True)
+    with torch.no_grad():
+        layer.weight_logits.normal_()
+    unary, binary = torch.rand(2, 4, len(layer.unary)), torch.rand(2, 4, 4, len(layer.binary))
+    for other in (copy.deepcopy(layer), pickle.loads(pickle.dumps(layer))):
+        assert torch.equal(other(unary, binary), layer(unary, binary))
+    fresh = RuleLayer("rules/expert.dl", learn_weights=True)
+    fresh.load_state_dict(layer.state_dict())
+    assert torch.equal(fresh(unary, binary), layer(unary, binary))
+
+
 def test_recursion_has_a_depth() -> None:
     text = DECLARED + ".decl P(x: agent, y: agent)\nP(X, Y) :- R(X, Y).\nP(X, Z) :- P(X, Y), R(Y, Z).\n"
     with pytest.raises(ValueError, match="`P` is recursive: give the `depth`"):
@@ -391,6 +432,7 @@ def test_faulty_arguments_are_reported() -> None:
         ((unary, binary[:, :2]), r"binary: expected the shape \(2, 3, 3, "),
         ((unary, binary, unary), r"mask: expected the shape \(2, 3\)"),
         ((unary, binary, None, [3]), "there are 3 entities"),
+        ((unary.bool(), binary), "unary: expected degrees of a floating-point type, not torch.bool"),
     ]:
         with pytest.raises(ValueError, match=message):
             layer(*arguments)
