@@ -10,6 +10,7 @@ __all__ = [
     "ACTIONS",
     "BatchEvaluator",
     "check",
+    "checked",
     "check_dataset",
     "check_readable",
     "ConfigFile",
@@ -20,6 +21,7 @@ __all__ = [
     "KINDS",
     "induce",
     "Inference",
+    "layout",
     "LearnedRules",
     "make_dataset",
     "MultiCarEnv",
@@ -335,6 +337,7 @@ def restore_rules(
     report: str,
 ) -> LearnedRules: ...
 def decide(task: Task, observations: npt.NDArray[np.float32]) -> npt.NDArray[np.int64]: ...
+def layout(task: Task) -> dict[str, Any]: ...
 def describe(task: Task) -> dict[str, Any]: ...
 def read_world(
     folder: _Path, number: int, unary: list[str], binary: list[str]

@@ -208,7 +208,7 @@ def observation_names(
 
     The arguments and the exceptions for them are those of `Benchmark`.
     """
-    description = _logicity.describe(load_task(mode, rules, overrides))
+    description = _logicity.layout(load_task(mode, rules, overrides))
     atoms = (f"{predicate}({', '.join(map(str, entities))})" for predicate, entities in atoms_of(description))
     return (*atoms, "route length") if description["route_length"] else tuple(atoms)
 

@@ -5,7 +5,7 @@ use crate::task::{PyTask, read_action, split_named, table_of, view_named};
 use crate::{Signals, slice_of, to_python};
 use logicity::city::{Action, Split};
 use logicity::task::spf::{
-    Baseline, BatchEvaluator, ControlMode, Env, EpisodeSet, ObservationKind, RANDOM_RUNS, Rollout, Summary,
+    Baseline, BatchEvaluator, ControlMode, Env, EpisodeSet, ObservationKind, RANDOM_RUNS, Rollout, SpfTask, Summary,
     steps_by_action, summarize,
 };
 use numpy::{IntoPyArray, PyArray1, PyReadonlyArray1, PyReadwriteArray1, PyReadwriteArrayDyn};
@@ -18,6 +18,7 @@ use std::sync::Arc;
 pub fn register(module: &Bound<'_, PyModule>) -> PyResult<()> {
     module.add_class::<PyRandomBaseline>()?;
     module.add_class::<PyBatchEvaluator>()?;
+    module.add_function(wrap_pyfunction!(layout, module)?)?;
     module.add_function(wrap_pyfunction!(describe, module)?)
 }
 
@@ -200,15 +201,18 @@ fn report<'py, 'a>(
     to_python(py, &json!({"summary": summary, "episodes": episodes}))
 }
 
-/// Describes a task, with the number and the hash of the recorded episodes of each split, and the hashes of its
-/// configuration and rules as in the headers of traces.
+/// Describes the numbers of `groundings` observations: their columns, the number of entities, and whether the length of
+/// the route follows. Reads no episodes.
 #[pyfunction]
-fn describe<'py>(py: Python<'py>, task: &PyTask) -> PyResult<Bound<'py, PyAny>> {
-    let (shared, world) = (&task.task, task.task.world());
-    let (config, oracle) = (shared.config(), shared.oracle());
+fn layout<'py>(py: Python<'py>, task: &PyTask) -> PyResult<Bound<'py, PyAny>> {
+    to_python(py, &layout_of(&task.task))
+}
+
+fn layout_of(task: &SpfTask) -> Value {
+    let (oracle, vocabulary) = (task.oracle(), &task.world().vocabulary);
     let columns = oracle.columns().into_iter().map(|column| {
         let mut described = json!({"predicate": column.name, "arity": column.arity, "width": column.width});
-        if let Some(quantity) = world.vocabulary.predicates[column.predicate].quantity() {
+        if let Some(quantity) = vocabulary.predicates[column.predicate].quantity() {
             described["quantity"] = json!(quantity.name());
         }
         if let Some(scale) = column.scale {
@@ -216,6 +220,18 @@ fn describe<'py>(py: Python<'py>, task: &PyTask) -> PyResult<Bound<'py, PyAny>> 
         }
         described
     });
+    json!({
+        "entities": oracle.entities(), "columns": columns.collect::<Vec<Value>>(), "width": task.observation_width(),
+        "route_length": task.config().route_length,
+    })
+}
+
+/// Describes a task: the [layout] of observations, the number and the hash of the recorded episodes of each split, and
+/// the hashes of its configuration and rules as in the headers of traces.
+#[pyfunction]
+fn describe<'py>(py: Python<'py>, task: &PyTask) -> PyResult<Bound<'py, PyAny>> {
+    let (shared, world) = (&task.task, task.task.world());
+    let (config, oracle) = (shared.config(), shared.oracle());
     let constraints = oracle.constraints().iter().enumerate().map(|(number, constraint)| {
         let reward = shared.reward(constraint.action, &[number], 1);
         json!({"clause": shared.label(number), "action": table_of(shared).name(constraint.action), "reward": reward})
@@ -239,14 +255,15 @@ fn describe<'py>(py: Python<'py>, task: &PyTask) -> PyResult<Bound<'py, PyAny>> 
         });
         splits.insert(split.name().to_owned(), entry);
     }
-    let description = json!({
-        "entities": oracle.entities(), "columns": columns.collect::<Vec<Value>>(),
-        "width": shared.observation_width(), "state": shared.state_shape(), "view": world.scenario.view,
-        "priority_scale": shared.priority_scale(), "route_length": config.route_length,
+    let mut description = json!({
+        "state": shared.state_shape(), "view": world.scenario.view, "priority_scale": shared.priority_scale(),
         "horizon": config.horizon, "patience": config.patience, "overtime": config.reward.overtime,
         "shaping": config.reward.shaping, "order": config.order.name(),
         "config_hash": world.scenario.hash, "rules_hash": task.rules_hash,
         "actions": by_action, "constraints": constraints.collect::<Vec<Value>>(), "splits": splits,
     });
+    if let (Value::Object(all), Value::Object(layout)) = (&mut description, layout_of(shared)) {
+        all.extend(layout);
+    }
     to_python(py, &description)
 }

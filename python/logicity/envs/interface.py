@@ -71,7 +71,7 @@ class BaseEnv:
     def _space(self) -> Space[Any]:
         if self._views is not None:
             return self._views.space()
-        described = _logicity.describe(self._task)
+        described = _logicity.layout(self._task)
         if self._kind == "groundings":
             return Box(*Layout.of_description(described).bounds(), dtype=np.float32)
         high = np.ones(self._shape, np.float32)

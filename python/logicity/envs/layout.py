@@ -52,7 +52,7 @@ class Layout:
 
     @classmethod
     def of_description(cls, description: Mapping[str, Any]) -> Layout:
-        """Return the layout of a task from its description."""
+        """Return the layout of a task from what `_logicity.layout` or `_logicity.describe` returns."""
         scaled = {column["predicate"] for column in description["columns"] if "scale" in column}
         return cls.of_atoms(tuple(atoms_of(description)), bool(description["route_length"]), scaled)
 

@@ -101,4 +101,4 @@ def views_of(task: _logicity.Task, kind: ObservationKind) -> Views | None:
     """Return the views of a kind of observation of a task, or `None` if its observations are arrays."""
     if kind == "groundings" or kind == "state":
         return None
-    return Views(Layout.of_description(_logicity.describe(task)), kind)
+    return Views(Layout.of_description(_logicity.layout(task)), kind)

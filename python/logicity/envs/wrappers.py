@@ -39,7 +39,7 @@ def _views(env: Any, of: type[SPFEnv | SPFVectorEnv], kind: ViewKind) -> Views:
         raise ValueError(
             f'views need `observation="groundings"`, and the environment has `{inner._config.observation}`'
         )
-    return Views(Layout.of_description(_logicity.describe(inner._task)), kind)
+    return Views(Layout.of_description(_logicity.layout(inner._task)), kind)
 
 
 class _ViewObservation(gymnasium.ObservationWrapper[View, np.int64, Observations]):

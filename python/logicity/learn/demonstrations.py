@@ -21,7 +21,7 @@ __all__ = ["DemonstrationData", "GraphView", "Layout", "RelationalView", "Sample
 
 def layout_of(mode: str | os.PathLike[str]) -> Layout:
     """Return the layout of `groundings` observations. The exceptions are those of `load_task` and `Layout.of_atoms`."""
-    return Layout.of_description(_logicity.describe(load_task(mode)))
+    return Layout.of_description(_logicity.layout(load_task(mode)))
 
 
 def first_demonstrations(mode: str | os.PathLike[str], share: float = 1.0, split: str = "train") -> Demonstrations:

@@ -144,7 +144,7 @@ class Learner(ABC):
         """
         self.config, self.log = config, log
         if not self.takes_quantities:
-            columns = _logicity.describe(load_task(config.mode, overrides=config.overrides))["columns"]
+            columns = _logicity.layout(load_task(config.mode, overrides=config.overrides))["columns"]
             if quantities := [column["predicate"].partition("=")[0] for column in columns if "quantity" in column]:
                 raise ValueError(
                     f"`{config.algorithm}` learns from truth values, but observations in {config.mode} have the "
