@@ -98,7 +98,7 @@ impl Scopes {
             return true;
         }
         let ego = match clause.head.terms.first() {
-            Some(&Term::Variable(id)) if fits(clause.types[id.index()], guard.ego, names) => Some(id),
+            Some(&Term::Variable(id)) if is_seen(clause.types[id.index()], guard.ego, names) => Some(id),
             _ => None,
         };
         for (index, ty) in clause.types.iter().enumerate() {
@@ -328,19 +328,19 @@ fn variable(index: usize) -> VarId {
     VarId(u32::try_from(index).expect("fewer than 2^32 variables"))
 }
 
-/// Returns whether a scope guards a variable of that type. A value of a base type, such as the symbol of a heading, is
-/// nothing that an agent sees, unless the second column of the scope has this type itself.
-pub(crate) fn is_seen(ty: VariableType, seen: TypeId, names: &Names) -> bool {
+/// Returns whether a variable of that type may be in a column of the scope. A value of a base type, such as the symbol of
+/// a heading, neither sees nor is seen, unless the column has this type itself.
+pub(crate) fn is_seen(ty: VariableType, column: TypeId, names: &Names) -> bool {
     let is_base = match ty {
         VariableType::Unknown => return false,
         VariableType::Base(_) => true,
         VariableType::Type(ty) => ty == Names::base_type(names.base(ty)),
     };
-    fits(ty, seen, names) && (!is_base || seen == Names::base_type(names.base(seen)))
+    fits(ty, column, names) && (!is_base || column == Names::base_type(names.base(column)))
 }
 
-/// Returns whether a variable of that type fits a column of the scope.
-pub(crate) fn fits(ty: VariableType, column: TypeId, names: &Names) -> bool {
+/// Returns whether the type of a variable is related to that of a column.
+fn fits(ty: VariableType, column: TypeId, names: &Names) -> bool {
     match ty {
         VariableType::Unknown => false,
         VariableType::Base(base) => base == names.base(column),

@@ -471,7 +471,7 @@ impl<'c> Check<'_, 'c> {
             return Vec::new();
         }
         let ego = match ego {
-            Some(Term::Variable(id)) if scope::fits(finish.variables[id.index()].ty, guard.ego, self.names) => id,
+            Some(Term::Variable(id)) if scope::is_seen(finish.variables[id.index()].ty, guard.ego, self.names) => id,
             _ => {
                 let fault = Diagnostic::new(codes::INVALID_SCOPE, "cannot guard this aggregate")
                     .at(head.span, "")

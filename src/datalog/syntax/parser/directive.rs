@@ -70,6 +70,13 @@ impl Parser<'_> {
             "pragma" => {
                 let mut words = Vec::new();
                 while self.kind() == Kind::String {
+                    let next = self.ahead(1);
+                    // The probability of a clause may begin with a string, too.
+                    let is_clause =
+                        next.kind == Kind::DoubleColon || self.infix(next).is_some() || self.slice(next) == "as";
+                    if !words.is_empty() && self.token().first_on_line && is_clause {
+                        break;
+                    }
                     let token = self.bump();
                     words.push(self.unescape(token));
                 }
