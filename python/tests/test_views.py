@@ -423,8 +423,8 @@ def test_who_needs_truth_values_refuses_quantities(patience: str, tmp_path: Path
 @pytest.mark.parametrize("kind", ["groundings", "relational", "graph", "state"])
 def test_spaces_need_no_recorded_episodes(kind: Any, tmp_path: Path) -> None:
     # The episodes of expert mode are for another map.
-    (tmp_path / "town.yaml").write_text(
-        "base: expert\nregion: ~\nmap: {blocks: [2, 3], buildings: {rows: ~, random: {seed: 7, weights: {House: 1}}}}\n"
-    )
+    weights = "{House: 2, Office: 1, Garage: 1, Store: 1, GasStation: 1}"
+    buildings = f"{{rows: ~, random: {{seed: 7, weights: {weights}}}}}"
+    (tmp_path / "town.yaml").write_text(f"base: expert\nregion: ~\nmap: {{blocks: [2, 3], buildings: {buildings}}}\n")
     env = _made(str(tmp_path / "town.yaml"), observation=kind)
     assert env.observation_space.contains(env.reset(seed=0)[0])
