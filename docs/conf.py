@@ -67,7 +67,7 @@ add_module_names = False
 # Types of other packages, whose documentation is elsewhere: the build reads no network. And types that annotations name
 # and that the package does not export.
 nitpick_ignore_regex = [
-    (r"py:.*", r"(.*\.)?(AutoresetMode|MinariDataset)"),
+    (r"py:.*", r"(.*\.)?(AutoresetMode|MinariDataset|Tensor|nn\.Parameter)"),
     (
         r"py:.*",
         r"(.*\.)?(_AgentKey|Actions|ArrayKind|Annotated\[.*|Atom|Count|EnvOptions|Episode|Episodes|Field|LearnedRules"
