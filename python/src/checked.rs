@@ -1,4 +1,4 @@
-//! Checked rules for Python: what gives rules another meaning than the engine's reads them.
+//! Checked rules for Python code that evaluates them in its own way, such as `RuleLayer`.
 
 use crate::engine::PyProgram;
 use crate::to_python;
@@ -46,8 +46,7 @@ fn checked<'py>(py: Python<'py>, program: &PyProgram) -> PyResult<Bound<'py, PyA
         });
         json!({
             "head": atom(&clause.head),
-            "body": body.map(|(_, literal)| self::literal(literal)).collect::<Vec<Value>>(),
-            "variables": clause.variables,
+            "body": body.map(|(_, each)| literal(each)).collect::<Vec<Value>>(),
             "probabilities": probabilities,
             "alternative": drawn.as_ref().map(|draw| draw.alternative),
             "label": printer.label(*id),
@@ -58,13 +57,7 @@ fn checked<'py>(py: Python<'py>, program: &PyProgram) -> PyResult<Bound<'py, PyA
     let strata = rules.strata.iter().map(|stratum| {
         let clauses: Vec<Value> = stratum.clauses.iter().map(clause).collect();
         let positions: Vec<usize> = stratum.predicates.iter().map(|predicate| predicate.index()).collect();
-        let reads = |clause: &ClauseId| {
-            let body = &rules.clauses[clause.index()].body;
-            let mut atoms = body.iter().filter_map(Literal::atom);
-            atoms.any(|atom| stratum.predicates.contains(&atom.predicate))
-        };
-        let recursive = stratum.clauses.iter().any(reads);
-        json!({"predicates": positions, "clauses": clauses, "recursive": recursive})
+        json!({"predicates": positions, "clauses": clauses, "recursive": stratum.recursive})
     });
     let pasts = rules.pasts.iter().map(|past| {
         let (operator, held) = match &past.operator {
@@ -101,7 +94,7 @@ fn term(term: &Term) -> Value {
     }
 }
 
-/// A literal is an atom with its sign, or a comparison of two symbols; `None` stands for anything else.
+/// Returns an atom with its sign, or an equation of two symbols with its sign. Of any other literal, what it does.
 fn literal(literal: &Literal) -> Value {
     match literal {
         Literal::Positive(of) | Literal::Guard(of) => json!({"atom": atom(of), "holds": true}),

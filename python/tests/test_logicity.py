@@ -137,7 +137,7 @@ names = [module.name for module in pkgutil.iter_modules(logicity.__path__) if no
 names += ["envs", "envs.config", "envs.layout", "envs.registration", "envs.views"]
 known = {"logicity", "numpy", *sys.stdlib_module_names}
 for name in names:
-    if name not in ("_logicity", "__main__", "torch"):
+    if name not in ("_logicity", "__main__"):
         importlib.import_module(f"logicity.{name}")
         found = {each.partition(".")[0] for each, module in sys.modules.items() if module is not None} - known
         found = {each for each in found if not each.startswith("_")}

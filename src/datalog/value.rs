@@ -283,15 +283,15 @@ pub fn parse(base: BaseType, text: &str) -> Option<Value> {
 }
 
 impl Comparison {
-    /// Returns whether the comparison holds of two whole numbers. Those of text hold of none.
-    pub fn holds_of_numbers(self, left: i32, right: i32) -> bool {
+    /// Returns whether the comparison holds of values in this order. Those of text hold in none.
+    pub fn accepts(self, order: Ordering) -> bool {
         match self {
-            Comparison::Equal => left == right,
-            Comparison::NotEqual => left != right,
-            Comparison::Less => left < right,
-            Comparison::LessEqual => left <= right,
-            Comparison::Greater => left > right,
-            Comparison::GreaterEqual => left >= right,
+            Comparison::Equal => order.is_eq(),
+            Comparison::NotEqual => order.is_ne(),
+            Comparison::Less => order.is_lt(),
+            Comparison::LessEqual => order.is_le(),
+            Comparison::Greater => order.is_gt(),
+            Comparison::GreaterEqual => order.is_ge(),
             Comparison::Match | Comparison::NotMatch | Comparison::Contains | Comparison::NotContains => false,
         }
     }
@@ -318,10 +318,9 @@ impl Comparison {
         match self {
             Comparison::Equal => left == right,
             Comparison::NotEqual => left != right,
-            Comparison::Less => order().is_some_and(Ordering::is_lt),
-            Comparison::LessEqual => order().is_some_and(Ordering::is_le),
-            Comparison::Greater => order().is_some_and(Ordering::is_gt),
-            Comparison::GreaterEqual => order().is_some_and(Ordering::is_ge),
+            Comparison::Less | Comparison::LessEqual | Comparison::Greater | Comparison::GreaterEqual => {
+                order().is_some_and(|order| self.accepts(order))
+            }
             Comparison::Contains => text(right).contains(text(left)),
             Comparison::NotContains => !text(right).contains(text(left)),
             Comparison::Match => matches(),

@@ -29,6 +29,9 @@ const DECLARED: &str = ".include \"vocabulary.dl\"
 .decl Vertical, Driven(h: symbol)
 .decl Opposite(h: symbol, g: symbol)
 .decl Favorite(x: agent, h: symbol)
+.decl Named(x: agent)
+Named(x) :- x = \"Car_2\".
+Named(X) :- IsBus(X), X != \"Car_1\".
 Vertical(\"Up\"). Vertical(\"Down\").
 Opposite(\"Up\", \"Down\"). Opposite(\"Down\", \"Up\"). Opposite(\"Left\", \"Right\"). Opposite(\"Right\", \"Left\").
 Favorite(\"Car_1\", \"Up\"). Favorite(\"Car_3\", \"Left\").
@@ -61,7 +64,7 @@ Jam() :- n = count : { Waited(Y, m), m > 2 }, n > 2.
 /// Random clauses of actions, about a third of which the dense executor does not support.
 fn random_rules(random: &mut impl RngExt) -> String {
     // Each fact has its own variables.
-    const FACTS: [&str; 32] = [
+    const FACTS: [&str; 35] = [
         "Sees(X, Y#)",
         "IsClose(X, Y#), Not(IsAtInter(Y#))",
         "NextTo(Y#, X)",
@@ -94,6 +97,9 @@ fn random_rules(random: &mut impl RngExt) -> String {
         "Heading(X, h#), Driven(h#)",
         "Heading(Y#, h#), Driven(h#), h# != \"Up\"",
         "Driven(_), IsAtInter(X)",
+        "Sees(X, Y#), Y# != \"Car_2\"",
+        "X != \"Car_1\", IsInInter(X)",
+        "Named(Y#), NextTo(X, Y#)",
     ];
     let mut clauses = String::new();
     for head in ["Stop", "Slow", "Fast"] {

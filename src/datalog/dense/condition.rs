@@ -296,39 +296,48 @@ impl Condition {
             },
             _ => None,
         };
-        // The second is compared with the first, or has its value.
-        let (first, op, second) = match &self.steps[..] {
-            [one, two, Step::Compare { op, base, left, right }] if *base == BaseType::Number => {
-                let (one, two) = (number(one)?, number(two)?);
-                let (Operand::Variable(left), Operand::Variable(right)) = (left, right) else {
-                    return None;
+        // The second number is compared with the first, or the second entity has the first number.
+        let ((left_place, left), op, (right_place, right)) = match &self.steps[..] {
+            [
+                one,
+                two,
+                Step::Compare {
+                    op,
+                    base: BaseType::Number,
+                    left,
+                    right,
+                },
+            ] => {
+                let loaded = [number(one)?, number(two)?];
+                let of = |operand: &Operand| {
+                    let mut loaded = loaded.iter();
+                    let found = loaded.find(|(.., to)| *operand == Operand::Variable(*to));
+                    found.map(|(place, predicate, _)| (*place, *predicate))
                 };
-                match (*left == one.2, *right == two.2, *left == two.2, *right == one.2) {
-                    (true, true, ..) => (one, *op, two),
-                    (.., true, true) => (two, *op, one),
-                    _ => return None,
-                }
+                (of(left)?, *op, of(right)?)
             }
             [
                 one,
                 Step::Has {
                     predicate,
                     entities,
-                    value: Some(Operand::Variable(value)),
+                    value: Some(value),
                     holds: true,
                 },
             ] => {
-                let one = number(one)?;
+                let (place, first, to) = number(one)?;
                 match entities[..] {
-                    [place] if *value == one.2 => (one, Comparison::Equal, (place, *predicate, usize::MAX)),
+                    [other] if *value == Operand::Variable(to) => {
+                        ((place, first), Comparison::Equal, (other, *predicate))
+                    }
                     _ => return None,
                 }
             }
             _ => return None,
         };
-        match (first.0, second.0) {
-            (0, 1) => Some((first.1, op, second.1)),
-            (1, 0) => Some((second.1, op.mirrored(), first.1)),
+        match (left_place, right_place) {
+            (0, 1) => Some((left, op, right)),
+            (1, 0) => Some((right, op.mirrored(), left)),
             _ => None,
         }
     }

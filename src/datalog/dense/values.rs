@@ -8,8 +8,8 @@
 //!
 //! Sets of bits are sets of entities. A predicate over anything else has none, so the dense executor cannot store it.
 
-use crate::check::{Atom, Clause, Literal, PredicateId, Rules, Term};
-use crate::syntax::ast::BaseType;
+use crate::check::{Clause, Literal, PredicateId, Rules, Term};
+use crate::syntax::ast::Comparison;
 
 /// Returns for each column of each predicate whether it may hold symbols that are no entities. `entities` returns for a
 /// predicate whose last column is a value the number of columns before it.
@@ -41,12 +41,20 @@ pub(super) fn value_columns(rules: &Rules, entities: impl Fn(PredicateId) -> Opt
 
 /// Adds the columns of a head that may hold values. Returns whether there are new ones.
 fn add_head(rules: &Rules, clause: &Clause, values: &mut [Vec<bool>]) -> bool {
-    let mut holds = vec![false; clause.variables.len()];
+    let mut origins = vec![Origin::Entity; clause.variables.len()];
     for literal in &clause.body {
         match literal {
-            Literal::Positive(atom) | Literal::Guard(atom) => mark(atom, values, &mut holds),
+            Literal::Positive(atom) | Literal::Guard(atom) => {
+                for (term, is_value) in atom.terms.iter().zip(&values[atom.predicate.index()]) {
+                    if let (Some(variable), true) = (term.variable(), is_value) {
+                        origins[variable.index()] = Origin::Value;
+                    }
+                }
+            }
             Literal::Compute { to, .. } | Literal::Aggregate { to, .. } => {
-                to.variable().into_iter().for_each(|to| holds[to.index()] = true);
+                to.variable()
+                    .into_iter()
+                    .for_each(|to| origins[to.index()] = Origin::Value);
             }
             Literal::Negative(_) | Literal::Compare { .. } => {}
         }
@@ -54,38 +62,49 @@ fn add_head(rules: &Rules, clause: &Clause, values: &mut [Vec<bool>]) -> bool {
     // `x = y` gives one the value of the other; a chain of them ends after as many rounds as there are literals.
     for _ in &clause.body {
         for literal in &clause.body {
-            let Literal::Compare { left, right, .. } = literal else {
-                continue;
-            };
-            let is_value = [left, right].map(|term| term.variable().is_none_or(|of| holds[of.index()]));
-            if is_value.contains(&true) {
-                for of in [left, right].into_iter().filter_map(Term::variable) {
-                    holds[of.index()] = true;
+            if let Literal::Compare {
+                op: Comparison::Equal,
+                left,
+                right,
+                ..
+            } = literal
+            {
+                let both = Origin::of(left, &origins).max(Origin::of(right, &origins));
+                for variable in [left, right].into_iter().filter_map(Term::variable) {
+                    origins[variable.index()] = both;
                 }
             }
         }
     }
-    let head = &rules.predicates[clause.head.predicate.index()];
+    let head = clause.head.predicate.index();
     let mut changed = false;
     for (column, term) in clause.head.terms.iter().enumerate() {
-        let ty = &rules.types[head.columns[column].ty.0 as usize];
-        let is_value = match term {
-            Term::Variable(variable) => holds[variable.index()],
-            Term::Constant(_) => ty.parent.is_none() && ty.members.is_empty(),
-            Term::Wildcard => false,
+        let ty = &rules.types[rules.predicates[head].columns[column].ty.0 as usize];
+        let is_value = match Origin::of(term, &origins) {
+            Origin::Entity => false,
+            Origin::Constant => ty.parent.is_none() && ty.members.is_empty(),
+            Origin::Value => true,
         };
-        let known = &mut values[clause.head.predicate.index()][column];
-        changed |= is_value && !*known && ty.base == BaseType::Symbol;
-        *known |= is_value;
+        changed |= is_value && !values[head][column];
+        values[head][column] |= is_value;
     }
     changed
 }
 
-/// Marks the variables of an atom in columns that may hold values.
-fn mark(atom: &Atom, values: &[Vec<bool>], holds: &mut [bool]) {
-    for (term, is_value) in atom.terms.iter().zip(&values[atom.predicate.index()]) {
-        if let (Some(variable), true) = (term.variable(), is_value) {
-            holds[variable.index()] = true;
+/// Where the values of a term may come from; a later one includes those before it.
+#[derive(Clone, Copy, PartialEq, Eq, PartialOrd, Ord)]
+enum Origin {
+    Entity,
+    Constant,
+    Value,
+}
+
+impl Origin {
+    fn of(term: &Term, origins: &[Origin]) -> Origin {
+        match term {
+            Term::Variable(variable) => origins[variable.index()],
+            Term::Constant(_) => Origin::Constant,
+            Term::Wildcard => Origin::Entity,
         }
     }
 }

@@ -162,8 +162,8 @@ impl Numbers {
     }
 }
 
-/// Returns the number of lists of `arity` entities.
-fn places(entities: usize, arity: usize) -> usize {
+/// Returns the number of lists of `arity` entities, at most 2.
+pub(super) fn places(entities: usize, arity: usize) -> usize {
     entities.pow(u32::try_from(arity).expect("at most 2"))
 }
 

@@ -18,17 +18,17 @@ use crate::diag::Diagnostic;
 use crate::predicate::{
     CellTable, Definition, External, Measured, PairRelation, Progress, Quantity, Relation, Static, Views, with_relation,
 };
-use crate::sim::observe::numbers::{Numbers, greatest_priority};
+use crate::sim::observe::numbers::{Numbers, greatest_priority, places};
 use crate::sim::observe::rule_monitor::{
     ActionConstraint, AtomLayout, Atoms, Entities, Observed, RuleMonitor, Violations,
 };
+use crate::sim::tick::agent_state::AgentState;
 use crate::sim::tick::chance::{Chance, Draws};
 use crate::sim::tick::external::ExternalFacts;
 use crate::sim::tick::ground::word;
 use crate::sim::tick::ground_state::GroundState;
 use crate::sim::tick::simulation::Simulation;
 use crate::sim::tick::vocabulary::Actions;
-use crate::sim::tick::window::AgentState;
 use crate::sim::tick::world::World;
 use std::sync::Arc;
 
@@ -148,7 +148,7 @@ impl Oracle {
             words: vec![0; self.layout.len()],
             values: (self.how.iter())
                 .map(|how| match how {
-                    How::Quantity(quantity) => vec![None; self.entities.pow(exponent(quantity.agents()))],
+                    How::Quantity(quantity) => vec![None; places(self.entities, quantity.agents())],
                     _ => Vec::new(),
                 })
                 .collect(),
@@ -227,7 +227,7 @@ pub fn observed_columns(world: &World, entities: usize) -> Vec<ObservedColumn> {
         name: format!("{}{suffix}", vocabulary.predicates[predicate].name),
         predicate,
         arity,
-        width: entities.pow(exponent(arity)),
+        width: places(entities, arity),
         scale,
     };
     let atoms = (vocabulary.predicates.iter().enumerate())
@@ -492,6 +492,7 @@ impl Observer {
         let external = city.external().expect("computed for the observation");
         out.fill(0.0);
         let width = Observer::state_width(oracle);
+        let truths = width - oracle.numbers.about_one().count();
         let mut rows = out.chunks_exact_mut(width);
         #[allow(clippy::cast_precision_loss)] // a share of a field of view is of single precision
         let mut write = |body: &AgentState, ego: Cell| {
@@ -502,7 +503,7 @@ impl Observer {
                 row[3 + heading as usize] = 1.0;
             }
             row[7] = (body.priority as f32 / oracle.priority_scale).clamp(-1.0, 1.0);
-            let (truths, numbers) = row[8..].split_at_mut(width - 8 - oracle.numbers.about_one().count());
+            let (row, numbers) = row.split_at_mut(truths);
             let unary = oracle.how.iter().enumerate().filter_map(|(predicate, how)| match how {
                 How::Static(_) => Some(is_steadily(&self.steady, self.words, body, predicate)),
                 How::Local(table) => Some(table.holds(body.junction, body.kind)),
@@ -510,8 +511,11 @@ impl Observer {
                 How::External(number, External::Agent) => Some(external.holds(*number, body.agent, 0)),
                 How::Pair(_) | How::Quantity(_) | How::External(_, External::Pair) => None,
             });
-            for (holds, value) in unary.zip(truths) {
+            for (holds, value) in unary.zip(&mut row[8..]) {
                 *value = f32::from(u8::from(holds));
+            }
+            if numbers.is_empty() {
+                return;
             }
             let measured = measured(body, city.agents());
             let value = |quantity: Quantity| quantity.measure(oracle.world.map(), city.now(), &[&measured]);
@@ -638,9 +642,4 @@ fn measure(oracle: &Oracle, quantity: Quantity, tick: u64, bodies: &[Measured], 
         _ => quantity.measure(map, tick, &[bodies.get(place / most)?, bodies.get(place % most)?]),
     };
     measure.map(word)
-}
-
-/// Returns a number of agents as an exponent.
-fn exponent(agents: usize) -> u32 {
-    u32::try_from(agents).expect("at most 2")
 }

@@ -13,13 +13,13 @@ use crate::datalog::Program;
 use crate::datalog::dense::{Argument, BinaryFacts, BitState, Input, List, Set, TrackFirings, first, has, members};
 use crate::datalog::{ClauseId, Limits, Literal, PredicateId, Rules, Value};
 use crate::diag::Diagnostic;
+use crate::sim::tick::agent_state::AgentState;
 use crate::sim::tick::chance::Drawing;
 use crate::sim::tick::executor::{DenseRules, compile};
 use crate::sim::tick::ground::Facts;
 use crate::sim::tick::ground_state::{GroundPredicate, GroundState};
 use crate::sim::tick::memory::Memory;
 use crate::sim::tick::vocabulary::{Actions, Vocabulary};
-use crate::sim::tick::window::AgentState;
 
 /// A clause that demands an action of an agent.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]

@@ -5,249 +5,21 @@
 //! ([`Near`]), which need no index to keep.
 // Decision: docs/decisions/executors.md#d041
 
-use crate::city::AgentKind;
-use crate::city::{Agent, Area, Cell, CityMap, Heading, Junction};
+use crate::city::{Agent, AgentKind, Area, Cell, CityMap};
 use crate::datalog::dense::{
     Argument, BinaryFacts, BitState, Input, List, Set, TooManySteps, and, first, holding, is_empty, members, without,
 };
-use crate::datalog::{Comparison, PredicateId, Value};
 use crate::predicate::{
-    CellTable, Definition, Measure, Measured, Pair, PairRelation, Progress, Quantity, Reach, Relation, Static, Subject,
-    Views, headings, with_relation,
+    CellTable, Definition, Pair, PairRelation, Reach, Relation, Static, Views, headings, with_relation,
 };
-use crate::sim::tick::chance::{Chance, Drawing, Draws};
-use crate::sim::tick::executor::{Conditions, DenseRules, Threshold};
-use crate::sim::tick::external::ExternalFacts;
-use crate::sim::tick::ground::word;
-use crate::sim::tick::memory::Memory;
+use crate::sim::tick::agent_state::{AgentState, Position};
+use crate::sim::tick::chance::Chance;
+use crate::sim::tick::executor::DenseRules;
+use crate::sim::tick::hidden::{Hidden, Now, set_of_words};
 use crate::sim::tick::vocabulary::Vocabulary;
 use std::collections::BTreeMap;
 use std::ops::Deref;
 use std::sync::Arc;
-
-/// The state of an agent that predicates can see.
-#[derive(Clone, Copy, Debug)]
-pub(crate) struct AgentState {
-    pub at: Cell,
-    pub priority: i32,
-    /// The position in the list of agents.
-    pub agent: u32,
-    /// The position in [`Grounder::classes`].
-    pub class: u32,
-    pub kind: AgentKind,
-    pub heading: Option<Heading>,
-    /// The junction at its cell.
-    pub junction: Junction,
-}
-
-/// The part of an agent's state that a move changes.
-#[derive(Clone, Copy, Debug)]
-pub(crate) struct Position {
-    pub cell: Cell,
-    pub heading: Option<Heading>,
-}
-
-impl Position {
-    pub fn of(agent: &Agent) -> Position {
-        Position {
-            cell: agent.cell,
-            heading: agent.heading,
-        }
-    }
-}
-
-impl AgentState {
-    /// Creates the body of an agent, with class 0. `position` is its place in the list.
-    pub fn new(map: &CityMap, position: usize, agent: &Agent) -> Self {
-        AgentState {
-            at: agent.cell,
-            priority: agent.priority,
-            agent: u32::try_from(position).expect("fewer than 2^32 agents"),
-            class: 0,
-            kind: agent.kind,
-            heading: agent.heading,
-            junction: map.junction(agent.cell),
-        }
-    }
-
-    /// Returns the part that binary predicates read.
-    #[inline]
-    pub fn subject(&self) -> Subject {
-        Subject {
-            kind: self.kind,
-            priority: self.priority,
-            at: self.at,
-            heading: self.heading,
-        }
-    }
-
-    /// Applies a move.
-    pub fn shift(&mut self, map: &CityMap, to: Position) {
-        self.heading = to.heading;
-        if self.at != to.cell {
-            self.at = to.cell;
-            self.junction = map.junction(to.cell);
-        }
-    }
-}
-
-/// The state of the city that windows read besides their bodies.
-#[derive(Clone, Copy)]
-pub(crate) struct Now<'a> {
-    pub draws: Draws,
-    /// All agents, in list order. Only quantities read them.
-    pub agents: &'a [Agent],
-    /// What temporal operators read of earlier ticks.
-    pub memory: &'a Memory,
-    /// What draws of clauses read.
-    pub drawing: Drawing<'a>,
-    /// The facts of the external predicates.
-    pub external: &'a ExternalFacts,
-    /// The facts of the rules that a session evaluates.
-    pub handed: &'a ExternalFacts,
-}
-
-impl Now<'_> {
-    #[inline]
-    fn given(&self, source: Source) -> &ExternalFacts {
-        match source {
-            Source::Caller => self.external,
-            Source::Session => self.handed,
-        }
-    }
-
-    /// Returns whether the numbers of an agent are within all thresholds.
-    #[inline]
-    fn is_within(&self, map: &CityMap, thresholds: &[Threshold], body: &AgentState) -> bool {
-        let number = |threshold: &Threshold| self.number(map, threshold.quantity, body);
-        (thresholds.iter()).all(|threshold| number(threshold).is_some_and(|number| threshold.holds(number)))
-    }
-
-    /// Returns a whole number of an agent.
-    #[inline]
-    fn number(&self, map: &CityMap, quantity: Quantity, body: &AgentState) -> Option<i32> {
-        let agent = &self.agents[body.agent as usize];
-        let count = |number: u32| i32::try_from(number).unwrap_or(i32::MAX);
-        match quantity {
-            Quantity::Waited => Some(count(agent.waited)),
-            Quantity::Speed => Some(i32::from(agent.speed)),
-            Quantity::Priority => Some(body.priority),
-            Quantity::Tick => Some(self.tick()),
-            quantity => self.value(map, quantity, [body; 2], &[0]).map(Value::as_number),
-        }
-    }
-
-    fn tick(&self) -> i32 {
-        i32::try_from(self.draws.time).unwrap_or(i32::MAX)
-    }
-
-    /// Returns the value of a quantity for the agents at these places of `bodies`.
-    fn value(&self, map: &CityMap, quantity: Quantity, bodies: [&AgentState; 2], places: &[usize]) -> Option<Value> {
-        let measured = bodies.map(|body| Measured {
-            subject: body.subject(),
-            progress: Progress::of(&self.agents[body.agent as usize]),
-        });
-        let measure = match *places {
-            [x] => quantity.measure(map, self.draws.time, &[&measured[x]]),
-            // Two agents are different ones.
-            [x, y] if bodies[x].agent == bodies[y].agent => None,
-            [x, y] => quantity.measure(map, self.draws.time, &[&measured[x], &measured[y]]),
-            _ => quantity.measure(map, self.draws.time, &[]),
-        };
-        measure.map(word)
-    }
-}
-
-/// A predicate without a fast form that a dense program reads.
-#[derive(Clone, Debug)]
-enum Hidden {
-    /// A condition on whole numbers of one agent.
-    Thresholds(Vec<Threshold>),
-    /// A comparison of whole numbers of two agents.
-    Comparison(Quantity, Comparison, Quantity),
-    /// A condition on the heading of an agent: those for which it holds.
-    Headings(HeadingSet),
-    /// A condition, by its position, on the heading of an agent and the tick, or on the tick alone.
-    TickAndHeading(usize),
-    Tick(usize),
-    /// Another condition on quantities, by its position.
-    Condition(usize),
-    /// What a temporal operator reads of earlier ticks, by its position in the memory.
-    Past(usize),
-    /// A predicate whose facts come from this source, by its position there.
-    Given(Source, usize),
-}
-
-/// The headings, and the lack of one, for which a condition holds.
-#[derive(Clone, Copy, Debug)]
-struct HeadingSet(u8);
-
-impl HeadingSet {
-    /// Finds the headings of an agent for which a condition on its heading and the tick holds in this tick.
-    fn new(conditions: &Conditions, condition: usize, tick: i32) -> HeadingSet {
-        let holds = |heading: Option<Heading>| {
-            let value = |_, quantity, _: &[usize]| match quantity {
-                Quantity::Heading => heading.map(|heading| word(Measure::Heading(heading))),
-                _ => Some(Value::number(tick)),
-            };
-            conditions.holds(condition, value, 0, [0; 2])
-        };
-        let bits = headings()
-            .into_iter()
-            .enumerate()
-            .map(|(bit, heading)| u8::from(holds(heading)) << bit);
-        HeadingSet(bits.fold(0, |set, bit| set | bit))
-    }
-
-    #[inline]
-    fn contains(self, heading: Option<Heading>) -> bool {
-        self.0 >> heading.map_or(0, |heading| heading as usize + 1) & 1 != 0
-    }
-}
-
-/// Who computes the facts of predicates.
-#[derive(Clone, Copy, Debug)]
-enum Source {
-    /// The caller: external predicates.
-    Caller,
-    /// A session: what the rules of the dense executor lack.
-    Session,
-}
-
-impl Hidden {
-    fn of(rules: &DenseRules, vocabulary: &Vocabulary, predicate: PredicateId) -> Option<Hidden> {
-        let condition = rules.conditions.find(predicate).map(|condition| {
-            let conditions = &rules.conditions;
-            let thresholds = conditions.thresholds(condition).map(Hidden::Thresholds);
-            let comparison = |(first, op, second)| Hidden::Comparison(first, op, second);
-            let known = thresholds.or_else(|| conditions.comparison(condition).map(comparison));
-            known.unwrap_or_else(|| match conditions.reads(condition).as_deref() {
-                Some([Quantity::Tick, rest @ ..]) if rest.iter().all(|of| *of == Quantity::Tick) => {
-                    Hidden::Tick(condition)
-                }
-                Some(reads) if reads.iter().all(|of| *of == Quantity::Heading) => {
-                    Hidden::Headings(HeadingSet::new(conditions, condition, 0))
-                }
-                Some(reads) if reads.iter().all(|of| matches!(of, Quantity::Heading | Quantity::Tick)) => {
-                    Hidden::TickAndHeading(condition)
-                }
-                _ => Hidden::Condition(condition),
-            })
-        });
-        let mut externals = vocabulary.externals();
-        let mut handed = rules.handed.iter().flat_map(|handed| &handed.predicates);
-        condition
-            .or_else(|| rules.past(predicate).map(Hidden::Past))
-            .or_else(|| {
-                let position = externals.position(|(known, _)| known.id == Some(predicate))?;
-                Some(Hidden::Given(Source::Caller, position))
-            })
-            .or_else(|| {
-                let position = handed.position(|(dense, ..)| *dense == predicate)?;
-                Some(Hidden::Given(Source::Session, position))
-            })
-    }
-}
 
 /// A list that a dense program reads.
 #[derive(Clone, Debug)]
@@ -417,27 +189,6 @@ impl Plan {
             .iter()
             .filter(|(_, predicate)| predicate.holds(kind, concepts));
         holds.map(|(input, _)| *input).collect()
-    }
-
-    /// Returns whether a predicate without a fast form holds for agents.
-    fn meets(&self, hidden: &Hidden, now: Now<'_>, bodies: [&AgentState; 2]) -> bool {
-        match *hidden {
-            Hidden::Thresholds(ref thresholds) => now.is_within(&self.map, thresholds, bodies[0]),
-            Hidden::Comparison(first, op, second) => {
-                let [x, y] = bodies;
-                let numbers = (now.number(&self.map, first, x), now.number(&self.map, second, y));
-                matches!(numbers, (Some(left), Some(right)) if op.holds_of_numbers(left, right))
-            }
-            Hidden::Headings(headings) => headings.contains(bodies[0].heading),
-            Hidden::Condition(condition) | Hidden::Tick(condition) | Hidden::TickAndHeading(condition) => {
-                let value = |_, quantity, places: &[usize]| now.value(&self.map, quantity, bodies, places);
-                let Drawing { word, names } = now.drawing;
-                let hashes = bodies.map(|body| names.get(body.agent as usize).copied().unwrap_or_default());
-                self.rules.conditions.holds(condition, value, word, hashes)
-            }
-            Hidden::Past(past) => now.memory.holds(past, bodies[0].agent, bodies[1].agent),
-            Hidden::Given(source, predicate) => (now.given(source)).holds(predicate, bodies[0].agent, bodies[1].agent),
-        }
     }
 
     /// Returns the maximum number of cells that agents see in any direction.
@@ -725,30 +476,13 @@ fn run_in<const W: usize>(
         bit_state.set_input(&grounder.rules.dense, input, *set);
     }
     for (input, hidden, diagonal) in &grounder.hidden {
-        let set = match hidden {
-            Hidden::Thresholds(thresholds) => {
-                set_of(bodies.iter().map(|body| now.is_within(&grounder.map, thresholds, body)))
-            }
-            Hidden::Headings(headings) => set_of(bodies.iter().map(|body| headings.contains(body.heading))),
-            Hidden::TickAndHeading(condition) => {
-                let headings = HeadingSet::new(&grounder.rules.conditions, *condition, now.tick());
-                set_of(bodies.iter().map(|body| headings.contains(body.heading)))
-            }
-            Hidden::Tick(_) => {
-                let holds = bodies
-                    .first()
-                    .is_some_and(|body| grounder.meets(hidden, now, [body, body]));
-                if holds { first(bodies.len()) } else { [0; W] }
-            }
-            Hidden::Past(past) if !diagonal => match now.memory.holding(*past).filter(|_| whole) {
-                Some(holding) => set_of_words(holding),
-                None => set_of(bodies.iter().map(|body| now.memory.holds_alone(*past, body.agent))),
-            },
-            Hidden::Given(source, predicate) if !diagonal && whole => {
-                set_of_words(now.given(*source).members(*predicate))
-            }
-            _ => set_of(bodies.iter().map(|body| grounder.meets(hidden, now, [body, body]))),
-        };
+        let set = hidden.members(
+            &grounder.rules.conditions,
+            &grounder.map,
+            now,
+            bodies,
+            (*diagonal, whole),
+        );
         bit_state.set_input(&grounder.rules.dense, *input, set);
     }
     let scene = Scene {
@@ -953,7 +687,7 @@ impl<S> Scene<'_, S> {
                     Argument::Second => [&at[0], &bodies[other]],
                     Argument::First => [&bodies[other], &at[0]],
                 };
-                self.plan.meets(hidden, self.now, pair)
+                hidden.holds(&self.plan.rules.conditions, &self.plan.map, self.now, pair)
             });
         };
         with_relation!(relation, relation => match list.axis {
@@ -995,20 +729,6 @@ impl<S> Scene<'_, S> {
     }
 }
 
-/// Returns the set of the entities whose bits are set.
-fn set_of_words<const W: usize>(words: &[u64]) -> Set<W> {
-    std::array::from_fn(|word| words.get(word).copied().unwrap_or(0))
-}
-
-/// Returns the set of the entities for which `holds` is true, in their order.
-fn set_of<const W: usize>(holds: impl Iterator<Item = bool>) -> Set<W> {
-    let mut set = [0; W];
-    for (entity, holds) in holds.enumerate() {
-        set[entity / 64] |= u64::from(holds) << (entity % 64);
-    }
-    set
-}
-
 /// Returns the members for which `holds` returns true.
 #[inline]
 fn keep<const W: usize>(set: Set<W>, holds: impl Fn(usize) -> bool) -> Set<W> {
@@ -1024,6 +744,7 @@ fn keep<const W: usize>(set: Set<W>, holds: impl Fn(usize) -> bool) -> Set<W> {
 #[cfg(test)]
 mod tests {
     use super::*;
+    use crate::city::Junction;
     use crate::rng::{Purpose, RngExt, Seed};
 
     #[test]

@@ -1,36 +1,21 @@
-"""Rules as a differentiable layer. Needs the extra `learn`.
-
-`RuleLayer` computes the degrees from 0 to 1 to which rules derive atoms, from the degrees of the facts that they read:
-
-- `godel`: "a and b" has the degree min(a, b), and "a or b" max(a, b);
-- `product`: "a and b" has the degree a b, and "a or b" 1 - (1 - a)(1 - b);
-- `lukasiewicz`: "a and b" has the degree max(0, a + b - 1), and "a or b" min(1, a + b).
-
-In all of them, "not a" has the degree 1 - a.
-
-The degree of a clause is that of the conjunction of its literals, and an atom has the degree of the disjunction over
-all clauses that derive it and all values of their other variables. With the degrees 0 and 1, all three are the rules
-themselves. With probabilities of independent facts, `product` counts a fact that several clauses or values share
-several times. The degree of `godel` is above 0.5 exactly if the facts above 0.5 derive the atom.
-"""
+"""The layer: its inputs and outputs, and the semantics of its clauses."""
 
 from __future__ import annotations
 
 import os
 from collections.abc import Iterable, Sequence
-from dataclasses import dataclass, replace
 from typing import Any, Literal, TypeAlias, cast, get_args
 
-from . import _logicity
-from .errors import extra
-from .rules import Program
+from ..errors import extra
+from ..rules import Program
+from .clauses import Atom, Clause, Clauses, Past
 
 with extra("learn"):
     import torch
     from torch import Tensor, nn
     from torch.autograd.function import FunctionCtx, once_differentiable
 
-__all__ = ["RuleLayer", "Semantics"]
+__all__ = ["DEFAULT", "PRIORITY", "RuleLayer", "Semantics"]
 
 Semantics: TypeAlias = Literal["godel", "product", "lukasiewicz"]
 """The meaning of conjunction, disjunction and negation."""
@@ -38,59 +23,6 @@ Semantics: TypeAlias = Literal["godel", "product", "lukasiewicz"]
 #: The order of actions and the default in `configs/common.yaml`.
 PRIORITY = ("Stop", "Slow", "Fast", "Normal")
 DEFAULT = "Normal"
-#: The largest number of entities that an atom or a clause relates.
-VARIABLES_MAX = 6
-
-
-@dataclass(frozen=True)
-class _Atom:
-    """A predicate, by its position, and its variables. `None` is `_`."""
-
-    predicate: int
-    terms: tuple[int | None, ...]
-
-
-@dataclass(frozen=True)
-class _Clause:
-    """A clause whose variables are those of the head, in order, and then the others.
-
-    Attributes:
-        head: The head.
-        literals: The atoms of the body, and whether each holds.
-        same: Pairs of variables, and whether they are the same entity.
-        count: The number of variables.
-        probability: That of the head, 1 without one.
-        label: The label, such as `S1`.
-        number: The position among the clauses of the layer.
-    """
-
-    head: _Atom
-    literals: tuple[tuple[_Atom, bool], ...]
-    same: tuple[tuple[int, int, bool], ...]
-    count: int
-    probability: float
-    label: str
-    number: int = -1
-
-
-@dataclass
-class _Stratum:
-    """The clauses of predicates that are computed together, by the position of the predicate."""
-
-    clauses: dict[int, list[_Clause]]
-    recursive: bool
-
-
-@dataclass(frozen=True)
-class _Past:
-    """What a temporal operator reads; see `_logicity.checked`."""
-
-    predicate: int
-    operand: int
-    operator: str
-    held: tuple[int, tuple[int, ...]] | None
-    first: int
-    last: int | None
 
 
 class _Tick:
@@ -198,51 +130,12 @@ class RuleLayer(nn.Module):
             raise ValueError(f"depth: expected at least 1, not {depth}")
         self.semantics, self.depth = semantics, depth
         self.program = rules if isinstance(rules, Program) else Program.load(rules)
-        checked = _logicity.checked(self.program._program)
-        self._predicates: list[dict[str, Any]] = checked["predicates"]
-        self._places = {each["name"]: place for place, each in enumerate(self._predicates) if not each["hidden"]}
-        self.queries = tuple(dict.fromkeys(queries))
+        self.queries, self.default = tuple(dict.fromkeys(queries)), default
         self.actions = tuple(dict.fromkeys([*priority, default]))
-        self.default = default
-        inputs = [(name, self._predicates[place]) for name, place in self._places.items()]
-        inputs = [(name, each) for name, each in inputs if each["input"] and all(each["symbols"])]
-        self.unary = tuple(name for name, each in inputs if len(each["symbols"]) == 1)
-        self.binary = tuple(name for name, each in inputs if len(each["symbols"]) == 2)
-        #: The column of each input, by the position of the predicate that has its facts.
-        self._inputs = {
-            place if self._predicates[place]["edb"] is None else self._predicates[place]["edb"]: column
-            for names in (self.unary, self.binary)
-            for column, place in enumerate(self._places[name] for name in names)
-        }
-        self._pasts = [
-            _Past(
-                each["predicate"],
-                each["operand"],
-                each["operator"],
-                None if each["held"] is None else (each["held"][0], tuple(each["held"][1])),
-                each["first"],
-                each["last"],
-            )
-            for each in checked["pasts"]
-        ]
-        self._derived_actions = [name for name in self.actions if self._is_derived(name)]
-        for name in self.queries:
-            if name not in self._places:
-                raise ValueError(f"queries: the rules declare no predicate `{name}`")
-            if not self._predicates[self._places[name]]["derived"]:
-                raise ValueError(f"queries: no clause derives `{name}`")
-        self._strata = self._needed(checked["strata"])
-        used: list[_Clause] = []
-        for stratum in self._strata:
-            for place, clauses in stratum.clauses.items():
-                stratum.clauses[place] = [replace(each, number=len(used) + at) for at, each in enumerate(clauses)]
-                used += stratum.clauses[place]
-        self.clauses = tuple(clause.label for clause in used)
-        needed = {atom.predicate for clause in used for atom, _ in clause.literals}
-        self._pasts = [past for past in self._pasts if past.predicate in needed]
-        self.temporal = bool(self._pasts)
-        self._alone = self._read_by_egos(used)
-        self.weight_logits = nn.Parameter(torch.full((len(used),), 3.0)) if learn_weights else None
+        self._rules = Clauses(self.program, self.queries, self.actions, default, depth)
+        self.unary, self.binary, self.clauses = self._rules.unary, self._rules.binary, self._rules.labels
+        self.temporal = bool(self._rules.pasts)
+        self.weight_logits = nn.Parameter(torch.full((len(self.clauses),), 3.0)) if learn_weights else None
 
     def extra_repr(self) -> str:
         """Return what `repr` shows."""
@@ -300,126 +193,6 @@ class RuleLayer(nn.Module):
         """Return the weights of `clauses`, (clauses,) from 0 to 1; `None` without `learn_weights`."""
         return None if self.weight_logits is None else self.weight_logits.sigmoid()
 
-    # --- reading clauses
-
-    def _is_derived(self, action: str) -> bool:
-        place = self._places.get(action)
-        if place is None:
-            return False
-        each = self._predicates[place]
-        if each["symbols"] != [True]:
-            raise ValueError(f"priority: `{action}` is not a predicate over one entity")
-        return bool(each["derived"])
-
-    def _needed(self, strata: list[dict[str, Any]]) -> list[_Stratum]:
-        """Return the strata of the predicates on which actions and queries depend, in order."""
-        actions = {self._places[name] for name in self._derived_actions}
-        declared = {self._places[name] for name in self.actions if name in self._places}
-        given = [
-            clause for stratum in strata for clause in stratum["clauses"] if not self._is_default(clause, declared)
-        ]
-        clauses: dict[int, list[_Clause]] = {}
-        open_ = [*actions, *(self._places[name] for name in self.queries)]
-        while open_:
-            place = open_.pop()
-            if place in clauses:
-                continue
-            clauses[place] = [self._clause(each) for each in given if each["head"]["predicate"] == place]
-            open_ += [atom.predicate for clause in clauses[place] for atom, _ in clause.literals]
-            for past in self._pasts:
-                if past.predicate == place:
-                    open_ += [past.operand, *([past.held[0]] if past.held else [])]
-        chosen = []
-        for stratum in strata:
-            found = {place: clauses[place] for place in stratum["predicates"] if clauses.get(place)}
-            if not found:
-                continue
-            if stratum["recursive"] and self.depth is None:
-                name = self._predicates[stratum["predicates"][0]]["name"]
-                raise ValueError(f"`{name}` is recursive: give the `depth` to which its clauses are applied")
-            chosen.append(_Stratum(found, stratum["recursive"]))
-        return chosen
-
-    def _is_default(self, clause: dict[str, Any], actions: set[int]) -> bool:
-        """Return whether a clause says that the default is taken if no other action is derived."""
-        if clause["head"]["predicate"] != self._places.get(self.default) or not clause["body"]:
-            return False
-        terms = clause["head"]["terms"]
-        for literal in clause["body"]:
-            if "atom" not in literal:
-                return False
-            atom = literal["atom"]
-            negates = not literal["holds"] and atom["predicate"] in actions and atom["terms"] == terms
-            reflexive = (
-                literal["holds"] and atom["terms"] == [*terms, *terms] and self._predicates[atom["predicate"]]["input"]
-            )
-            if not negates and not reflexive:
-                return False
-        return True
-
-    def _clause(self, given: dict[str, Any]) -> _Clause:
-        def refuse(reason: str) -> ValueError:
-            return ValueError(f"{given['place']}: the clause has no degree, since it {reason}: `{given['text']}`")
-
-        if not given["body"]:
-            raise refuse("is a fact about constants" if given["head"]["terms"] else "is a fact")
-        literals: list[tuple[_Atom, bool]] = []
-        same: list[tuple[int, int, bool]] = []
-        numbers: dict[int, int] = {}
-        fresh = iter(range(-1, -1000, -1))
-
-        def atom(plain: dict[str, Any], holds: bool) -> _Atom:
-            predicate = self._predicates[plain["predicate"]]
-            if not all(predicate["symbols"]):
-                raise refuse(f"reads values of `{predicate['name']}`")
-            if predicate["input"] and len(predicate["symbols"]) not in (1, 2):
-                raise refuse(f"reads `{predicate['name']}`, an input over {len(predicate['symbols'])} entities")
-            if "constant" in plain["terms"]:
-                raise refuse("names a constant")
-            terms = [term if term is not None or not holds else next(fresh) for term in plain["terms"]]
-            return _Atom(plain["predicate"], tuple(None if term is None else number(term) for term in terms))
-
-        def number(term: int) -> int:
-            return numbers.setdefault(term, len(numbers))
-
-        head = atom(given["head"], True)
-        for literal in given["body"]:
-            if "other" in literal:
-                raise refuse(literal["other"])
-            if "same" in literal:
-                if "constant" in literal["same"]:
-                    raise refuse("names a constant")
-                one, other = (number(term) for term in literal["same"])
-                same.append((one, other, literal["holds"]))
-            else:
-                literals.append((atom(literal["atom"], literal["holds"]), literal["holds"]))
-        if len(numbers) > VARIABLES_MAX:
-            raise refuse(f"has more than {VARIABLES_MAX} variables")
-        probability = 1.0
-        if given["probabilities"] is not None:
-            if None in given["probabilities"]:
-                raise refuse("has a probability that is not a constant")
-            chosen = given["alternative"]
-            probability = given["probabilities"][chosen]
-        return _Clause(head, tuple(literals), tuple(same), len(numbers), probability, given["label"])
-
-    def _read_by_egos(self, clauses: list[_Clause]) -> set[int]:
-        """Return the derived predicates of which only the atoms that begin with an ego are read."""
-        remembered = {past.operand for past in self._pasts} | {past.held[0] for past in self._pasts if past.held}
-        repeated = {clause.head.predicate for clause in clauses if len(set(clause.head.terms)) < len(clause.head.terms)}
-        alone = {clause.head.predicate for clause in clauses if clause.head.terms}
-        alone -= remembered | repeated | {self._places[name] for name in self.queries}
-        while True:
-            others = {
-                atom.predicate
-                for clause in clauses
-                for atom, _ in clause.literals
-                if clause.head.predicate not in alone or not atom.terms or atom.terms[0] != 0
-            }
-            if not alone & others:
-                return alone
-            alone -= others
-
     # --- evaluation
 
     def _check(self, unary: Tensor, binary: Tensor, mask: Tensor | None) -> None:
@@ -441,9 +214,9 @@ class RuleLayer(nn.Module):
     ) -> _Tick:
         """Compute all predicates in one tick, after those of earlier ticks."""
         tick = _Tick(unary, binary, mask)
-        for past in self._pasts:
+        for past in self._rules.pasts:
             tick.values[past.predicate] = self._remembered(past, history, tick)
-        for stratum in self._strata:
+        for stratum in self._rules.strata:
             rounds = (self.depth or 1) if stratum.recursive else 1
             for _ in range(rounds):
                 found = {place: self._derive(clauses, tick, egos) for place, clauses in stratum.clauses.items()}
@@ -456,13 +229,13 @@ class RuleLayer(nn.Module):
         """Return the degrees of a predicate; 0 if nothing derives it, or nothing has yet."""
         if place in tick.values:
             return tick.values[place]
-        arity = len(self._predicates[place]["symbols"])
-        if place not in self._inputs:
+        arity = self._rules.arities[place]
+        if place not in self._rules.inputs:
             return tick.zeros(arity)
-        column = self._inputs[place]
+        column = self._rules.inputs[place]
         return tick.unary_input(column) if arity == 1 else tick.binary_input(column, 0, egos)
 
-    def _remembered(self, past: _Past, history: list[_Tick], now: _Tick) -> Tensor:
+    def _remembered(self, past: Past, history: list[_Tick], now: _Tick) -> Tensor:
         """Return the degrees of what a temporal operator reads. Before the first tick nothing held."""
 
         def ago(place: int, ticks: int) -> Tensor:
@@ -471,7 +244,7 @@ class RuleLayer(nn.Module):
         last = len(history) if past.last is None else past.last
         ticks = range(past.first, min(last, len(history)) + 1)
         if not ticks or (past.operator == "always" and last > len(history)):
-            return now.zeros(len(self._predicates[past.operand]["symbols"]))
+            return now.zeros(self._rules.arities[past.operand])
         if past.operator == "always":
             return self._all([ago(past.operand, tick) for tick in ticks])
         degrees, held = [], None
@@ -482,18 +255,18 @@ class RuleLayer(nn.Module):
             if past.held is not None:
                 # What stands before `since` must hold in all ticks after the one in which the operand held.
                 place, columns = past.held
-                degree = _aligned(ago(place, tick), columns, len(self._predicates[past.operand]["symbols"]))
+                degree = _aligned(ago(place, tick), columns, self._rules.arities[past.operand])
                 held = degree if held is None else self._both(held, degree)
         return self._any(torch.stack(degrees, -1), 1)
 
-    def _derive(self, clauses: list[_Clause], tick: _Tick, egos: Tensor | None) -> Tensor:
+    def _derive(self, clauses: list[Clause], tick: _Tick, egos: Tensor | None) -> Tensor:
         """Return the degrees of a predicate from those of the predicates in the bodies of its clauses."""
         found = [self._degree(clause, tick, egos) for clause in clauses]
         return found[0] if len(found) == 1 else self._any(torch.stack(torch.broadcast_tensors(*found), -1), 1)
 
-    def _degree(self, clause: _Clause, tick: _Tick, egos: Tensor | None) -> Tensor:
+    def _degree(self, clause: Clause, tick: _Tick, egos: Tensor | None) -> Tensor:
         """Return the degrees of the head of a clause."""
-        narrowed = egos if clause.head.predicate in self._alone else None
+        narrowed = egos if clause.head.predicate in self._rules.alone else None
         # The degrees of the literals over the same variables.
         groups: dict[frozenset[int], Tensor] = {}
 
@@ -535,14 +308,14 @@ class RuleLayer(nn.Module):
                 total = total * _aligned(tick.eye(), (first, place), len(terms))
         return total
 
-    def _selected(self, atom: _Atom, tick: _Tick, egos: Tensor | None, narrowed: Tensor | None) -> Tensor:
+    def _selected(self, atom: Atom, tick: _Tick, egos: Tensor | None, narrowed: Tensor | None) -> Tensor:
         """Return the degrees of an atom: (B, ...) with a dimension for each variable, E long for variable 0 of egos."""
         axes = [axis + 1 for axis, term in enumerate(atom.terms) if narrowed is not None and term == 0]
-        if axes and atom.predicate in self._inputs and len(atom.terms) == 2:
-            value = tick.binary_input(self._inputs[atom.predicate], axes.pop(0), narrowed)
+        if axes and atom.predicate in self._rules.inputs and len(atom.terms) == 2:
+            value = tick.binary_input(self._rules.inputs[atom.predicate], axes.pop(0), narrowed)
         else:
             value = self._value(atom.predicate, tick, egos)
-            if atom.predicate in self._alone:
+            if atom.predicate in self._rules.alone:
                 axes = axes[1:]
         for axis in axes:
             key = (atom.predicate, axis)
@@ -558,11 +331,11 @@ class RuleLayer(nn.Module):
     def _answer(self, tick: _Tick, egos: Tensor | None) -> tuple[Tensor, dict[str, Tensor]]:
         """Return the degrees of the answers, and those of derived actions and queries by name."""
         derived: dict[str, Tensor] = {}
-        for name in self._derived_actions:
-            place = self._places[name]
+        for name in self._rules.derived:
+            place = self._rules.places[name]
             if place in tick.values:
                 value = tick.values[place]
-                derived[name] = value if egos is None or place in self._alone else value.index_select(1, egos)
+                derived[name] = value if egos is None or place in self._rules.alone else value.index_select(1, egos)
         shape = (tick.unary.shape[0], tick.count if egos is None else len(egos))
         left, answers = tick.unary.new_ones(shape), dict.fromkeys(self.actions, tick.unary.new_zeros(shape))
         for name in self.actions:
@@ -571,7 +344,7 @@ class RuleLayer(nn.Module):
                 left = self._both(left, 1 - derived[name])
         rest = torch.stack([answers[self.default], left], -1)
         answers[self.default] = rest.sum(-1) if self.semantics == "product" else self._any(rest, 1)
-        queries = {name: self._value(self._places[name], tick) for name in self.queries}
+        queries = {name: self._value(self._rules.places[name], tick) for name in self.queries}
         return torch.stack([answers[name] for name in self.actions], -1), derived | queries
 
     # --- semantics

@@ -1,0 +1,19 @@
+"""Rules as a differentiable layer. Needs the extra `learn`.
+
+`RuleLayer` computes the degrees from 0 to 1 to which rules derive atoms, from the degrees of the facts that they read:
+
+- `godel`: "a and b" has the degree min(a, b), and "a or b" max(a, b);
+- `product`: "a and b" has the degree a b, and "a or b" 1 - (1 - a)(1 - b);
+- `lukasiewicz`: "a and b" has the degree max(0, a + b - 1), and "a or b" min(1, a + b).
+
+In all of them, "not a" has the degree 1 - a.
+
+The degree of a clause is that of the conjunction of its literals, and an atom has the degree of the disjunction over
+all clauses that derive it and all values of their other variables. With the degrees 0 and 1, all three are the rules
+themselves. With probabilities of independent facts, `product` counts a fact that several clauses or values share
+several times. The degree of `godel` is above 0.5 exactly if the facts above 0.5 derive the atom.
+"""
+
+from .layer import DEFAULT, PRIORITY, RuleLayer, Semantics
+
+__all__ = ["DEFAULT", "PRIORITY", "RuleLayer", "Semantics"]

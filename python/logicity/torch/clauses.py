@@ -1,0 +1,247 @@
+"""The clauses of a program as `RuleLayer` evaluates them."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable, Sequence
+from dataclasses import dataclass, replace
+from typing import Any
+
+from .. import _logicity
+from ..rules import Program
+
+__all__ = ["Atom", "Clause", "Clauses", "Past", "Stratum"]
+
+#: The largest number of variables of a clause.
+VARIABLES_MAX = 6
+
+
+@dataclass(frozen=True)
+class Atom:
+    """A predicate, by its position, and its variables. `None` is `_`."""
+
+    predicate: int
+    terms: tuple[int | None, ...]
+
+
+@dataclass(frozen=True)
+class Clause:
+    """A clause whose variables are those of the head, in order, and then the others.
+
+    Attributes:
+        head: The head.
+        literals: The atoms of the body, and whether each holds.
+        same: Pairs of variables, and whether they are the same entity.
+        count: The number of variables.
+        probability: That of the head, 1 without one.
+        label: The label, such as `S1`.
+        number: The position among the clauses of the layer.
+    """
+
+    head: Atom
+    literals: tuple[tuple[Atom, bool], ...]
+    same: tuple[tuple[int, int, bool], ...]
+    count: int
+    probability: float
+    label: str
+    number: int = -1
+
+
+@dataclass
+class Stratum:
+    """The clauses of predicates that are computed together, by the position of the predicate."""
+
+    clauses: dict[int, list[Clause]]
+    recursive: bool
+
+
+@dataclass(frozen=True)
+class Past:
+    """What a temporal operator reads; see `_logicity.checked`."""
+
+    predicate: int
+    operand: int
+    operator: str
+    held: tuple[int, tuple[int, ...]] | None
+    first: int
+    last: int | None
+
+
+class Clauses:
+    """The clauses on which actions and queries depend, in the order of evaluation.
+
+    Attributes:
+        unary, binary: The names of the input predicates over one entity and over two.
+        inputs: The column of each of them, by the position of the predicate that has its facts.
+        arities: The number of columns of each predicate, by position.
+        places: The positions of declared predicates by name.
+        derived: The actions that clauses derive.
+        strata: The clauses.
+        pasts: What their temporal operators read.
+        labels: The labels of the clauses, by `Clause.number`.
+        alone: The derived predicates of which only the atoms that begin with an ego are read.
+    """
+
+    def __init__(
+        self, program: Program, queries: Iterable[str], actions: Sequence[str], default: str, depth: int | None
+    ) -> None:
+        """Read the clauses. The exceptions are those of `RuleLayer`."""
+        checked = _logicity.checked(program._program)
+        self._predicates: list[dict[str, Any]] = checked["predicates"]
+        self._queries, self._actions, self._default, self._depth = tuple(queries), tuple(actions), default, depth
+        self.arities = [len(each["symbols"]) for each in self._predicates]
+        self.places = {each["name"]: place for place, each in enumerate(self._predicates) if not each["hidden"]}
+        inputs = [(name, self._predicates[place]) for name, place in self.places.items()]
+        inputs = [(name, each) for name, each in inputs if each["input"] and all(each["symbols"])]
+        self.unary = tuple(name for name, each in inputs if len(each["symbols"]) == 1)
+        self.binary = tuple(name for name, each in inputs if len(each["symbols"]) == 2)
+        self.inputs: dict[int, int] = {}
+        for names in (self.unary, self.binary):
+            for column, name in enumerate(names):
+                place = self.places[name]
+                edb = self._predicates[place]["edb"]
+                self.inputs[place if edb is None else edb] = column
+        self.pasts = [
+            Past(
+                each["predicate"],
+                each["operand"],
+                each["operator"],
+                None if each["held"] is None else (each["held"][0], tuple(each["held"][1])),
+                each["first"],
+                each["last"],
+            )
+            for each in checked["pasts"]
+        ]
+        self.derived = tuple(name for name in self._actions if self._is_derived(name))
+        for name in self._queries:
+            if name not in self.places:
+                raise ValueError(f"queries: the rules declare no predicate `{name}`")
+            if not self._predicates[self.places[name]]["derived"]:
+                raise ValueError(f"queries: no clause derives `{name}`")
+        self.strata = self._needed(checked["strata"])
+        used: list[Clause] = []
+        for stratum in self.strata:
+            for place, clauses in stratum.clauses.items():
+                stratum.clauses[place] = [replace(each, number=len(used) + at) for at, each in enumerate(clauses)]
+                used += stratum.clauses[place]
+        self.labels = tuple(clause.label for clause in used)
+        needed = {atom.predicate for clause in used for atom, _ in clause.literals}
+        self.pasts = [past for past in self.pasts if past.predicate in needed]
+        self.alone = self._read_by_egos(used)
+
+    def _is_derived(self, action: str) -> bool:
+        place = self.places.get(action)
+        if place is None:
+            return False
+        each = self._predicates[place]
+        if each["symbols"] != [True]:
+            raise ValueError(f"priority: `{action}` is not a predicate over one entity")
+        return bool(each["derived"])
+
+    def _needed(self, strata: list[dict[str, Any]]) -> list[Stratum]:
+        """Return the strata of the predicates on which actions and queries depend, in order."""
+        actions = {self.places[name] for name in self.derived}
+        declared = {self.places[name] for name in self._actions if name in self.places}
+        given = [
+            clause for stratum in strata for clause in stratum["clauses"] if not self._is_default(clause, declared)
+        ]
+        clauses: dict[int, list[Clause]] = {}
+        open_ = [*actions, *(self.places[name] for name in self._queries)]
+        while open_:
+            place = open_.pop()
+            if place in clauses:
+                continue
+            clauses[place] = [self._clause(each) for each in given if each["head"]["predicate"] == place]
+            open_ += [atom.predicate for clause in clauses[place] for atom, _ in clause.literals]
+            for past in self.pasts:
+                if past.predicate == place:
+                    open_ += [past.operand, *([past.held[0]] if past.held else [])]
+        chosen = []
+        for stratum in strata:
+            found = {place: clauses[place] for place in stratum["predicates"] if clauses.get(place)}
+            if not found:
+                continue
+            if stratum["recursive"] and self._depth is None:
+                name = self._predicates[stratum["predicates"][0]]["name"]
+                raise ValueError(f"`{name}` is recursive: give the `depth` to which its clauses are applied")
+            chosen.append(Stratum(found, stratum["recursive"]))
+        return chosen
+
+    def _is_default(self, clause: dict[str, Any], actions: set[int]) -> bool:
+        """Return whether a clause says that the default is taken if no other action is derived."""
+        if clause["head"]["predicate"] != self.places.get(self._default) or not clause["body"]:
+            return False
+        terms = clause["head"]["terms"]
+        for literal in clause["body"]:
+            if "atom" not in literal:
+                return False
+            atom = literal["atom"]
+            negates = not literal["holds"] and atom["predicate"] in actions and atom["terms"] == terms
+            reflexive = (
+                literal["holds"] and atom["terms"] == [*terms, *terms] and self._predicates[atom["predicate"]]["input"]
+            )
+            if not negates and not reflexive:
+                return False
+        return True
+
+    def _clause(self, given: dict[str, Any]) -> Clause:
+        def refuse(reason: str) -> ValueError:
+            return ValueError(f"{given['place']}: the clause has no degree, since it {reason}: `{given['text']}`")
+
+        if not given["body"]:
+            raise refuse("is a fact about constants" if given["head"]["terms"] else "is a fact")
+        literals: list[tuple[Atom, bool]] = []
+        same: list[tuple[int, int, bool]] = []
+        numbers: dict[int, int] = {}
+        fresh = iter(range(-1, -1000, -1))
+
+        def atom(plain: dict[str, Any], holds: bool) -> Atom:
+            predicate = self._predicates[plain["predicate"]]
+            if not all(predicate["symbols"]):
+                raise refuse(f"reads values of `{predicate['name']}`")
+            if predicate["input"] and len(predicate["symbols"]) not in (1, 2):
+                raise refuse(f"reads `{predicate['name']}`, an input over {len(predicate['symbols'])} entities")
+            if "constant" in plain["terms"]:
+                raise refuse("names a constant")
+            terms = [term if term is not None or not holds else next(fresh) for term in plain["terms"]]
+            return Atom(plain["predicate"], tuple(None if term is None else number(term) for term in terms))
+
+        def number(term: int) -> int:
+            return numbers.setdefault(term, len(numbers))
+
+        head = atom(given["head"], True)
+        for literal in given["body"]:
+            if "other" in literal:
+                raise refuse(literal["other"])
+            if "same" in literal:
+                if "constant" in literal["same"]:
+                    raise refuse("names a constant")
+                one, other = (number(term) for term in literal["same"])
+                same.append((one, other, literal["holds"]))
+            else:
+                literals.append((atom(literal["atom"], literal["holds"]), literal["holds"]))
+        if len(numbers) > VARIABLES_MAX:
+            raise refuse(f"has more than {VARIABLES_MAX} variables")
+        probability = 1.0
+        if given["probabilities"] is not None:
+            if None in given["probabilities"]:
+                raise refuse("has a probability that is not a constant")
+            chosen = given["alternative"]
+            probability = given["probabilities"][chosen]
+        return Clause(head, tuple(literals), tuple(same), len(numbers), probability, given["label"])
+
+    def _read_by_egos(self, clauses: list[Clause]) -> set[int]:
+        """Return the derived predicates of which only the atoms that begin with an ego are read."""
+        remembered = {past.operand for past in self.pasts} | {past.held[0] for past in self.pasts if past.held}
+        repeated = {clause.head.predicate for clause in clauses if len(set(clause.head.terms)) < len(clause.head.terms)}
+        alone = {clause.head.predicate for clause in clauses if clause.head.terms}
+        alone -= remembered | repeated | {self.places[name] for name in self._queries}
+        while True:
+            others = {
+                atom.predicate
+                for clause in clauses
+                for atom, _ in clause.literals
+                if clause.head.predicate not in alone or not atom.terms or atom.terms[0] != 0
+            }
+            if not alone & others:
+                return alone
+            alone -= others
