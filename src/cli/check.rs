@@ -423,7 +423,11 @@ fn print_overlaps(
                 writeln!(out, "    {}", scene_json(scene, &[rules]))?;
                 let earlier = earlier_facts(scene, rules);
                 if !earlier.is_empty() {
-                    writeln!(out, "    after ticks that make these hold: {}", earlier.join(", "))?;
+                    let earlier = earlier.join(", ");
+                    writeln!(
+                        out,
+                        "    if earlier ticks make these hold, which `check` does not decide: {earlier}"
+                    )?;
                 }
                 writeln!(out, "    {first} by {a}\n    {second} by {b}")?;
                 printed = true;
@@ -532,7 +536,11 @@ fn measure(arguments: &Arguments, trace: &Path, rules: &Path, sources: &mut Sour
     let mut replay = trace.replay(sources, arguments.config.as_deref(), given, given.is_none(), limits)?;
     let mut coverage = Coverage::new(replay.session().program().rules());
     while let Some(tick) = trace.tick()? {
-        replay.set(&tick).map_err(|fault| trace.placed(fault))?;
+        let set = replay.set(&tick).and_then(|()| match given {
+            Some(_) => Ok(()),
+            None => replay.verify(&tick),
+        });
+        set.map_err(|fault| trace.placed(fault))?;
         let added = coverage.add(replay.session());
         added.map_err(|error| trace.placed(error.into()))?;
     }

@@ -75,7 +75,8 @@ pub fn run(arguments: &Arguments, sources: &mut Sources) -> Result<(), Failure> 
         _ => None,
     };
     let tick = find(&mut trace, arguments.tick)?;
-    replay.set(&tick).map_err(|fault| trace.placed(fault))?;
+    let set = replay.set(&tick).and_then(|()| replay.verify(&tick));
+    set.map_err(|fault| trace.placed(fault))?;
     if let Some(question) = fact {
         return print_fact(arguments, &replay, (&tick, question), &names, sources);
     }
@@ -83,22 +84,6 @@ pub fn run(arguments: &Arguments, sources: &mut Sources) -> Result<(), Failure> 
         return Err(Failure::Usage("name an agent with --agent".to_owned()));
     };
 
-    let derived = replay.derived(position);
-    let table = replay.world().vocabulary.actions();
-    let Some(state) = tick.agents.get(position) else {
-        return Err(trace.placed(Diagnostic::new(codes::INVALID_TRACE, "an agent is missing")));
-    };
-    if !derived.iter().map(|action| table.name(action)).eq(state.derived.iter()) {
-        let found: Vec<&str> = derived.iter().map(|action| table.name(action)).collect();
-        let message = format!(
-            "the state of tick {} gives {} [{}], but the trace has [{}]",
-            tick.tick,
-            names[position],
-            found.join(", "),
-            state.derived.join(", ")
-        );
-        return Err(trace.placed(Diagnostic::new(codes::TRACE_MISMATCH, message)));
-    }
     print(arguments, &replay, &tick, (position, why_not), sources)
 }
 

@@ -11,7 +11,7 @@ use crate::cli::terminal;
 use crate::cli::values::{integer, one_of};
 use crate::datalog::MarginalOptions;
 use crate::datalog::cancel::Cancel;
-use crate::diag::{SourceId, Sources, to_json};
+use crate::diag::{Diagnostic, SourceId, Sources, to_json};
 use crate::sim::{Executor, Inference};
 use serde_json::json;
 use std::io::{self, BufWriter, Write};
@@ -97,14 +97,14 @@ pub fn run(arguments: &Arguments, sources: &mut Sources) -> Result<(), Failure> 
     match arguments.out.as_deref().filter(|path| !is_stdout(path)) {
         None => {
             let mut out = BufWriter::new(terminal::data());
-            let faulty = answer_all(&mut inference, scenes, asked, (&mut out, &Failure::from))?;
+            let found = answer_all(&mut inference, scenes, asked, (&mut out, &Failure::from))?;
             out.flush()?;
-            outcome(faulty)
+            outcome(found)
         }
         Some(path) => {
             let inputs = Inputs::of(sources).with([arguments.file.clone()]);
             let mut out = arguments.force.create("infer", path, &inputs)?;
-            let faulty = answer_all(
+            let found = answer_all(
                 &mut inference,
                 scenes,
                 asked,
@@ -112,7 +112,7 @@ pub fn run(arguments: &Arguments, sources: &mut Sources) -> Result<(), Failure> 
             )?;
             finish(out, path)?;
             writeln!(messages(&[path]), "wrote {}", path.display())?;
-            outcome(faulty)
+            outcome(found)
         }
     }
 }
@@ -126,28 +126,42 @@ enum Asked<'s> {
     Marginals(MarginalOptions),
 }
 
-fn outcome(faulty: bool) -> Result<(), Failure> {
-    if faulty { Err(Failure::Reported) } else { Ok(()) }
+/// What was faulty, from the least to the most important.
+#[derive(Clone, Copy, PartialEq, Eq, PartialOrd, Ord)]
+enum Faulty {
+    Nothing,
+    /// The question, for some scene.
+    Question,
+    Scene,
+}
+
+fn outcome(found: Faulty) -> Result<(), Failure> {
+    match found {
+        Faulty::Nothing => Ok(()),
+        // The diagnostics have been printed beside their scenes.
+        Faulty::Question => Err(Failure::option([])),
+        Faulty::Scene => Err(Failure::Reported),
+    }
 }
 
 /// Answers every scene. Writes `{"error": [diagnostics]}` for a faulty one, so that answers stay aligned with scenes.
-/// Notes the first scene for which the dense executor gave up. Returns whether any scene was faulty.
+/// Notes the first scene for which the dense executor gave up. Returns what was faulty.
 fn answer_all(
     inference: &mut Inference,
     mut scenes: SceneLines,
     asked: Asked<'_>,
     (out, unwritable): (&mut dyn Write, &dyn Fn(io::Error) -> Failure),
-) -> Result<bool, Failure> {
-    let (mut faulty, mut noted) = (false, false);
+) -> Result<Faulty, Failure> {
+    let (mut found, mut noted) = (Faulty::Nothing, false);
     while let Some(SceneLine { number, sources, scene }) = scenes.next()? {
         let answer = match (scene, asked) {
             (Err(fault), _) => Err(vec![fault]),
             (Ok(source), Asked::Marginals(options)) => {
-                let found = inference.marginals(&sources, source, options, &Cancel::never());
-                let line = match found {
-                    Ok(found) => found.to_json(),
+                let marginals = inference.marginals(&sources, source, options, &Cancel::never());
+                let line = match marginals {
+                    Ok(marginals) => marginals.to_json(),
                     Err(faults) => {
-                        faulty = true;
+                        found = Faulty::Scene;
                         report(&faults, &sources);
                         json!({ "error": to_json(&faults, &sources) })
                     }
@@ -173,7 +187,10 @@ fn answer_all(
                 }
                 let written = match explained {
                     Err((faults, rules)) => {
-                        faulty = true;
+                        found = found.max(match asked {
+                            Asked::Explanation(question, _) if are_in(&faults, question) => Faulty::Question,
+                            _ => Faulty::Scene,
+                        });
                         report(&faults, rules);
                         writeln!(out, "{}", json!({ "error": to_json(&faults, rules) }))
                     }
@@ -186,12 +203,18 @@ fn answer_all(
                 written.map_err(unwritable)?;
             }
             Err(faults) => {
-                faulty = true;
+                found = Faulty::Scene;
                 let answer = json!({ "error": to_json(&advised(&faults), &sources) });
                 writeln!(out, "{answer}").map_err(unwritable)?;
                 report(&faults, &sources);
             }
         }
     }
-    Ok(faulty)
+    Ok(found)
+}
+
+/// Returns whether all faults are in a source.
+fn are_in(faults: &[Diagnostic], source: SourceId) -> bool {
+    let place = |fault: &Diagnostic| fault.primary.as_ref().map(|label| label.span.source);
+    faults.iter().all(|fault| place(fault) == Some(source))
 }

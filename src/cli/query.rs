@@ -160,6 +160,7 @@ pub fn run(arguments: &Arguments, sources: &mut Sources) -> Result<(), Failure> 
     let mut out = io::BufWriter::new(terminal::results(question.is_none() || arguments.json));
     if let (Some((fact, name, question)), Some(workspace)) = (question, workspace) {
         let asked = (question, sources.add(format!("<{name}>"), fact));
+        (workspace.fact(sources, asked.1, session.symbols())).map_err(Failure::option)?;
         return fact::explain(&mut out, asked, &workspace, &session, sources, arguments.json);
     }
     outputs::write(&mut out, &session, arguments, &inputs)?;

@@ -187,12 +187,15 @@ fn load(
         && let Some(mut tick) = reader.tick()?
     {
         if tick.tick >= from {
-            let set = replay.set(&tick);
-            if explain == Explain::Other && set.is_ok() {
-                for (agent, fired) in tick.agents.iter_mut().zip(replay.fired()) {
-                    agent.clauses = fired;
+            let set = replay.set(&tick).and_then(|()| match explain {
+                Explain::Other => {
+                    for (agent, fired) in tick.agents.iter_mut().zip(replay.fired()) {
+                        agent.clauses = fired;
+                    }
+                    Ok(())
                 }
-            }
+                Explain::Recorded => replay.verify(&tick),
+            });
             set.and_then(|()| page.push(&replay, &tick, sources))
                 .map_err(|fault| reader.placed(fault))?;
             shown += 1;

@@ -101,6 +101,15 @@ fn precedence(node: &YamlNode, known: &[(&str, Action)], faults: &mut Vec<Diagno
     let names: Vec<String> = known.iter().map(|(name, _)| format!("`{name}`")).collect();
     let message = format!("expected each of {} exactly once", names.join(", "));
     let mut fault = Diagnostic::new(codes::INVALID_VALUE, message).at(node.span, "");
+    let again = items
+        .iter()
+        .enumerate()
+        .filter(|(at, _)| order[..*at].contains(&order[*at]));
+    for (at, item) in again {
+        let name = known.iter().find(|(_, action)| *action == order[at]);
+        fault = fault.also(item.span, "a second time");
+        fault = fault.help(format!("remove the second `{}`", name.expect("it was read").0));
+    }
     let is_missing = |(_, action): &&(&str, Action)| !action.is_standard() && !order.contains(action);
     for (name, _) in known.iter().filter(is_missing) {
         fault = fault.help(format!(

@@ -174,11 +174,18 @@ pub(super) fn of_own_kind(
     let [(key, value)] = entries.as_slice() else {
         return None;
     };
-    if kinds.own().is_empty() || key.text != "kind" {
+    if key.text != "kind" {
         return None;
     }
     let names: Vec<(&str, KindId)> = kinds.all().map(|kind| (kinds.name(kind), kind)).collect();
     let Some(kind) = choice(value, &names, faults) else {
+        if let (Value::Scalar { text, .. }, Some(fault)) = (&value.value, faults.last_mut())
+            && fault.help.is_empty()
+        {
+            fault.help.push(format!(
+                "define the kind: `kinds: {{{text}: {{of: Car}}}}`, or `of: Pedestrian`"
+            ));
+        }
         return Some(None);
     };
     if kind.is_standard() {

@@ -635,7 +635,8 @@ fn group(
     let count = fields
         .optional("count")
         .map_or(Some(1), |node| integer(node, 1..=MAX_AGENTS, faults));
-    fields.close(faults);
+    let help = "write `priority: 1`, for example: of two cars, the one with the smaller number goes first";
+    fields.close_with((kind == AgentKind::Car).then_some(help), faults);
     let (concepts, priority, count) = (concepts?, priority?, count?);
     let own = own.map(|name| name.as_str().to_owned());
     let concepts: Arc<[String]> = own

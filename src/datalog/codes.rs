@@ -53,7 +53,7 @@ crate::diagnostic_codes! {
     SUBSUMED_CLAUSE = "subsumed-clause", Warning;
     /// A clause equal to another up to variable names and the order of literals.
     DUPLICATE_CLAUSE = "duplicate-clause", Warning;
-    /// A clause that never fires, because a predicate it needs is always empty.
+    /// A clause that never fires, because a predicate it needs is always empty or its probability is 0.
     DEAD_CLAUSE = "dead-clause", Warning;
     /// A feature of Soufflé, or a declaration of a task, that is accepted and has no effect here.
     IGNORED = "ignored", Warning;

@@ -31,18 +31,24 @@ pub(super) fn contains(outer: PixelBox, inner: PixelBox) -> bool {
     overlap(outer, inner).cast_unsigned() == inner.width * inner.height
 }
 
-/// Returns `C12` for `Car_12`, `P3` for `Pedestrian_3`, else the shortened name.
+/// Returns `C12` for `Car_12`, `P3` for `Pedestrian_3`, `Cyc3` for `Cyclist_3` of an own kind, else the shortened name.
 fn short(sprite: &Sprite<'_>, longest: usize) -> String {
-    let number = sprite
-        .name
-        .strip_prefix(sprite.kind.name())
-        .and_then(|rest| rest.strip_prefix('_'));
-    match number {
-        Some(number) if !number.is_empty() && number.len() < longest && number.bytes().all(|b| b.is_ascii_digit()) => {
-            format!("{}{number}", &sprite.kind.name()[..1])
-        }
+    let kind = sprite.kind_name.unwrap_or(sprite.kind.name());
+    let prefix = match sprite.kind_name {
+        Some(own) => own_prefix(own),
+        None => &kind[..1],
+    };
+    let number = sprite.name.strip_prefix(kind).and_then(|rest| rest.strip_prefix('_'));
+    let is_number = |text: &&str| !text.is_empty() && text.bytes().all(|byte| byte.is_ascii_digit());
+    match number.filter(is_number) {
+        Some(number) if prefix.len() + number.len() <= longest => format!("{prefix}{number}"),
         _ => one_line(sprite.name, longest),
     }
+}
+
+/// Returns the begin of the labels of a kind that a configuration defines: three letters of its name.
+pub(super) fn own_prefix(kind: &str) -> &str {
+    kind.char_indices().nth(3).map_or(kind, |(end, _)| &kind[..end])
 }
 
 /// Returns the text without control characters, truncated with an ellipsis to `most` characters.

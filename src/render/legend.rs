@@ -5,7 +5,7 @@ use crate::city::{Action, ActionTable, AgentKind, Building};
 use crate::render::class::{Class, Facing};
 use crate::render::ground::{MID_LINE, PAINT, Texture, roof};
 use crate::render::icon::Icons;
-use crate::render::label::{TEXT, one_line};
+use crate::render::label::{TEXT, one_line, own_prefix};
 use crate::render::picture::PixelBox;
 use crate::render::picture::{Picture, Rgb};
 use crate::render::sprite::Sprite;
@@ -251,7 +251,11 @@ pub(super) fn draw_agents(
                 column.row(&format!("and {left_over} more"), None, |_, _, _| {});
                 break;
             }
-            let name = kind_name.map_or_else(|| class.to_string(), str::to_owned);
+            let name = match (kind_name, labels) {
+                (None, _) => class.to_string(),
+                (Some(own), None) => (*own).to_owned(),
+                (Some(own), Some(_)) => format!("{own} {}1, ..", own_prefix(own)),
+            };
             let name = capitalised(&one_line(&name, NAME));
             column.row(&name, Some(*count), |picture, x, y| {
                 let size = match kind {

@@ -144,7 +144,7 @@ fn infer_explains_facts_of_scenes() {
     let wrong = run(&["infer", "--config", "easy", "--why", "IsAtInter(her)"], scene);
     fails(
         &wrong,
-        1,
+        2,
         &["error[invalid-fact]: there is no agent `her`", "--why:1:11"],
     );
     assert!(out(&wrong).contains("\"error\""), "{}", out(&wrong));

@@ -488,7 +488,7 @@ fn query_explains_a_fact() {
     assert_eq!(printed["nodes"][0]["holds"], "Path(1, 2)");
     let (_, err, code) = query(&["--explain", "Path(1, two)"]);
     assert!(
-        code == 1 && err.contains("<--explain>:1:9") && err.contains("error[invalid-fact]"),
+        code == 2 && err.contains("<--explain>:1:9") && err.contains("error[invalid-fact]"),
         "{err}"
     );
     let (_, err, code) = query(&["--json"]);

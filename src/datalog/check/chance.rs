@@ -89,7 +89,7 @@ fn declaration(place: Place) -> Decl {
     }
 }
 
-/// Reports constants that are no probabilities, and aggregates.
+/// Reports constants that are no probabilities or 0, and aggregates.
 fn check(clause: &Clause, faults: &mut Faults) {
     let mut sum = Some(0.0);
     for probability in &clause.probabilities {
@@ -99,6 +99,19 @@ fn check(clause: &Clause, faults: &mut Faults) {
             _ => None,
         };
         sum = sum.zip(constant).map(|(sum, constant)| sum + constant);
+        if constant == Some(0.0) {
+            let what = match clause.probabilities.len() {
+                1 => "clause never fires",
+                _ => "alternative is never drawn",
+            };
+            let fault = Diagnostic::new(codes::DEAD_CLAUSE, format!("this {what}: its probability is 0"));
+            faults.push(
+                fault
+                    .at(probability.place.0, "")
+                    .help("remove it, or write a higher probability"),
+            );
+            continue;
+        }
         let fault = match constant {
             Some(constant) if !(0.0..=1.0).contains(&constant) => {
                 Diagnostic::new(codes::INVALID_PROBABILITY, "a probability is at least 0 and at most 1").help(

@@ -93,9 +93,9 @@ impl Unsupported {
         match self.construct {
             Construct::Recursion(_) => Some("write out the steps if chains have a bounded length"),
             Construct::Columns(_) => Some("use predicates of one or two columns"),
-            Construct::Constant => {
-                Some("give the agent a concept in the configuration and test that, instead of naming the agent")
-            }
+            Construct::Constant => Some(
+                "if the constant names an agent, give the agent a concept in the configuration and test that instead",
+            ),
             Construct::Aggregate(AggregateOp::Count) => {
                 Some("count the agents that a predicate relates to one agent, and compare the count with constants")
             }

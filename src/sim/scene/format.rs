@@ -13,6 +13,7 @@ use indexmap::IndexMap;
 use indexmap::map::Entry;
 use serde::Deserialize;
 use serde::de::{self, Deserializer, MapAccess, Visitor};
+use serde_json::error::Category;
 use serde_json::value::RawValue;
 use std::collections::HashMap;
 use std::fmt;
@@ -246,6 +247,18 @@ fn all<T>(results: impl Iterator<Item = Read<T>>) -> Read<Vec<T>> {
     let mut faults = Vec::new();
     let values: Vec<T> = results.filter_map(|result| keep(&mut faults, result)).collect();
     if faults.is_empty() { Ok(values) } else { Err(faults) }
+}
+
+/// Returns the position at which the JSON value begins that ends with the text.
+fn value_start(text: &str) -> usize {
+    match text.strip_suffix('"') {
+        Some(inside) => inside.rfind('"').unwrap_or(inside.len()),
+        None => {
+            let is_scalar = |char: char| char.is_ascii_alphanumeric() || matches!(char, '.' | '-' | '+');
+            let start = text.trim_end_matches(is_scalar).len();
+            start.min(text.len().saturating_sub(1))
+        }
+    }
 }
 
 /// Returns the value, or adds its errors to `faults`.
@@ -661,13 +674,23 @@ impl<'a> Reader<'a> {
             let lines_before = json.split('\n').take(error.line().saturating_sub(1));
             let byte = lines_before.map(|line| line.len() + 1).sum::<usize>() + error.column().saturating_sub(1);
             let start = offset + byte.min(json.len());
-            let span = if error.column() == 0 {
-                offset..offset + json.len()
-            } else {
-                start..start + 1
+            let span = match error.classify() {
+                _ if error.column() == 0 => offset..offset + json.len(),
+                // The position is that of the last character of a value of the wrong type.
+                Category::Data => offset + value_start(&json[..(byte + 1).min(json.len())])..start + 1,
+                _ => start..start + 1,
             };
             let fault = Diagnostic::new(codes::INVALID_SCENE, format!("not a scene: {}", json_error(&error)));
-            vec![fault.at(Span::new(self.source, span), "").help(HELP)]
+            let fault = fault.at(Span::new(self.source, span), "");
+            let before = json[..byte.min(json.len())].trim_end();
+            let fault = match error.classify() {
+                Category::Eof => fault.help("a scene is one line; `jq -c . FILE` writes an object without line breaks"),
+                Category::Syntax if before.ends_with(',') => {
+                    fault.help("remove the comma: in JSON none stands after the last value")
+                }
+                _ => fault,
+            };
+            vec![fault.help(HELP)]
         })
     }
 

@@ -325,6 +325,31 @@ impl Replay {
         Ok(())
     }
 
+    /// Checks that the rules derive from the loaded state what a tick of the same rules records.
+    ///
+    /// # Errors
+    /// `trace-mismatch`, without a source position.
+    pub fn verify(&self, tick: &TraceTick) -> Result<(), Diagnostic> {
+        let table = self.world.vocabulary.actions();
+        for (position, (agent, state)) in self.agents.iter().zip(&tick.agents).enumerate() {
+            let derived = self.derived(position);
+            if derived.iter().map(|action| table.name(action)).eq(state.derived.iter()) {
+                continue;
+            }
+            let found: Vec<&str> = derived.iter().map(|action| table.name(action)).collect();
+            let message = format!(
+                "the state of tick {} gives {} [{}], but the trace has [{}]",
+                tick.tick,
+                agent.id,
+                found.join(", "),
+                state.derived.join(", ")
+            );
+            let fault = Diagnostic::new(codes::TRACE_MISMATCH, message);
+            return Err(fault.help("the trace was changed after the run; record the run again"));
+        }
+        Ok(())
+    }
+
     /// Reads a row of a hidden predicate about earlier ticks, with the tick that explains it; `None` if it is none.
     fn given_past(&self, row: &[GivenTerm], arity: usize) -> Option<([u32; 2], u64)> {
         let (tick, agents) = row.split_last()?;

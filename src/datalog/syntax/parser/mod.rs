@@ -420,6 +420,12 @@ impl<'a> Parser<'a> {
             ("=", Kind::Greater) => Some("the head of a clause comes first: `A(x) :- B(x).`"),
             (">", _) if self.at > 0 && self.previous().kind == Kind::Equal => Some("\"at least\" is written `>=`"),
             ("is", _) => Some("equality is written `=`"),
+            ("::", _) if self.at > 0 && self.slice(self.previous()) == "%" => {
+                Some("a probability is a number from 0 to 1: `0.3 ::` for 30 percent")
+            }
+            (")" | "." | "]" | "}" | ":-", _) if self.at > 0 && self.previous().kind == Kind::Comma => {
+                Some("remove the comma, or write what should follow it")
+            }
             ("mod" | "MOD", _) => Some("the remainder is written `%`, as in `n % 4 = 3`"),
             _ => None,
         }

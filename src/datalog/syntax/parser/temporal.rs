@@ -134,6 +134,11 @@ impl Parser<'_> {
 
     /// Reads a number of ticks.
     fn ticks(&mut self) -> Parse<u32> {
+        if self.token().kind == Kind::Minus {
+            let help =
+                "a window counts ticks backward from the present one, which is 0: `[1,5]` are the five before it";
+            return Err(self.expected_with("a number of ticks", Some(help)));
+        }
         let token = self.wanted(Kind::Number, "a number of ticks")?;
         match u32::try_from(self.number(token)) {
             Ok(ticks) if ticks <= WINDOW_MAX => Ok(ticks),
