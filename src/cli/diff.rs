@@ -146,6 +146,7 @@ fn in_city(rules: Rules, theory: Option<&CityTheory>) -> Rules {
         None => rules,
         Some(theory) => Rules {
             constraints: theory.constraints(&rules).of_agents,
+            functions: theory.functions(&rules),
             ..rules
         },
     }

@@ -38,6 +38,7 @@ mod route;
 mod run;
 mod scenes;
 mod schema;
+mod shortcuts;
 mod signals;
 mod terminal;
 mod trace;
@@ -78,6 +79,8 @@ enum Command {
     Fmt(fmt::Arguments),
     /// Compare two rule sets: prove them equivalent or print a minimal counterexample
     Diff(diff::Arguments),
+    /// Count the confusions of concepts that rules cannot tell apart, and print what would
+    Shortcuts(shortcuts::Arguments),
     /// Run a Datalog program on facts files, compatible with Soufflé
     Query(query::Arguments),
     /// Develop a Datalog program interactively: add and retract facts and rules, query, explain
@@ -231,6 +234,7 @@ fn run(mut command: clap::Command, arguments: &[OsString]) -> u8 {
         Command::Run(arguments) => run::run(&arguments, &mut sources),
         Command::New(arguments) => new::run(&arguments),
         Command::Check(arguments) => check::run(&arguments, &mut sources),
+        Command::Shortcuts(arguments) => shortcuts::run(&arguments, &mut sources),
         Command::Fmt(arguments) => fmt::run(&arguments, &mut sources),
         Command::Diff(arguments) => diff::run(&arguments, &mut sources).map(|differs| code = differs),
         Command::Query(arguments) => query::run(&arguments, &mut sources),

@@ -5,7 +5,7 @@ use crate::shipped_world::{MODES, world};
 use crate::written_program::program;
 use logicity::city::{Action, ActionTable, Split};
 use logicity::datalog::diff::{Cut, Difference, Equivalence, Options, diff};
-use logicity::datalog::{BaseType, Column, PredicateId, Value};
+use logicity::datalog::{BaseType, Column, Function, PredicateId, Value};
 use logicity::datalog::{Program, constraints};
 use logicity::diag::{Sources, render};
 use logicity::files::read_text;
@@ -67,6 +67,47 @@ fn scene(text: &str, pair: [Action; 2]) -> String {
         Finding::Together { scene, .. } => scene_json(&scene, &[program(&text).rules()]).to_string(),
         other => panic!("{other:?}"),
     }
+}
+
+/// An agent has one value of a quantity, and headings are no agents.
+#[test]
+fn quantities_are_functions() {
+    let pair = [Action::Slow, Action::Stop];
+    let find = |slow: &str, stop: &str| {
+        let mut rules = program(&rules(&format!(
+            ".decl Heading(x: agent, h: symbol) .input Heading\n.decl Waited(x: agent, n: number) .input Waited\n\
+             Slow(X) :- {slow}.\nStop(X) :- {stop}."
+        )))
+        .rules()
+        .clone();
+        let headings = ["Up", "Down", "Left", "Right"].map(str::to_owned).to_vec();
+        rules.functions = [("Heading", Some(headings)), ("Waited", None)]
+            .map(|(name, symbols)| {
+                let predicate = rules.predicate(name).unwrap();
+                Function { predicate, symbols }
+            })
+            .to_vec();
+        let found = conflicts(&rules, &ActionTable::default()).unwrap();
+        found
+            .into_iter()
+            .find(|overlap| overlap.actions == pair)
+            .unwrap()
+            .finding
+    };
+    let entities = |slow: &str, stop: &str| match find(slow, stop) {
+        Finding::Together { scene, .. } => scene.entities,
+        other => panic!("{slow}, {stop}: {other:?}"),
+    };
+    let is_found = |slow: &str, stop: &str| matches!(find(slow, stop), Finding::Together { .. });
+    let up = "IsCar(X), Heading(X, \"Up\")";
+    assert_eq!(entities(up, "IsAtInter(X), Heading(X, h)"), ["e0"]);
+    assert!(!is_found(up, "Heading(X, \"Left\"), IsAtInter(X)"));
+    assert!(!is_found(up, "Heading(X, h), h != \"Up\""));
+    // With numbers, `check` tries scenes one by one.
+    let waits = |range: &str| format!("{up}, Waited(X, n), n {range}");
+    assert_eq!(entities(&waits("> 3"), "Waited(X, n), n < 5, Heading(X, h)"), ["e0"]);
+    assert!(!is_found(&waits("> 3"), "Waited(X, n), n < 2"));
+    assert!(!is_found(&waits("> 3"), "Waited(X, n), n < 5, Heading(X, \"Left\")"));
 }
 
 /// Numbers are numbers, and what follows from earlier ticks is no fact of the scene.

@@ -23,6 +23,7 @@ mod rewrite;
 #[path = "../root.rs"]
 mod root;
 mod rule_files;
+mod shortcuts;
 mod souffle;
 mod temporal;
 mod written_program;

@@ -145,6 +145,29 @@ const DIFF: &[Case] = &[
     ("diff rules/expert.dl rules/hard.dl > /dev/full", 2, "standard output"),
 ];
 
+const SHORTCUTS: &[Case] = &[
+    ("shortcuts", 2, "RULES"),
+    ("shortcuts missing.dl", 2, "missing.dl"),
+    ("shortcuts folder", 2, "folder"),
+    ("shortcuts latin1.dl", 1, "not-text"),
+    ("shortcuts nul.dl", 1, "nul.dl"),
+    ("shortcuts large.dl", 1, "rule file too large"),
+    ("shortcuts deep-parentheses.dl", 1, "limit-exceeded"),
+    ("shortcuts hrad", 2, "hrad"),
+    ("shortcuts rules/easy.dl --config hrad", 2, "hrad"),
+    ("shortcuts easy --entities 0", 2, "0"),
+    (
+        "shortcuts easy --entities 99999999999999999999",
+        2,
+        "99999999999999999999",
+    ),
+    ("shortcuts expert --entities 9", 2, "9"),
+    ("shortcuts easy --effort -1", 2, "-1"),
+    ("shortcuts easy --limit 0", 2, "0"),
+    ("shortcuts easy --concepts ''", 2, "concept"),
+    ("shortcuts easy > /dev/full", 2, "standard output"),
+];
+
 const QUERY: &[Case] = &[
     ("query", 2, "RULES"),
     ("query missing.dl", 2, "missing.dl"),
@@ -187,15 +210,15 @@ const QUERY: &[Case] = &[
     ("query zero.dl", 2, "it is a device"),
     ("query good.dl -D - > /dev/full", 2, "standard output"),
     ("query good.dl --explain", 2, "--explain"),
-    ("query good.dl --explain ''", 1, "error"),
-    ("query good.dl --explain 'A('", 1, "error"),
-    ("query good.dl --explain 'B(1)'", 1, "B"),
-    ("query good.dl --explain 'A(99999999999999999999)'", 1, "error"),
-    ("query good.dl --explain 'A(1), A(2)'", 1, "error"),
+    ("query good.dl --explain ''", 2, "error"),
+    ("query good.dl --explain 'A('", 2, "error"),
+    ("query good.dl --explain 'B(1)'", 2, "B"),
+    ("query good.dl --explain 'A(99999999999999999999)'", 2, "error"),
+    ("query good.dl --explain 'A(1), A(2)'", 2, "error"),
     ("query good.dl --explain \"$(printf 'A(\\377)')\"", 2, "UTF-8"),
     (
         "query good.dl --why-not \"$(head -c 100000 /dev/zero | tr '\\0' '(')\"",
-        1,
+        2,
         "error",
     ),
     ("query good.dl --explain 'A(1)' --why-not 'A(1)'", 2, "cannot be used"),
@@ -1218,8 +1241,9 @@ const ASK: &[Case] = &[
     ),
 ];
 
-const ALL: [&[Case]; 15] = [
-    CHECK, FORMAT, DIFF, QUERY, REPL, INFER, RUN, TRACES, TASKS, PICTURES, BENCH, SERVER, INDUCE, POPPER, ASK,
+const ALL: [&[Case]; 16] = [
+    CHECK, FORMAT, DIFF, SHORTCUTS, QUERY, REPL, INFER, RUN, TRACES, TASKS, PICTURES, BENCH, SERVER, INDUCE, POPPER,
+    ASK,
 ];
 
 /// The fixtures, written once and copied for each thread.

@@ -33,5 +33,6 @@ mod repository;
 mod root;
 #[path = "../city/shipped_world.rs"]
 mod shipped_world;
+mod shortcuts;
 #[cfg(unix)]
 mod terminal;

@@ -43,8 +43,8 @@ use std::borrow::Cow;
 pub use chance::Draw;
 pub(crate) use rules::bind_all;
 pub use rules::{
-    Atom, Clause, ClauseId, Column, Constraint, DeclaredConstraint, Directive, Literal, Past, PastOperator, Predicate,
-    PredicateId, RowFormat, RowPlace, Rules, Stratum, Term, Type, TypeId, VarId,
+    Atom, Clause, ClauseId, Column, Constraint, DeclaredConstraint, Directive, Function, Literal, Past, PastOperator,
+    Predicate, PredicateId, RowFormat, RowPlace, Rules, Stratum, Term, Type, TypeId, VarId,
 };
 #[cfg(feature = "optimizer")]
 pub(crate) use subsets::Budget;
@@ -114,6 +114,7 @@ pub(crate) fn check(
         clauses,
         symbols: checked.symbols,
         constraints,
+        functions: Vec::new(),
         pasts,
         chance,
     };

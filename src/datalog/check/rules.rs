@@ -499,12 +499,23 @@ pub struct Rules {
     pub strata: Vec<Stratum>,
     /// The declared integrity constraints, in source order.
     pub constraints: Vec<DeclaredConstraint>,
+    /// What the caller knows of base predicates with values. Loading leaves it empty; comparisons of rules read it.
+    pub functions: Vec<Function>,
     /// The symbols of all constants.
     pub symbols: Symbols,
     /// The memory of earlier ticks that temporal operators read.
     pub pasts: Vec<Past>,
     /// The hidden predicate that draws read, if clauses have probabilities. Its row is the word of the tick.
     pub chance: Option<PredicateId>,
+}
+
+/// A base predicate whose last column is a function of the others.
+#[derive(Clone, Debug, PartialEq, Eq)]
+pub struct Function {
+    /// The predicate.
+    pub predicate: PredicateId,
+    /// The symbols in the range of the function, which name no entity; `None` if the last column has numbers.
+    pub symbols: Option<Vec<String>>,
 }
 
 /// A hidden predicate whose rows follow from earlier ticks. Before the first tick, no row of any predicate held.

@@ -1,9 +1,10 @@
 //! The integrity constraints that hold in a city: declared ones that its configuration confirms, and further ones that
 //! follow from the definitions of predicates and from the agents.
 
-use crate::datalog::{Constraint, DeclaredConstraint, Literal, PredicateId, Rules};
+use crate::city::Heading;
+use crate::datalog::{Constraint, DeclaredConstraint, Function, Literal, PredicateId, Rules};
 use crate::diag::{Diagnostic, Span};
-use crate::predicate::{Definition, Static};
+use crate::predicate::{Definition, Static, Unit};
 use crate::sim::codes;
 use crate::sim::scene::judge::Verdict;
 use crate::sim::scene::theory::{CityTheory, Known, KnownInputs};
@@ -43,6 +44,19 @@ impl CityTheory {
         }
         self.derive(rules, &inputs, &mut found);
         found.constraints
+    }
+
+    /// Returns the predicates of the rules that the configuration defines as quantities.
+    pub fn functions(&self, rules: &Rules) -> Vec<Function> {
+        let quantities = self.scenario.predicates.iter().filter_map(|predicate| {
+            let unit = predicate.definition.unit()?;
+            let symbols = || Heading::ALL.map(|heading| heading.name().to_owned()).to_vec();
+            Some(Function {
+                predicate: rules.predicate(&predicate.name.value)?,
+                symbols: (unit == Unit::Heading).then(symbols),
+            })
+        });
+        quantities.collect()
     }
 
     fn contradiction(

@@ -2,6 +2,7 @@
 
 use crate::city::{Action, ActionTable, AgentKind, AgentSet, KindId};
 use crate::config::ActionsConfig;
+use crate::datalog::diff::Difference;
 use crate::datalog::optimize::{self, Lints};
 use crate::datalog::{
     self, Atom, Clause, ClauseId, Constraint, DeclaredConstraint, Literal, Predicate, PredicateId, Rules, Term, TypeId,
@@ -9,7 +10,7 @@ use crate::datalog::{
 };
 use crate::diag::{Diagnostic, Faults, MAX_FAULTS, Sources, Span, did_you_mean, listed};
 use crate::sim::codes;
-use crate::sim::scene::conflict::{Finding, Overlap};
+use crate::sim::scene::conflict::{Finding, Overlap, earlier_facts};
 use crate::sim::scene::empty::empty_predicates;
 use crate::sim::scene::theory::CityTheory;
 use crate::symbol::Symbol;
@@ -46,8 +47,10 @@ pub struct Examined {
 /// Without a configuration, the declared constraints count, collisions are announced by the predicate of the shipped
 /// vocabulary, and only the rules alone are judged.
 pub fn examine(rules: &Rules, city: Option<&CityTheory>, sources: &Sources) -> Examined {
+    let functions = city.map_or_else(Vec::new, |city| city.functions(rules));
     let given = |constraints: &[DeclaredConstraint]| Rules {
         constraints: constraints.to_vec(),
+        functions: functions.clone(),
         ..rules.clone()
     };
     let (mut by_definition, mut in_city) = (rules.clone(), rules.clone());
@@ -256,7 +259,7 @@ fn agent_constants<'r>(
 /// action wins. There is no warning if the losing action is derived by default only.
 pub fn conflict_lints(overlaps: &[Overlap], rules: &Rules, actions: &ActionsConfig) -> Vec<Diagnostic> {
     let together = overlaps.iter().filter_map(|overlap| match &overlap.finding {
-        Finding::Together { clauses, .. } => Some((overlap, clauses)),
+        Finding::Together { clauses, scene } => Some((overlap, clauses, scene)),
         Finding::Excluded { .. } | Finding::NotFound(_) => None,
     });
     let decided = decided_actions(rules, &actions.table);
@@ -264,8 +267,8 @@ pub fn conflict_lints(overlaps: &[Overlap], rules: &Rules, actions: &ActionsConf
         let predicate = rules.predicate(actions.table.name(action));
         predicate.is_none_or(|predicate| !decided.contains(&predicate))
     };
-    let together = together.filter(|(overlap, _)| !is_default(overlap.loser(&actions.priority)));
-    let lint = |(overlap, clauses): (&Overlap, &[ClauseId; 2])| {
+    let together = together.filter(|(overlap, ..)| !is_default(overlap.loser(&actions.priority)));
+    let lint = |(overlap, clauses, scene): (&Overlap, &[ClauseId; 2], &Difference)| {
         let spans = clauses.map(|clause| rules.clauses[clause.index()].span);
         let (winner, loser) = (overlap.winner(&actions.priority), overlap.loser(&actions.priority));
         let span_of = |action| spans[usize::from(action != overlap.actions[0])];
@@ -283,6 +286,13 @@ pub fn conflict_lints(overlaps: &[Overlap], rules: &Rules, actions: &ActionsConf
             .at(span_of(loser), format!("this clause derives {loses}"))
             .also(span_of(winner), format!("this one derives {wins}"))
             .note("`actions.priority` of the configuration is the order of precedence");
+        let lint = match earlier_facts(scene, rules).as_slice() {
+            [] => lint,
+            earlier => lint.note(format!(
+                "the example needs earlier ticks that make {} hold; whether there are such ticks is not decided",
+                listed(earlier)
+            )),
+        };
         let others = (actions.of_kinds.iter()).filter(|own| overlap.winner(&own.priority) != winner);
         let others: Vec<&str> = others.map(|own| own.name.as_str()).collect();
         let lint = match others.is_empty() {

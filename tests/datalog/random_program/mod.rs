@@ -213,6 +213,7 @@ impl Genome {
             clauses: Vec::new(),
             strata: Vec::new(),
             constraints: Vec::new(),
+            functions: Vec::new(),
             pasts: Vec::new(),
             chance: None,
             symbols,

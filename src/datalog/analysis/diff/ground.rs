@@ -4,7 +4,8 @@
 //! gates are shared, so clauses that differ only in names and order cost nothing, and equal rules are equivalent by
 //! construction.
 
-use crate::analysis::diff::pair::{Individual, ScopeRows, Side};
+use crate::analysis::diff::confusion::{Confusion, Image};
+use crate::analysis::diff::pair::{Functions, Individual, ScopeRows, Side};
 use crate::analysis::diff::sat::{Lit, Outcome, Solver};
 use crate::check::{Atom, Clause, Constraint, DeclaredConstraint, Literal, PredicateId, Term, VarId};
 use crate::syntax::ast::{BaseType, Comparison};
@@ -20,6 +21,7 @@ pub(super) type BaseFact = (usize, Vec<usize>);
 pub(super) struct Circuit<'a> {
     sides: [&'a Side<'a>; 2],
     individuals: &'a [Individual],
+    functions: &'a Functions,
     view: ScopeRows,
     pub(super) solver: Solver,
     yes: Lit,
@@ -42,6 +44,10 @@ pub(super) struct Circuit<'a> {
     pub(super) literals_left: usize,
     /// The number of derived facts being expanded, each for the one before.
     depth: usize,
+    /// What the second side reads in place of concepts.
+    pub(super) confusion: Option<&'a Confusion>,
+    /// The facts of the scene, if they do not vary.
+    pub(super) fixed: Option<&'a BTreeSet<BaseFact>>,
 }
 
 /// Maximum length of a chain of derived facts, and maximum number of variables in a clause. The expansion recurses over
@@ -49,18 +55,20 @@ pub(super) struct Circuit<'a> {
 const DEPTH_MAX: usize = 64;
 
 impl<'a> Circuit<'a> {
-    pub(super) fn new(
+    /// Creates a circuit that adds to the formula of a solver.
+    pub(super) fn over(
+        mut solver: Solver,
         sides: [&'a Side<'a>; 2],
-        individuals: &'a [Individual],
+        (individuals, functions): (&'a [Individual], &'a Functions),
         view: ScopeRows,
         literals_left: usize,
     ) -> Self {
-        let mut solver = Solver::new();
         let yes = solver.fresh();
         solver.add(&[yes]);
         Circuit {
             sides,
             individuals,
+            functions,
             view,
             solver,
             yes,
@@ -74,12 +82,19 @@ impl<'a> Circuit<'a> {
             switch_of: [Vec::new(), Vec::new()],
             literals_left,
             depth: 0,
+            confusion: None,
+            fixed: None,
         }
+    }
+
+    /// Returns the solver with the formula.
+    pub(super) fn into_solver(self) -> Solver {
+        self.solver
     }
 
     // --- gates
 
-    fn all(&mut self, mut inputs: Vec<Lit>) -> Lit {
+    pub(super) fn all(&mut self, mut inputs: Vec<Lit>) -> Lit {
         inputs.sort_unstable();
         inputs.dedup();
         inputs.retain(|&input| input != self.yes);
@@ -113,6 +128,11 @@ impl<'a> Circuit<'a> {
     pub(super) fn differ(&mut self, a: Lit, b: Lit) -> Lit {
         let (left, right) = (self.all(vec![a, !b]), self.all(vec![!a, b]));
         self.any(vec![left, right])
+    }
+
+    /// Returns the gate that is true.
+    pub(super) fn yes(&self) -> Lit {
+        self.yes
     }
 
     /// Returns whether the gate is known to be false.
@@ -226,6 +246,32 @@ impl<'a> Circuit<'a> {
         let Some(base) = program.base[predicate.index()] else {
             return Ok(!self.yes);
         };
+        if let Some(confusion) = self.confusion.filter(|_| side == 1)
+            && let Some(concept) = confusion.bases.iter().position(|(known, _)| *known == base)
+        {
+            let choices = &confusion.choices[concept];
+            self.literals_left = self.literals_left.checked_sub(choices.len()).ok_or(TooLarge)?;
+            let mut ways = Vec::new();
+            for &(image, chosen) in choices {
+                let value = match image {
+                    Image::Constant(true) => self.yes,
+                    Image::Constant(false) => !self.yes,
+                    Image::Concept { position, negated } => {
+                        let value = self.base(0, confusion.bases[position].1, row)?;
+                        if negated { !value } else { value }
+                    }
+                };
+                ways.push(self.all(vec![chosen, value]));
+            }
+            return Ok(self.any(ways));
+        }
+        let fits = |(column, &at): (usize, &usize)| match &self.individuals[at] {
+            Individual::Symbol(text) => self.functions.allow(base, column, row.len(), text),
+            Individual::Number(_) => true,
+        };
+        if !row.iter().enumerate().all(fits) {
+            return Ok(!self.yes);
+        }
         let sees = match self.view {
             ScopeRows::Full => true,
             ScopeRows::Selves => row.iter().all(|&entity| entity == row[0]),
@@ -239,6 +285,9 @@ impl<'a> Circuit<'a> {
             return Ok(known);
         }
         self.literals_left = self.literals_left.checked_sub(1).ok_or(TooLarge)?;
+        if let Some(facts) = self.fixed {
+            return Ok(if facts.contains(&key) { self.yes } else { !self.yes });
+        }
         let fresh = self.solver.fresh();
         self.asked.push(key.clone());
         self.atoms.insert(key, fresh);
@@ -453,7 +502,9 @@ impl<'a> Circuit<'a> {
     /// Adds the constraints of both sides to the circuit, for all facts in it and those in the source.
     pub(super) fn constraints(&mut self) -> Result<(), TooLarge> {
         let sides = self.sides;
-        for (side, program) in sides.into_iter().enumerate() {
+        // What perception reports meets no constraint.
+        let constrained = if self.confusion.is_some() { 1 } else { 2 };
+        for (side, program) in sides.into_iter().enumerate().take(constrained) {
             let mut facts: Vec<&(PredicateId, Vec<usize>)> = program.facts.iter().collect();
             facts.sort_unstable();
             for (predicate, row) in facts {
@@ -465,7 +516,9 @@ impl<'a> Circuit<'a> {
             }
             for (at, DeclaredConstraint { domain, .. }) in program.rules.constraints.iter().enumerate() {
                 if domain.iter().any(|(predicate, _)| program.scopes.contains(predicate)) {
-                    for value in self.of(BaseType::Symbol) {
+                    let (individuals, functions) = (self.individuals, self.functions);
+                    let is_entity = |at: &usize| !functions.have_value(&individuals[*at]);
+                    for value in self.of(BaseType::Symbol).filter(is_entity) {
                         self.within(side, at, value, Vec::new())?;
                     }
                 }
@@ -480,7 +533,7 @@ impl<'a> Circuit<'a> {
         let mut queue: Vec<BaseFact> = self.atoms.keys().cloned().collect();
         while let Some((base, row)) = queue.get(done).cloned() {
             done += 1;
-            for (side, predicates) in predicates.iter().enumerate() {
+            for (side, predicates) in predicates.iter().enumerate().take(constrained) {
                 if let Some(&predicate) = predicates.get(&base) {
                     self.constrain(side, predicate, &row)?;
                 }
@@ -491,7 +544,24 @@ impl<'a> Circuit<'a> {
             queue.extend(more.iter().cloned());
             self.asked.extend(more);
         }
+        self.require_functions();
         Ok(())
+    }
+
+    /// Requires that the rows of functions differ in more than the last column.
+    fn require_functions(&mut self) {
+        let mut before: Vec<(BaseFact, Lit)> = Vec::new();
+        for ((base, row), &lit) in &self.atoms {
+            let Some((_, key)) = row.split_last().filter(|_| self.functions.include(*base)) else {
+                continue;
+            };
+            // Atoms are sorted, so equal keys follow each other.
+            before.retain(|((other, known), _)| other == base && known[..] == *key);
+            for (_, other) in &before {
+                self.solver.add(&[!*other, !lit]);
+            }
+            before.push(((*base, key.to_vec()), lit));
+        }
     }
 
     /// Adds the constraints of one side that concern a fact.

@@ -17,9 +17,11 @@
 
 mod bound;
 mod canonical;
+mod confusion;
 mod ground;
 mod pair;
 mod sat;
+pub mod shortcuts;
 mod trial;
 mod unsat_core;
 
@@ -32,8 +34,8 @@ use crate::symbol::{Symbol, Symbols};
 use crate::syntax::ast::BaseType;
 use crate::value::Value;
 use ground::{BaseFact, Circuit, TooLarge};
-use pair::{Individual, Output, Pair, ScopeRows, Side};
-use sat::{Lit, Outcome};
+use pair::{Functions, Individual, Output, Pair, ScopeRows, Side};
+use sat::{Lit, Outcome, Solver};
 use std::collections::{BTreeSet, HashMap, HashSet};
 
 pub use unsat_core::unsat_core;
@@ -160,7 +162,7 @@ pub fn diff(left: &Rules, right: &Rules, options: &Options) -> Result<Equivalenc
             return Ok(same);
         }
         let models = models(&pair, options.entities_max, &mut budget);
-        return trial::search([left, right], &pair.base, &pair.outputs, options, &models);
+        return trial::search(&pair, [left, right], options, &models);
     }
     let (proof, mut cut) = bound::proof(&pair);
     if proof.is_none_or(|proof| proof > options.entities_max) && canonical::same_clauses(&pair) {
@@ -267,11 +269,12 @@ struct Scenes<'a> {
     entities: usize,
     individuals: Vec<Individual>,
     sides: [Side<'a>; 2],
+    functions: &'a Functions,
 }
 
 impl<'a> Scenes<'a> {
-    fn new(pair: &Pair<'a>, entities: usize) -> Scenes<'a> {
-        let individuals = individuals([&pair.sides[0], &pair.sides[1]], entities);
+    fn new(pair: &'a Pair<'_>, entities: usize) -> Scenes<'a> {
+        let individuals = individuals([&pair.sides[0], &pair.sides[1]], entities, &pair.functions);
         let [left, right] = &pair.sides;
         let sides = [left, right].map(|side| Side {
             facts: source_facts(side, &individuals),
@@ -281,7 +284,14 @@ impl<'a> Scenes<'a> {
             entities,
             individuals,
             sides,
+            functions: &pair.functions,
         }
+    }
+
+    /// Returns an empty circuit for these scenes that adds to the formula of a solver.
+    fn over(&self, solver: Solver, view: ScopeRows, literals_left: usize) -> Circuit<'_> {
+        let sides = [&self.sides[0], &self.sides[1]];
+        Circuit::over(solver, sides, (&self.individuals, self.functions), view, literals_left)
     }
 
     /// Returns a circuit for these scenes with one condition for each output row that may differ.
@@ -299,7 +309,7 @@ impl<'a> Scenes<'a> {
         budget: &mut Remaining,
     ) -> Result<(Circuit<'_>, Vec<Question>), Cut> {
         let most = LITERALS_MAX.min(budget.literals_left);
-        let mut circuit = Circuit::new([&self.sides[0], &self.sides[1]], &self.individuals, view, most);
+        let mut circuit = self.over(Solver::new(), view, most);
         if let Some(switches) = switches {
             circuit.add_switches(switches);
         }
@@ -355,10 +365,10 @@ fn search(
     }))
 }
 
-/// Returns the interchangeable entities, then the constants of both sides. Numbers are included only if a column has
-/// them.
-fn individuals(sides: [&Side<'_>; 2], entities: usize) -> Vec<Individual> {
-    let mut constants: BTreeSet<Individual> = BTreeSet::new();
+/// Returns the interchangeable entities, then the constants of both sides and the symbols that functions yield. Numbers
+/// are included only if a column has them.
+fn individuals(sides: [&Side<'_>; 2], entities: usize, functions: &Functions) -> Vec<Individual> {
+    let mut constants: BTreeSet<Individual> = functions.symbols().cloned().map(Individual::Symbol).collect();
     let mut numbers = false;
     for side in sides {
         for predicate in &side.rules.predicates {
@@ -561,7 +571,10 @@ fn describe(pair: &Pair<'_>, view: ScopeRows, model: &Model) -> Difference {
     }));
     let mut shown: Vec<usize> = Vec::new();
     for index in order {
-        if !shown.contains(&index) && individuals[index].base() == BaseType::Symbol {
+        if !shown.contains(&index)
+            && individuals[index].base() == BaseType::Symbol
+            && !pair.functions.have_value(&individuals[index])
+        {
             shown.push(index);
         }
     }

@@ -7,7 +7,7 @@ use crate::diag::{Diagnostic, did_you_mean};
 use crate::symbol::Symbol;
 use crate::syntax::ast::BaseType;
 use crate::value::Value;
-use std::collections::{BTreeSet, HashMap, HashSet};
+use std::collections::{BTreeMap, BTreeSet, HashMap, HashSet};
 
 /// Two rule sets, prepared for the search.
 pub(super) struct Pair<'a> {
@@ -16,6 +16,7 @@ pub(super) struct Pair<'a> {
     pub(super) sides: [Side<'a>; 2],
     /// The rows of scopes for which to search, in this order.
     pub(super) views: Vec<ScopeRows>,
+    pub(super) functions: Functions,
 }
 
 impl<'a> Pair<'a> {
@@ -36,6 +37,7 @@ impl<'a> Pair<'a> {
             true => ScopeRows::Selves,
             false => ScopeRows::Free,
         };
+        let functions = Functions::new([left, right], &base);
         let is_scoped = sides.iter().any(|side| !side.scopes.is_empty());
         Ok(Pair {
             base,
@@ -46,7 +48,54 @@ impl<'a> Pair<'a> {
             } else {
                 vec![open]
             },
+            functions,
         })
+    }
+}
+
+/// The base predicates whose last column is a function of the others.
+#[derive(Default)]
+pub(super) struct Functions {
+    /// By position among the shared base predicates: the symbols in their range, if it has symbols.
+    ranges: BTreeMap<usize, Option<Vec<String>>>,
+}
+
+impl Functions {
+    pub(super) fn new(rules: [&Rules; 2], base: &[Base]) -> Functions {
+        let mut ranges = BTreeMap::new();
+        for (rules, function) in rules
+            .iter()
+            .flat_map(|rules| rules.functions.iter().map(move |function| (rules, function)))
+        {
+            let name = &rules.predicates[function.predicate.index()].name;
+            if let Some(position) = base.iter().position(|base| base.name == *name) {
+                ranges.insert(position, function.symbols.clone());
+            }
+        }
+        Functions { ranges }
+    }
+
+    /// Returns the symbols in the ranges. They are no entities.
+    pub(super) fn symbols(&self) -> impl Iterator<Item = &String> {
+        self.ranges.values().flatten().flatten()
+    }
+
+    /// Returns whether a value is a symbol in a range.
+    pub(super) fn have_value(&self, value: &Individual) -> bool {
+        matches!(value, Individual::Symbol(text) if self.symbols().any(|known| known == text))
+    }
+
+    /// Returns whether a predicate is one of them.
+    pub(super) fn include(&self, base: usize) -> bool {
+        self.ranges.contains_key(&base)
+    }
+
+    /// Returns whether a symbol can stand in a column of a base predicate with this many columns.
+    pub(super) fn allow(&self, base: usize, column: usize, columns: usize, symbol: &str) -> bool {
+        match self.ranges.get(&base) {
+            Some(Some(range)) if column + 1 == columns => range.iter().any(|known| known == symbol),
+            _ => self.symbols().all(|known| known != symbol),
+        }
     }
 }
 

@@ -6,7 +6,7 @@
 //! scenes at random and shrinks one that shows a difference. All limits are counts, so the result is reproducible.
 
 use crate::analysis::constraints;
-use crate::analysis::diff::pair::{Base, Output, relevant};
+use crate::analysis::diff::pair::{Base, Functions, Output, Pair, relevant};
 use crate::analysis::diff::{Difference, Equivalence, Model, Options};
 use crate::check::{Constraint, DeclaredConstraint, Literal, PredicateId, Rules, Term};
 use crate::diag::Diagnostic;
@@ -74,6 +74,7 @@ struct Trial<'a> {
     sessions: [Session; 2],
     base: &'a [Base],
     outputs: &'a [Output],
+    functions: &'a Functions,
     /// The columns of each base predicate.
     columns: Vec<Vec<BaseType>>,
     /// The base predicates whose facts vary between scenes.
@@ -102,13 +103,12 @@ enum Level {
 
 /// Searches for a difference within the limits of the options, first in the scenes of the models.
 pub(super) fn search(
+    pair: &Pair<'_>,
     rules: [&Rules; 2],
-    base: &[Base],
-    outputs: &[Output],
     options: &Options,
     models: &[Model],
 ) -> Result<Equivalence, Vec<Diagnostic>> {
-    let mut trial = Trial::new(rules, base, outputs)?;
+    let mut trial = Trial::new(rules, pair)?;
     for model in models {
         let names = trial.names(model.entities);
         let text = |&index: &usize| {
@@ -175,7 +175,8 @@ pub(super) fn search(
 }
 
 impl<'a> Trial<'a> {
-    fn new(rules: [&Rules; 2], base: &'a [Base], outputs: &'a [Output]) -> Result<Self, Vec<Diagnostic>> {
+    fn new(rules: [&Rules; 2], pair: &'a Pair<'_>) -> Result<Self, Vec<Diagnostic>> {
+        let (base, outputs) = (&pair.base[..], &pair.outputs[..]);
         let session = |rules: &Rules| -> Result<Session, Vec<Diagnostic>> {
             let program = Program::new(rules.clone()).map_err(|fault| vec![fault])?;
             let mut session = program.session();
@@ -210,6 +211,7 @@ impl<'a> Trial<'a> {
             sessions,
             base,
             outputs,
+            functions: &pair.functions,
             columns: columns.collect(),
             relevant: relevant(rules, base, outputs),
             scopes: (0..base.len()).filter(|&one| guards(&base[one])).collect(),
@@ -246,14 +248,31 @@ impl<'a> Trial<'a> {
         (0..entities).map(|number| format!("{prefix}{number}")).collect()
     }
 
-    /// Returns the values of a column.
-    fn values(&self, base: BaseType, names: &[String]) -> Vec<String> {
-        let constants = self.constants.iter().filter(|(of, _)| *of == base);
+    /// Returns the values of a column of a base predicate.
+    fn values(&self, (predicate, column): (usize, usize), names: &[String]) -> Vec<String> {
+        let columns = &self.columns[predicate];
+        let constants = self.constants.iter().filter(|(of, _)| *of == columns[column]);
         let constants = constants.map(|(_, text)| text.clone());
-        match base {
-            BaseType::Symbol => names.iter().cloned().chain(constants).collect(),
+        match columns[column] {
+            BaseType::Symbol => {
+                let symbols = names.iter().chain(self.functions.symbols()).cloned().chain(constants);
+                let allowed = |text: &String| self.functions.allow(predicate, column, columns.len(), text);
+                let mut known = BTreeSet::new();
+                symbols
+                    .filter(allowed)
+                    .filter(|text| known.insert(text.clone()))
+                    .collect()
+            }
             _ => constants.collect(),
         }
+    }
+
+    /// Returns whether no two rows of a function differ in the last column only.
+    fn are_functions(&self, facts: &[Fact]) -> bool {
+        let mut keys = BTreeSet::new();
+        facts.iter().all(|(predicate, row)| {
+            !self.functions.include(*predicate) || keys.insert((predicate, &row[..row.len().saturating_sub(1)]))
+        })
     }
 
     /// Returns the predicates whose facts vary.
@@ -266,8 +285,8 @@ impl<'a> Trial<'a> {
         let mut possible = Vec::new();
         for predicate in self.open() {
             let mut rows: Vec<Vec<String>> = vec![Vec::new()];
-            for &base in &self.columns[predicate] {
-                let values = self.values(base, names);
+            for column in 0..self.columns[predicate].len() {
+                let values = self.values((predicate, column), names);
                 if rows.len().saturating_mul(values.len()) > FACTS_MAX {
                     return None;
                 }
@@ -341,9 +360,9 @@ impl<'a> Trial<'a> {
             let Some(&predicate) = open.get(random.random_range(0..open.len().max(1))) else {
                 break;
             };
-            let row: Option<Vec<String>> = (self.columns[predicate].iter())
-                .map(|&base| {
-                    let values = self.values(base, &names);
+            let row: Option<Vec<String>> = (self.columns[predicate].iter().enumerate())
+                .map(|(column, &base)| {
+                    let values = self.values((predicate, column), &names);
                     let number: i32 = random.random_range(-100..=100);
                     match base {
                         BaseType::Number if random.random_ratio(1, 4) => Some(number.to_string()),
@@ -422,6 +441,9 @@ impl<'a> Trial<'a> {
     fn differs(&mut self, facts: &[Fact], entities: usize) -> bool {
         self.tried += 1;
         self.spent += 1;
+        if !self.are_functions(facts) {
+            return false;
+        }
         let wanted = self.complete(facts, entities);
         let changes: Vec<(Fact, bool)> = (self.held.difference(&wanted).map(|fact| (fact.clone(), false)))
             .chain(wanted.difference(&self.held).map(|fact| (fact.clone(), true)))
@@ -501,7 +523,7 @@ impl<'a> Trial<'a> {
         for (predicate, row) in ordered {
             let symbols = self.columns[predicate].iter().zip(&row);
             for (_, text) in symbols.filter(|(base, _)| **base == BaseType::Symbol) {
-                if !names.contains(text) {
+                if !names.contains(text) && self.functions.symbols().all(|known| known != text) {
                     names.push(text.clone());
                 }
             }

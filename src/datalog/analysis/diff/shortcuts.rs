@@ -1,0 +1,593 @@
+//! Reasoning shortcuts: confusions of concepts that rules cannot tell apart.
+//!
+//! Perception that learns through rules is corrected only where a decision is wrong. So it may confuse concepts in any
+//! way that leaves all decisions as they are: Marconato et al., Not all neuro-symbolic concepts are created equal, 2023.
+//! A [map](Map) says what perception reports in place of each concept.
+//!
+//! Two searches in one propositional formula count the maps. Variables choose the image of each concept, and others the
+//! facts of a scene. While some map changes a decision in some scene, that scene becomes a condition on the maps. When
+//! no pair is left, every map that meets the conditions changes no decision, and the maps are enumerated.
+
+use crate::analysis::diff::confusion::Confusion;
+use crate::analysis::diff::ground::{Circuit, TooLarge};
+use crate::analysis::diff::pair::{Pair, ScopeRows, relevant};
+use crate::analysis::diff::sat::{Lit, Outcome, Solver};
+use crate::analysis::diff::{
+    BaseFact, Difference, Model, Options, Scenes, derived_rows, describe, has_circuit, shrink,
+};
+use crate::check::{Atom, Clause, ClauseId, Literal, PredicateId, Rules, Term, VarId};
+use crate::codes;
+use crate::diag::{Diagnostic, listed};
+use crate::syntax::ast::BaseType;
+use std::collections::BTreeSet;
+
+pub use crate::analysis::diff::confusion::Image;
+
+/// The maps to count. Concepts have images over as many entities.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub enum Maps {
+    /// Each concept is the image of one.
+    Permutations,
+    /// Permutations whose images may be negated.
+    Signed,
+    /// Any images: concepts may merge, or be constant.
+    All,
+}
+
+impl Maps {
+    /// All kinds of maps, each with those before.
+    pub const ALL: [Maps; 3] = [Maps::Permutations, Maps::Signed, Maps::All];
+
+    /// Returns the name of the kind.
+    pub fn name(self) -> &'static str {
+        match self {
+            Maps::Permutations => "permutations",
+            Maps::Signed => "signed",
+            Maps::All => "all",
+        }
+    }
+}
+
+/// The maximum number of literals instantiated for scenes of all sizes together.
+const LITERALS_MAX: usize = 4_000_000;
+
+/// The maps to count, and the limits.
+#[derive(Clone, Debug)]
+pub struct ShortcutOptions {
+    /// The maps.
+    pub maps: Maps,
+    /// The concepts that perception may confuse, by name; all that the rules read if empty.
+    pub concepts: Vec<String>,
+    /// The maximum number of entities in a scene, at least 1.
+    pub entities_max: usize,
+    /// The maximum number of conflicts in all searches, which bounds the time without a clock.
+    pub conflicts_max: u64,
+    /// The maximum number of maps to list.
+    pub maps_max: usize,
+}
+
+impl Default for ShortcutOptions {
+    /// All maps, three entities, a million conflicts and 10,000 maps.
+    fn default() -> Self {
+        ShortcutOptions {
+            maps: Maps::All,
+            concepts: Vec::new(),
+            entities_max: 3,
+            conflicts_max: 1_000_000,
+            maps_max: 10_000,
+        }
+    }
+}
+
+/// A confusion of concepts that changes no decision.
+#[derive(Clone, Debug, PartialEq, Eq)]
+pub struct Map {
+    /// The image of each concept.
+    pub images: Vec<Image>,
+    /// For each concept, whether its image differs from it in some scene. The constraints may exclude that.
+    pub confused: Vec<bool>,
+}
+
+impl Map {
+    /// Returns whether the images are the concepts, in all scenes.
+    pub fn is_same(&self) -> bool {
+        !self.confused.contains(&true)
+    }
+}
+
+/// The maps that change no decision.
+#[derive(Clone, Debug, PartialEq, Eq)]
+pub struct Shortcuts {
+    /// The concepts that perception may confuse.
+    pub concepts: Vec<PredicateId>,
+    /// The inputs that no decision depends on; perception may report them in any way.
+    pub unread: Vec<PredicateId>,
+    /// The maps, the identity among them, ordered.
+    pub maps: Vec<Map>,
+    /// Whether these are all maps: otherwise the search reached a limit.
+    pub complete: bool,
+}
+
+/// A scene in which a map changes the decision of the first entity.
+#[derive(Clone, Debug, PartialEq, Eq)]
+pub struct Witness {
+    /// The scene; `derived` has what follows from the concepts and from their images.
+    pub scene: Difference,
+    /// The decisions by the concepts and by their images; `None` without one.
+    pub decisions: [Option<PredicateId>; 2],
+}
+
+/// Counts the maps of concepts that change no decision in scenes of at most some entities, each of which sees all.
+/// `order` has the actions in order of precedence: the first that is derived is the decision.
+///
+/// # Errors
+/// If a concept is not one that the rules read, or if they have expressions, aggregates, floats or unsigned numbers.
+pub fn shortcuts(
+    rules: &Rules,
+    order: &[PredicateId],
+    options: &ShortcutOptions,
+) -> Result<Shortcuts, Vec<Diagnostic>> {
+    let task = Task::new(rules, order, &options.concepts)?;
+    Ok(task.count(options))
+}
+
+/// Returns a smallest scene in which a map changes the decision of the first entity; `None` if there is none of at most
+/// `entities_max` entities, or the search takes more than `conflicts_max` conflicts.
+///
+/// # Errors
+/// As [`shortcuts`].
+pub fn witness(
+    rules: &Rules,
+    order: &[PredicateId],
+    options: &ShortcutOptions,
+    images: &[Image],
+) -> Result<Option<Witness>, Vec<Diagnostic>> {
+    let task = Task::new(rules, order, &options.concepts)?;
+    Ok(task.witness(options, images))
+}
+
+/// Returns a clause that tells a concept from its image in a map: with it, the map changes a decision. `None` if no
+/// clause of two literals is found.
+///
+/// # Errors
+/// As [`shortcuts`].
+pub fn remedy(
+    rules: &Rules,
+    order: &[PredicateId],
+    options: &ShortcutOptions,
+    (map, concepts): (&Map, &[PredicateId]),
+    concept: usize,
+) -> Result<Option<Clause>, Vec<Diagnostic>> {
+    let arity = rules.predicates[concepts[concept].index()].arity();
+    let span = rules.predicates[concepts[concept].index()].span;
+    let atom = |predicate: PredicateId| Atom {
+        predicate,
+        terms: (0..arity as u32).map(|column| Term::Variable(VarId(column))).collect(),
+        span,
+    };
+    let literal = |predicate: PredicateId, holds: bool| match holds {
+        true => Literal::Positive(atom(predicate)),
+        false => Literal::Negative(atom(predicate)),
+    };
+    let own = concepts[concept];
+    // A variable needs a positive literal: every entity sees itself and all others.
+    let scope = rules
+        .clauses
+        .iter()
+        .flat_map(|clause| &clause.body)
+        .find_map(|literal| match literal {
+            Literal::Guard(atom) => Some(atom.predicate),
+            _ => None,
+        });
+    let seen = scope.map(|predicate| {
+        let second = VarId(arity as u32 - 1);
+        let terms = vec![Term::Variable(VarId(0)), Term::Variable(second)];
+        Literal::Positive(Atom { predicate, terms, span })
+    });
+    let unless = |literals: Vec<Literal>| seen.iter().cloned().chain(literals).collect::<Vec<_>>();
+    let mut bodies: Vec<Vec<Literal>> = match map.images[concept] {
+        Image::Constant(false) => vec![vec![literal(own, true)]],
+        Image::Constant(true) => vec![unless(vec![literal(own, false)])],
+        Image::Concept { position, negated } if position == concept => {
+            debug_assert!(negated, "the concept is confused");
+            vec![vec![literal(own, true)]]
+        }
+        Image::Concept {
+            position,
+            negated: false,
+        } => vec![
+            vec![literal(own, true), literal(concepts[position], false)],
+            vec![literal(concepts[position], true), literal(own, false)],
+        ],
+        Image::Concept {
+            position,
+            negated: true,
+        } => vec![
+            vec![literal(own, true), literal(concepts[position], true)],
+            unless(vec![literal(own, false), literal(concepts[position], false)]),
+        ],
+    };
+    let is_safe = |body: &Vec<Literal>| body.iter().any(|literal| matches!(literal, Literal::Positive(_)));
+    bodies.retain(is_safe);
+    for action in order {
+        for body in &bodies {
+            let clause = Clause {
+                head: Atom {
+                    predicate: *action,
+                    terms: vec![Term::Variable(VarId(0))],
+                    span,
+                },
+                body: body.clone(),
+                variables: ["X", "Y"][..arity].iter().map(|name| (*name).to_owned()).collect(),
+                variable_spans: vec![span; arity],
+                doc: String::new(),
+                span,
+            };
+            let mut more = rules.clone();
+            let Some(stratum) = more
+                .strata
+                .iter_mut()
+                .find(|stratum| stratum.predicates.contains(action))
+            else {
+                continue;
+            };
+            stratum.clauses.push(ClauseId(more.clauses.len() as u32));
+            more.clauses.push(clause.clone());
+            if witness(&more, order, options, &map.images)?.is_some() {
+                return Ok(Some(clause));
+            }
+        }
+    }
+    Ok(None)
+}
+
+/// Rules prepared for the search.
+struct Task<'a> {
+    pair: Pair<'a>,
+    rules: &'a Rules,
+    order: Vec<PredicateId>,
+    /// The concepts: the predicates, their positions among base predicates, and their arities.
+    concepts: Vec<(PredicateId, usize, usize)>,
+    unread: Vec<PredicateId>,
+    view: ScopeRows,
+}
+
+impl<'a> Task<'a> {
+    fn new(rules: &'a Rules, order: &[PredicateId], named: &[String]) -> Result<Task<'a>, Vec<Diagnostic>> {
+        if !has_circuit(rules) {
+            let message = "shortcuts of rules with expressions, aggregates, floats or unsigned numbers are not counted";
+            let fault = Diagnostic::new(codes::UNSUPPORTED, message);
+            return Err(vec![fault.help("count those of the rules without these clauses")]);
+        }
+        let options = Options {
+            predicates: (order.iter())
+                .map(|action| rules.predicates[action.index()].name.clone())
+                .collect(),
+            self_sight: true,
+            ..Options::default()
+        };
+        let pair = Pair::new(rules, rules, &options)?;
+        let read = relevant([rules, rules], &pair.base, &pair.outputs);
+        let side = &pair.sides[0];
+        let (mut concepts, mut unread) = (Vec::new(), Vec::new());
+        for (id, predicate) in (0..).map(PredicateId).zip(&rules.predicates) {
+            let columns = &predicate.columns;
+            let is_fact =
+                (1..=2).contains(&columns.len()) && columns.iter().all(|column| column.base == BaseType::Symbol);
+            let Some(base) = side.base[id.index()].filter(|_| is_fact && !predicate.hidden) else {
+                continue;
+            };
+            if side.scopes.contains(&id) || pair.functions.include(base) {
+                continue;
+            }
+            if read.contains(&base) && is_read(rules, order, id) {
+                concepts.push((id, base, columns.len()));
+            } else {
+                unread.push(id);
+            }
+        }
+        if !named.is_empty() {
+            let name = |id: PredicateId| rules.predicates[id.index()].name.as_str();
+            let known: Vec<&str> = concepts.iter().map(|(id, ..)| name(*id)).collect();
+            if let Some(unknown) = named.iter().find(|wanted| !known.contains(&wanted.as_str())) {
+                let message = format!("`{unknown}` is no concept that the decisions depend on");
+                let fault = Diagnostic::new(codes::UNKNOWN_PREDICATE, message);
+                let known: Vec<String> = known.iter().map(|name| format!("`{name}`")).collect();
+                return Err(vec![fault.note(format!("the concepts are {}", listed(&known)))]);
+            }
+            concepts.retain(|(id, ..)| named.iter().any(|wanted| wanted == name(*id)));
+        }
+        Ok(Task {
+            view: match side.scopes.is_empty() {
+                true => ScopeRows::Selves,
+                false => ScopeRows::Full,
+            },
+            order: order.to_vec(),
+            rules,
+            pair,
+            concepts,
+            unread,
+        })
+    }
+
+    /// Returns the images that a concept may have.
+    fn images(&self, concept: usize, maps: Maps) -> Vec<Image> {
+        let arity = self.concepts[concept].2;
+        let mut images = Vec::new();
+        for (position, (.., other)) in self.concepts.iter().enumerate() {
+            if *other != arity {
+                continue;
+            }
+            images.push(Image::Concept {
+                position,
+                negated: false,
+            });
+            if maps != Maps::Permutations {
+                images.push(Image::Concept {
+                    position,
+                    negated: true,
+                });
+            }
+        }
+        if maps == Maps::All {
+            images.extend([false, true].map(Image::Constant));
+        }
+        images
+    }
+
+    fn confusion(&self, choices: Vec<Vec<(Image, Lit)>>) -> Confusion {
+        let bases = self.concepts.iter().map(|(id, base, _)| (*base, *id)).collect();
+        Confusion { bases, choices }
+    }
+
+    /// Returns whether a map changes the decision of the first entity, as a gate.
+    fn changes(&self, circuit: &mut Circuit<'_>) -> Result<Lit, TooLarge> {
+        let mut decisions: [Vec<Lit>; 2] = [Vec::new(), Vec::new()];
+        for (side, decisions) in decisions.iter_mut().enumerate() {
+            let mut before = Vec::new();
+            for action in &self.order {
+                let derived = circuit.fact(side, *action, &[0])?;
+                let mut all = before.clone();
+                all.push(derived);
+                decisions.push(circuit.all(all));
+                before.push(!derived);
+            }
+        }
+        let [of_concepts, of_images] = decisions;
+        let differing = of_concepts.into_iter().zip(of_images);
+        let differing: Vec<Lit> = differing.map(|(one, other)| circuit.differ(one, other)).collect();
+        Ok(circuit.any(differing))
+    }
+
+    /// Returns for each concept whether its image differs from it in some row, as a gate.
+    fn confuses(&self, circuit: &mut Circuit<'_>, entities: usize) -> Result<Vec<Lit>, TooLarge> {
+        let mut confuses = Vec::with_capacity(self.concepts.len());
+        for (id, _, arity) in &self.concepts {
+            let mut differing = Vec::new();
+            for row in rows(entities, *arity) {
+                let [one, other] = [circuit.fact(0, *id, &row)?, circuit.fact(1, *id, &row)?];
+                differing.push(circuit.differ(one, other));
+            }
+            confuses.push(circuit.any(differing));
+        }
+        Ok(confuses)
+    }
+
+    fn count(&self, options: &ShortcutOptions) -> Shortcuts {
+        let mut result = Shortcuts {
+            concepts: self.concepts.iter().map(|(id, ..)| *id).collect(),
+            unread: self.unread.clone(),
+            maps: Vec::new(),
+            complete: false,
+        };
+        let mut solver = Solver::new();
+        let choices: Vec<Vec<(Image, Lit)>> = (0..self.concepts.len())
+            .map(|concept| {
+                let images = self.images(concept, options.maps).into_iter();
+                images.map(|image| (image, solver.fresh())).collect()
+            })
+            .collect();
+        for images in &choices {
+            let all: Vec<Lit> = images.iter().map(|(_, lit)| *lit).collect();
+            solver.add(&all);
+            at_most_one(&mut solver, &all);
+        }
+        if options.maps != Maps::All {
+            for position in 0..self.concepts.len() {
+                let of = |(image, lit): &(Image, Lit)| {
+                    matches!(image, Image::Concept { position: of, .. } if *of == position).then_some(*lit)
+                };
+                let all: Vec<Lit> = choices.iter().flatten().filter_map(of).collect();
+                at_most_one(&mut solver, &all);
+            }
+        }
+        let confusion = self.confusion(choices);
+        let all_scenes: Vec<Scenes<'_>> = (1..=options.entities_max.max(1))
+            .map(|entities| Scenes::new(&self.pair, entities))
+            .collect();
+        let mut literals_left = LITERALS_MAX;
+        // For each size: whether a decision changes, whether a concept is confused, and the facts.
+        let mut sizes = Vec::new();
+        for scenes in &all_scenes {
+            let mut circuit = scenes.over(solver, self.view, literals_left);
+            circuit.confusion = Some(&confusion);
+            let made = (|| {
+                let changes = self.changes(&mut circuit)?;
+                let confuses = self.confuses(&mut circuit, scenes.entities)?;
+                circuit.constraints()?;
+                Ok((changes, confuses))
+            })();
+            let Ok((changes, confuses)) = made else {
+                let TooLarge = made.unwrap_err();
+                return result;
+            };
+            literals_left = circuit.literals_left;
+            let atoms: Vec<(BaseFact, Lit)> = circuit.atoms.iter().map(|(fact, lit)| (fact.clone(), *lit)).collect();
+            sizes.push((changes, confuses, atoms));
+            solver = circuit.into_solver();
+        }
+        let mut conflicts = options.conflicts_max;
+        for (scenes, (changes, _, atoms)) in all_scenes.iter().zip(&sizes) {
+            loop {
+                match solver.solve(&[*changes], &mut conflicts) {
+                    Outcome::Unsatisfiable => break,
+                    Outcome::Unknown => return result,
+                    Outcome::Satisfiable => {}
+                }
+                let held = atoms.iter().filter(|(_, lit)| solver.is_true(*lit));
+                let facts: BTreeSet<BaseFact> = held.map(|(fact, _)| fact.clone()).collect();
+                let mut circuit = scenes.over(solver, self.view, literals_left);
+                circuit.confusion = Some(&confusion);
+                circuit.fixed = Some(&facts);
+                let changed = self.changes(&mut circuit);
+                literals_left = circuit.literals_left;
+                solver = circuit.into_solver();
+                let Ok(changed) = changed else { return result };
+                solver.add(&[!changed]);
+            }
+        }
+        loop {
+            match solver.solve(&[], &mut conflicts) {
+                Outcome::Unsatisfiable => break,
+                Outcome::Unknown => return result,
+                Outcome::Satisfiable if result.maps.len() >= options.maps_max => return result,
+                Outcome::Satisfiable => {}
+            }
+            let chosen: Vec<(Image, Lit)> = (confusion.choices.iter())
+                .filter_map(|images| images.iter().find(|(_, lit)| solver.is_true(*lit)).copied())
+                .collect();
+            let mut confused = vec![false; chosen.len()];
+            for (concept, confused) in confused.iter_mut().enumerate() {
+                if chosen[concept].0 == identity(concept) {
+                    continue;
+                }
+                for (_, confuses, _) in &sizes {
+                    let mut assumed: Vec<Lit> = chosen.iter().map(|(_, lit)| *lit).collect();
+                    assumed.push(confuses[concept]);
+                    match solver.solve(&assumed, &mut conflicts) {
+                        Outcome::Unsatisfiable => {}
+                        Outcome::Unknown => return result,
+                        Outcome::Satisfiable => *confused = true,
+                    }
+                    if *confused {
+                        break;
+                    }
+                }
+            }
+            let images = chosen.iter().map(|(image, _)| *image).collect();
+            result.maps.push(Map { images, confused });
+            solver.add(&chosen.iter().map(|(_, lit)| !*lit).collect::<Vec<_>>());
+        }
+        let distance = |map: &Map| {
+            let moved = map.images.iter().enumerate();
+            moved.filter(|(at, image)| **image != identity(*at)).count()
+        };
+        result
+            .maps
+            .sort_by(|one, other| (distance(one), &one.images).cmp(&(distance(other), &other.images)));
+        result.complete = true;
+        result
+    }
+
+    fn witness(&self, options: &ShortcutOptions, images: &[Image]) -> Option<Witness> {
+        let mut conflicts = options.conflicts_max;
+        for entities in 1..=options.entities_max.max(1) {
+            let scenes = Scenes::new(&self.pair, entities);
+            let mut circuit = scenes.over(Solver::new(), self.view, LITERALS_MAX);
+            let yes = circuit.yes();
+            let confusion = self.confusion(images.iter().map(|image| vec![(*image, yes)]).collect());
+            circuit.confusion = Some(&confusion);
+            let changes = self.changes(&mut circuit).ok()?;
+            circuit.constraints().ok()?;
+            if circuit.is_no(changes) {
+                continue;
+            }
+            circuit.solver.add(&[changes]);
+            match circuit.solver.solve(&[], &mut conflicts) {
+                Outcome::Unsatisfiable => continue,
+                Outcome::Unknown => return None,
+                Outcome::Satisfiable => {}
+            }
+            let smallest = shrink(&mut circuit, &mut conflicts);
+            let facts: Vec<BaseFact> = (circuit.atoms.iter())
+                .filter(|(_, lit)| circuit.solver.is_true(**lit))
+                .map(|(fact, _)| fact.clone())
+                .collect();
+            drop(circuit);
+            let model = Model {
+                individuals: scenes.individuals,
+                entities,
+                row: vec![0],
+                facts,
+                smallest,
+            };
+            return Some(self.described(&model, images));
+        }
+        None
+    }
+
+    /// Describes a scene, with what follows from the concepts and from their images.
+    fn described(&self, model: &Model, images: &[Image]) -> Witness {
+        let mut scene = describe(&self.pair, self.view, model);
+        let holds: BTreeSet<&BaseFact> = model.facts.iter().collect();
+        let is_concept = |base: usize| self.concepts.iter().any(|(_, known, _)| *known == base);
+        let mut reported: Vec<BaseFact> = (model.facts.iter())
+            .filter(|(base, _)| !is_concept(*base))
+            .cloned()
+            .collect();
+        for ((_, base, arity), image) in self.concepts.iter().zip(images) {
+            for row in rows(model.entities, *arity) {
+                let value = match *image {
+                    Image::Constant(value) => value,
+                    Image::Concept { position, negated } => {
+                        holds.contains(&(self.concepts[position].1, row.clone())) != negated
+                    }
+                };
+                if value {
+                    reported.push((*base, row));
+                }
+            }
+        }
+        let shown: Vec<usize> = (0..model.entities).collect();
+        let individuals = &model.individuals;
+        scene.derived[1] = derived_rows(&self.pair, 1, individuals, &reported, (&scene.everybody_sees, &shown));
+        let name = individuals[0].shown();
+        let decision = |rows: &[(String, Vec<String>)]| {
+            self.order.iter().copied().find(|action| {
+                let action = &self.rules.predicates[action.index()].name;
+                rows.iter().any(|(of, row)| of == action && row[..] == [name.clone()])
+            })
+        };
+        Witness {
+            decisions: [0, 1].map(|side: usize| decision(&scene.derived[side])),
+            scene,
+        }
+    }
+}
+
+/// Returns the image of a concept that is not confused.
+pub fn identity(position: usize) -> Image {
+    Image::Concept {
+        position,
+        negated: false,
+    }
+}
+
+/// Returns whether the clauses of an action read a predicate, directly or through others.
+fn is_read(rules: &Rules, order: &[PredicateId], predicate: PredicateId) -> bool {
+    order.iter().any(|action| rules.depends_on(*action, predicate))
+}
+
+/// Returns all rows over the first entities.
+fn rows(entities: usize, arity: usize) -> impl Iterator<Item = Vec<usize>> {
+    let digit = move |row: usize, at: usize| row / entities.pow(at as u32) % entities;
+    (0..entities.pow(arity as u32)).map(move |row| (0..arity).map(|at| digit(row, at)).collect())
+}
+
+fn at_most_one(solver: &mut Solver, all: &[Lit]) {
+    for (at, one) in all.iter().enumerate() {
+        for other in &all[at + 1..] {
+            solver.add(&[!*one, !*other]);
+        }
+    }
+}
