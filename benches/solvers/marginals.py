@@ -4,6 +4,9 @@
 configuration. In each, some of the base atoms are uncertain. Every figure is CPU time on one thread: that of
 `logicity infer --marginals` contains reading and printing JSON, that of ProbLog (Fierens et al. 2015) parsing,
 grounding and compiling its program, without which it has no answer.
+
+With `--layer`, `logicity.torch.RuleLayer` computes them, too, forward and backward: of scenes that it sees for the first
+time, and of the same ones again. It needs the Python package with its extra `learn`.
 """
 
 from __future__ import annotations
@@ -104,6 +107,53 @@ def ours(logicity: Logicity, path: Path) -> tuple[list[dict[str, float]], float]
     return [answer["egos"][EGO]["derived"] for answer in answers], spent
 
 
+class Layer:
+    """The scenes as tensors of `RuleLayer`."""
+
+    def __init__(self, rules: Path, scenes: Sequence[Scene], doubts: Sequence[Uncertain], scope: str) -> None:
+        import torch
+
+        from logicity.torch import RuleLayer
+
+        torch.set_num_threads(1)
+        self.make = lambda: RuleLayer(rules, "exact")
+        layer = self.make()
+        size = len(ENTITIES)
+        unary = torch.zeros(len(scenes), size, len(layer.unary), dtype=torch.float64)
+        binary = torch.zeros(len(scenes), size, size, len(layer.binary), dtype=torch.float64)
+        binary[..., layer.binary.index(scope)] = 1
+        for at, (scene, uncertain) in enumerate(zip(scenes, doubts, strict=True)):
+            known = dict.fromkeys(scene.facts, 1.0) | uncertain
+            for (predicate, row), probability in known.items():
+                places = [ENTITIES.index(entity) for entity in row]
+                if len(places) == 1:
+                    unary[at, places[0], layer.unary.index(predicate)] = probability
+                else:
+                    binary[at, places[0], places[1], layer.binary.index(predicate)] = probability
+        self.inputs = unary.requires_grad_(), binary.requires_grad_()
+        self.egos = [ENTITIES.index(EGO)]
+
+    def derived(self) -> list[dict[str, float]]:
+        """Return the probability of each action in each scene."""
+        layer = self.make()
+        answers, found = layer.degrees(*(each.detach() for each in self.inputs), egos=self.egos)
+        # The rules derive the default exactly if they derive no other action.
+        found[layer.default] = answers[..., layer.actions.index(layer.default)]
+        return [{name: float(each[at, 0]) for name, each in found.items()} for at in range(len(answers))]
+
+    def times(self) -> tuple[float, float]:
+        """Return the CPU time of a decision, in microseconds: of new scenes, and of known ones."""
+        layer, spent = self.make(), []
+        # The first scene, for which the layer prepares the rules, does not count.
+        layer(*(each[:1] for each in self.inputs), egos=self.egos)
+        for _ in range(2):
+            start = time.process_time()
+            answers = layer(*(each[1:] for each in self.inputs), egos=self.egos)
+            answers.sum().backward()
+            spent.append((time.process_time() - start) / len(answers) * 1e6)
+        return spent[0], spent[1]
+
+
 def main() -> None:
     """Check, measure and print."""
     parser = argparse.ArgumentParser(description=__doc__)
@@ -114,6 +164,7 @@ def main() -> None:
     parser.add_argument("--doubts", type=int, default=10, help="uncertain atoms in each scene")
     parser.add_argument("--copies", type=int, default=50, help="how often logicity repeats all scenes in a round")
     parser.add_argument("--seed", type=int, default=0)
+    parser.add_argument("--layer", action="store_true", help="also measure logicity.torch.RuleLayer")
     arguments = parser.parse_args()
     rules, logicity = rule_files.read(arguments.rules), Logicity(arguments.program, arguments.config)
     problog, draw = Problog(rules), random.Random(arguments.seed)
@@ -127,13 +178,17 @@ def main() -> None:
         write(one, written[:1])
         write(all_scenes, written)
         write(many, written * arguments.copies)
+        layer = Layer(arguments.rules, scenes, doubts, rules.scope) if arguments.layer else None
+        answers = [ours(logicity, all_scenes)[0], *([layer.derived()] if layer else [])]
         open_cases = 0
-        for found, text in zip(ours(logicity, all_scenes)[0], texts, strict=True):
+        for *found, text in zip(*answers, texts, strict=True):
             for action, expected in problog.marginals(text).items():
-                if abs(found.get(action, 0.0) - expected) > 1e-9:
-                    raise Refused(f"{action}: logicity {found.get(action, 0.0)}, ProbLog {expected}, in\n{text}")
+                for each in found:
+                    if abs(each.get(action, 0.0) - expected) > 1e-9:
+                        raise Refused(f"{action}: logicity {each.get(action, 0.0)}, ProbLog {expected}, in\n{text}")
                 open_cases += 0.0 < expected < 1.0
         fast, slow = [], []
+        layers: list[tuple[float, float]] = []
         for _ in range(ROUNDS):
             start = time.process_time()
             for text in texts:
@@ -142,11 +197,16 @@ def main() -> None:
             # The start of the program, with the first scene, does not count.
             repeated, first = ours(logicity, many)[1], ours(logicity, one)[1]
             fast.append((repeated - first) / (len(written) * arguments.copies - 1) * 1e6)
+            if layer:
+                layers.append(layer.times())
     what = f"{open_cases} probabilities between 0 and 1, all equal"
     print(f"{len(scenes)} scenes with {arguments.doubts} uncertain atoms; {what}")
     print(f"logicity  {median(fast):10.1f} us a decision ({min(fast):.1f} to {max(fast):.1f})")
     print(f"ProbLog   {median(slow):10.1f} us a decision ({min(slow):.1f} to {max(slow):.1f})")
     print(f"ratio     {median(slow) / median(fast):10.0f}")
+    for name, times in zip(("new", "known"), zip(*layers, strict=True), strict=False):
+        print(f"RuleLayer {median(times):10.1f} us a decision, forward and backward, of {name} scenes")
+        print(f"ratio     {median(slow) / median(times):10.0f}")
 
 
 if __name__ == "__main__":

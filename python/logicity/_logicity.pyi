@@ -13,6 +13,8 @@ __all__ = [
     "checked",
     "check_dataset",
     "check_readable",
+    "CircuitTrace",
+    "Circuits",
     "ConfigFile",
     "decide",
     "describe",
@@ -110,6 +112,31 @@ class Program:
     def plan(self) -> str: ...
 
 def checked(program: Program) -> dict[str, Any]: ...
+
+_Floats: TypeAlias = np.ndarray[Any, np.dtype[np.float64]]
+_Booleans: TypeAlias = np.ndarray[Any, np.dtype[np.bool_]]
+
+@final
+class CircuitTrace:
+    def backward(self, outputs: _Floats) -> tuple[_Floats, _Floats, _Floats]: ...
+
+@final
+class Circuits:
+    def __new__(
+        cls,
+        program: Program,
+        inputs: list[list[int]],
+        order: list[int],
+        queries: list[int],
+        clauses: list[int],
+        limits: tuple[int | None, int],
+    ) -> Circuits: ...
+    def forward(
+        self, unary: _Floats, binary: _Floats, mask: _Booleans | None, egos: list[int], weights: _Floats
+    ) -> tuple[_Floats, CircuitTrace]: ...
+    def proofs(
+        self, unary: _Floats, binary: _Floats, mask: _Booleans | None, decision: tuple[int, int], weights: _Floats
+    ) -> list[tuple[float, list[tuple[bool, str, list[int]]]]]: ...
 
 @final
 class Session:

@@ -45,6 +45,7 @@ fn checked<'py>(py: Python<'py>, program: &PyProgram) -> PyResult<Bound<'py, PyA
             (draw.probabilities.iter()).map(constant).collect::<Vec<Value>>()
         });
         json!({
+            "clause": id.index(),
             "head": atom(&clause.head),
             "body": body.map(|(_, each)| literal(each)).collect::<Vec<Value>>(),
             "probabilities": probabilities,

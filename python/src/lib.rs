@@ -4,6 +4,7 @@
 //! other module registers its classes:
 //!
 //! - `engine`: programs and sessions; `columns`: rows as Python values and numpy arrays;
+//! - `checked`: checked rules for Python code that evaluates them; `circuits`: their exact probabilities, with gradients;
 //! - `city`: scenes and simulations; `config`: configuration files that Python interprets;
 //! - `task`: the task of environments; `episode`: the start of an episode; `env`: environments with one controlled car;
 //!   `actor`: networks that run in environments; `multi_car`: an environment that controls every car; `evaluate`: metrics
@@ -15,6 +16,7 @@
 
 mod actor;
 mod checked;
+mod circuits;
 mod city;
 mod columns;
 mod config;
@@ -427,6 +429,7 @@ fn _logicity(module: &Bound<'_, PyModule>) -> PyResult<()> {
     config::register(module)?;
     engine::register(module)?;
     checked::register(module)?;
+    circuits::register(module)?;
     city::register(module)?;
     output::register(module)?;
     task::register(module)?;

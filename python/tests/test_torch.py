@@ -19,6 +19,7 @@ torch = needs("torch", "learn")
 from logicity.torch import DEFAULT, PRIORITY, RuleLayer  # noqa: E402
 
 SEMANTICS = ("godel", "product", "lukasiewicz")
+EXACT = ("exact", "top-k")
 DECLARED = """
 .type agent <: symbol
 .decl A, B, C(x: agent)
@@ -165,7 +166,7 @@ def by_definition(clauses: list[Clause], arities: dict[str, int], unary: Any, bi
     return {name: torch.tensor(values[name]) for name in arities}
 
 
-@pytest.mark.parametrize("semantics", SEMANTICS)
+@pytest.mark.parametrize("semantics", [*SEMANTICS, *EXACT])
 def test_degrees_0_and_1_are_the_rules(semantics: Any) -> None:
     held = total = 0
     for seed in range(40):
@@ -229,7 +230,7 @@ def test_gradients_are_right_where_facts_are_certain() -> None:
                 assert given.grad[at] == pytest.approx(float(ends[1] - ends[0]))
 
 
-@pytest.mark.parametrize("semantics", SEMANTICS)
+@pytest.mark.parametrize("semantics", [*SEMANTICS, *EXACT])
 def test_windows_of_time_are_those_of_sessions(semantics: Any) -> None:
     compared = 0
     for seed in range(30):
@@ -328,7 +329,7 @@ def test_probabilities_and_weights_are_conjuncts() -> None:
     assert layer.weight_logits.grad.abs().gt(0).tolist() == [True, False, False]
 
 
-@pytest.mark.parametrize("semantics", SEMANTICS)
+@pytest.mark.parametrize("semantics", [*SEMANTICS, *EXACT])
 def test_predicates_may_have_no_column_or_three(semantics: Any) -> None:
     text = (
         DECLARED
@@ -355,14 +356,17 @@ def test_predicates_may_have_no_column_or_three(semantics: Any) -> None:
             assert torch.equal(found[name][at], derived(session, name, arity, 3)), name
 
 
-def test_copies_are_equal() -> None:
-    layer: Any = RuleLayer("rules/expert.dl", learn_weights=True)
+@pytest.mark.parametrize("semantics", ["product", *EXACT])
+def test_copies_are_equal(semantics: Any) -> None:
+    layer: Any = RuleLayer("rules/expert.dl", semantics, learn_weights=True, k=3)
     with torch.no_grad():
         layer.weight_logits.normal_()
-    unary, binary = torch.rand(2, 4, len(layer.unary)), torch.rand(2, 4, 4, len(layer.binary))
+    # Diagrams of two entities about which nothing is certain, with weights, are too large.
+    count = 1 if semantics == "exact" else 4
+    unary, binary = torch.rand(2, count, len(layer.unary)), torch.rand(2, count, count, len(layer.binary))
     for other in (copy.deepcopy(layer), pickle.loads(pickle.dumps(layer))):
         assert torch.equal(other(unary, binary), layer(unary, binary))
-    fresh = RuleLayer("rules/expert.dl", learn_weights=True)
+    fresh = RuleLayer("rules/expert.dl", semantics, learn_weights=True, k=3)
     fresh.load_state_dict(layer.state_dict())
     assert torch.equal(fresh(unary, binary), layer(unary, binary))
 
@@ -372,6 +376,9 @@ def test_recursion_has_a_depth() -> None:
     with pytest.raises(ValueError, match="`P` is recursive: give the `depth`"):
         RuleLayer(Program(text), queries=["P"])
     unary, binary = facts((3, 5), 1, True)
+    # The engine needs no depth.
+    exact: list[Any] = [RuleLayer(Program(text), name, queries=["P"]) for name in ("exact", "top-k")]
+    every = [layer.degrees(unary, binary)[1]["P"] for layer in exact]
     for depth in (1, 2, 4):
         layer = RuleLayer(Program(text), "godel", queries=["P"], depth=depth)
         edges = binary[..., 0] > 0.5
@@ -379,12 +386,15 @@ def test_recursion_has_a_depth() -> None:
         for _ in range(depth - 1):
             reached = edges | ((reached.float() @ edges.float()) > 0)
         assert torch.equal(layer.degrees(unary, binary)[1]["P"] > 0.5, reached)
+        # Paths between five entities have at most four edges.
+        assert depth < 4 or all(torch.equal(each > 0.5, reached) for each in every)
 
 
 @pytest.mark.parametrize("dtype", [torch.bfloat16, torch.float16, torch.float64])
-def test_precisions(dtype: Any) -> None:
-    layer = RuleLayer("rules/expert.dl")
-    unary, binary = torch.rand(2, 4, len(layer.unary)), torch.rand(2, 4, 4, len(layer.binary))
+@pytest.mark.parametrize("semantics", ["product", "exact"])
+def test_precisions(dtype: Any, semantics: Any) -> None:
+    layer = RuleLayer("rules/expert.dl", semantics)
+    unary, binary = torch.rand(2, 2, len(layer.unary)), torch.rand(2, 2, 2, len(layer.binary))
     expected = layer(unary, binary)
     found = layer(unary.to(dtype).requires_grad_(), binary.to(dtype))
     assert found.dtype == dtype
@@ -392,11 +402,13 @@ def test_precisions(dtype: Any) -> None:
     found.sum().backward()
 
 
-@pytest.mark.parametrize("semantics", SEMANTICS)
+@pytest.mark.filterwarnings("ignore:The .grad attribute of a Tensor:UserWarning")
+@pytest.mark.parametrize("semantics", [*SEMANTICS, "exact"])
 def test_compiled_layers_are_equal(semantics: Any) -> None:
     layer = RuleLayer("rules/expert.dl", semantics)
-    unary, binary = torch.rand(2, 4, len(layer.unary)), torch.rand(2, 4, 4, len(layer.binary))
-    compiled = torch.compile(layer, backend="aot_eager", fullgraph=True)
+    unary, binary = torch.rand(2, 2, len(layer.unary)), torch.rand(2, 2, 2, len(layer.binary))
+    # The engine computes exact probabilities, which PyTorch calls between two graphs, about which it may warn.
+    compiled = torch.compile(layer, backend="aot_eager", fullgraph=semantics != "exact")
     given = [(unary.clone().requires_grad_(), run) for run in (layer, compiled)]
     answers = [run(each, binary) for each, run in given]
     torch.testing.assert_close(answers[0], answers[1])
@@ -436,7 +448,7 @@ def test_faulty_arguments_are_reported() -> None:
     ]:
         with pytest.raises(ValueError, match=message):
             layer(*arguments)
-    with pytest.raises(ValueError, match="expected one of godel, product, lukasiewicz, not 'fuzzy'"):
+    with pytest.raises(ValueError, match="expected one of godel, product, lukasiewicz, exact, top-k, not 'fuzzy'"):
         RuleLayer("rules/easy.dl", "fuzzy")  # type: ignore[arg-type]
     with pytest.raises(ValueError, match="no predicate `Halt`"):
         RuleLayer("rules/easy.dl", queries=["Halt"])
@@ -444,3 +456,118 @@ def test_faulty_arguments_are_reported() -> None:
         RuleLayer("rules/easy.dl", queries=["IsCar"])
     with pytest.raises(ValueError, match="depth: expected at least 1"):
         RuleLayer("rules/easy.dl", depth=0)
+
+
+def uncertain_facts(seed: int, count: int, uncertain: int, ticks: tuple[int, ...] = ()) -> tuple[Any, Any]:
+    """Return facts of which some are uncertain, with probabilities from 0.2 to 0.8."""
+    unary, binary = facts((1, *ticks, count), seed, True, torch.float64)
+    generator = torch.Generator().manual_seed(seed)
+    for _ in range(uncertain):
+        for given in (unary, binary):
+            at = tuple(int(torch.randint(length, (), generator=generator)) for length in given.shape)
+            given[at] = 0.2 + 0.6 * torch.rand((), generator=generator, dtype=torch.float64)
+    return unary, binary
+
+
+def marginals(session: Session, name: str, unary: Any, binary: Any) -> dict[tuple[int, ...], float]:
+    """Return the probabilities of the rows of a predicate, by the entities."""
+    uncertain: dict[str, list[tuple[tuple[str, ...], float]]] = {}
+    for given, names in ((unary, UNARY), (binary, BINARY)):
+        for at in itertools.product(*map(range, given.shape)):
+            if given[at] > 0:
+                row = tuple(f"e{entity}" for entity in at[:-1])
+                uncertain.setdefault(names[at[-1]], []).append((row, float(given[at])))
+    found = session.marginals(name, uncertain=uncertain)
+    return {tuple(int(str(entity)[1:]) for entity in row): value for row, value in found.rows[name].items()}
+
+
+@pytest.mark.parametrize("semantics", EXACT)
+def test_exact_degrees_are_marginals(semantics: Any) -> None:
+    compared = 0
+    for seed in range(30):
+        text, _, arities = random_clauses(random.Random(400 + seed))
+        program = Program(text)
+        layer = RuleLayer(program, semantics, queries=arities, k=10_000)
+        unary, binary = uncertain_facts(seed, 3, 3)
+        found = layer.degrees(unary, binary)[1]
+        for name, arity in arities.items():
+            expected = torch.zeros([3] * arity, dtype=torch.float64)
+            for row, value in marginals(Session(program), name, unary[0], binary[0]).items():
+                expected[row] = value
+            torch.testing.assert_close(found[name][0], expected)
+            compared += int(((expected > 0) & (expected < 1)).sum())
+    assert compared > 100
+
+
+@pytest.mark.parametrize("semantics", EXACT)
+@pytest.mark.parametrize("past", [False, True])
+def test_exact_gradients_are_right(semantics: Any, past: bool) -> None:
+    for seed in range(8):
+        text, _, arities = random_clauses(random.Random(500 + seed), past=past)
+        layer: Any = RuleLayer(Program(text), semantics, queries=arities, k=1000, learn_weights=True).double()
+        unary, binary = uncertain_facts(seed, 3, 3, (3,) if layer.temporal else ())
+        places = [(given > 0) & (given < 1) for given in (unary, binary)]
+        free = [given[place].requires_grad_() for given, place in zip((unary, binary), places, strict=True)]
+
+        def run(*parts: Any, layer: Any = layer, given: Any = (unary, binary), places: Any = places) -> Any:
+            full = [
+                each.detach().masked_scatter(place, part)
+                for each, place, part in zip(given, places, parts, strict=False)
+            ]
+            return tuple(layer.degrees(*full)[1].values())
+
+        assert torch.autograd.gradcheck(run, (*free, layer.weight_logits))
+
+
+def test_proofs_are_the_most_probable_reasons() -> None:
+    text = (
+        DECLARED
+        + """.decl Stop(x: agent)
+    .decl Slow(x: agent)
+    S1: Stop(X) :- R(X, Y), Not(B(Y)).
+    S2: Slow(X) :- A(X), Not(Stop(X)).
+    """
+    )
+    layer = RuleLayer(Program(text.replace("S1: ", "").replace("S2: ", "")), "exact")
+    unary, binary = torch.zeros(3, 3), torch.zeros(3, 3, 2)
+    unary[0, 0], unary[1, 1] = 0.9, 0.3
+    binary[0, 1, 0], binary[0, 2, 0] = 0.5, 0.25
+    proofs = layer.proofs(unary, binary, action="Stop")
+    assert [proof.literals for proof in proofs] == [("not B(e1)", "R(e0, e1)"), ("R(e0, e2)",)]
+    assert [proof.probability for proof in proofs] == pytest.approx([0.5 * 0.7, 0.25])
+    best = layer.proofs(unary, binary, action="Slow")[0]
+    assert best.probability == pytest.approx(0.9 * 0.5 * 0.75)
+    assert set(best.literals) == {"A(e0)", "not R(e0, e1)", "not R(e0, e2)"}
+    answer = layer(unary[None], binary[None], egos=[0])[0, 0]
+    assert answer[0].item() == pytest.approx(1 - (1 - 0.5 * 0.7) * 0.75)
+    assert layer.proofs(unary, binary, ego=1, action="Normal")[0].probability == 1
+    with pytest.raises(ValueError, match="action: expected one of Stop, Slow, Fast, Normal, not 'Go'"):
+        layer.proofs(unary, binary, action="Go")
+    with pytest.raises(ValueError, match="ego: there are 3 entities, so 3 does not exist"):
+        layer.proofs(unary, binary, ego=3, action="Stop")
+
+
+def test_kept_circuits_do_not_depend_on_other_scenes() -> None:
+    layer = RuleLayer("rules/expert.dl", "exact")
+    generator = torch.Generator().manual_seed(0)
+    given = []
+    for count in (2, 3, 2, 3):
+        unary = torch.rand(3, count, len(layer.unary), generator=generator).round(decimals=0).double()
+        binary = torch.rand(3, count, count, len(layer.binary), generator=generator).round(decimals=0).double()
+        unary[:, :, 9:] = 0.3 + 0.4 * torch.rand(3, count, 2, generator=generator)
+        given.append((unary, binary, torch.rand(3, count, generator=generator) < 0.8))
+    fresh = [RuleLayer("rules/expert.dl", "exact")(*each) for each in given]
+    for _ in range(2):
+        for each, expected in zip(given, fresh, strict=True):
+            assert torch.equal(layer(*each), expected)
+
+
+def test_large_diagrams_are_refused() -> None:
+    layer = RuleLayer("rules/expert.dl", "exact", nodes_max=100)
+    unary, binary = torch.full((1, 4, len(layer.unary)), 0.5), torch.full((1, 4, 4, len(layer.binary)), 0.5)
+    with pytest.raises(ValueError, match="`nodes_max`.*`top-k`"):
+        layer(unary, binary)
+    with pytest.raises(ValueError, match="k: expected at least 1, not 0"):
+        RuleLayer("rules/easy.dl", "top-k", k=0)
+    with pytest.raises(ValueError, match="nodes_max: expected at least 1, not 0"):
+        RuleLayer("rules/easy.dl", "exact", nodes_max=0)

@@ -3,8 +3,12 @@
 //! Bryant: Graph-based algorithms for Boolean function manipulation, 1986. A formula is a node of a [`Diagrams`], and
 //! equal formulas are the same node. Negation is a bit of the reference to a node, so it costs nothing.
 
+mod circuit;
+
 use std::collections::HashMap;
 use std::hash::{BuildHasherDefault, Hasher};
+
+pub(crate) use circuit::Circuit;
 
 /// A formula: the number of a node, shifted by one, and whether it is negated.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, PartialOrd, Ord, Hash)]
@@ -16,16 +20,23 @@ impl Formula {
     /// Never holds.
     pub const FALSE: Formula = Formula(1);
 
+    /// Returns the formula of a node, negated if `negate`.
+    pub fn new(node: u32, negate: bool) -> Formula {
+        Formula(node << 1 | u32::from(negate))
+    }
+
     /// Returns the negation.
     pub fn not(self) -> Formula {
         Formula(self.0 ^ 1)
     }
 
-    fn node(self) -> usize {
+    /// Returns the number of its node.
+    pub fn node(self) -> usize {
         (self.0 >> 1) as usize
     }
 
-    fn is_negated(self) -> bool {
+    /// Returns whether it is the negation of its node.
+    pub fn is_negated(self) -> bool {
         self.0 & 1 == 1
     }
 

@@ -161,7 +161,10 @@ pub use eval::delta::{Delta, PredicateChange, Rows};
 pub use eval::limits::{EvalError, Limits};
 pub use eval::stats::{EvalEvent, EvalStats, RuleStats, Strategy, StratumStats, WorkCounts};
 pub use eval::workers::Threads;
-pub use marginals::{Inexact, MarginalOptions, Marginals, Probability};
+pub use marginals::{
+    CircuitCompiler, CircuitOptions, FactProof, Inexact, MarginalOptions, Marginals, Probability, ProbabilityCircuit,
+    Variable,
+};
 #[cfg(feature = "optimizer")]
 pub use plan::optimize;
 pub use program::{Options, Program, ProgramError};

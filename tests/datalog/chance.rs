@@ -24,18 +24,18 @@ const DECLARED: &str = ".decl domain(x: symbol)
     .decl k(x: symbol, m: number)\n";
 
 /// The symbols of facts.
-const SYMBOLS: [&str; 2] = ["u", "v"];
+pub const SYMBOLS: [&str; 2] = ["u", "v"];
 
 /// A clause: the probabilities and heads of its alternatives, and its body. A probability is a number or the variable
 /// that the body binds.
 #[derive(Clone, Debug)]
-struct Written {
-    heads: Vec<(Option<&'static str>, &'static str)>,
+pub struct Written {
+    pub heads: Vec<(Option<&'static str>, &'static str)>,
     body: Vec<&'static str>,
 }
 
 impl Written {
-    fn text(&self) -> String {
+    pub fn text(&self) -> String {
         let heads = self.heads.iter().map(|(probability, head)| match probability {
             Some(probability) => format!("{probability} :: {head}"),
             None => (*head).to_owned(),
@@ -64,7 +64,7 @@ impl Written {
 }
 
 /// Clauses in two strata. Every clause binds its variables; `w` gives `x` the probability `p`.
-fn clauses() -> impl Generator<Value = Vec<Written>> {
+pub fn clauses() -> impl Generator<Value = Vec<Written>> {
     let heads = |unary: [&'static str; 2], probability: bool| {
         let one = prop::sample::select(unary.to_vec());
         let number = prop::sample::select(vec!["0.3", "0.5", "0.9", "1.0", "0.0"]);
@@ -117,14 +117,14 @@ fn clauses() -> impl Generator<Value = Vec<Written>> {
     (vec(low, 1..4), vec(high, 1..4)).prop_map(|(low, high)| low.into_iter().chain(high).collect())
 }
 
-fn text(clauses: &[Written]) -> String {
+pub fn text(clauses: &[Written]) -> String {
     clauses
         .iter()
         .fold(DECLARED.to_owned(), |text, clause| text + &clause.text())
 }
 
 /// Facts by their numbers: of `n`, `e` and `w`.
-fn facts(bits: u16) -> Vec<(&'static str, Vec<&'static str>)> {
+pub fn facts(bits: u16) -> Vec<(&'static str, Vec<&'static str>)> {
     let [u, v] = SYMBOLS;
     let all = [
         ("n", vec![u]),
@@ -251,7 +251,7 @@ fn worlds(clauses: &[Written], facts: usize) -> usize {
 const DERIVED: [&str; 4] = ["a", "b", "c", "d"];
 
 /// Marginals of the program with these facts.
-fn marginals(
+pub fn marginals(
     program: &Program,
     facts: &[(&str, Vec<&str>)],
     probabilities: &[f64],

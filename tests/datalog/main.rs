@@ -4,6 +4,7 @@ mod any_input;
 #[path = "../cases.rs"]
 mod cases;
 mod chance;
+mod circuits;
 mod corpus;
 mod dense;
 mod diff;

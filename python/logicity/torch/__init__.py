@@ -12,8 +12,17 @@ The degree of a clause is that of the conjunction of its literals, and an atom h
 all clauses that derive it and all values of their other variables. With the degrees 0 and 1, all three are the rules
 themselves. With probabilities of independent facts, `product` counts a fact that several clauses or values share
 several times. The degree of `godel` is above 0.5 exactly if the facts above 0.5 derive the atom.
+
+Two further ones take degrees as the probabilities of independent facts:
+
+- `exact` computes the probability of each decision by decision diagrams. They are compiled for each scene in which
+  other facts are certain, that is, have the degree 0 or 1; certain facts get no gradient. The diagrams of scenes with
+  many uncertain facts may grow too large.
+- `top-k` keeps the `k` most probable proofs of each atom, and computes the probability that one of them holds (Huang et
+  al.: Scallop, 2021). With all proofs, it equals `exact`.
 """
 
+from .exact import Proof
 from .layer import DEFAULT, PRIORITY, RuleLayer, Semantics
 
-__all__ = ["DEFAULT", "PRIORITY", "RuleLayer", "Semantics"]
+__all__ = ["DEFAULT", "PRIORITY", "Proof", "RuleLayer", "Semantics"]

@@ -34,6 +34,7 @@ class Clause:
         count: The number of variables.
         probability: That of the head, 1 without one.
         label: The label, such as `S1`.
+        source: The position among the clauses of the program.
         number: The position among the clauses of the layer.
     """
 
@@ -43,6 +44,7 @@ class Clause:
     count: int
     probability: float
     label: str
+    source: int
     number: int = -1
 
 
@@ -82,12 +84,23 @@ class Clauses:
     """
 
     def __init__(
-        self, program: Program, queries: Iterable[str], actions: Sequence[str], default: str, depth: int | None
+        self,
+        program: Program,
+        queries: Iterable[str],
+        actions: Sequence[str],
+        default: str,
+        depth: int | None,
+        *,
+        by_engine: bool = False,
     ) -> None:
-        """Read the clauses. The exceptions are those of `RuleLayer`."""
+        """Read the clauses. The exceptions are those of `RuleLayer`.
+
+        `by_engine` says that the engine evaluates them: any depth of recursion and any number of variables.
+        """
         checked = _logicity.checked(program._program)
         self._predicates: list[dict[str, Any]] = checked["predicates"]
         self._queries, self._actions, self._default, self._depth = tuple(queries), tuple(actions), default, depth
+        self._by_engine = by_engine
         self.arities = [len(each["symbols"]) for each in self._predicates]
         self.places = {each["name"]: place for place, each in enumerate(self._predicates) if not each["hidden"]}
         inputs = [(name, self._predicates[place]) for name, place in self.places.items()]
@@ -160,7 +173,7 @@ class Clauses:
             found = {place: clauses[place] for place in stratum["predicates"] if clauses.get(place)}
             if not found:
                 continue
-            if stratum["recursive"] and self._depth is None:
+            if stratum["recursive"] and self._depth is None and not self._by_engine:
                 name = self._predicates[stratum["predicates"][0]]["name"]
                 raise ValueError(f"`{name}` is recursive: give the `depth` to which its clauses are applied")
             chosen.append(Stratum(found, stratum["recursive"]))
@@ -219,7 +232,7 @@ class Clauses:
                 same.append((one, other, literal["holds"]))
             else:
                 literals.append((atom(literal["atom"], literal["holds"]), literal["holds"]))
-        if len(numbers) > VARIABLES_MAX:
+        if len(numbers) > VARIABLES_MAX and not self._by_engine:
             raise refuse(f"has more than {VARIABLES_MAX} variables")
         probability = 1.0
         if given["probabilities"] is not None:
@@ -227,7 +240,7 @@ class Clauses:
                 raise refuse("has a probability that is not a constant")
             chosen = given["alternative"]
             probability = given["probabilities"][chosen]
-        return Clause(head, tuple(literals), tuple(same), len(numbers), probability, given["label"])
+        return Clause(head, tuple(literals), tuple(same), len(numbers), probability, given["label"], given["clause"])
 
     def _read_by_egos(self, clauses: list[Clause]) -> set[int]:
         """Return the derived predicates of which only the atoms that begin with an ego are read."""

@@ -9,6 +9,7 @@ from typing import Any, Literal, TypeAlias, cast, get_args
 from ..errors import extra
 from ..rules import Program
 from .clauses import Atom, Clause, Clauses, Past
+from .exact import Circuits, Proof
 
 with extra("learn"):
     import torch
@@ -17,8 +18,8 @@ with extra("learn"):
 
 __all__ = ["DEFAULT", "PRIORITY", "RuleLayer", "Semantics"]
 
-Semantics: TypeAlias = Literal["godel", "product", "lukasiewicz"]
-"""The meaning of conjunction, disjunction and negation."""
+Semantics: TypeAlias = Literal["godel", "product", "lukasiewicz", "exact", "top-k"]
+"""The meaning of conjunction, disjunction and negation, or how probabilities are computed."""
 
 #: The order of actions and the default in `configs/common.yaml`.
 PRIORITY = ("Stop", "Slow", "Fast", "Normal")
@@ -85,7 +86,7 @@ class RuleLayer(nn.Module):
 
     Args:
         rules: A rule file, which may be a built-in one such as `rules/expert.dl`, or a program.
-        semantics: `godel`, `product` or `lukasiewicz`; see the module.
+        semantics: `godel`, `product`, `lukasiewicz`, `exact` or `top-k`; see the module.
         queries: Further derived predicates to compute. `degrees` returns them.
         priority: The actions in the order of `actions.priority` of a configuration: the first that is derived is
             taken. By default that of `configs/common.yaml`. Actions that the rules do not declare are not derived.
@@ -93,6 +94,8 @@ class RuleLayer(nn.Module):
         depth: How often the clauses of recursive predicates are applied. Atoms whose derivation needs more are 0.
         learn_weights: Whether each clause that the layer uses has a weight, from 0 to 1, which is a conjunct of its
             body. `weight_logits` is its parameter, with one element for each of `clauses`.
+        k: The number of proofs that `top-k` and `proofs` keep for each atom.
+        nodes_max: The largest number of decisions in the diagram of a scene, for `exact` and `top-k`.
 
     Attributes:
         unary: The names of the U input predicates over one entity, in the order of the input.
@@ -121,6 +124,8 @@ class RuleLayer(nn.Module):
         default: str = DEFAULT,
         depth: int | None = None,
         learn_weights: bool = False,
+        k: int = 10,
+        nodes_max: int = 1 << 20,
     ) -> None:
         """Read the clauses."""
         super().__init__()
@@ -128,14 +133,23 @@ class RuleLayer(nn.Module):
             raise ValueError(f"semantics: expected one of {', '.join(get_args(Semantics))}, not {semantics!r}")
         if depth is not None and depth < 1:
             raise ValueError(f"depth: expected at least 1, not {depth}")
-        self.semantics, self.depth = semantics, depth
+        for name, value in (("k", k), ("nodes_max", nodes_max)):
+            if value < 1:
+                raise ValueError(f"{name}: expected at least 1, not {value}")
+        self.semantics, self.depth, self.k, self.nodes_max = semantics, depth, k, nodes_max
+        is_exact = semantics in ("exact", "top-k")
         self.program = rules if isinstance(rules, Program) else Program.load(rules)
         self.queries, self.default = tuple(dict.fromkeys(queries)), default
         self.actions = tuple(dict.fromkeys([*priority, default]))
-        self._rules = Clauses(self.program, self.queries, self.actions, default, depth)
+        self._rules = Clauses(self.program, self.queries, self.actions, default, depth, by_engine=is_exact)
         self.unary, self.binary, self.clauses = self._rules.unary, self._rules.binary, self._rules.labels
         self.temporal = bool(self._rules.pasts)
         self.weight_logits = nn.Parameter(torch.full((len(self.clauses),), 3.0)) if learn_weights else None
+        self._circuits = self._compiled(k if semantics == "top-k" else None) if is_exact else None
+
+    def _compiled(self, proofs: int | None) -> Circuits:
+        weighted = self.weight_logits is not None
+        return Circuits(self.program, self._rules, self.queries, (proofs, self.nodes_max), weighted)
 
     def extra_repr(self) -> str:
         """Return what `repr` shows."""
@@ -176,6 +190,10 @@ class RuleLayer(nn.Module):
         count = unary.shape[-2]
         if egos is not None and not all(-count <= ego < count for ego in egos):
             raise ValueError(f"egos: there are {count} entities, so {list(egos)} names one that does not exist")
+        if self._circuits is not None:
+            each = range(count) if egos is None else [ego % count for ego in egos]
+            found = self._exactly(self._circuits, (unary, binary, mask), each)
+            return cast("tuple[Tensor, dict[str, Tensor]]", found)
         chosen = None if egos is None else torch.tensor([ego % count for ego in egos], device=unary.device)
         if not self.temporal:
             return self._answer(self._tick(unary, binary, mask, chosen, []), chosen)
@@ -188,6 +206,39 @@ class RuleLayer(nn.Module):
             answers.append(answer)
             derived.append(names)
         return torch.stack(answers, 1), {name: torch.stack([each[name] for each in derived], 1) for name in derived[0]}
+
+    @torch.compiler.disable  # type: ignore[untyped-decorator]
+    def _exactly(
+        self, circuits: Circuits, inputs: tuple[Tensor, Tensor, Tensor | None], egos: Sequence[int]
+    ) -> tuple[Tensor, dict[str, Tensor]]:
+        return circuits.degrees(inputs, egos, self.weights(), self.actions, self.default)
+
+    def proofs(
+        self, unary: Tensor, binary: Tensor, mask: Tensor | None = None, *, ego: int = 0, action: str
+    ) -> list[Proof]:
+        """Return the `k` most probable proofs that an ego of one scene decides for an action, the best one first.
+
+        A proof is a set of facts that hold or do not hold, whose probabilities are taken as independent. With temporal
+        operators, the decision is that of the last tick.
+
+        Args:
+            unary: (N, U), or (T, N, U) with temporal operators: probabilities.
+            binary: (N, N, R), or (T, N, N, R).
+            mask: (N,) or (T, N).
+            ego: The entity that decides.
+            action: One of `actions`.
+
+        Raises:
+            ValueError: If a shape is wrong, or there is no such ego or action.
+        """
+        self._check(unary[None], binary[None], None if mask is None else mask[None])
+        count = unary.shape[-2]
+        if not -count <= ego < count:
+            raise ValueError(f"ego: there are {count} entities, so {ego} does not exist")
+        if action not in self.actions:
+            raise ValueError(f"action: expected one of {', '.join(self.actions)}, not {action!r}")
+        circuits = self._compiled(self.k)
+        return circuits.proofs((unary, binary, mask), ego % count, action, self.default, self.weights())
 
     def weights(self) -> Tensor | None:
         """Return the weights of `clauses`, (clauses,) from 0 to 1; `None` without `learn_weights`."""

@@ -43,28 +43,84 @@ impl Grounding {
         Ok(firsts)
     }
 
-    /// Returns the formulas of the needed rows.
-    pub fn formulas(
+    /// Returns the formulas of the needed rows. Variables follow those that the algebra has.
+    pub fn formulas<A: Algebra>(
         &self,
-        facts: &FactTables,
-        diagrams: &mut Diagrams,
+        given: Given<'_>,
+        algebra: &mut A,
+        sources: &mut Vec<Source>,
         cancel: &Cancel,
     ) -> Result<Result<Formulas, TooLarge>, EvalError> {
-        diagrams.clear();
         let needed = self.needed.as_ref().expect("it is known which rows are needed");
         let mut work = Work {
             session: &self.session,
-            diagrams,
+            algebra,
             formulas: needed.formulas.clone(),
             draws: HashMap::new(),
+            given,
+            sources,
             cancel,
         };
-        match work.run(self, &needed.inputs, facts) {
+        match work.run(self, &needed.inputs) {
             Ok(()) => Ok(Ok(work.formulas)),
             Err(Stop::TooLarge) => Ok(Err(TooLarge)),
             Err(Stop::Cancelled) => Err(EvalError::Cancelled { clause: ClauseId(0) }),
         }
     }
+}
+
+/// Formulas over variables with probabilities, which are numbered in the order of their creation.
+pub(super) trait Algebra {
+    /// Removes all variables and formulas.
+    fn clear(&mut self);
+
+    /// Adds a variable, and returns the formula that it holds.
+    fn variable(&mut self, probability: f64) -> Result<Formula, TooLarge>;
+
+    /// Returns the conjunction.
+    fn and(&mut self, left: Formula, right: Formula) -> Result<Formula, TooLarge>;
+
+    /// Returns the disjunction.
+    fn or(&mut self, left: Formula, right: Formula) -> Result<Formula, TooLarge>;
+}
+
+impl Algebra for Diagrams {
+    fn clear(&mut self) {
+        Diagrams::clear(self);
+    }
+
+    fn variable(&mut self, probability: f64) -> Result<Formula, TooLarge> {
+        Diagrams::variable(self, probability)
+    }
+
+    fn and(&mut self, left: Formula, right: Formula) -> Result<Formula, TooLarge> {
+        Diagrams::and(self, left, right)
+    }
+
+    fn or(&mut self, left: Formula, right: Formula) -> Result<Formula, TooLarge> {
+        Diagrams::or(self, left, right)
+    }
+}
+
+/// What a variable stands for.
+#[derive(Clone, Copy, Debug)]
+pub(super) enum Source {
+    /// A row of an input, by its position in the session.
+    Fact(PredicateId, u32),
+    /// A draw with this probability.
+    Draw(f64),
+    /// That an instance of a clause with this weight counts.
+    Weight(usize),
+}
+
+/// What is given of a tick.
+#[derive(Clone, Copy)]
+pub(super) struct Given<'g> {
+    pub facts: &'g FactTables,
+    /// The formulas of facts, in place of their probabilities.
+    pub formulas: &'g HashMap<(PredicateId, FactRow), Formula>,
+    /// The weights of clauses.
+    pub weights: &'g [f64],
 }
 
 /// Why formulas are not complete.
@@ -80,12 +136,15 @@ impl From<TooLarge> for Stop {
 }
 
 /// The formulas so far.
-struct Work<'w> {
+struct Work<'w, A> {
     session: &'w Session,
-    diagrams: &'w mut Diagrams,
+    algebra: &'w mut A,
     formulas: Formulas,
     /// The alternatives of each draw. Lookup only, never iterated.
     draws: HashMap<(u64, Box<[Value]>), Vec<Formula>>,
+    given: Given<'w>,
+    /// What the variables stand for, by number.
+    sources: &'w mut Vec<Source>,
     cancel: &'w Cancel,
 }
 
@@ -97,20 +156,22 @@ struct Instance {
     recursive: Vec<(PredicateId, u32)>,
 }
 
-impl Work<'_> {
-    fn run(
-        &mut self,
-        grounding: &Grounding,
-        inputs: &[(PredicateId, Vec<(u32, FactRow)>)],
-        facts: &FactTables,
-    ) -> Result<(), Stop> {
+impl<A: Algebra> Work<'_, A> {
+    fn run(&mut self, grounding: &Grounding, inputs: &[(PredicateId, Vec<(u32, FactRow)>)]) -> Result<(), Stop> {
         for (input, rows) in inputs {
             // Both are sorted. Facts of the source are no such facts; clauses add them below.
-            let mut given = facts.of(*input).iter().peekable();
+            let mut given = self.given.facts.of(*input).iter().peekable();
             for (at, row) in rows {
                 while given.next_if(|(known, _)| known < row).is_some() {}
                 if let Some((_, probability)) = given.next_if(|(known, _)| known == row) {
-                    let formula = self.random(*probability)?;
+                    let known = match self.given.formulas.is_empty() {
+                        true => None,
+                        false => self.given.formulas.get(&(*input, row.clone())).copied(),
+                    };
+                    let formula = match known {
+                        Some(formula) => formula,
+                        None => self.random(*probability, Source::Fact(*input, *at))?,
+                    };
                     self.formulas.set(*input, *at as usize, formula);
                 }
             }
@@ -126,12 +187,17 @@ impl Work<'_> {
     }
 
     /// Returns a formula that holds with this probability, independently of all others.
-    fn random(&mut self, probability: f64) -> Result<Formula, TooLarge> {
+    fn random(&mut self, probability: f64, source: Source) -> Result<Formula, TooLarge> {
         match probability {
             ..=0.0 => Ok(Formula::FALSE),
             1.0.. => Ok(Formula::TRUE),
-            _ => self.diagrams.variable(probability),
+            _ => self.variable(probability, source),
         }
+    }
+
+    fn variable(&mut self, probability: f64, source: Source) -> Result<Formula, TooLarge> {
+        self.sources.push(source);
+        self.algebra.variable(probability)
     }
 
     /// Evaluates the instances of a clause, and collects those that are recursive.
@@ -151,13 +217,13 @@ impl Work<'_> {
                     true if atom.terms.contains(&Term::Wildcard) => {
                         let mut all = Formula::FALSE;
                         for &at in &clause.found.groups[at as usize] {
-                            all = self.diagrams.or(all, self.at((atom.predicate, at)))?;
+                            all = self.algebra.or(all, self.at((atom.predicate, at)))?;
                         }
                         all.not()
                     }
                     true => self.at((atom.predicate, at)).not(),
                 };
-                fixed = self.diagrams.and(fixed, formula)?;
+                fixed = self.algebra.and(fixed, formula)?;
                 if fixed == Formula::FALSE {
                     break;
                 }
@@ -167,7 +233,11 @@ impl Work<'_> {
             }
             if let (Some(draw), Some(instances)) = (&clause.draw, clause.instances) {
                 let drawn = self.drawn(draw, self.session.row(instances, number))?;
-                fixed = self.diagrams.and(fixed, drawn)?;
+                fixed = self.algebra.and(fixed, drawn)?;
+            }
+            if let Some(weight) = clause.weight {
+                let counts = self.variable(self.given.weights[weight], Source::Weight(weight))?;
+                fixed = self.algebra.and(fixed, counts)?;
             }
             let head = (clause.head.predicate, positions[0]);
             if own.is_empty() {
@@ -199,7 +269,7 @@ impl Work<'_> {
                 }
                 let mut formula = instance.fixed;
                 for atom in &instance.recursive {
-                    formula = self.diagrams.and(formula, self.at(*atom))?;
+                    formula = self.algebra.and(formula, self.at(*atom))?;
                 }
                 if self.add(instance.head, formula)? {
                     next.insert(instance.head);
@@ -213,7 +283,7 @@ impl Work<'_> {
     /// Adds a reason for a row. Returns whether its formula changes.
     fn add(&mut self, (predicate, at): (PredicateId, u32), reason: Formula) -> Result<bool, TooLarge> {
         let before = self.at((predicate, at));
-        let after = self.diagrams.or(before, reason)?;
+        let after = self.algebra.or(before, reason)?;
         self.formulas.set(predicate, at as usize, after);
         Ok(before != after)
     }
@@ -238,9 +308,12 @@ impl Work<'_> {
             // The first alternatives are not chosen, and this one is, of what is left.
             let (mut before, mut left) = (Formula::TRUE, 1.0);
             for probability in probabilities.into_iter().map(exact) {
-                let chosen = self.random(if left > 0.0 { probability / left } else { 0.0 })?;
-                alternatives.push(self.diagrams.and(before, chosen)?);
-                before = self.diagrams.and(before, chosen.not())?;
+                let chosen = {
+                    let probability = if left > 0.0 { probability / left } else { 0.0 };
+                    self.random(probability, Source::Draw(probability))?
+                };
+                alternatives.push(self.algebra.and(before, chosen)?);
+                before = self.algebra.and(before, chosen.not())?;
                 left -= probability;
             }
         }

@@ -14,7 +14,7 @@ use crate::symbol::Symbols;
 use crate::syntax::ast::BaseType;
 use crate::value::Value;
 use smallvec::SmallVec;
-use std::collections::BTreeSet;
+use std::collections::{BTreeMap, BTreeSet};
 
 /// Why probabilities are estimates.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
@@ -106,6 +106,8 @@ pub(super) struct GroundClause {
     /// Uncertain atoms of its stratum.
     pub recursive: Vec<Atom>,
     pub draw: Option<Draw>,
+    /// The number of its weight.
+    pub weight: Option<usize>,
     /// The instances that the session derives.
     pub found: Instances,
 }
@@ -129,20 +131,21 @@ impl Grounding {
         program: &Program,
         (inputs, lifted): (&BTreeSet<PredicateId>, BTreeSet<PredicateId>),
         queries: &[PredicateId],
+        weights: &BTreeMap<ClauseId, usize>,
         symbols: &Symbols,
     ) -> Grounding {
         let rules = program.rules();
         let mut is_lifted = vec![false; rules.predicates.len()];
         lifted.iter().for_each(|predicate| is_lifted[predicate.index()] = true);
         let inputs: BTreeSet<PredicateId> = inputs.union(&lifted).copied().collect();
-        let uncertain = relevant(rules, uncertain(rules, &inputs), queries);
+        let uncertain = relevant(rules, uncertain(rules, &inputs, weights), queries);
         let is_uncertain = |atom: &Atom| uncertain[atom.predicate.index()];
         let mut inexact = None;
         let mut made = rules.clone();
         made.clauses = Vec::with_capacity(rules.clauses.len());
         (made.pasts, made.chance) = (Vec::new(), None);
         let mut ground: Vec<Option<GroundClause>> = Vec::with_capacity(rules.clauses.len());
-        for clause in &rules.clauses {
+        for (clause, id) in rules.clauses.iter().zip((0..).map(ClauseId)) {
             if !is_uncertain(&clause.head) {
                 made.clauses.push(clause.clone());
                 ground.push(None);
@@ -157,7 +160,8 @@ impl Grounding {
                 ground.push(None);
                 continue;
             }
-            ground.push(Some(split(rules, clause, &is_uncertain, &mut made)));
+            let weight = weights.get(&id).copied();
+            ground.push(Some(split(rules, (clause, weight), &is_uncertain, &mut made)));
         }
         let in_stratum = |stratum: &Stratum, atom: &Atom| stratum.predicates.contains(&atom.predicate);
         let strata = rules.strata.iter().filter_map(|stratum| {
@@ -389,10 +393,13 @@ pub(super) fn value(term: &Term, row: &[Value]) -> Option<Value> {
 }
 
 /// Returns for each predicate whether a row may be uncertain.
-fn uncertain(rules: &Rules, inputs: &BTreeSet<PredicateId>) -> Vec<bool> {
+fn uncertain(rules: &Rules, inputs: &BTreeSet<PredicateId>, weights: &BTreeMap<ClauseId, usize>) -> Vec<bool> {
     let mut uncertain: Vec<bool> = (0..rules.predicates.len() as u32)
         .map(|id| inputs.contains(&PredicateId(id)))
         .collect();
+    for clause in weights.keys() {
+        uncertain[rules.clauses[clause.index()].head.predicate.index()] = true;
+    }
     let mut changed = true;
     while std::mem::take(&mut changed) {
         for clause in &rules.clauses {
@@ -431,7 +438,12 @@ fn relevant(rules: &Rules, mut uncertain: Vec<bool>, queries: &[PredicateId]) ->
 
 /// Splits a clause of an uncertain predicate: adds the clause of its instances and that of its head to the rules that
 /// derive what there may be, and returns the rest.
-fn split(rules: &Rules, clause: &Clause, is_uncertain: &impl Fn(&Atom) -> bool, made: &mut Rules) -> GroundClause {
+fn split(
+    rules: &Rules,
+    (clause, weight): (&Clause, Option<usize>),
+    is_uncertain: &impl Fn(&Atom) -> bool,
+    made: &mut Rules,
+) -> GroundClause {
     if clause.body.is_empty() {
         made.clauses.push(clause.clone());
         return GroundClause {
@@ -440,6 +452,7 @@ fn split(rules: &Rules, clause: &Clause, is_uncertain: &impl Fn(&Atom) -> bool, 
             lower: Vec::new(),
             recursive: Vec::new(),
             draw: None,
+            weight: None,
             found: Instances::default(),
         };
     }
@@ -504,6 +517,23 @@ fn split(rules: &Rules, clause: &Clause, is_uncertain: &impl Fn(&Atom) -> bool, 
             *variable = VarId(column as u32);
         }
     }
+    if weight.is_some() {
+        // The weight counts for each combination of values.
+        let mut bound = vec![false; variables.len()];
+        let positive = body.iter().filter_map(|literal| match literal {
+            Literal::Positive(atom) | Literal::Guard(atom) => Some(atom),
+            _ => None,
+        });
+        for term in positive.flat_map(|atom| &atom.terms) {
+            if let Term::Variable(variable) = term {
+                bound[variable.index()] = true;
+            }
+        }
+        let all = (0..variables.len() as u32).map(VarId);
+        let more = all.filter(|variable| bound[variable.index()] && !columns.contains(variable));
+        let more: Vec<VarId> = more.collect();
+        columns.extend(more);
+    }
     let instances = PredicateId(made.predicates.len() as u32);
     let column = |variable: &VarId| Column {
         name: variables[variable.index()].clone(),
@@ -551,6 +581,7 @@ fn split(rules: &Rules, clause: &Clause, is_uncertain: &impl Fn(&Atom) -> bool, 
         lower: atoms,
         recursive: Vec::new(),
         draw,
+        weight,
         found: Instances::default(),
     }
 }

@@ -17,26 +17,30 @@
 //! Formulas are decision diagrams. Where they grow too large, or where an aggregate counts uncertain rows, the result is
 //! an estimate from sampled worlds, with an interval.
 
+mod circuits;
 mod facts;
 mod formulas;
 mod grounding;
+mod proofs;
 
+pub use circuits::{CircuitCompiler, CircuitOptions, FactProof, ProbabilityCircuit, Variable};
 pub use grounding::Inexact;
 
 use crate::cancel::Cancel;
 use crate::chance;
-use crate::check::PredicateId;
+use crate::check::{ClauseId, PredicateId};
 use crate::convert::{AsPredicate, IntoRow, RowError, check_words, encode};
 use crate::diagram::{Diagrams, NODE_BYTES, TooLarge};
 use crate::eval::limits::{EvalError, Limits};
 use crate::marginals::facts::{AskedRows, FactRow, FactTables, asked_rows};
+use crate::marginals::formulas::{Given, Source};
 use crate::marginals::grounding::{Grounding, LIFTED_MAX, liftable};
 use crate::program::Program;
 use crate::session::Session;
 use crate::symbol::Symbols;
 use crate::syntax::ast::BaseType;
 use crate::value::{Value, symbol_hash};
-use std::collections::{BTreeMap, BTreeSet};
+use std::collections::{BTreeMap, BTreeSet, HashMap};
 
 /// How marginals are computed.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
@@ -103,12 +107,16 @@ pub struct Marginals {
     uncertain: BTreeSet<PredicateId>,
     grounding: Option<Grounding>,
     diagrams: Diagrams,
+    /// What the variables of the diagrams stand for.
+    sources: Vec<Source>,
     symbols: Symbols,
     results: Vec<(PredicateId, Marginal)>,
     /// See [`Marginals::set_order`].
     order: Vec<PredicateId>,
     /// See [`Marginals::set_rows`].
     asked: Option<AskedRows>,
+    /// The weights of clauses, which only [`CircuitCompiler`] has.
+    weights: BTreeMap<ClauseId, usize>,
     /// For each row of a predicate of the order, the probability that each is the first one.
     firsts: BTreeMap<Box<[Value]>, Vec<Probability>>,
     inexact: Option<Inexact>,
@@ -134,10 +142,12 @@ impl Marginals {
             uncertain: BTreeSet::new(),
             grounding: None,
             diagrams: Diagrams::new(options.nodes_max.min(nodes_max)),
+            sources: Vec::new(),
             symbols: program.rules().symbols.clone(),
             results: Vec::new(),
             order: Vec::new(),
             asked: None,
+            weights: BTreeMap::new(),
             firsts: BTreeMap::new(),
             inexact: None,
             program: program.clone(),
@@ -289,35 +299,19 @@ impl Marginals {
     /// If the evaluation exceeds a limit, or the caller cancels it. The facts stay as they are.
     pub fn compute(&mut self, cancel: &Cancel) -> Result<(), EvalError> {
         (self.inexact, self.results, self.firsts) = (None, Vec::new(), BTreeMap::new());
-        self.facts.sort();
-        // Earlier scenes may have left many rows.
-        let kept = 4 * self.facts.len() + LIFTED_MAX;
-        self.grounding = self.grounding.take().filter(|known| known.lifted_rows <= kept);
-        let grounding = match &mut self.grounding {
-            Some(grounding) => grounding,
-            None => {
-                let lifted = match self.facts.len() <= LIFTED_MAX {
-                    true => liftable(self.program.rules()),
-                    false => BTreeSet::new(),
-                };
-                let sets = (&self.uncertain, lifted);
-                let mut grounding = Grounding::new(&self.program, sets, &self.queries, &self.symbols);
-                grounding.session.set_limits(self.options.limits);
-                for (to, words, _) in self.facts.iter() {
-                    grounding.note(to, words, true);
-                }
-                self.grounding.insert(grounding)
-            }
-        };
+        self.prepare(cancel)?;
+        let grounding = self.grounding.as_ref().expect("it is prepared");
         let exact = match grounding.inexact {
             Some(inexact) => Err(inexact),
             None => {
-                if grounding.session.symbols().len() < self.symbols.len() {
-                    grounding.session.set_symbols(self.symbols.clone());
-                }
-                grounding.commit(cancel)?;
-                grounding.find_needed(&self.queries, self.asked.as_ref());
-                let formulas = grounding.formulas(&self.facts, &mut self.diagrams, cancel)?;
+                self.diagrams.clear();
+                self.sources.clear();
+                let given = Given {
+                    facts: &self.facts,
+                    formulas: &HashMap::new(),
+                    weights: &[],
+                };
+                let formulas = grounding.formulas(given, &mut self.diagrams, &mut self.sources, cancel)?;
                 let asked = self.asked.as_ref();
                 let firsts = formulas.and_then(|formulas| {
                     let firsts = grounding.firsts((&self.order, asked), &formulas, &mut self.diagrams)?;
@@ -351,6 +345,38 @@ impl Marginals {
                 self.inexact = Some(inexact);
                 self.sample(cancel)?;
             }
+        }
+        Ok(())
+    }
+
+    /// Derives what there may be, given the present facts, and finds what the queries depend on.
+    fn prepare(&mut self, cancel: &Cancel) -> Result<(), EvalError> {
+        self.facts.sort();
+        // Earlier scenes may have left many rows.
+        let kept = 4 * self.facts.len() + LIFTED_MAX;
+        self.grounding = self.grounding.take().filter(|known| known.lifted_rows <= kept);
+        let grounding = match &mut self.grounding {
+            Some(grounding) => grounding,
+            None => {
+                let lifted = match self.facts.len() <= LIFTED_MAX {
+                    true => liftable(self.program.rules()),
+                    false => BTreeSet::new(),
+                };
+                let sets = (&self.uncertain, lifted);
+                let mut grounding = Grounding::new(&self.program, sets, &self.queries, &self.weights, &self.symbols);
+                grounding.session.set_limits(self.options.limits);
+                for (to, words, _) in self.facts.iter() {
+                    grounding.note(to, words, true);
+                }
+                self.grounding.insert(grounding)
+            }
+        };
+        if grounding.inexact.is_none() {
+            if grounding.session.symbols().len() < self.symbols.len() {
+                grounding.session.set_symbols(self.symbols.clone());
+            }
+            grounding.commit(cancel)?;
+            grounding.find_needed(&self.queries, self.asked.as_ref());
         }
         Ok(())
     }

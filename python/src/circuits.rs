@@ -1,0 +1,450 @@
+//! Exact probabilities of decisions in batches of scenes, with gradients: `logicity.torch.RuleLayer`.
+
+use crate::engine::PyProgram;
+use crate::{Shared, input_error};
+use logicity::cancel::Cancel;
+use logicity::datalog::{
+    CircuitCompiler, CircuitOptions, ClauseId, EvalError, FactProof, Inexact, MarginalOptions, PredicateId,
+    ProbabilityCircuit, Value, Variable,
+};
+use numpy::ndarray::{Array1, Array4, Array5};
+use numpy::ndarray::{Array3, ArrayView2, ArrayView3, ArrayView4, ArrayView5, ArrayViewMut4, ArrayViewMut5, Axis};
+use numpy::{IntoPyArray, PyArray1, PyArray3, PyArray4, PyArray5, PyReadonlyArray1, PyReadonlyArray3};
+use numpy::{PyReadonlyArray4, PyReadonlyArray5};
+use pyo3::exceptions::PyValueError;
+use pyo3::prelude::*;
+use std::collections::HashMap;
+use std::sync::Arc;
+
+pub fn register(module: &Bound<'_, PyModule>) -> PyResult<()> {
+    module.add_class::<PyCircuits>()?;
+    module.add_class::<PyTrace>()
+}
+
+/// The most decisions that kept circuits have together.
+const KEPT_NODES: usize = 1 << 22;
+
+/// What a variable of a circuit stands for.
+#[derive(Clone, Copy, Debug)]
+enum Place {
+    /// An element of `unary`: tick, entity, column.
+    Unary([usize; 3]),
+    /// An element of `binary`: tick, both entities, column.
+    Binary([usize; 4]),
+    /// The probability of a draw.
+    Draw(f64),
+    Weight(usize),
+}
+
+/// A circuit for scenes that agree in which facts are certain.
+struct Compiled {
+    circuit: ProbabilityCircuit,
+    places: Vec<Place>,
+}
+
+/// Compiles scenes.
+struct Batch {
+    compiler: CircuitCompiler,
+    /// The predicates of `unary` and `binary`.
+    inputs: [Vec<PredicateId>; 2],
+    queries: Vec<(PredicateId, usize)>,
+    /// The words of the entities, and their positions.
+    words: Vec<Value>,
+    positions: HashMap<Value, usize>,
+    /// The columns of the predicates in the inputs.
+    columns: HashMap<PredicateId, usize>,
+    /// Circuits by what is certain. Lookup only, never iterated. `None` if circuits depend on probabilities, too.
+    known: Option<HashMap<Box<[u64]>, Arc<Compiled>>>,
+    kept_nodes: usize,
+    order: usize,
+}
+
+/// Why a batch has no circuits.
+enum Stop {
+    Limit(EvalError),
+    Inexact(Inexact),
+}
+
+/// The scenes of a batch: the facts of each tick.
+struct Scenes<'s> {
+    unary: ArrayView4<'s, f64>,
+    binary: ArrayView5<'s, f64>,
+    mask: Option<ArrayView3<'s, bool>>,
+    egos: Vec<usize>,
+    weights: Vec<f64>,
+}
+
+impl Batch {
+    /// Makes words for this many entities.
+    fn set_entities(&mut self, count: usize) {
+        while self.words.len() < count {
+            let word = self.compiler.intern(&format!("e{}", self.words.len()));
+            self.positions.insert(word, self.words.len());
+            self.words.push(word);
+        }
+    }
+
+    /// Returns which facts of a scene are certain, as bits: two for each fact.
+    fn pattern(
+        unary: ArrayView3<'_, f64>,
+        binary: ArrayView4<'_, f64>,
+        mask: Option<ArrayView2<'_, bool>>,
+    ) -> Box<[u64]> {
+        let mut words = Vec::with_capacity(4 + (unary.len() + binary.len()).div_ceil(32));
+        words.extend(binary.shape().iter().map(|length| *length as u64));
+        let (mut word, mut bits) = (0_u64, 0);
+        let mut add = |code: u64| {
+            word |= code << bits;
+            bits += 2;
+            if bits == 64 {
+                words.push(word);
+                (word, bits) = (0, 0);
+            }
+        };
+        for probability in unary.iter().chain(binary.iter()) {
+            add(match probability {
+                ..=0.0 => 0,
+                1.0.. => 1,
+                _ => 2,
+            });
+        }
+        for present in mask.iter().flat_map(|mask| mask.iter()) {
+            add(u64::from(*present));
+        }
+        words.push(word);
+        words.into()
+    }
+
+    /// Returns the circuit of a scene.
+    fn compiled(&mut self, scenes: &Scenes<'_>, scene: usize, cancel: &Cancel) -> Result<Arc<Compiled>, Stop> {
+        let unary = scenes.unary.index_axis(Axis(0), scene);
+        let binary = scenes.binary.index_axis(Axis(0), scene);
+        let mask = scenes.mask.as_ref().map(|mask| mask.index_axis(Axis(0), scene));
+        let pattern = self.known.is_some().then(|| {
+            let mut pattern = Batch::pattern(unary, binary, mask).into_vec();
+            pattern.extend(scenes.egos.iter().map(|ego| *ego as u64));
+            pattern.into_boxed_slice()
+        });
+        if let (Some(known), Some(pattern)) = (&self.known, &pattern)
+            && let Some(circuit) = known.get(pattern)
+        {
+            return Ok(Arc::clone(circuit));
+        }
+        self.compile((unary, binary, mask), &scenes.egos, &scenes.weights, cancel)?;
+        let circuit = self.compiler.circuit();
+        let place = |variable: &Variable| match variable {
+            Variable::Draw(bits) => Place::Draw(f64::from_bits(*bits)),
+            Variable::Weight(number) => Place::Weight(*number),
+            Variable::Fact { tick, predicate, row } => match **row {
+                [x] => Place::Unary([*tick, self.positions[&x], self.columns[predicate]]),
+                [x, y] => Place::Binary([*tick, self.positions[&x], self.positions[&y], self.columns[predicate]]),
+                _ => unreachable!("inputs have one column or two"),
+            },
+        };
+        let made = Arc::new(Compiled {
+            places: circuit.variables.iter().map(place).collect(),
+            circuit,
+        });
+        if let (Some(known), Some(pattern)) = (&mut self.known, pattern) {
+            self.kept_nodes += made.circuit.len() + pattern.len();
+            if self.kept_nodes > KEPT_NODES {
+                known.clear();
+                self.kept_nodes = made.circuit.len() + pattern.len();
+            }
+            known.insert(pattern, Arc::clone(&made));
+        }
+        Ok(made)
+    }
+
+    /// Compiles all ticks of a scene.
+    fn compile(
+        &mut self,
+        (unary, binary, mask): (ArrayView3<'_, f64>, ArrayView4<'_, f64>, Option<ArrayView2<'_, bool>>),
+        egos: &[usize],
+        weights: &[f64],
+        cancel: &Cancel,
+    ) -> Result<(), Stop> {
+        let entities = unary.shape()[1];
+        let egos: Vec<Value> = egos.iter().map(|ego| self.words[*ego]).collect();
+        let mut rows: Vec<(PredicateId, Box<[Value]>)> = Vec::new();
+        for &(predicate, arity) in &self.queries {
+            for place in 0..entities.pow(arity as u32) {
+                let digits = (0..arity)
+                    .rev()
+                    .map(|digit| place / entities.pow(digit as u32) % entities);
+                rows.push((predicate, digits.map(|entity| self.words[entity]).collect()));
+            }
+        }
+        self.compiler.begin();
+        for tick in 0..unary.shape()[0] {
+            let is_present = |entity: usize| mask.is_none_or(|mask| mask[[tick, entity]]);
+            for ((entity, column), &probability) in unary.index_axis(Axis(0), tick).indexed_iter() {
+                if probability > 0.0 && is_present(entity) {
+                    let row = [self.words[entity]];
+                    self.compiler.insert(self.inputs[0][column], &row, probability.min(1.0));
+                }
+            }
+            for ((x, y, column), &probability) in binary.index_axis(Axis(0), tick).indexed_iter() {
+                if probability > 0.0 && is_present(x) && is_present(y) {
+                    let row = [self.words[x], self.words[y]];
+                    self.compiler.insert(self.inputs[1][column], &row, probability.min(1.0));
+                }
+            }
+            let done = self.compiler.tick(&egos, &rows, weights, cancel).map_err(Stop::Limit)?;
+            done.map_err(Stop::Inexact)?;
+        }
+        Ok(())
+    }
+
+    /// Returns the number of outputs of a tick.
+    fn outputs(&self, egos: usize, entities: usize) -> usize {
+        let rows = self.queries.iter().map(|(_, arity)| entities.pow(*arity as u32));
+        egos * (2 * self.order + 1) + rows.sum::<usize>()
+    }
+}
+
+impl Compiled {
+    /// Returns the present probabilities of the variables.
+    fn probabilities(&self, scenes: &Scenes<'_>, scene: usize) -> Vec<f64> {
+        let of = |place: &Place| match *place {
+            Place::Unary([tick, entity, column]) => scenes.unary[[scene, tick, entity, column]],
+            Place::Binary([tick, x, y, column]) => scenes.binary[[scene, tick, x, y, column]],
+            Place::Draw(probability) => probability,
+            Place::Weight(number) => scenes.weights[number],
+        };
+        self.places.iter().map(of).collect()
+    }
+
+    /// Adds the derivatives of a scene.
+    fn add_gradient(
+        &self,
+        gradient: &[f64],
+        scene: usize,
+        (unary, binary, weights): (&mut ArrayViewMut4<'_, f64>, &mut ArrayViewMut5<'_, f64>, &mut [f64]),
+    ) {
+        for (place, derivative) in self.places.iter().zip(gradient) {
+            match *place {
+                Place::Unary([tick, entity, column]) => unary[[scene, tick, entity, column]] += derivative,
+                Place::Binary([tick, x, y, column]) => binary[[scene, tick, x, y, column]] += derivative,
+                Place::Weight(number) => weights[number] += derivative,
+                Place::Draw(_) => {}
+            }
+        }
+    }
+}
+
+/// Circuits of the decisions by the rules of a program.
+#[pyclass(name = "Circuits", module = "logicity._logicity")]
+pub struct PyCircuits {
+    program: Py<PyProgram>,
+    batch: Shared<Batch>,
+}
+
+/// The circuits of the scenes of a batch, for their gradient.
+#[pyclass(name = "CircuitTrace", module = "logicity._logicity", frozen)]
+pub struct PyTrace {
+    scenes: Vec<(Arc<Compiled>, Vec<f64>)>,
+    unary: [usize; 4],
+    binary: [usize; 5],
+    weights: usize,
+}
+
+#[pymethods]
+impl PyCircuits {
+    /// `inputs` are the positions of the predicates of the columns of `unary` and of `binary`, `order` those of the
+    /// actions, `queries` those of other predicates. `clauses` are the positions of the clauses with a weight.
+    /// `limits` are the number of proofs to keep, if not all, and that of decisions of a circuit.
+    #[new]
+    fn new(
+        py: Python<'_>,
+        program: Py<PyProgram>,
+        inputs: [Vec<usize>; 2],
+        order: Vec<usize>,
+        queries: Vec<usize>,
+        clauses: Vec<usize>,
+        limits: (Option<usize>, usize),
+    ) -> PyCircuits {
+        let (proofs, nodes_max) = limits;
+        let predicate = |place: &usize| PredicateId(u32::try_from(*place).expect("a position of a predicate"));
+        let all = |places: &[usize]| places.iter().map(predicate).collect::<Vec<_>>();
+        let (order, queries, inputs) = (all(&order), all(&queries), inputs.map(|places| all(&places)));
+        let options = CircuitOptions {
+            proofs,
+            weights: (clauses.into_iter().zip(0..))
+                .map(|(clause, number)| (ClauseId(u32::try_from(clause).expect("a position of a clause")), number))
+                .collect(),
+            marginals: MarginalOptions {
+                nodes_max,
+                ..MarginalOptions::default()
+            },
+        };
+        let loaded = program.borrow(py);
+        let rules = loaded.loaded().program.rules();
+        let arity = |predicate: &PredicateId| (*predicate, rules.predicates[predicate.index()].arity());
+        let edb = |predicate: PredicateId| rules.predicates[predicate.index()].edb.unwrap_or(predicate);
+        let columns = inputs.iter().flat_map(|each| each.iter().copied().zip(0..));
+        let batch = Batch {
+            compiler: CircuitCompiler::new(&loaded.loaded().program, &order, &queries, &options),
+            queries: queries.iter().map(arity).collect(),
+            columns: columns.map(|(predicate, column)| (edb(predicate), column)).collect(),
+            inputs,
+            words: Vec::new(),
+            positions: HashMap::new(),
+            known: proofs.is_none().then(HashMap::new),
+            kept_nodes: 0,
+            order: order.len(),
+        };
+        drop(loaded);
+        PyCircuits {
+            program,
+            batch: Shared::new("RuleLayer", batch),
+        }
+    }
+
+    /// Returns the outputs of scenes, (B, T, outputs), and what their gradient needs. The outputs of a tick are, for
+    /// each ego, the probability that it decides by each action of the order, that it decides by none, and that of each
+    /// action; then the rows of each query.
+    #[pyo3(signature = (unary, binary, mask, egos, weights))]
+    fn forward<'py>(
+        &self,
+        py: Python<'py>,
+        unary: PyReadonlyArray4<'py, f64>,
+        binary: PyReadonlyArray5<'py, f64>,
+        mask: Option<PyReadonlyArray3<'py, bool>>,
+        egos: Vec<usize>,
+        weights: PyReadonlyArray1<'py, f64>,
+    ) -> PyResult<(Bound<'py, PyArray3<f64>>, PyTrace)> {
+        let scenes = Scenes {
+            unary: unary.as_array(),
+            binary: binary.as_array(),
+            mask: mask.as_ref().map(|mask| mask.as_array()),
+            egos,
+            weights: weights.as_array().to_vec(),
+        };
+        let (count, ticks, entities) = (
+            scenes.unary.shape()[0],
+            scenes.unary.shape()[1],
+            scenes.unary.shape()[2],
+        );
+        let done = self.batch.detached(py, |batch, cancel| {
+            batch.set_entities(entities);
+            let width = batch.outputs(scenes.egos.len(), entities);
+            let mut outputs = Array3::zeros((count, ticks, width));
+            let mut traced = Vec::with_capacity(count);
+            for (scene, mut row) in outputs.outer_iter_mut().enumerate() {
+                let compiled = batch.compiled(&scenes, scene, cancel)?;
+                let probabilities = compiled.probabilities(&scenes, scene);
+                let found = compiled.circuit.outputs(&probabilities);
+                row.iter_mut().zip(found).for_each(|(to, value)| *to = value);
+                traced.push((compiled, probabilities));
+            }
+            Ok((outputs, traced))
+        })?;
+        let (outputs, traced) = done.map_err(|stop| self.error(py, &stop))?;
+        let shape = scenes.binary.shape();
+        let trace = PyTrace {
+            scenes: traced,
+            unary: [count, ticks, entities, scenes.unary.shape()[3]],
+            binary: [shape[0], shape[1], shape[2], shape[3], shape[4]],
+            weights: scenes.weights.len(),
+        };
+        Ok((outputs.into_pyarray(py), trace))
+    }
+
+    /// Returns the most probable proofs that an ego of one scene decides by the action at a place of the order, or by
+    /// none if the place is its length: the probability, and the literals as `(holds, kind, positions)`. `kind` is
+    /// `unary`, `binary`, `draw` or `weight`.
+    #[allow(clippy::type_complexity)]
+    fn proofs<'py>(
+        &self,
+        py: Python<'py>,
+        unary: PyReadonlyArray4<'py, f64>,
+        binary: PyReadonlyArray5<'py, f64>,
+        mask: Option<PyReadonlyArray3<'py, bool>>,
+        decision: (usize, usize),
+        weights: PyReadonlyArray1<'py, f64>,
+    ) -> PyResult<Vec<(f64, Vec<(bool, &'static str, Vec<usize>)>)>> {
+        let (ego, place) = decision;
+        let (unary, binary) = (unary.as_array(), binary.as_array());
+        let mask = mask.as_ref().map(|mask| mask.as_array());
+        let weights = weights.as_array().to_vec();
+        let done = self.batch.detached(py, |batch, cancel| {
+            batch.set_entities(unary.shape()[2]);
+            let scene = (
+                unary.index_axis(Axis(0), 0),
+                binary.index_axis(Axis(0), 0),
+                mask.as_ref().map(|mask| mask.index_axis(Axis(0), 0)),
+            );
+            batch.compile(scene, &[ego], &weights, cancel)?;
+            let found = batch.compiler.proofs(batch.words[ego], place).map_err(Stop::Inexact)?;
+            let literal = |(variable, holds): &(Variable, bool)| {
+                let (kind, positions) = match variable {
+                    Variable::Draw(_) => ("draw", Vec::new()),
+                    Variable::Weight(number) => ("weight", vec![*number]),
+                    Variable::Fact { tick, predicate, row } => {
+                        let entities = row.iter().map(|word| batch.positions[word]);
+                        let positions = [*tick].into_iter().chain(entities).chain([batch.columns[predicate]]);
+                        (if row.len() == 1 { "unary" } else { "binary" }, positions.collect())
+                    }
+                };
+                (*holds, kind, positions)
+            };
+            let proof = |proof: &FactProof| (proof.probability, proof.literals.iter().map(literal).collect());
+            Ok(found.iter().map(proof).collect())
+        })?;
+        done.map_err(|stop| self.error(py, &stop))
+    }
+}
+
+impl PyCircuits {
+    fn error(&self, py: Python<'_>, stop: &Stop) -> PyErr {
+        let program = self.program.borrow(py);
+        let loaded = program.loaded();
+        match stop {
+            Stop::Limit(error) => input_error(py, &[error.diagnostic(loaded.program.rules())], &loaded.sources),
+            Stop::Inexact(Inexact::TooLarge) => PyValueError::new_err(
+                "the diagrams of a scene are too large: raise `nodes_max`, make fewer facts uncertain, or use `top-k`",
+            ),
+            Stop::Inexact(reason) => PyValueError::new_err(reason.show(loaded.program.rules())),
+        }
+    }
+}
+
+#[pymethods]
+impl PyTrace {
+    /// Returns the derivatives by `unary`, `binary` and the weights of the sum of all outputs, each times its weight in
+    /// `outputs`.
+    #[allow(clippy::type_complexity)]
+    fn backward<'py>(
+        &self,
+        py: Python<'py>,
+        outputs: PyReadonlyArray3<'py, f64>,
+    ) -> (
+        Bound<'py, PyArray4<f64>>,
+        Bound<'py, PyArray5<f64>>,
+        Bound<'py, PyArray1<f64>>,
+    ) {
+        let outputs = outputs.as_array();
+        let (unary, binary, weights) = py.detach(|| {
+            let mut unary = Array4::zeros(self.unary);
+            let mut binary = Array5::zeros(self.binary);
+            let mut weights = Array1::zeros(self.weights);
+            for (scene, (compiled, probabilities)) in self.scenes.iter().enumerate() {
+                let wanted: Vec<f64> = outputs.index_axis(Axis(0), scene).iter().copied().collect();
+                let gradient = compiled.circuit.gradient(probabilities, &wanted);
+                let weights = weights.as_slice_mut().expect("it is contiguous");
+                compiled.add_gradient(
+                    &gradient,
+                    scene,
+                    (&mut unary.view_mut(), &mut binary.view_mut(), weights),
+                );
+            }
+            (unary, binary, weights)
+        });
+        (
+            unary.into_pyarray(py),
+            binary.into_pyarray(py),
+            weights.into_pyarray(py),
+        )
+    }
+}
