@@ -5,7 +5,7 @@ use crate::{Shared, input_error};
 use logicity::cancel::Cancel;
 use logicity::datalog::{
     CircuitCompiler, CircuitOptions, ClauseId, EvalError, FactProof, Inexact, MarginalOptions, PredicateId,
-    ProbabilityCircuit, Value, Variable,
+    ProbabilityCircuit, RandomVariable, Value,
 };
 use numpy::ndarray::{Array1, Array4, Array5};
 use numpy::ndarray::{Array3, ArrayView2, ArrayView3, ArrayView4, ArrayView5, ArrayViewMut4, ArrayViewMut5, Axis};
@@ -21,10 +21,10 @@ pub fn register(module: &Bound<'_, PyModule>) -> PyResult<()> {
     module.add_class::<PyTrace>()
 }
 
-/// The most decisions that kept circuits have together.
+/// The maximum size of all kept circuits and their keys: nodes and words.
 const KEPT_NODES: usize = 1 << 22;
 
-/// What a variable of a circuit stands for.
+/// The source of the probability of a variable.
 #[derive(Clone, Copy, Debug)]
 enum Place {
     /// An element of `unary`: tick, entity, column.
@@ -75,7 +75,7 @@ struct Scenes<'s> {
 }
 
 impl Batch {
-    /// Makes words for this many entities.
+    /// Interns the names `e0`, `e1`, ... of this many entities.
     fn set_entities(&mut self, count: usize) {
         while self.words.len() < count {
             let word = self.compiler.intern(&format!("e{}", self.words.len()));
@@ -132,10 +132,10 @@ impl Batch {
         }
         self.compile((unary, binary, mask), &scenes.egos, &scenes.weights, cancel)?;
         let circuit = self.compiler.circuit();
-        let place = |variable: &Variable| match variable {
-            Variable::Draw(bits) => Place::Draw(f64::from_bits(*bits)),
-            Variable::Weight(number) => Place::Weight(*number),
-            Variable::Fact { tick, predicate, row } => match **row {
+        let place = |variable: &RandomVariable| match variable {
+            RandomVariable::Draw(bits) => Place::Draw(f64::from_bits(*bits)),
+            RandomVariable::Weight(number) => Place::Weight(*number),
+            RandomVariable::Fact { tick, predicate, row } => match **row {
                 [x] => Place::Unary([*tick, self.positions[&x], self.columns[predicate]]),
                 [x, y] => Place::Binary([*tick, self.positions[&x], self.positions[&y], self.columns[predicate]]),
                 _ => unreachable!("inputs have one column or two"),
@@ -146,10 +146,10 @@ impl Batch {
             circuit,
         });
         if let (Some(known), Some(pattern)) = (&mut self.known, pattern) {
-            self.kept_nodes += made.circuit.len() + pattern.len();
+            self.kept_nodes += made.circuit.node_count() + pattern.len();
             if self.kept_nodes > KEPT_NODES {
                 known.clear();
-                self.kept_nodes = made.circuit.len() + pattern.len();
+                self.kept_nodes = made.circuit.node_count() + pattern.len();
             }
             known.insert(pattern, Arc::clone(&made));
         }
@@ -238,6 +238,8 @@ impl Compiled {
 pub struct PyCircuits {
     program: Py<PyProgram>,
     batch: Shared<Batch>,
+    /// Whether only the most probable proofs count.
+    by_proofs: bool,
 }
 
 /// The circuits of the scenes of a batch, for their gradient.
@@ -298,6 +300,7 @@ impl PyCircuits {
         PyCircuits {
             program,
             batch: Shared::new("RuleLayer", batch),
+            by_proofs: proofs.is_some(),
         }
     }
 
@@ -377,11 +380,11 @@ impl PyCircuits {
             );
             batch.compile(scene, &[ego], &weights, cancel)?;
             let found = batch.compiler.proofs(batch.words[ego], place).map_err(Stop::Inexact)?;
-            let literal = |(variable, holds): &(Variable, bool)| {
+            let literal = |(variable, holds): &(RandomVariable, bool)| {
                 let (kind, positions) = match variable {
-                    Variable::Draw(_) => ("draw", Vec::new()),
-                    Variable::Weight(number) => ("weight", vec![*number]),
-                    Variable::Fact { tick, predicate, row } => {
+                    RandomVariable::Draw(_) => ("draw", Vec::new()),
+                    RandomVariable::Weight(number) => ("weight", vec![*number]),
+                    RandomVariable::Fact { tick, predicate, row } => {
                         let entities = row.iter().map(|word| batch.positions[word]);
                         let positions = [*tick].into_iter().chain(entities).chain([batch.columns[predicate]]);
                         (if row.len() == 1 { "unary" } else { "binary" }, positions.collect())
@@ -402,10 +405,16 @@ impl PyCircuits {
         let loaded = program.loaded();
         match stop {
             Stop::Limit(error) => input_error(py, &[error.diagnostic(loaded.program.rules())], &loaded.sources),
+            Stop::Inexact(Inexact::TooLarge) if self.by_proofs => PyValueError::new_err(
+                "the proofs of a scene need too many steps: lower `k`, raise `nodes_max`, or make fewer facts uncertain",
+            ),
             Stop::Inexact(Inexact::TooLarge) => PyValueError::new_err(
                 "the diagrams of a scene are too large: raise `nodes_max`, make fewer facts uncertain, or use `top-k`",
             ),
-            Stop::Inexact(reason) => PyValueError::new_err(reason.show(loaded.program.rules())),
+            Stop::Inexact(reason) => {
+                let reason = reason.show(loaded.program.rules());
+                PyValueError::new_err(format!("{reason}; remove the aggregate from the clauses that decide"))
+            }
         }
     }
 }

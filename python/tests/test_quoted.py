@@ -51,9 +51,9 @@ def vap(experiment: str, learner: str, variant: str, predictor: str = "", mode: 
     return of(experiment, "wAcc", mode=mode, learner=learner, variant=variant, evaluation=predictor)
 
 
-def centers(concept: str) -> str:
-    """Return the recall of a concept from the centers of boxes, in hard mode."""
-    names = ("centers", "hard", "random", "threshold")
+def recall(learner: str, predictor: str, concept: str) -> str:
+    """Return the recall of a concept in hard mode with random agents."""
+    names = (learner, "hard", "random", predictor)
     keys = ("learner", "mode", "variant", "evaluation")
     return mean(row["details"][concept] for row in RESULTS["vap-50"] if tuple(row[key] for key in keys) == names)
 
@@ -91,7 +91,8 @@ QUOTES: dict[str, list[str]] = {
             f"`{row}` {verb}from {vap('vap-50', row, 'random')} to {vap('vap-50', row, 'plain random')}"
             for row, verb in [("modular-gnn", "falls "), ("modular-nlm", ""), ("e2e-gnn", ""), ("e2e-nlm", "")]
         ),
-        f"`centers` recalls {centers('IsCar')} of the cars and {centers('IsPedestrian')} of the pedestrians",
+        f"`centers` recalls {recall('centers', 'threshold', 'IsCar')} of the cars and "
+        f"{recall('centers', 'threshold', 'IsPedestrian')} of the pedestrians",
         f"wAcc of {vap('vap-50', 'centers', 'random', 'threshold')}, against "
         f"{vap('vap-50', 'no-pixels', 'random', 'threshold')} of `no-pixels`",
         f"`no-pixels` has a wAcc of {vap('vap-50', 'no-pixels', 'random', 'threshold', 'easy')} there, the rules on "
@@ -104,7 +105,12 @@ QUOTES: dict[str, list[str]] = {
         f"{vap('vap-50', 'e2e-nlm', 'random', mode='easy')} to "
         f"{vap('vap-50', 'e2e-nlm', 'plain random', mode='easy')}",
         f"`e2e-gnn` has {vap('vap-50', 'e2e-gnn', 'fixed')} and `e2e-nlm` {vap('vap-50', 'e2e-nlm', 'fixed')}, "
-        f"and both have {vap('vap-50', 'e2e-gnn', 'plain fixed')} with the paper's heads",
+        f"and {vap('vap-50', 'e2e-gnn', 'plain fixed')} and {vap('vap-50', 'e2e-nlm', 'plain fixed')} with the paper's "
+        "heads",
+        f"It reaches {vap('vap-50', 'e2e-rules', 'random')} with random agents in training and "
+        f"{vap('vap-50', 'e2e-rules', 'fixed')} with fixed ones",
+        f"{recall('e2e-rules', '', 'IsBus')} of the buses with random agents, but "
+        f"{recall('e2e-rules', '', 'IsClose')} of the pairs that are close",
     ],
 }
 

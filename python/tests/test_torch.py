@@ -450,6 +450,12 @@ def test_faulty_arguments_are_reported() -> None:
             layer(*arguments)
     with pytest.raises(ValueError, match="expected one of godel, product, lukasiewicz, exact, top-k, not 'fuzzy'"):
         RuleLayer("rules/easy.dl", "fuzzy")  # type: ignore[arg-type]
+    with pytest.raises(ValueError, match="k: expected at least 1, not 0"):
+        RuleLayer("rules/easy.dl", "top-k", k=0)
+    with pytest.raises(ValueError, match="nodes_max: expected at least 1, not 0"):
+        RuleLayer("rules/easy.dl", "exact", nodes_max=0)
+    with pytest.raises(ValueError, match="priority: expected a sequence of actions, not the string 'Stop'"):
+        RuleLayer("rules/easy.dl", priority="Stop")
     with pytest.raises(ValueError, match="no predicate `Halt`"):
         RuleLayer("rules/easy.dl", queries=["Halt"])
     with pytest.raises(ValueError, match="no clause derives `IsCar`"):
@@ -524,11 +530,11 @@ def test_proofs_are_the_most_probable_reasons() -> None:
         DECLARED
         + """.decl Stop(x: agent)
     .decl Slow(x: agent)
-    S1: Stop(X) :- R(X, Y), Not(B(Y)).
-    S2: Slow(X) :- A(X), Not(Stop(X)).
+    Stop(X) :- R(X, Y), Not(B(Y)).
+    Slow(X) :- A(X), Not(Stop(X)).
     """
     )
-    layer = RuleLayer(Program(text.replace("S1: ", "").replace("S2: ", "")), "exact")
+    layer = RuleLayer(Program(text), "exact")
     unary, binary = torch.zeros(3, 3), torch.zeros(3, 3, 2)
     unary[0, 0], unary[1, 1] = 0.9, 0.3
     binary[0, 1, 0], binary[0, 2, 0] = 0.5, 0.25
@@ -545,6 +551,30 @@ def test_proofs_are_the_most_probable_reasons() -> None:
         layer.proofs(unary, binary, action="Go")
     with pytest.raises(ValueError, match="ego: there are 3 entities, so 3 does not exist"):
         layer.proofs(unary, binary, ego=3, action="Stop")
+    with pytest.raises(ValueError, match="unary: proofs concern one scene"):
+        layer.proofs(unary[None], binary[None], action="Stop")
+    for given in (unary * float("nan"), unary / 0):
+        for call in (
+            lambda given=given: layer(given[None], binary[None]),
+            lambda g=given: layer.proofs(g, binary, action="Stop"),
+        ):
+            with pytest.raises(ValueError, match="unary: expected probabilities from 0 to 1, found NaN or infinity"):
+                call()
+    # With one proof, what may derive Stop otherwise is not considered.
+    few = RuleLayer(Program(text), "top-k", k=1)
+    assert few.proofs(unary, binary, action="Slow")[0].literals == ("A(e0)", "not R(e0, e1)")
+
+
+def test_proofs_look_back() -> None:
+    text = DECLARED + ".decl Stop(x: agent)\nStop(X) :- once[1,2] A(X), Not(B(X)).\n"
+    layer = RuleLayer(Program(text), "top-k")
+    for ticks in (1, 2, 3):
+        unary, binary = torch.zeros(ticks, 1, 3), torch.zeros(ticks, 1, 1, 2)
+        unary[:, 0, 0], unary[-1, 0, 1] = 0.5, 0.25
+        proofs = layer.proofs(unary, binary, action="Stop")
+        last = ticks - 1
+        expected = [{f"A(e0) in tick {tick}", f"not B(e0) in tick {last}"} for tick in range(last)]
+        assert [set(proof.literals) for proof in proofs] == expected
 
 
 def test_kept_circuits_do_not_depend_on_other_scenes() -> None:
@@ -567,7 +597,3 @@ def test_large_diagrams_are_refused() -> None:
     unary, binary = torch.full((1, 4, len(layer.unary)), 0.5), torch.full((1, 4, 4, len(layer.binary)), 0.5)
     with pytest.raises(ValueError, match="`nodes_max`.*`top-k`"):
         layer(unary, binary)
-    with pytest.raises(ValueError, match="k: expected at least 1, not 0"):
-        RuleLayer("rules/easy.dl", "top-k", k=0)
-    with pytest.raises(ValueError, match="nodes_max: expected at least 1, not 0"):
-        RuleLayer("rules/easy.dl", "exact", nodes_max=0)

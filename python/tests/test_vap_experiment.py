@@ -143,6 +143,10 @@ def test_the_papers_figures_are_those_of_its_table() -> None:
             r"error\[invalid-value\]: `fraction` must be at most 1(.|\n)*tiny\.yaml:6:41",
         ),
         (TINY + "quick: {fraction: 2}", r"`fraction` must be at most 1(.|\n)*tiny\.yaml:12:19"),
+        (
+            TINY.replace("stage: reasoning", "stage: reasoning, reasoner: rules"),
+            "the reasoner `rules` has nothing to train: use the stage `end-to-end`",
+        ),
         (TINY.replace("stage: reasoning", "stage: bound"), "the stage `bound` needs `groundings: exact`"),
         (TINY.replace("fraction: 0.3", "weights: a"), "`weights` are those of a backbone: they need"),
         (TINY.replace("{random: {}}", "{random: {start: randm}}"), "unknown variant `randm`; did you mean `random`"),
@@ -255,6 +259,18 @@ def test_rules_are_learned_from_true_concepts(tiny: Path, tmp_path: Path) -> Non
     measured = run_cell(prepare(cells[0], tmp_path / "run"))
     assert measured["evaluations"]["threshold"] == measured["evaluations"]["product"]
     assert measured["evaluations"]["threshold"]["a_acc"] > 0.7 and not measured["concepts"]
+
+
+def test_concepts_are_learned_through_the_rules(tiny: Path, tmp_path: Path) -> None:
+    tiny.write_text(TINY.replace("reasoner: nlm", "reasoner: rules"))
+    _, cells = cells_of(tiny, only=[("e2e-nlm",)])
+    measured = run_cell(prepare(cells[0], tmp_path / "run"))
+    model = torch.load(cells[0].task.model(cells[0].folder(tmp_path / "run")), weights_only=True)
+    assert not model["reasoner"] and model["concepts"]
+    history = measured["history"]
+    assert history[-1]["loss"] < history[0]["loss"]
+    # Rules give concepts their meaning, so these have recalls as if they were trained with labels.
+    assert measured["concepts"]["IsCar"]["count"] > 0 and set(measured["evaluations"]) == {""}
 
 
 def test_the_bound_lacks_classes_that_training_does_not_show(tiny: Path, tmp_path: Path) -> None:

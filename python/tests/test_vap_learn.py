@@ -380,10 +380,10 @@ def inputs(count: int = 5, seed: int = 0) -> tuple[Any, Any, Any]:
     return unary, binary, torch.ones(3, count, dtype=torch.bool)
 
 
-@pytest.mark.parametrize("name", ["gnn", "nlm"])
+@pytest.mark.parametrize("name", ["gnn", "nlm", "rules"])
 def test_reasoners_do_not_depend_on_order_and_padding(name: Any) -> None:
     torch.manual_seed(0)
-    reasoner = make_reasoner(name)
+    reasoner = make_reasoner(name, Program.load("rules/vap-hard.dl"))
     unary, binary, valid = inputs()
     with torch.no_grad():
         logits = reasoner(unary, binary, valid)

@@ -79,7 +79,7 @@ enum Command {
     Fmt(fmt::Arguments),
     /// Compare two rule sets: prove them equivalent or print a minimal counterexample
     Diff(diff::Arguments),
-    /// Count the confusions of concepts that rules cannot tell apart, and print what would
+    /// Count reasoning shortcuts: confusions of concepts that change no decision
     Shortcuts(shortcuts::Arguments),
     /// Run a Datalog program on facts files, compatible with Soufflé
     Query(query::Arguments),

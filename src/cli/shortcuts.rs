@@ -9,12 +9,13 @@ use crate::cli::report::{plural, report};
 use crate::cli::terminal;
 use crate::cli::values::{integer, one_of};
 use crate::config::{ActionsConfig, rule_file};
+use crate::datalog::codes;
 use crate::datalog::diff::shortcuts::{
-    Image, Map, Maps, ShortcutOptions, Shortcuts, Witness, identity, remedy, shortcuts, witness,
+    ConceptMap, ConceptMaps, Image, ShortcutOptions, Shortcuts, Stopped, Witness, identity, remedy, shortcuts, witness,
 };
-use crate::datalog::{Atom, Clause, InputPolicy, Literal, PredicateId, Rules, Term};
-use crate::diag::{Sources, listed};
-use crate::sim::{examine, scene_json};
+use crate::datalog::{Atom, Clause, InputPolicy, Literal, Past, PredicateId, Rules, Term};
+use crate::diag::{Diagnostic, Sources, listed};
+use crate::sim::{earlier_facts, examine, scene_json};
 use serde_json::{Value, json};
 use std::collections::BTreeSet;
 use std::io::Write;
@@ -28,10 +29,10 @@ pub struct Arguments {
     /// actions decides [default: the constraints that the rules declare, and Stop, Slow, Fast, Normal]
     #[arg(long, value_name = "CONFIG")]
     config: Option<PathBuf>,
-    /// The confusions to list. permutations: each concept is taken for one, and no two for the same. signed: also for the
-    /// negation of one. all: concepts may also merge, or be always or never reported
-    #[arg(long, value_parser = one_of(&Maps::ALL, Maps::name), default_value = "all")]
-    maps: Maps,
+    /// The maps to search. permutations: each concept stands for exactly one. signed: or for the negation of one. all:
+    /// concepts may also merge, or be reported always or never
+    #[arg(long, value_parser = one_of(&ConceptMaps::ALL, ConceptMaps::name), default_value = "all")]
+    maps: ConceptMaps,
     /// The concepts that perception may confuse, separated by commas; the others have labels [default: all that the
     /// decisions depend on]
     #[arg(long, value_delimiter = ',', value_name = "NAMES")]
@@ -42,10 +43,10 @@ pub struct Arguments {
     /// Stop after this many conflicts of the search
     #[arg(long, value_name = "COUNT", value_parser = integer(0..=u64::MAX), default_value_t = ShortcutOptions::default().conflicts_max)]
     effort: u64,
-    /// List at most this many confusions
+    /// List at most this many maps
     #[arg(long, value_name = "COUNT", value_parser = integer(1..=1_000_000_usize), default_value_t = ShortcutOptions::default().maps_max)]
     limit: usize,
-    /// Print for each two concepts a scene in which exchanging them changes the decision
+    /// For each pair of concepts, print a scene in which exchanging them changes the decision
     #[arg(long)]
     pairs: bool,
     /// Print one JSON object
@@ -55,7 +56,10 @@ pub struct Arguments {
     _memory: MemoryOption,
 }
 
-/// The confusions printed without `--json`.
+/// The predicate that says who sees whom.
+const SEES: &str = "Sees";
+
+/// The number of shortcuts printed without `--json`.
 const SHOWN_MAX: usize = 20;
 
 pub fn run(arguments: &Arguments, sources: &mut Sources) -> Result<(), Failure> {
@@ -83,26 +87,38 @@ pub fn run(arguments: &Arguments, sources: &mut Sources) -> Result<(), Failure> 
     };
     report(&loaded.diagnostics, sources);
     let theory = city.as_ref().and_then(Checked::theory);
-    let rules = examine(&rules, theory, sources).in_city.of_one_tick();
+    let rules = examine(&rules, theory, sources).in_city;
+    // What rules read of earlier ticks is given, but it is read.
+    let operands: Vec<PredicateId> = rules.pasts.iter().flat_map(Past::operands).collect();
+    let remembered = |id: &PredicateId| operands.iter().any(|operand| rules.depends_on(*operand, *id));
+    let now = rules.of_one_tick();
     let actions = city.as_ref().map_or_else(ActionsConfig::default, Checked::actions);
-    let order = order(&rules, &actions);
+    let order = order(&now, &actions);
     if order.is_empty() {
         let message = format!("`{}` derives no action", path.display());
-        return Err(Failure::Usage(message));
+        let names: Vec<&str> = actions.table.names().collect();
+        let fault = Diagnostic::new(codes::RULE_MISMATCH, message);
+        return Err(fault.help(format!("derive one of {}", names.join(", "))).into());
     }
     let options = ShortcutOptions {
         maps: arguments.maps,
-        concepts: arguments.concepts.clone(),
+        concepts: (arguments.concepts.iter().map(|name| name.trim()))
+            .filter(|name| !name.is_empty())
+            .map(str::to_owned)
+            .collect(),
+        views: rules.predicate(SEES).into_iter().collect(),
+        default_action: rules.predicate(actions.table.name(actions.default)),
         entities_max: arguments.entities,
         conflicts_max: arguments.effort,
         maps_max: arguments.limit,
     };
-    let found = shortcuts(&rules, &order, &options).map_err(|faults| match arguments.concepts.is_empty() {
+    let mut found = shortcuts(&now, &order, &options).map_err(|faults| match arguments.concepts.is_empty() {
         true => Failure::Input(faults),
         false => Failure::option(faults),
     })?;
+    found.unread.retain(|id| !remembered(id));
     let answer = Answer {
-        rules: &rules,
+        rules: &now,
         order: &order,
         options: &options,
         found: &found,
@@ -119,7 +135,7 @@ pub fn run(arguments: &Arguments, sources: &mut Sources) -> Result<(), Failure> 
     Ok(())
 }
 
-/// Returns the derived actions in order of precedence, the default last.
+/// Returns the derived actions in order of precedence.
 fn order(rules: &Rules, actions: &ActionsConfig) -> Vec<PredicateId> {
     let names = actions.priority.iter().chain([&actions.default]);
     let mut order: Vec<PredicateId> = Vec::new();
@@ -132,6 +148,9 @@ fn order(rules: &Rules, actions: &ActionsConfig) -> Vec<PredicateId> {
     }
     order
 }
+
+/// Two concepts that are exchanged, by their positions.
+type Exchange = [usize; 2];
 
 /// What was found, with what the words for it need.
 struct Answer<'a> {
@@ -163,13 +182,13 @@ impl Answer<'_> {
     }
 
     /// Returns the maps that confuse concepts.
-    fn shortcuts(&self) -> impl Iterator<Item = &Map> {
+    fn shortcuts(&self) -> impl Iterator<Item = &ConceptMap> {
         self.found.maps.iter().filter(|map| !map.is_same())
     }
 
     /// Returns a smallest set of concepts whose labels exclude all confusions that were found.
     fn labels(&self) -> Vec<usize> {
-        let confused = |map: &Map| {
+        let confused = |map: &ConceptMap| {
             let all = map.confused.iter().enumerate();
             all.filter(|(_, confused)| **confused).map(|(at, _)| at).collect()
         };
@@ -188,7 +207,7 @@ impl Answer<'_> {
     }
 
     /// Returns a clause that would remove a confusion.
-    fn clause(&self, map: &Map) -> Result<Option<String>, Failure> {
+    fn clause(&self, map: &ConceptMap) -> Result<Option<String>, Failure> {
         let confused = map.confused.iter().enumerate().filter(|(_, confused)| **confused);
         for (concept, _) in confused {
             let concepts = &self.found.concepts;
@@ -222,7 +241,7 @@ impl Answer<'_> {
     }
 
     /// Returns the pairs of concepts with images of their own, each with the scene that tells them apart.
-    fn pairs(&self) -> impl Iterator<Item = Result<([usize; 2], Option<Witness>), Failure>> {
+    fn pairs(&self) -> impl Iterator<Item = Result<(Exchange, Result<Option<Witness>, Stopped>), Failure>> {
         let count = self.found.concepts.len();
         let arity = |at: usize| self.rules.predicates[self.found.concepts[at].index()].arity();
         let pairs = (0..count).flat_map(move |one| (one + 1..count).map(move |other| [one, other]));
@@ -242,42 +261,56 @@ impl Answer<'_> {
 
     fn print(&self, out: &mut impl Write) -> Result<(), Failure> {
         let names: Vec<&str> = self.found.concepts.iter().map(|id| self.name(*id)).collect();
-        writeln!(
-            out,
-            "the decisions depend on {}: {}",
-            plural(names.len(), "concept"),
-            names.join(", ")
-        )?;
+        let (count, names) = (plural(names.len(), "concept"), names.join(", "));
+        match self.options.concepts.is_empty() {
+            true => writeln!(out, "the decisions depend on {count}: {names}")?,
+            false => writeln!(out, "perception may confuse {count}: {names}")?,
+        }
+        if !self.found.given.is_empty() {
+            let given: Vec<&str> = self.found.given.iter().map(|id| self.name(*id)).collect();
+            writeln!(out, "taken as given: {}", given.join(", "))?;
+        }
         if !self.found.unread.is_empty() {
             let unread: Vec<&str> = self.found.unread.iter().map(|id| self.name(*id)).collect();
             writeln!(out, "no decision depends on {}", unread.join(", "))?;
         }
-        let entities = match self.options.entities_max {
-            1 => "one entity".to_owned(),
-            more => format!("at most {more} entities"),
-        };
+        let entities = self.entities();
         let same = self.found.maps.iter().filter(|map| map.is_same()).count();
         let count = self.shortcuts().count();
         let (most, all) = (
-            if self.found.complete { "" } else { "at least " },
+            if self.found.stopped.is_none() { "" } else { "at least " },
             self.found.maps.len(),
         );
         let verb = if all == 1 { "changes" } else { "change" };
-        writeln!(
-            out,
-            "{most}{} {verb} no decision in scenes of {entities}: {same} with the same meaning, {}",
-            plural(all, "map"),
-            plural(count, "shortcut"),
-        )?;
-        if !self.found.complete {
-            writeln!(out, "  the search reached --effort or --limit")?;
+        if all == 0 {
+            writeln!(out, "the search ended before it found a map")?;
+        } else {
+            writeln!(
+                out,
+                "{most}{} {verb} no decision in scenes of {entities}: {same} with the same meaning, {}",
+                plural(all, "map"),
+                plural(count, "shortcut"),
+            )?;
+        }
+        match self.found.stopped {
+            None => {}
+            Some(Stopped::Conflicts) => {
+                writeln!(out, "  stopped after --effort conflicts: raise it, or lower --entities")?
+            }
+            Some(Stopped::Maps) => writeln!(out, "  stopped at --limit maps: raise it")?,
+            Some(Stopped::Size) => {
+                writeln!(
+                    out,
+                    "  the formula is too large: lower --entities, or name fewer --concepts"
+                )?;
+            }
         }
         // Other maps combine these with images of the same meaning.
-        let is_plain = |map: &&Map| {
+        let is_plain = |map: &&ConceptMap| {
             let mut images = map.images.iter().enumerate();
             images.all(|(at, image)| map.confused[at] || *image == identity(at))
         };
-        let plain: Vec<&Map> = self.shortcuts().filter(is_plain).collect();
+        let plain: Vec<&ConceptMap> = self.shortcuts().filter(is_plain).collect();
         for map in plain.iter().take(SHOWN_MAX) {
             let moved = map.images.iter().enumerate().filter(|(at, _)| map.confused[*at]);
             let moved: Vec<String> = moved
@@ -293,23 +326,39 @@ impl Answer<'_> {
             writeln!(out, "  and {} more; --json lists all", count - shown)?;
         }
         let labels = self.labels();
-        if count > 0 && self.found.complete {
+        if count > 0 && self.found.stopped.is_none() {
             let labels: Vec<&str> = labels.iter().map(|at| self.concept(*at)).collect();
             writeln!(out, "labels of {} would exclude all shortcuts", listed(&labels))?;
         }
         Ok(())
     }
 
+    /// Returns the largest number of entities in a scene, in words.
+    fn entities(&self) -> String {
+        match self.options.entities_max {
+            1 => "one entity".to_owned(),
+            more => format!("at most {more} entities"),
+        }
+    }
+
     fn print_pairs(&self, out: &mut impl Write) -> Result<(), Failure> {
+        let entities = self.entities();
         for pair in self.pairs() {
             let ([one, other], found) = pair?;
             let names = format!("{} and {}", self.concept(one), self.concept(other));
             match found {
-                None => writeln!(out, "{names}: no scene tells them apart")?,
-                Some(Witness { scene, decisions }) => {
+                Err(_) => writeln!(out, "{names}: undecided; raise --effort, or lower --entities")?,
+                Ok(None) => {
+                    writeln!(out, "{names}: no scene of {entities} tells them apart")?;
+                }
+                Ok(Some(Witness { scene, decisions })) => {
                     let [right, wrong] = decisions.map(|decision| self.decision(decision));
                     writeln!(out, "{names}: {right}, and {wrong} if exchanged, in")?;
                     writeln!(out, "  {}", scene_json(&scene, &[self.rules]))?;
+                    let earlier = earlier_facts(&scene, self.rules);
+                    if !earlier.is_empty() {
+                        writeln!(out, "  if earlier ticks make these hold: {}", earlier.join(", "))?;
+                    }
                 }
             }
         }
@@ -318,7 +367,7 @@ impl Answer<'_> {
 
     fn json(&self, with_pairs: bool) -> Result<Value, Failure> {
         let names = |ids: &[PredicateId]| ids.iter().map(|id| self.name(*id).to_owned()).collect::<Vec<_>>();
-        let map = |map: &Map| {
+        let map = |map: &ConceptMap| {
             let images = map.images.iter().enumerate();
             let images = images.map(|(at, image)| (self.concept(at).to_owned(), json!(self.image(*image))));
             let confused = map.confused.iter().enumerate().filter(|(_, confused)| **confused);
@@ -331,22 +380,26 @@ impl Answer<'_> {
         let mut answer = json!({
             "concepts": names(&self.found.concepts),
             "unread": names(&self.found.unread),
+            "given": names(&self.found.given),
             "entities": self.options.entities_max,
             "maps": self.found.maps.len(),
             "shortcuts": self.shortcuts().map(map).collect::<Vec<_>>(),
-            "complete": self.found.complete,
-            "labels": labels,
+            "complete": self.found.stopped.is_none(),
+            "labels": self.found.stopped.is_none().then_some(labels),
         });
         if with_pairs {
             let pairs = self.pairs().map(|pair| {
                 let ([one, other], found) = pair?;
-                let witness = found.map(|found| {
+                let decided = found.is_ok();
+                let witness = found.ok().flatten().map(|found| {
                     json!({
                         "scene": scene_json(&found.scene, &[self.rules]),
+                        "earlier": earlier_facts(&found.scene, self.rules),
                         "decisions": found.decisions.map(|decision| decision.map(|action| self.name(action))),
                     })
                 });
-                Ok(json!({ "concepts": [self.concept(one), self.concept(other)], "witness": witness }))
+                let concepts = [self.concept(one), self.concept(other)];
+                Ok(json!({ "concepts": concepts, "decided": decided, "witness": witness }))
             });
             answer["pairs"] = pairs.collect::<Result<Vec<Value>, Failure>>()?.into();
         }

@@ -8,7 +8,7 @@ mod circuit;
 use std::collections::HashMap;
 use std::hash::{BuildHasherDefault, Hasher};
 
-pub(crate) use circuit::Circuit;
+pub(crate) use circuit::DiagramCircuit;
 
 /// A formula: the number of a node, shifted by one, and whether it is negated.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, PartialOrd, Ord, Hash)]

@@ -163,7 +163,7 @@ pub use eval::stats::{EvalEvent, EvalStats, RuleStats, Strategy, StratumStats, W
 pub use eval::workers::Threads;
 pub use marginals::{
     CircuitCompiler, CircuitOptions, FactProof, Inexact, MarginalOptions, Marginals, Probability, ProbabilityCircuit,
-    Variable,
+    RandomVariable,
 };
 #[cfg(feature = "optimizer")]
 pub use plan::optimize;

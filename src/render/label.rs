@@ -31,7 +31,7 @@ pub(super) fn contains(outer: PixelBox, inner: PixelBox) -> bool {
     overlap(outer, inner).cast_unsigned() == inner.width * inner.height
 }
 
-/// Returns `C12` for `Car_12`, `P3` for `Pedestrian_3`, `Cyc3` for `Cyclist_3` of an own kind, else the shortened name.
+/// Returns `C12` for `Car_12`, `P3` for `Pedestrian_3`, `Cyc3` for `Cyclist_3` of a configured kind, else the shortened name.
 fn short(sprite: &Sprite<'_>, longest: usize) -> String {
     let kind = sprite.kind_name.unwrap_or(sprite.kind.name());
     let prefix = match sprite.kind_name {
@@ -46,7 +46,7 @@ fn short(sprite: &Sprite<'_>, longest: usize) -> String {
     }
 }
 
-/// Returns the begin of the labels of a kind that a configuration defines: three letters of its name.
+/// Returns the prefix of labels of a kind that a configuration defines: three letters of its name.
 pub(super) fn own_prefix(kind: &str) -> &str {
     kind.char_indices().nth(3).map_or(kind, |(end, _)| &kind[..end])
 }

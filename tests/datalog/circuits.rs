@@ -6,7 +6,7 @@ use crate::written_program::program;
 use logicity_datalog::cancel::Cancel;
 use logicity_datalog::{
     CircuitCompiler, CircuitOptions, ClauseId, Inexact, MarginalOptions, PredicateId, ProbabilityCircuit, Program,
-    Value, Variable, naive,
+    RandomVariable, Value, naive,
 };
 use proptest::collection::vec;
 use proptest::prelude::*;
@@ -49,13 +49,13 @@ fn probabilities(
     of_facts: &BTreeMap<(PredicateId, Box<[Value]>), f64>,
     weights: &[f64],
 ) -> Vec<f64> {
-    let of = |variable: &Variable| match variable {
-        Variable::Fact { tick, predicate, row } => {
+    let of = |variable: &RandomVariable| match variable {
+        RandomVariable::Fact { tick, predicate, row } => {
             assert_eq!(*tick, 0);
             of_facts[&(*predicate, row.clone())]
         }
-        Variable::Draw(bits) => f64::from_bits(*bits),
-        Variable::Weight(number) => weights[*number],
+        RandomVariable::Draw(bits) => f64::from_bits(*bits),
+        RandomVariable::Weight(number) => weights[*number],
     };
     circuit.variables.iter().map(of).collect()
 }
@@ -149,8 +149,9 @@ proptest! {
     /// A weight is a probability before the clause.
     #[test]
     fn weights_are_probabilities_of_clauses(clauses in clauses(), bits in 0..256_u16, uncertain in uncertain()) {
-        // `_` takes no part in a draw, but instances differ in it.
-        let clauses: Vec<Written> = clauses.into_iter().filter(|clause| !clause.text().contains('_')).collect();
+        // `_` takes no part in a draw, but instances differ in it. Each alternative of a body has a weight of its own.
+        let is_plain = |clause: &Written| !clause.text().contains(['_', ';']) || clause.heads.len() > 1;
+        let clauses: Vec<Written> = clauses.into_iter().filter(is_plain).collect();
         let weighted = |clause: &Written| clause.heads.len() == 1 && clause.heads[0].0.is_none();
         let drawn: Vec<Written> = (clauses.iter().cloned())
             .map(|mut clause| {
@@ -208,7 +209,7 @@ proptest! {
         let circuit = compiler.circuit();
         let at: Vec<f64> = (circuit.variables.iter())
             .map(|variable| match variable {
-                Variable::Fact { tick, predicate, .. } => uncertain[*tick][usize::from(*predicate == m)],
+                RandomVariable::Fact { tick, predicate, .. } => uncertain[*tick][usize::from(*predicate == m)],
                 other => panic!("{other:?}"),
             })
             .collect();
@@ -251,8 +252,8 @@ fn few_proofs_are_a_lower_bound() {
         };
         let (_, circuit) = compiled(&program, &all, &[0.5, 0.8], (&options, &[]));
         let circuit = circuit.unwrap();
-        let of = |variable: &Variable| match variable {
-            Variable::Fact { row, .. } if row[0] == row[1] => 0.5,
+        let of = |variable: &RandomVariable| match variable {
+            RandomVariable::Fact { row, .. } if row[0] == row[1] => 0.5,
             _ => 0.8,
         };
         let given: Vec<f64> = circuit.variables.iter().map(of).collect();

@@ -100,15 +100,12 @@ fn faults_are_reported() {
     fails(
         &logicity(["shortcuts", "hard", "--concepts", "IsGreen"]),
         2,
-        &[
-            "`IsGreen` is no concept that the decisions depend on",
-            "the concepts are",
-        ],
+        &["no decision depends on a concept `IsGreen`", "the concepts are"],
     );
     fails(
         &logicity(["shortcuts", "rules/traffic-lights.dl", "--config", "traffic-lights"]),
         1,
-        &["shortcuts of rules with expressions"],
+        &["shortcuts are not counted for expressions", "this clause has one"],
     );
     fails(
         &logicity(["shortcuts", "rules/vocabulary.dl", "--maps", "some"]),
@@ -121,13 +118,57 @@ fn faults_are_reported() {
         &["name a rule file"],
     );
     fails(&logicity(["shortcuts", "missing.dl"]), 2, &["missing.dl"]);
+    let one = logicity(["shortcuts", "hard", "--entities", "1", "--limit", "500"]);
+    assert!(out(&one).contains("at least 500 maps"), "{}", out(&one));
+    let folder = tempfile::tempdir().unwrap();
+    let rules = folder.path().join("none.dl");
+    fs::write(&rules, ".decl p(x: symbol)\n").unwrap();
+    fails(
+        &logicity(["shortcuts", rules.to_str().unwrap()]),
+        1,
+        &["derives no action", "derive one of"],
+    );
     let few = logicity(["shortcuts", "vap-hard", "--limit", "5"]);
     assert!(
         out(&few).contains("at least 5 maps change no decision"),
         "{}",
         out(&few)
     );
-    assert!(out(&few).contains("reached --effort or --limit"));
+    assert!(out(&few).contains("stopped at --limit maps"));
     let none = logicity(["shortcuts", "expert", "--effort", "0"]);
-    assert!(out(&none).contains("at least 0 maps"), "{}", out(&none));
+    assert!(
+        out(&none).contains("the search ended before it found a map"),
+        "{}",
+        out(&none)
+    );
+}
+
+/// Who sees whom is no concept, what temporal operators read is given, and constants are entities, too.
+#[test]
+fn concepts_are_what_perception_reports() {
+    let folder = tempfile::tempdir().unwrap();
+    let rules = folder.path().join("r.dl");
+    let said = |body: &str| {
+        fs::write(&rules, format!(".include \"vocabulary.dl\"\n{body}\n")).unwrap();
+        out(&logicity(["shortcuts", rules.to_str().unwrap(), "--pairs"]))
+    };
+    let alone = said("Stop(X) :- IsTiro(X).");
+    assert!(
+        alone.starts_with("the decisions depend on 1 concept: IsTiro\n"),
+        "{alone}"
+    );
+    let temporal = said("Slow(X) :- once[1,5] IsTiro(X), IsBus(X), Not(IsOld(X)).");
+    for line in [
+        "taken as given: once[1,5] IsTiro\n",
+        "no decision depends on IsPedestrian, IsCar, IsAmbulance, IsPolice, IsReckless",
+        "  if earlier ticks make these hold: once[1,5] IsTiro(e0)\n",
+    ] {
+        assert!(temporal.contains(line), "{temporal}");
+    }
+    let constant = said("Stop(X) :- IsTiro(\"Car_1\"), IsBus(X).");
+    let pair = constant
+        .lines()
+        .find(|line| line.starts_with("IsBus and IsTiro: "))
+        .unwrap();
+    assert!(pair.contains("Stop") && pair.contains("Normal"), "{constant}");
 }

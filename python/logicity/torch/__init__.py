@@ -19,7 +19,8 @@ Two further ones take degrees as the probabilities of independent facts:
   other facts are certain, that is, have the degree 0 or 1; certain facts get no gradient. The diagrams of scenes with
   many uncertain facts may grow too large.
 - `top-k` keeps the `k` most probable proofs of each atom, and computes the probability that one of them holds (Huang et
-  al.: Scallop, 2021). With all proofs, it equals `exact`.
+  al.: Scallop, 2021). It is a lower bound for atoms that depend on no negation, else an approximation; with all proofs,
+  it equals `exact`.
 """
 
 from .exact import Proof

@@ -23,7 +23,7 @@ __all__ = ["Circuits", "Proof"]
 
 @dataclass(frozen=True)
 class Proof:
-    """Facts from which a decision follows.
+    """Facts from which a decision follows, if no atom that it depends on has more than `k` proofs.
 
     Attributes:
         probability: The probability that all of them are as they say.
@@ -109,7 +109,7 @@ class Circuits:
         for place in places:
             for probability, literals in self._core.proofs(unary, binary, chosen, (ego, place), weight):
                 found.append(Proof(probability, tuple(self._literal(*literal) for literal in literals)))
-        return sorted(found, key=lambda proof: -proof.probability)
+        return sorted(found, key=lambda proof: -proof.probability)[: self._given[3][0]]
 
     def _literal(self, holds: bool, kind: str, positions: list[int]) -> str:
         if kind == "draw":

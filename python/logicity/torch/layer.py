@@ -138,6 +138,8 @@ class RuleLayer(nn.Module):
                 raise ValueError(f"{name}: expected at least 1, not {value}")
         self.semantics, self.depth, self.k, self.nodes_max = semantics, depth, k, nodes_max
         is_exact = semantics in ("exact", "top-k")
+        if isinstance(priority, str):
+            raise ValueError(f"priority: expected a sequence of actions, not the string {priority!r}")
         self.program = rules if isinstance(rules, Program) else Program.load(rules)
         self.queries, self.default = tuple(dict.fromkeys(queries)), default
         self.actions = tuple(dict.fromkeys([*priority, default]))
@@ -211,6 +213,7 @@ class RuleLayer(nn.Module):
     def _exactly(
         self, circuits: Circuits, inputs: tuple[Tensor, Tensor, Tensor | None], egos: Sequence[int]
     ) -> tuple[Tensor, dict[str, Tensor]]:
+        self._check_finite(inputs[0], inputs[1])
         return circuits.degrees(inputs, egos, self.weights(), self.actions, self.default)
 
     def proofs(
@@ -229,14 +232,19 @@ class RuleLayer(nn.Module):
             action: One of `actions`.
 
         Raises:
-            ValueError: If a shape is wrong, or there is no such ego or action.
+            ValueError: If a shape is wrong, there is no such ego or action, or the proofs need too many steps.
         """
+        shape = "(T, N" if self.temporal else "(N"
+        if unary.ndim != (3 if self.temporal else 2):
+            shape += f", {len(self.unary)})"
+            raise ValueError(f"unary: proofs concern one scene: expected the shape {shape}, not {tuple(unary.shape)}")
         self._check(unary[None], binary[None], None if mask is None else mask[None])
         count = unary.shape[-2]
         if not -count <= ego < count:
             raise ValueError(f"ego: there are {count} entities, so {ego} does not exist")
         if action not in self.actions:
             raise ValueError(f"action: expected one of {', '.join(self.actions)}, not {action!r}")
+        self._check_finite(unary, binary)
         circuits = self._compiled(self.k)
         return circuits.proofs((unary, binary, mask), ego % count, action, self.default, self.weights())
 
@@ -245,6 +253,11 @@ class RuleLayer(nn.Module):
         return None if self.weight_logits is None else self.weight_logits.sigmoid()
 
     # --- evaluation
+
+    def _check_finite(self, unary: Tensor, binary: Tensor) -> None:
+        for name, values in (("unary", unary), ("binary", binary)):
+            if not bool(torch.isfinite(values).all()):
+                raise ValueError(f"{name}: expected probabilities from 0 to 1, found NaN or infinity")
 
     def _check(self, unary: Tensor, binary: Tensor, mask: Tensor | None) -> None:
         leading = "(B, T, N" if self.temporal else "(B, N"

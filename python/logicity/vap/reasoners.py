@@ -16,7 +16,7 @@ with extra("vap"):
 
 from .concepts import RELATIONS, in_view
 
-__all__ = ["GraphReasoner", "LogicReasoner", "make_reasoner", "rule_degrees"]
+__all__ = ["GraphReasoner", "LogicReasoner", "RuleReasoner", "make_reasoner", "rule_degrees"]
 
 
 def rule_degrees(rules: Program, semantics: Semantics, unary: Tensor, binary: Tensor, valid: Tensor) -> Tensor:
@@ -25,7 +25,10 @@ def rule_degrees(rules: Program, semantics: Semantics, unary: Tensor, binary: Te
     The order is also that of precedence, as in `configs/vap-easy.yaml`. The other arguments are those of the networks,
     see `make_reasoner`. An entity sees itself, and no other binary predicate relates it to itself.
     """
-    layer = RuleLayer(rules, semantics, priority=ACTIONS)
+    return _degrees(RuleLayer(rules, semantics, priority=ACTIONS), unary, binary, valid)
+
+
+def _degrees(layer: RuleLayer, unary: Tensor, binary: Tensor, valid: Tensor) -> Tensor:
     sees, eye = in_view(binary, valid)
     values = {name: binary[..., at].masked_fill(eye, 0.0) for at, name in enumerate(RELATIONS)} | {"Sees": sees}
     known = unary[..., [UNARY.index(name) for name in layer.unary]]
@@ -33,13 +36,32 @@ def rule_degrees(rules: Program, semantics: Semantics, unary: Tensor, binary: Te
     return degrees
 
 
-def make_reasoner(name: Literal["gnn", "nlm"]) -> nn.Module:
-    """Create a reasoner with random weights. It maps groundings and the mask of entities to logits of actions.
+def make_reasoner(name: Literal["gnn", "nlm", "rules"], rules: Program | None = None) -> nn.Module:
+    """Create a reasoner: a network with random weights, or the rules, which have none.
 
-    Its arguments are truth degrees of the shapes (B, N, 11) and (B, N, N, 7), in the orders of `UNARY` and `RELATIONS`,
-    and the mask bool (B, N) of the entities that are present. The result has the shape (B, N, 4).
+    It maps groundings and the mask of entities to logits of actions. Its arguments are truth degrees of the shapes
+    (B, N, 11) and (B, N, N, 7), in the orders of `UNARY` and `RELATIONS`, and the mask bool (B, N) of the entities that
+    are present. The result has the shape (B, N, 4).
     """
+    if name == "rules":
+        if rules is None:
+            raise ValueError("rules: the reasoner `rules` needs a program, such as `Program.load(...)`")
+        return RuleReasoner(rules)
     return GraphReasoner() if name == "gnn" else LogicReasoner()
+
+
+class RuleReasoner(nn.Module):
+    """The rules as a layer with the semantics `product`, without parameters."""
+
+    def __init__(self, rules: Program) -> None:
+        """Prepare the rules."""
+        super().__init__()
+        self.layer = RuleLayer(rules, "product", priority=ACTIONS)
+
+    def forward(self, unary: Tensor, binary: Tensor, valid: Tensor) -> Tensor:
+        """Return the logarithms of the degrees of the actions, see `make_reasoner`."""
+        # The constant keeps the logarithm and its gradient finite.
+        return torch.log(_degrees(self.layer, unary, binary, valid) + 1e-12)
 
 
 class GraphReasoner(nn.Module):

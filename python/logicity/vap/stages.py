@@ -90,8 +90,9 @@ class VapSettings(StrictModel):
     weights: str | None = None
     """For `perception: features`, the file of the backbone's weights. A path is relative to the working directory. By
     default torchvision's cache has the file."""
-    reasoner: Literal["gnn", "nlm"] = "gnn"
-    """A graph network (`gnn`) or a Neural Logic Machine (`nlm`), for the stages `reasoning` and `end-to-end`."""
+    reasoner: Literal["gnn", "nlm", "rules"] = "gnn"
+    """A graph network (`gnn`) or a Neural Logic Machine (`nlm`), for the stages `reasoning` and `end-to-end`; or the
+    rules of the mode (`rules`), for the stage `end-to-end`, so that concepts are learned from actions through them."""
     groundings: Literal["predicted", "exact"] = "predicted"
     """The truth values on which a reasoner is trained and tested, or from which rules are learned."""
     training: TrainingSettings = TrainingSettings()
@@ -105,6 +106,8 @@ class VapSettings(StrictModel):
             raise _fault("groundings", fault)
         if not exact and stage == "bound":
             raise _fault("stage", "the stage `bound` needs `groundings: exact`")
+        if self.reasoner == "rules" and stage != "end-to-end":
+            raise _fault("reasoner", "the reasoner `rules` has nothing to train: use the stage `end-to-end`")
         if self.weights is not None and not features:
             raise _fault("weights", "`weights` are those of a backbone: they need `concepts.perception: features`")
         if features and self.concepts.features != (count := Backbone.shape[0]):
@@ -187,7 +190,10 @@ class VapWork:
         with torch.random.fork_rng(devices=[]):
             torch.manual_seed(self.seed)
             settings = self.settings
-            part = ConceptModel(settings.concepts) if name == "concepts" else make_reasoner(settings.reasoner)
+            if name == "concepts":
+                part: torch.nn.Module = ConceptModel(settings.concepts)
+            else:
+                part = make_reasoner(settings.reasoner, self.rules())
         if not model:
             return part
         if name not in model:
@@ -239,7 +245,9 @@ def measure(work: VapWork, model: dict[str, Any]) -> tuple[dict[str, Any], dict[
         actions = {"": degrees.argmax(-1)}
     else:
         actions = {"": predict_actions(work.part("reasoner", model), unary, binary, test.facts["valid"])}
-    concepts = concept_measures(unary, binary, test) if stage == "concepts" else {}
+    # Rules name their concepts, so the measures show which ones actions teach; the concepts of networks have no names.
+    named = stage == "concepts" or (stage == "end-to-end" and work.settings.reasoner == "rules")
+    concepts = concept_measures(unary, binary, test) if named else {}
     return {name: evaluation(predicted, test) for name, predicted in actions.items()}, concepts
 
 

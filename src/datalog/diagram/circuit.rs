@@ -4,7 +4,7 @@ use crate::diagram::{Diagrams, Formula, Node};
 
 /// The decisions on which some formulas depend, without the tables that made them.
 #[derive(Clone, Debug)]
-pub(crate) struct Circuit {
+pub(crate) struct DiagramCircuit {
     /// Each after those that it reads; the first is the constant.
     nodes: Vec<Node>,
     /// The formulas.
@@ -24,7 +24,7 @@ impl Values {
 
 impl Diagrams {
     /// Returns the circuit of these formulas.
-    pub fn circuit(&self, roots: &[Formula]) -> Circuit {
+    pub fn circuit(&self, roots: &[Formula]) -> DiagramCircuit {
         let mut is_used = vec![false; self.nodes.len()];
         is_used[0] = true;
         roots.iter().for_each(|root| is_used[root.node()] = true);
@@ -59,7 +59,7 @@ impl Diagrams {
         let roots = roots
             .iter()
             .map(|root| Formula::new(numbers[root.node()], root.is_negated()));
-        Circuit {
+        DiagramCircuit {
             roots: roots.collect(),
             nodes,
             variables,
@@ -67,13 +67,13 @@ impl Diagrams {
     }
 }
 
-impl Circuit {
+impl DiagramCircuit {
     /// Returns the number of nodes.
-    pub fn len(&self) -> usize {
+    pub fn node_count(&self) -> usize {
         self.nodes.len()
     }
 
-    /// Computes the probabilities of all nodes, given those of [`Circuit::variables`].
+    /// Computes the probabilities of all nodes, given those of [`DiagramCircuit::variables`].
     pub fn values(&self, probabilities: &[f64]) -> Values {
         let mut values = Values(Vec::with_capacity(self.nodes.len()));
         values.0.push([1.0, 0.0]);
@@ -93,7 +93,7 @@ impl Circuit {
         self.roots.iter().map(|root| values.of(*root))
     }
 
-    /// Returns the derivatives by the probabilities of [`Circuit::variables`] of the sum of all formulas, each times its
+    /// Returns the derivatives by the probabilities of [`DiagramCircuit::variables`] of the sum of all formulas, each times its
     /// weight.
     pub fn gradient(&self, probabilities: &[f64], values: &Values, weights: &[f64]) -> Vec<f64> {
         let mut gradient = vec![0.0; self.variables.len()];

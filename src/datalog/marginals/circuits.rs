@@ -2,12 +2,12 @@
 
 use crate::cancel::Cancel;
 use crate::check::{ClauseId, Past, PastOperator, PredicateId};
-use crate::diagram::{Circuit, Formula, TooLarge};
+use crate::diagram::{DiagramCircuit, Formula, TooLarge};
 use crate::eval::limits::EvalError;
 use crate::marginals::facts::{FactRow, find_row};
 use crate::marginals::formulas::{Algebra, Given, Source};
 use crate::marginals::grounding::{Formulas, Inexact};
-use crate::marginals::proofs::{Proof, Proofs, literal};
+use crate::marginals::proofs::{Proof, TopProofs, literal};
 use crate::marginals::{MarginalOptions, Marginals};
 use crate::program::Program;
 use crate::value::Value;
@@ -16,7 +16,8 @@ use std::collections::{BTreeMap, HashMap};
 /// How [`CircuitCompiler`] computes formulas.
 #[derive(Clone, Debug, Default)]
 pub struct CircuitOptions {
-    /// The number of proofs to keep for each row: a lower bound of its probability. `None` for exact probabilities.
+    /// The number of proofs to keep for each row. The probability is then a lower bound for rules without negation, else
+    /// an approximation. `None` for exact probabilities.
     pub proofs: Option<usize>,
     /// The clauses with a weight, which is the probability that an instance of the clause counts, and its number.
     pub weights: BTreeMap<ClauseId, usize>,
@@ -24,9 +25,9 @@ pub struct CircuitOptions {
     pub marginals: MarginalOptions,
 }
 
-/// What a variable of a [`ProbabilityCircuit`] stands for.
+/// The source of a variable of a [`ProbabilityCircuit`].
 #[derive(Clone, Debug, PartialEq, Eq, Hash)]
-pub enum Variable {
+pub enum RandomVariable {
     /// A fact, in a tick that counts from 0.
     Fact {
         /// The tick.
@@ -36,7 +37,7 @@ pub enum Variable {
         /// The row.
         row: Box<[Value]>,
     },
-    /// The draw of a clause with a probability, of which these are the bits.
+    /// A draw of a clause; the bits of its probability, an `f64`.
     Draw(u64),
     /// That an instance of a clause counts: the number of the weight.
     Weight(usize),
@@ -48,7 +49,7 @@ pub struct FactProof {
     /// The probability that all of them do so.
     pub probability: f64,
     /// The variables, and whether they hold.
-    pub literals: Vec<(Variable, bool)>,
+    pub literals: Vec<(RandomVariable, bool)>,
 }
 
 /// The formulas of rows over facts, some of them uncertain, in one tick or several.
@@ -56,10 +57,10 @@ pub struct CircuitCompiler {
     marginals: Marginals,
     /// The predicates of which the first one that a row is in is the decision.
     order: Vec<PredicateId>,
-    proofs: Option<Proofs>,
+    proofs: Option<TopProofs>,
     /// Of proofs: the formulas of variables in the diagrams.
     variables: Vec<Formula>,
-    sources: Vec<Variable>,
+    sources: Vec<RandomVariable>,
     /// What temporal operators read in the present tick.
     given: HashMap<(PredicateId, FactRow), Formula>,
     /// By tick: the formulas of the rows that temporal operators read later.
@@ -71,9 +72,9 @@ pub struct CircuitCompiler {
 /// Probabilities as a function of those of its variables.
 #[derive(Clone, Debug)]
 pub struct ProbabilityCircuit {
-    circuit: Circuit,
+    circuit: DiagramCircuit,
     /// The variables that occur.
-    pub variables: Vec<Variable>,
+    pub variables: Vec<RandomVariable>,
 }
 
 impl CircuitCompiler {
@@ -93,7 +94,7 @@ impl CircuitCompiler {
         CircuitCompiler {
             marginals,
             order: order.to_vec(),
-            proofs: options.proofs.map(|k| Proofs::new(k.max(1), steps)),
+            proofs: options.proofs.map(|k| TopProofs::new(k.max(1), steps)),
             variables: Vec::new(),
             sources: Vec::new(),
             given: HashMap::new(),
@@ -125,7 +126,7 @@ impl CircuitCompiler {
     /// Adds a fact of the present tick. A fact with a probability above 0 and below 1 is a variable.
     ///
     /// # Panics
-    /// If the row does not fit the predicate, or the probability is none.
+    /// If the row does not fit the predicate, or the probability is not from 0 to 1.
     pub fn insert(&mut self, predicate: PredicateId, row: &[Value], probability: f64) {
         let inserted = self.marginals.insert(predicate, row, probability);
         inserted.expect("the row fits the predicate");
@@ -148,6 +149,9 @@ impl CircuitCompiler {
         let asked: Vec<&[Value]> = egos.iter().map(std::slice::from_ref).collect();
         let alone = rows.is_empty() && self.marginals.program.rules().pasts.is_empty();
         self.marginals.set_rows(alone.then_some(&asked));
+        if let Err(TooLarge) = self.look_back() {
+            return Ok(Err(Inexact::TooLarge));
+        }
         self.marginals.prepare(cancel)?;
         let Marginals {
             grounding,
@@ -175,19 +179,18 @@ impl CircuitCompiler {
         let tick = self.history.len();
         let session = &grounding.session;
         self.sources.extend(sources.into_iter().map(|source| match source {
-            Source::Fact(predicate, at) => Variable::Fact {
+            Source::Fact(predicate, at) => RandomVariable::Fact {
                 tick,
                 predicate,
                 row: session.row(predicate, at as usize).into(),
             },
-            Source::Draw(probability) => Variable::Draw(probability.to_bits()),
-            Source::Weight(number) => Variable::Weight(number),
+            Source::Draw(probability) => RandomVariable::Draw(probability.to_bits()),
+            Source::Weight(number) => RandomVariable::Weight(number),
         }));
         self.formulas = Some(formulas);
         let added = self.add_roots(egos, rows).and_then(|()| self.remember());
         self.marginals.clear();
-        let next = added.and_then(|()| self.look_back());
-        Ok(next.map_err(|TooLarge| Inexact::TooLarge))
+        Ok(added.map_err(|TooLarge| Inexact::TooLarge))
     }
 
     /// Returns the circuit of all ticks since the last [`begin`](CircuitCompiler::begin).
@@ -311,7 +314,7 @@ impl CircuitCompiler {
         Ok(())
     }
 
-    /// Computes what temporal operators read in the next tick, as facts with formulas.
+    /// Computes what temporal operators read in the present tick, as facts with formulas.
     fn look_back(&mut self) -> Result<(), TooLarge> {
         self.given.clear();
         let program = self.marginals.program.clone();
@@ -394,14 +397,9 @@ fn remembered<A: Algebra>(
 }
 
 impl ProbabilityCircuit {
-    /// Returns the number of decisions of the circuit.
-    pub fn len(&self) -> usize {
-        self.circuit.len()
-    }
-
-    /// Returns whether all outputs are constants.
-    pub fn is_empty(&self) -> bool {
-        self.variables.is_empty()
+    /// Returns the number of nodes, the constant included.
+    pub fn node_count(&self) -> usize {
+        self.circuit.node_count()
     }
 
     /// Returns the outputs, given the probabilities of the variables.

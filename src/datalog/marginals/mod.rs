@@ -23,7 +23,7 @@ mod formulas;
 mod grounding;
 mod proofs;
 
-pub use circuits::{CircuitCompiler, CircuitOptions, FactProof, ProbabilityCircuit, Variable};
+pub use circuits::{CircuitCompiler, CircuitOptions, FactProof, ProbabilityCircuit, RandomVariable};
 pub use grounding::Inexact;
 
 use crate::cancel::Cancel;

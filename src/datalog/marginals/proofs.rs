@@ -1,20 +1,21 @@
 //! The most probable proofs of rows, in place of their formulas.
 //!
-//! A proof is a set of variables that hold and of others that fail; the row follows from each of its proofs. Of a
-//! conjunction, disjunction or negation, the most probable proofs are kept: Huang et al.: Scallop, 2021.
+//! A proof is a set of variables that hold and of others that fail. Of a conjunction, disjunction or negation, the most
+//! probable proofs are kept: Huang et al.: Scallop, 2021. While no row has more than `k` proofs, the row follows from each
+//! of them. A negation considers only the kept proofs, so beyond `k` its proofs are approximations.
 
 use crate::diagram::{Formula, TooLarge};
 use crate::marginals::formulas::Algebra;
 use std::collections::HashMap;
 
 /// A variable, shifted by one, and whether it fails.
-type Literal = u32;
+type SignedVariable = u32;
 
-/// Its literals, sorted.
-pub(super) type Proof = Box<[Literal]>;
+/// The literals of a proof, sorted.
+pub(super) type Proof = Box<[SignedVariable]>;
 
 /// Sets of at most `k` proofs. Formulas are their numbers.
-pub(super) struct Proofs {
+pub(super) struct TopProofs {
     k: usize,
     /// By number: the proofs, the most probable first. Number 0 has the empty proof, which always holds.
     sets: Vec<Box<[Proof]>>,
@@ -29,15 +30,15 @@ pub(super) struct Proofs {
 }
 
 /// Returns the variable of a literal, and whether it holds.
-pub(super) fn literal(literal: Literal) -> (usize, bool) {
+pub(super) fn literal(literal: SignedVariable) -> (usize, bool) {
     ((literal >> 1) as usize, literal & 1 == 0)
 }
 
-impl Proofs {
+impl TopProofs {
     /// Keeps `k` proofs for each row, and takes at most `steps_max` steps.
-    pub fn new(k: usize, steps_max: u64) -> Proofs {
+    pub fn new(k: usize, steps_max: u64) -> TopProofs {
         let truth: Box<[Proof]> = [Proof::default()].into();
-        Proofs {
+        TopProofs {
             k,
             known: HashMap::from([(truth.clone(), 0)]),
             sets: vec![truth],
@@ -65,7 +66,7 @@ impl Proofs {
     }
 
     /// Returns the probability of a proof.
-    pub fn probability(&self, proof: &[Literal]) -> f64 {
+    pub fn probability(&self, proof: &[SignedVariable]) -> f64 {
         let each = proof.iter().map(|&each| {
             let (variable, holds) = literal(each);
             let probability = self.variables[variable];
@@ -150,9 +151,9 @@ impl Proofs {
     }
 }
 
-impl Algebra for Proofs {
+impl Algebra for TopProofs {
     fn clear(&mut self) {
-        *self = Proofs::new(self.k, self.steps_max);
+        *self = TopProofs::new(self.k, self.steps_max);
     }
 
     fn variable(&mut self, probability: f64) -> Result<Formula, TooLarge> {
@@ -195,8 +196,8 @@ impl Algebra for Proofs {
 }
 
 /// Returns the literals of both proofs; `None` if a variable would hold and fail.
-fn union(one: &[Literal], other: &[Literal]) -> Option<Proof> {
-    let mut all: Vec<Literal> = Vec::with_capacity(one.len() + other.len());
+fn union(one: &[SignedVariable], other: &[SignedVariable]) -> Option<Proof> {
+    let mut all: Vec<SignedVariable> = Vec::with_capacity(one.len() + other.len());
     let (mut left, mut right) = (one.iter().peekable(), other.iter().peekable());
     loop {
         let next = match (left.peek(), right.peek()) {
@@ -218,7 +219,7 @@ fn union(one: &[Literal], other: &[Literal]) -> Option<Proof> {
 }
 
 /// Returns whether a proof has all literals of another.
-fn contains(proof: &[Literal], other: &[Literal]) -> bool {
+fn contains(proof: &[SignedVariable], other: &[SignedVariable]) -> bool {
     let mut rest = proof.iter();
     other.iter().all(|literal| rest.any(|own| own == literal))
 }

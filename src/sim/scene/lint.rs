@@ -5,8 +5,8 @@ use crate::config::ActionsConfig;
 use crate::datalog::diff::Difference;
 use crate::datalog::optimize::{self, Lints};
 use crate::datalog::{
-    self, Atom, Clause, ClauseId, Constraint, DeclaredConstraint, Literal, Predicate, PredicateId, Rules, Term, TypeId,
-    Value, VarId,
+    self, Atom, Clause, ClauseId, Constraint, DeclaredConstraint, Function, Literal, Predicate, PredicateId, Rules,
+    Term, TypeId, Value, VarId,
 };
 use crate::diag::{Diagnostic, Faults, MAX_FAULTS, Sources, Span, did_you_mean, listed};
 use crate::sim::codes;
@@ -61,6 +61,7 @@ pub fn examine(rules: &Rules, city: Option<&CityTheory>, sources: &Sources) -> E
         in_city = given(&found.of_agents);
         diagnostics = found.faults;
         empty = found.empty;
+        diagnostics.extend(unknown_values(rules, &functions));
     }
     let Lints {
         diagnostics: lints,
@@ -112,6 +113,31 @@ pub fn examine(rules: &Rules, city: Option<&CityTheory>, sources: &Sources) -> E
         hints,
         unfinished,
     }
+}
+
+/// Warns of clauses that ask for a value that a quantity never has.
+fn unknown_values(rules: &Rules, functions: &[Function]) -> Vec<Diagnostic> {
+    let lint = |literal: &Literal| {
+        let Literal::Positive(atom) = literal else { return None };
+        let function = functions.iter().find(|function| function.predicate == atom.predicate)?;
+        let (symbols, Some(Term::Constant(value))) = (function.symbols.as_ref()?, atom.terms.last()) else {
+            return None;
+        };
+        let text = rules.symbols.resolve(Symbol(value.0))?;
+        if symbols.iter().any(|symbol| symbol == text) {
+            return None;
+        }
+        let name = &rules.predicates[atom.predicate.index()].name;
+        let message = format!("this clause never fires: `{name}` never has the value `{text}`");
+        let fault = Diagnostic::new(datalog::codes::DEAD_CLAUSE, message).at(atom.span, "");
+        let quoted: Vec<String> = symbols.iter().map(|symbol| format!("`\"{symbol}\"`")).collect();
+        Some(match did_you_mean(text, symbols.iter().map(String::as_str)) {
+            Some(near) => fault.help(format!("did you mean `\"{near}\"`?")),
+            None => fault.help(format!("its values are {}", listed(&quoted))),
+        })
+    };
+    let literals = rules.clauses.iter().flat_map(|clause| &clause.body);
+    literals.filter_map(lint).collect()
 }
 
 /// Warns of outputs that are no action and that no clause reads: a city does not write them.

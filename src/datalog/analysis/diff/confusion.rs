@@ -1,9 +1,9 @@
-//! What perception reports in place of concepts.
+//! Maps of concepts, as the circuits of `shortcuts` read them.
 
 use crate::analysis::diff::sat::Lit;
 use crate::check::PredicateId;
 
-/// What perception reports in place of a concept.
+/// The value that perception reports for a concept.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, PartialOrd, Ord, Hash)]
 pub enum Image {
     /// A concept, by its position in [`Shortcuts::concepts`](super::shortcuts::Shortcuts::concepts), or its negation.
@@ -17,7 +17,7 @@ pub enum Image {
     Constant(bool),
 }
 
-/// What perception reports in place of concepts.
+/// The possible images of each concept, and the literals that choose them.
 pub(super) struct Confusion {
     /// The concepts: their positions among base predicates, and their predicates.
     pub(super) bases: Vec<(usize, PredicateId)>,

@@ -44,7 +44,7 @@ pub(super) struct Circuit<'a> {
     pub(super) literals_left: usize,
     /// The number of derived facts being expanded, each for the one before.
     depth: usize,
-    /// What the second side reads in place of concepts.
+    /// The maps that the second side may apply to concepts.
     pub(super) confusion: Option<&'a Confusion>,
     /// The facts of the scene, if they do not vary.
     pub(super) fixed: Option<&'a BTreeSet<BaseFact>>,
@@ -246,6 +246,13 @@ impl<'a> Circuit<'a> {
         let Some(base) = program.base[predicate.index()] else {
             return Ok(!self.yes);
         };
+        let fits = |(column, &at): (usize, &usize)| match &self.individuals[at] {
+            Individual::Symbol(text) => self.functions.allow(base, column, row.len(), text),
+            Individual::Number(_) => true,
+        };
+        if !row.iter().enumerate().all(fits) {
+            return Ok(!self.yes);
+        }
         if let Some(confusion) = self.confusion.filter(|_| side == 1)
             && let Some(concept) = confusion.bases.iter().position(|(known, _)| *known == base)
         {
@@ -264,13 +271,6 @@ impl<'a> Circuit<'a> {
                 ways.push(self.all(vec![chosen, value]));
             }
             return Ok(self.any(ways));
-        }
-        let fits = |(column, &at): (usize, &usize)| match &self.individuals[at] {
-            Individual::Symbol(text) => self.functions.allow(base, column, row.len(), text),
-            Individual::Number(_) => true,
-        };
-        if !row.iter().enumerate().all(fits) {
-            return Ok(!self.yes);
         }
         let sees = match self.view {
             ScopeRows::Full => true,
@@ -502,7 +502,7 @@ impl<'a> Circuit<'a> {
     /// Adds the constraints of both sides to the circuit, for all facts in it and those in the source.
     pub(super) fn constraints(&mut self) -> Result<(), TooLarge> {
         let sides = self.sides;
-        // What perception reports meets no constraint.
+        // Constraints hold for the scene, not for what perception reports.
         let constrained = if self.confusion.is_some() { 1 } else { 2 };
         for (side, program) in sides.into_iter().enumerate().take(constrained) {
             let mut facts: Vec<&(PredicateId, Vec<usize>)> = program.facts.iter().collect();

@@ -2,7 +2,8 @@
 //!
 //! Perception that learns through rules is corrected only where a decision is wrong. So it may confuse concepts in any
 //! way that leaves all decisions as they are: Marconato et al., Not all neuro-symbolic concepts are created equal, 2023.
-//! A [map](Map) says what perception reports in place of each concept.
+//! A *map* says what perception reports in place of each concept. A *shortcut* is a map that changes no decision and
+//! confuses concepts.
 //!
 //! Two searches in one propositional formula count the maps. Variables choose the image of each concept, and others the
 //! facts of a scene. While some map changes a decision in some scene, that scene becomes a condition on the maps. When
@@ -10,40 +11,41 @@
 
 use crate::analysis::diff::confusion::Confusion;
 use crate::analysis::diff::ground::{Circuit, TooLarge};
-use crate::analysis::diff::pair::{Pair, ScopeRows, relevant};
+use crate::analysis::diff::pair::{Individual, Pair, ScopeRows, relevant};
 use crate::analysis::diff::sat::{Lit, Outcome, Solver};
 use crate::analysis::diff::{
     BaseFact, Difference, Model, Options, Scenes, derived_rows, describe, has_circuit, shrink,
 };
+use crate::check::subsumption::within_theory;
 use crate::check::{Atom, Clause, ClauseId, Literal, PredicateId, Rules, Term, VarId};
 use crate::codes;
-use crate::diag::{Diagnostic, listed};
+use crate::diag::{Diagnostic, did_you_mean, listed};
 use crate::syntax::ast::BaseType;
 use std::collections::BTreeSet;
 
 pub use crate::analysis::diff::confusion::Image;
 
-/// The maps to count. Concepts have images over as many entities.
+/// The maps to search. Concepts have images over as many entities.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
-pub enum Maps {
-    /// Each concept is the image of one.
+pub enum ConceptMaps {
+    /// Each concept stands for exactly one.
     Permutations,
-    /// Permutations whose images may be negated.
+    /// Or for the negation of one.
     Signed,
-    /// Any images: concepts may merge, or be constant.
+    /// Concepts may also merge, or be reported always or never.
     All,
 }
 
-impl Maps {
+impl ConceptMaps {
     /// All kinds of maps, each with those before.
-    pub const ALL: [Maps; 3] = [Maps::Permutations, Maps::Signed, Maps::All];
+    pub const ALL: [ConceptMaps; 3] = [ConceptMaps::Permutations, ConceptMaps::Signed, ConceptMaps::All];
 
     /// Returns the name of the kind.
     pub fn name(self) -> &'static str {
         match self {
-            Maps::Permutations => "permutations",
-            Maps::Signed => "signed",
-            Maps::All => "all",
+            ConceptMaps::Permutations => "permutations",
+            ConceptMaps::Signed => "signed",
+            ConceptMaps::All => "all",
         }
     }
 }
@@ -55,9 +57,13 @@ const LITERALS_MAX: usize = 4_000_000;
 #[derive(Clone, Debug)]
 pub struct ShortcutOptions {
     /// The maps.
-    pub maps: Maps,
+    pub maps: ConceptMaps,
     /// The concepts that perception may confuse, by name; all that the rules read if empty.
     pub concepts: Vec<String>,
+    /// The inputs that say who sees whom: every entity sees all others. Scopes of clauses need not be among them.
+    pub views: Vec<PredicateId>,
+    /// The action that is taken if none is derived.
+    pub default_action: Option<PredicateId>,
     /// The maximum number of entities in a scene, at least 1.
     pub entities_max: usize,
     /// The maximum number of conflicts in all searches, which bounds the time without a clock.
@@ -70,8 +76,10 @@ impl Default for ShortcutOptions {
     /// All maps, three entities, a million conflicts and 10,000 maps.
     fn default() -> Self {
         ShortcutOptions {
-            maps: Maps::All,
+            maps: ConceptMaps::All,
             concepts: Vec::new(),
+            views: Vec::new(),
+            default_action: None,
             entities_max: 3,
             conflicts_max: 1_000_000,
             maps_max: 10_000,
@@ -79,16 +87,16 @@ impl Default for ShortcutOptions {
     }
 }
 
-/// A confusion of concepts that changes no decision.
+/// A map of concepts that changes no decision.
 #[derive(Clone, Debug, PartialEq, Eq)]
-pub struct Map {
+pub struct ConceptMap {
     /// The image of each concept.
     pub images: Vec<Image>,
     /// For each concept, whether its image differs from it in some scene. The constraints may exclude that.
     pub confused: Vec<bool>,
 }
 
-impl Map {
+impl ConceptMap {
     /// Returns whether the images are the concepts, in all scenes.
     pub fn is_same(&self) -> bool {
         !self.confused.contains(&true)
@@ -102,10 +110,30 @@ pub struct Shortcuts {
     pub concepts: Vec<PredicateId>,
     /// The inputs that no decision depends on; perception may report them in any way.
     pub unread: Vec<PredicateId>,
-    /// The maps, the identity among them, ordered.
-    pub maps: Vec<Map>,
-    /// Whether these are all maps: otherwise the search reached a limit.
-    pub complete: bool,
+    /// What decisions depend on and perception does not report: inputs with values or more columns, and what rules read of
+    /// earlier ticks.
+    pub given: Vec<PredicateId>,
+    /// The maps found, by the number of concepts that they change. The identity is among them if these are all.
+    pub maps: Vec<ConceptMap>,
+    /// The limit that ended the search; `None` if these are all maps.
+    pub stopped: Option<Stopped>,
+}
+
+/// A limit that ended a search.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub enum Stopped {
+    /// [`ShortcutOptions::conflicts_max`].
+    Conflicts,
+    /// [`ShortcutOptions::maps_max`].
+    Maps,
+    /// The formula would be too large.
+    Size,
+}
+
+impl From<TooLarge> for Stopped {
+    fn from(_: TooLarge) -> Stopped {
+        Stopped::Size
+    }
 }
 
 /// A scene in which a map changes the decision of the first entity.
@@ -118,7 +146,8 @@ pub struct Witness {
 }
 
 /// Counts the maps of concepts that change no decision in scenes of at most some entities, each of which sees all.
-/// `order` has the actions in order of precedence: the first that is derived is the decision.
+/// `order` has the actions in order of precedence: the first that is derived is the decision, and without any
+/// [`ShortcutOptions::default_action`].
 ///
 /// # Errors
 /// If a concept is not one that the rules read, or if they have expressions, aggregates, floats or unsigned numbers.
@@ -127,22 +156,22 @@ pub fn shortcuts(
     order: &[PredicateId],
     options: &ShortcutOptions,
 ) -> Result<Shortcuts, Vec<Diagnostic>> {
-    let task = Task::new(rules, order, &options.concepts)?;
+    let task = Task::new(rules, order, options)?;
     Ok(task.count(options))
 }
 
 /// Returns a smallest scene in which a map changes the decision of the first entity; `None` if there is none of at most
-/// `entities_max` entities, or the search takes more than `conflicts_max` conflicts.
+/// `entities_max` entities.
 ///
 /// # Errors
-/// As [`shortcuts`].
+/// As [`shortcuts`]; the inner one if the search reaches a limit.
 pub fn witness(
     rules: &Rules,
     order: &[PredicateId],
     options: &ShortcutOptions,
     images: &[Image],
-) -> Result<Option<Witness>, Vec<Diagnostic>> {
-    let task = Task::new(rules, order, &options.concepts)?;
+) -> Result<Result<Option<Witness>, Stopped>, Vec<Diagnostic>> {
+    let task = Task::new(rules, order, options)?;
     Ok(task.witness(options, images))
 }
 
@@ -155,7 +184,7 @@ pub fn remedy(
     rules: &Rules,
     order: &[PredicateId],
     options: &ShortcutOptions,
-    (map, concepts): (&Map, &[PredicateId]),
+    (map, concepts): (&ConceptMap, &[PredicateId]),
     concept: usize,
 ) -> Result<Option<Clause>, Vec<Diagnostic>> {
     let arity = rules.predicates[concepts[concept].index()].arity();
@@ -233,7 +262,7 @@ pub fn remedy(
             };
             stratum.clauses.push(ClauseId(more.clauses.len() as u32));
             more.clauses.push(clause.clone());
-            if witness(&more, order, options, &map.images)?.is_some() {
+            if matches!(witness(&more, order, options, &map.images)?, Ok(Some(_))) {
                 return Ok(Some(clause));
             }
         }
@@ -246,18 +275,28 @@ struct Task<'a> {
     pair: Pair<'a>,
     rules: &'a Rules,
     order: Vec<PredicateId>,
+    default: Option<PredicateId>,
     /// The concepts: the predicates, their positions among base predicates, and their arities.
     concepts: Vec<(PredicateId, usize, usize)>,
     unread: Vec<PredicateId>,
+    given: Vec<PredicateId>,
     view: ScopeRows,
 }
 
 impl<'a> Task<'a> {
-    fn new(rules: &'a Rules, order: &[PredicateId], named: &[String]) -> Result<Task<'a>, Vec<Diagnostic>> {
+    fn new(rules: &'a Rules, order: &[PredicateId], given: &ShortcutOptions) -> Result<Task<'a>, Vec<Diagnostic>> {
+        let named = &given.concepts;
         if !has_circuit(rules) {
-            let message = "shortcuts of rules with expressions, aggregates, floats or unsigned numbers are not counted";
-            let fault = Diagnostic::new(codes::UNSUPPORTED, message);
-            return Err(vec![fault.help("count those of the rules without these clauses")]);
+            let message =
+                "shortcuts are not counted for expressions, aggregates, probabilities, floats and unsigned numbers";
+            let mut fault = Diagnostic::new(codes::UNSUPPORTED, message);
+            let is_beyond = |clause: &&Clause| !within_theory(clause) || rules.draw(clause).is_some();
+            if let Some(clause) = rules.clauses.iter().find(is_beyond) {
+                fault = fault.at(clause.span, "this clause has one");
+            }
+            return Err(vec![
+                fault.help("remove these clauses, or define their heads as inputs"),
+            ]);
         }
         let options = Options {
             predicates: (order.iter())
@@ -266,32 +305,43 @@ impl<'a> Task<'a> {
             self_sight: true,
             ..Options::default()
         };
-        let pair = Pair::new(rules, rules, &options)?;
+        let mut pair = Pair::new(rules, rules, &options)?;
+        for side in &mut pair.sides {
+            side.scopes.extend(&given.views);
+        }
         let read = relevant([rules, rules], &pair.base, &pair.outputs);
         let side = &pair.sides[0];
-        let (mut concepts, mut unread) = (Vec::new(), Vec::new());
+        // Concepts are about the entities that decide.
+        let entity = order
+            .first()
+            .map(|action| rules.predicates[action.index()].columns[0].ty);
+        let (mut concepts, mut unread, mut taken) = (Vec::new(), Vec::new(), Vec::new());
         for (id, predicate) in (0..).map(PredicateId).zip(&rules.predicates) {
-            let columns = &predicate.columns;
-            let is_fact =
-                (1..=2).contains(&columns.len()) && columns.iter().all(|column| column.base == BaseType::Symbol);
-            let Some(base) = side.base[id.index()].filter(|_| is_fact && !predicate.hidden) else {
+            let Some(base) = side.base[id.index()].filter(|_| !side.scopes.contains(&id)) else {
                 continue;
             };
-            if side.scopes.contains(&id) || pair.functions.include(base) {
-                continue;
-            }
-            if read.contains(&base) && is_read(rules, order, id) {
-                concepts.push((id, base, columns.len()));
-            } else {
-                unread.push(id);
+            let is_read = read.contains(&base) && is_read(rules, order, id);
+            let columns = &predicate.columns;
+            let is_concept = (1..=2).contains(&columns.len())
+                && columns.iter().all(|column| Some(column.ty) == entity)
+                && !predicate.hidden
+                && !pair.functions.include(base);
+            match (is_read, is_concept) {
+                (true, true) => concepts.push((id, base, columns.len())),
+                (true, false) => taken.push(id),
+                (false, _) if !predicate.hidden => unread.push(id),
+                (false, _) => {}
             }
         }
         if !named.is_empty() {
             let name = |id: PredicateId| rules.predicates[id.index()].name.as_str();
             let known: Vec<&str> = concepts.iter().map(|(id, ..)| name(*id)).collect();
             if let Some(unknown) = named.iter().find(|wanted| !known.contains(&wanted.as_str())) {
-                let message = format!("`{unknown}` is no concept that the decisions depend on");
-                let fault = Diagnostic::new(codes::UNKNOWN_PREDICATE, message);
+                let message = format!("no decision depends on a concept `{unknown}`");
+                let mut fault = Diagnostic::new(codes::UNKNOWN_PREDICATE, message);
+                if let Some(near) = did_you_mean(unknown, known.iter().copied()) {
+                    fault = fault.help(format!("did you mean `{near}`?"));
+                }
                 let known: Vec<String> = known.iter().map(|name| format!("`{name}`")).collect();
                 return Err(vec![fault.note(format!("the concepts are {}", listed(&known)))]);
             }
@@ -303,6 +353,8 @@ impl<'a> Task<'a> {
                 false => ScopeRows::Full,
             },
             order: order.to_vec(),
+            default: given.default_action,
+            given: taken,
             rules,
             pair,
             concepts,
@@ -311,7 +363,7 @@ impl<'a> Task<'a> {
     }
 
     /// Returns the images that a concept may have.
-    fn images(&self, concept: usize, maps: Maps) -> Vec<Image> {
+    fn images(&self, concept: usize, maps: ConceptMaps) -> Vec<Image> {
         let arity = self.concepts[concept].2;
         let mut images = Vec::new();
         for (position, (.., other)) in self.concepts.iter().enumerate() {
@@ -322,17 +374,25 @@ impl<'a> Task<'a> {
                 position,
                 negated: false,
             });
-            if maps != Maps::Permutations {
+            if maps != ConceptMaps::Permutations {
                 images.push(Image::Concept {
                     position,
                     negated: true,
                 });
             }
         }
-        if maps == Maps::All {
+        if maps == ConceptMaps::All {
             images.extend([false, true].map(Image::Constant));
         }
         images
+    }
+
+    /// Returns the entities and constants, by position.
+    fn symbols(&self, individuals: &[Individual]) -> Vec<usize> {
+        let is_entity = |one: &Individual| one.base() == BaseType::Symbol && !self.pair.functions.have_value(one);
+        (0..individuals.len())
+            .filter(|at| is_entity(&individuals[*at]))
+            .collect()
     }
 
     fn confusion(&self, choices: Vec<Vec<(Image, Lit)>>) -> Confusion {
@@ -354,17 +414,20 @@ impl<'a> Task<'a> {
             }
         }
         let [of_concepts, of_images] = decisions;
-        let differing = of_concepts.into_iter().zip(of_images);
-        let differing: Vec<Lit> = differing.map(|(one, other)| circuit.differ(one, other)).collect();
+        // If all other decisions agree, both sides take the default.
+        let others = self.order.iter().zip(of_concepts.into_iter().zip(of_images));
+        let others = others.filter(|(action, _)| Some(**action) != self.default);
+        let differing: Vec<Lit> = others.map(|(_, (one, other))| circuit.differ(one, other)).collect();
         Ok(circuit.any(differing))
     }
 
     /// Returns for each concept whether its image differs from it in some row, as a gate.
-    fn confuses(&self, circuit: &mut Circuit<'_>, entities: usize) -> Result<Vec<Lit>, TooLarge> {
+    fn confuses(&self, circuit: &mut Circuit<'_>, individuals: &[Individual]) -> Result<Vec<Lit>, TooLarge> {
+        let symbols = self.symbols(individuals);
         let mut confuses = Vec::with_capacity(self.concepts.len());
         for (id, _, arity) in &self.concepts {
             let mut differing = Vec::new();
-            for row in rows(entities, *arity) {
+            for row in rows(&symbols, *arity) {
                 let [one, other] = [circuit.fact(0, *id, &row)?, circuit.fact(1, *id, &row)?];
                 differing.push(circuit.differ(one, other));
             }
@@ -374,12 +437,24 @@ impl<'a> Task<'a> {
     }
 
     fn count(&self, options: &ShortcutOptions) -> Shortcuts {
-        let mut result = Shortcuts {
+        let mut maps = Vec::new();
+        let stopped = self.find(options, &mut maps).err();
+        let distance = |map: &ConceptMap| {
+            let moved = map.images.iter().enumerate();
+            moved.filter(|(at, image)| **image != identity(*at)).count()
+        };
+        maps.sort_by(|one, other| (distance(one), &one.images).cmp(&(distance(other), &other.images)));
+        Shortcuts {
             concepts: self.concepts.iter().map(|(id, ..)| *id).collect(),
             unread: self.unread.clone(),
-            maps: Vec::new(),
-            complete: false,
-        };
+            given: self.given.clone(),
+            maps,
+            stopped,
+        }
+    }
+
+    /// Finds all maps that change no decision.
+    fn find(&self, options: &ShortcutOptions, maps: &mut Vec<ConceptMap>) -> Result<(), Stopped> {
         let mut solver = Solver::new();
         let choices: Vec<Vec<(Image, Lit)>> = (0..self.concepts.len())
             .map(|concept| {
@@ -392,7 +467,7 @@ impl<'a> Task<'a> {
             solver.add(&all);
             at_most_one(&mut solver, &all);
         }
-        if options.maps != Maps::All {
+        if options.maps != ConceptMaps::All {
             for position in 0..self.concepts.len() {
                 let of = |(image, lit): &(Image, Lit)| {
                     matches!(image, Image::Concept { position: of, .. } if *of == position).then_some(*lit)
@@ -411,27 +486,36 @@ impl<'a> Task<'a> {
         for scenes in &all_scenes {
             let mut circuit = scenes.over(solver, self.view, literals_left);
             circuit.confusion = Some(&confusion);
-            let made = (|| {
-                let changes = self.changes(&mut circuit)?;
-                let confuses = self.confuses(&mut circuit, scenes.entities)?;
-                circuit.constraints()?;
-                Ok((changes, confuses))
-            })();
-            let Ok((changes, confuses)) = made else {
-                let TooLarge = made.unwrap_err();
-                return result;
-            };
+            let changes = self.changes(&mut circuit)?;
+            let confuses = self.confuses(&mut circuit, &scenes.individuals)?;
+            circuit.constraints()?;
             literals_left = circuit.literals_left;
             let atoms: Vec<(BaseFact, Lit)> = circuit.atoms.iter().map(|(fact, lit)| (fact.clone(), *lit)).collect();
             sizes.push((changes, confuses, atoms));
             solver = circuit.into_solver();
         }
         let mut conflicts = options.conflicts_max;
+        // For each concept, the images that differ from it in some scene.
+        let mut confused: Vec<Vec<Image>> = vec![Vec::new(); self.concepts.len()];
+        for (concept, images) in confusion.choices.iter().enumerate() {
+            for (image, chosen) in images.iter().filter(|(image, _)| *image != identity(concept)) {
+                for (_, confuses, _) in &sizes {
+                    match solver.solve(&[*chosen, confuses[concept]], &mut conflicts) {
+                        Outcome::Unsatisfiable => {}
+                        Outcome::Unknown => return Err(Stopped::Conflicts),
+                        Outcome::Satisfiable => {
+                            confused[concept].push(*image);
+                            break;
+                        }
+                    }
+                }
+            }
+        }
         for (scenes, (changes, _, atoms)) in all_scenes.iter().zip(&sizes) {
             loop {
                 match solver.solve(&[*changes], &mut conflicts) {
                     Outcome::Unsatisfiable => break,
-                    Outcome::Unknown => return result,
+                    Outcome::Unknown => return Err(Stopped::Conflicts),
                     Outcome::Satisfiable => {}
                 }
                 let held = atoms.iter().filter(|(_, lit)| solver.is_true(*lit));
@@ -439,57 +523,33 @@ impl<'a> Task<'a> {
                 let mut circuit = scenes.over(solver, self.view, literals_left);
                 circuit.confusion = Some(&confusion);
                 circuit.fixed = Some(&facts);
-                let changed = self.changes(&mut circuit);
+                let changed = self.changes(&mut circuit)?;
                 literals_left = circuit.literals_left;
                 solver = circuit.into_solver();
-                let Ok(changed) = changed else { return result };
                 solver.add(&[!changed]);
             }
         }
         loop {
             match solver.solve(&[], &mut conflicts) {
                 Outcome::Unsatisfiable => break,
-                Outcome::Unknown => return result,
-                Outcome::Satisfiable if result.maps.len() >= options.maps_max => return result,
+                Outcome::Unknown => return Err(Stopped::Conflicts),
+                Outcome::Satisfiable if maps.len() >= options.maps_max => return Err(Stopped::Maps),
                 Outcome::Satisfiable => {}
             }
             let chosen: Vec<(Image, Lit)> = (confusion.choices.iter())
                 .filter_map(|images| images.iter().find(|(_, lit)| solver.is_true(*lit)).copied())
                 .collect();
-            let mut confused = vec![false; chosen.len()];
-            for (concept, confused) in confused.iter_mut().enumerate() {
-                if chosen[concept].0 == identity(concept) {
-                    continue;
-                }
-                for (_, confuses, _) in &sizes {
-                    let mut assumed: Vec<Lit> = chosen.iter().map(|(_, lit)| *lit).collect();
-                    assumed.push(confuses[concept]);
-                    match solver.solve(&assumed, &mut conflicts) {
-                        Outcome::Unsatisfiable => {}
-                        Outcome::Unknown => return result,
-                        Outcome::Satisfiable => *confused = true,
-                    }
-                    if *confused {
-                        break;
-                    }
-                }
-            }
+            let confused = (confused.iter().zip(&chosen))
+                .map(|(images, (image, _))| images.contains(image))
+                .collect();
             let images = chosen.iter().map(|(image, _)| *image).collect();
-            result.maps.push(Map { images, confused });
+            maps.push(ConceptMap { images, confused });
             solver.add(&chosen.iter().map(|(_, lit)| !*lit).collect::<Vec<_>>());
         }
-        let distance = |map: &Map| {
-            let moved = map.images.iter().enumerate();
-            moved.filter(|(at, image)| **image != identity(*at)).count()
-        };
-        result
-            .maps
-            .sort_by(|one, other| (distance(one), &one.images).cmp(&(distance(other), &other.images)));
-        result.complete = true;
-        result
+        Ok(())
     }
 
-    fn witness(&self, options: &ShortcutOptions, images: &[Image]) -> Option<Witness> {
+    fn witness(&self, options: &ShortcutOptions, images: &[Image]) -> Result<Option<Witness>, Stopped> {
         let mut conflicts = options.conflicts_max;
         for entities in 1..=options.entities_max.max(1) {
             let scenes = Scenes::new(&self.pair, entities);
@@ -497,15 +557,15 @@ impl<'a> Task<'a> {
             let yes = circuit.yes();
             let confusion = self.confusion(images.iter().map(|image| vec![(*image, yes)]).collect());
             circuit.confusion = Some(&confusion);
-            let changes = self.changes(&mut circuit).ok()?;
-            circuit.constraints().ok()?;
+            let changes = self.changes(&mut circuit)?;
+            circuit.constraints()?;
             if circuit.is_no(changes) {
                 continue;
             }
             circuit.solver.add(&[changes]);
             match circuit.solver.solve(&[], &mut conflicts) {
                 Outcome::Unsatisfiable => continue,
-                Outcome::Unknown => return None,
+                Outcome::Unknown => return Err(Stopped::Conflicts),
                 Outcome::Satisfiable => {}
             }
             let smallest = shrink(&mut circuit, &mut conflicts);
@@ -521,22 +581,29 @@ impl<'a> Task<'a> {
                 facts,
                 smallest,
             };
-            return Some(self.described(&model, images));
+            return Ok(Some(self.described(&model, images)));
         }
-        None
+        Ok(None)
     }
 
     /// Describes a scene, with what follows from the concepts and from their images.
     fn described(&self, model: &Model, images: &[Image]) -> Witness {
         let mut scene = describe(&self.pair, self.view, model);
+        // Perception may report facts about entities that have none.
+        for entity in model.individuals[..model.entities].iter().map(Individual::shown) {
+            if !scene.entities.contains(&entity) {
+                scene.entities.push(entity);
+            }
+        }
         let holds: BTreeSet<&BaseFact> = model.facts.iter().collect();
+        let symbols = self.symbols(&model.individuals);
         let is_concept = |base: usize| self.concepts.iter().any(|(_, known, _)| *known == base);
         let mut reported: Vec<BaseFact> = (model.facts.iter())
             .filter(|(base, _)| !is_concept(*base))
             .cloned()
             .collect();
         for ((_, base, arity), image) in self.concepts.iter().zip(images) {
-            for row in rows(model.entities, *arity) {
+            for row in rows(&symbols, *arity) {
                 let value = match *image {
                     Image::Constant(value) => value,
                     Image::Concept { position, negated } => {
@@ -548,7 +615,7 @@ impl<'a> Task<'a> {
                 }
             }
         }
-        let shown: Vec<usize> = (0..model.entities).collect();
+        let shown = symbols;
         let individuals = &model.individuals;
         scene.derived[1] = derived_rows(&self.pair, 1, individuals, &reported, (&scene.everybody_sees, &shown));
         let name = individuals[0].shown();
@@ -558,6 +625,7 @@ impl<'a> Task<'a> {
                 rows.iter().any(|(of, row)| of == action && row[..] == [name.clone()])
             })
         };
+        let decision = |rows: &[(String, Vec<String>)]| decision(rows).or(self.default);
         Witness {
             decisions: [0, 1].map(|side: usize| decision(&scene.derived[side])),
             scene,
@@ -578,10 +646,11 @@ fn is_read(rules: &Rules, order: &[PredicateId], predicate: PredicateId) -> bool
     order.iter().any(|action| rules.depends_on(*action, predicate))
 }
 
-/// Returns all rows over the first entities.
-fn rows(entities: usize, arity: usize) -> impl Iterator<Item = Vec<usize>> {
-    let digit = move |row: usize, at: usize| row / entities.pow(at as u32) % entities;
-    (0..entities.pow(arity as u32)).map(move |row| (0..arity).map(|at| digit(row, at)).collect())
+/// Returns all rows over these individuals.
+fn rows(individuals: &[usize], arity: usize) -> impl Iterator<Item = Vec<usize>> {
+    let count = individuals.len();
+    let digit = move |row: usize, at: usize| individuals[row / count.pow(at as u32) % count];
+    (0..count.pow(arity as u32)).map(move |row| (0..arity).map(|at| digit(row, at)).collect())
 }
 
 fn at_most_one(solver: &mut Solver, all: &[Lit]) {
