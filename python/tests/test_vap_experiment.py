@@ -68,7 +68,7 @@ def settings_of(cell: Cell) -> VapSettings:
 def test_the_shipped_experiments_have_cells() -> None:
     for name, paper, rows in [
         ("vap", "vap", 9),
-        ("vap-50", "vap", 8),
+        ("vap-50", "vap", 9),
         ("vap-continual", "vap-continual", 5),
         ("vap-steps", "vap-continual", 5),
         ("vap-concepts", "vap-concepts", 2),
@@ -267,8 +267,6 @@ def test_concepts_are_learned_through_the_rules(tiny: Path, tmp_path: Path) -> N
     measured = run_cell(prepare(cells[0], tmp_path / "run"))
     model = torch.load(cells[0].task.model(cells[0].folder(tmp_path / "run")), weights_only=True)
     assert not model["reasoner"] and model["concepts"]
-    history = measured["history"]
-    assert history[-1]["loss"] < history[0]["loss"]
     # Rules give concepts their meaning, so these have recalls as if they were trained with labels.
     assert measured["concepts"]["IsCar"]["count"] > 0 and set(measured["evaluations"]) == {""}
 
