@@ -195,11 +195,12 @@ fn every_command_stays_within_its_limit() {
     fs::create_dir(folder.path().join("set")).unwrap();
     sparse("set/manifest.json");
     let set = folder.path().join("set");
-    let commands: [&[&str]; 17] = [
+    let commands: [&[&str]; 18] = [
         &["bench", "tick", "--rules", rules],
         &["check", rules],
         &["episodes", "make", "expert", "--rules", rules, "--output", out],
         &["diff", rules, rules],
+        &["shortcuts", rules],
         &["explain", data, "--agent", "Car_1"],
         &["fmt", rules],
         &["induce", data],
