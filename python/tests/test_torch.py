@@ -211,6 +211,16 @@ def test_gradients_are_right(semantics: Any) -> None:
         assert torch.autograd.gradcheck(run, (unary, binary, layer.weight_logits))
 
 
+@pytest.mark.parametrize("semantics", ["godel", "product", "exact"])
+def test_second_derivatives_are_refused(semantics: Any) -> None:
+    text = DECLARED + ".decl D(x: agent)\nD(X) :- A(X), B(X).\nD(X) :- B(X), Not(A(X)).\n"
+    layer = RuleLayer(Program(text), semantics, queries=["D"])
+    unary, binary = facts((1, 2), 0, False, torch.float64)
+    degrees = layer.degrees(unary.requires_grad_(), binary)[1]["D"].sum()
+    with pytest.raises(RuntimeError, match="RuleLayer has no second derivatives"):
+        torch.autograd.grad(degrees, unary, create_graph=True)
+
+
 def test_gradients_are_right_where_facts_are_certain() -> None:
     layer = RuleLayer(Program(DECLARED + ".decl D(x: agent)\nD(X) :- A(X), R(X, Y), B(Y).\n"), "product", queries=["D"])
     for seed in range(5):

@@ -12,11 +12,12 @@ from .. import _logicity
 from ..errors import extra
 from ..rules import Program
 from .clauses import Clauses
+from .derivatives import once
 
 with extra("learn"):
     import torch
     from torch import Tensor
-    from torch.autograd.function import FunctionCtx, once_differentiable
+    from torch.autograd.function import FunctionCtx
 
 __all__ = ["Circuits", "Proof"]
 
@@ -146,7 +147,7 @@ class _Outputs(torch.autograd.Function):
         return found if temporal else found[:, 0]
 
     @staticmethod
-    @once_differentiable  # type: ignore[untyped-decorator]
+    @once
     def backward(ctx: FunctionCtx, gradient: Tensor) -> tuple[Tensor | None, ...]:
         context = cast(Any, ctx)
         given = gradient if context.temporal else gradient[:, None]

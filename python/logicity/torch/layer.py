@@ -9,12 +9,13 @@ from typing import Any, Literal, TypeAlias, cast, get_args
 from ..errors import extra
 from ..rules import Program
 from .clauses import Atom, Clause, Clauses, Past
+from .derivatives import once
 from .exact import Circuits, Proof
 
 with extra("learn"):
     import torch
     from torch import Tensor, nn
-    from torch.autograd.function import FunctionCtx, once_differentiable
+    from torch.autograd.function import FunctionCtx
 
 __all__ = ["DEFAULT", "PRIORITY", "RuleLayer", "Semantics"]
 
@@ -445,7 +446,7 @@ class _Minimum(torch.autograd.Function):
         return torch.minimum(first, second)
 
     @staticmethod
-    @once_differentiable  # type: ignore[untyped-decorator]
+    @once
     def backward(ctx: Any, gradient: Tensor) -> tuple[Tensor, Tensor]:
         first, second = ctx.saved_tensors
         chosen = gradient * (first < second).to(gradient.dtype)
@@ -463,7 +464,7 @@ class _NoisyOr(torch.autograd.Function):
         return 1 - product
 
     @staticmethod
-    @once_differentiable  # type: ignore[untyped-decorator]
+    @once
     def backward(ctx: Any, gradient: Tensor) -> Tensor:
         others, product = ctx.saved_tensors
         # The derivative is the product of the other factors. With one factor 0, all others have the derivative 0.
