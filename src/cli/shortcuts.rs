@@ -100,12 +100,14 @@ pub fn run(arguments: &Arguments, sources: &mut Sources) -> Result<(), Failure> 
         let fault = Diagnostic::new(codes::RULE_MISMATCH, message);
         return Err(fault.help(format!("derive one of {}", names.join(", "))).into());
     }
+    let names = arguments.concepts.iter().map(|name| name.trim());
+    let concepts: Vec<String> = names.filter(|name| !name.is_empty()).map(str::to_owned).collect();
+    if concepts.is_empty() && !arguments.concepts.is_empty() {
+        return Err(Failure::Usage("--concepts names no concept".to_owned()));
+    }
     let options = ShortcutOptions {
         maps: arguments.maps,
-        concepts: (arguments.concepts.iter().map(|name| name.trim()))
-            .filter(|name| !name.is_empty())
-            .map(str::to_owned)
-            .collect(),
+        concepts,
         views: rules.predicate(SEES).into_iter().collect(),
         default_action: rules.predicate(actions.table.name(actions.default)),
         entities_max: arguments.entities,
