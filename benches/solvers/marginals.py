@@ -5,8 +5,8 @@ configuration. In each, some of the base atoms are uncertain. Every figure is CP
 `logicity infer --marginals` contains reading and printing JSON, that of ProbLog (Fierens et al. 2015) parsing,
 grounding and compiling its program, without which it has no answer.
 
-With `--layer`, `logicity.torch.RuleLayer` computes them, too, forward and backward: of scenes that it sees for the first
-time, and of the same ones again. It needs the Python package with its extra `learn`.
+With `--layer`, `logicity.torch.RuleLayer` computes them, too, forward and backward: of scenes that it sees for the
+first time, and of the same ones again. It needs the Python package with its extra `learn`.
 """
 
 from __future__ import annotations

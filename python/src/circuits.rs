@@ -74,6 +74,20 @@ struct Scenes<'s> {
     weights: Vec<f64>,
 }
 
+/// The facts of one scene: `unary`, `binary` and the mask.
+type Scene<'s> = (ArrayView3<'s, f64>, ArrayView4<'s, f64>, Option<ArrayView2<'s, bool>>);
+
+impl Scenes<'_> {
+    /// Returns the facts of a scene.
+    fn scene(&self, scene: usize) -> Scene<'_> {
+        (
+            self.unary.index_axis(Axis(0), scene),
+            self.binary.index_axis(Axis(0), scene),
+            self.mask.as_ref().map(|mask| mask.index_axis(Axis(0), scene)),
+        )
+    }
+}
+
 impl Batch {
     /// Interns the names `e0`, `e1`, ... of this many entities.
     fn set_entities(&mut self, count: usize) {
@@ -84,32 +98,31 @@ impl Batch {
         }
     }
 
-    /// Returns which facts of a scene are certain, as bits: two for each fact.
-    fn pattern(
-        unary: ArrayView3<'_, f64>,
-        binary: ArrayView4<'_, f64>,
-        mask: Option<ArrayView2<'_, bool>>,
-    ) -> Box<[u64]> {
-        let mut words = Vec::with_capacity(4 + (unary.len() + binary.len()).div_ceil(32));
+    /// Returns which facts of a scene are certain, as bits: two for each fact. Facts about absent entities do not hold.
+    fn pattern((unary, binary, mask): Scene<'_>, egos: &[usize]) -> Box<[u64]> {
+        let mut words = Vec::with_capacity(4 + egos.len() + (unary.len() + binary.len()).div_ceil(32));
         words.extend(binary.shape().iter().map(|length| *length as u64));
+        words.extend(egos.iter().map(|ego| *ego as u64));
+        let is_present = |tick: usize, entity: usize| mask.is_none_or(|mask| mask[[tick, entity]]);
+        let code = |probability: f64, is_present: bool| match probability {
+            _ if !is_present => 0,
+            ..=0.0 => 0,
+            1.0.. => 1,
+            _ => 2,
+        };
+        let alone = unary.indexed_iter();
+        let alone = alone.map(|((tick, entity, _), probability)| code(*probability, is_present(tick, entity)));
+        let pairs = binary.indexed_iter();
+        let pairs =
+            pairs.map(|((tick, x, y, _), probability)| code(*probability, is_present(tick, x) && is_present(tick, y)));
         let (mut word, mut bits) = (0_u64, 0);
-        let mut add = |code: u64| {
+        for code in alone.chain(pairs) {
             word |= code << bits;
             bits += 2;
             if bits == 64 {
                 words.push(word);
                 (word, bits) = (0, 0);
             }
-        };
-        for probability in unary.iter().chain(binary.iter()) {
-            add(match probability {
-                ..=0.0 => 0,
-                1.0.. => 1,
-                _ => 2,
-            });
-        }
-        for present in mask.iter().flat_map(|mask| mask.iter()) {
-            add(u64::from(*present));
         }
         words.push(word);
         words.into()
@@ -117,20 +130,14 @@ impl Batch {
 
     /// Returns the circuit of a scene.
     fn compiled(&mut self, scenes: &Scenes<'_>, scene: usize, cancel: &Cancel) -> Result<Arc<Compiled>, Stop> {
-        let unary = scenes.unary.index_axis(Axis(0), scene);
-        let binary = scenes.binary.index_axis(Axis(0), scene);
-        let mask = scenes.mask.as_ref().map(|mask| mask.index_axis(Axis(0), scene));
-        let pattern = self.known.is_some().then(|| {
-            let mut pattern = Batch::pattern(unary, binary, mask).into_vec();
-            pattern.extend(scenes.egos.iter().map(|ego| *ego as u64));
-            pattern.into_boxed_slice()
-        });
+        let facts = scenes.scene(scene);
+        let pattern = (self.known.is_some()).then(|| Batch::pattern(facts, &scenes.egos));
         if let (Some(known), Some(pattern)) = (&self.known, &pattern)
             && let Some(circuit) = known.get(pattern)
         {
             return Ok(Arc::clone(circuit));
         }
-        self.compile((unary, binary, mask), &scenes.egos, &scenes.weights, cancel)?;
+        self.compile(facts, &scenes.egos, &scenes.weights, cancel)?;
         let circuit = self.compiler.circuit();
         let place = |variable: &RandomVariable| match variable {
             RandomVariable::Draw(bits) => Place::Draw(f64::from_bits(*bits)),
@@ -159,7 +166,7 @@ impl Batch {
     /// Compiles all ticks of a scene.
     fn compile(
         &mut self,
-        (unary, binary, mask): (ArrayView3<'_, f64>, ArrayView4<'_, f64>, Option<ArrayView2<'_, bool>>),
+        (unary, binary, mask): Scene<'_>,
         egos: &[usize],
         weights: &[f64],
         cancel: &Cancel,
@@ -368,17 +375,16 @@ impl PyCircuits {
         weights: PyReadonlyArray1<'py, f64>,
     ) -> PyResult<Vec<(f64, Vec<(bool, &'static str, Vec<usize>)>)>> {
         let (ego, place) = decision;
-        let (unary, binary) = (unary.as_array(), binary.as_array());
-        let mask = mask.as_ref().map(|mask| mask.as_array());
-        let weights = weights.as_array().to_vec();
+        let scenes = Scenes {
+            unary: unary.as_array(),
+            binary: binary.as_array(),
+            mask: mask.as_ref().map(|mask| mask.as_array()),
+            egos: vec![ego],
+            weights: weights.as_array().to_vec(),
+        };
         let done = self.batch.detached(py, |batch, cancel| {
-            batch.set_entities(unary.shape()[2]);
-            let scene = (
-                unary.index_axis(Axis(0), 0),
-                binary.index_axis(Axis(0), 0),
-                mask.as_ref().map(|mask| mask.index_axis(Axis(0), 0)),
-            );
-            batch.compile(scene, &[ego], &weights, cancel)?;
+            batch.set_entities(scenes.unary.shape()[2]);
+            batch.compile(scenes.scene(0), &scenes.egos, &scenes.weights, cancel)?;
             let found = batch.compiler.proofs(batch.words[ego], place).map_err(Stop::Inexact)?;
             let literal = |(variable, holds): &(RandomVariable, bool)| {
                 let (kind, positions) = match variable {
@@ -406,7 +412,7 @@ impl PyCircuits {
         match stop {
             Stop::Limit(error) => input_error(py, &[error.diagnostic(loaded.program.rules())], &loaded.sources),
             Stop::Inexact(Inexact::TooLarge) if self.by_proofs => PyValueError::new_err(
-                "the proofs of a scene need too many steps: lower `k`, raise `nodes_max`, or make fewer facts uncertain",
+                "the proofs of a scene need too many steps: lower `k`, raise `nodes_max`, or make less uncertain",
             ),
             Stop::Inexact(Inexact::TooLarge) => PyValueError::new_err(
                 "the diagrams of a scene are too large: raise `nodes_max`, make fewer facts uncertain, or use `top-k`",

@@ -4,7 +4,8 @@
 //! other module registers its classes:
 //!
 //! - `engine`: programs and sessions; `columns`: rows as Python values and numpy arrays;
-//! - `checked`: checked rules for Python code that evaluates them; `circuits`: their exact probabilities, with gradients;
+//! - `checked`: checked rules for Python code that evaluates them;
+//! - `circuits`: exact probabilities of decisions, with gradients;
 //! - `city`: scenes and simulations; `config`: configuration files that Python interprets;
 //! - `task`: the task of environments; `episode`: the start of an episode; `env`: environments with one controlled car;
 //!   `actor`: networks that run in environments; `multi_car`: an environment that controls every car; `evaluate`: metrics

@@ -602,6 +602,22 @@ def test_kept_circuits_do_not_depend_on_other_scenes() -> None:
             assert torch.equal(layer(*each), expected)
 
 
+@pytest.mark.parametrize("semantics", EXACT)
+def test_kept_circuits_tell_absent_entities_apart(semantics: Any) -> None:
+    text = DECLARED + ".decl Stop(x: agent)\nStop(X) :- A(X).\n"
+    layer = RuleLayer(Program(text), semantics)
+    unary, binary = torch.tensor([[[0.5, 0.0, 0.0]]]), torch.zeros(1, 1, 1, 2)
+    for mask, expected in ((None, 0.5), (torch.zeros(1, 1), 0.0), (torch.ones(1, 1), 0.5), (torch.zeros(1, 1), 0.0)):
+        assert layer(unary, binary, mask)[0, 0, 0] == expected
+
+
+def test_queries_of_too_many_rows_are_refused() -> None:
+    text = DECLARED + ".decl P(a: agent, b: agent, c: agent, d: agent)\nP(A, B, C, D) :- R(A, B), R(C, D).\n"
+    layer = RuleLayer(Program(text), "exact", queries=["P"])
+    with pytest.raises(ValueError, match="queries: `P` has 2560000 rows over 40 entities"):
+        layer.degrees(torch.zeros(1, 40, 3), torch.zeros(1, 40, 40, 2))
+
+
 def test_large_diagrams_are_refused() -> None:
     layer = RuleLayer("rules/expert.dl", "exact", nodes_max=100)
     unary, binary = torch.full((1, 4, len(layer.unary)), 0.5), torch.full((1, 4, 4, len(layer.binary)), 0.5)

@@ -8,7 +8,7 @@ use crate::cli::load::{inputs_of, load_workspace};
 use crate::cli::report::{plural, report};
 use crate::cli::terminal;
 use crate::cli::values::{integer, one_of};
-use crate::config::{ActionsConfig, rule_file};
+use crate::config::{ActionsConfig, SEES, rule_file};
 use crate::datalog::codes;
 use crate::datalog::diff::shortcuts::{
     ConceptMap, ConceptMaps, Image, ShortcutOptions, Shortcuts, Stopped, Witness, identity, remedy, shortcuts, witness,
@@ -38,13 +38,16 @@ pub struct Arguments {
     #[arg(long, value_delimiter = ',', value_name = "NAMES")]
     concepts: Vec<String>,
     /// Search scenes of at most this many entities
-    #[arg(long, value_name = "COUNT", value_parser = integer(1..=8_usize), default_value_t = ShortcutOptions::default().entities_max)]
+    #[arg(long, value_name = "COUNT", value_parser = integer(1..=8_usize),
+        default_value_t = ShortcutOptions::default().entities_max)]
     entities: usize,
     /// Stop after this many conflicts of the search
-    #[arg(long, value_name = "COUNT", value_parser = integer(0..=u64::MAX), default_value_t = ShortcutOptions::default().conflicts_max)]
+    #[arg(long, value_name = "COUNT", value_parser = integer(0..=u64::MAX),
+        default_value_t = ShortcutOptions::default().conflicts_max)]
     effort: u64,
     /// List at most this many maps
-    #[arg(long, value_name = "COUNT", value_parser = integer(1..=1_000_000_usize), default_value_t = ShortcutOptions::default().maps_max)]
+    #[arg(long, value_name = "COUNT", value_parser = integer(1..=1_000_000_usize),
+        default_value_t = ShortcutOptions::default().maps_max)]
     limit: usize,
     /// For each pair of concepts, print a scene in which exchanging them changes the decision
     #[arg(long)]
@@ -56,46 +59,18 @@ pub struct Arguments {
     _memory: MemoryOption,
 }
 
-/// The predicate that says who sees whom.
-const SEES: &str = "Sees";
-
 /// The number of shortcuts printed without `--json`.
 const SHOWN_MAX: usize = 20;
 
 pub fn run(arguments: &Arguments, sources: &mut Sources) -> Result<(), Failure> {
-    let (path, city) = match &arguments.config {
-        Some(config) => (
-            rule_file(&arguments.rules, &BuiltinFiles),
-            Some(open_run(config, sources)?),
-        ),
-        None => match open(&arguments.rules, sources)? {
-            Opened::Run(run) => (run.rules().to_owned(), Some(run)),
-            Opened::Faulty(faults) => return Err(faults.into()),
-            Opened::Map(_) => {
-                return Err(Failure::Usage(
-                    "name a rule file, or a configuration with rules".to_owned(),
-                ));
-            }
-            Opened::Rules => (rule_file(&arguments.rules, &BuiltinFiles), None),
-        },
-    };
-    let mut texts = load_workspace(sources, &path, InputPolicy::Fixed)?;
-    texts.set_inputs(inputs_of(&texts, city.is_some()));
-    let loaded = texts.check();
-    let Some(rules) = loaded.rules else {
-        return Err(loaded.diagnostics.into());
-    };
-    report(&loaded.diagnostics, sources);
-    let theory = city.as_ref().and_then(Checked::theory);
-    let rules = examine(&rules, theory, sources).in_city;
+    let (rules, actions) = load(arguments, sources)?;
     // What rules read of earlier ticks is given, but it is read.
     let operands: Vec<PredicateId> = rules.pasts.iter().flat_map(Past::operands).collect();
     let remembered = |id: &PredicateId| operands.iter().any(|operand| rules.depends_on(*operand, *id));
     let now = rules.of_one_tick();
-    let actions = city.as_ref().map_or_else(ActionsConfig::default, Checked::actions);
     let order = order(&now, &actions);
     if order.is_empty() {
-        let message = format!("`{}` derives no action", path.display());
+        let message = format!("`{}` derives no action", arguments.rules.display());
         let names: Vec<&str> = actions.table.names().collect();
         let fault = Diagnostic::new(codes::RULE_MISMATCH, message);
         return Err(fault.help(format!("derive one of {}", names.join(", "))).into());
@@ -135,6 +110,35 @@ pub fn run(arguments: &Arguments, sources: &mut Sources) -> Result<(), Failure> 
         answer.print_pairs(&mut out)?;
     }
     Ok(())
+}
+
+/// Loads the rules with the constraints that hold in the city, and its actions.
+fn load(arguments: &Arguments, sources: &mut Sources) -> Result<(Rules, ActionsConfig), Failure> {
+    let given = || rule_file(&arguments.rules, &BuiltinFiles);
+    let (path, city) = match &arguments.config {
+        Some(config) => (given(), Some(open_run(config, sources)?)),
+        None => match open(&arguments.rules, sources)? {
+            Opened::Run(run) => (run.rules().to_owned(), Some(run)),
+            Opened::Rules => (given(), None),
+            Opened::Faulty(faults) => return Err(faults.into()),
+            Opened::Map(_) => {
+                let message = "name a rule file, or a configuration with rules";
+                return Err(Failure::Usage(message.to_owned()));
+            }
+        },
+    };
+    let mut texts = load_workspace(sources, &path, InputPolicy::Fixed)?;
+    texts.set_inputs(inputs_of(&texts, city.is_some()));
+    let loaded = texts.check();
+    let Some(rules) = loaded.rules else {
+        return Err(loaded.diagnostics.into());
+    };
+    report(&loaded.diagnostics, sources);
+    let rules = examine(&rules, city.as_ref().and_then(Checked::theory), sources).in_city;
+    Ok((
+        rules,
+        city.as_ref().map_or_else(ActionsConfig::default, Checked::actions),
+    ))
 }
 
 /// Returns the derived actions in order of precedence.
@@ -188,8 +192,11 @@ impl Answer<'_> {
         self.found.maps.iter().filter(|map| !map.is_same())
     }
 
-    /// Returns a smallest set of concepts whose labels exclude all confusions that were found.
-    fn labels(&self) -> Vec<usize> {
+    /// Returns a smallest set of concepts whose labels exclude all shortcuts; `None` if not all are known.
+    fn labels(&self) -> Option<Vec<&str>> {
+        if self.found.stopped.is_some() {
+            return None;
+        }
         let confused = |map: &ConceptMap| {
             let all = map.confused.iter().enumerate();
             all.filter(|(_, confused)| **confused).map(|(at, _)| at).collect()
@@ -203,12 +210,12 @@ impl Answer<'_> {
                 least.push(set);
             }
         }
-        (0..=self.found.concepts.len())
-            .find_map(|size| hit(&least, size))
-            .expect("the labels of all concepts exclude every confusion")
+        let chosen = (0..=self.found.concepts.len()).find_map(|size| hit(&least, size));
+        let chosen = chosen.expect("the labels of all concepts exclude every confusion");
+        Some(chosen.into_iter().map(|at| self.concept(at)).collect())
     }
 
-    /// Returns a clause that would remove a confusion.
+    /// Returns a clause that would expose a confusion.
     fn clause(&self, map: &ConceptMap) -> Result<Option<String>, Failure> {
         let confused = map.confused.iter().enumerate().filter(|(_, confused)| **confused);
         for (concept, _) in confused {
@@ -327,9 +334,7 @@ impl Answer<'_> {
         if count > shown {
             writeln!(out, "  and {} more; --json lists all", count - shown)?;
         }
-        let labels = self.labels();
-        if count > 0 && self.found.stopped.is_none() {
-            let labels: Vec<&str> = labels.iter().map(|at| self.concept(*at)).collect();
+        if let Some(labels) = self.labels().filter(|_| count > 0) {
             writeln!(out, "labels of {} would exclude all shortcuts", listed(&labels))?;
         }
         Ok(())
@@ -378,7 +383,6 @@ impl Answer<'_> {
                 "confused": confused.map(|(at, _)| self.concept(at)).collect::<Vec<_>>(),
             })
         };
-        let labels: Vec<&str> = self.labels().into_iter().map(|at| self.concept(at)).collect();
         let mut answer = json!({
             "concepts": names(&self.found.concepts),
             "unread": names(&self.found.unread),
@@ -387,7 +391,7 @@ impl Answer<'_> {
             "maps": self.found.maps.len(),
             "shortcuts": self.shortcuts().map(map).collect::<Vec<_>>(),
             "complete": self.found.stopped.is_none(),
-            "labels": self.found.stopped.is_none().then_some(labels),
+            "labels": self.labels(),
         });
         if with_pairs {
             let pairs = self.pairs().map(|pair| {

@@ -23,4 +23,5 @@ mod zones;
 pub use compose::{Read, rule_file};
 pub use load::{Loaded, load_any, load_map, load_scenario, missing_file};
 pub use model::*;
+pub use predicates::SEES;
 pub use tree::{Tree, load_tree};

@@ -14,7 +14,7 @@ use std::collections::HashMap;
 /// The maximum number of base predicates of a scenario.
 const MAX_PREDICATES: usize = 1000;
 /// The predicate of the field of view. It is always defined, so configurations cannot define it.
-pub(super) const SEES: &str = "Sees";
+pub const SEES: &str = "Sees";
 
 /// The base predicates of a configuration.
 pub(super) struct Predicates {

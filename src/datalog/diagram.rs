@@ -174,6 +174,18 @@ impl Diagrams {
         Ok(self.and(left.not(), right.not())?.not())
     }
 
+    /// Returns for each formula that it is the first one that holds, and after these that none holds.
+    pub fn firsts(&mut self, formulas: &[Formula]) -> Result<Vec<Formula>, TooLarge> {
+        let mut none = Formula::TRUE;
+        let mut firsts = Vec::with_capacity(formulas.len() + 1);
+        for formula in formulas {
+            firsts.push(self.and(none, *formula)?);
+            none = self.and(none, formula.not())?;
+        }
+        firsts.push(none);
+        Ok(firsts)
+    }
+
     fn decide(&mut self, variable: u32, holds: Formula, fails: Formula) -> Result<Formula, TooLarge> {
         if holds == fails {
             return Ok(holds);
@@ -200,7 +212,7 @@ impl Diagrams {
                 *free.insert(next as u32)
             }
         };
-        Ok(Formula(number << 1).flipped(negate))
+        Ok(Formula::new(number, negate))
     }
 
     /// Returns the probability that a formula holds.

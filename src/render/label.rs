@@ -31,7 +31,8 @@ pub(super) fn contains(outer: PixelBox, inner: PixelBox) -> bool {
     overlap(outer, inner).cast_unsigned() == inner.width * inner.height
 }
 
-/// Returns `C12` for `Car_12`, `P3` for `Pedestrian_3`, `Cyc3` for `Cyclist_3` of a configured kind, else the shortened name.
+/// Returns `C12` for `Car_12`, `P3` for `Pedestrian_3`, `Cyc3` for `Cyclist_3` of a configured kind, else the shortened
+/// name.
 fn short(sprite: &Sprite<'_>, longest: usize) -> String {
     let kind = sprite.kind_name.unwrap_or(sprite.kind.name());
     let prefix = match sprite.kind_name {

@@ -8,7 +8,7 @@ use crate::render::framing::Framing;
 /// An agent as a picture shows it.
 #[derive(Clone, Copy, Debug)]
 pub struct Sprite<'a> {
-    /// Name. The label is `C12` for `Car_12`, `P3` for `Pedestrian_3`, `Cyc3` for a `Cyclist_3`, else the shortened name.
+    /// Name. The label is `C12` for `Car_12`, `P3` for `Pedestrian_3`, `Cyc3` for `Cyclist_3`, else the shortened name.
     pub name: &'a str,
     /// Agent type.
     pub kind: AgentKind,

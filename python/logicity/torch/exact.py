@@ -22,6 +22,10 @@ with extra("learn"):
 __all__ = ["Circuits", "Proof"]
 
 
+#: The largest number of rows of a query.
+ROWS_MAX = 1 << 20
+
+
 @dataclass(frozen=True)
 class Proof:
     """Facts from which a decision follows, if no atom that it depends on has more than `k` proofs.
@@ -76,6 +80,10 @@ class Circuits:
         """Return the probabilities of the answers, and those of derived actions and queries by name."""
         unary, binary, mask = inputs
         count = unary.shape[-2]
+        for name in self._queries:
+            rows = count ** self._clauses.arities[self._clauses.places[name]]
+            if rows > ROWS_MAX:
+                raise ValueError(f"queries: `{name}` has {rows} rows over {count} entities, more than {ROWS_MAX}")
         weight = unary.new_zeros(0) if weights is None else weights.to(unary.device)
         outputs: Tensor = _Outputs.apply(unary, binary, weight, self._core, mask, list(egos), self._temporal)
         # For each ego, the decisions by each action and by none, and each action.

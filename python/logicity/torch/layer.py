@@ -149,6 +149,8 @@ class RuleLayer(nn.Module):
         self.temporal = bool(self._rules.pasts)
         self.weight_logits = nn.Parameter(torch.full((len(self.clauses),), 3.0)) if learn_weights else None
         self._circuits = self._compiled(k if semantics == "top-k" else None) if is_exact else None
+        #: Those of `proofs`, made when it is called.
+        self._by_proofs = self._circuits if semantics == "top-k" else None
 
     def _compiled(self, proofs: int | None) -> Circuits:
         weighted = self.weight_logits is not None
@@ -246,8 +248,9 @@ class RuleLayer(nn.Module):
         if action not in self.actions:
             raise ValueError(f"action: expected one of {', '.join(self.actions)}, not {action!r}")
         self._check_finite(unary, binary)
-        circuits = self._compiled(self.k)
-        return circuits.proofs((unary, binary, mask), ego % count, action, self.default, self.weights())
+        if self._by_proofs is None:
+            self._by_proofs = self._compiled(self.k)
+        return self._by_proofs.proofs((unary, binary, mask), ego % count, action, self.default, self.weights())
 
     def weights(self) -> Tensor | None:
         """Return the weights of `clauses`, (clauses,) from 0 to 1; `None` without `learn_weights`."""

@@ -93,8 +93,8 @@ impl DiagramCircuit {
         self.roots.iter().map(|root| values.of(*root))
     }
 
-    /// Returns the derivatives by the probabilities of [`DiagramCircuit::variables`] of the sum of all formulas, each times its
-    /// weight.
+    /// Returns the derivatives by the probabilities of [`DiagramCircuit::variables`] of the sum of all formulas, each
+    /// times its weight.
     pub fn gradient(&self, probabilities: &[f64], values: &Values, weights: &[f64]) -> Vec<f64> {
         let mut gradient = vec![0.0; self.variables.len()];
         let mut by_node = vec![0.0; self.nodes.len()];

@@ -11,13 +11,13 @@ use crate::marginals::proofs::{Proof, TopProofs, literal};
 use crate::marginals::{MarginalOptions, Marginals};
 use crate::program::Program;
 use crate::value::Value;
-use std::collections::{BTreeMap, HashMap};
+use std::collections::{BTreeMap, BTreeSet, HashMap};
 
 /// How [`CircuitCompiler`] computes formulas.
 #[derive(Clone, Debug, Default)]
 pub struct CircuitOptions {
-    /// The number of proofs to keep for each row. The probability is then a lower bound for rules without negation, else
-    /// an approximation. `None` for exact probabilities.
+    /// The number of proofs to keep for each row. The probability is then a lower bound for rules without negation,
+    /// else an approximation. `None` for exact probabilities.
     pub proofs: Option<usize>,
     /// The clauses with a weight, which is the probability that an instance of the clause counts, and its number.
     pub weights: BTreeMap<ClauseId, usize>,
@@ -188,7 +188,8 @@ impl CircuitCompiler {
             Source::Weight(number) => RandomVariable::Weight(number),
         }));
         self.formulas = Some(formulas);
-        let added = self.add_roots(egos, rows).and_then(|()| self.remember());
+        let added = self.add_roots(egos, rows);
+        self.remember();
         self.marginals.clear();
         Ok(added.map_err(|TooLarge| Inexact::TooLarge))
     }
@@ -252,13 +253,7 @@ impl CircuitCompiler {
                 .map(|predicate| self.formula(*predicate, &[*ego]))
                 .collect();
             let derived = self.in_diagrams(&derived)?;
-            let diagrams = &mut self.marginals.diagrams;
-            let mut none = Formula::TRUE;
-            for formula in &derived {
-                self.roots.push(diagrams.and(none, *formula)?);
-                none = diagrams.and(none, formula.not())?;
-            }
-            self.roots.push(none);
+            self.roots.extend(self.marginals.diagrams.firsts(&derived)?);
             self.roots.extend(derived);
         }
         let rows: Vec<Formula> = rows
@@ -298,7 +293,7 @@ impl CircuitCompiler {
     }
 
     /// Keeps the formulas that temporal operators read later.
-    fn remember(&mut self) -> Result<(), TooLarge> {
+    fn remember(&mut self) {
         let mut kept = HashMap::new();
         let program = self.marginals.program.clone();
         let grounding = self.marginals.grounding.as_ref().expect("it is prepared");
@@ -311,7 +306,6 @@ impl CircuitCompiler {
             }
         }
         self.history.push(kept);
-        Ok(())
     }
 
     /// Computes what temporal operators read in the present tick, as facts with formulas.
@@ -319,16 +313,11 @@ impl CircuitCompiler {
         self.given.clear();
         let program = self.marginals.program.clone();
         for past in &program.rules().pasts {
-            let rows: Vec<FactRow> = {
-                let ticks = self.history.iter().flat_map(HashMap::keys);
-                let mut rows: Vec<FactRow> = ticks
-                    .filter(|(operand, _)| *operand == past.operand)
-                    .map(|(_, row)| row.clone())
-                    .collect();
-                rows.sort_unstable();
-                rows.dedup();
-                rows
-            };
+            let known = self.history.iter().flat_map(HashMap::keys);
+            let rows: BTreeSet<FactRow> = known
+                .filter(|(operand, _)| *operand == past.operand)
+                .map(|(_, row)| row.clone())
+                .collect();
             for row in rows {
                 let formula = match &mut self.proofs {
                     Some(proofs) => remembered(past, &row, &self.history, proofs)?,

@@ -29,15 +29,8 @@ impl Grounding {
         }
         let mut firsts = BTreeMap::new();
         for (row, formulas) in rows {
-            let mut none = Formula::TRUE;
-            let mut each = Vec::with_capacity(formulas.len() + 1);
-            for formula in formulas {
-                let first = diagrams.and(none, formula)?;
-                each.push(first);
-                none = diagrams.and(none, formula.not())?;
-            }
-            each.push(none);
-            let each = each.into_iter().map(|formula| diagrams.probability(formula));
+            let each = diagrams.firsts(&formulas)?.into_iter();
+            let each = each.map(|formula| diagrams.probability(formula));
             firsts.insert(row.into(), each.collect());
         }
         Ok(firsts)
@@ -71,9 +64,6 @@ impl Grounding {
 
 /// Formulas over variables with probabilities, which are numbered in the order of their creation.
 pub(super) trait Algebra {
-    /// Removes all variables and formulas.
-    fn clear(&mut self);
-
     /// Adds a variable, and returns the formula that it holds.
     fn variable(&mut self, probability: f64) -> Result<Formula, TooLarge>;
 
@@ -85,10 +75,6 @@ pub(super) trait Algebra {
 }
 
 impl Algebra for Diagrams {
-    fn clear(&mut self) {
-        Diagrams::clear(self);
-    }
-
     fn variable(&mut self, probability: f64) -> Result<Formula, TooLarge> {
         Diagrams::variable(self, probability)
     }

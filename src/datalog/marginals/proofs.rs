@@ -1,8 +1,8 @@
 //! The most probable proofs of rows, in place of their formulas.
 //!
 //! A proof is a set of variables that hold and of others that fail. Of a conjunction, disjunction or negation, the most
-//! probable proofs are kept: Huang et al.: Scallop, 2021. While no row has more than `k` proofs, the row follows from each
-//! of them. A negation considers only the kept proofs, so beyond `k` its proofs are approximations.
+//! probable proofs are kept: Huang et al.: Scallop, 2021. While no row has more than `k` proofs, the row follows from
+//! each of them. A negation considers only the kept proofs, so beyond `k` its proofs are approximations.
 
 use crate::diagram::{Formula, TooLarge};
 use crate::marginals::formulas::Algebra;
@@ -47,6 +47,11 @@ impl TopProofs {
             steps_left: steps_max,
             steps_max,
         }
+    }
+
+    /// Removes all variables and formulas.
+    pub fn clear(&mut self) {
+        *self = TopProofs::new(self.k, self.steps_max);
     }
 
     /// Returns the proofs of a formula, the most probable first.
@@ -152,10 +157,6 @@ impl TopProofs {
 }
 
 impl Algebra for TopProofs {
-    fn clear(&mut self) {
-        *self = TopProofs::new(self.k, self.steps_max);
-    }
-
     fn variable(&mut self, probability: f64) -> Result<Formula, TooLarge> {
         let variable = self.variables.len() as u32;
         self.variables.push(probability);

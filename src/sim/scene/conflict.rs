@@ -7,6 +7,7 @@
 // Decision: docs/decisions/analysis.md#d033
 
 use crate::city::{Action, ActionTable};
+use crate::config::SEES;
 use crate::datalog::diff::{Difference, Equivalence, Options, diff, unsat_core};
 use crate::datalog::naive;
 use crate::datalog::{
@@ -237,7 +238,7 @@ pub fn scene_json(scene: &Difference, rules: &[&Rules]) -> serde_json::Value {
             .flat_map(|x| scene.entities.iter().map(move |y| [x, y]));
         pairs.all(|[x, y]| rows.iter().any(|row| row == &[x.as_str(), y.as_str()]))
     };
-    let listed = (scene.facts.iter().chain(&scopes)).filter(|(name, rows)| name != "Sees" || !is_complete(rows));
+    let listed = (scene.facts.iter().chain(&scopes)).filter(|(name, rows)| name != SEES || !is_complete(rows));
     let facts: Map<String, serde_json::Value> = listed
         .filter_map(|(name, rows)| {
             let declared = declared(rules, name)?;

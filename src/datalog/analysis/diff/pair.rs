@@ -80,9 +80,14 @@ impl Functions {
         self.ranges.values().flatten().flatten()
     }
 
+    /// Returns whether a symbol is in a range.
+    pub(super) fn have_symbol(&self, symbol: &str) -> bool {
+        self.symbols().any(|known| known == symbol)
+    }
+
     /// Returns whether a value is a symbol in a range.
     pub(super) fn have_value(&self, value: &Individual) -> bool {
-        matches!(value, Individual::Symbol(text) if self.symbols().any(|known| known == text))
+        matches!(value, Individual::Symbol(text) if self.have_symbol(text))
     }
 
     /// Returns whether a predicate is one of them.
@@ -94,7 +99,7 @@ impl Functions {
     pub(super) fn allow(&self, base: usize, column: usize, columns: usize, symbol: &str) -> bool {
         match self.ranges.get(&base) {
             Some(Some(range)) if column + 1 == columns => range.iter().any(|known| known == symbol),
-            _ => self.symbols().all(|known| known != symbol),
+            _ => !self.have_symbol(symbol),
         }
     }
 }

@@ -1,7 +1,7 @@
 //! Reasoning shortcuts: confusions of concepts that rules cannot tell apart.
 //!
 //! Perception that learns through rules is corrected only where a decision is wrong. So it may confuse concepts in any
-//! way that leaves all decisions as they are: Marconato et al., Not all neuro-symbolic concepts are created equal, 2023.
+//! way that changes no decision: Marconato et al., Not all neuro-symbolic concepts are created equal, 2023.
 //! A *map* says what perception reports in place of each concept. A *shortcut* is a map that changes no decision and
 //! confuses concepts.
 //!
@@ -9,21 +9,24 @@
 //! facts of a scene. While some map changes a decision in some scene, that scene becomes a condition on the maps. When
 //! no pair is left, every map that meets the conditions changes no decision, and the maps are enumerated.
 
+mod remedy;
+
 use crate::analysis::diff::confusion::Confusion;
 use crate::analysis::diff::ground::{Circuit, TooLarge};
-use crate::analysis::diff::pair::{Individual, Pair, ScopeRows, relevant};
+use crate::analysis::diff::pair::{Individual, Pair, ScopeRows};
 use crate::analysis::diff::sat::{Lit, Outcome, Solver};
 use crate::analysis::diff::{
     BaseFact, Difference, Model, Options, Scenes, derived_rows, describe, has_circuit, shrink,
 };
 use crate::check::subsumption::within_theory;
-use crate::check::{Atom, Clause, ClauseId, Literal, PredicateId, Rules, Term, VarId};
+use crate::check::{Clause, PredicateId, Rules};
 use crate::codes;
 use crate::diag::{Diagnostic, did_you_mean, listed};
 use crate::syntax::ast::BaseType;
 use std::collections::BTreeSet;
 
 pub use crate::analysis::diff::confusion::Image;
+pub use remedy::remedy;
 
 /// The maps to search. Concepts have images over as many entities.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
@@ -110,8 +113,8 @@ pub struct Shortcuts {
     pub concepts: Vec<PredicateId>,
     /// The inputs that no decision depends on; perception may report them in any way.
     pub unread: Vec<PredicateId>,
-    /// What decisions depend on and perception does not report: inputs with values or more columns, and what rules read of
-    /// earlier ticks.
+    /// What decisions depend on and perception does not report: inputs with values or more columns, and what rules read
+    /// of earlier ticks.
     pub given: Vec<PredicateId>,
     /// The maps found, by the number of concepts that they change. The identity is among them if these are all.
     pub maps: Vec<ConceptMap>,
@@ -175,101 +178,6 @@ pub fn witness(
     Ok(task.witness(options, images))
 }
 
-/// Returns a clause that tells a concept from its image in a map: with it, the map changes a decision. `None` if no
-/// clause of two literals is found.
-///
-/// # Errors
-/// As [`shortcuts`].
-pub fn remedy(
-    rules: &Rules,
-    order: &[PredicateId],
-    options: &ShortcutOptions,
-    (map, concepts): (&ConceptMap, &[PredicateId]),
-    concept: usize,
-) -> Result<Option<Clause>, Vec<Diagnostic>> {
-    let arity = rules.predicates[concepts[concept].index()].arity();
-    let span = rules.predicates[concepts[concept].index()].span;
-    let atom = |predicate: PredicateId| Atom {
-        predicate,
-        terms: (0..arity as u32).map(|column| Term::Variable(VarId(column))).collect(),
-        span,
-    };
-    let literal = |predicate: PredicateId, holds: bool| match holds {
-        true => Literal::Positive(atom(predicate)),
-        false => Literal::Negative(atom(predicate)),
-    };
-    let own = concepts[concept];
-    // A variable needs a positive literal: every entity sees itself and all others.
-    let scope = rules
-        .clauses
-        .iter()
-        .flat_map(|clause| &clause.body)
-        .find_map(|literal| match literal {
-            Literal::Guard(atom) => Some(atom.predicate),
-            _ => None,
-        });
-    let seen = scope.map(|predicate| {
-        let second = VarId(arity as u32 - 1);
-        let terms = vec![Term::Variable(VarId(0)), Term::Variable(second)];
-        Literal::Positive(Atom { predicate, terms, span })
-    });
-    let unless = |literals: Vec<Literal>| seen.iter().cloned().chain(literals).collect::<Vec<_>>();
-    let mut bodies: Vec<Vec<Literal>> = match map.images[concept] {
-        Image::Constant(false) => vec![vec![literal(own, true)]],
-        Image::Constant(true) => vec![unless(vec![literal(own, false)])],
-        Image::Concept { position, negated } if position == concept => {
-            debug_assert!(negated, "the concept is confused");
-            vec![vec![literal(own, true)]]
-        }
-        Image::Concept {
-            position,
-            negated: false,
-        } => vec![
-            vec![literal(own, true), literal(concepts[position], false)],
-            vec![literal(concepts[position], true), literal(own, false)],
-        ],
-        Image::Concept {
-            position,
-            negated: true,
-        } => vec![
-            vec![literal(own, true), literal(concepts[position], true)],
-            unless(vec![literal(own, false), literal(concepts[position], false)]),
-        ],
-    };
-    let is_safe = |body: &Vec<Literal>| body.iter().any(|literal| matches!(literal, Literal::Positive(_)));
-    bodies.retain(is_safe);
-    for action in order {
-        for body in &bodies {
-            let clause = Clause {
-                head: Atom {
-                    predicate: *action,
-                    terms: vec![Term::Variable(VarId(0))],
-                    span,
-                },
-                body: body.clone(),
-                variables: ["X", "Y"][..arity].iter().map(|name| (*name).to_owned()).collect(),
-                variable_spans: vec![span; arity],
-                doc: String::new(),
-                span,
-            };
-            let mut more = rules.clone();
-            let Some(stratum) = more
-                .strata
-                .iter_mut()
-                .find(|stratum| stratum.predicates.contains(action))
-            else {
-                continue;
-            };
-            stratum.clauses.push(ClauseId(more.clauses.len() as u32));
-            more.clauses.push(clause.clone());
-            if matches!(witness(&more, order, options, &map.images)?, Ok(Some(_))) {
-                return Ok(Some(clause));
-            }
-        }
-    }
-    Ok(None)
-}
-
 /// Rules prepared for the search.
 struct Task<'a> {
     pair: Pair<'a>,
@@ -309,7 +217,6 @@ impl<'a> Task<'a> {
         for side in &mut pair.sides {
             side.scopes.extend(&given.views);
         }
-        let read = relevant([rules, rules], &pair.base, &pair.outputs);
         let side = &pair.sides[0];
         // Concepts are about the entities that decide.
         let entity = order
@@ -320,7 +227,7 @@ impl<'a> Task<'a> {
             let Some(base) = side.base[id.index()].filter(|_| !side.scopes.contains(&id)) else {
                 continue;
             };
-            let is_read = read.contains(&base) && is_read(rules, order, id);
+            let is_read = order.iter().any(|action| rules.depends_on(*action, id));
             let columns = &predicate.columns;
             let is_concept = (1..=2).contains(&columns.len())
                 && columns.iter().all(|column| Some(column.ty) == entity)
@@ -615,17 +522,16 @@ impl<'a> Task<'a> {
                 }
             }
         }
-        let shown = symbols;
         let individuals = &model.individuals;
-        scene.derived[1] = derived_rows(&self.pair, 1, individuals, &reported, (&scene.everybody_sees, &shown));
+        scene.derived[1] = derived_rows(&self.pair, 1, individuals, &reported, (&scene.everybody_sees, &symbols));
         let name = individuals[0].shown();
         let decision = |rows: &[(String, Vec<String>)]| {
-            self.order.iter().copied().find(|action| {
+            let derived = self.order.iter().copied().find(|action| {
                 let action = &self.rules.predicates[action.index()].name;
                 rows.iter().any(|(of, row)| of == action && row[..] == [name.clone()])
-            })
+            });
+            derived.or(self.default)
         };
-        let decision = |rows: &[(String, Vec<String>)]| decision(rows).or(self.default);
         Witness {
             decisions: [0, 1].map(|side: usize| decision(&scene.derived[side])),
             scene,
@@ -639,11 +545,6 @@ pub fn identity(position: usize) -> Image {
         position,
         negated: false,
     }
-}
-
-/// Returns whether the clauses of an action read a predicate, directly or through others.
-fn is_read(rules: &Rules, order: &[PredicateId], predicate: PredicateId) -> bool {
-    order.iter().any(|action| rules.depends_on(*action, predicate))
 }
 
 /// Returns all rows over these individuals.

@@ -523,7 +523,7 @@ impl<'a> Trial<'a> {
         for (predicate, row) in ordered {
             let symbols = self.columns[predicate].iter().zip(&row);
             for (_, text) in symbols.filter(|(base, _)| **base == BaseType::Symbol) {
-                if !names.contains(text) && self.functions.symbols().all(|known| known != text) {
+                if !names.contains(text) && !self.functions.have_symbol(text) {
                     names.push(text.clone());
                 }
             }
