@@ -4,8 +4,7 @@ use crate::actor::PyPolicyNetwork;
 use crate::city::one_of;
 use crate::episode::{PyEpisode, PyEpisodeOption, read_episode};
 use crate::task::{
-    PyTask, action_mask, gymnasium_error, read_action, read_actions, split_named, table_of, view_named,
-    write_violations,
+    PyTask, action_mask, gymnasium_error, read_action, read_actions, split_named, table_of, write_violations,
 };
 use crate::{Signals, borrowed, borrowed_mut, slice_of};
 use logicity::city::{Action, Split};
@@ -144,7 +143,7 @@ impl PyVectorEnv {
         threads: usize,
     ) -> PyResult<Self> {
         let split = split_named(split)?;
-        let (autoreset, view) = (autoreset_named(autoreset)?, view_named(observation)?);
+        let (autoreset, view) = (autoreset_named(autoreset)?, task.get().view(py, observation)?);
         let episodes = Episodes::named(py, episodes, task.get(), split)?;
         let sources = std::iter::repeat_n(episodes.source(0), count);
         let shared = &task.get().task;

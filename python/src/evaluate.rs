@@ -1,7 +1,7 @@
 //! Metrics of policies on recorded episodes, and the description of a task.
 
 use crate::episode::PyEpisode;
-use crate::task::{PyTask, read_action, split_named, table_of, view_named};
+use crate::task::{PyTask, read_action, split_named, table_of};
 use crate::{Signals, slice_of, to_python};
 use logicity::city::{Action, Split};
 use logicity::task::spf::{
@@ -93,7 +93,8 @@ struct PyBatchEvaluator {
 impl PyBatchEvaluator {
     #[new]
     fn new(py: Python<'_>, baseline: &PyRandomBaseline, observation: &str) -> PyResult<Self> {
-        let (task, set, view) = (baseline.task.clone_ref(py), &baseline.set, view_named(observation)?);
+        let (task, set) = (baseline.task.clone_ref(py), &baseline.set);
+        let view = task.get().view(py, observation)?;
         let signals = Signals::new();
         let cancel = signals.cancel();
         let evaluator = signals.detach(py, || BatchEvaluator::new_with(&task.get().task, set, &cancel))?;
@@ -223,6 +224,7 @@ fn layout_of(task: &SpfTask) -> Value {
     json!({
         "entities": oracle.entities(), "columns": columns.collect::<Vec<Value>>(), "width": task.observation_width(),
         "route_length": task.config().route_length,
+        "sensors": task.sensors().map(|sensors| sensors.config().output.name()),
     })
 }
 

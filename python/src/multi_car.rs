@@ -1,7 +1,7 @@
 //! An environment that controls every car of a city.
 
 use crate::episode::{PyEpisode, read_episode};
-use crate::task::{PyTask, read_action, read_actions, split_named, view_named};
+use crate::task::{PyTask, read_action, read_actions, split_named};
 use crate::{Signals, borrowed, borrowed_mut, slice_of};
 use logicity::city::Action;
 use logicity::task::spf::{ControlMode, Env, EpisodeSource, Info, ObservationKind, describe};
@@ -30,7 +30,7 @@ struct PyMultiCarEnv {
 impl PyMultiCarEnv {
     #[new]
     fn new(py: Python<'_>, task: Py<PyTask>, split: &str, observation: &str, judges: bool) -> PyResult<Self> {
-        let (split, view) = (split_named(split)?, view_named(observation)?);
+        let (split, view) = (split_named(split)?, task.get().view(py, observation)?);
         let shared = Arc::clone(&task.get().task);
         let signals = Signals::new();
         let cancel = signals.cancel();

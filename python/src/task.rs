@@ -4,12 +4,14 @@ use crate::city::{Files, Loaded, one_of};
 use crate::episode::read_episode;
 use crate::output::{overwrite_if, unwritable};
 use crate::predicate::Functions;
-use crate::{LimitArguments, Signals, input_error, locked};
+use crate::{LimitArguments, Signals, input_error, locked, to_python};
 use logicity::builtin::BuiltinFiles;
 use logicity::city::{Action, ActionTable, Split};
+use logicity::config::SEES;
 use logicity::diag::{Diagnostic, SourceId, Sources};
 use logicity::files::Output;
 use logicity::render::{Icons, Marked, Overview, Sprite};
+use logicity::sim::Chain;
 use logicity::task::spf::{
     ControlMode, ControlledCar, Env, Episode, EpisodeSet, Info, ObservationKind, Origin, RecordError, SpfTask, explain,
     record,
@@ -19,6 +21,7 @@ use pyo3::exceptions::PyValueError;
 use pyo3::intern;
 use pyo3::prelude::*;
 use pyo3::types::{PyDict, PyTuple, PyType};
+use serde_json::json;
 use std::path::PathBuf;
 use std::sync::{Arc, Mutex, OnceLock};
 
@@ -48,10 +51,6 @@ type Arguments = (PathBuf, Option<PathBuf>, Option<String>, LimitArguments, Opti
 
 pub fn split_named(name: &str) -> PyResult<Split> {
     one_of("split", name, &Split::ALL, Split::name)
-}
-
-pub fn view_named(name: &str) -> PyResult<ObservationKind> {
-    one_of("observation", name, &ObservationKind::ALL, ObservationKind::name)
 }
 
 /// Returns an exception of `gymnasium.error` by its name.
@@ -188,8 +187,44 @@ impl PyTask {
     }
 
     /// Returns the shape of a kind of observation.
-    fn shape(&self, observation: &str) -> PyResult<Vec<usize>> {
-        Ok(view_named(observation)?.shape(&self.task))
+    fn shape(&self, py: Python<'_>, observation: &str) -> PyResult<Vec<usize>> {
+        Ok(self.view(py, observation)?.shape(&self.task))
+    }
+
+    /// Describes the sensors of the ego as JSON does; `None` without sensors.
+    fn sensors<'py>(&self, py: Python<'py>) -> PyResult<Option<Bound<'py, PyAny>>> {
+        let Some(sensors) = self.task.sensors() else {
+            return Ok(None);
+        };
+        let signals = Signals::new();
+        let cancel = signals.cancel();
+        let model = signals.detach(py, || self.task.sensor_model(&cancel).map(|model| model.cloned()))?;
+        let model = model.map_err(|fault| self.error(py, fault))?;
+        let config = sensors.config();
+        let observed = self.task.world().vocabulary.predicates.iter().enumerate();
+        let sensed = observed.filter(|(_, known)| known.quantity().is_none() && known.name != SEES);
+        let predicates = sensed.map(|(predicate, known)| {
+            let sensor = config.of(&known.name);
+            let occluders = [("buildings", sensor.occluded_by_buildings), ("agents", sensor.occluded_by_agents)];
+            let occluders = occluders.iter().filter(|(_, hides)| *hides).map(|(name, _)| *name);
+            let mut described = json!({
+                "true_positive_rate": sensor.true_positive_rate, "false_positive_rate": sensor.false_positive_rate,
+                "range": sensor.range, "occluded_by": occluders.collect::<Vec<&str>>(), "delay": sensor.delay,
+                "dropout": sensor.dropout, "correlation": sensor.correlation,
+            });
+            if let Some(model) = &model {
+                let chain = |chain: Chain| {
+                    json!({"base": chain.base, "begins": chain.begins, "stays": chain.stays, "appears": chain.appears})
+                };
+                described["chains"] = json!(model.chains(predicate).map(chain));
+            }
+            (known.name.clone(), described)
+        });
+        let described = json!({
+            "output": config.output.name(), "ego": if config.exact_ego { "exact" } else { "sensed" },
+            "predicates": predicates.collect::<serde_json::Map<String, serde_json::Value>>(),
+        });
+        to_python(py, &described).map(Some)
     }
 
     /// Returns the largest number of steps of a drawn or recorded episode.
@@ -249,6 +284,12 @@ impl PyTask {
 }
 
 impl PyTask {
+    /// Returns the kind of observation with a name, if the task has it.
+    pub fn view(&self, py: Python<'_>, name: &str) -> PyResult<ObservationKind> {
+        let kind = one_of("observation", name, &ObservationKind::ALL, ObservationKind::name)?;
+        kind.of(&self.task).map_err(|fault| self.error(py, fault))
+    }
+
     /// Returns the number of clauses that actions can violate.
     pub fn constraints(&self) -> usize {
         self.task.oracle().constraints().len()

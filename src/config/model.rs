@@ -3,6 +3,7 @@
 //! The serialized form omits file names and places. [`Scenario::hash`] is its hash.
 
 use crate::city::{Action, ActionTable, AgentSet, KindId, KindTable, MapConfig, Routing, Split, TripEnds};
+use crate::config::{SensorsConfig, ShieldConfig};
 use crate::diag::Span;
 use crate::located::Located;
 use crate::predicate::Definition;
@@ -269,6 +270,12 @@ pub struct SpfConfig {
     /// The stages of the curriculum, by ascending `until`.
     #[serde(skip_serializing_if = "Vec::is_empty")]
     pub curriculum: Vec<CurriculumStage>,
+    /// The sensors of the ego; `None` if it observes facts exactly.
+    #[serde(skip_serializing_if = "Option::is_none")]
+    pub sensors: Option<SensorsConfig>,
+    /// The shield of the learner.
+    #[serde(skip_serializing_if = "Option::is_none")]
+    pub shield: Option<Located<ShieldConfig>>,
     /// The files of recorded episodes, in the order of [`Split::ALL`].
     #[serde(skip)]
     pub episodes: [Option<Located<PathBuf>>; 3],

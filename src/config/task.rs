@@ -4,6 +4,8 @@ use crate::city::{ActionTable, AgentKind, Split};
 use crate::config::compose::Composer;
 use crate::config::model::*;
 use crate::config::predicates::{Concepts, Predicates, carried};
+use crate::config::sensors::sensors;
+use crate::config::shield::shield;
 use crate::diag::Diagnostic;
 use crate::located::Located;
 use crate::yaml::read::{Fields, choice, entries, integer, invalid, list, number};
@@ -52,6 +54,11 @@ pub(super) fn spf(
         .required("reward", faults)
         .and_then(|node| reward(node, table, faults));
     let ego_of = fields.optional("ego").map(|node| ego(node, predicates, faults));
+    let sensors_of = fields.optional("sensors").map(|node| sensors(node, predicates, faults));
+    let shield_of = fields.optional("shield").map(|node| {
+        let value = shield(node, faults)?;
+        Some(Located { value, span: node.span })
+    });
     let usual = "`base: configs/tasks/common.yaml` has defaults";
     fields.close_with(Some(usual), faults);
     Some(SpfConfig {
@@ -65,6 +72,8 @@ pub(super) fn spf(
         ego: ego_of.map_or(Some(None), |ego| ego.map(Some))?,
         constrained_steps: constrained_steps?,
         curriculum: curriculum?,
+        sensors: sensors_of.map_or(Some(None), |sensors| sensors.map(Some))?,
+        shield: shield_of.map_or(Some(None), |shield| shield.map(Some))?,
         episodes: episodes.map_or(Some(Default::default()), |episodes| episodes)?,
         span: node.span,
     })

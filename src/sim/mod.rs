@@ -14,7 +14,10 @@ mod trace;
 
 pub use crate::predicate::{Entity, Progress};
 pub use load::{LoadError, LoadedCity};
-pub use observe::{ActionConstraint, Decider, OBSERVED_MAX, ObservedColumn, Observer, Oracle, observed_columns};
+pub use observe::{
+    ActionConstraint, Chain, Decider, FactCounts, OBSERVED_MAX, ObservedColumn, Observer, Oracle, SensorModel, Sensors,
+    Shield, ShieldState, Verdict, observed_columns,
+};
 pub use scene::{
     Answer, CONFLICT_BUDGET, CityConstraints, CityTheory, EgoAnswer, Examined, Explained, Finding, Inference,
     MarginalAnswer, MarginalEgo, Overlap, SceneFacts, agent_lints, conflict_lints, conflicts, earlier_facts, examine,

@@ -31,6 +31,8 @@ mod recorded;
 #[path = "../root.rs"]
 mod root;
 mod schema;
+mod sensors;
+mod shield;
 mod shipped_world;
 mod spf;
 mod temporal;

@@ -136,6 +136,8 @@ fn companions(key: &str) -> Vec<(String, Value)> {
 
 /// The names in samples of mappings with free keys.
 const SAMPLE_PREDICATE: &str = "IsSample";
+/// A predicate of the base, in samples of sensors.
+const KNOWN_PREDICATE: &str = "IsClose";
 const SAMPLE_CLAUSE: &str = "S1";
 
 fn schema() -> Value {
@@ -164,6 +166,7 @@ fn walk(root: &Value, path: &[Step], schema: &Value, found: &mut Vec<Place>) {
         if one["additionalProperties"].is_object() {
             let sample = match path.last() {
                 Some(Step::Key(key)) if key == "define" => SAMPLE_PREDICATE,
+                Some(Step::Key(key)) if key == "predicates" => KNOWN_PREDICATE,
                 _ => SAMPLE_CLAUSE,
             };
             walk(root, &below(sample), &one["additionalProperties"], found);

@@ -109,6 +109,19 @@ class BaseEnv:
         return self._actions
 
     @property
+    def sensors(self) -> dict[str, Any] | None:
+        """The sensors through which the ego observes facts; `None` if it observes them exactly.
+
+        `output` and `ego` are those of the configuration. `predicates` has the sensor of each predicate. If the output
+        is not `facts`, a sensor also has `chains`: the probabilities of the Markov chains of its facts, for those whose
+        only or first agent is the ego, those about one other agent or with the ego second, and those about two others.
+        `base` is the share of ticks in which such a fact holds, `begins` that of the first ticks that observe its
+        agents, `stays` and `appears` the shares in which it holds a tick after it did and did not. They are counted in
+        512 episodes of the oracle, at most 32768 steps.
+        """
+        return self._task.sensors()
+
+    @property
     def clauses(self) -> tuple[str, ...]:
         """The names of the clauses that actions can violate, such as `S1`, in the order of `violations`."""
         return self._clauses

@@ -121,7 +121,7 @@ class Learner(ABC):
     interacts: ClassVar[bool]
     #: The kinds of observations that the learner can use.
     observations: ClassVar[tuple[ArrayKind, ...]] = ("groundings",)
-    #: Whether observations may have values of quantities beside truth values.
+    #: Whether observations may have values of quantities and probabilities beside truth values.
     takes_quantities: ClassVar[bool] = True
     #: The suffix of the files of its policies.
     suffix: ClassVar[str] = ".pt"
@@ -144,7 +144,13 @@ class Learner(ABC):
         """
         self.config, self.log = config, log
         if not self.takes_quantities:
-            columns = _logicity.layout(load_task(config.mode, overrides=config.overrides))["columns"]
+            layout = _logicity.layout(load_task(config.mode, overrides=config.overrides))
+            columns = layout["columns"]
+            if layout["sensors"] not in (None, "facts"):
+                raise ValueError(
+                    f"`{config.algorithm}` learns from truth values, but the sensors of {config.mode} output "
+                    f"{layout['sensors']}: set `output: facts`"
+                )
             if quantities := [column["predicate"].partition("=")[0] for column in columns if "quantity" in column]:
                 raise ValueError(
                     f"`{config.algorithm}` learns from truth values, but observations in {config.mode} have the "

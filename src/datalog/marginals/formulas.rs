@@ -143,24 +143,29 @@ struct Instance {
 }
 
 impl<A: Algebra> Work<'_, A> {
-    fn run(&mut self, grounding: &Grounding, inputs: &[(PredicateId, Vec<(u32, FactRow)>)]) -> Result<(), Stop> {
+    fn run(&mut self, grounding: &Grounding, inputs: &[(PredicateId, Vec<(u32, u32, FactRow)>)]) -> Result<(), Stop> {
+        let mut random = Vec::new();
         for (input, rows) in inputs {
             // Both are sorted. Facts of the source are no such facts; clauses add them below.
             let mut given = self.given.facts.of(*input).iter().peekable();
-            for (at, row) in rows {
+            for (at, place, row) in rows {
                 while given.next_if(|(known, _)| known < row).is_some() {}
                 if let Some((_, probability)) = given.next_if(|(known, _)| known == row) {
                     let known = match self.given.formulas.is_empty() {
                         true => None,
                         false => self.given.formulas.get(&(*input, row.clone())).copied(),
                     };
-                    let formula = match known {
-                        Some(formula) => formula,
-                        None => self.random(*probability, Source::Fact(*input, *at))?,
-                    };
-                    self.formulas.set(*input, *at as usize, formula);
+                    match known {
+                        Some(formula) => self.formulas.set(*input, *at as usize, formula),
+                        None => random.push((*place, *input, *at, *probability)),
+                    }
                 }
             }
+        }
+        random.sort_unstable_by_key(|(place, ..)| *place);
+        for (_, input, at, probability) in random {
+            let formula = self.random(probability, Source::Fact(input, at))?;
+            self.formulas.set(input, at as usize, formula);
         }
         for stratum in &grounding.strata {
             let mut instances = Vec::new();

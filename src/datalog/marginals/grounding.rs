@@ -64,8 +64,42 @@ pub(super) struct Grounding {
 pub(super) struct Needed {
     /// Formulas of all rows before the first clause is evaluated.
     pub formulas: Formulas,
-    /// The rows of the uncertain input predicates, with their positions.
-    pub inputs: Vec<(PredicateId, Vec<(u32, FactRow)>)>,
+    /// The rows of the uncertain input predicates, with their positions and the places of their variables in the order
+    /// of all: see [`variable_order`].
+    pub inputs: Vec<(PredicateId, Vec<(u32, u32, FactRow)>)>,
+}
+
+/// Returns the place of each row of the inputs in the order of variables.
+///
+/// Rows follow each other by the last of their symbols: all rows about the first symbol, then those about the second
+/// one and those before, and so on, where `ego` is the first symbol. Formulas about one symbol at a time, joined for all
+/// of them, then have small diagrams.
+fn variable_order(inputs: &[(PredicateId, Vec<(u32, FactRow)>)], ego: Option<Value>) -> Vec<u32> {
+    let rows = inputs
+        .iter()
+        .enumerate()
+        .flat_map(|(input, (_, rows))| rows.iter().map(move |(_, row)| (input, row)));
+    let mut keys: Vec<(SmallVec<[u32; 4]>, usize, usize)> = rows
+        .enumerate()
+        .map(|(number, (input, row))| {
+            let rank = |value: &Value| {
+                if Some(*value) == ego {
+                    0
+                } else {
+                    value.0.saturating_add(1)
+                }
+            };
+            let mut ranks: SmallVec<[u32; 4]> = row.iter().map(rank).collect();
+            ranks.sort_unstable_by(|one, other| other.cmp(one));
+            (ranks, input, number)
+        })
+        .collect();
+    keys.sort_unstable();
+    let mut places = vec![0; keys.len()];
+    for (place, (_, _, number)) in (0..).zip(keys) {
+        places[number] = place;
+    }
+    places
 }
 
 /// The formulas of the rows of the uncertain predicates.
@@ -258,7 +292,23 @@ impl Grounding {
             let needed = rows.filter(|(_, needed)| **needed);
             (input, needed.map(|((at, row), _)| (at, row.into())).collect())
         };
-        let inputs = self.inputs.iter().map(|input| rows_of(*input)).collect();
+        let inputs: Vec<(PredicateId, Vec<(u32, FactRow)>)> = self.inputs.iter().map(|input| rows_of(*input)).collect();
+        let ego = asked
+            .filter(|asked| asked.len() == 1)
+            .and_then(|asked| match &**asked.first()? {
+                [ego] => Some(*ego),
+                _ => None,
+            });
+        let mut places = variable_order(&inputs, ego).into_iter();
+        let inputs = (inputs.into_iter())
+            .map(|(input, rows)| {
+                let placed = rows
+                    .into_iter()
+                    .zip(&mut places)
+                    .map(|((at, row), place)| (at, place, row));
+                (input, placed.collect())
+            })
+            .collect();
         let mut next = 0;
         let start = |(rows, uncertain): (&Vec<bool>, &bool)| {
             uncertain.then(|| {

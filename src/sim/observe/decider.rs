@@ -13,7 +13,10 @@ use std::sync::Arc;
 pub struct Decider {
     oracle: Arc<Oracle>,
     atoms: Atoms,
+    /// The entities of the observation.
+    entities: Entities<'static>,
     violations: Violations,
+    broken: Vec<usize>,
 }
 
 impl Decider {
@@ -27,9 +30,38 @@ impl Decider {
         world.without_time("observations")?;
         Ok(Decider {
             atoms: oracle.no_atoms(),
+            entities: Entities::Numbered {
+                present: 1,
+                most: oracle.entities(),
+            },
             violations: Violations::new(oracle.monitor()),
+            broken: Vec::new(),
             oracle,
         })
+    }
+
+    /// Returns the clauses that an action of the ego violates, as positions in [`Oracle::constraints`]. It reads the
+    /// observation as [`Decider::action`] does.
+    ///
+    /// # Errors
+    /// As [`Decider::action`].
+    ///
+    /// # Panics
+    /// If the observation is shorter than [`Oracle::width`].
+    pub fn violations(&mut self, observation: &[f32], action: Action, cancel: &Cancel) -> Result<&[usize], Diagnostic> {
+        self.read(observation);
+        let observed = Observed {
+            atoms: &self.atoms,
+            entities: self.entities,
+            given: None,
+            memory: None,
+            drawing: Drawing::default(),
+            cancel,
+        };
+        let monitor = self.oracle.monitor();
+        self.violations
+            .violations(monitor, observed, action, &mut self.broken)?;
+        Ok(&self.broken)
     }
 
     /// Returns the action of the ego. A fact holds if its number exceeds 0.5.
@@ -43,6 +75,22 @@ impl Decider {
     /// # Panics
     /// If the observation is shorter than [`Oracle::width`].
     pub fn action(&mut self, observation: &[f32], cancel: &Cancel) -> Result<Action, Diagnostic> {
+        self.read(observation);
+        let vocabulary = &self.oracle.world().vocabulary;
+        let observed = Observed {
+            atoms: &self.atoms,
+            entities: self.entities,
+            given: None,
+            memory: None,
+            drawing: Drawing::default(),
+            cancel,
+        };
+        let derived = self.violations.derived(self.oracle.monitor(), vocabulary, observed)?;
+        Ok(vocabulary.decide(Some(AgentKind::Car.into()), derived))
+    }
+
+    /// Reads the facts of an observation.
+    fn read(&mut self, observation: &[f32]) {
         let (oracle, atoms) = (&*self.oracle, &mut self.atoms);
         let vocabulary = &oracle.world().vocabulary;
         let most = oracle.entities();
@@ -59,16 +107,7 @@ impl Decider {
         sees[..present].fill(u64::MAX >> (64 - present));
         oracle.numbers().read(numbers, present, &mut atoms.values);
         self.violations.forget();
-        let observed = Observed {
-            atoms: &self.atoms,
-            entities: Entities::Numbered { present, most },
-            given: None,
-            memory: None,
-            drawing: Drawing::default(),
-            cancel,
-        };
-        let derived = self.violations.derived(oracle.monitor(), vocabulary, observed)?;
-        Ok(vocabulary.decide(Some(AgentKind::Car.into()), derived))
+        self.entities = Entities::Numbered { present, most };
     }
 }
 

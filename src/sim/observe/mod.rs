@@ -1,10 +1,17 @@
 //! The observation of one agent of a task, and the clauses that its actions violate.
 
+mod belief;
 mod decider;
+mod noise;
 mod numbers;
 mod observer;
 mod rule_monitor;
+mod sensors;
+mod shield;
 
+pub use belief::{Chain, SensorModel};
 pub use decider::Decider;
-pub use observer::{OBSERVED_MAX, ObservedColumn, Observer, Oracle, observed_columns};
-pub use rule_monitor::ActionConstraint;
+pub use observer::{ObservedColumn, Observer, Oracle, observed_columns};
+pub use rule_monitor::{ActionConstraint, OBSERVED_MAX};
+pub use sensors::{FactCounts, Sensors};
+pub use shield::{Shield, ShieldState, Verdict};

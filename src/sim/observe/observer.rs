@@ -11,6 +11,7 @@
 
 use crate::city::{Action, Agent, AgentKind};
 use crate::city::{Area, Cell, FieldOfView};
+use crate::config::SensorsConfig;
 use crate::datalog::Session;
 use crate::datalog::Value;
 use crate::datalog::dense::{holding, members};
@@ -18,10 +19,12 @@ use crate::diag::Diagnostic;
 use crate::predicate::{
     CellTable, Definition, External, Measured, PairRelation, Progress, Quantity, Relation, Static, Views, with_relation,
 };
+use crate::sim::observe::belief::SensorModel;
 use crate::sim::observe::numbers::{Numbers, greatest_priority, places};
 use crate::sim::observe::rule_monitor::{
-    ActionConstraint, AtomLayout, Atoms, Entities, Observed, RuleMonitor, Violations,
+    ActionConstraint, AtomLayout, Atoms, Entities, OBSERVED_MAX, Observed, RuleMonitor, Violations,
 };
+use crate::sim::observe::sensors::{FactCounts, Sensing, Sensors};
 use crate::sim::tick::agent_state::AgentState;
 use crate::sim::tick::chance::{Chance, Draws};
 use crate::sim::tick::external::ExternalFacts;
@@ -31,9 +34,6 @@ use crate::sim::tick::simulation::Simulation;
 use crate::sim::tick::vocabulary::Actions;
 use crate::sim::tick::world::World;
 use std::sync::Arc;
-
-/// The maximum number of observed entities.
-pub const OBSERVED_MAX: usize = 64;
 
 /// The immutable part of observations, shared by every [`Observer`]: predicates, rules and sizes.
 #[derive(Debug)]
@@ -178,6 +178,20 @@ impl Oracle {
         self.monitor.constraints()
     }
 
+    /// Returns for each observed set of atoms: the predicate, the first entity of the pairs if it is about two agents, and
+    /// the position of its first number in an observation.
+    pub(super) fn observed_sets(&self) -> impl Iterator<Item = (usize, Option<usize>, usize)> {
+        self.sets.iter().map(|&(set, start)| {
+            let (predicate, row) = self.layout.predicate(set);
+            (predicate, row, start)
+        })
+    }
+
+    /// Returns the sensors of a configuration for observers of this oracle.
+    pub fn sensors(&self, config: SensorsConfig) -> Sensors {
+        Sensors::new(config, self.layout, &self.sets, &self.world.vocabulary.predicates)
+    }
+
     /// Returns the clauses of the rules in the form that judges actions.
     pub(super) fn monitor(&self) -> &RuleMonitor {
         &self.monitor
@@ -211,6 +225,15 @@ impl Oracle {
     /// Returns the length of the first part of the vector, the truth values of atoms.
     pub(super) fn atoms_width(&self) -> usize {
         self.sets.len() * self.entities
+    }
+
+    /// Returns whether observations have the same columns as those of another oracle.
+    pub(super) fn observes_like(&self, other: &Oracle) -> bool {
+        let columns = |oracle: &Oracle| {
+            let columns = oracle.columns().into_iter();
+            columns.map(|column| (column.name, column.width)).collect::<Vec<_>>()
+        };
+        self.nearest_first == other.nearest_first && columns(self) == columns(other)
     }
 
     /// Returns the columns of an observation; see [`observed_columns`].
@@ -255,12 +278,15 @@ pub struct Observer {
     atoms: Atoms,
     violations: Violations,
     broken: Vec<usize>,
+    /// What the ego reads through sensors.
+    sensing: Option<Box<Sensing>>,
 }
 
 impl Observer {
     /// Creates an observer for an agent, given its position in the list. Call [`Observer::begin`] next.
     pub fn new(oracle: Arc<Oracle>, ego: usize) -> Observer {
         Observer {
+            sensing: None,
             ego,
             steady: Vec::new(),
             like: Vec::new(),
@@ -270,6 +296,20 @@ impl Observer {
             violations: Violations::new(&oracle.monitor),
             broken: Vec::with_capacity(oracle.constraints().len()),
             oracle,
+        }
+    }
+
+    /// Adds sensors, which [`Observer::sense`] reads. Beliefs and probabilities need a model.
+    ///
+    /// # Panics
+    /// If a [model](Sensors::needs_model) is needed and missing.
+    #[must_use]
+    pub fn with_sensors(self, sensors: Arc<Sensors>, model: Option<Arc<SensorModel>>) -> Observer {
+        assert!(model.is_some() || !sensors.needs_model(), "these sensors need a model");
+        let sensing = Sensing::new(sensors, model, self.oracle.no_atoms());
+        Observer {
+            sensing: Some(Box::new(sensing)),
+            ..self
         }
     }
 
@@ -291,6 +331,9 @@ impl Observer {
     /// Updates the static predicates of the agents. Call it after every start and restart of the city.
     pub fn begin(&mut self, city: &Simulation) {
         self.violations.forget();
+        if let Some(sensing) = &mut self.sensing {
+            sensing.begin();
+        }
         let agents = city.agents();
         if self.like.len() != agents.len() {
             self.like.clear();
@@ -348,6 +391,38 @@ impl Observer {
             time: city.now(),
         };
         self.look_with(city, &draws)
+    }
+
+    /// Reads the sensors, if there are any. Call it once per tick, after [`Observer::look`].
+    pub fn sense(&mut self, city: &Simulation) {
+        if let Some(sensing) = &mut self.sensing {
+            let of_city = (self.oracle.world.map(), city.agents());
+            sensing.sense(&self.atoms, &self.bodies, of_city, (city.seed(), city.now()));
+        }
+    }
+
+    /// Copies what the ego observes as facts: with sensors, the facts that they read or that are more probable than not.
+    pub(super) fn copy_facts(&self, to: &mut Atoms) {
+        match &self.sensing {
+            Some(sensing) => sensing.copy_facts(to),
+            None => {
+                to.words.copy_from_slice(&self.atoms.words);
+                to.values.clone_from(&self.atoms.values);
+            }
+        }
+    }
+
+    /// Returns the observed entities.
+    pub(super) fn entities_of<'a>(&'a self, city: &'a Simulation) -> Entities<'a> {
+        Entities::Agents {
+            bodies: &self.bodies,
+            agents: city.agents(),
+        }
+    }
+
+    /// Counts the facts of the present state, after [`Observer::look`].
+    pub fn count(&self, counts: &mut FactCounts) {
+        counts.note(&self.atoms, &self.bodies);
     }
 
     /// Variant of [`Observer::look`] with `chance` as the source of random draws.
@@ -448,7 +523,8 @@ impl Observer {
     ///
     /// Let n be [`Oracle::entities`]. A unary predicate P takes n numbers, with P(entity i) at i. A binary one takes n
     /// times n numbers, with P(i, j) at `n * i + j`. Absent entities and missing values have zeros. A quantity of the
-    /// city is repeated for each entity.
+    /// city is repeated for each entity. With sensors, the numbers of atoms are their output: readings or
+    /// probabilities.
     ///
     /// # Panics
     /// If `out` is shorter than [`Oracle::width`].
@@ -456,10 +532,15 @@ impl Observer {
         let oracle = &*self.oracle;
         // Few atoms hold.
         let (atoms, numbers) = out[..oracle.width()].split_at_mut(oracle.atoms_width());
-        atoms.fill(0.0);
-        for &(set, start) in &oracle.sets {
-            for member in members(&[self.atoms.words[set]]) {
-                atoms[start + member] = 1.0;
+        match &self.sensing {
+            Some(sensing) => sensing.write(atoms),
+            None => {
+                atoms.fill(0.0);
+                for &(set, start) in &oracle.sets {
+                    for member in members(&[self.atoms.words[set]]) {
+                        atoms[start + member] = 1.0;
+                    }
+                }
             }
         }
         oracle.numbers.write(&self.atoms.values, self.bodies.len(), numbers);

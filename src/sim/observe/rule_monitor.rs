@@ -21,6 +21,9 @@ use crate::sim::tick::ground_state::{GroundPredicate, GroundState};
 use crate::sim::tick::memory::Memory;
 use crate::sim::tick::vocabulary::{Actions, Vocabulary};
 
+/// The maximum number of observed entities.
+pub const OBSERVED_MAX: usize = 64;
+
 /// A clause that demands an action of an agent.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub struct ActionConstraint {
@@ -148,6 +151,34 @@ fn with_actions_given(rules: &Rules, vocabulary: &Vocabulary) -> (Rules, Vec<Opt
     }
     let places = given.into_iter().map(|given| given.map(|(_, place)| place));
     (rules, places.collect())
+}
+
+/// Returns rules that derive an action for the ego exactly if a clause demands it under an imposed action, and the
+/// predicates of imposed actions: the action predicates of all bodies are inputs, and the default is no demand.
+pub(super) fn safety_rules(rules: &Rules, vocabulary: &Vocabulary) -> (Rules, Vec<Option<PredicateId>>) {
+    let demanding = constraints(rules, vocabulary);
+    let (mut rules, given) = with_actions_given(rules, vocabulary);
+    let Some(like) = given.iter().flatten().next() else {
+        return (rules, given);
+    };
+    // An input without facts, so that a clause that reads it derives nothing.
+    let never = PredicateId(u32::try_from(rules.predicates.len()).expect("fewer than 2^32 predicates"));
+    let predicate = datalog::Predicate {
+        name: "+never".to_owned(),
+        ..rules.predicates[like.index()].clone()
+    };
+    rules.predicates.push(predicate);
+    for (position, clause) in (0..).zip(&mut rules.clauses) {
+        let is_demand = demanding.iter().any(|demand| demand.clause == ClauseId(position));
+        if vocabulary.action_of(clause.head.predicate).is_some() && !is_demand {
+            let atom = datalog::Atom {
+                predicate: never,
+                ..clause.head.clone()
+            };
+            clause.body.push(Literal::Positive(atom));
+        }
+    }
+    (rules, given)
 }
 
 /// Returns the clauses that demand an action. It excludes the default: a clause of the default action that reads only
@@ -286,9 +317,6 @@ impl Conditions {
 }
 
 impl BoundRules {
-    /// The maximum number of observed entities.
-    const ENTITIES: usize = 64;
-
     /// Compiles the rules. `None` if the dense executor cannot evaluate them in a bounded number of steps.
     fn new(
         rules: &Rules,
@@ -298,8 +326,8 @@ impl BoundRules {
     ) -> Option<BoundRules> {
         let compiled = compile(rules, vocabulary, counting).ok()?;
         let dense = &compiled.dense;
-        let egos = if dense.is_local() { 1 } else { Self::ENTITIES };
-        if !compiled.costly(Self::ENTITIES, egos).is_empty() {
+        let egos = if dense.is_local() { 1 } else { OBSERVED_MAX };
+        if !compiled.costly(OBSERVED_MAX, egos).is_empty() {
             return None;
         }
         let bound = vocabulary.predicates.iter().map(|predicate| predicate.id);
@@ -444,6 +472,14 @@ impl AtomLayout {
     /// Returns the place of the first set of a predicate over two agents.
     pub fn rows(self, predicate: usize) -> usize {
         self.predicates + (predicate - self.first_pair) * self.entities
+    }
+
+    /// Returns the predicate of a set, and the entity whose related ones are in it, if the predicate is over two agents.
+    pub fn predicate(self, set: usize) -> (usize, Option<usize>) {
+        match set.checked_sub(self.predicates) {
+            None => (set, None),
+            Some(row) => (self.first_pair + row / self.entities, Some(row % self.entities)),
+        }
     }
 
     /// Returns the entity whose related ones are in a set; `None` if the set is about a predicate over one agent.

@@ -3,10 +3,10 @@
 use crate::cancel::Cancel;
 use crate::city::Agent;
 use crate::city::{Action, AgentKind, Split};
-use crate::config::Shaping;
+use crate::config::{Shaping, ShieldMode};
 use crate::diag::Diagnostic;
 use crate::rng::{Purpose, RngExt, Seed};
-use crate::sim::{Actions, Observer, Settings, Simulation};
+use crate::sim::{Actions, Observer, SensorModel, Sensors, Settings, Shield, ShieldState, Simulation, Verdict};
 use crate::task::spf::reward::{ShapedStep, shaping};
 use crate::task::spf::{Episode, SpfTask};
 use crate::yaml::codes;
@@ -38,6 +38,9 @@ pub struct Env {
     /// Whether to compute the allowed actions in every state.
     judges: bool,
     controlled_cars: Vec<ControlledCar>,
+    /// The sensors of the cars, with their model if they need one.
+    sensors: Option<SensorsWithModel>,
+    shield: Option<Arc<Shield>>,
     /// The maximum number of steps of the episode.
     horizon: u32,
     /// The reward terms of training, if the configuration has any and the agents are those of the training split.
@@ -49,6 +52,9 @@ pub struct Env {
     episode: Episode,
 }
 
+/// Sensors, and their model if they need one.
+type SensorsWithModel = (Arc<Sensors>, Option<Arc<SensorModel>>);
+
 /// A car under external control.
 pub struct ControlledCar {
     observer: Observer,
@@ -58,8 +64,20 @@ pub struct ControlledCar {
     covered: f64,
     derived: Actions,
     allowed: Option<Actions>,
+    shielded: Option<Box<ShieldedCar>>,
     last: Transition,
     running: bool,
+}
+
+/// What a shield does for a car.
+struct ShieldedCar {
+    state: ShieldState,
+    /// What it says of the present state; `None` before it is asked.
+    verdict: Option<Verdict>,
+    /// The action that it replaced in the last step.
+    replaced: Option<Action>,
+    /// The clauses of its rules that this action violated.
+    reasons: Vec<usize>,
 }
 
 /// The result of an action.
@@ -113,6 +131,18 @@ impl ControlledCar {
         self.allowed
     }
 
+    /// Returns what the shield says of the present state, after [`Env::ask_shield`].
+    pub fn verdict(&self) -> Option<Verdict> {
+        self.shielded.as_ref()?.verdict
+    }
+
+    /// Returns the action that the shield replaced in the last step, and the clauses of the shield's rules that this
+    /// action violated, as positions in their [`Oracle::constraints`](crate::sim::Oracle::constraints).
+    pub fn replaced(&self) -> Option<(Action, &[usize])> {
+        let shielded = self.shielded.as_ref()?;
+        Some((shielded.replaced?, &shielded.reasons))
+    }
+
     /// Returns the result of its last action.
     pub fn last(&self) -> &Transition {
         &self.last
@@ -159,6 +189,29 @@ impl Env {
         settings: Settings,
         cancel: &Cancel,
     ) -> Result<Env, Diagnostic> {
+        let mut env = Env::without_sensors(task, split, control, settings, cancel)?;
+        if let Some(sensors) = env.task.sensors() {
+            let model = env.task.sensor_model(cancel)?.cloned();
+            env.sensors = Some((Arc::clone(sensors), model));
+            env.controlled_cars = (env.controlled_cars.into_iter())
+                .map(|car| ControlledCar {
+                    observer: sensed(car.observer, env.sensors.as_ref()),
+                    ..car
+                })
+                .collect();
+        }
+        env.set_shield(env.task.shield().cloned())?;
+        Ok(env)
+    }
+
+    /// Variant of `configured` whose cars observe facts exactly and have no shield.
+    pub(super) fn without_sensors(
+        task: Arc<SpfTask>,
+        split: Split,
+        control: ControlMode,
+        settings: Settings,
+        cancel: &Cancel,
+    ) -> Result<Env, Diagnostic> {
         let city = Simulation::new_with(Arc::clone(task.world()), split, Seed(0), settings, cancel)?;
         let agents = city.agents().iter().enumerate();
         let cars = agents
@@ -174,6 +227,7 @@ impl Env {
             covered: 0.0,
             derived: Actions::default(),
             allowed: None,
+            shielded: None,
             last: Transition::default(),
             running: false,
         };
@@ -194,6 +248,8 @@ impl Env {
             settings,
             judges: false,
             controlled_cars,
+            sensors: None,
+            shield: None,
             city,
             task,
         })
@@ -248,6 +304,86 @@ impl Env {
     /// Computes from the next state on which actions violate no clause; see [`ControlledCar::allowed`].
     pub fn judge_actions(&mut self) {
         self.judges = true;
+    }
+
+    /// Returns the shield, which [`Env::step_shielded`] asks.
+    pub fn shield(&self) -> Option<&Arc<Shield>> {
+        self.shield.as_ref()
+    }
+
+    /// Replaces the shield. Call it between episodes.
+    ///
+    /// # Errors
+    /// `invalid-value` if the shield is probabilistic and the sensors output facts, or if it has another layout of
+    /// observations.
+    pub fn set_shield(&mut self, shield: Option<Arc<Shield>>) -> Result<(), Diagnostic> {
+        if let Some(shield) = &shield {
+            shield.check(self.task.oracle(), self.task.config())?;
+        }
+        for car in &mut self.controlled_cars {
+            car.shielded = shield.as_ref().map(|shield| {
+                Box::new(ShieldedCar {
+                    state: ShieldState::new(shield),
+                    verdict: None,
+                    replaced: None,
+                    reasons: Vec::new(),
+                })
+            });
+        }
+        self.shield = shield;
+        Ok(())
+    }
+
+    /// Asks the shield, if there is one, what it permits each running car in the present state; see
+    /// [`ControlledCar::verdict`].
+    ///
+    /// # Errors
+    /// `limit-exceeded` if the shield's rules derive too many rows, or its probabilities are too complex.
+    pub fn ask_shield(&mut self) -> Result<(), Diagnostic> {
+        let Some(shield) = &self.shield else { return Ok(()) };
+        for car in self.controlled_cars.iter_mut().filter(|car| car.running) {
+            if let Some(shielded) = &mut car.shielded
+                && shielded.verdict.is_none()
+            {
+                shielded.verdict = Some(shielded.state.judge(shield, &car.observer, &self.city)?);
+            }
+        }
+        Ok(())
+    }
+
+    /// Variant of [`Env::step`] for the actions that a learner proposes. The shield replaces those of running cars that
+    /// it does not permit.
+    ///
+    /// # Errors
+    /// As [`Env::step`] and [`Env::ask_shield`]; `invalid-value` if the mode of the shield is `mask`, and it does not
+    /// permit an action. Then no car moves.
+    ///
+    /// # Panics
+    /// If the number of actions differs from that of controlled cars.
+    pub fn step_shielded(&mut self, proposed: &[Action]) -> Result<(), Diagnostic> {
+        let Some(shield) = self.shield.clone() else {
+            return self.step(proposed);
+        };
+        self.ask_shield()?;
+        let mut executed = proposed.to_vec();
+        for (car, action) in self.controlled_cars.iter_mut().zip(&mut executed) {
+            let Some(shielded) = &mut car.shielded else { continue };
+            shielded.replaced = None;
+            let forbidding = shielded.verdict.filter(|verdict| !verdict.permitted.contains(*action));
+            let Some(verdict) = forbidding.filter(|_| car.running) else {
+                continue;
+            };
+            if shield.config().mode == ShieldMode::Mask {
+                let name = self.task.world().vocabulary.actions().name(*action);
+                return Err(shield.forbidden(name, verdict.permitted));
+            }
+            let broken = (shielded.state).violations(&shield, &car.observer, &self.city, *action)?;
+            shielded.reasons.clear();
+            shielded.reasons.extend_from_slice(broken);
+            shielded.replaced = Some(*action);
+            *action = verdict.preferred;
+        }
+        self.step(&executed)
     }
 
     /// Begins a random episode: draws starts and goals for all agents, and priority and concepts for the first car if
@@ -334,6 +470,9 @@ impl Env {
             controlled_car.cells = self.city.agents()[controlled_car.agent()].route().steps() + 1;
             controlled_car.running = true;
             controlled_car.last = Transition::default();
+            if let Some(shielded) = &mut controlled_car.shielded {
+                shielded.replaced = None;
+            }
             controlled_car.observer.begin(&self.city);
         }
         self.look()
@@ -347,7 +486,8 @@ impl Env {
         self.episode = Episode::of(seed, self.city.agents());
         for controlled_car in &mut self.controlled_cars {
             // Observers know the names of agents.
-            controlled_car.observer = Observer::new(Arc::clone(self.task.oracle()), controlled_car.agent());
+            let observer = Observer::new(Arc::clone(self.task.oracle()), controlled_car.agent());
+            controlled_car.observer = sensed(observer, self.sensors.as_ref());
         }
         Ok(())
     }
@@ -356,6 +496,10 @@ impl Env {
     fn look(&mut self) -> Result<(), Diagnostic> {
         for controlled_car in &mut self.controlled_cars {
             controlled_car.observer.look(&self.city)?;
+            controlled_car.observer.sense(&self.city);
+            if let Some(shielded) = &mut controlled_car.shielded {
+                shielded.verdict = None;
+            }
             controlled_car.derived = controlled_car.observer.derived(&self.city)?;
             if self.judges {
                 let mut allowed = Actions::default();
@@ -480,6 +624,14 @@ impl Env {
     /// Returns the fraction of its route that a controlled car has covered, 0 to 1.
     pub fn progress(&self, controlled_car: usize) -> f64 {
         covered(&self.city.agents()[self.controlled_cars[controlled_car].agent()])
+    }
+}
+
+/// Returns the observer with sensors, if there are any.
+fn sensed(observer: Observer, sensors: Option<&SensorsWithModel>) -> Observer {
+    match sensors {
+        Some((sensors, model)) => observer.with_sensors(Arc::clone(sensors), model.clone()),
+        None => observer,
     }
 }
 

@@ -117,8 +117,9 @@ impl BatchEvaluator {
                     return Err(Diagnostic::cancelled());
                 }
                 let asked = env.controlled_cars()[0].derived();
-                env.step(&[action])?;
-                done.add(env, action, asked.iter());
+                env.step_shielded(&[action])?;
+                let executed = env.taken().next_back().map_or(action, |taken| taken[0]);
+                done.add(env, executed, asked.iter());
             }
         }
         Ok(())

@@ -22,6 +22,7 @@ mod episode;
 mod evaluate;
 mod explain;
 mod metrics;
+mod model;
 mod reward;
 mod rollout;
 mod trace;
@@ -37,18 +38,24 @@ pub use trace::{Origin, RecordError, record};
 pub use vector::{Autoreset, Begin, EpisodeSource, Info, ObservationKind, Outcome, SubEnv, VectorEnv};
 pub use vector::{Ending, Layer, PolicyNetwork, Trajectories};
 
+use crate::cancel::Cancel;
 use crate::city::{Action, AgentKind, AgentSet, Split};
 use crate::config::{CurriculumStage, EntityOrder, Scenario, SpfConfig};
 use crate::datalog::explain::ExplanationPrinter;
 use crate::diag::{Diagnostic, Sources, did_you_mean, listed};
-use crate::sim::{Observer, Oracle, World};
+use crate::sim::{Observer, Oracle, SensorModel, Sensors, Shield, World};
+use crate::task::spf::model::count_facts;
 use crate::yaml;
-use std::sync::Arc;
+use std::sync::{Arc, OnceLock};
 
 /// Safe Path Following in one world. Immutable and shared by all its environments.
 pub struct SpfTask {
     oracle: Arc<Oracle>,
     config: SpfConfig,
+    sensors: Option<Arc<Sensors>>,
+    shield: Option<Arc<Shield>>,
+    /// See [`SpfTask::sensor_model`].
+    sensor_model: OnceLock<Arc<SensorModel>>,
     /// For each constraint of the oracle, its label and the reward for violating it.
     constraints: Vec<(String, f64)>,
     /// The actions that an ego, which is a car, can take.
@@ -103,12 +110,28 @@ impl SpfTask {
         };
         let constraints = labels.iter().map(|label| (label.clone(), reward(label))).collect();
         let table = &scenario.actions.table;
+        let sensors = config.sensors.clone().map(|sensors| Arc::new(oracle.sensors(sensors)));
+        let oracle = Arc::new(oracle);
+        let shield = (config.shield.as_ref())
+            .map(|given| {
+                let shield = Shield::new(Arc::clone(&oracle), given.value)?;
+                shield.check(&oracle, &config)?;
+                Ok(Arc::new(shield))
+            })
+            .transpose();
+        let at = |fault: Diagnostic| match (&fault.primary, &config.shield) {
+            (None, Some(shield)) => fault.at(shield.span, "for this shield"),
+            _ => fault,
+        };
         Ok(SpfTask {
+            shield: shield.map_err(|fault| vec![at(fault)])?,
+            sensors,
+            sensor_model: OnceLock::new(),
             possible: table
                 .all()
                 .filter(|&action| table.can_take(AgentKind::Car, action))
                 .collect(),
-            oracle: Arc::new(oracle),
+            oracle,
             constraints,
             config,
         })
@@ -132,6 +155,33 @@ impl SpfTask {
     /// Returns the configuration of the task.
     pub fn config(&self) -> &SpfConfig {
         &self.config
+    }
+
+    /// Returns the sensors of the ego, if configured.
+    pub fn sensors(&self) -> Option<&Arc<Sensors>> {
+        self.sensors.as_ref()
+    }
+
+    /// Returns the shield of the configuration, if any. It judges by the rules of the city.
+    pub fn shield(&self) -> Option<&Arc<Shield>> {
+        self.shield.as_ref()
+    }
+
+    /// Returns the model of the facts that sensors read, counted in the oracle's steps of drawn episodes. It is a
+    /// function of the task. `None` if the sensors' output needs no model.
+    ///
+    /// # Errors
+    /// As [`Env::new`] and [`Env::reset`]; `cancelled` on cancellation.
+    pub fn sensor_model(self: &Arc<Self>, cancel: &Cancel) -> Result<Option<&Arc<SensorModel>>, Diagnostic> {
+        let Some(sensors) = self.sensors.as_ref().filter(|sensors| sensors.needs_model()) else {
+            return Ok(None);
+        };
+        if self.sensor_model.get().is_none() {
+            let model = count_facts(self, sensors, cancel)?;
+            // Another thread may have counted the same.
+            let _ = self.sensor_model.set(Arc::new(model));
+        }
+        Ok(self.sensor_model.get())
     }
 
     /// Returns the label of a clause, by its position in [`Oracle::constraints`]: `S2`, or `file:line` if it has none.

@@ -8,10 +8,11 @@ use crate::cancel::Cancel;
 use crate::city::{Action, Split};
 use crate::diag::Diagnostic;
 use crate::rng::{Purpose, RngExt, Seed};
-use crate::sim::{Actions, run_polled, start_threads, threads_of};
+use crate::sim::{Actions, Verdict, run_polled, start_threads, threads_of};
 use crate::task::spf::codes;
 use crate::task::spf::{ControlMode, Env, Episode, SpfTask, reset_demanding};
 use crate::threads::Pool;
+use crate::yaml;
 use rayon::prelude::*;
 use std::hint::black_box;
 use std::sync::Arc;
@@ -109,6 +110,21 @@ impl ObservationKind {
         }
     }
 
+    /// Returns this kind if egos of the task have such observations.
+    ///
+    /// # Errors
+    /// `invalid-value` for [`ObservationKind::State`] if the task has sensors: it is exact.
+    pub fn of(self, task: &SpfTask) -> Result<ObservationKind, Diagnostic> {
+        match &task.config().sensors {
+            Some(sensors) if self == ObservationKind::State => {
+                let message = "the observation `state` is exact, but this task has sensors";
+                let fault = Diagnostic::new(yaml::codes::INVALID_VALUE, message).at(sensors.span, "");
+                Err(fault.help("observe `groundings`, or remove `sensors`"))
+            }
+            _ => Ok(self),
+        }
+    }
+
     /// Returns the shape of an observation.
     pub fn shape(self, task: &SpfTask) -> Vec<usize> {
         match self {
@@ -147,19 +163,32 @@ pub struct Info {
     pub seed: u64,
     /// The actions that violate no clause now, if the environment computes them.
     pub allowed: Option<Actions>,
+    /// What the shield says of the actions now, if there is one and the car is running.
+    pub verdict: Option<Verdict>,
+    /// The action that the shield replaced in the last step.
+    pub replaced: Option<Action>,
+    /// The clauses of the shield's rules that this action violated, by their positions in
+    /// [`Oracle::constraints`](crate::sim::Oracle::constraints).
+    pub reasons: Vec<usize>,
 }
 
 impl Info {
     /// Updates the information about a controlled car.
     pub fn note(&mut self, env: &Env, controlled_car: usize) {
-        let last = env.controlled_cars()[controlled_car].last();
+        let car = &env.controlled_cars()[controlled_car];
+        let last = car.last();
+        self.verdict = car.verdict();
+        let (replaced, reasons) = car.replaced().unzip();
+        self.replaced = replaced;
+        self.reasons.clear();
+        self.reasons.extend_from_slice(reasons.unwrap_or_default());
         self.oracle_action = env.oracle_action(controlled_car).index();
         self.broken.clone_from(&last.broken);
         self.progress = env.progress(controlled_car);
         self.success = last.success;
         self.steps = env.steps();
         self.seed = env.episode().seed;
-        self.allowed = env.controlled_cars()[controlled_car].allowed();
+        self.allowed = car.allowed();
     }
 }
 
@@ -284,6 +313,7 @@ impl SubEnv {
             Begin::Given(episode) => self.env.reset_to(episode)?,
         }
         self.stage = Stage::Running;
+        self.env.ask_shield()?;
         self.info.note(&self.env, 0);
         Ok(())
     }
@@ -293,7 +323,7 @@ impl SubEnv {
             return self.begin(&Begin::Next);
         }
         self.ended.happened = false;
-        let stepped = self.env.step(&[action]);
+        let stepped = self.env.step_shielded(&[action]).and_then(|()| self.env.ask_shield());
         if stepped.is_err() {
             self.stage = Stage::Idle;
             return stepped;
@@ -360,7 +390,7 @@ impl VectorEnv {
     /// Returns one environment per source; the caller controls the first car of each. Call [`VectorEnv::reset`] next.
     ///
     /// # Errors
-    /// As [`Env::new`]; `limit-exceeded` if the threads cannot be started.
+    /// As [`Env::new`] and [`ObservationKind::of`]; `limit-exceeded` if the threads cannot be started.
     pub fn new(
         task: &Arc<SpfTask>,
         split: Split,
@@ -386,7 +416,7 @@ impl VectorEnv {
         threads: usize,
         cancel: &Cancel,
     ) -> Result<VectorEnv, Diagnostic> {
-        let width = view.shape(task).iter().product();
+        let width = view.of(task)?.shape(task).iter().product();
         let sub_env = |source| {
             if cancel.requested() {
                 return Err(Diagnostic::cancelled());

@@ -1,0 +1,667 @@
+//! What the ego observes through sensors, instead of the facts themselves.
+//!
+//! [`Sensors`] is the immutable part. A [`Sensing`] holds the readings of one ego in one episode. In each tick it draws
+//! noise, hides agents, and reads the facts of this tick or of an earlier one. What belongs to an agent follows it to
+//! another place among the observed entities; it is forgotten when the agent leaves them.
+
+use crate::city::{Agent, Cell, CityMap};
+use crate::config::{Sensor, SensorOutput, SensorsConfig};
+use crate::datalog::dense::{first, members};
+use crate::predicate::Definition;
+use crate::rng::{Purpose, Seed};
+use crate::sim::observe::belief::{Counts, FactModel, Joint, Reading, Role, SensorModel};
+use crate::sim::observe::belief::{condition, fresh, marginal, predict, update};
+use crate::sim::observe::noise::{Threshold, below};
+use crate::sim::observe::rule_monitor::{AtomLayout, Atoms, OBSERVED_MAX};
+use crate::sim::tick::agent_state::AgentState;
+use crate::sim::tick::vocabulary::BasePredicate;
+use std::collections::VecDeque;
+use std::sync::Arc;
+
+impl Purpose {
+    /// The noise of sensors; index: the ego.
+    pub const SENSORS: Purpose = Purpose::new(51);
+}
+
+/// The sensors of an ego, with what a tick needs of them. Immutable and shared.
+#[derive(Debug)]
+pub struct Sensors {
+    config: SensorsConfig,
+    layout: AtomLayout,
+    /// The number of numbers that sensors give to an observation.
+    numbers: usize,
+    groups: Vec<Group>,
+    /// The different ways in which agents are hidden.
+    views: Vec<View>,
+    /// The greatest delay in ticks.
+    delay: usize,
+    /// Whether noise depends on that of the tick before.
+    correlated: bool,
+    /// The predicates whose facts never change.
+    fixed: Vec<bool>,
+}
+
+/// The predicates with the same sensor.
+#[derive(Debug)]
+struct Group {
+    sensor: Sensor,
+    rates: [Threshold; 2],
+    dropout: Threshold,
+    correlation: Threshold,
+    /// The position in [`Sensors::views`].
+    view: usize,
+    sets: Vec<SensedSet>,
+}
+
+/// A set of entities of which sensors read the members.
+#[derive(Clone, Copy, Debug)]
+struct SensedSet {
+    /// The place in [`Atoms::words`].
+    set: usize,
+    predicate: usize,
+    /// The first entity of the pairs; `None` if facts are about one agent.
+    row: Option<usize>,
+    /// Whether the predicate may relate an entity to itself.
+    reflexive: bool,
+    /// The position of the first number in the observation.
+    start: usize,
+}
+
+impl SensedSet {
+    /// Returns those of some entities whose facts exist.
+    #[inline]
+    fn lanes(self, among: u64) -> u64 {
+        match self.row {
+            Some(row) if among >> row & 1 == 0 => 0,
+            Some(row) if !self.reflexive => among & !(1 << row),
+            _ => among,
+        }
+    }
+}
+
+/// What can hide an agent from a sensor.
+#[derive(Clone, Copy, Debug, PartialEq)]
+struct View {
+    range: Option<u32>,
+    buildings: bool,
+    agents: bool,
+}
+
+impl Sensors {
+    /// Prepares sensors for the observed sets of atoms, each with the place of its first number in an observation.
+    pub(super) fn new(
+        config: SensorsConfig,
+        layout: AtomLayout,
+        observed: &[(usize, usize)],
+        predicates: &[BasePredicate],
+    ) -> Sensors {
+        let (mut groups, mut views): (Vec<Group>, Vec<View>) = (Vec::new(), Vec::new());
+        for &(set, start) in observed {
+            let (predicate, row) = layout.predicate(set);
+            let known = &predicates[predicate];
+            let sensor = config.of(&known.name);
+            let found = groups.iter().position(|group| group.sensor == sensor);
+            let group = found.unwrap_or_else(|| {
+                let view = View {
+                    range: sensor.range,
+                    buildings: sensor.occluded_by_buildings,
+                    agents: sensor.occluded_by_agents,
+                };
+                let place = views.iter().position(|known| *known == view);
+                groups.push(Group {
+                    rates: [sensor.true_positive_rate, sensor.false_positive_rate].map(Threshold::new),
+                    dropout: Threshold::new(sensor.dropout),
+                    correlation: Threshold::new(sensor.correlation),
+                    view: place.unwrap_or_else(|| {
+                        views.push(view);
+                        views.len() - 1
+                    }),
+                    sets: Vec::new(),
+                    sensor,
+                });
+                groups.len() - 1
+            });
+            groups[group].sets.push(SensedSet {
+                set,
+                predicate,
+                row,
+                reflexive: matches!(known.definition, Definition::External(_)),
+                start,
+            });
+        }
+        let sensors = || groups.iter().map(|group| &group.sensor);
+        Sensors {
+            delay: sensors().map(|sensor| sensor.delay as usize).max().unwrap_or(0),
+            correlated: sensors().any(|sensor| sensor.correlation > 0.0),
+            fixed: (predicates.iter())
+                .map(|predicate| matches!(predicate.definition, Definition::Static(_)))
+                .collect(),
+            numbers: observed.len() * layout.entities,
+            layout,
+            groups,
+            views,
+            config,
+        }
+    }
+
+    /// Returns the configuration.
+    pub fn config(&self) -> &SensorsConfig {
+        &self.config
+    }
+
+    /// Returns whether the ego knows a fact about an entity without a sensor.
+    #[inline]
+    fn is_exact(&self, set: SensedSet, entity: usize) -> bool {
+        self.config.exact_ego && set.row.is_none() && entity == 0
+    }
+
+    /// Returns whether observations need a [`SensorModel`].
+    pub fn needs_model(&self) -> bool {
+        self.config.output != SensorOutput::Facts
+    }
+}
+
+/// Returns the set of the first `count` entities.
+fn all_of(count: usize) -> u64 {
+    let [all] = first(count);
+    all
+}
+
+/// The places that observed entities had earlier.
+struct Origins {
+    /// By entity; only those in `known` count.
+    from: [u8; OBSERVED_MAX],
+    /// The entities that were observed.
+    known: u64,
+    /// Whether every known entity has kept its place.
+    same: bool,
+}
+
+impl Origins {
+    fn new(now: &[u32], before: &[u32]) -> Origins {
+        let (mut from, mut known, mut same) = ([0; OBSERVED_MAX], 0, true);
+        if now == before {
+            return Origins {
+                from,
+                known: all_of(now.len()),
+                same,
+            };
+        }
+        for (entity, (agent, origin)) in now.iter().zip(&mut from).enumerate() {
+            if let Some(place) = before.iter().position(|earlier| earlier == agent) {
+                *origin = place as u8;
+                known |= 1 << entity;
+                same &= place == entity;
+            }
+        }
+        Origins { from, known, same }
+    }
+
+    /// Returns the place that an entity had.
+    fn of(&self, entity: usize) -> Option<usize> {
+        match self.known >> entity & 1 {
+            0 => None,
+            _ if self.same => Some(entity),
+            _ => Some(self.from[entity].into()),
+        }
+    }
+
+    /// Moves members of a set to their present places.
+    fn carry(&self, set: u64) -> u64 {
+        if self.same {
+            return set & self.known;
+        }
+        let moved = members(&[self.known]).map(|entity| (set >> self.from[entity] & 1) << entity);
+        moved.fold(0, |sum, bit| sum | bit)
+    }
+
+    /// Returns a set of an earlier tick for the present places; `words` has all sets of that tick.
+    fn carried(&self, words: &[u64], of: SensedSet) -> u64 {
+        match of.row {
+            None => self.carry(words[of.set]),
+            Some(row) => self
+                .of(row)
+                .map_or(0, |origin| self.carry(words[of.set - row + origin])),
+        }
+    }
+}
+
+/// What was true and visible in a tick.
+#[derive(Debug, Default)]
+struct Frame {
+    agents: Vec<u32>,
+    words: Vec<u64>,
+    /// By view.
+    visible: Vec<u64>,
+}
+
+/// The sensors of an ego, with their model and readings.
+#[derive(Debug)]
+pub(super) struct Sensing {
+    sensors: Arc<Sensors>,
+    model: Option<Arc<SensorModel>>,
+    readings: Readings,
+}
+
+/// The readings of an ego in an episode.
+#[derive(Debug)]
+struct Readings {
+    /// The observed agents, by their positions in the list.
+    agents: Vec<u32>,
+    /// What the sensors read as true, and the facts that no sensor reads.
+    atoms: Atoms,
+    /// The facts with a reading, as sets.
+    read: Vec<u64>,
+    /// By set, the facts that are read as holding if they hold, and if they do not.
+    noise: Vec<[u64; 2]>,
+    /// The facts without a reading because of dropout, as sets.
+    dropped: Vec<u64>,
+    /// The last ticks, the latest one last; one more than the greatest delay.
+    frames: VecDeque<Frame>,
+    /// The probabilities of the facts, by the positions of their numbers in the observation.
+    belief: Vec<f32>,
+    /// The same together with the noise, where noise is correlated.
+    joint: Vec<Joint>,
+}
+
+impl Sensing {
+    /// Returns sensors without readings; `no_atoms` are the facts of an observation without facts.
+    pub fn new(sensors: Arc<Sensors>, model: Option<Arc<SensorModel>>, no_atoms: Atoms) -> Sensing {
+        let sets = sensors.layout.len();
+        let believes = sensors.config.output == SensorOutput::Belief;
+        let numbers = if believes { sensors.numbers } else { 0 };
+        let readings = Readings {
+            agents: Vec::with_capacity(sensors.layout.entities),
+            atoms: no_atoms,
+            read: vec![0; sets],
+            noise: vec![[0; 2]; sets],
+            dropped: vec![0; sets],
+            frames: VecDeque::with_capacity(sensors.delay + 1),
+            belief: vec![0.0; numbers],
+            joint: vec![[[0.0; 3]; 2]; if sensors.correlated { numbers } else { 0 }],
+        };
+        Sensing {
+            sensors,
+            model,
+            readings,
+        }
+    }
+
+    /// Copies the facts that are read as true or are more probable than not, and those that no sensor reads.
+    pub fn copy_facts(&self, to: &mut Atoms) {
+        to.words.copy_from_slice(&self.readings.atoms.words);
+        to.values.clone_from(&self.readings.atoms.values);
+        if self.sensors.config.output != SensorOutput::Facts {
+            let sets = self.sensors.groups.iter().flat_map(|group| &group.sets);
+            sets.for_each(|set| to.words[set.set] = 0);
+            self.probabilities(|set, entity, probability| {
+                to.words[set.set] |= u64::from(probability > 0.5) << entity;
+            });
+        }
+    }
+
+    /// Begins an episode.
+    pub fn begin(&mut self) {
+        self.readings.agents.clear();
+        self.readings.frames.clear();
+    }
+
+    /// Reads the facts of a tick. `bodies` are the observed entities, the ego first.
+    pub fn sense(&mut self, truth: &Atoms, bodies: &[AgentState], city: (&CityMap, &[Agent]), now: (Seed, u64)) {
+        let origins = self.readings.sense(&self.sensors, truth, bodies, city, now);
+        if self.sensors.config.output == SensorOutput::Belief {
+            let model = self.model.as_ref().expect("beliefs have a model");
+            self.readings.filter(&self.sensors, model, &origins);
+        }
+    }
+
+    /// Calls `take` with each fact that the ego may observe, as an entity of a set, and its probability.
+    fn probabilities(&self, mut take: impl FnMut(SensedSet, usize, f32)) {
+        let (sensors, readings) = (&self.sensors, &self.readings);
+        let present = all_of(readings.agents.len());
+        let Some(model) = &self.model else { return };
+        for set in sensors.groups.iter().flat_map(|group| &group.sets) {
+            let facts = &model.facts[set.predicate];
+            for entity in members(&[set.lanes(present)]) {
+                let fact: &FactModel = &facts[Role::of(set.row, entity) as usize];
+                let place = set.start + entity;
+                take(
+                    *set,
+                    entity,
+                    match sensors.config.output {
+                        _ if sensors.is_exact(*set, entity) => {
+                            f32::from(u8::from(readings.reading(*set, entity) == Reading::Positive))
+                        }
+                        SensorOutput::Belief => fact.ahead[0] + fact.ahead[1] * readings.belief[place],
+                        _ => fact.after[readings.reading(*set, entity) as usize],
+                    },
+                );
+            }
+        }
+    }
+
+    /// Writes the first part of an observation, the numbers of the facts.
+    pub fn write(&self, out: &mut [f32]) {
+        out.fill(0.0);
+        if self.sensors.config.output != SensorOutput::Facts {
+            return self.probabilities(|set, entity, probability| out[set.start + entity] = probability);
+        }
+        for set in self.sensors.groups.iter().flat_map(|group| &group.sets) {
+            for member in members(&[self.readings.atoms.words[set.set]]) {
+                out[set.start + member] = 1.0;
+            }
+        }
+    }
+}
+
+impl Readings {
+    /// Returns the reading of a fact about an entity.
+    #[inline]
+    fn reading(&self, set: SensedSet, entity: usize) -> Reading {
+        let bit = |words: &[u64]| words[set.set] >> entity & 1 != 0;
+        Reading::of(bit(&self.read), bit(&self.atoms.words))
+    }
+
+    /// Reads the facts of a tick. Returns the places that the observed entities had in the tick before.
+    fn sense(
+        &mut self,
+        sensors: &Sensors,
+        truth: &Atoms,
+        bodies: &[AgentState],
+        (map, agents): (&CityMap, &[Agent]),
+        (seed, tick): (Seed, u64),
+    ) -> Origins {
+        let entities = sensors.layout.entities;
+        let mut now = [0; OBSERVED_MAX];
+        for (place, body) in now.iter_mut().zip(bodies) {
+            *place = body.agent;
+        }
+        let (now, present) = (&now[..bodies.len()], all_of(bodies.len()));
+        let origins = Origins::new(now, &self.agents);
+        if !origins.same {
+            self.move_state(sensors, &origins);
+        }
+        self.agents.clear();
+        self.agents.extend_from_slice(now);
+        self.atoms.words.copy_from_slice(&truth.words);
+        self.atoms.values.clone_from(&truth.values);
+        let mut frame = match self.frames.len() > sensors.delay {
+            true => self.frames.pop_front().expect("it is not empty"),
+            false => Frame::default(),
+        };
+        frame.visible.clear();
+        (frame.visible).extend(sensors.views.iter().map(|view| view.visible(map, bodies, agents)));
+        if sensors.delay > 0 {
+            frame.agents.clone_from(&self.agents);
+            frame.words.clone_from(&truth.words);
+        }
+        self.frames.push_back(frame);
+        let mut random = seed.stream(Purpose::SENSORS, u64::from(now[0]), tick);
+        let lanes_of = |sets: usize| u64::MAX >> (64 - sets * entities);
+        for group in &sensors.groups {
+            let delay = group.sensor.delay as usize;
+            let frame = self.frames.len().checked_sub(delay + 1).map(|at| &self.frames[at]);
+            let earlier = frame
+                .filter(|_| delay > 0)
+                .map(|frame| Origins::new(now, &frame.agents));
+            let seen = match (frame, &earlier) {
+                (None, _) => 0,
+                (Some(frame), None) => frame.visible[group.view],
+                (Some(frame), Some(origins)) => origins.carry(frame.visible[group.view]),
+            };
+            for sets in group.sets.chunks(64 / entities) {
+                let lanes = lanes_of(sets.len());
+                let [detected, alarmed] = below(group.rates, lanes, &mut random);
+                let [dropped] = below([group.dropout], lanes, &mut random);
+                // Noise and dropouts persist independently of each other.
+                let [kept] = below([group.correlation], lanes, &mut random);
+                let [kept_dropped] = match group.dropout.is_never() {
+                    true => [0],
+                    false => below([group.correlation], lanes, &mut random),
+                };
+                for (at, &set) in sets.iter().enumerate() {
+                    let of = |drawn: u64| drawn >> (at * entities) & lanes_of(1);
+                    let known = match set.row {
+                        Some(row) if origins.known >> row & 1 == 0 => 0,
+                        _ => origins.known,
+                    };
+                    let mix = |kept: u64, old: u64, new: u64| {
+                        let kept = of(kept) & known;
+                        old & kept | of(new) & !kept
+                    };
+                    let noise = &mut self.noise[set.set];
+                    *noise = [mix(kept, noise[0], detected), mix(kept, noise[1], alarmed)];
+                    let out = &mut self.dropped[set.set];
+                    *out = mix(kept_dropped, *out, dropped);
+                    let held = match (frame, &earlier) {
+                        (Some(frame), Some(origins)) => origins.carried(&frame.words, set),
+                        _ => truth.words[set.set],
+                    };
+                    let mut read = set.lanes(present & seen) & !*out;
+                    let mut holds = (held & noise[0] | !held & noise[1]) & read;
+                    if sensors.is_exact(set, 0) {
+                        read |= 1;
+                        holds = holds & !1 | truth.words[set.set] & 1;
+                    }
+                    self.read[set.set] = read;
+                    self.atoms.words[set.set] = holds;
+                }
+            }
+        }
+        origins
+    }
+
+    /// Moves noise and beliefs to the present places of their agents.
+    fn move_state(&mut self, sensors: &Sensors, origins: &Origins) {
+        let sets = || sensors.groups.iter().flat_map(|group| &group.sets);
+        if sensors.correlated {
+            let (noise, dropped) = (self.noise.clone(), self.dropped.clone());
+            let [yes, no] = [0, 1].map(|which| noise.iter().map(|noise| noise[which]).collect::<Vec<u64>>());
+            for &set in sets() {
+                self.noise[set.set] = [&yes, &no].map(|words| origins.carried(words, set));
+                self.dropped[set.set] = origins.carried(&dropped, set);
+            }
+        }
+        if !self.belief.is_empty() {
+            let (belief, joint) = (self.belief.clone(), self.joint.clone());
+            for &set in sets() {
+                let start = match set.row {
+                    None => Some(set.start),
+                    Some(row) => {
+                        let first = set.start - row * sensors.layout.entities;
+                        origins.of(row).map(|origin| first + origin * sensors.layout.entities)
+                    }
+                };
+                for entity in members(&[origins.known]) {
+                    let Some((start, origin)) = start.zip(origins.of(entity)) else {
+                        continue;
+                    };
+                    self.belief[set.start + entity] = belief[start + origin];
+                    if !joint.is_empty() {
+                        self.joint[set.start + entity] = joint[start + origin];
+                    }
+                }
+            }
+        }
+    }
+
+    /// Updates the beliefs by the readings of this tick. Facts whose agents have origins had a belief before.
+    fn filter(&mut self, sensors: &Sensors, model: &SensorModel, origins: &Origins) {
+        let present = all_of(self.agents.len());
+        for group in &sensors.groups {
+            let sensor = &group.sensor;
+            for &set in &group.sets {
+                let facts = &model.facts[set.predicate];
+                let known = set.lanes(origins.known);
+                for entity in members(&[set.lanes(present)]) {
+                    let fact = &facts[Role::of(set.row, entity) as usize];
+                    let (place, known) = (set.start + entity, known >> entity & 1 != 0);
+                    let reading = self.reading(set, entity);
+                    if sensor.correlation == 0.0 {
+                        let before = match known {
+                            true => fact.chain.next(self.belief[place]),
+                            false => fact.chain.begins,
+                        };
+                        self.belief[place] = update(sensor, before, reading);
+                    } else {
+                        let mut joint = match known {
+                            true => predict(sensor, fact.chain, &self.joint[place]),
+                            false => fresh(sensor, fact.chain.begins),
+                        };
+                        condition(sensor, &mut joint, reading);
+                        self.joint[place] = joint;
+                        self.belief[place] = marginal(&joint);
+                    }
+                }
+            }
+        }
+    }
+}
+
+impl View {
+    /// Returns the entities that are not hidden. The ego, which is the first one, never is.
+    fn visible(self, map: &CityMap, bodies: &[AgentState], agents: &[Agent]) -> u64 {
+        let all = all_of(bodies.len());
+        if self.range.is_none() && !self.buildings && !self.agents {
+            return all;
+        }
+        let ego = bodies[0].at;
+        let hidden = |body: &AgentState| {
+            let line = Line::new(ego, body.at);
+            let far = self.range.is_some_and(|range| line.is_longer_than(range));
+            let third = |(at, agent): (usize, &Agent)| {
+                at != bodies[0].agent as usize && at != body.agent as usize && line.crosses(agent.cell)
+            };
+            far || self.buildings && line.between().any(|cell| map.building_at(cell).is_some())
+                || self.agents && agents.iter().enumerate().any(third)
+        };
+        let others = bodies.iter().enumerate().skip(1);
+        others.fold(all, |visible, (entity, body)| {
+            visible & !(u64::from(hidden(body)) << entity)
+        })
+    }
+}
+
+/// The cells between two cells: one in each row or column of the longer direction, rounded to the nearest one.
+#[derive(Clone, Copy)]
+struct Line {
+    from: Cell,
+    rows: i32,
+    cols: i32,
+    /// The number of steps.
+    steps: i32,
+}
+
+impl Line {
+    fn new(from: Cell, to: Cell) -> Line {
+        let (rows, cols) = (to.row - from.row, to.col - from.col);
+        Line {
+            from,
+            rows,
+            cols,
+            steps: rows.abs().max(cols.abs()),
+        }
+    }
+
+    fn is_longer_than(self, range: u32) -> bool {
+        let [rows, cols, range] = [self.rows.into(), self.cols.into(), i64::from(range)];
+        rows * rows + cols * cols > range * range
+    }
+
+    /// Returns the cell after some steps.
+    fn at(self, step: i32) -> Cell {
+        let along = |whole: i32| (2 * step * whole + self.steps).div_euclid(2 * self.steps);
+        Cell::new(self.from.row + along(self.rows), self.from.col + along(self.cols))
+    }
+
+    /// Returns the cells between the ends.
+    fn between(self) -> impl Iterator<Item = Cell> {
+        (1..self.steps).map(move |step| self.at(step))
+    }
+
+    /// Returns whether a cell is between the ends.
+    fn crosses(self, cell: Cell) -> bool {
+        let (rows, cols) = (cell.row - self.from.row, cell.col - self.from.col);
+        let step = match self.rows.abs() >= self.cols.abs() {
+            true => rows * self.rows.signum(),
+            false => cols * self.cols.signum(),
+        };
+        (1..self.steps).contains(&step) && self.at(step) == cell
+    }
+}
+
+/// Counts the facts of many observations, for a [`SensorModel`].
+#[derive(Debug)]
+pub struct FactCounts {
+    sensors: Arc<Sensors>,
+    counts: Vec<[Counts; Role::COUNT]>,
+    /// The observed agents and the facts of the tick before.
+    before: Frame,
+}
+
+impl FactCounts {
+    /// Returns the counts of no observation.
+    pub fn new(sensors: Arc<Sensors>) -> FactCounts {
+        FactCounts {
+            counts: vec![Default::default(); sensors.layout.predicates],
+            before: Frame::default(),
+            sensors,
+        }
+    }
+
+    /// Begins an episode.
+    pub fn begin(&mut self) {
+        self.before.agents.clear();
+    }
+
+    /// Counts the facts of a tick.
+    pub(super) fn note(&mut self, truth: &Atoms, bodies: &[AgentState]) {
+        let now: Vec<u32> = bodies.iter().map(|body| body.agent).collect();
+        let origins = Origins::new(&now, &self.before.agents);
+        let present = all_of(now.len());
+        for &set in self.sensors.groups.iter().flat_map(|group| &group.sets) {
+            let known = match set.row {
+                Some(row) if origins.known >> row & 1 == 0 => 0,
+                _ => origins.known,
+            };
+            let held = match known {
+                0 => 0,
+                _ => origins.carried(&self.before.words, set),
+            };
+            for entity in members(&[set.lanes(present)]) {
+                let counts = &mut self.counts[set.predicate][Role::of(set.row, entity) as usize];
+                let holds = truth.words[set.set] >> entity & 1;
+                counts.ticks += 1;
+                counts.holds += holds;
+                if known >> entity & 1 != 0 {
+                    let before = (held >> entity & 1) as usize;
+                    counts.after[before] += 1;
+                    counts.holds_after[before] += holds;
+                } else {
+                    counts.first += 1;
+                    counts.holds_first += holds;
+                }
+            }
+        }
+        self.before.agents = now;
+        self.before.words.clone_from(&truth.words);
+    }
+
+    /// Returns the model that follows from the counts.
+    pub fn model(&self) -> SensorModel {
+        let sensor = |predicate: usize| {
+            let of = |group: &&Group| group.sets.iter().any(|set| set.predicate == predicate);
+            self.sensors
+                .groups
+                .iter()
+                .find(of)
+                .map(|group| group.sensor)
+                .unwrap_or_default()
+        };
+        let facts = self.counts.iter().enumerate().map(|(predicate, counts)| {
+            let sensor = sensor(predicate);
+            counts.map(|counts| FactModel::new(&sensor, counts.chain(self.sensors.fixed[predicate])))
+        });
+        SensorModel { facts: facts.collect() }
+    }
+}

@@ -1,0 +1,366 @@
+//! Shields: rules that judge the actions of an ego by what it observes.
+//!
+//! An action is *appropriate* if the rules choose it, and *safe* if it violates no clause. A crisp shield takes what the
+//! ego observes as facts. A probabilistic one computes how probable it is that an action is appropriate or safe, by
+//! circuits that it compiles once for each number of entities. It takes the facts to be independent.
+
+use crate::cancel::Cancel;
+use crate::city::{Action, AgentKind};
+use crate::config::{SensorOutput, ShieldConfig, ShieldMode, ShieldQuery, SpfConfig};
+use crate::datalog::{
+    CircuitCompiler, CircuitOptions, Inexact, PredicateId, ProbabilityCircuit, Program, RandomVariable, Rules, Value,
+};
+use crate::diag::{self, Diagnostic};
+use crate::sim::observe::observer::{Observer, Oracle};
+use crate::sim::observe::rule_monitor::{Atoms, Observed, Violations, safety_rules};
+use crate::sim::tick::chance::Drawing;
+use crate::sim::tick::simulation::Simulation;
+use crate::sim::tick::vocabulary::Actions;
+use crate::yaml;
+use std::collections::HashMap;
+use std::sync::{Arc, OnceLock};
+
+/// Rules that judge actions. Immutable and shared.
+pub struct Shield {
+    oracle: Arc<Oracle>,
+    config: ShieldConfig,
+    /// The actions that the ego can take, those of high priority first.
+    possible: Vec<Action>,
+    /// By number of entities less one; empty for crisp shields.
+    circuits: Vec<OnceLock<Arc<[ShieldCircuit]>>>,
+}
+
+/// What a shield says of the actions in a state.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct Verdict {
+    /// The actions that it permits, at least one.
+    pub permitted: Actions,
+    /// The permitted action that replaces others.
+    pub preferred: Action,
+    /// By action, the probability that the answer to the query is yes; 0 or 1 in crisp shields.
+    pub probabilities: [f64; Action::MAX],
+}
+
+/// The probability of actions as a function of those of facts.
+struct ShieldCircuit {
+    circuit: ProbabilityCircuit,
+    /// The positions in the observation of the facts that are its variables.
+    places: Vec<usize>,
+    /// The action of each output that counts.
+    outputs: Vec<(usize, Action)>,
+}
+
+impl Shield {
+    /// Returns a shield by the rules of an oracle, which need not be those of the city.
+    ///
+    /// # Errors
+    /// `rule-mismatch` if the rules draw or read earlier ticks, or if a probabilistic shield has rules that read
+    /// quantities.
+    pub fn new(oracle: Arc<Oracle>, config: ShieldConfig) -> Result<Shield, Diagnostic> {
+        let world = oracle.world();
+        let vocabulary = &world.vocabulary;
+        vocabulary.without_draws("shields")?;
+        world.without_time("shields")?;
+        let probabilistic = config.mode == ShieldMode::Probabilistic;
+        if probabilistic {
+            vocabulary.without_quantities("probabilistic shields")?;
+        }
+        let table = vocabulary.actions();
+        let (priority, _) = world.scenario.actions.order(AgentKind::Car);
+        let can_take = |action: &Action| table.can_take(AgentKind::Car, *action);
+        let others = table.all().filter(|action| !priority.contains(action));
+        let possible = priority.iter().copied().chain(others).filter(can_take).collect();
+        let counts = if probabilistic { oracle.entities() } else { 0 };
+        Ok(Shield {
+            circuits: std::iter::repeat_with(OnceLock::new).take(counts).collect(),
+            possible,
+            oracle,
+            config,
+        })
+    }
+
+    /// Checks that the shield fits observations of an oracle with the sensors of a task.
+    ///
+    /// # Errors
+    /// `invalid-value` if the shield is probabilistic and the sensors output facts, or if the oracle has other
+    /// observations.
+    pub fn check(&self, oracle: &Oracle, task: &SpfConfig) -> Result<(), Diagnostic> {
+        let probabilistic = self.config.mode == ShieldMode::Probabilistic;
+        let invalid = |message: &str| Diagnostic::new(yaml::codes::INVALID_VALUE, message);
+        match &task.sensors {
+            Some(sensors) if probabilistic && sensors.output == SensorOutput::Facts => {
+                let fault = invalid("a probabilistic shield needs probabilities, but these sensors output facts");
+                Err(fault
+                    .at(sensors.span, "")
+                    .help("set `output: belief` or `output: probabilities`"))
+            }
+            _ if !self.oracle.observes_like(oracle) => Err(invalid(
+                "the shield has other predicates or another number of entities than the environment",
+            )),
+            _ => Ok(()),
+        }
+    }
+
+    /// Returns the error for an action that the mode `mask` does not permit.
+    pub fn forbidden(&self, action: &str, permitted: Actions) -> Diagnostic {
+        let table = self.oracle.world().vocabulary.actions();
+        let names: Vec<&str> = permitted.iter().map(|action| table.name(action)).collect();
+        let message = format!("the shield does not permit {action} now, only {}", names.join(", "));
+        let fault = Diagnostic::new(yaml::codes::INVALID_VALUE, message);
+        fault.help("choose among the actions of the mask, or use the mode `override`")
+    }
+
+    /// Returns how it judges.
+    pub fn config(&self) -> ShieldConfig {
+        self.config
+    }
+
+    /// Returns the oracle with its rules.
+    pub fn oracle(&self) -> &Arc<Oracle> {
+        &self.oracle
+    }
+
+    /// Returns the circuits for observations of this many entities.
+    fn circuits(&self, entities: usize, cancel: &Cancel) -> Result<Arc<[ShieldCircuit]>, Diagnostic> {
+        let place = &self.circuits[entities - 1];
+        if let Some(known) = place.get() {
+            return Ok(Arc::clone(known));
+        }
+        let world = self.oracle.world();
+        let vocabulary = &world.vocabulary;
+        let id = |action: Action| vocabulary.action(action);
+        let order = || self.possible.iter().filter_map(|action| Some((*action, id(*action)?)));
+        let made: Vec<ShieldCircuit> = match self.config.query {
+            ShieldQuery::Appropriate => {
+                let mut outputs: Vec<Action> = order().map(|(action, _)| action).collect();
+                // The last output is the probability that the rules derive none of them.
+                outputs.push(vocabulary.decide(Some(AgentKind::Car.into()), Actions::default()));
+                let predicates: Vec<PredicateId> = order().map(|(_, predicate)| predicate).collect();
+                let outputs = outputs.into_iter().enumerate().collect();
+                vec![self.compile(&world.program, (&predicates, outputs), None, entities, cancel)?]
+            }
+            ShieldQuery::Safe => {
+                let (rules, given) = safety_rules(world.program.rules(), vocabulary);
+                let program = Program::new(rules)?;
+                let circuit = |action: &Action| {
+                    let others: Vec<PredicateId> = order()
+                        .filter(|(other, _)| other != action)
+                        .map(|(_, predicate)| predicate)
+                        .collect();
+                    let outputs = vec![(others.len(), *action)];
+                    let given = given[action.index()];
+                    self.compile(&program, (&others, outputs), given, entities, cancel)
+                };
+                self.possible.iter().map(circuit).collect::<Result<_, _>>()?
+            }
+        };
+        // Another thread may have compiled the same.
+        Ok(Arc::clone(place.get_or_init(|| made.into())))
+    }
+
+    /// Compiles the outputs of a program for the first of some entities, for which a predicate may be given.
+    fn compile(
+        &self,
+        program: &Program,
+        (order, outputs): (&[PredicateId], Vec<(usize, Action)>),
+        given: Option<PredicateId>,
+        entities: usize,
+        cancel: &Cancel,
+    ) -> Result<ShieldCircuit, Diagnostic> {
+        let (rules, oracle) = (program.rules(), &self.oracle);
+        let vocabulary = &oracle.world().vocabulary;
+        let mut compiler = CircuitCompiler::new(program, order, &[], &CircuitOptions::default());
+        let names: Vec<Value> = (0..entities)
+            .map(|entity| compiler.intern(&format!("e{entity}")))
+            .collect();
+        compiler.begin();
+        if let Some(given) = given {
+            compiler.insert(given, &names[..1], 1.0);
+        }
+        if let Some(sees) = vocabulary.predicates[vocabulary.sees].id {
+            let pairs = names
+                .iter()
+                .flat_map(|first| names.iter().map(move |second| [*first, *second]));
+            pairs.for_each(|pair| compiler.insert(sees, &pair, 1.0));
+        }
+        let mut places = HashMap::new();
+        for (predicate, row, start) in oracle.observed_sets() {
+            let Some(id) = vocabulary.predicates[predicate].id else {
+                continue;
+            };
+            for (entity, &name) in names.iter().enumerate() {
+                let pair = row.filter(|row| *row < entities).map(|row| [names[row], name]);
+                let words = match (row, &pair) {
+                    (None, _) => std::slice::from_ref(&name),
+                    (Some(row), Some(pair)) if row != entity => &pair[..],
+                    _ => continue,
+                };
+                compiler.insert(id, words, 0.5);
+                let base = rules.predicates[id.index()].edb.unwrap_or(id);
+                places.insert((base, Box::<[Value]>::from(words)), start + entity);
+            }
+        }
+        let done = compiler.tick(&names[..1], &[], &[], cancel);
+        let done = done.map_err(|error| error.diagnostic(rules))?;
+        done.map_err(|inexact| too_complex(&inexact, rules, entities))?;
+        let circuit = compiler.circuit();
+        let place = |variable: &RandomVariable| match variable {
+            RandomVariable::Fact { predicate, row, .. } => places[&(*predicate, row.clone())],
+            RandomVariable::Draw(_) | RandomVariable::Weight(_) => unreachable!("the rules draw nothing"),
+        };
+        Ok(ShieldCircuit {
+            places: circuit.variables.iter().map(place).collect(),
+            circuit,
+            outputs,
+        })
+    }
+}
+
+fn too_complex(inexact: &Inexact, rules: &Rules, entities: usize) -> Diagnostic {
+    let message = match inexact {
+        Inexact::TooLarge => format!("the probabilities of actions among {entities} entities are too complex"),
+        reason => reason.show(rules),
+    };
+    let fault = Diagnostic::new(diag::codes::LIMIT_EXCEEDED, message);
+    fault.help("observe fewer `entities`, or use the mode `override`")
+}
+
+/// The work of a shield for one ego.
+pub struct ShieldState {
+    violations: Violations,
+    atoms: Atoms,
+    facts: Vec<f32>,
+    probabilities: Vec<f64>,
+    broken: Vec<usize>,
+}
+
+impl ShieldState {
+    /// Returns the state before the first observation.
+    pub fn new(shield: &Shield) -> ShieldState {
+        ShieldState {
+            violations: Violations::new(shield.oracle.monitor()),
+            atoms: shield.oracle.no_atoms(),
+            facts: Vec::new(),
+            probabilities: Vec::new(),
+            broken: Vec::new(),
+        }
+    }
+
+    /// Judges the actions of an observer's ego in the observed state.
+    ///
+    /// # Errors
+    /// `limit-exceeded` if the rules derive too many rows, or the probabilities are too complex.
+    pub fn judge(&mut self, shield: &Shield, observer: &Observer, city: &Simulation) -> Result<Verdict, Diagnostic> {
+        match shield.config.mode {
+            ShieldMode::Probabilistic => self.weigh(shield, observer, city.cancel()),
+            ShieldMode::Mask | ShieldMode::Override => self.check(shield, observer, city),
+        }
+    }
+
+    /// Judges by what the ego observes as facts.
+    fn check(&mut self, shield: &Shield, observer: &Observer, city: &Simulation) -> Result<Verdict, Diagnostic> {
+        let oracle = &shield.oracle;
+        let vocabulary = &oracle.world().vocabulary;
+        observer.copy_facts(&mut self.atoms);
+        self.violations.forget();
+        let observed = Observed {
+            atoms: &self.atoms,
+            entities: observer.entities_of(city),
+            given: None,
+            memory: None,
+            drawing: Drawing::default(),
+            cancel: city.cancel(),
+        };
+        let derived = self.violations.derived(oracle.monitor(), vocabulary, observed)?;
+        let chosen = vocabulary.decide(Some(AgentKind::Car.into()), derived);
+        let mut permitted = Actions::default();
+        match shield.config.query {
+            ShieldQuery::Appropriate => permitted.insert(chosen),
+            ShieldQuery::Safe => {
+                for &action in &shield.possible {
+                    self.violations
+                        .violations(oracle.monitor(), observed, action, &mut self.broken)?;
+                    if self.broken.is_empty() {
+                        permitted.insert(action);
+                    }
+                }
+                // Rules may contradict themselves.
+                if permitted.is_empty() {
+                    permitted.insert(chosen);
+                }
+            }
+        }
+        let mut possible = shield.possible.iter().copied();
+        let preferred = match permitted.contains(chosen) {
+            true => chosen,
+            false => possible
+                .find(|action| permitted.contains(*action))
+                .expect("one is permitted"),
+        };
+        let mut probabilities = [0.0; Action::MAX];
+        permitted.iter().for_each(|action| probabilities[action.index()] = 1.0);
+        Ok(Verdict {
+            permitted,
+            preferred,
+            probabilities,
+        })
+    }
+
+    /// Judges by the probabilities of the observed facts.
+    fn weigh(&mut self, shield: &Shield, observer: &Observer, cancel: &Cancel) -> Result<Verdict, Diagnostic> {
+        let circuits = shield.circuits(observer.entities().len(), cancel)?;
+        self.facts.resize(shield.oracle.width(), 0.0);
+        observer.write(&mut self.facts);
+        let mut probabilities = [0.0; Action::MAX];
+        for circuit in circuits.iter() {
+            self.probabilities.clear();
+            (self.probabilities).extend(circuit.places.iter().map(|place| f64::from(self.facts[*place])));
+            let outputs = circuit.circuit.outputs(&self.probabilities);
+            for &(output, action) in &circuit.outputs {
+                probabilities[action.index()] += outputs[output];
+            }
+        }
+        let mut preferred = shield.possible[0];
+        for &action in &shield.possible[1..] {
+            if probabilities[action.index()] > probabilities[preferred.index()] {
+                preferred = action;
+            }
+        }
+        let mut permitted: Actions = (shield.possible.iter().copied())
+            .filter(|action| probabilities[action.index()] >= shield.config.threshold)
+            .collect();
+        permitted.insert(preferred);
+        Ok(Verdict {
+            permitted,
+            preferred,
+            probabilities,
+        })
+    }
+
+    /// Returns the clauses of the shield's rules that an action of the ego violates in the state that was judged last,
+    /// as positions in [`Oracle::constraints`].
+    ///
+    /// # Errors
+    /// `limit-exceeded` if the rules derive too many rows.
+    pub fn violations(
+        &mut self,
+        shield: &Shield,
+        observer: &Observer,
+        city: &Simulation,
+        action: Action,
+    ) -> Result<&[usize], Diagnostic> {
+        observer.copy_facts(&mut self.atoms);
+        self.violations.forget();
+        let observed = Observed {
+            atoms: &self.atoms,
+            entities: observer.entities_of(city),
+            given: None,
+            memory: None,
+            drawing: Drawing::default(),
+            cancel: city.cancel(),
+        };
+        self.violations
+            .violations(shield.oracle.monitor(), observed, action, &mut self.broken)?;
+        Ok(&self.broken)
+    }
+}

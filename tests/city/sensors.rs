@@ -1,0 +1,362 @@
+//! Sensors of Safe Path Following: what they hide, their rates, and the probabilities that follow from readings.
+
+use crate::shipped_world::task_of;
+use logicity::city::{Agent, Cell, CityMap, Split};
+use logicity::config::Sensor;
+use logicity::rng::{Purpose, RngExt, Seed};
+use logicity::sim::{Observer, observed_columns};
+use logicity::task::spf::{Autoreset, Begin, ControlMode, Env, EpisodeSource, ObservationKind, SpfTask, VectorEnv};
+use std::collections::{BTreeMap, BTreeSet, VecDeque};
+use std::sync::Arc;
+
+/// Expert mode with these sensors, as a mapping in YAML.
+fn sensed(sensors: &str) -> Arc<SpfTask> {
+    let config = format!("base: expert\ntask: {{sensors: {sensors}}}\n");
+    Arc::new(task_of(&config).unwrap_or_else(|faults| panic!("{faults:?}")))
+}
+
+/// Expert mode with a sensor for all predicates.
+fn with(output: &str, sensor: &Sensor) -> Arc<SpfTask> {
+    let occluders = [
+        ("buildings", sensor.occluded_by_buildings),
+        ("agents", sensor.occluded_by_agents),
+    ];
+    let occluders = occluders.into_iter().filter(|(_, hides)| *hides).map(|(name, _)| name);
+    let range = sensor.range.map_or(String::new(), |range| format!("range: {range}, "));
+    sensed(&format!(
+        "{{output: {output}, true_positive_rate: {}, false_positive_rate: {}, {range}occluded_by: [{}], delay: {}, \
+         dropout: {}, correlation: {}}}",
+        sensor.true_positive_rate,
+        sensor.false_positive_rate,
+        occluders.collect::<Vec<_>>().join(", "),
+        sensor.delay,
+        sensor.dropout,
+        sensor.correlation,
+    ))
+}
+
+/// A fact: a predicate by its position, and agents by theirs.
+type Fact = (usize, Vec<usize>);
+
+/// Returns the observed numbers of all facts about the observed agents.
+fn numbers(env: &Env) -> BTreeMap<Fact, f32> {
+    let task = env.task();
+    let mut observation = vec![f32::NAN; task.observation_width()];
+    env.observe(0, &mut observation);
+    let agents: Vec<usize> = env.controlled_cars()[0].observer().entities().collect();
+    let most = task.config().entities as usize;
+    let (mut numbers, mut start) = (BTreeMap::new(), 0);
+    for column in observed_columns(task.world(), most) {
+        for (place, number) in observation[start..][..column.width].iter().enumerate() {
+            let entities = match column.arity {
+                1 => vec![place],
+                _ => vec![place / most, place % most],
+            };
+            let same = entities.len() == 2 && entities[0] == entities[1];
+            match entities.iter().all(|entity| *entity < agents.len()) && !same {
+                true => {
+                    _ = numbers.insert(
+                        (column.predicate, entities.iter().map(|at| agents[*at]).collect()),
+                        *number,
+                    )
+                }
+                false => assert_eq!(*number, 0.0, "{} {entities:?}", column.name),
+            }
+        }
+        start += column.width;
+    }
+    numbers
+}
+
+fn truths(observer: &Observer) -> BTreeSet<Fact> {
+    observer.atoms().collect()
+}
+
+/// Runs episodes as the rules want. Calls `each` with the environment in each state, and whether it is the first.
+fn drive(env: &mut Env, episodes: std::ops::Range<u64>, mut each: impl FnMut(&Env, bool)) {
+    for seed in episodes {
+        env.reset(seed).unwrap();
+        each(env, true);
+        while env.controlled_cars()[0].is_running() {
+            env.step(&[env.oracle_action(0)]).unwrap();
+            each(env, false);
+        }
+    }
+}
+
+fn env(task: &Arc<SpfTask>, split: Split) -> Env {
+    Env::new(Arc::clone(task), split, ControlMode::First).unwrap()
+}
+
+/// Whether a sensor of the ego reaches an agent: by distance, and by the cells nearest to the line between them.
+fn visible(sensor: &Sensor, map: &CityMap, agents: &[Agent], ego: usize, other: usize) -> bool {
+    let [from, to] = [agents[ego].cell, agents[other].cell];
+    let [rows, cols] = [to.row - from.row, to.col - from.col].map(f64::from);
+    if sensor.range.is_some_and(|range| rows.hypot(cols) > f64::from(range)) {
+        return false;
+    }
+    let steps = rows.abs().max(cols.abs());
+    #[allow(clippy::cast_possible_truncation)] // small
+    let along = |step: i32, whole: f64| (f64::from(step) * whole / steps + 0.5).floor() as i32;
+    #[allow(clippy::cast_possible_truncation)]
+    let between = (1..steps as i32).map(|step| Cell::new(from.row + along(step, rows), from.col + along(step, cols)));
+    let blocks = |cell: Cell| {
+        let third = |(at, agent): (usize, &Agent)| at != ego && at != other && agent.cell == cell;
+        sensor.occluded_by_buildings && map.building_at(cell).is_some()
+            || sensor.occluded_by_agents && agents.iter().enumerate().any(third)
+    };
+    !between.into_iter().any(blocks)
+}
+
+/// Exact sensors read what was true and visible some ticks before.
+#[test]
+fn hidden_and_late_readings_are_those_of_the_definition() {
+    let mut random = Seed(8).stream(Purpose::TEST, 0, 0);
+    for case in 0..6 {
+        let sensor = Sensor {
+            range: (case % 2 == 0).then(|| random.random_range(4..20)),
+            occluded_by_buildings: case % 3 != 0,
+            occluded_by_agents: case % 3 != 1,
+            delay: if case < 2 { 0 } else { random.random_range(1..6) },
+            ..Sensor::default()
+        };
+        let task = with("facts", &sensor);
+        let (mut past, mut hidden, mut late) = (VecDeque::new(), 0, 0);
+        drive(&mut env(&task, Split::Test), 0..8, |env, first| {
+            let observer = env.controlled_cars()[0].observer();
+            if first {
+                past.clear();
+            }
+            let (map, agents, ego) = (task.world().map(), env.city().agents(), observer.ego());
+            let seen = observer
+                .entities()
+                .filter(|other| *other == ego || visible(&sensor, map, agents, ego, *other));
+            let observed: BTreeSet<usize> = observer.entities().collect();
+            past.push_back((truths(observer), seen.collect::<BTreeSet<usize>>(), observed));
+            let measured = past.len().checked_sub(sensor.delay as usize + 1).map(|at| &past[at]);
+            for (fact, number) in numbers(env) {
+                let expected = measured.is_some_and(|(held, seen, observed)| {
+                    let reached = fact
+                        .1
+                        .iter()
+                        .all(|agent| seen.contains(agent) && observed.contains(agent));
+                    hidden += u32::from(held.contains(&fact) && !reached);
+                    held.contains(&fact) && reached
+                });
+                assert_eq!(number == 1.0, expected, "{sensor:?}: {fact:?}");
+                late += u32::from(expected != past.back().unwrap().0.contains(&fact));
+            }
+        });
+        assert!(
+            hidden > 0 && (sensor.delay == 0 || late > 0),
+            "{sensor:?}: {hidden} {late}"
+        );
+    }
+}
+
+/// Readings have the configured rates, whatever the correlation, and noise has the configured correlation.
+#[test]
+fn readings_have_the_rates_and_correlations_of_their_sensor() {
+    for correlation in [0.0, 0.7] {
+        let sensor = Sensor {
+            true_positive_rate: 0.85,
+            false_positive_rate: 0.1,
+            dropout: 0.2,
+            correlation,
+            ..Sensor::default()
+        };
+        let task = with("facts", &sensor);
+        let mut counts = [[0.0f64; 2]; 2];
+        drive(&mut env(&task, Split::Test), 0..60, |env, _| {
+            let held = truths(env.controlled_cars()[0].observer());
+            for (fact, number) in numbers(env) {
+                let counts = &mut counts[usize::from(held.contains(&fact))];
+                counts[0] += 1.0;
+                counts[1] += f64::from(number);
+            }
+        });
+        for ([total, read], rate) in counts.into_iter().zip([0.1, 0.85]) {
+            assert!(
+                (read / total - rate * 0.8).abs() < 0.01,
+                "{correlation}: {read} of {total}"
+            );
+        }
+        // Readings that do not depend on the truth show the noise.
+        let sensor = Sensor {
+            true_positive_rate: 0.5,
+            false_positive_rate: 0.5,
+            correlation,
+            ..Sensor::default()
+        };
+        let task = with("facts", &sensor);
+        let (mut before, mut pairs, mut product) = (BTreeMap::new(), 0.0, 0.0);
+        drive(&mut env(&task, Split::Test), 0..30, |env, first| {
+            if first {
+                before.clear();
+            }
+            let now = numbers(env);
+            for (fact, number) in &now {
+                if let Some(earlier) = before.get(fact) {
+                    pairs += 1.0;
+                    product += f64::from((number - 0.5) * (earlier - 0.5)) * 4.0;
+                }
+            }
+            before = now;
+        });
+        assert!(
+            (product / pairs - correlation).abs() < 0.02,
+            "{correlation}: {}",
+            product / pairs
+        );
+    }
+}
+
+/// Of the facts with a probability near p, a share near p holds; beliefs predict better than single readings.
+#[test]
+fn probabilities_are_calibrated() {
+    for sensor in [
+        Sensor {
+            true_positive_rate: 0.9,
+            false_positive_rate: 0.15,
+            ..Sensor::default()
+        },
+        Sensor {
+            true_positive_rate: 0.8,
+            false_positive_rate: 0.1,
+            dropout: 0.3,
+            delay: 1,
+            correlation: 0.5,
+            ..Sensor::default()
+        },
+    ] {
+        let mut scores = Vec::new();
+        for output in ["facts", "probabilities", "belief"] {
+            let task = with(output, &sensor);
+            let (mut bins, mut squares, mut all) = ([[0.0f64; 3]; 10], 0.0, 0.0);
+            drive(&mut env(&task, Split::Train), 500..600, |env, _| {
+                let held = truths(env.controlled_cars()[0].observer());
+                for (fact, number) in numbers(env) {
+                    assert!((0.0..=1.0).contains(&number), "{number}");
+                    let holds = f64::from(u8::from(held.contains(&fact)));
+                    #[allow(clippy::cast_possible_truncation, clippy::cast_sign_loss)] // a bin
+                    let bin = &mut bins[((number * 10.0) as usize).min(9)];
+                    *bin = [bin[0] + 1.0, bin[1] + f64::from(number), bin[2] + holds];
+                    squares += (f64::from(number) - holds).powi(2);
+                    all += 1.0;
+                }
+            });
+            if output != "facts" {
+                for [count, predicted, holds] in bins.into_iter().filter(|bin| bin[0] > 500.0) {
+                    let error = (predicted - holds).abs() / count;
+                    assert!(
+                        error < 0.05,
+                        "{output} {sensor:?}: {count} facts, {predicted} and {holds}"
+                    );
+                }
+            }
+            scores.push(squares / all);
+        }
+        // The Brier scores.
+        assert!(scores[2] < scores[1] && scores[1] < scores[0], "{sensor:?}: {scores:?}");
+    }
+}
+
+/// Vectors observe through sensors as individual environments do, on any number of threads.
+#[test]
+fn vectors_and_repetitions_read_the_same() {
+    let task = sensed(
+        "{output: belief, true_positive_rate: .9, false_positive_rate: .1, correlation: .5, dropout: .1, ego: exact, \
+         predicates: {IsClose: {range: 15, delay: 1}, LeftOf: {occluded_by: buildings}}}",
+    );
+    let width = task.observation_width();
+    let run = |threads: usize| {
+        let sources = (0..12).map(|seed| EpisodeSource::new(seed, None));
+        let view = ObservationKind::Groundings;
+        let mut vector = VectorEnv::new(&task, Split::Train, sources, Autoreset::SameStep, view, threads).unwrap();
+        let mut shown = vec![0.0; 12 * width];
+        vector.reset(&vec![Some(Begin::Next); 12], &mut shown).unwrap();
+        let mut all = shown.clone();
+        for _ in 0..60 {
+            let wanted: Vec<_> = vector
+                .sub_envs()
+                .iter()
+                .map(|sub_env| sub_env.env().oracle_action(0))
+                .collect();
+            vector.step(&wanted, &mut shown).unwrap();
+            all.extend_from_slice(&shown);
+        }
+        all
+    };
+    let one = run(1);
+    assert_eq!(one, run(3));
+    let mut alone = Env::new(Arc::clone(&task), Split::Train, ControlMode::First).unwrap();
+    let mut source = EpisodeSource::new(5, None);
+    source.begin(&mut alone).unwrap();
+    let mut shown = vec![0.0; width];
+    for step in 0..=60 {
+        alone.observe(0, &mut shown);
+        assert_eq!(shown, one[(step * 12 + 5) * width..][..width], "{step}");
+        let wanted = alone.oracle_action(0);
+        alone.step(&[wanted]).unwrap();
+        if !alone.controlled_cars()[0].is_running() {
+            source.begin(&mut alone).unwrap();
+        }
+    }
+}
+
+/// The ego may know the facts about itself; and every car of a city has noise of its own.
+#[test]
+fn facts_about_the_ego_may_be_exact() {
+    let half = "true_positive_rate: .5, false_positive_rate: .5";
+    let task = sensed(&format!("{{ego: exact, {half}}}"));
+    let mut wrong = 0;
+    drive(&mut env(&task, Split::Test), 0..5, |env, _| {
+        let observer = env.controlled_cars()[0].observer();
+        let (held, ego) = (truths(observer), observer.ego());
+        for (fact, number) in numbers(env) {
+            let differs = held.contains(&fact) != (number == 1.0);
+            assert!(!differs || fact.1 != [ego], "{fact:?}");
+            wrong += u32::from(differs);
+        }
+    });
+    assert!(wrong > 0);
+    let task = sensed(&format!("{{{half}}}"));
+    let mut env = Env::new(Arc::clone(&task), Split::Train, ControlMode::Cars).unwrap();
+    env.reset(3).unwrap();
+    let observe = |car: usize| {
+        let mut observation = vec![0.0; task.observation_width()];
+        env.observe(car, &mut observation);
+        observation
+    };
+    assert_ne!(observe(0), observe(1));
+}
+
+#[test]
+fn faulty_sensors_are_reported_at_their_place() {
+    let fault = |sensors: &str| {
+        let config = format!(
+            "base: expert\npredicates: {{define: {{Waited: {{quantity: waited}}}}}}\nrules: expert\n\
+             task: {{sensors: {sensors}}}\n"
+        );
+        let faults = task_of(&config).err().unwrap_or_default();
+        assert_eq!(faults.len(), 1, "{sensors}: {faults:?}");
+        faults[0].message.clone() + &faults[0].help.concat()
+    };
+    for (sensors, message) in [
+        ("{true_positive_rate: 1.5}", "a probability from 0 to 1"),
+        ("{correlation: 1}", "a correlation from 0 to 0.999"),
+        ("{delay: 101}", "a whole number from 0 to 100"),
+        ("{occluded_by: [trees]}", "`buildings`, `agents`"),
+        ("{output: fact}", "did you mean `facts`?"),
+        (
+            "{predicates: {IsClos: {dropout: .1}}}",
+            "the configuration has no predicate `IsClos`",
+        ),
+        ("{predicates: {Sees: {dropout: .1}}}", "no sensor reads `Sees`"),
+        ("{predicates: {Waited: {dropout: .1}}}", "`Waited` has values"),
+        ("{dropout_rate: .1}", "unknown key `dropout_rate`"),
+    ] {
+        let said = fault(sensors);
+        assert!(said.contains(message), "{sensors}: {said}");
+    }
+}
