@@ -37,6 +37,34 @@ impl Seed {
         }
         ChaCha8Rng::from_seed(key)
     }
+
+    /// Returns words for a purpose, an index and a tick.
+    #[inline]
+    pub fn words(self, purpose: Purpose, index: u64, tick: u64) -> Words {
+        let next = |words: Words, number: u64| Words(Words(words.0 ^ number).next_word());
+        [purpose.0, index, tick].into_iter().fold(Words(mix(self.0)), next)
+    }
+}
+
+/// Random words of a stream: SplitMix64 (Steele, Lea, Flood: Fast splittable pseudorandom number generators, 2014).
+/// Faster to begin and to draw from than [`Seed::stream`], for a few words in every tick.
+#[derive(Clone, Debug)]
+pub struct Words(u64);
+
+impl Words {
+    /// Returns the next word.
+    #[inline]
+    pub fn next_word(&mut self) -> u64 {
+        self.0 = self.0.wrapping_add(0x9e37_79b9_7f4a_7c15);
+        mix(self.0)
+    }
+}
+
+#[inline]
+fn mix(word: u64) -> u64 {
+    let word = (word ^ word >> 30).wrapping_mul(0xbf58_476d_1ce4_e5b9);
+    let word = (word ^ word >> 27).wrapping_mul(0x94d0_49bb_1331_11eb);
+    word ^ word >> 31
 }
 
 /// Draws elements of a list, with replacement. The list must not be empty if `count` is positive.
@@ -55,7 +83,11 @@ mod tests {
 
     #[test]
     fn streams_are_functions_of_their_four_numbers() {
-        let draw = |seed, purpose, index, tick| -> u64 { Seed(seed).stream(purpose, index, tick).random() };
+        depends_on_all_numbers(|seed, purpose, index, tick| Seed(seed).stream(purpose, index, tick).random());
+        depends_on_all_numbers(|seed, purpose, index, tick| Seed(seed).words(purpose, index, tick).next_word());
+    }
+
+    fn depends_on_all_numbers(draw: impl Fn(u64, Purpose, u64, u64) -> u64) {
         let base = draw(7, GOAL, 3, 11);
         assert_eq!(base, draw(7, GOAL, 3, 11));
         for other in [

@@ -10,7 +10,7 @@ import importlib.util
 import os
 import sys
 import time
-from collections.abc import Callable
+from collections.abc import Callable, Mapping
 from pathlib import Path
 from typing import Any
 
@@ -68,6 +68,20 @@ def vector(mode: str, count: int, threads: int, **options: Any) -> float:
         envs.step(actions[call % 64])
 
     return rate(count, step)
+
+
+def following(mode: str, shield: Mapping[str, Any] | None = None, **options: Any) -> float:
+    """Measure 256 environments whose actions are those of the oracle, which exact shields permit."""
+    envs = gymnasium.make_vec(f"logicity/SPF-{mode}-v0", num_envs=256, **options)
+    if shield is not None:
+        logicity.shield(envs, **shield)
+    infos = envs.reset(seed=0)[1]
+
+    def step(call: int) -> None:
+        nonlocal infos
+        infos = envs.step(infos["oracle_action"])[4]
+
+    return rate(256, step)
 
 
 def memory(mode: str) -> float:
@@ -133,6 +147,12 @@ def training_share(mode: str) -> float:
     return spent / (time.process_time() - begin)
 
 
+def noisy(output: str) -> dict[str, Any]:
+    """Return options of environments with noisy sensors."""
+    sensors = {"output": output, "true_positive_rate": 0.95, "false_positive_rate": 0.05}
+    return {"overrides": {"task": {"sensors": sensors}}}
+
+
 def main() -> None:
     """Print the table."""
     mode = sys.argv[1] if len(sys.argv) > 1 else "Expert"
@@ -149,6 +169,19 @@ def main() -> None:
         ('256, `observation="relational"`', lambda: vector(mode, 256, 1, observation="relational")),
         ('256, `observation="graph"`', lambda: vector(mode, 256, 1, observation="graph")),
         ("`make_vec`, 256 environments, 2 threads", lambda: vector(mode, 256, 2)),
+        *(
+            (f"256, noisy sensors, `output: {output}`", lambda output=output: vector(mode, 256, 1, **noisy(output)))
+            for output in ("facts", "probabilities", "belief")
+        ),
+        ("256, the oracle's actions", lambda: following(mode)),
+        *(
+            (
+                f"256, the oracle's actions, shield `{how}`, `{query}`",
+                lambda how=how, query=query: following(mode, {"mode": how, "query": query}),
+            )
+            for how in ("mask", "override")
+            for query in ("appropriate", "safe")
+        ),
     ]
     if importlib.util.find_spec("stable_baselines3"):
         rows.append(("`sb3.make_vec_env`, 256 environments", lambda: stable_baselines(mode, 256)))

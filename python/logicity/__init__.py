@@ -7,7 +7,7 @@ Where to start:
 - `Simulation` runs a city. `predicate` makes a base predicate of a Python function.
 - `Program` and `Session` evaluate any Datalog program.
 - `gymnasium.make("logicity/SPF-Expert-v0")` makes an environment with one controlled car, see `logicity.envs.single`.
-  `parallel_env` makes an environment that controls every car.
+  `parallel_env` makes an environment that controls every car. `shield` lets rules judge the actions.
 - `observation_names` names the numbers of an observation.
 - `evaluate` measures one policy, `Benchmark` several. `demonstrations` returns trajectories of the oracle, and
   `induce` learns rules from them.
@@ -39,6 +39,7 @@ if TYPE_CHECKING:
     from .city import ACTIONS, HEADINGS, REASONS, AgentInfo, Decision, Inference, Simulation, Tick, infer
     from .describe import observation_names
     from .envs.registration import parallel_env
+    from .envs.shield import shield
     from .errors import InputError, LimitError, PredicateError, UnsupportedError, UntrustedError
     from .evaluation import Benchmark, EpisodeRecord, Evaluation, Interval, Policy, evaluate
     from .induction import InducedClause, InducedRules, Oracle, induce
@@ -76,6 +77,7 @@ _NAMES = {
     "evaluation": ["Benchmark", "EpisodeRecord", "Evaluation", "Interval", "Policy", "evaluate"],
     "induction": ["InducedClause", "InducedRules", "Oracle", "induce"],
     "envs.registration": ["parallel_env"],
+    "envs.shield": ["shield"],
     "modes": ["ENVIRONMENTS", "MODES"],
     "offline": ["Demonstrations", "Trajectory", "demonstrations"],
     "predicates": ["KINDS", "CityState", "PythonPredicate", "predicate"],
@@ -170,6 +172,7 @@ __all__ = [
     "observation_names",
     "parallel_env",
     "predicate",
+    "shield",
 ]
 
 register_with_gymnasium()

@@ -222,6 +222,12 @@ ViewKind: TypeAlias = Literal["relational", "graph"]
 ObservationKind: TypeAlias = Literal[ArrayKind, ViewKind]
 """The kind of observation. See `logicity.envs.SPFEnv`."""
 
+ShieldMode: TypeAlias = Literal["mask", "override", "probabilistic"]
+"""What a shield does with an action that it does not permit. See `logicity.shield`."""
+
+ShieldQuery: TypeAlias = Literal["appropriate", "safe"]
+"""What a shield asks about an action. See `logicity.shield`."""
+
 Episodes: TypeAlias = Literal["drawn", "drawn-demanding", "recorded"]
 """The episodes of an environment. See `logicity.envs.SPFEnv`."""
 

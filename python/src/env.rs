@@ -4,7 +4,8 @@ use crate::actor::PyPolicyNetwork;
 use crate::city::one_of;
 use crate::episode::{PyEpisode, PyEpisodeOption, read_episode};
 use crate::task::{
-    PyTask, action_mask, gymnasium_error, read_action, read_actions, split_named, table_of, write_violations,
+    PyTask, action_mask, check_permitted, gymnasium_error, read_action, read_actions, shield_mask, shield_of,
+    split_named, table_of, write_violations,
 };
 use crate::{Signals, borrowed, borrowed_mut, slice_of};
 use logicity::city::{Action, Split};
@@ -125,8 +126,18 @@ struct PyVectorEnv {
     vector: VectorEnv,
     episodes: Episodes,
     actions: Vec<Action>,
+    /// The task whose rules the shield has, if they are not those of `task`.
+    shield_rules: Option<Py<PyTask>>,
     signals: Arc<Signals>,
 }
+
+/// What a shield does and says, a row per environment: masks, probabilities, replaced actions and violated clauses.
+type ShieldColumns<'py> = (
+    PyReadwriteArray2<'py, i8>,
+    PyReadwriteArray2<'py, f64>,
+    PyReadwriteArray1<'py, i64>,
+    PyReadwriteArray2<'py, bool>,
+);
 
 #[pymethods]
 impl PyVectorEnv {
@@ -160,8 +171,77 @@ impl PyVectorEnv {
             vector,
             episodes,
             actions: Vec::with_capacity(count),
+            shield_rules: None,
             signals,
         })
+    }
+
+    /// Sets the shield of all environments, by the rules of a task with the same observations, or of this one.
+    fn set_shield(
+        slf: &Bound<'_, Self>,
+        py: Python<'_>,
+        rules: Option<Py<PyTask>>,
+        settings: (String, String, Option<f64>),
+    ) -> PyResult<()> {
+        let this = &mut *borrowed_mut(slf)?;
+        let (mode, query, threshold) = settings;
+        let of = rules.as_ref().unwrap_or(&this.task).get();
+        let shield = shield_of(py, of, (&mode, &query, threshold))?;
+        let vector = &mut this.vector;
+        let set = this.signals.detach(py, || vector.set_shield(Some(&shield)))?;
+        set.map_err(|fault| of.error(py, fault))?;
+        this.shield_rules = rules;
+        Ok(())
+    }
+
+    /// Returns the names of the clauses that the shield's rules have; `None` without a shield.
+    fn shield_clauses<'py>(slf: &Bound<'py, Self>, py: Python<'py>) -> PyResult<Option<Bound<'py, PyTuple>>> {
+        let this = borrowed(slf)?;
+        let shielded = this
+            .vector
+            .sub_envs()
+            .first()
+            .is_some_and(|first| first.env().shield().is_some());
+        shielded.then(|| this.shield_task().clauses(py)).transpose()
+    }
+
+    /// Explains what the shield of an environment says now.
+    fn explain_shield(slf: &Bound<'_, Self>, py: Python<'_>, at: usize) -> PyResult<String> {
+        let this = &mut *borrowed_mut(slf)?;
+        this.begun(py, at)?;
+        let rules = this.shield_rules.as_ref().unwrap_or(&this.task).get();
+        rules.explain_shield(py, this.vector.sub_envs_mut()[at].env_mut(), 0, &this.signals)
+    }
+
+    /// Writes what the shield does and says in all environments. With `ended`, writes that at the end of the episodes
+    /// that ended in the last step, for autoreset in the same step.
+    fn shield_infos(slf: &Bound<'_, Self>, columns: ShieldColumns<'_>, ended: bool) -> PyResult<()> {
+        let this = borrowed(slf)?;
+        let sub_envs = this.vector.sub_envs();
+        let count = sub_envs.len();
+        let table = table_of(&this.task.get().task);
+        let (actions, clauses) = (table.all().len(), this.shield_task().constraints());
+        let (mut masks, mut probabilities, mut replaced, mut violations) = columns;
+        let masks = slice_of(&mut masks, count * actions)?;
+        let probabilities = slice_of(&mut probabilities, count * actions)?;
+        let replaced = slice_of(&mut replaced, count)?;
+        let violations = slice_of(&mut violations, count * clauses)?;
+        for (at, sub_env) in sub_envs.iter().enumerate() {
+            let info = match ended {
+                false => Some(sub_env.info()),
+                true => sub_env.ended().map(|(_, info)| info),
+            };
+            let Some(info) = info else { continue };
+            masks[at * actions..][..actions].copy_from_slice(&shield_mask(table, info));
+            if let Some(verdict) = info.verdict {
+                probabilities[at * actions..][..actions].copy_from_slice(&verdict.probabilities[..actions]);
+            }
+            replaced[at] = info.replaced.map_or(-1, |action| action.index() as i64);
+            info.reasons
+                .iter()
+                .for_each(|clause| violations[at * clauses + clause] = true);
+        }
+        Ok(())
     }
 
     /// Sets the seed of an environment's episodes, and skips the first `begun` episodes.
@@ -231,6 +311,7 @@ impl PyVectorEnv {
         this.check_ready(py)?;
         let task = this.task.get();
         let actions = [read_action(py, &task.task, action, String::new)?];
+        this.check_permitted(py, &actions)?;
         let rows = this.rows(&mut observation)?;
         (this.signals.run_polled(|| this.vector.step(&actions, rows))?).map_err(|fault| task.error(py, fault))?;
         let sub_env = &this.vector.sub_envs()[0];
@@ -239,7 +320,7 @@ impl PyVectorEnv {
             outcome.reward,
             outcome.terminated,
             outcome.truncated,
-            task.info(py, sub_env.info())?,
+            this.full_info(py, sub_env)?,
         ))
     }
 
@@ -265,6 +346,7 @@ impl PyVectorEnv {
                 format!(" (of environment {at})")
             })?);
         }
+        this.check_permitted(py, &this.actions)?;
         let task = this.task.get();
         let rows = this.rows(&mut observations)?;
         let (vector, actions) = (&mut this.vector, &this.actions);
@@ -344,7 +426,7 @@ impl PyVectorEnv {
     /// Returns the info of an environment.
     fn info<'py>(slf: &Bound<'py, Self>, py: Python<'py>, at: usize) -> PyResult<Bound<'py, PyDict>> {
         let this = borrowed(slf)?;
-        this.task.get().info(py, this.sub_env(at)?.info())
+        this.full_info(py, this.sub_env(at)?)
     }
 
     /// Returns the true atoms that the ego of an environment observes.
@@ -463,6 +545,35 @@ impl PyVectorEnv {
     fn sub_env(&self, at: usize) -> PyResult<&SubEnv> {
         let sub_env = self.vector.sub_envs().get(at);
         sub_env.ok_or_else(|| PyIndexError::new_err(format!("there is no environment {at}")))
+    }
+
+    /// Returns the task with the rules of the shield.
+    fn shield_task(&self) -> &PyTask {
+        self.shield_rules.as_ref().unwrap_or(&self.task).get()
+    }
+
+    /// Returns the info of an environment, with what its shield does and says.
+    fn full_info<'py>(&self, py: Python<'py>, sub_env: &SubEnv) -> PyResult<Bound<'py, PyDict>> {
+        let task = self.task.get();
+        let dict = task.info(py, sub_env.info())?;
+        if let Some(shield) = sub_env.env().shield() {
+            task.add_shield(&dict, sub_env.info(), shield)?;
+        }
+        Ok(dict)
+    }
+
+    /// Checks that shields in the mode `mask` permit the actions.
+    fn check_permitted(&self, py: Python<'_>, actions: &[Action]) -> PyResult<()> {
+        let (sub_envs, table) = (self.vector.sub_envs(), table_of(&self.task.get().task));
+        for (at, (sub_env, &action)) in sub_envs.iter().zip(actions).enumerate() {
+            let of = || match sub_envs.len() {
+                1 => String::new(),
+                _ => format!(" (environment {at})"),
+            };
+            let says = (sub_env.env().shield(), sub_env.info().verdict);
+            check_permitted(py, says, (action, table.name(action)), of)?;
+        }
+        Ok(())
     }
 
     /// Returns an environment. Fails if its episode has not started.

@@ -1,14 +1,14 @@
 //! An environment that controls every car of a city.
 
 use crate::episode::{PyEpisode, read_episode};
-use crate::task::{PyTask, read_action, read_actions, split_named};
+use crate::task::{PyTask, check_permitted, read_action, read_actions, shield_of, split_named, table_of};
 use crate::{Signals, borrowed, borrowed_mut, slice_of};
 use logicity::city::Action;
 use logicity::task::spf::{ControlMode, Env, EpisodeSource, Info, ObservationKind, describe};
 use numpy::{PyArray3, PyReadwriteArrayDyn};
 use pyo3::exceptions::{PyIndexError, PyValueError};
 use pyo3::prelude::*;
-use pyo3::types::PyDict;
+use pyo3::types::{PyDict, PyTuple};
 use std::sync::Arc;
 
 pub fn register(module: &Bound<'_, PyModule>) -> PyResult<()> {
@@ -23,6 +23,8 @@ struct PyMultiCarEnv {
     view: ObservationKind,
     source: EpisodeSource,
     actions: Vec<Action>,
+    /// The task whose rules the shield has, if they are not those of `task`.
+    shield_rules: Option<Py<PyTask>>,
     signals: Arc<Signals>,
 }
 
@@ -46,8 +48,45 @@ impl PyMultiCarEnv {
             view,
             source: EpisodeSource::new(0, None),
             actions: Vec::new(),
+            shield_rules: None,
             signals,
         })
+    }
+
+    /// Sets the shield of all cars, by the rules of a task with the same observations, or of this one.
+    fn set_shield(
+        slf: &Bound<'_, Self>,
+        py: Python<'_>,
+        rules: Option<Py<PyTask>>,
+        settings: (String, String, Option<f64>),
+    ) -> PyResult<()> {
+        let this = &mut *borrowed_mut(slf)?;
+        let (mode, query, threshold) = settings;
+        let of = rules.as_ref().unwrap_or(&this.task).get();
+        let shield = shield_of(py, of, (&mode, &query, threshold))?;
+        let env = &mut this.env;
+        let set = this.signals.detach(py, || {
+            env.set_shield(Some(shield))?;
+            env.ask_shield()
+        })?;
+        set.map_err(|fault| of.error(py, fault))?;
+        this.shield_rules = rules;
+        Ok(())
+    }
+
+    /// Returns the names of the clauses that the shield's rules have; `None` without a shield.
+    fn shield_clauses<'py>(slf: &Bound<'py, Self>, py: Python<'py>) -> PyResult<Option<Bound<'py, PyTuple>>> {
+        let this = borrowed(slf)?;
+        let rules = this.shield_rules.as_ref().unwrap_or(&this.task).get();
+        this.env.shield().map(|_| rules.clauses(py)).transpose()
+    }
+
+    /// Explains what the shield of a car says now.
+    fn explain_shield(slf: &Bound<'_, Self>, py: Python<'_>, car: usize) -> PyResult<String> {
+        let this = &mut *borrowed_mut(slf)?;
+        this.check(car)?;
+        let rules = this.shield_rules.as_ref().unwrap_or(&this.task).get();
+        rules.explain_shield(py, &mut this.env, car, &this.signals)
     }
 
     /// Returns the names of the cars.
@@ -105,9 +144,12 @@ impl PyMultiCarEnv {
         let given = episode.map(|episode| read_episode(&episode, &this.env));
         let episode = given.transpose().map_err(|fault| this.task.get().error(py, fault))?;
         let (env, source) = (&mut this.env, &mut this.source);
-        let begun = this.signals.detach(py, || match &episode {
-            Some(episode) => env.reset_to(episode),
-            None => source.begin(env),
+        let begun = this.signals.detach(py, || {
+            match &episode {
+                Some(episode) => env.reset_to(episode),
+                None => source.begin(env),
+            }?;
+            env.ask_shield()
         })?;
         begun.map_err(|fault| this.task.get().error(py, fault))
     }
@@ -128,8 +170,15 @@ impl PyMultiCarEnv {
                 format!(" (of car {controlled_car})")
             })?);
         }
+        let table = table_of(&this.task.get().task);
+        for (car, &action) in this.env.controlled_cars().iter().zip(&this.actions) {
+            let of = || format!(" (of {})", this.env.city().agents()[car.agent()].name());
+            let says = (this.env.shield(), car.verdict().filter(|_| car.is_running()));
+            check_permitted(py, says, (action, table.name(action)), of)?;
+        }
         let (env, actions) = (&mut this.env, &this.actions);
-        (this.signals.detach(py, || env.step(actions))?).map_err(|fault| this.task.get().error(py, fault))
+        let step = || env.step_shielded(actions).and_then(|()| env.ask_shield());
+        (this.signals.detach(py, step)?).map_err(|fault| this.task.get().error(py, fault))
     }
 
     /// Returns the outcome of a car's last action: reward, termination, truncation and info.
@@ -143,12 +192,11 @@ impl PyMultiCarEnv {
         let last = this.env.controlled_cars()[car].last();
         let mut info = Info::default();
         info.note(&this.env, car);
-        Ok((
-            last.shaped_reward(),
-            last.terminated,
-            last.truncated,
-            this.task.get().info(py, &info)?,
-        ))
+        let dict = this.task.get().info(py, &info)?;
+        if let Some(shield) = this.env.shield() {
+            this.task.get().add_shield(&dict, &info, shield)?;
+        }
+        Ok((last.shaped_reward(), last.terminated, last.truncated, dict))
     }
 
     /// Writes the observation of a car.

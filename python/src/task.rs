@@ -7,14 +7,14 @@ use crate::predicate::Functions;
 use crate::{LimitArguments, Signals, input_error, locked, to_python};
 use logicity::builtin::BuiltinFiles;
 use logicity::city::{Action, ActionTable, Split};
-use logicity::config::SEES;
+use logicity::config::{SEES, ShieldConfig, ShieldMode, ShieldQuery};
 use logicity::diag::{Diagnostic, SourceId, Sources};
 use logicity::files::Output;
 use logicity::render::{Icons, Marked, Overview, Sprite};
-use logicity::sim::Chain;
+use logicity::sim::{Chain, Shield, Verdict};
 use logicity::task::spf::{
     ControlMode, ControlledCar, Env, Episode, EpisodeSet, Info, ObservationKind, Origin, RecordError, SpfTask, explain,
-    record,
+    explain_shield, record,
 };
 use numpy::{IntoPyArray, PyArray3, PyArrayMethods};
 use pyo3::exceptions::PyValueError;
@@ -66,6 +66,45 @@ pub fn gymnasium_error(py: Python<'_>, name: &str, message: String) -> PyErr {
 pub fn action_mask(table: &ActionTable, info: &Info) -> Vec<i8> {
     let allows = |action| i8::from(info.allowed.is_some_and(|allowed| allowed.contains(action)));
     table.all().map(allows).collect()
+}
+
+/// Returns the shield with these settings by the rules of a task.
+pub fn shield_of(
+    py: Python<'_>,
+    rules: &PyTask,
+    (mode, query, threshold): (&str, &str, Option<f64>),
+) -> PyResult<Arc<Shield>> {
+    let config = ShieldConfig {
+        mode: one_of("mode", mode, &ShieldMode::ALL, ShieldMode::name)?,
+        query: one_of("query", query, &ShieldQuery::ALL, ShieldQuery::name)?,
+        threshold: threshold.unwrap_or(ShieldConfig::THRESHOLD),
+    };
+    let made = Shield::new(Arc::clone(rules.task.oracle()), config);
+    made.map(Arc::new).map_err(|fault| rules.error(py, fault))
+}
+
+/// Returns for each action 1 if the shield permits it now, else 0; all 0 after the end of the episode.
+pub fn shield_mask(table: &ActionTable, info: &Info) -> Vec<i8> {
+    let permits = |action| i8::from(info.verdict.is_some_and(|verdict| verdict.permitted.contains(action)));
+    table.all().map(permits).collect()
+}
+
+/// Checks that a shield in the mode `mask` permits an action. `of` says whose it is, for messages.
+pub fn check_permitted(
+    py: Python<'_>,
+    (shield, verdict): (Option<&Arc<Shield>>, Option<Verdict>),
+    action: (Action, &str),
+    of: impl Fn() -> String,
+) -> PyResult<()> {
+    let Some((shield, verdict)) = shield.zip(verdict) else {
+        return Ok(());
+    };
+    if shield.config().mode != ShieldMode::Mask || verdict.permitted.contains(action.0) {
+        return Ok(());
+    }
+    let fault = shield.forbidden(action.1, verdict.permitted);
+    let message = format!("{}{}; {}", fault.message, of(), fault.help.join("; "));
+    Err(gymnasium_error(py, "InvalidAction", message))
 }
 
 /// Writes for each clause whether the last action violated it.
@@ -176,7 +215,7 @@ impl PyTask {
     }
 
     /// Returns the names of the clauses that actions can violate.
-    fn clauses<'py>(&self, py: Python<'py>) -> PyResult<Bound<'py, PyTuple>> {
+    pub fn clauses<'py>(&self, py: Python<'py>) -> PyResult<Bound<'py, PyTuple>> {
         let constraints = 0..self.constraints();
         PyTuple::new(py, constraints.map(|constraint| self.task.label(constraint)))
     }
@@ -354,6 +393,28 @@ impl PyTask {
             )?;
         }
         Ok(dict)
+    }
+
+    /// Adds what a shield did and says to an info.
+    pub fn add_shield<'py>(&self, dict: &Bound<'py, PyDict>, info: &Info, shield: &Shield) -> PyResult<()> {
+        let py = dict.py();
+        let table = table_of(&self.task);
+        dict.set_item(intern!(py, "shield_mask"), shield_mask(table, info).into_pyarray(py))?;
+        let probabilities = info.verdict.map_or([0.0; Action::MAX], |verdict| verdict.probabilities);
+        let probabilities = probabilities[..table.all().len()].to_vec();
+        dict.set_item(intern!(py, "shield_probabilities"), probabilities.into_pyarray(py))?;
+        let replaced = info.replaced.map_or(-1, |action| action.index() as i64);
+        dict.set_item(intern!(py, "replaced_action"), replaced)?;
+        let mut reasons = vec![false; shield.oracle().constraints().len()];
+        info.reasons.iter().for_each(|clause| reasons[*clause] = true);
+        dict.set_item(intern!(py, "shield_violations"), reasons.into_pyarray(py))
+    }
+
+    /// Explains what the shield of an environment says now. The sources of its rules are those of this task.
+    pub fn explain_shield(&self, py: Python<'_>, env: &mut Env, car: usize, signals: &Signals) -> PyResult<String> {
+        let sources = self.sources();
+        let explained = signals.detach(py, || explain_shield(env, car, &sources))?;
+        explained.map_err(|(faults, sources)| input_error(py, &faults, &sources))
     }
 
     /// Formats atoms over the agents of an environment in the syntax of rules.

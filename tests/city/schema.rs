@@ -92,6 +92,9 @@ impl Place {
                         Some(Step::Key(above)) if above == "map" && at == 1 => {
                             entries.insert("base".into(), json!("random-8x8"));
                         }
+                        Some(Step::Key(above)) if above == "shield" && key != "mode" => {
+                            entries.insert("mode".into(), json!("probabilistic"));
+                        }
                         Some(Step::Key(above)) if above == SAMPLE_PREDICATE && key == "of" => {
                             entries.insert("concept".into(), json!("taxi"));
                         }

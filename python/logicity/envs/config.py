@@ -73,6 +73,11 @@ class EnvConfig:
         """Load the task with additional overrides. Raise `InputError` if any of its sources is invalid."""
         return _logicity.Task(self.config, self.rules, self._as_json(more), self.limits, None, self.predicates)
 
+    def with_rules(self, rules: str | os.PathLike[str]) -> _logicity.Task:
+        """Load the task with another rule file. Raise `InputError` if any of its sources is invalid."""
+        changed = self._as_json({})
+        return _logicity.Task(self.config, rule_file(rules), changed, self.limits, None, self.predicates)
+
     def _as_json(self, more: Mapping[str, Any]) -> str | None:
         """Return the configuration with its overrides as JSON, or `None` without overrides."""
         overrides, base = {**self.overrides, **more}, Path(self.config)

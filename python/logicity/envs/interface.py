@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import math
 import operator
+import os
 import sys
 from collections.abc import Mapping, Sequence
 from copy import copy, deepcopy
@@ -15,6 +16,7 @@ from numpy.typing import NDArray
 
 from .. import _logicity
 from ..errors import checked_integer, extra
+from ..types import ShieldMode, ShieldQuery
 
 with extra("gym"):
     import gymnasium
@@ -38,6 +40,7 @@ class BaseEnv:
     render_mode: str | None
     _begun: bool
     _core: _logicity.VectorEnv
+    _shield: tuple[_logicity.Task | None, tuple[str, str, float | None]] | None = None
     _spec: EnvSpec | None
 
     def _load(
@@ -66,7 +69,32 @@ class BaseEnv:
         core = _logicity.VectorEnv(task, self._config.split, count, autoreset, self._kind, self._episodes, threads)
         if self._config.action_masks:
             core.judge_actions()
+        if self._shield is not None:
+            core.set_shield(*self._shield)
         return core
+
+    def _shielded_core(self) -> _logicity.VectorEnv | _logicity.MultiCarEnv:
+        return self._core
+
+    def set_shield(
+        self,
+        rules: str | os.PathLike[str] | None = None,
+        mode: ShieldMode = "override",
+        query: ShieldQuery = "appropriate",
+        threshold: float | None = None,
+    ) -> None:
+        """Set the shield of the environment, see `logicity.shield`."""
+        if threshold is not None and (mode != "probabilistic" or not 0 <= float(threshold) <= 1):
+            raise ValueError("`threshold` must be from 0 to 1, and needs `mode=\"probabilistic\"`")
+        settings = (mode, query, None if threshold is None else float(threshold))
+        task = None if rules is None else self._config.with_rules(rules)
+        self._shielded_core().set_shield(task, settings)
+        self._shield = task, settings
+
+    @property
+    def shield_clauses(self) -> tuple[str, ...] | None:
+        """The names of the clauses of the shield's rules, in the order of `shield_violations`; `None` without one."""
+        return self._shielded_core().shield_clauses()
 
     def _space(self) -> Space[Any]:
         if self._views is not None:
@@ -132,7 +160,7 @@ class BaseEnv:
             self._window.close()
 
     def _check_masks(self) -> None:
-        if not self._config.action_masks:
+        if not self._config.action_masks and self.shield_clauses is None:
             raise gymnasium.error.Error("the environment has no action masks: make it with `action_masks=True`")
 
     def _check_begun(self) -> None:
@@ -151,6 +179,25 @@ class BaseEnv:
         masks = np.zeros((self._batch[0], len(self._actions)), np.int8)
         self._core.action_masks(masks, ended)
         return masks
+
+    def _permitted(self) -> NDArray[np.bool_]:
+        """Return the actions that the shield permits in all environments; without one, those that violate no clause."""
+        self._check_masks()
+        clauses = self.shield_clauses
+        masks = self._masks() if clauses is None else self._shield_infos(len(clauses))["shield_mask"]
+        return masks.astype(np.bool_)
+
+    def _shield_infos(self, clauses: int, ended: bool = False) -> dict[str, NDArray[Any]]:
+        """Return the infos of the shields of all environments, or those of the episodes that just ended."""
+        count, actions = self._batch[0], len(self._actions)
+        infos: dict[str, NDArray[Any]] = {
+            "shield_mask": np.zeros((count, actions), np.int8),
+            "shield_probabilities": np.zeros((count, actions), np.float64),
+            "replaced_action": np.full(count, -1, np.int64),
+            "shield_violations": np.zeros((count, clauses), np.bool_),
+        }
+        self._core.shield_infos(tuple(infos.values()), ended)
+        return infos
 
     def __getstate__(self) -> dict[str, Any]:
         """Return the tasks, the episodes and the actions taken, which determine the state."""

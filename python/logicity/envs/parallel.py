@@ -61,7 +61,13 @@ class SPFParallelEnv(BaseEnv, ParallelEnv[str, Any, "np.int64 | int"]):
 
     def _make_cars(self) -> _logicity.MultiCarEnv:
         config = self._config
-        return _logicity.MultiCarEnv(self._task, config.split, self._kind, config.action_masks)
+        cars = _logicity.MultiCarEnv(self._task, config.split, self._kind, config.action_masks)
+        if self._shield is not None:
+            cars.set_shield(*self._shield)
+        return cars
+
+    def _shielded_core(self) -> _logicity.MultiCarEnv:
+        return self._cars
 
     def observation_space(self, agent: str) -> Space[Any]:
         """Return the observation space of a car. Every call returns the same object.
@@ -132,7 +138,8 @@ class SPFParallelEnv(BaseEnv, ParallelEnv[str, Any, "np.int64 | int"]):
 
         Raises:
             gymnasium.error.ResetNeeded: If no episode has started.
-            gymnasium.error.InvalidAction: If an action is missing, an action is not 0, 1, 2 or 3, or a car is unknown.
+            gymnasium.error.InvalidAction: If an action is missing, an action is not 0, 1, 2 or 3, a car is unknown, or a
+                shield in the mode `mask` forbids an action.
         """
         self._check_begun()
         live = self.agents
@@ -175,6 +182,18 @@ class SPFParallelEnv(BaseEnv, ParallelEnv[str, Any, "np.int64 | int"]):
         if agent not in self._index:
             raise ValueError(self._unknown(agent))
         return self._cars.explain(self._index[agent], fact)
+
+    def explain_shield(self, agent: str) -> str:
+        """Return which actions the shield permits a car now, and proofs, as `SPFEnv.explain_shield` does.
+
+        Raises:
+            ValueError: If the car is unknown.
+            gymnasium.error.ResetNeeded: If no episode has started.
+        """
+        self._check_begun()
+        if agent not in self._index:
+            raise ValueError(self._unknown(agent))
+        return self._cars.explain_shield(self._index[agent])
 
     def render(self) -> Any:
         """Return a picture of the city, a uint8 array of shape (height, width, 3), or text in the mode `ansi`.

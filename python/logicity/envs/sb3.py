@@ -122,8 +122,12 @@ class SPFVecEnv(VecEnv):
         return [method(at, *method_args, **method_kwargs) for at in self._get_indices(indices)]
 
     def action_masks(self) -> NDArray[np.bool_]:
-        """Return the actions that violate no clause, as `SPFVectorEnv.action_masks` does, for `MaskablePPO`."""
+        """Return the actions that the shield permits or that violate no clause, as `SPFVectorEnv.action_masks` does, for `MaskablePPO`."""
         return self.envs.action_masks()
+
+    def set_shield(self, *arguments: Any, **settings: Any) -> None:
+        """Set the shield of the environments, see `logicity.shield`."""
+        self.envs.set_shield(*arguments, **settings)
 
     @property
     def clauses(self) -> tuple[str, ...]:

@@ -61,6 +61,11 @@ class SPFEnv(BaseEnv, gymnasium.Env[Any, np.int64]):
     - `seed` (int64): the 64 bits of the seed of the episode. `episode["seed"]` is `int(seed) % 2**64`.
     - `action_mask` (int8 array, one value per action), with `action_masks=True`: 1 if the action violates no clause in
       the current state, else 0, as `action_space.sample(mask)` expects.
+    - With a shield (see `logicity.shield`): `shield_mask` (int8 array, one value per action), the actions that it permits
+      in the current state; `shield_probabilities` (float64 array), how probable it is that each is appropriate or safe,
+      0 or 1 in crisp shields; `replaced_action` (int), the action that it replaced in the last step, or -1;
+      `shield_violations` (bool array), the clauses of its rules that this action violated; `shield_reason` (string), a
+      proof of what it said, or nothing if it permitted the action.
     - `true_atoms` (tuple of strings), with `atoms=True`: the true atoms that the car observes, such as `IsTiro(Car_1)`.
 
     Args:
@@ -105,6 +110,7 @@ class SPFEnv(BaseEnv, gymnasium.Env[Any, np.int64]):
         self._atoms, self.observation_space, self.action_space = atoms, self._space(), Discrete(len(self._actions))
         self._core = self._make_core(self._task)
         self._overrides: dict[str, Any] = {}
+        self._mask: NDArray[np.int8] | None = None
         self._seeded = self._begun = False
 
     def reset(self, *, seed: int | None = None, options: dict[str, Any] | None = None) -> tuple[Any, dict[str, Any]]:
@@ -137,6 +143,7 @@ class SPFEnv(BaseEnv, gymnasium.Env[Any, np.int64]):
     def _result(self, observation: Observations, info: dict[str, Any]) -> tuple[Any, dict[str, Any]]:
         """Return what the caller of a reset or step gets, and show it in the window."""
         self._info(info)
+        self._mask = info.get("shield_mask")
         if self._atoms:
             info["true_atoms"] = self._core.atoms(0)
         if self._window is not None:
@@ -162,26 +169,40 @@ class SPFEnv(BaseEnv, gymnasium.Env[Any, np.int64]):
 
         Raises:
             gymnasium.error.ResetNeeded: If no episode has started, or the episode has ended.
-            gymnasium.error.InvalidAction: If the action is not 0, 1, 2 or 3.
+            gymnasium.error.InvalidAction: If the action is not 0, 1, 2 or 3, or a shield in the mode `mask` forbids it.
         """
         self._check_begun()
         array, number = np.empty(self._shape, np.float32), checked_action(action, self._actions)
+        reason = self.explain_shield() if self._mask is not None and not self._mask[number] else ""
         reward, terminated, truncated, info = self._core.step_one(number, array)
+        if self._mask is not None:
+            info["shield_reason"] = reason
         observation, info = self._result(array, info)
         return observation, reward, terminated, truncated, info
 
     def action_masks(self) -> NDArray[np.bool_]:
-        """Return for each action whether it violates no clause in the current state. The shape is (4,).
+        """Return for each action whether the shield permits it, or without one, whether it violates no clause. Shape (4,).
 
         If every action violates a clause, which the rules of the modes do not allow, all values are `False`.
 
         Raises:
-            gymnasium.error.Error: If the environment was made without `action_masks=True`.
+            gymnasium.error.Error: If the environment has no shield and was made without `action_masks=True`.
             gymnasium.error.ResetNeeded: If no episode has started.
         """
         self._check_masks()
         self._check_begun()
-        return cast("NDArray[np.bool_]", self._masks()[0].astype(np.bool_))
+        return cast("NDArray[np.bool_]", self._permitted()[0])
+
+    def explain_shield(self) -> str:
+        """Return which actions the shield permits now, and proofs from its rules and what the car observes.
+
+        The text is empty without a shield and after the end of the episode.
+
+        Raises:
+            gymnasium.error.ResetNeeded: If no episode has started.
+        """
+        self._check_begun()
+        return self._core.explain_shield(0)
 
     @property
     def episode(self) -> EpisodeStart:

@@ -167,8 +167,8 @@ class SPFVectorEnv(BaseEnv, VectorEnv[Any, NDArray[np.int64], NDArray[Any]]):
 
         Raises:
             gymnasium.error.ResetNeeded: If an episode has not started, or has ended.
-            gymnasium.error.InvalidAction: If the actions are not integers from 0 to 3, of shape (num_envs,). Then no
-                car moves.
+            gymnasium.error.InvalidAction: If the actions are not integers from 0 to 3, of shape (num_envs,), or a shield
+                in the mode `mask` forbids one. Then no car moves.
         """
         count = self.num_envs
         given = np.asarray(actions)
@@ -216,6 +216,8 @@ class SPFVectorEnv(BaseEnv, VectorEnv[Any, NDArray[np.int64], NDArray[Any]]):
             del infos["oracle_action"]
         if self._config.action_masks:
             infos["action_mask"] = self._masks(ended)
+        if (clauses := self.shield_clauses) is not None:
+            infos.update(self._shield_infos(len(clauses), ended))
         if self._atoms:
             infos["true_atoms"] = np.empty(self.num_envs, object)
             for at in np.flatnonzero(mask).tolist():
@@ -238,10 +240,13 @@ class SPFVectorEnv(BaseEnv, VectorEnv[Any, NDArray[np.int64], NDArray[Any]]):
         Rows of environments without an episode are `False`.
 
         Raises:
-            gymnasium.error.Error: If the environments were made without `action_masks=True`.
+            gymnasium.error.Error: If the environments have no shield and were made without `action_masks=True`.
         """
-        self._check_masks()
-        return self._masks().astype(np.bool_)
+        return self._permitted()
+
+    def explain_shield(self, at: int) -> str:
+        """Variant of `SPFEnv.explain_shield` for an environment. The exceptions include those of `episode`."""
+        return self._core.explain_shield(self._checked_index(at))
 
     def episode(self, at: int) -> EpisodeStart:
         """Return the start of the current episode of an environment.

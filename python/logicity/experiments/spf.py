@@ -60,6 +60,8 @@ class EvaluationSpec(StrictModel):
     """The number of new episodes to generate. By default the recorded episodes of the split are used."""
     seed: Seed = 1000
     """The seed of the new episodes."""
+    overrides: dict[str, Any] | None = None
+    """Changes to the configuration of the mode, such as sensors and a shield."""
 
 
 class SpfExperiment(Experiment):
@@ -169,10 +171,14 @@ class SafePathFollowing(Task):
         return config
 
     def evaluations(self, experiment: SpfExperiment) -> dict[str, dict[str, Any]]:
-        """Return the splits, the numbers of new episodes or `None` for the recorded ones, and their seeds."""
+        """Return the splits, the numbers of new episodes or `None` for the recorded ones, their seeds and overrides."""
         return {
             # The seed has no effect on recorded episodes.
-            name: each.model_dump() | ({"seed": TEST["seed"]} if each.fresh is None else {})
+            name: {
+                key: value
+                for key, value in (each.model_dump() | ({"seed": TEST["seed"]} if each.fresh is None else {})).items()
+                if key != "overrides" or value
+            }
             for name, each in experiment.evaluations.items()
         }
 
@@ -336,7 +342,8 @@ def _evaluated(
     done = {}
     for name, each in evaluations.items():
         mode = config.mode if each["fresh"] is None else _fresh(folder, config.mode, each)
-        benchmark = Benchmark(mode, each["split"], observation=config.observation)
+        overrides = each.get("overrides")
+        benchmark = Benchmark(mode, each["split"], observation=config.observation, overrides=overrides)
         if tested is not None and each == TEST:
             result = dict(tested)
         else:

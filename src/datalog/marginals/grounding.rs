@@ -71,10 +71,14 @@ pub(super) struct Needed {
 
 /// Returns the place of each row of the inputs in the order of variables.
 ///
-/// Rows follow each other by the last of their symbols: all rows about the first symbol, then those about the second
-/// one and those before, and so on, where `ego` is the first symbol. Formulas about one symbol at a time, joined for all
-/// of them, then have small diagrams.
+/// Without an ego, they stay in their order. Otherwise they follow each other by the last of their symbols: all rows
+/// about the ego alone, then those about the next symbol and those before, and so on. Formulas about one symbol at a
+/// time, joined for all of them, then have small diagrams.
 fn variable_order(inputs: &[(PredicateId, Vec<(u32, FactRow)>)], ego: Option<Value>) -> Vec<u32> {
+    let Some(ego) = ego else {
+        let rows: usize = inputs.iter().map(|(_, rows)| rows.len()).sum();
+        return (0..rows as u32).collect();
+    };
     let rows = inputs
         .iter()
         .enumerate()
@@ -83,11 +87,7 @@ fn variable_order(inputs: &[(PredicateId, Vec<(u32, FactRow)>)], ego: Option<Val
         .enumerate()
         .map(|(number, (input, row))| {
             let rank = |value: &Value| {
-                if Some(*value) == ego {
-                    0
-                } else {
-                    value.0.saturating_add(1)
-                }
+                if *value == ego { 0 } else { value.0.saturating_add(1) }
             };
             let mut ranks: SmallVec<[u32; 4]> = row.iter().map(rank).collect();
             ranks.sort_unstable_by(|one, other| other.cmp(one));

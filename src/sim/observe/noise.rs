@@ -1,6 +1,6 @@
 //! Random bits with a given probability, 64 at a time.
 
-use crate::rng::Rng;
+use crate::rng::Words;
 
 /// A probability as a binary fraction with 64 digits.
 #[derive(Clone, Copy, Debug, Default)]
@@ -31,7 +31,7 @@ impl Threshold {
 ///
 /// Random words give the digits of the numbers, one digit of all lanes at a time, until all lanes are decided: after
 /// eight words or so.
-pub(super) fn below<const N: usize>(thresholds: [Threshold; N], lanes: u64, random: &mut impl Rng) -> [u64; N] {
+pub(super) fn below<const N: usize>(thresholds: [Threshold; N], lanes: u64, random: &mut Words) -> [u64; N] {
     let mut below = thresholds.map(|threshold| if threshold.always { u64::MAX } else { 0 });
     let mut open = thresholds.map(|threshold| match threshold.always || threshold.digits == 0 {
         true => 0,
@@ -41,7 +41,7 @@ pub(super) fn below<const N: usize>(thresholds: [Threshold; N], lanes: u64, rand
         if open.iter().all(|open| *open == 0) {
             break;
         }
-        let word = random.next_u64();
+        let word = random.next_word();
         for ((below, open), threshold) in below.iter_mut().zip(&mut open).zip(thresholds) {
             if threshold.digits >> digit & 1 == 0 {
                 *open &= !word;
@@ -65,7 +65,7 @@ mod tests {
 
     #[test]
     fn bits_are_set_with_their_probability_and_share_their_number() {
-        let mut random = Seed(3).stream(Purpose::TEST, 0, 0);
+        let mut random = Seed(3).words(Purpose::TEST, 0, 0);
         let (draws, lanes) = (2000, u64::MAX >> 3);
         let probabilities = [0.05, 0.9, 0.5, 0.333, 0.0, 1.0];
         let mut counts = [0u32; 6];
@@ -90,9 +90,9 @@ mod tests {
 
     #[test]
     fn certain_thresholds_take_no_random_word() {
-        let mut one = Seed(3).stream(Purpose::TEST, 0, 0);
-        let mut two = Seed(3).stream(Purpose::TEST, 0, 0);
+        let mut one = Seed(3).words(Purpose::TEST, 0, 0);
+        let mut two = Seed(3).words(Purpose::TEST, 0, 0);
         assert_eq!(below([0.0, 1.0].map(Threshold::new), u64::MAX, &mut one), [0, u64::MAX]);
-        assert_eq!(one.next_u64(), two.next_u64());
+        assert_eq!(one.next_word(), two.next_word());
     }
 }

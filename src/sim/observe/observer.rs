@@ -405,11 +405,13 @@ impl Observer {
     pub(super) fn copy_facts(&self, to: &mut Atoms) {
         match &self.sensing {
             Some(sensing) => sensing.copy_facts(to),
-            None => {
-                to.words.copy_from_slice(&self.atoms.words);
-                to.values.clone_from(&self.atoms.values);
-            }
+            None => to.copy_from(&self.atoms),
         }
+    }
+
+    /// Returns whether the rules of an oracle judge what the ego observes as this observer does.
+    pub(super) fn judges_like(&self, oracle: &Arc<Oracle>) -> bool {
+        self.sensing.is_none() && Arc::ptr_eq(&self.oracle, oracle)
     }
 
     /// Returns the observed entities.
@@ -642,15 +644,39 @@ impl Observer {
     /// # Errors
     /// `limit-exceeded` if the rules derive too many rows.
     pub fn session(&self, city: &Simulation) -> Result<(Session, Value), Diagnostic> {
-        let world = &self.oracle.world;
+        self.session_of(&self.oracle, observed(&self.atoms, &self.bodies, city), city)
+    }
+
+    fn session_of(
+        &self,
+        oracle: &Oracle,
+        observed: Observed<'_>,
+        city: &Simulation,
+    ) -> Result<(Session, Value), Diagnostic> {
+        let world = &oracle.world;
         let names: Vec<String> = city.agents().iter().map(|agent| agent.name().to_string()).collect();
         let names = names.iter().map(String::as_str);
         let mut state = GroundState::new(&world.program, &world.vocabulary, world.limits, names);
-        let facts = observed(&self.atoms, &self.bodies, city).facts(self.oracle.how.len());
+        let facts = observed.facts(oracle.how.len());
         let set = state.set_with(&facts, city.cancel());
         set.map_err(|error| error.diagnostic(world.program.rules()))?;
         let (session, values) = state.into_parts();
         Ok((session, values[self.ego]))
+    }
+
+    /// Variant of [`Observer::session`] with what the ego observes as facts, under the rules of an oracle that do not
+    /// look back.
+    ///
+    /// # Errors
+    /// `limit-exceeded` if the rules derive too many rows.
+    pub fn observed_session(&self, oracle: &Oracle, city: &Simulation) -> Result<(Session, Value), Diagnostic> {
+        let mut atoms = oracle.no_atoms();
+        self.copy_facts(&mut atoms);
+        let facts = Observed {
+            memory: None,
+            ..observed(&atoms, &self.bodies, city)
+        };
+        self.session_of(oracle, facts, city)
     }
 
     /// Returns the derived actions of the ego, without the default.

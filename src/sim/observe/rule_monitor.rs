@@ -489,6 +489,19 @@ impl AtomLayout {
 }
 
 impl Atoms {
+    /// Copies the facts of others with the same layout.
+    pub fn copy_from(&mut self, other: &Atoms) {
+        self.words.copy_from_slice(&other.words);
+        for (to, from) in self
+            .values
+            .iter_mut()
+            .zip(&other.values)
+            .filter(|(_, from)| !from.is_empty())
+        {
+            to.clone_from(from);
+        }
+    }
+
     /// Returns the entities for which a predicate holds.
     pub fn unary(&self, predicate: usize) -> u64 {
         self.words[predicate]

@@ -50,6 +50,8 @@ struct Group {
     correlation: Threshold,
     /// The position in [`Sensors::views`].
     view: usize,
+    /// Whether readings are those of this tick, with new noise and without dropout, also of facts about the ego.
+    is_simple: bool,
     sets: Vec<SensedSet>,
 }
 
@@ -109,6 +111,10 @@ impl Sensors {
                 };
                 let place = views.iter().position(|known| *known == view);
                 groups.push(Group {
+                    is_simple: sensor.delay == 0
+                        && sensor.dropout == 0.0
+                        && sensor.correlation == 0.0
+                        && !config.exact_ego,
                     rates: [sensor.true_positive_rate, sensor.false_positive_rate].map(Threshold::new),
                     dropout: Threshold::new(sensor.dropout),
                     correlation: Threshold::new(sensor.correlation),
@@ -289,8 +295,7 @@ impl Sensing {
 
     /// Copies the facts that are read as true or are more probable than not, and those that no sensor reads.
     pub fn copy_facts(&self, to: &mut Atoms) {
-        to.words.copy_from_slice(&self.readings.atoms.words);
-        to.values.clone_from(&self.readings.atoms.values);
+        to.copy_from(&self.readings.atoms);
         if self.sensors.config.output != SensorOutput::Facts {
             let sets = self.sensors.groups.iter().flat_map(|group| &group.sets);
             sets.for_each(|set| to.words[set.set] = 0);
@@ -383,8 +388,7 @@ impl Readings {
         }
         self.agents.clear();
         self.agents.extend_from_slice(now);
-        self.atoms.words.copy_from_slice(&truth.words);
-        self.atoms.values.clone_from(&truth.values);
+        self.atoms.copy_from(truth);
         let mut frame = match self.frames.len() > sensors.delay {
             true => self.frames.pop_front().expect("it is not empty"),
             false => Frame::default(),
@@ -396,7 +400,7 @@ impl Readings {
             frame.words.clone_from(&truth.words);
         }
         self.frames.push_back(frame);
-        let mut random = seed.stream(Purpose::SENSORS, u64::from(now[0]), tick);
+        let mut random = seed.words(Purpose::SENSORS, u64::from(now[0]), tick);
         let lanes_of = |sets: usize| u64::MAX >> (64 - sets * entities);
         for group in &sensors.groups {
             let delay = group.sensor.delay as usize;
@@ -409,6 +413,19 @@ impl Readings {
                 (Some(frame), None) => frame.visible[group.view],
                 (Some(frame), Some(origins)) => origins.carry(frame.visible[group.view]),
             };
+            if group.is_simple {
+                for sets in group.sets.chunks(64 / entities) {
+                    let [detected, alarmed] = below(group.rates, lanes_of(sets.len()), &mut random);
+                    for (at, &set) in sets.iter().enumerate() {
+                        let read = set.lanes(present & seen);
+                        let of = |drawn: u64| drawn >> (at * entities);
+                        let holds = truth.words[set.set];
+                        self.read[set.set] = read;
+                        self.atoms.words[set.set] = (holds & of(detected) | !holds & of(alarmed)) & read;
+                    }
+                }
+                continue;
+            }
             for sets in group.sets.chunks(64 / entities) {
                 let lanes = lanes_of(sets.len());
                 let [detected, alarmed] = below(group.rates, lanes, &mut random);

@@ -120,6 +120,55 @@ impl Shield {
         &self.oracle
     }
 
+    /// Returns the actions that the rules derive from what an observer's ego observes as facts, without the default, and
+    /// the one that they choose.
+    ///
+    /// # Errors
+    /// `limit-exceeded` if the rules derive too many rows.
+    pub fn decide(&self, observer: &Observer, city: &Simulation) -> Result<(Actions, Action), Diagnostic> {
+        let mut state = ShieldState::new(self);
+        let derived = state.derive(self, observer, city)?;
+        let vocabulary = &self.oracle.world().vocabulary;
+        let chosen = vocabulary.decide(Some(AgentKind::Car.into()), derived);
+        Ok((vocabulary.before_default(derived), chosen))
+    }
+
+    /// Returns the verdict without probabilities, given the derived actions and which actions are safe.
+    fn crisp(
+        &self,
+        derived: Actions,
+        mut is_safe: impl FnMut(Action) -> Result<bool, Diagnostic>,
+    ) -> Result<Verdict, Diagnostic> {
+        let vocabulary = &self.oracle.world().vocabulary;
+        let chosen = vocabulary.decide(Some(AgentKind::Car.into()), derived);
+        let mut permitted = Actions::default();
+        if self.config.query == ShieldQuery::Safe {
+            for &action in &self.possible {
+                if is_safe(action)? {
+                    permitted.insert(action);
+                }
+            }
+        }
+        // Rules may contradict themselves, so that no action is safe.
+        if permitted.is_empty() {
+            permitted.insert(chosen);
+        }
+        let mut possible = self.possible.iter().copied();
+        let preferred = match permitted.contains(chosen) {
+            true => chosen,
+            false => possible
+                .find(|action| permitted.contains(*action))
+                .expect("one is permitted"),
+        };
+        let mut probabilities = [0.0; Action::MAX];
+        permitted.iter().for_each(|action| probabilities[action.index()] = 1.0);
+        Ok(Verdict {
+            permitted,
+            preferred,
+            probabilities,
+        })
+    }
+
     /// Returns the circuits for observations of this many entities.
     fn circuits(&self, entities: usize, cancel: &Cancel) -> Result<Arc<[ShieldCircuit]>, Diagnostic> {
         let place = &self.circuits[entities - 1];
@@ -225,6 +274,17 @@ fn too_complex(inexact: &Inexact, rules: &Rules, entities: usize) -> Diagnostic 
     fault.help("observe fewer `entities`, or use the mode `override`")
 }
 
+fn observed<'a>(atoms: &'a Atoms, observer: &'a Observer, city: &'a Simulation) -> Observed<'a> {
+    Observed {
+        atoms,
+        entities: observer.entities_of(city),
+        given: None,
+        memory: None,
+        drawing: Drawing::default(),
+        cancel: city.cancel(),
+    }
+}
+
 /// The work of a shield for one ego.
 pub struct ShieldState {
     violations: Violations,
@@ -250,60 +310,41 @@ impl ShieldState {
     ///
     /// # Errors
     /// `limit-exceeded` if the rules derive too many rows, or the probabilities are too complex.
-    pub fn judge(&mut self, shield: &Shield, observer: &Observer, city: &Simulation) -> Result<Verdict, Diagnostic> {
-        match shield.config.mode {
-            ShieldMode::Probabilistic => self.weigh(shield, observer, city.cancel()),
-            ShieldMode::Mask | ShieldMode::Override => self.check(shield, observer, city),
+    pub fn judge(
+        &mut self,
+        shield: &Shield,
+        observer: &mut Observer,
+        city: &Simulation,
+    ) -> Result<Verdict, Diagnostic> {
+        if shield.config.mode == ShieldMode::Probabilistic {
+            return self.weigh(shield, observer, city.cancel());
         }
+        // The observer has just evaluated the same rules on the same facts.
+        if observer.judges_like(&shield.oracle) {
+            let derived = observer.derived(city)?;
+            return shield.crisp(derived, |action| Ok(observer.violations(city, action)?.is_empty()));
+        }
+        let derived = self.derive(shield, observer, city)?;
+        let ShieldState {
+            violations,
+            atoms,
+            broken,
+            ..
+        } = self;
+        let observed = observed(atoms, observer, city);
+        shield.crisp(derived, |action| {
+            violations.violations(shield.oracle.monitor(), observed, action, broken)?;
+            Ok(broken.is_empty())
+        })
     }
 
-    /// Judges by what the ego observes as facts.
-    fn check(&mut self, shield: &Shield, observer: &Observer, city: &Simulation) -> Result<Verdict, Diagnostic> {
-        let oracle = &shield.oracle;
-        let vocabulary = &oracle.world().vocabulary;
+    /// Returns the actions that the rules derive from what the ego observes as facts.
+    fn derive(&mut self, shield: &Shield, observer: &Observer, city: &Simulation) -> Result<Actions, Diagnostic> {
         observer.copy_facts(&mut self.atoms);
         self.violations.forget();
-        let observed = Observed {
-            atoms: &self.atoms,
-            entities: observer.entities_of(city),
-            given: None,
-            memory: None,
-            drawing: Drawing::default(),
-            cancel: city.cancel(),
-        };
-        let derived = self.violations.derived(oracle.monitor(), vocabulary, observed)?;
-        let chosen = vocabulary.decide(Some(AgentKind::Car.into()), derived);
-        let mut permitted = Actions::default();
-        match shield.config.query {
-            ShieldQuery::Appropriate => permitted.insert(chosen),
-            ShieldQuery::Safe => {
-                for &action in &shield.possible {
-                    self.violations
-                        .violations(oracle.monitor(), observed, action, &mut self.broken)?;
-                    if self.broken.is_empty() {
-                        permitted.insert(action);
-                    }
-                }
-                // Rules may contradict themselves.
-                if permitted.is_empty() {
-                    permitted.insert(chosen);
-                }
-            }
-        }
-        let mut possible = shield.possible.iter().copied();
-        let preferred = match permitted.contains(chosen) {
-            true => chosen,
-            false => possible
-                .find(|action| permitted.contains(*action))
-                .expect("one is permitted"),
-        };
-        let mut probabilities = [0.0; Action::MAX];
-        permitted.iter().for_each(|action| probabilities[action.index()] = 1.0);
-        Ok(Verdict {
-            permitted,
-            preferred,
-            probabilities,
-        })
+        let vocabulary = &shield.oracle.world().vocabulary;
+        let observed = observed(&self.atoms, observer, city);
+        self.violations.derived(shield.oracle.monitor(), vocabulary, observed)
     }
 
     /// Judges by the probabilities of the observed facts.
@@ -351,14 +392,7 @@ impl ShieldState {
     ) -> Result<&[usize], Diagnostic> {
         observer.copy_facts(&mut self.atoms);
         self.violations.forget();
-        let observed = Observed {
-            atoms: &self.atoms,
-            entities: observer.entities_of(city),
-            given: None,
-            memory: None,
-            drawing: Drawing::default(),
-            cancel: city.cancel(),
-        };
+        let observed = observed(&self.atoms, observer, city);
         self.violations
             .violations(shield.oracle.monitor(), observed, action, &mut self.broken)?;
         Ok(&self.broken)

@@ -345,7 +345,7 @@ impl Env {
             if let Some(shielded) = &mut car.shielded
                 && shielded.verdict.is_none()
             {
-                shielded.verdict = Some(shielded.state.judge(shield, &car.observer, &self.city)?);
+                shielded.verdict = Some(shielded.state.judge(shield, &mut car.observer, &self.city)?);
             }
         }
         Ok(())

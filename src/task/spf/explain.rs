@@ -1,9 +1,11 @@
 //! Text descriptions of a controlled car and explanations of its rules.
 
-use crate::city::Agent;
+use crate::city::{Action, Agent};
+use crate::config::ShieldMode;
 use crate::datalog::explain::Explainer;
+use crate::datalog::{Session, Value};
 use crate::diag::{Diagnostic, Sources};
-use crate::sim::{AskedFact, Decision};
+use crate::sim::{Actions, AskedFact, Decision, World};
 use crate::task::spf::Env;
 
 /// Describes the current state of a controlled car in a few lines: progress, observed agents, true atoms, and the
@@ -74,17 +76,66 @@ pub fn explain(
             .map_err(|error| (vec![error.into()], sources.clone()))?;
         return Ok(account.text(&session, &sources));
     }
+    let world = env.task().world();
+    let decided = (ego.derived(), env.oracle_action(controlled_car));
+    decision_text(env, agent, (world, &session, value), decided, sources)
+}
+
+/// Explains what the shield says of the actions of a controlled car now: which ones it permits, and why its rules
+/// choose one. `sources` are those of its rules. Returns an empty text without a shield and after the episode has ended.
+///
+/// # Errors
+/// As [`explain`].
+pub fn explain_shield(
+    env: &mut Env,
+    controlled_car: usize,
+    sources: &Sources,
+) -> Result<String, (Vec<Diagnostic>, Sources)> {
+    let failed = |fault: Diagnostic| (vec![fault], sources.clone());
+    env.ask_shield().map_err(failed)?;
+    let ego = &env.controlled_cars()[controlled_car];
+    let Some((shield, verdict)) = env.shield().zip(ego.verdict()) else {
+        return Ok(String::new());
+    };
+    let (config, world) = (shield.config(), shield.oracle().world());
+    let table = world.vocabulary.actions();
+    let permitted = verdict.permitted.iter().map(|action| match config.mode {
+        ShieldMode::Probabilistic => {
+            format!("{} ({:.3})", table.name(action), verdict.probabilities[action.index()])
+        }
+        ShieldMode::Mask | ShieldMode::Override => table.name(action).to_owned(),
+    });
+    let permitted = permitted.collect::<Vec<_>>().join(", ");
+    let (observer, agent) = (ego.observer(), &env.city().agents()[ego.agent()]);
+    let decided = shield.decide(observer, env.city()).map_err(failed)?;
+    let (session, value) = observer.observed_session(shield.oracle(), env.city()).map_err(failed)?;
+    let text = decision_text(env, agent, (world, &session, value), decided, sources)?;
+    Ok(format!(
+        "the shield permits as {}: {permitted}\n{text}",
+        config.query.name()
+    ))
+}
+
+/// Returns the explanation of what rules decide for an agent. `derived` are the actions before the default, with the
+/// chosen one.
+fn decision_text(
+    env: &Env,
+    agent: &Agent,
+    (world, session, value): (&World, &Session, Value),
+    (derived, action): (Actions, Action),
+    sources: &Sources,
+) -> Result<String, (Vec<Diagnostic>, Sources)> {
     let decision = Decision {
-        world: env.task().world(),
-        session: &session,
+        world,
+        session,
         tick: env.steps().into(),
         agent: agent.name().to_string(),
         kind: agent.kind_id,
         value,
         at: agent.cell,
         heading: agent.heading,
-        derived: ego.derived(),
-        action: env.oracle_action(controlled_car),
+        derived,
+        action,
     };
     let account = decision.account(None, env.city().cancel());
     let account = account.map_err(|error| (vec![error.into()], sources.clone()))?;

@@ -31,7 +31,7 @@ mod vector;
 pub use env::{ControlMode, ControlledCar, Env, Transition};
 pub use episode::{Episode, EpisodeAgent, EpisodeSet, MapIdentity, OracleRun};
 pub use evaluate::{Baseline, BatchEvaluator, RANDOM_RUNS};
-pub use explain::{describe, explain};
+pub use explain::{describe, explain, explain_shield};
 pub use metrics::{ActionRate, Rate, Score, Summary, summarize};
 pub use rollout::{DRAWS_MAX, Policy, Rollout, make_episodes, reset_demanding, rollout, steps_by_action};
 pub use trace::{Origin, RecordError, record};

@@ -8,7 +8,7 @@ use crate::cancel::Cancel;
 use crate::city::{Action, Split};
 use crate::diag::Diagnostic;
 use crate::rng::{Purpose, RngExt, Seed};
-use crate::sim::{Actions, Verdict, run_polled, start_threads, threads_of};
+use crate::sim::{Actions, Shield, Verdict, run_polled, start_threads, threads_of};
 use crate::task::spf::codes;
 use crate::task::spf::{ControlMode, Env, Episode, SpfTask, reset_demanding};
 use crate::threads::Pool;
@@ -479,6 +479,21 @@ impl VectorEnv {
         for sub_env in &mut self.sub_envs {
             sub_env.env.judge_actions();
         }
+    }
+
+    /// Replaces the shield of all environments, which takes the actions of [`VectorEnv::step`].
+    ///
+    /// # Errors
+    /// As [`Env::set_shield`] and [`Env::ask_shield`].
+    pub fn set_shield(&mut self, shield: Option<&Arc<Shield>>) -> Result<(), Diagnostic> {
+        for sub_env in &mut self.sub_envs {
+            sub_env.env.set_shield(shield.cloned())?;
+            if sub_env.stage != Stage::Idle {
+                sub_env.env.ask_shield()?;
+                sub_env.info.note(&sub_env.env, 0);
+            }
+        }
+        Ok(())
     }
 
     /// Replaces the source of an environment's episodes.

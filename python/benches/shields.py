@@ -1,0 +1,78 @@
+"""Measure the time of a shield's decision: `python python/benches/shields.py [MODE]`.
+
+It is the difference in CPU time per step between 64 environments with noisy sensors and the same with a shield, under the
+actions of the oracle. A probabilistic shield also compiles its circuits once for each number of observed entities.
+"""
+
+from __future__ import annotations
+
+import sys
+import time
+from collections.abc import Mapping
+from typing import Any
+
+import gymnasium
+
+import logicity
+
+#: The number of environments.
+COUNT = 64
+
+#: The minimum duration of each measurement, in CPU seconds, and the number of repetitions, of which the fastest counts.
+SECONDS, REPETITIONS = 1.0, 3
+
+#: The rates of the sensors, which output beliefs.
+SENSORS = {"output": "belief", "true_positive_rate": 0.95, "false_positive_rate": 0.05}
+
+
+class Steps:
+    """Environments that take steps."""
+
+    def __init__(self, mode: str, shield: Mapping[str, Any] | None) -> None:
+        """Make the environments, and take some steps."""
+        begin = time.process_time()
+        self.envs = gymnasium.make_vec(
+            f"logicity/SPF-{mode}-v0", num_envs=COUNT, overrides={"task": {"sensors": SENSORS}}
+        )
+        if shield is not None:
+            logicity.shield(self.envs, **shield)
+        self._infos = self.envs.reset(seed=0)[1]
+        for _ in range(20):
+            self._step()
+        #: The CPU time until here, in seconds.
+        self.start = time.process_time() - begin
+
+    def _step(self) -> None:
+        self._infos = self.envs.step(self._infos["oracle_action"])[4]
+
+    def seconds(self) -> float:
+        """Return the CPU seconds of a step of one environment."""
+        best = float("inf")
+        for _ in range(REPETITIONS):
+            begin, calls = time.process_time(), 0
+            while (spent := time.process_time() - begin) < SECONDS:
+                self._step()
+                calls += 1
+            best = min(best, spent / (calls * COUNT))
+        return best
+
+
+def main() -> None:
+    """Print the table."""
+    modes = sys.argv[1:] or ["Easy", "Medium", "Hard", "Expert"]
+    if unknown := [mode for mode in modes if mode not in logicity.MODES]:
+        sys.exit(f"unknown mode `{unknown[0]}`; known: {', '.join(logicity.MODES)}")
+    print("| mode | shield | query | microseconds per decision | more seconds at the start |\n|---|---|---|---|---|")
+    for mode in modes:
+        free = Steps(mode, None)
+        base = free.seconds()
+        for how in ("override", "probabilistic"):
+            for query in ("appropriate", "safe"):
+                shielded = Steps(mode, {"mode": how, "query": query})
+                price = 1e6 * (shielded.seconds() - base)
+                start = shielded.start - free.start
+                print(f"| {mode} | {how} | {query} | {price:.2f} | {start:.2f} |", flush=True)
+
+
+if __name__ == "__main__":
+    main()
