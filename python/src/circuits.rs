@@ -14,6 +14,7 @@ use numpy::{PyReadonlyArray4, PyReadonlyArray5};
 use pyo3::exceptions::PyValueError;
 use pyo3::prelude::*;
 use std::collections::HashMap;
+use std::ops::Range;
 use std::sync::Arc;
 
 pub fn register(module: &Bound<'_, PyModule>) -> PyResult<()> {
@@ -36,8 +37,15 @@ enum Place {
     Weight(usize),
 }
 
-/// A circuit for scenes that agree in which facts are certain.
+/// The circuits for scenes that agree in which facts are certain: one for each ego if the egos are all that is asked
+/// for, else one. Facts about the ego come first in the diagrams of its circuit, so that they are small.
 struct Compiled {
+    parts: Vec<Part>,
+    /// The number of outputs of a part in a tick.
+    block: usize,
+}
+
+struct Part {
     circuit: ProbabilityCircuit,
     places: Vec<Place>,
 }
@@ -57,6 +65,8 @@ struct Batch {
     known: Option<HashMap<Box<[u64]>, Arc<Compiled>>>,
     kept_nodes: usize,
     order: usize,
+    /// Whether the rules look back.
+    has_past: bool,
 }
 
 /// Why a batch has no circuits.
@@ -137,7 +147,34 @@ impl Batch {
         {
             return Ok(Arc::clone(circuit));
         }
-        self.compile(facts, &scenes.egos, &scenes.weights, cancel)?;
+        let apart = self.queries.is_empty() && !self.has_past;
+        let each = if apart { 1 } else { scenes.egos.len().max(1) };
+        let mut parts = Vec::new();
+        for egos in scenes.egos.chunks(each) {
+            parts.push(self.part(facts, egos, &scenes.weights, cancel)?);
+        }
+        if scenes.egos.is_empty() {
+            parts.push(self.part(facts, &[], &scenes.weights, cancel)?);
+        }
+        let made = Arc::new(Compiled {
+            block: self.outputs(each.min(scenes.egos.len()), facts.0.shape()[1]),
+            parts,
+        });
+        if let (Some(known), Some(pattern)) = (&mut self.known, pattern) {
+            let nodes: usize = made.parts.iter().map(|part| part.circuit.node_count()).sum();
+            self.kept_nodes += nodes + pattern.len();
+            if self.kept_nodes > KEPT_NODES {
+                known.clear();
+                self.kept_nodes = nodes + pattern.len();
+            }
+            known.insert(pattern, Arc::clone(&made));
+        }
+        Ok(made)
+    }
+
+    /// Returns the circuit of some egos of a scene.
+    fn part(&mut self, facts: Scene<'_>, egos: &[usize], weights: &[f64], cancel: &Cancel) -> Result<Part, Stop> {
+        self.compile(facts, egos, weights, cancel)?;
         let circuit = self.compiler.circuit();
         let place = |variable: &RandomVariable| match variable {
             RandomVariable::Draw(bits) => Place::Draw(f64::from_bits(*bits)),
@@ -148,19 +185,10 @@ impl Batch {
                 _ => unreachable!("inputs have one column or two"),
             },
         };
-        let made = Arc::new(Compiled {
+        Ok(Part {
             places: circuit.variables.iter().map(place).collect(),
             circuit,
-        });
-        if let (Some(known), Some(pattern)) = (&mut self.known, pattern) {
-            self.kept_nodes += made.circuit.node_count() + pattern.len();
-            if self.kept_nodes > KEPT_NODES {
-                known.clear();
-                self.kept_nodes = made.circuit.node_count() + pattern.len();
-            }
-            known.insert(pattern, Arc::clone(&made));
-        }
-        Ok(made)
+        })
     }
 
     /// Compiles all ticks of a scene.
@@ -211,6 +239,23 @@ impl Batch {
 }
 
 impl Compiled {
+    /// Calls `take` with the range of outputs of each part and tick, among those of all ticks, and where they are among
+    /// those of the part.
+    fn blocks(&self, ticks: usize, mut take: impl FnMut(usize, Range<usize>, Range<usize>)) {
+        for tick in 0..ticks {
+            for part in 0..self.parts.len() {
+                let start = (tick * self.parts.len() + part) * self.block;
+                take(
+                    part,
+                    start..start + self.block,
+                    tick * self.block..(tick + 1) * self.block,
+                );
+            }
+        }
+    }
+}
+
+impl Part {
     /// Returns the present probabilities of the variables.
     fn probabilities(&self, scenes: &Scenes<'_>, scene: usize) -> Vec<f64> {
         let of = |place: &Place| match *place {
@@ -252,7 +297,7 @@ pub struct PyCircuits {
 /// The circuits of the scenes of a batch, for their gradient.
 #[pyclass(name = "CircuitTrace", module = "logicity._logicity", frozen)]
 pub struct PyTrace {
-    scenes: Vec<(Arc<Compiled>, Vec<f64>)>,
+    scenes: Vec<(Arc<Compiled>, Vec<Vec<f64>>)>,
     unary: [usize; 4],
     binary: [usize; 5],
     weights: usize,
@@ -302,6 +347,7 @@ impl PyCircuits {
             known: proofs.is_none().then(HashMap::new),
             kept_nodes: 0,
             order: order.len(),
+            has_past: !rules.pasts.is_empty(),
         };
         drop(loaded);
         PyCircuits {
@@ -343,9 +389,12 @@ impl PyCircuits {
             let mut traced = Vec::with_capacity(count);
             for (scene, mut row) in outputs.outer_iter_mut().enumerate() {
                 let compiled = batch.compiled(&scenes, scene, cancel)?;
-                let probabilities = compiled.probabilities(&scenes, scene);
-                let found = compiled.circuit.outputs(&probabilities);
-                row.iter_mut().zip(found).for_each(|(to, value)| *to = value);
+                let parts = compiled.parts.iter();
+                let probabilities: Vec<Vec<f64>> = parts.map(|part| part.probabilities(&scenes, scene)).collect();
+                let found = compiled.parts.iter().zip(&probabilities);
+                let found: Vec<Vec<f64>> = found.map(|(part, given)| part.circuit.outputs(given)).collect();
+                let row = row.as_slice_mut().expect("it is contiguous");
+                compiled.blocks(ticks, |part, to, from| row[to].copy_from_slice(&found[part][from]));
                 traced.push((compiled, probabilities));
             }
             Ok((outputs, traced))
@@ -446,13 +495,20 @@ impl PyTrace {
             let mut weights = Array1::zeros(self.weights);
             for (scene, (compiled, probabilities)) in self.scenes.iter().enumerate() {
                 let wanted: Vec<f64> = outputs.index_axis(Axis(0), scene).iter().copied().collect();
-                let gradient = compiled.circuit.gradient(probabilities, &wanted);
+                let ticks = self.unary[1];
+                let mut of_parts = vec![vec![0.0; ticks * compiled.block]; compiled.parts.len()];
+                compiled.blocks(ticks, |part, from, to| {
+                    of_parts[part][to].copy_from_slice(&wanted[from])
+                });
                 let weights = weights.as_slice_mut().expect("it is contiguous");
-                compiled.add_gradient(
-                    &gradient,
-                    scene,
-                    (&mut unary.view_mut(), &mut binary.view_mut(), weights),
-                );
+                for ((part, given), wanted) in compiled.parts.iter().zip(probabilities).zip(&of_parts) {
+                    let gradient = part.circuit.gradient(given, wanted);
+                    part.add_gradient(
+                        &gradient,
+                        scene,
+                        (&mut unary.view_mut(), &mut binary.view_mut(), weights),
+                    );
+                }
             }
             (unary, binary, weights)
         });

@@ -109,32 +109,30 @@ impl Reading {
 
     /// Returns the reading with these bits: whether there is one, and whether it is positive.
     #[inline]
-    pub fn of(read: bool, positive: bool) -> Reading {
-        match (read, positive) {
-            (false, _) => Reading::Missing,
-            (true, false) => Reading::Negative,
-            (true, true) => Reading::Positive,
-        }
+    pub fn of(read: u64, positive: u64) -> Reading {
+        Reading::ALL[(read + (read & positive)) as usize]
     }
 }
 
-/// The probabilities of a reading, by whether the fact holds.
-#[inline]
+/// The probabilities of each reading, by whether the fact holds.
+pub(super) type Likelihoods = [[f32; 2]; 3];
+
+/// Returns the probabilities of readings of a sensor.
 #[allow(clippy::cast_possible_truncation)] // single precision
-fn likelihood(sensor: &Sensor, reading: Reading) -> [f32; 2] {
+pub(super) fn likelihoods(sensor: &Sensor) -> Likelihoods {
     let [no, yes] = [sensor.false_positive_rate as f32, sensor.true_positive_rate as f32];
-    match reading {
+    Reading::ALL.map(|reading| match reading {
         Reading::Missing => [1.0, 1.0],
         Reading::Negative => [1.0 - no, 1.0 - yes],
         Reading::Positive => [no, yes],
-    }
+    })
 }
 
 /// Returns the probability of a fact after a reading, given that before it (Bayes). A reading that is impossible leaves
 /// it as it was.
 #[inline]
-pub(super) fn update(sensor: &Sensor, holds: f32, reading: Reading) -> f32 {
-    let [no, yes] = likelihood(sensor, reading);
+pub(super) fn update(likelihoods: &Likelihoods, holds: f32, reading: Reading) -> f32 {
+    let [no, yes] = likelihoods[reading as usize];
     let (yes, no) = (holds * yes, (1.0 - holds) * no);
     if yes + no > 0.0 { yes / (yes + no) } else { holds }
 }
@@ -221,9 +219,10 @@ impl FactModel {
     pub fn new(sensor: &Sensor, chain: Chain) -> FactModel {
         let from = [0.0, 1.0].map(|holds| chain.later(holds, sensor.delay));
         let ahead = [from[0], from[1] - from[0]];
+        let likelihoods = likelihoods(sensor);
         let after = Reading::ALL.map(|reading| match reading {
             Reading::Missing => chain.base,
-            _ => ahead[0] + ahead[1] * update(sensor, chain.base, reading),
+            _ => ahead[0] + ahead[1] * update(&likelihoods, chain.base, reading),
         });
         FactModel { chain, after, ahead }
     }
@@ -310,7 +309,7 @@ mod tests {
                     simple = chain.next(simple);
                 }
                 condition(&sensor, &mut joint, *reading);
-                simple = update(&sensor, simple, *reading);
+                simple = update(&likelihoods(&sensor), simple, *reading);
                 let expected = enumerated(&sensor, chain, &readings[..=at]);
                 assert!(
                     (f64::from(marginal(&joint)) - expected).abs() < 1e-4,
@@ -326,7 +325,7 @@ mod tests {
     #[test]
     fn impossible_readings_change_nothing() {
         let sensor = Sensor::default();
-        assert_eq!(update(&sensor, 0.0, Reading::Positive), 0.0);
+        assert_eq!(update(&likelihoods(&sensor), 0.0, Reading::Positive), 0.0);
         let mut joint = fresh(&sensor, 0.0);
         condition(&sensor, &mut joint, Reading::Positive);
         assert_eq!(joint, fresh(&sensor, 0.0));

@@ -378,7 +378,10 @@ impl Observer {
         let words = [&self.atoms.words[..], &self.steady];
         let words = words.map(|words| words.iter().step_by(8).fold(0, |sum: u64, word| sum ^ word));
         let bodies = self.bodies.iter().step_by(2);
-        bodies.fold(words[0] ^ words[1], |sum: u64, body| sum ^ u64::from(body.agent))
+        let sensed = self.sensing.as_ref().map_or(0, |sensing| sensing.prefetch());
+        bodies.fold(words[0] ^ words[1] ^ sensed, |sum: u64, body| {
+            sum ^ u64::from(body.agent)
+        })
     }
 
     /// Observes the present state of the city, on which the next tick will be decided.

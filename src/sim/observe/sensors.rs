@@ -8,9 +8,9 @@ use crate::city::{Agent, Cell, CityMap};
 use crate::config::{Sensor, SensorOutput, SensorsConfig};
 use crate::datalog::dense::{first, members};
 use crate::predicate::Definition;
-use crate::rng::{Purpose, Seed};
+use crate::rng::{Purpose, Seed, Words};
 use crate::sim::observe::belief::{Counts, FactModel, Joint, Reading, Role, SensorModel};
-use crate::sim::observe::belief::{condition, fresh, marginal, predict, update};
+use crate::sim::observe::belief::{Likelihoods, condition, fresh, likelihoods, marginal, predict, update};
 use crate::sim::observe::noise::{Threshold, below};
 use crate::sim::observe::rule_monitor::{AtomLayout, Atoms, OBSERVED_MAX};
 use crate::sim::tick::agent_state::AgentState;
@@ -46,6 +46,7 @@ pub struct Sensors {
 struct Group {
     sensor: Sensor,
     rates: [Threshold; 2],
+    likelihoods: Likelihoods,
     dropout: Threshold,
     correlation: Threshold,
     /// The position in [`Sensors::views`].
@@ -53,6 +54,24 @@ struct Group {
     /// Whether readings are those of this tick, with new noise and without dropout, also of facts about the ego.
     is_simple: bool,
     sets: Vec<SensedSet>,
+}
+
+impl Group {
+    /// Draws for each lane: whether a fact is read as holding if it holds, and if it does not; whether it is dropped; and
+    /// whether both keep what they were, independently of each other.
+    fn draw(&self, lanes: u64, random: &mut Words) -> [u64; 5] {
+        let [detected, alarmed] = below(self.rates, lanes, random);
+        if self.is_simple {
+            return [detected, alarmed, 0, 0, 0];
+        }
+        let [dropped] = below([self.dropout], lanes, random);
+        let [kept] = below([self.correlation], lanes, random);
+        let [kept_dropped] = match self.dropout.is_never() {
+            true => [0],
+            false => below([self.correlation], lanes, random),
+        };
+        [detected, alarmed, dropped, kept, kept_dropped]
+    }
 }
 
 /// A set of entities of which sensors read the members.
@@ -116,6 +135,7 @@ impl Sensors {
                         && sensor.correlation == 0.0
                         && !config.exact_ego,
                     rates: [sensor.true_positive_rate, sensor.false_positive_rate].map(Threshold::new),
+                    likelihoods: likelihoods(&sensor),
                     dropout: Threshold::new(sensor.dropout),
                     correlation: Threshold::new(sensor.correlation),
                     view: place.unwrap_or_else(|| {
@@ -273,15 +293,15 @@ struct Readings {
 impl Sensing {
     /// Returns sensors without readings; `no_atoms` are the facts of an observation without facts.
     pub fn new(sensors: Arc<Sensors>, model: Option<Arc<SensorModel>>, no_atoms: Atoms) -> Sensing {
-        let sets = sensors.layout.len();
+        let (sets, simple) = (sensors.layout.len(), sensors.groups.iter().all(|group| group.is_simple));
         let believes = sensors.config.output == SensorOutput::Belief;
         let numbers = if believes { sensors.numbers } else { 0 };
         let readings = Readings {
             agents: Vec::with_capacity(sensors.layout.entities),
             atoms: no_atoms,
             read: vec![0; sets],
-            noise: vec![[0; 2]; sets],
-            dropped: vec![0; sets],
+            noise: vec![[0; 2]; if simple { 0 } else { sets }],
+            dropped: vec![0; if simple { 0 } else { sets }],
             frames: VecDeque::with_capacity(sensors.delay + 1),
             belief: vec![0.0; numbers],
             joint: vec![[[0.0; 3]; 2]; if sensors.correlated { numbers } else { 0 }],
@@ -303,6 +323,14 @@ impl Sensing {
                 to.words[set.set] |= u64::from(probability > 0.5) << entity;
             });
         }
+    }
+
+    /// Loads what a reading uses into the cache. Returns a meaningless sum of what it reads.
+    pub fn prefetch(&self) -> u64 {
+        let words = [&self.readings.atoms.words[..], &self.readings.read];
+        let words = words.map(|words| words.iter().step_by(8).fold(0, |sum: u64, word| sum ^ word));
+        let belief = self.readings.belief.iter().step_by(16);
+        belief.fold(words[0] ^ words[1], |sum, number| sum ^ u64::from(number.to_bits()))
     }
 
     /// Begins an episode.
@@ -363,7 +391,7 @@ impl Readings {
     /// Returns the reading of a fact about an entity.
     #[inline]
     fn reading(&self, set: SensedSet, entity: usize) -> Reading {
-        let bit = |words: &[u64]| words[set.set] >> entity & 1 != 0;
+        let bit = |words: &[u64]| words[set.set] >> entity & 1;
         Reading::of(bit(&self.read), bit(&self.atoms.words))
     }
 
@@ -376,7 +404,6 @@ impl Readings {
         (map, agents): (&CityMap, &[Agent]),
         (seed, tick): (Seed, u64),
     ) -> Origins {
-        let entities = sensors.layout.entities;
         let mut now = [0; OBSERVED_MAX];
         for (place, body) in now.iter_mut().zip(bodies) {
             *place = body.agent;
@@ -401,7 +428,9 @@ impl Readings {
         }
         self.frames.push_back(frame);
         let mut random = seed.words(Purpose::SENSORS, u64::from(now[0]), tick);
-        let lanes_of = |sets: usize| u64::MAX >> (64 - sets * entities);
+        // Only facts about present entities have noise.
+        let each = 64 / bodies.len();
+        let lanes = u64::MAX >> (64 - each * bodies.len());
         for group in &sensors.groups {
             let delay = group.sensor.delay as usize;
             let frame = self.frames.len().checked_sub(delay + 1).map(|at| &self.frames[at]);
@@ -413,56 +442,46 @@ impl Readings {
                 (Some(frame), None) => frame.visible[group.view],
                 (Some(frame), Some(origins)) => origins.carry(frame.visible[group.view]),
             };
-            if group.is_simple {
-                for sets in group.sets.chunks(64 / entities) {
-                    let [detected, alarmed] = below(group.rates, lanes_of(sets.len()), &mut random);
-                    for (at, &set) in sets.iter().enumerate() {
-                        let read = set.lanes(present & seen);
-                        let of = |drawn: u64| drawn >> (at * entities);
-                        let holds = truth.words[set.set];
-                        self.read[set.set] = read;
-                        self.atoms.words[set.set] = (holds & of(detected) | !holds & of(alarmed)) & read;
-                    }
+            let (mut drawn, mut left) = ([0; 5], 0);
+            for &set in &group.sets {
+                if set.row.is_some_and(|row| row >= bodies.len()) {
+                    self.read[set.set] = 0;
+                    continue;
                 }
-                continue;
-            }
-            for sets in group.sets.chunks(64 / entities) {
-                let lanes = lanes_of(sets.len());
-                let [detected, alarmed] = below(group.rates, lanes, &mut random);
-                let [dropped] = below([group.dropout], lanes, &mut random);
-                // Noise and dropouts persist independently of each other.
-                let [kept] = below([group.correlation], lanes, &mut random);
-                let [kept_dropped] = match group.dropout.is_never() {
-                    true => [0],
-                    false => below([group.correlation], lanes, &mut random),
-                };
-                for (at, &set) in sets.iter().enumerate() {
-                    let of = |drawn: u64| drawn >> (at * entities) & lanes_of(1);
-                    let known = match set.row {
-                        Some(row) if origins.known >> row & 1 == 0 => 0,
-                        _ => origins.known,
-                    };
-                    let mix = |kept: u64, old: u64, new: u64| {
-                        let kept = of(kept) & known;
-                        old & kept | of(new) & !kept
-                    };
-                    let noise = &mut self.noise[set.set];
-                    *noise = [mix(kept, noise[0], detected), mix(kept, noise[1], alarmed)];
-                    let out = &mut self.dropped[set.set];
-                    *out = mix(kept_dropped, *out, dropped);
-                    let held = match (frame, &earlier) {
-                        (Some(frame), Some(origins)) => origins.carried(&frame.words, set),
-                        _ => truth.words[set.set],
-                    };
-                    let mut read = set.lanes(present & seen) & !*out;
-                    let mut holds = (held & noise[0] | !held & noise[1]) & read;
-                    if sensors.is_exact(set, 0) {
-                        read |= 1;
-                        holds = holds & !1 | truth.words[set.set] & 1;
-                    }
+                if left == 0 {
+                    (drawn, left) = (group.draw(lanes, &mut random), each);
+                }
+                let [detected, alarmed, dropped, kept, kept_dropped] = drawn;
+                drawn = drawn.map(|bits| bits.checked_shr(bodies.len() as u32).unwrap_or(0));
+                left -= 1;
+                let read = set.lanes(present & seen);
+                if group.is_simple {
+                    let held = truth.words[set.set];
                     self.read[set.set] = read;
-                    self.atoms.words[set.set] = holds;
+                    self.atoms.words[set.set] = (held & detected | !held & alarmed) & read;
+                    continue;
                 }
+                let known = match set.row {
+                    Some(row) if origins.known >> row & 1 == 0 => 0,
+                    _ => origins.known,
+                };
+                let mix = |kept: u64, old: u64, new: u64| old & kept & known | new & !(kept & known);
+                let noise = &mut self.noise[set.set];
+                *noise = [mix(kept, noise[0], detected), mix(kept, noise[1], alarmed)];
+                let out = &mut self.dropped[set.set];
+                *out = mix(kept_dropped, *out, dropped);
+                let held = match (frame, &earlier) {
+                    (Some(frame), Some(origins)) => origins.carried(&frame.words, set),
+                    _ => truth.words[set.set],
+                };
+                let mut read = read & !*out;
+                let mut holds = (held & noise[0] | !held & noise[1]) & read;
+                if sensors.is_exact(set, 0) {
+                    read |= 1;
+                    holds = holds & !1 | truth.words[set.set] & 1;
+                }
+                self.read[set.set] = read;
+                self.atoms.words[set.set] = holds;
             }
         }
         origins
@@ -519,7 +538,7 @@ impl Readings {
                             true => fact.chain.next(self.belief[place]),
                             false => fact.chain.begins,
                         };
-                        self.belief[place] = update(sensor, before, reading);
+                        self.belief[place] = update(&group.likelihoods, before, reading);
                     } else {
                         let mut joint = match known {
                             true => predict(sensor, fact.chain, &self.joint[place]),

@@ -10,6 +10,7 @@ use crate::sim::{Actions, Observer, SensorModel, Sensors, Settings, Shield, Shie
 use crate::task::spf::reward::{ShapedStep, shaping};
 use crate::task::spf::{Episode, SpfTask};
 use crate::yaml::codes;
+use smallvec::SmallVec;
 use std::sync::Arc;
 
 impl Purpose {
@@ -365,7 +366,7 @@ impl Env {
             return self.step(proposed);
         };
         self.ask_shield()?;
-        let mut executed = proposed.to_vec();
+        let mut executed: SmallVec<[Action; 4]> = proposed.into();
         for (car, action) in self.controlled_cars.iter_mut().zip(&mut executed) {
             let Some(shielded) = &mut car.shielded else { continue };
             shielded.replaced = None;
