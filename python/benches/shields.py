@@ -1,7 +1,7 @@
 """Measure the time of a shield's decision: `python python/benches/shields.py [MODE]`.
 
-It is the difference in CPU time per step between 64 environments with noisy sensors and the same with a shield, under the
-actions of the oracle. A probabilistic shield also compiles its circuits once for each number of observed entities.
+It is the difference in CPU time per step between 64 environments with noisy sensors and the same with a shield, under
+the actions of the oracle. A probabilistic shield also compiles its circuits once for each number of observed entities.
 """
 
 from __future__ import annotations

@@ -37,15 +37,16 @@ enum Place {
     Weight(usize),
 }
 
-/// The circuits for scenes that agree in which facts are certain: one for each ego if the egos are all that is asked
-/// for, else one. Facts about the ego come first in the diagrams of its circuit, so that they are small.
+/// The circuits of scenes with the same certain facts: one for each ego, or a single one if there are queries or the rules
+/// read earlier ticks. A circuit for one ego orders variables by that ego, which keeps its diagram small.
 struct Compiled {
-    parts: Vec<Part>,
+    parts: Vec<EgoCircuit>,
     /// The number of outputs of a part in a tick.
     block: usize,
 }
 
-struct Part {
+/// A circuit with the facts of its variables.
+struct EgoCircuit {
     circuit: ProbabilityCircuit,
     places: Vec<Place>,
 }
@@ -148,16 +149,16 @@ impl Batch {
             return Ok(Arc::clone(circuit));
         }
         let apart = self.queries.is_empty() && !self.has_past;
-        let each = if apart { 1 } else { scenes.egos.len().max(1) };
-        let mut parts = Vec::new();
-        for egos in scenes.egos.chunks(each) {
-            parts.push(self.part(facts, egos, &scenes.weights, cancel)?);
-        }
-        if scenes.egos.is_empty() {
-            parts.push(self.part(facts, &[], &scenes.weights, cancel)?);
-        }
+        let chunks: Vec<&[usize]> = match apart && !scenes.egos.is_empty() {
+            true => scenes.egos.chunks(1).collect(),
+            false => vec![&scenes.egos],
+        };
+        let parts = chunks
+            .iter()
+            .map(|egos| self.part(facts, egos, &scenes.weights, cancel));
+        let parts = parts.collect::<Result<Vec<EgoCircuit>, Stop>>()?;
         let made = Arc::new(Compiled {
-            block: self.outputs(each.min(scenes.egos.len()), facts.0.shape()[1]),
+            block: self.outputs(chunks[0].len(), facts.0.shape()[1]),
             parts,
         });
         if let (Some(known), Some(pattern)) = (&mut self.known, pattern) {
@@ -172,8 +173,8 @@ impl Batch {
         Ok(made)
     }
 
-    /// Returns the circuit of some egos of a scene.
-    fn part(&mut self, facts: Scene<'_>, egos: &[usize], weights: &[f64], cancel: &Cancel) -> Result<Part, Stop> {
+    /// Compiles the circuit of these egos of a scene.
+    fn part(&mut self, facts: Scene<'_>, egos: &[usize], weights: &[f64], cancel: &Cancel) -> Result<EgoCircuit, Stop> {
         self.compile(facts, egos, weights, cancel)?;
         let circuit = self.compiler.circuit();
         let place = |variable: &RandomVariable| match variable {
@@ -185,7 +186,7 @@ impl Batch {
                 _ => unreachable!("inputs have one column or two"),
             },
         };
-        Ok(Part {
+        Ok(EgoCircuit {
             places: circuit.variables.iter().map(place).collect(),
             circuit,
         })
@@ -239,8 +240,7 @@ impl Batch {
 }
 
 impl Compiled {
-    /// Calls `take` with the range of outputs of each part and tick, among those of all ticks, and where they are among
-    /// those of the part.
+    /// Calls `take` with each part, the range of its outputs of a tick in the scene, and that range in the part.
     fn blocks(&self, ticks: usize, mut take: impl FnMut(usize, Range<usize>, Range<usize>)) {
         for tick in 0..ticks {
             for part in 0..self.parts.len() {
@@ -255,7 +255,7 @@ impl Compiled {
     }
 }
 
-impl Part {
+impl EgoCircuit {
     /// Returns the present probabilities of the variables.
     fn probabilities(&self, scenes: &Scenes<'_>, scene: usize) -> Vec<f64> {
         let of = |place: &Place| match *place {

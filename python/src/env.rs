@@ -568,9 +568,11 @@ impl PyVectorEnv {
         for (at, (sub_env, &action)) in sub_envs.iter().zip(actions).enumerate() {
             let of = || match sub_envs.len() {
                 1 => String::new(),
-                _ => format!(" (environment {at})"),
+                _ => format!(" of environment {at}"),
             };
-            let says = (sub_env.env().shield(), sub_env.info().verdict);
+            // The action after the end of an episode only begins the next one.
+            let running = sub_env.env().controlled_cars()[0].is_running();
+            let says = (sub_env.env().shield(), sub_env.info().verdict.filter(|_| running));
             check_permitted(py, says, (action, table.name(action)), of)?;
         }
         Ok(())

@@ -92,12 +92,18 @@ struct PyBatchEvaluator {
 #[pymethods]
 impl PyBatchEvaluator {
     #[new]
-    fn new(py: Python<'_>, baseline: &PyRandomBaseline, observation: &str) -> PyResult<Self> {
+    fn new(py: Python<'_>, baseline: &PyRandomBaseline, observation: &str, shielded: bool) -> PyResult<Self> {
         let (task, set) = (baseline.task.clone_ref(py), &baseline.set);
         let view = task.get().view(py, observation)?;
         let signals = Signals::new();
         let cancel = signals.cancel();
-        let evaluator = signals.detach(py, || BatchEvaluator::new_with(&task.get().task, set, &cancel))?;
+        let evaluator = signals.detach(py, || {
+            let mut evaluator = BatchEvaluator::new_with(&task.get().task, set, &cancel)?;
+            if !shielded {
+                evaluator.remove_shields()?;
+            }
+            Ok(evaluator)
+        })?;
         Ok(PyBatchEvaluator {
             evaluator: evaluator.map_err(|fault| task.get().error(py, fault))?,
             actions: Vec::with_capacity(set.episodes.len()),
@@ -225,6 +231,7 @@ fn layout_of(task: &SpfTask) -> Value {
         "entities": oracle.entities(), "columns": columns.collect::<Vec<Value>>(), "width": task.observation_width(),
         "route_length": task.config().route_length,
         "sensors": task.sensors().map(|sensors| sensors.config().output.name()),
+        "shield": task.shield().map(|shield| shield.config().mode.name()),
     })
 }
 

@@ -66,8 +66,11 @@ impl PyMultiCarEnv {
         let shield = shield_of(py, of, (&mode, &query, threshold))?;
         let env = &mut this.env;
         let set = this.signals.detach(py, || {
-            env.set_shield(Some(shield))?;
-            env.ask_shield()
+            let set = env.set_shield(Some(shield)).and_then(|()| env.ask_shield());
+            if set.is_err() {
+                env.set_shield(None)?;
+            }
+            set
         })?;
         set.map_err(|fault| of.error(py, fault))?;
         this.shield_rules = rules;
@@ -77,8 +80,7 @@ impl PyMultiCarEnv {
     /// Returns the names of the clauses that the shield's rules have; `None` without a shield.
     fn shield_clauses<'py>(slf: &Bound<'py, Self>, py: Python<'py>) -> PyResult<Option<Bound<'py, PyTuple>>> {
         let this = borrowed(slf)?;
-        let rules = this.shield_rules.as_ref().unwrap_or(&this.task).get();
-        this.env.shield().map(|_| rules.clauses(py)).transpose()
+        this.env.shield().map(|_| this.shield_task().clauses(py)).transpose()
     }
 
     /// Explains what the shield of a car says now.
@@ -133,7 +135,8 @@ impl PyMultiCarEnv {
         let count = env.controlled_cars().len();
         let replayed = this.signals.detach(py, || {
             env.reset_to(&start)?;
-            actions.chunks_exact(count).try_for_each(|actions| env.step(actions))
+            actions.chunks_exact(count).try_for_each(|actions| env.step(actions))?;
+            env.ask_shield()
         })?;
         replayed.map_err(|fault| task.error(py, fault))
     }
@@ -172,7 +175,7 @@ impl PyMultiCarEnv {
         }
         let table = table_of(&this.task.get().task);
         for (car, &action) in this.env.controlled_cars().iter().zip(&this.actions) {
-            let of = || format!(" (of {})", this.env.city().agents()[car.agent()].name());
+            let of = || format!(" of {}", this.env.city().agents()[car.agent()].name());
             let says = (this.env.shield(), car.verdict().filter(|_| car.is_running()));
             check_permitted(py, says, (action, table.name(action)), of)?;
         }
@@ -235,6 +238,11 @@ impl PyMultiCarEnv {
 }
 
 impl PyMultiCarEnv {
+    /// Returns the task with the rules of the shield.
+    fn shield_task(&self) -> &PyTask {
+        self.shield_rules.as_ref().unwrap_or(&self.task).get()
+    }
+
     fn check(&self, car: usize) -> PyResult<()> {
         match car < self.env.controlled_cars().len() {
             true => Ok(()),

@@ -102,8 +102,8 @@ pub fn check_permitted(
     if shield.config().mode != ShieldMode::Mask || verdict.permitted.contains(action.0) {
         return Ok(());
     }
-    let fault = shield.forbidden(action.1, verdict.permitted);
-    let message = format!("{}{}; {}", fault.message, of(), fault.help.join("; "));
+    let fault = shield.forbidden(&format!("{}{}", action.1, of()), verdict.permitted);
+    let message = format!("{}; {}", fault.message, fault.help.join("; "));
     Err(gymnasium_error(py, "InvalidAction", message))
 }
 
@@ -253,7 +253,7 @@ impl PyTask {
             });
             if let Some(model) = &model {
                 let chain = |chain: Chain| {
-                    json!({"base": chain.base, "begins": chain.begins, "stays": chain.stays, "appears": chain.appears})
+                    json!({"base": chain.base, "initial": chain.initial, "stays": chain.stays, "appears": chain.appears})
                 };
                 described["chains"] = json!(model.chains(predicate).map(chain));
             }

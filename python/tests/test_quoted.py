@@ -58,6 +58,21 @@ def recall(learner: str, predictor: str, concept: str) -> str:
     return mean(row["details"][concept] for row in RESULTS["vap-50"] if tuple(row[key] for key in keys) == names)
 
 
+def noisy(learner: str, noise: float, shield: str, mode: str = "easy") -> str:
+    """Return the TSR with noisy sensors, behind a shield."""
+    return of("noise", learner=learner, mode=mode, evaluation=f"noise {noise:g}, {shield}")
+
+
+def by_steps(learner: str, variant: str) -> str:
+    return of("vap-steps", "wAcc", mode="hard", learner=learner, variant=variant)
+
+
+def gain(learner: str, share: int) -> str:
+    """Return how much wAcc a start from easy mode gains."""
+    easy, scratch = (float(by_steps(learner, f"from {start} {share} %")) for start in ("easy", "scratch"))
+    return f"{easy - scratch:.2f}"
+
+
 DQN: dict[str, Any] = {"learner": "dqn", "seed": 0}
 #: Parts of sentences with figures, by page.
 QUOTES: dict[str, list[str]] = {
@@ -76,6 +91,20 @@ QUOTES: dict[str, list[str]] = {
         f"{of('observations', mode='hard', variant='state', **DQN)} in hard mode",
         f"the mean TSR of DQN on groundings is {of('spf', learner='dqn', mode='easy')} in easy and "
         f"{of('spf', learner='dqn', mode='hard')} in hard mode",
+        f"falls from {noisy('induce', 0, 'no shield')} to {noisy('induce', 0.02, 'no shield')} in easy and to "
+        f"{noisy('induce', 0.02, 'no shield', 'expert')} in expert mode",
+        f"at 0.05 the TSR of `ppo-fast` in easy mode is {noisy('ppo-fast', 0.05, 'override appropriate')} behind "
+        f"`override`, and {noisy('ppo-fast', 0.05, 'probabilistic appropriate')} with exact probabilities",
+        f"with a probability of 0.99, and the TSR is {noisy('ppo-fast', 0.05, 'probabilistic safe 0.99')}",
+        f"with a TSR of {noisy('ppo-fast', 0.2, 'probabilistic safe 0.99')}, and the threshold 0.9 is better "
+        f"({noisy('ppo-fast', 0.2, 'probabilistic safe 0.9')})",
+        f"has a wAcc of {by_steps('modular-gnn', 'from easy 1 %')} from easy mode and "
+        f"{by_steps('modular-gnn', 'from scratch 1 %')} from scratch, and `e2e-gnn` "
+        f"{by_steps('e2e-gnn', 'from easy 1 %')} and {by_steps('e2e-gnn', 'from scratch 1 %')}",
+        f"hurts both: {by_steps('modular-gnn', 'from easy 100 %')} against "
+        f"{by_steps('modular-gnn', 'from scratch 100 %')}, and {by_steps('e2e-gnn', 'from easy 100 %')} against "
+        f"{by_steps('e2e-gnn', 'from scratch 100 %')}",
+        f"`modular-nlm` gains {gain('modular-nlm', 1)} with 1 %, and {gain('modular-nlm', 100)} with all",
         f"reach a wAcc of {vap('vap', 'rules', 'random', 'threshold')} with random agents in training, and "
         f"{vap('vap', 'rules', 'fixed', 'threshold')} with fixed agents",
         f"without the bus (`bound`) have {vap('vap', 'bound', 'fixed')}",

@@ -80,6 +80,7 @@ def test_the_exact_state_has_no_sensors() -> None:
 
 def test_a_shield_overrides_and_says_why() -> None:
     env = logicity.shield(gymnasium.make("logicity/SPF-Expert-v0", split="test"))
+    base: Any = env.unwrapped
     _, info = env.reset(seed=1)
     replaced = 0
     terminated = truncated = False
@@ -94,10 +95,35 @@ def test_a_shield_overrides_and_says_why() -> None:
         if wanted != 3:
             replaced += 1
             name = logicity.ACTIONS[wanted]
-            assert info["shield_reason"].startswith(f"the shield permits as appropriate: {name}\n")
+            assert info["shield_reason"].startswith(f"{name} replaces Stop\nappropriate by the shield: {name}\n")
     assert replaced and info["success"]
-    assert env.unwrapped.shield_clauses == env.unwrapped.clauses
-    assert not info["shield_mask"].any()
+    assert base.shield_clauses == base.clauses
+    assert info["shield_mask"].sum() == 1
+
+
+def test_a_shield_may_come_during_an_episode(tmp_path: Path) -> None:
+    rules = tmp_path / "halt.dl"
+    rules.write_text('.include "vocabulary.dl"\nStop(X) :- Sees(X, X), IsCar(X).\n')
+    for arguments in ({"mode": "override"}, {"mode": "mask"}):
+        env = SPFEnv("easy", split="test")
+        env.reset(seed=1)
+        env.step(1)
+        logicity.shield(env, rules, **arguments)  # type: ignore[arg-type]
+        twin = copy.deepcopy(env)
+        assert twin.explain() == env.explain()
+        for each in (env, twin):
+            if arguments["mode"] == "mask":
+                with pytest.raises(InvalidAction):
+                    each.step(1)
+            else:
+                info = each.step(1)[4]
+                assert info["replaced_action"] == 1 and info["shield_reason"].startswith("Stop replaces Normal\n")
+    cars = SPFParallelEnv("easy")
+    cars.reset(seed=1)
+    cars.step(dict.fromkeys(cars.agents, 1))
+    logicity.shield(cars, rules, mode="mask")
+    with pytest.raises(InvalidAction, match="the shield does not permit Normal of Car_1 now; it permits Stop"):
+        copy.deepcopy(cars).step(dict.fromkeys(cars.agents, 1))
 
 
 def test_a_mask_forbids_actions_before_anything_moves() -> None:
@@ -111,7 +137,7 @@ def test_a_mask_forbids_actions_before_anything_moves() -> None:
     envs = logicity.shield(SPFVectorEnv(3, "easy"), mode="mask")
     envs.reset(seed=2)
     masks = envs.action_masks()
-    with pytest.raises(InvalidAction, match="environment 0"):
+    with pytest.raises(InvalidAction, match="of environment 0"):
         envs.step((masks.argmax(1) + 1) % 4)
     infos = envs.step(masks.argmax(1))[4]
     assert infos["steps"].tolist() == [1, 1, 1] and infos["shield_mask"].shape == (3, 4)
@@ -144,7 +170,10 @@ def test_a_shield_may_have_other_rules(tmp_path: Path) -> None:
     env.reset(seed=1)
     _, _, _, _, info = env.step(1)
     assert env.shield_clauses == ("H1",) and info["shield_violations"].tolist() == [True]
-    assert "H1" in info["shield_reason"] and info["replaced_action"] == 1
+    assert (
+        "not appropriate: Slow (violates H1), Normal (violates H1)" in info["shield_reason"]
+        and info["replaced_action"] == 1
+    )
     rules.write_text('.include "vocabulary.dl"\nStop(X) :- IsCar(X), previous IsAtInter(X).\n')
     with pytest.raises(InputError, match="shields have no earlier ticks"):
         logicity.shield(SPFEnv("easy"), rules)
@@ -162,7 +191,7 @@ def test_every_car_of_a_city_is_shielded() -> None:
             assert not info["violations"].any()
             replaced += info["replaced_action"] == 2
         if env.agents:
-            assert "the shield permits as safe" in env.explain_shield(env.agents[0])
+            assert env.explain_shield(env.agents[0]).startswith("safe by the shield: ")
     assert replaced
 
 
@@ -174,6 +203,9 @@ def test_a_configured_shield_holds_in_evaluations() -> None:
     overrides = {"task": {"shield": {"mode": "override"}}}
     shielded = logicity.evaluate(always, "easy", split="val", overrides=overrides)
     assert free.tsr.value < 1 and shielded.tsr.value == 1
+    # The oracle has no shield.
+    noisy = {"task": {"shield": {"mode": "override"}, "sensors": {"true_positive_rate": 0.5}}}
+    assert logicity.evaluate("oracle", "easy", split="val", overrides=noisy).tsr.value == 1
 
 
 @pytest.mark.parametrize(
@@ -183,10 +215,12 @@ def test_a_configured_shield_holds_in_evaluations() -> None:
         ({"query": "nice"}, "query must be one of"),
         ({"threshold": 0.5}, "needs `mode"),
         ({"mode": "probabilistic", "threshold": 2}, "from 0 to 1"),
+        ({"mode": None}, "mode: expected str"),
+        ({"mode": "probabilistic", "threshold": True}, "threshold: expected float"),
     ],
 )
 def test_faulty_shields_are_refused(arguments: dict[str, Any], message: str) -> None:
-    with pytest.raises(ValueError, match=message):
+    with pytest.raises((TypeError, ValueError), match=message):
         logicity.shield(SPFEnv("easy"), **arguments)
 
 
@@ -205,3 +239,15 @@ def test_learners_of_stable_baselines3_are_shielded() -> None:
     envs.reset()
     _, _, _, infos = envs.step(np.array([2, 2]))
     assert "shield_mask" in infos[0] and envs.env_method("action_masks")[0].shape == (4,)
+    assert envs.env_method("explain_shield")[0].startswith("safe by the shield: ")
+
+
+def test_learners_without_masks_refuse_them() -> None:
+    needs("stable_baselines3", "learn")
+    from logicity.learn import TrainConfig
+    from logicity.learn.registry import learner_class
+
+    changes = {"overrides": {"task": {"shield": {"mode": "mask"}}}}
+    config = TrainConfig.load("configs/baselines/ppo-easy.yaml", changes=changes)
+    with pytest.raises(ValueError, match="`ppo` reads no masks: set `mode: override`"):
+        learner_class("ppo")(config)

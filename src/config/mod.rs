@@ -26,6 +26,4 @@ pub use compose::{Read, rule_file};
 pub use load::{Loaded, load_any, load_map, load_scenario, missing_file};
 pub use model::*;
 pub use predicates::SEES;
-pub use sensors::{Sensor, SensorOutput, SensorsConfig};
-pub use shield::{ShieldConfig, ShieldMode, ShieldQuery};
 pub use tree::{Tree, load_tree};

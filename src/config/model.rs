@@ -3,7 +3,6 @@
 //! The serialized form omits file names and places. [`Scenario::hash`] is its hash.
 
 use crate::city::{Action, ActionTable, AgentSet, KindId, KindTable, MapConfig, Routing, Split, TripEnds};
-use crate::config::{SensorsConfig, ShieldConfig};
 use crate::diag::Span;
 use crate::located::Located;
 use crate::predicate::Definition;
@@ -242,6 +241,157 @@ pub struct CurriculumStage {
 #[allow(clippy::trivially_copy_pass_by_ref)] // serde passes a reference
 fn is_one(number: &u32) -> bool {
     *number == 1
+}
+
+/// The sensors of an ego. They read the truth values of the observed facts; quantities and `Sees` are exact.
+#[derive(Clone, Debug, Serialize)]
+pub struct SensorsConfig {
+    /// What the observation has for each fact.
+    pub output: SensorOutput,
+    /// Whether the ego knows the facts about itself alone without sensors.
+    pub exact_ego: bool,
+    /// The sensors of all predicates without an entry in `predicates`.
+    pub common: Sensor,
+    /// The sensors of single predicates.
+    pub predicates: Vec<(Located<String>, Sensor)>,
+    /// The place of the configuration.
+    #[serde(skip)]
+    pub span: Span,
+}
+
+impl SensorsConfig {
+    /// Returns the sensor of a predicate.
+    pub fn of(&self, predicate: &str) -> Sensor {
+        let own = self.predicates.iter().find(|(name, _)| name.value == predicate);
+        own.map_or(self.common, |(_, sensor)| *sensor)
+    }
+}
+
+/// What an observation through sensors has for each fact.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Serialize)]
+pub enum SensorOutput {
+    /// 1 if the sensor reads that the fact holds, else 0, also without a reading.
+    #[default]
+    Facts,
+    /// The probability that the fact holds, given the reading of this tick.
+    Probabilities,
+    /// The probability that the fact holds, given all readings of the episode.
+    Belief,
+}
+
+impl SensorOutput {
+    /// All outputs.
+    pub const ALL: [SensorOutput; 3] = [SensorOutput::Facts, SensorOutput::Probabilities, SensorOutput::Belief];
+
+    /// Returns its name: `facts`, `probabilities` or `belief`.
+    pub const fn name(self) -> &'static str {
+        match self {
+            SensorOutput::Facts => "facts",
+            SensorOutput::Probabilities => "probabilities",
+            SensorOutput::Belief => "belief",
+        }
+    }
+}
+
+/// How the truth values of a predicate are read. The default reads them exactly.
+#[derive(Clone, Copy, Debug, PartialEq, Serialize)]
+pub struct Sensor {
+    /// The probability that a fact that holds is read as holding.
+    pub true_positive_rate: f64,
+    /// The probability that a fact that does not hold is read as holding.
+    pub false_positive_rate: f64,
+    /// The maximum Euclidean distance in cells between the ego and each other agent of the fact; `None` for no bound.
+    pub range: Option<u32>,
+    /// Whether a building on the line from the ego to an agent hides it.
+    pub occluded_by_buildings: bool,
+    /// Whether a third agent on the line from the ego to an agent hides it.
+    pub occluded_by_agents: bool,
+    /// The age of a reading in ticks.
+    pub delay: u32,
+    /// The probability that there is no reading.
+    pub dropout: f64,
+    /// The probability that the noise of a fact is that of the tick before instead of a new draw. It is the correlation
+    /// of the noise in successive ticks.
+    pub correlation: f64,
+}
+
+impl Default for Sensor {
+    fn default() -> Self {
+        Sensor {
+            true_positive_rate: 1.0,
+            false_positive_rate: 0.0,
+            range: None,
+            occluded_by_buildings: false,
+            occluded_by_agents: false,
+            delay: 0,
+            dropout: 0.0,
+            correlation: 0.0,
+        }
+    }
+}
+
+/// A shield: rules judge every action of the learner before the ego takes it.
+#[derive(Clone, Copy, Debug, PartialEq, Serialize)]
+pub struct ShieldConfig {
+    /// What happens to an action that the shield does not permit.
+    pub mode: ShieldMode,
+    /// Which actions the shield permits.
+    pub query: ShieldQuery,
+    /// In the mode `probabilistic`: the least probability of a permitted action.
+    pub threshold: f64,
+}
+
+/// What a shield does with an action that it does not permit.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize)]
+pub enum ShieldMode {
+    /// It is an error: the learner reads the mask of permitted actions.
+    Mask,
+    /// The ego takes the action that the rules choose.
+    Override,
+    /// The ego takes the most probable action. Facts have the probabilities of the ego's sensors.
+    Probabilistic,
+}
+
+impl ShieldMode {
+    /// All modes.
+    pub const ALL: [ShieldMode; 3] = [ShieldMode::Mask, ShieldMode::Override, ShieldMode::Probabilistic];
+
+    /// Returns its name: `mask`, `override` or `probabilistic`.
+    pub const fn name(self) -> &'static str {
+        match self {
+            ShieldMode::Mask => "mask",
+            ShieldMode::Override => "override",
+            ShieldMode::Probabilistic => "probabilistic",
+        }
+    }
+}
+
+/// What a shield asks about an action.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Serialize)]
+pub enum ShieldQuery {
+    /// Whether it is the action that the rules choose.
+    #[default]
+    Appropriate,
+    /// Whether it violates no clause.
+    Safe,
+}
+
+impl ShieldQuery {
+    /// Both.
+    pub const ALL: [ShieldQuery; 2] = [ShieldQuery::Appropriate, ShieldQuery::Safe];
+
+    /// Returns its name: `appropriate` or `safe`.
+    pub const fn name(self) -> &'static str {
+        match self {
+            ShieldQuery::Appropriate => "appropriate",
+            ShieldQuery::Safe => "safe",
+        }
+    }
+}
+
+impl ShieldConfig {
+    /// The threshold unless another one is given.
+    pub const THRESHOLD: f64 = 0.5;
 }
 
 /// The configuration of Safe Path Following (`configs/tasks/*.yaml`).

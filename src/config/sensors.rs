@@ -1,14 +1,13 @@
-//! The sensors through which the ego of a task observes facts, and their reader.
+//! Reads the sensors of a task.
 
-use crate::config::SEES;
-use crate::config::predicates::Predicates;
-use crate::diag::{Diagnostic, Span, did_you_mean};
+use crate::config::model::{Sensor, SensorOutput, SensorsConfig};
+use crate::config::predicates::{Predicates, SEES};
+use crate::diag::{Diagnostic, did_you_mean, listed};
 use crate::located::Located;
 use crate::predicate::Definition;
 use crate::yaml::codes;
 use crate::yaml::read::{Fields, choice, entries, integer, list, number};
 use crate::yaml::{Value, YamlNode};
-use serde::Serialize;
 
 /// The maximum range in cells.
 const MAX_RANGE: u32 = 1_000_000;
@@ -16,93 +15,6 @@ const MAX_RANGE: u32 = 1_000_000;
 const MAX_DELAY: u32 = 100;
 /// The maximum correlation of noise in successive ticks.
 const MAX_CORRELATION: f64 = 0.999;
-
-/// The sensors of an ego. They read the truth values of the observed facts; quantities and `Sees` are exact.
-#[derive(Clone, Debug, Serialize)]
-pub struct SensorsConfig {
-    /// What the observation has for each fact.
-    pub output: SensorOutput,
-    /// Whether the ego knows the facts about itself alone without sensors.
-    pub exact_ego: bool,
-    /// The sensors of all predicates without an entry in `predicates`.
-    pub common: Sensor,
-    /// The sensors of single predicates.
-    pub predicates: Vec<(Located<String>, Sensor)>,
-    /// The place of the configuration.
-    #[serde(skip)]
-    pub span: Span,
-}
-
-impl SensorsConfig {
-    /// Returns the sensor of a predicate.
-    pub fn of(&self, predicate: &str) -> Sensor {
-        let own = self.predicates.iter().find(|(name, _)| name.value == predicate);
-        own.map_or(self.common, |(_, sensor)| *sensor)
-    }
-}
-
-/// What an observation through sensors has for each fact.
-#[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Serialize)]
-pub enum SensorOutput {
-    /// 1 if the sensor reads that the fact holds, else 0, also without a reading.
-    #[default]
-    Facts,
-    /// The probability that the fact holds, given the reading of this tick.
-    Probabilities,
-    /// The probability that the fact holds, given all readings of the episode.
-    Belief,
-}
-
-impl SensorOutput {
-    /// All outputs.
-    pub const ALL: [SensorOutput; 3] = [SensorOutput::Facts, SensorOutput::Probabilities, SensorOutput::Belief];
-
-    /// Returns its name: `facts`, `probabilities` or `belief`.
-    pub const fn name(self) -> &'static str {
-        match self {
-            SensorOutput::Facts => "facts",
-            SensorOutput::Probabilities => "probabilities",
-            SensorOutput::Belief => "belief",
-        }
-    }
-}
-
-/// How the truth values of a predicate are read. The default reads them exactly.
-#[derive(Clone, Copy, Debug, PartialEq, Serialize)]
-pub struct Sensor {
-    /// The probability that a fact that holds is read as holding.
-    pub true_positive_rate: f64,
-    /// The probability that a fact that does not hold is read as holding.
-    pub false_positive_rate: f64,
-    /// The maximum Euclidean distance in cells between the ego and each other agent of the fact; `None` for no bound.
-    pub range: Option<u32>,
-    /// Whether a building on the line from the ego to an agent hides it.
-    pub occluded_by_buildings: bool,
-    /// Whether a third agent on the line from the ego to an agent hides it.
-    pub occluded_by_agents: bool,
-    /// The age of a reading in ticks.
-    pub delay: u32,
-    /// The probability that there is no reading.
-    pub dropout: f64,
-    /// The probability that the noise of a fact is that of the tick before instead of a new draw. It is the correlation
-    /// of the noise in successive ticks.
-    pub correlation: f64,
-}
-
-impl Default for Sensor {
-    fn default() -> Self {
-        Sensor {
-            true_positive_rate: 1.0,
-            false_positive_rate: 0.0,
-            range: None,
-            occluded_by_buildings: false,
-            occluded_by_agents: false,
-            delay: 0,
-            dropout: 0.0,
-            correlation: 0.0,
-        }
-    }
-}
 
 /// What can hide an agent.
 #[derive(Clone, Copy, PartialEq, Eq)]
@@ -163,9 +75,13 @@ fn of_predicates(
         };
         if let Some(message) = message {
             let mut fault = Diagnostic::new(codes::INVALID_VALUE, message);
-            let names = known.into_iter().flatten().map(|known| known.name.value.as_str());
-            if let (Some(None), Some(near)) = (found, did_you_mean(&key.text, names)) {
-                fault = fault.did_you_mean(near, &[key.span]);
+            if matches!(found, Some(None)) {
+                let used = known.into_iter().flatten().filter(|known| known.name.value != SEES);
+                let names: Vec<&str> = used.map(|known| known.name.value.as_str()).collect();
+                fault = match did_you_mean(&key.text, names.iter().copied()) {
+                    Some(near) => fault.did_you_mean(near, &[key.span]),
+                    None => fault.help(format!("the predicates are: {}", listed(&names))),
+                };
             }
             faults.push(fault.at(key.span, ""));
         }

@@ -475,6 +475,11 @@ macro_rules! kinds {
         }
 
         impl Definition {
+    /// Returns whether the predicate may relate an agent to itself, apart from `Sees`.
+    pub(crate) fn may_be_reflexive(&self) -> bool {
+        matches!(self, Definition::External(_))
+    }
+
             /// Returns the words of the predicate in an English sentence.
             pub fn phrase(&self) -> Phrase {
                 match self {

@@ -17,8 +17,9 @@ fn env(task: &Arc<SpfTask>) -> Env {
     Env::new(Arc::clone(task), Split::Test, ControlMode::First).unwrap()
 }
 
-/// Drives randomly chosen actions through the shield. Calls `each` before every step.
-fn drive(env: &mut Env, episodes: u64, mut each: impl FnMut(&mut Env)) {
+/// Drives randomly chosen actions through the shield. Calls `each` before every step. Returns the number of violations.
+fn drive(env: &mut Env, episodes: u64, mut each: impl FnMut(&mut Env)) -> usize {
+    let mut violations = 0;
     for seed in 0..episodes {
         env.reset(seed).unwrap();
         let mut random = Seed(seed).stream(Purpose::POLICY, 0, 0);
@@ -27,8 +28,10 @@ fn drive(env: &mut Env, episodes: u64, mut each: impl FnMut(&mut Env)) {
             each(env);
             let proposed = Action::STANDARD[random.random_range(0..4)];
             env.step_shielded(&[proposed]).unwrap();
+            violations += env.controlled_cars()[0].last().broken.len();
         }
     }
+    violations
 }
 
 /// With exact facts, an action is appropriate if the oracle takes it, and safe if it violates no clause; no episode
@@ -41,7 +44,7 @@ fn exact_shields_permit_what_the_rules_do() {
             let task = task(mode, &format!("{{shield: {{mode: override, query: {query}}}}}"));
             let mut env = env(&task);
             env.judge_actions();
-            drive(&mut env, 20, |env| {
+            let violations = drive(&mut env, 20, |env| {
                 let car = &env.controlled_cars()[0];
                 let permitted = car.verdict().unwrap().permitted;
                 let expected: Actions = match query {
@@ -49,14 +52,16 @@ fn exact_shields_permit_what_the_rules_do() {
                     _ => [env.oracle_action(0)].into_iter().collect(),
                 };
                 assert_eq!(permitted, expected, "{mode} {query}");
-                assert!(car.last().broken.is_empty());
                 if let Some((action, reasons)) = car.replaced() {
                     replaced += 1;
                     let last = env.taken().next_back().unwrap()[0];
                     assert!(last != action && (query == "appropriate" || !reasons.is_empty()));
                 }
             });
-            assert!(replaced > 20, "{mode} {query}: {replaced}");
+            assert!(
+                violations == 0 && replaced > 20,
+                "{mode} {query}: {violations} {replaced}"
+            );
         }
     }
 }
@@ -69,17 +74,16 @@ fn shields_see_what_the_sensors_read() {
         let task = task("expert", &format!("{{sensors: {sensors}, shield: {{mode: override}}}}"));
         let mut decider = Decider::new(Arc::clone(task.oracle())).unwrap();
         let mut observation = vec![0.0; task.observation_width()];
-        let (mut same, mut all, mut oracles) = (0, 0, 0);
+        let (mut all, mut oracles) = (0, 0);
         drive(&mut env(&task), 20, |env| {
             env.observe(0, &mut observation);
             let wanted = decider.action(&observation, env.city().cancel()).unwrap();
             let permitted = env.controlled_cars()[0].verdict().unwrap().permitted;
-            // A decider does not know of entities without facts.
-            same += u32::from(permitted == [wanted].into_iter().collect());
+            assert_eq!(permitted, [wanted].into_iter().collect(), "{output}");
             oracles += u32::from(permitted == [env.oracle_action(0)].into_iter().collect());
             all += 1;
         });
-        assert!(same == all && oracles < all, "{output}: {same} and {oracles} of {all}");
+        assert!(oracles < all, "{output}: {oracles} of {all}");
     }
 }
 
@@ -135,6 +139,56 @@ fn probabilities_of_actions_are_frequencies() {
             }
         });
         assert!(states > 16);
+    }
+}
+
+/// Where no action is safe, the rules choose.
+#[test]
+fn contradictory_rules_permit_what_they_choose() {
+    let task = task("easy", "{}");
+    let rules = ".include \"vocabulary.dl\"\nStop(X) :- IsCar(X).\nSlow(X) :- Stop(X).\nFast(X) :- Stop(X).\nNormal(X) :- IsCar(X).\n";
+    for mode in [ShieldMode::Override, ShieldMode::Probabilistic] {
+        let (world, _) = configured("base: easy", rules, |_| ());
+        let oracle = Arc::new(Oracle::new(world, task.config().entities as usize).unwrap());
+        let config = ShieldConfig {
+            mode,
+            query: ShieldQuery::Safe,
+            threshold: 0.5,
+        };
+        let mut env = env(&task);
+        env.set_shield(Some(Arc::new(Shield::new(oracle, config).unwrap())))
+            .unwrap();
+        env.reset(1).unwrap();
+        env.ask_shield().unwrap();
+        let verdict = env.controlled_cars()[0].verdict().unwrap();
+        assert_eq!(verdict.permitted, [Action::Stop].into_iter().collect());
+        assert_eq!(verdict.probabilities, [0.0; Action::MAX]);
+    }
+}
+
+/// Probabilistic shields refuse rules without probabilities for all scenes.
+#[test]
+fn rules_without_probabilities_are_refused() {
+    for (clause, message) in [
+        (
+            "Stop(X) :- Sees(X, X), n = count : { IsPedestrian(Y), IsClose(X, Y) }, n > 1.",
+            "aggregate",
+        ),
+        ("Stop(X) :- CollidingClose(X, \"Car_2\").", "not the names of agents"),
+    ] {
+        let rules = format!(".include \"vocabulary.dl\"\n{clause}\n");
+        let (world, _) = configured("base: easy", &rules, |_| ());
+        let oracle = Arc::new(Oracle::new(world, 5).unwrap());
+        let config = |mode| ShieldConfig {
+            mode,
+            query: ShieldQuery::Appropriate,
+            threshold: 0.5,
+        };
+        let fault = Shield::new(Arc::clone(&oracle), config(ShieldMode::Probabilistic))
+            .err()
+            .unwrap();
+        assert!(fault.message.contains(message), "{fault:?}");
+        assert!(Shield::new(oracle, config(ShieldMode::Mask)).is_ok(), "{clause}");
     }
 }
 

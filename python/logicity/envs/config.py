@@ -75,7 +75,10 @@ class EnvConfig:
 
     def with_rules(self, rules: str | os.PathLike[str]) -> _logicity.Task:
         """Load the task with another rule file. Raise `InputError` if any of its sources is invalid."""
-        changed = self._as_json({})
+        task = dict(self.overrides.get("task") or {})
+        # Clauses have other labels, and the rules need not fit the shield of the configuration.
+        task |= {"reward": {**(task.get("reward") or {}), "clauses": None}, "shield": None}
+        changed = self._as_json({"task": task})
         return _logicity.Task(self.config, rule_file(rules), changed, self.limits, None, self.predicates)
 
     def _as_json(self, more: Mapping[str, Any]) -> str | None:

@@ -84,8 +84,16 @@ class BaseEnv:
         threshold: float | None = None,
     ) -> None:
         """Set the shield of the environment, see `logicity.shield`."""
-        if threshold is not None and (mode != "probabilistic" or not 0 <= float(threshold) <= 1):
-            raise ValueError("`threshold` must be from 0 to 1, and needs `mode=\"probabilistic\"`")
+        for name, value in {"mode": mode, "query": query}.items():
+            if not isinstance(value, str):
+                raise TypeError(f"{name}: expected str, not {type(value).__name__}")
+        if threshold is not None:
+            if isinstance(threshold, bool) or not isinstance(threshold, (int, float, np.number)):
+                raise TypeError(f"threshold: expected float, not {type(threshold).__name__}")
+            if mode != "probabilistic":
+                raise ValueError('`threshold` needs `mode="probabilistic"`')
+            if not 0 <= threshold <= 1:
+                raise ValueError(f"`threshold` must be from 0 to 1, not {threshold}")
         settings = (mode, query, None if threshold is None else float(threshold))
         task = None if rules is None else self._config.with_rules(rules)
         self._shielded_core().set_shield(task, settings)
@@ -143,9 +151,9 @@ class BaseEnv:
         `output` and `ego` are those of the configuration. `predicates` has the sensor of each predicate. If the output
         is not `facts`, a sensor also has `chains`: the probabilities of the Markov chains of its facts, for those whose
         only or first agent is the ego, those about one other agent or with the ego second, and those about two others.
-        `base` is the share of ticks in which such a fact holds, `begins` that of the first ticks that observe its
-        agents, `stays` and `appears` the shares in which it holds a tick after it did and did not. They are counted in
-        512 episodes of the oracle, at most 32768 steps.
+        `base` is the share of ticks in which the fact holds. `initial` is that share in the first tick that observes
+        its agents. `stays` and `appears` are the shares of ticks in which it holds after it did and did not hold. They
+        are counted in up to 512 episodes and 32,768 steps of the oracle.
         """
         return self._task.sensors()
 
@@ -161,7 +169,9 @@ class BaseEnv:
 
     def _check_masks(self) -> None:
         if not self._config.action_masks and self.shield_clauses is None:
-            raise gymnasium.error.Error("the environment has no action masks: make it with `action_masks=True`")
+            raise gymnasium.error.Error(
+                "the environment has no action masks: make it with `action_masks=True`, or add a shield"
+            )
 
     def _check_begun(self) -> None:
         if not self._begun:

@@ -138,8 +138,8 @@ class SPFParallelEnv(BaseEnv, ParallelEnv[str, Any, "np.int64 | int"]):
 
         Raises:
             gymnasium.error.ResetNeeded: If no episode has started.
-            gymnasium.error.InvalidAction: If an action is missing, an action is not 0, 1, 2 or 3, a car is unknown, or a
-                shield in the mode `mask` forbids an action.
+            gymnasium.error.InvalidAction: If an action is missing, an action is not 0, 1, 2 or 3, a car is unknown, or
+                a shield in the mode `mask` does not permit an action.
         """
         self._check_begun()
         live = self.agents
@@ -184,7 +184,7 @@ class SPFParallelEnv(BaseEnv, ParallelEnv[str, Any, "np.int64 | int"]):
         return self._cars.explain(self._index[agent], fact)
 
     def explain_shield(self, agent: str) -> str:
-        """Return which actions the shield permits a car now, and proofs, as `SPFEnv.explain_shield` does.
+        """Return which actions the shield permits a car now, as `SPFEnv.explain_shield` does.
 
         Raises:
             ValueError: If the car is unknown.

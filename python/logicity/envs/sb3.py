@@ -17,6 +17,7 @@ with extra("learn"):
     from gymnasium.vector import AutoresetMode
     from stable_baselines3.common.vec_env import VecEnv, VecMonitor
 
+from ..types import ShieldMode, ShieldQuery
 from .interface import check_options
 from .vector import SPFVectorEnv
 
@@ -111,23 +112,29 @@ class SPFVecEnv(VecEnv):
     def env_method(
         self, method_name: str, *method_args: Any, indices: Indices = None, **method_kwargs: Any
     ) -> list[Any]:
-        """Call `episode`, `explain`, `action_masks` or `render` of the selected environments."""
+        """Call `episode`, `explain`, `explain_shield`, `action_masks` or `render` of the selected environments."""
         if method_name in ("action_masks", "render"):
             results = getattr(self.envs, method_name)()
             return [results[at] for at in self._get_indices(indices)]
-        if method_name not in ("episode", "explain"):
-            known = "`action_masks`, `episode`, `explain`, `render`"
+        if method_name not in ("episode", "explain", "explain_shield"):
+            known = "`action_masks`, `episode`, `explain`, `explain_shield`, `render`"
             raise AttributeError(f"individual environments have no method `{method_name}`; known: {known}")
         method = getattr(self.envs, method_name)
         return [method(at, *method_args, **method_kwargs) for at in self._get_indices(indices)]
 
     def action_masks(self) -> NDArray[np.bool_]:
-        """Return the actions that the shield permits or that violate no clause, as `SPFVectorEnv.action_masks` does, for `MaskablePPO`."""
+        """Return the permitted actions for `MaskablePPO`, as `SPFVectorEnv.action_masks` does."""
         return self.envs.action_masks()
 
-    def set_shield(self, *arguments: Any, **settings: Any) -> None:
+    def set_shield(
+        self,
+        rules: str | os.PathLike[str] | None = None,
+        mode: ShieldMode = "override",
+        query: ShieldQuery = "appropriate",
+        threshold: float | None = None,
+    ) -> None:
         """Set the shield of the environments, see `logicity.shield`."""
-        self.envs.set_shield(*arguments, **settings)
+        self.envs.set_shield(rules, mode, query, threshold)
 
     @property
     def clauses(self) -> tuple[str, ...]:

@@ -21,27 +21,29 @@ def shield(
 ) -> _Env:
     """Shield an environment: rules judge every action by what the car observes. Return the environment.
 
-    An action is *appropriate* if the rules choose it, and *safe* if it violates no clause. With sensors in the
-    configuration, the shield knows only what they read; the environment judges the car by the truth. `infos` say what the
-    shield permits and did, see `logicity.envs.SPFEnv`. `task: {shield: {mode: ..., query: ...}}` in a configuration does
-    the same by the rules of the city, also in training and evaluation.
+    An action is *appropriate* if the rules choose it. It is *safe* if it violates no clause. With sensors, the shield
+    reads their output; violations and rewards use the true facts. `info` describes its decisions, see
+    `logicity.envs.SPFEnv`. A shield in a configuration (`task: {shield: {mode: override}}`) uses the rules of the city.
 
     Args:
-        env: An `SPFEnv`, `SPFVectorEnv`, `SPFParallelEnv` or `SPFVecEnv`, also in wrappers. A shield that it has is
-            replaced.
-        rules: The rule file; `None` for the rules of the city.
-        mode: What happens to an action that is not permitted. `override`: the car takes the action that the rules choose.
-            `mask`: a step with it raises `gymnasium.error.InvalidAction`, and `action_masks()` returns what is permitted.
-            `probabilistic`: an action is permitted if it is appropriate or safe with a probability of at least
-            `threshold`, given the probabilities that the sensors output, which count as independent; the car takes the
-            most probable action instead. The most probable action is always permitted.
-        query: `appropriate` or `safe`.
+        env: An `SPFEnv`, `SPFVectorEnv`, `SPFParallelEnv` or `SPFVecEnv`, also in wrappers. The shield replaces an
+            earlier one.
+        rules: The rule file; `None` for the rules of the city. Rules may not draw or read earlier ticks.
+        mode: What happens to an action that is not permitted. `override`: the car takes the action that the rules
+            choose, or, if that one is not permitted either, the permitted one of highest priority. `mask`: a step with
+            it raises `gymnasium.error.InvalidAction`; `info["shield_mask"]` has the permitted actions, and, except in
+            `SPFParallelEnv`, `action_masks()`, too. `probabilistic`: the car takes the most probable action. An action
+            is permitted if the probability that it is appropriate or safe is at least `threshold`; the most probable
+            action is always permitted. Facts have the probabilities that the sensors output, and count as independent.
+            The rules may not read quantities, name agents, or aggregate over facts.
+        query: `appropriate` or `safe`. If no action is safe, the shield permits the one that the rules choose.
         threshold: The threshold of the mode `probabilistic`, 0 to 1 (default: 0.5).
 
     Raises:
-        InputError: If the rules are invalid or need more than facts about the present (`rule-mismatch`), or a
-            probabilistic shield has sensors that output facts.
-        TypeError: If the environment is none of these.
+        InputError: If the rules are invalid or need more than the mode allows (`rule-mismatch`), or a probabilistic
+            shield has sensors that output facts.
+        LimitError: If the probabilities of a probabilistic shield are too complex, also in a reset or step.
+        TypeError: If `env` is no such environment, or an argument has a wrong type.
         ValueError: If an argument is unknown or out of range.
     """
     base: Any = getattr(env, "unwrapped", env)

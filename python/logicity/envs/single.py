@@ -61,12 +61,19 @@ class SPFEnv(BaseEnv, gymnasium.Env[Any, np.int64]):
     - `seed` (int64): the 64 bits of the seed of the episode. `episode["seed"]` is `int(seed) % 2**64`.
     - `action_mask` (int8 array, one value per action), with `action_masks=True`: 1 if the action violates no clause in
       the current state, else 0, as `action_space.sample(mask)` expects.
-    - With a shield (see `logicity.shield`): `shield_mask` (int8 array, one value per action), the actions that it permits
-      in the current state; `shield_probabilities` (float64 array), how probable it is that each is appropriate or safe,
-      0 or 1 in crisp shields; `replaced_action` (int), the action that it replaced in the last step, or -1;
-      `shield_violations` (bool array), the clauses of its rules that this action violated; `shield_reason` (string), a
-      proof of what it said, or nothing if it permitted the action.
-    - `true_atoms` (tuple of strings), with `atoms=True`: the true atoms that the car observes, such as `IsTiro(Car_1)`.
+    - `true_atoms` (tuple of strings), with `atoms=True`: the true atoms about the agents that the car observes, such as
+      `IsTiro(Car_1)`, whatever sensors read.
+
+    With a shield (see `logicity.shield`), `info` also has:
+
+    - `shield_mask` (int8 array, one value per action): 1 if the shield permits the action in the current state, else 0.
+    - `shield_probabilities` (float64 array, one value per action, 0 to 1): the probability that the action is
+      appropriate or safe; 0 or 1 in the modes `mask` and `override`.
+    - `replaced_action` (int): the action that the shield replaced in the last step, or -1.
+    - `shield_violations` (bool array, one value per clause of the shield's rules): whether the replaced action violated
+      the clause. `shield_clauses` has the names of the clauses.
+    - `shield_reason` (string; not in vectors and environments with every car): the explanation of the replaced action,
+      empty if there is none.
 
     Args:
         config: A run configuration: a built-in name such as `expert`, or a path.
@@ -110,7 +117,6 @@ class SPFEnv(BaseEnv, gymnasium.Env[Any, np.int64]):
         self._atoms, self.observation_space, self.action_space = atoms, self._space(), Discrete(len(self._actions))
         self._core = self._make_core(self._task)
         self._overrides: dict[str, Any] = {}
-        self._mask: NDArray[np.int8] | None = None
         self._seeded = self._begun = False
 
     def reset(self, *, seed: int | None = None, options: dict[str, Any] | None = None) -> tuple[Any, dict[str, Any]]:
@@ -143,7 +149,6 @@ class SPFEnv(BaseEnv, gymnasium.Env[Any, np.int64]):
     def _result(self, observation: Observations, info: dict[str, Any]) -> tuple[Any, dict[str, Any]]:
         """Return what the caller of a reset or step gets, and show it in the window."""
         self._info(info)
-        self._mask = info.get("shield_mask")
         if self._atoms:
             info["true_atoms"] = self._core.atoms(0)
         if self._window is not None:
@@ -169,21 +174,28 @@ class SPFEnv(BaseEnv, gymnasium.Env[Any, np.int64]):
 
         Raises:
             gymnasium.error.ResetNeeded: If no episode has started, or the episode has ended.
-            gymnasium.error.InvalidAction: If the action is not 0, 1, 2 or 3, or a shield in the mode `mask` forbids it.
+            gymnasium.error.InvalidAction: If the action is not 0, 1, 2 or 3, or a shield in the mode `mask` does not
+                permit it.
         """
         self._check_begun()
         array, number = np.empty(self._shape, np.float32), checked_action(action, self._actions)
-        reason = self.explain_shield() if self._mask is not None and not self._mask[number] else ""
+        clauses = self.shield_clauses
+        refused = clauses is not None and not self._permitted()[0][number]
+        reason = self.explain_shield() if refused else ""
         reward, terminated, truncated, info = self._core.step_one(number, array)
-        if self._mask is not None:
+        if clauses is not None:
+            if reason:
+                executed = self._actions[self._core.taken(0)[-1]]
+                reason = f"{executed} replaces {self._actions[number]}\n{reason}"
             info["shield_reason"] = reason
         observation, info = self._result(array, info)
         return observation, reward, terminated, truncated, info
 
     def action_masks(self) -> NDArray[np.bool_]:
-        """Return for each action whether the shield permits it, or without one, whether it violates no clause. Shape (4,).
+        """Return the actions that the shield permits. Without a shield: those that violate no clause.
 
-        If every action violates a clause, which the rules of the modes do not allow, all values are `False`.
+        The shape is (number of actions,). Without a shield, all values are `False` if every action violates a clause,
+        which the rules of the modes do not allow.
 
         Raises:
             gymnasium.error.Error: If the environment has no shield and was made without `action_masks=True`.
@@ -194,9 +206,11 @@ class SPFEnv(BaseEnv, gymnasium.Env[Any, np.int64]):
         return cast("NDArray[np.bool_]", self._permitted()[0])
 
     def explain_shield(self) -> str:
-        """Return which actions the shield permits now, and proofs from its rules and what the car observes.
+        """Return which actions the shield permits now, and what its rules choose.
 
-        The text is empty without a shield and after the end of the episode.
+        The text lists the permitted actions and the others with the clauses that they violate. A proof follows of the
+        action that the rules choose on the observed facts: with probabilities, those above 0.5. The text is empty
+        without a shield.
 
         Raises:
             gymnasium.error.ResetNeeded: If no episode has started.

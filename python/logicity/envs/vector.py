@@ -37,7 +37,8 @@ class SPFVectorEnv(BaseEnv, VectorEnv[Any, NDArray[np.int64], NDArray[Any]]):
     Vectorized results equal those of individual `SPFEnv` environments with the same seeds. `reset(seed=s)` gives
     environment i the seed s + i. Not thread-safe: concurrent use raises `RuntimeError`.
 
-    Observations have shape (num_envs, ...), or are dictionaries of such arrays, computed for all environments at once.
+    `infos` have no `shield_reason`; `explain_shield` explains what a shield says. Observations have shape (num_envs,
+    ...), or are dictionaries of such arrays, computed for all environments at once.
     Rewards (float64), `terminated` (bool) and `truncated` (bool) have shape (num_envs,). `infos` has one array per key
     of `SPFEnv`'s `info`, and its mask under `_key`. In the autoreset mode SameStep, `final_obs` and `final_info` have
     the last observations and infos of the episodes that ended.
@@ -167,8 +168,8 @@ class SPFVectorEnv(BaseEnv, VectorEnv[Any, NDArray[np.int64], NDArray[Any]]):
 
         Raises:
             gymnasium.error.ResetNeeded: If an episode has not started, or has ended.
-            gymnasium.error.InvalidAction: If the actions are not integers from 0 to 3, of shape (num_envs,), or a shield
-                in the mode `mask` forbids one. Then no car moves.
+            gymnasium.error.InvalidAction: If the actions are not integers from 0 to 3, of shape (num_envs,), or a
+                shield in the mode `mask` does not permit one. Then no car moves.
         """
         count = self.num_envs
         given = np.asarray(actions)

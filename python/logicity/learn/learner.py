@@ -143,8 +143,12 @@ class Learner(ABC):
             ValueError: If the mode is unknown, or the learner rejects the settings or the observations.
         """
         self.config, self.log = config, log
+        layout = _logicity.layout(load_task(config.mode, overrides=config.overrides))
+        if self.interacts and layout["shield"] == "mask":
+            raise ValueError(
+                f"`{config.algorithm}` reads no masks: set `mode: override` in the shield of {config.mode}"
+            )
         if not self.takes_quantities:
-            layout = _logicity.layout(load_task(config.mode, overrides=config.overrides))
             columns = layout["columns"]
             if layout["sensors"] not in (None, "facts"):
                 raise ValueError(

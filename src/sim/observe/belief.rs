@@ -1,20 +1,20 @@
 //! How probable facts are: before a reading, after one, and after all readings of an episode.
 //!
-//! Each fact is a Markov chain of its own, whose probabilities the oracle's episodes gave ([`SensorModel`]). A sensor
-//! is a channel with its true and false positive rate. Filtering forward (Rabiner 1989, section III A) gives the
-//! probability after all readings.
+//! Each fact is an independent Markov chain with two states; [`SensorModel`] has its probabilities. A sensor is a binary
+//! channel with a true and a false positive rate. A missing reading carries no information. The forward algorithm
+//! (Rabiner: A tutorial on hidden Markov models, 1989, section III A) computes the probability given all readings.
 
 use crate::config::Sensor;
 
-/// The part that the ego has in a fact: facts about one agent have the first two roles.
+/// The position of the ego in a fact. A fact about one agent has one of the first two roles.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub(super) enum Role {
     /// The ego is the only or the first agent.
     First,
     /// The fact is about one other agent, or the ego is the second agent.
     Second,
-    /// The fact is about two other agents.
-    None,
+    /// The ego is not in the fact.
+    Absent,
 }
 
 impl Role {
@@ -25,7 +25,7 @@ impl Role {
         match (row, entity) {
             (None, 0) | (Some(0), _) => Role::First,
             (None, _) | (Some(_), 0) => Role::Second,
-            (Some(_), _) => Role::None,
+            (Some(_), _) => Role::Absent,
         }
     }
 }
@@ -36,7 +36,7 @@ pub struct Chain {
     /// The probability that it holds in a tick.
     pub base: f32,
     /// The probability that it holds in the first tick that observes its agents.
-    pub begins: f32,
+    pub initial: f32,
     /// The probability that it still holds a tick later.
     pub stays: f32,
     /// The probability that it holds a tick after it did not.
@@ -78,17 +78,17 @@ impl Counts {
     pub fn chain(self, never_changes: bool) -> Chain {
         let share = |some: u64, all: u64| ((some + 1) as f64 / (all + 2) as f64) as f32;
         let base = share(self.holds, self.ticks);
-        let begins = share(self.holds_first, self.first);
+        let initial = share(self.holds_first, self.first);
         match never_changes {
             true => Chain {
                 base,
-                begins,
+                initial,
                 stays: 1.0,
                 appears: 0.0,
             },
             false => Chain {
                 base,
-                begins,
+                initial,
                 stays: share(self.holds_after[1], self.after[1]),
                 appears: share(self.holds_after[0], self.after[0]),
             },
@@ -197,7 +197,8 @@ pub(super) fn marginal(joint: &Joint) -> f32 {
     joint[1].iter().sum()
 }
 
-/// The chains of the facts that an ego observes, counted in episodes of the oracle, and what follows for readings.
+/// The chains of the facts that an ego observes, counted in episodes of the oracle, and the probabilities after each
+/// reading.
 #[derive(Debug)]
 pub struct SensorModel {
     /// By predicate of the vocabulary and role.
@@ -210,8 +211,8 @@ pub(super) struct FactModel {
     pub chain: Chain,
     /// The probability now after each [`Reading`] of this tick.
     pub after: [f32; 3],
-    /// The probability now that a fact holds for which the reading is about a tick in which it did not, and its
-    /// increase if it did.
+    /// The probability that the fact holds now if it did not hold in the tick of the reading, and how much greater it is
+    /// if it did.
     pub ahead: [f32; 2],
 }
 
@@ -257,7 +258,7 @@ mod tests {
             let mut probability = 1.0;
             for (at, &(holds, class)) in states.iter().enumerate() {
                 let truth = match at.checked_sub(1).map(|before| states[before].0) {
-                    None => f64::from(chain.begins),
+                    None => f64::from(chain.initial),
                     Some(1) => f64::from(chain.stays),
                     Some(_) => f64::from(chain.appears),
                 };
@@ -297,12 +298,12 @@ mod tests {
             let mut share = || random.random_range(0.05f32..0.95);
             let chain = Chain {
                 base: share(),
-                begins: share(),
+                initial: share(),
                 stays: share(),
                 appears: share(),
             };
             let readings: Vec<Reading> = (0..5).map(|_| Reading::ALL[random.random_range(0..3)]).collect();
-            let (mut joint, mut simple) = (fresh(&sensor, chain.begins), chain.begins);
+            let (mut joint, mut simple) = (fresh(&sensor, chain.initial), chain.initial);
             for (at, reading) in readings.iter().enumerate() {
                 if at > 0 {
                     joint = predict(&sensor, chain, &joint);

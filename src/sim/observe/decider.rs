@@ -6,7 +6,6 @@ use crate::datalog::dense::holding;
 use crate::diag::Diagnostic;
 use crate::sim::observe::observer::Oracle;
 use crate::sim::observe::rule_monitor::{Atoms, Entities, Observed, Violations};
-use crate::sim::tick::chance::Drawing;
 use std::sync::Arc;
 
 /// Applies rules to observations: vectors that [`Observer::write`](crate::sim::Observer::write) wrote.
@@ -50,14 +49,7 @@ impl Decider {
     /// If the observation is shorter than [`Oracle::width`].
     pub fn violations(&mut self, observation: &[f32], action: Action, cancel: &Cancel) -> Result<&[usize], Diagnostic> {
         self.read(observation);
-        let observed = Observed {
-            atoms: &self.atoms,
-            entities: self.entities,
-            given: None,
-            memory: None,
-            drawing: Drawing::default(),
-            cancel,
-        };
+        let observed = Observed::new(&self.atoms, self.entities, cancel);
         let monitor = self.oracle.monitor();
         self.violations
             .violations(monitor, observed, action, &mut self.broken)?;
@@ -77,14 +69,7 @@ impl Decider {
     pub fn action(&mut self, observation: &[f32], cancel: &Cancel) -> Result<Action, Diagnostic> {
         self.read(observation);
         let vocabulary = &self.oracle.world().vocabulary;
-        let observed = Observed {
-            atoms: &self.atoms,
-            entities: self.entities,
-            given: None,
-            memory: None,
-            drawing: Drawing::default(),
-            cancel,
-        };
+        let observed = Observed::new(&self.atoms, self.entities, cancel);
         let derived = self.violations.derived(self.oracle.monitor(), vocabulary, observed)?;
         Ok(vocabulary.decide(Some(AgentKind::Car.into()), derived))
     }

@@ -1,4 +1,5 @@
-//! The observation of one agent of a task, and the clauses that its actions violate.
+//! What one agent of a task observes, exactly or through sensors; the clauses that its actions violate, and the actions
+//! that a shield permits.
 
 mod belief;
 mod decider;

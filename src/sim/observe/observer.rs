@@ -178,8 +178,8 @@ impl Oracle {
         self.monitor.constraints()
     }
 
-    /// Returns for each observed set of atoms: the predicate, the first entity of the pairs if it is about two agents, and
-    /// the position of its first number in an observation.
+    /// Returns for each observed set: its predicate, the first entity if it is about pairs, and the position of its first
+    /// number in an observation.
     pub(super) fn observed_sets(&self) -> impl Iterator<Item = (usize, Option<usize>, usize)> {
         self.sets.iter().map(|&(set, start)| {
             let (predicate, row) = self.layout.predicate(set);
@@ -404,7 +404,7 @@ impl Observer {
         }
     }
 
-    /// Copies what the ego observes as facts: with sensors, the facts that they read or that are more probable than not.
+    /// Copies the observed facts: with sensors, those read as true, or more probable than 0.5.
     pub(super) fn copy_facts(&self, to: &mut Atoms) {
         match &self.sensing {
             Some(sensing) => sensing.copy_facts(to),
@@ -412,8 +412,8 @@ impl Observer {
         }
     }
 
-    /// Returns whether the rules of an oracle judge what the ego observes as this observer does.
-    pub(super) fn judges_like(&self, oracle: &Arc<Oracle>) -> bool {
+    /// Returns whether the ego observes exactly and the oracle is this observer's.
+    pub(super) fn observes_exactly_for(&self, oracle: &Arc<Oracle>) -> bool {
         self.sensing.is_none() && Arc::ptr_eq(&self.oracle, oracle)
     }
 

@@ -153,8 +153,9 @@ fn with_actions_given(rules: &Rules, vocabulary: &Vocabulary) -> (Rules, Vec<Opt
     (rules, places.collect())
 }
 
-/// Returns rules that derive an action for the ego exactly if a clause demands it under an imposed action, and the
-/// predicates of imposed actions: the action predicates of all bodies are inputs, and the default is no demand.
+/// Returns rules that derive an action for the ego if and only if a clause demands it under an imposed action. Also
+/// returns the predicate of each imposed action. These predicates replace the action predicates in all bodies; clauses of
+/// the default derive nothing.
 pub(super) fn safety_rules(rules: &Rules, vocabulary: &Vocabulary) -> (Rules, Vec<Option<PredicateId>>) {
     let demanding = constraints(rules, vocabulary);
     let (mut rules, given) = with_actions_given(rules, vocabulary);
@@ -637,7 +638,19 @@ pub(super) struct Observed<'a> {
     pub cancel: &'a Cancel,
 }
 
-impl Observed<'_> {
+impl<'a> Observed<'a> {
+    /// Returns facts without an imposed action, earlier ticks and draws.
+    pub fn new(atoms: &'a Atoms, entities: Entities<'a>, cancel: &'a Cancel) -> Observed<'a> {
+        Observed {
+            atoms,
+            entities,
+            given: None,
+            memory: None,
+            drawing: Drawing::default(),
+            cancel,
+        }
+    }
+
     /// Returns the entities for which a predicate of the vocabulary or, after those, an imposed action holds.
     fn unary(&self, predicate: usize) -> u64 {
         match predicate.checked_sub(self.atoms.layout.predicates) {

@@ -28,8 +28,8 @@ impl Purpose {
 pub struct Sensors {
     config: SensorsConfig,
     layout: AtomLayout,
-    /// The number of numbers that sensors give to an observation.
-    numbers: usize,
+    /// The length of the part of an observation that sensors write.
+    width: usize,
     groups: Vec<Group>,
     /// The different ways in which agents are hidden.
     views: Vec<View>,
@@ -51,14 +51,14 @@ struct Group {
     correlation: Threshold,
     /// The position in [`Sensors::views`].
     view: usize,
-    /// Whether readings are those of this tick, with new noise and without dropout, also of facts about the ego.
+    /// Whether readings are current, without dropout, correlation and exact facts.
     is_simple: bool,
     sets: Vec<SensedSet>,
 }
 
 impl Group {
-    /// Draws for each lane: whether a fact is read as holding if it holds, and if it does not; whether it is dropped; and
-    /// whether both keep what they were, independently of each other.
+    /// Draws five bits for each lane: whether a true fact is read as true, whether a false one is, whether the reading is
+    /// dropped, and whether noise and dropout each stay as they were.
     fn draw(&self, lanes: u64, random: &mut Words) -> [u64; 5] {
         let [detected, alarmed] = below(self.rates, lanes, random);
         if self.is_simple {
@@ -74,7 +74,7 @@ impl Group {
     }
 }
 
-/// A set of entities of which sensors read the members.
+/// A set of entities whose membership sensors read.
 #[derive(Clone, Copy, Debug)]
 struct SensedSet {
     /// The place in [`Atoms::words`].
@@ -86,6 +86,8 @@ struct SensedSet {
     reflexive: bool,
     /// The position of the first number in the observation.
     start: usize,
+    /// The age of readings in ticks.
+    delay: u32,
 }
 
 impl SensedSet {
@@ -151,8 +153,9 @@ impl Sensors {
                 set,
                 predicate,
                 row,
-                reflexive: matches!(known.definition, Definition::External(_)),
+                reflexive: known.definition.may_be_reflexive(),
                 start,
+                delay: sensor.delay,
             });
         }
         let sensors = || groups.iter().map(|group| &group.sensor);
@@ -162,7 +165,7 @@ impl Sensors {
             fixed: (predicates.iter())
                 .map(|predicate| matches!(predicate.definition, Definition::Static(_)))
                 .collect(),
-            numbers: observed.len() * layout.entities,
+            width: observed.len() * layout.entities,
             layout,
             groups,
             views,
@@ -232,6 +235,14 @@ impl Origins {
         }
     }
 
+    /// Returns the entities that were observed together with the first one of their pairs, if they have one.
+    fn known_with(&self, row: Option<usize>) -> u64 {
+        match row {
+            Some(row) if self.known >> row & 1 == 0 => 0,
+            _ => self.known,
+        }
+    }
+
     /// Moves members of a set to their present places.
     fn carry(&self, set: u64) -> u64 {
         if self.same {
@@ -274,6 +285,8 @@ pub(super) struct Sensing {
 struct Readings {
     /// The observed agents, by their positions in the list.
     agents: Vec<u32>,
+    /// For each of them, the number of ticks since it was first observed.
+    ages: Vec<u32>,
     /// What the sensors read as true, and the facts that no sensor reads.
     atoms: Atoms,
     /// The facts with a reading, as sets.
@@ -295,9 +308,10 @@ impl Sensing {
     pub fn new(sensors: Arc<Sensors>, model: Option<Arc<SensorModel>>, no_atoms: Atoms) -> Sensing {
         let (sets, simple) = (sensors.layout.len(), sensors.groups.iter().all(|group| group.is_simple));
         let believes = sensors.config.output == SensorOutput::Belief;
-        let numbers = if believes { sensors.numbers } else { 0 };
+        let numbers = if believes { sensors.width } else { 0 };
         let readings = Readings {
             agents: Vec::with_capacity(sensors.layout.entities),
+            ages: Vec::with_capacity(sensors.layout.entities),
             atoms: no_atoms,
             read: vec![0; sets],
             noise: vec![[0; 2]; if simple { 0 } else { sets }],
@@ -365,6 +379,9 @@ impl Sensing {
                         _ if sensors.is_exact(*set, entity) => {
                             f32::from(u8::from(readings.reading(*set, entity) == Reading::Positive))
                         }
+                        SensorOutput::Belief if readings.age(*set, entity) < set.delay => {
+                            fact.chain.later(fact.chain.initial, readings.age(*set, entity))
+                        }
                         SensorOutput::Belief => fact.ahead[0] + fact.ahead[1] * readings.belief[place],
                         _ => fact.after[readings.reading(*set, entity) as usize],
                     },
@@ -388,6 +405,13 @@ impl Sensing {
 }
 
 impl Readings {
+    /// Returns the number of ticks since both agents of a fact, or its only one, were first observed; 0 without delays.
+    #[inline]
+    fn age(&self, set: SensedSet, entity: usize) -> u32 {
+        let age = |entity: usize| self.ages.get(entity).copied().unwrap_or_default();
+        set.row.map_or(age(entity), |row| age(row).min(age(entity)))
+    }
+
     /// Returns the reading of a fact about an entity.
     #[inline]
     fn reading(&self, set: SensedSet, entity: usize) -> Reading {
@@ -415,6 +439,10 @@ impl Readings {
         }
         self.agents.clear();
         self.agents.extend_from_slice(now);
+        if sensors.delay > 0 {
+            let ages = (0..now.len()).map(|entity| origins.of(entity).map_or(0, |origin| self.ages[origin] + 1));
+            self.ages = ages.collect();
+        }
         self.atoms.copy_from(truth);
         let mut frame = match self.frames.len() > sensors.delay {
             true => self.frames.pop_front().expect("it is not empty"),
@@ -461,10 +489,7 @@ impl Readings {
                     self.atoms.words[set.set] = (held & detected | !held & alarmed) & read;
                     continue;
                 }
-                let known = match set.row {
-                    Some(row) if origins.known >> row & 1 == 0 => 0,
-                    _ => origins.known,
-                };
+                let known = origins.known_with(set.row);
                 let mix = |kept: u64, old: u64, new: u64| old & kept & known | new & !(kept & known);
                 let noise = &mut self.noise[set.set];
                 *noise = [mix(kept, noise[0], detected), mix(kept, noise[1], alarmed)];
@@ -531,18 +556,20 @@ impl Readings {
                 let known = set.lanes(origins.known);
                 for entity in members(&[set.lanes(present)]) {
                     let fact = &facts[Role::of(set.row, entity) as usize];
-                    let (place, known) = (set.start + entity, known >> entity & 1 != 0);
-                    let reading = self.reading(set, entity);
+                    let age = self.age(set, entity);
+                    // The belief is about the tick of the reading: the first one is about the first common tick.
+                    let known = known >> entity & 1 != 0 && (sensor.delay == 0 || age > sensor.delay);
+                    let (place, reading) = (set.start + entity, self.reading(set, entity));
                     if sensor.correlation == 0.0 {
                         let before = match known {
                             true => fact.chain.next(self.belief[place]),
-                            false => fact.chain.begins,
+                            false => fact.chain.initial,
                         };
                         self.belief[place] = update(&group.likelihoods, before, reading);
                     } else {
                         let mut joint = match known {
                             true => predict(sensor, fact.chain, &self.joint[place]),
-                            false => fresh(sensor, fact.chain.begins),
+                            false => fresh(sensor, fact.chain.initial),
                         };
                         condition(sensor, &mut joint, reading);
                         self.joint[place] = joint;
@@ -656,10 +683,7 @@ impl FactCounts {
         let origins = Origins::new(&now, &self.before.agents);
         let present = all_of(now.len());
         for &set in self.sensors.groups.iter().flat_map(|group| &group.sets) {
-            let known = match set.row {
-                Some(row) if origins.known >> row & 1 == 0 => 0,
-                _ => origins.known,
-            };
+            let known = origins.known_with(set.row);
             let held = match known {
                 0 => 0,
                 _ => origins.carried(&self.before.words, set),

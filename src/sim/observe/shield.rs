@@ -1,21 +1,24 @@
-//! Shields: rules that judge the actions of an ego by what it observes.
+//! Shields: rules that judge the actions of an ego by what it observes (Alshiekh et al.: Safe reinforcement learning via
+//! shielding, 2018; Yang et al.: Safe reinforcement learning via probabilistic logic shields, 2023).
 //!
-//! An action is *appropriate* if the rules choose it, and *safe* if it violates no clause. A crisp shield takes what the
-//! ego observes as facts. A probabilistic one computes how probable it is that an action is appropriate or safe, by
-//! circuits that it compiles once for each number of entities. It takes the facts to be independent.
+//! An action is *appropriate* if the rules choose it. It is *safe* if it violates no clause. A deterministic shield judges
+//! the observed facts. A probabilistic one computes the probability that an action is appropriate or safe. It assumes
+//! that facts are independent, and compiles its circuits once for each number of entities.
 
 use crate::cancel::Cancel;
 use crate::city::{Action, AgentKind};
 use crate::config::{SensorOutput, ShieldConfig, ShieldMode, ShieldQuery, SpfConfig};
+use crate::datalog::codes;
 use crate::datalog::{
-    CircuitCompiler, CircuitOptions, Inexact, PredicateId, ProbabilityCircuit, Program, RandomVariable, Rules, Value,
+    CircuitCompiler, CircuitOptions, Inexact, PredicateId, ProbabilityCircuit, Program, RandomVariable, Rules, Term,
+    Value,
 };
 use crate::diag::{self, Diagnostic};
 use crate::sim::observe::observer::{Observer, Oracle};
 use crate::sim::observe::rule_monitor::{Atoms, Observed, Violations, safety_rules};
-use crate::sim::tick::chance::Drawing;
 use crate::sim::tick::simulation::Simulation;
 use crate::sim::tick::vocabulary::Actions;
+use crate::sim::tick::world::World;
 use crate::yaml;
 use std::collections::HashMap;
 use std::sync::{Arc, OnceLock};
@@ -26,7 +29,7 @@ pub struct Shield {
     config: ShieldConfig,
     /// The actions that the ego can take, those of high priority first.
     possible: Vec<Action>,
-    /// By number of entities less one; empty for crisp shields.
+    /// By number of entities less one; empty for deterministic shields.
     circuits: Vec<OnceLock<Arc<[ShieldCircuit]>>>,
 }
 
@@ -37,7 +40,7 @@ pub struct Verdict {
     pub permitted: Actions,
     /// The permitted action that replaces others.
     pub preferred: Action,
-    /// By action, the probability that the answer to the query is yes; 0 or 1 in crisp shields.
+    /// By action, the probability that it is appropriate or safe; 0 or 1 in deterministic shields.
     pub probabilities: [f64; Action::MAX],
 }
 
@@ -55,7 +58,7 @@ impl Shield {
     ///
     /// # Errors
     /// `rule-mismatch` if the rules draw or read earlier ticks, or if a probabilistic shield has rules that read
-    /// quantities.
+    /// quantities or name agents; `limit-exceeded` if they aggregate over facts.
     pub fn new(oracle: Arc<Oracle>, config: ShieldConfig) -> Result<Shield, Diagnostic> {
         let world = oracle.world();
         let vocabulary = &world.vocabulary;
@@ -64,6 +67,7 @@ impl Shield {
         let probabilistic = config.mode == ShieldMode::Probabilistic;
         if probabilistic {
             vocabulary.without_quantities("probabilistic shields")?;
+            without_names(world)?;
         }
         let table = vocabulary.actions();
         let (priority, _) = world.scenario.actions.order(AgentKind::Car);
@@ -71,12 +75,17 @@ impl Shield {
         let others = table.all().filter(|action| !priority.contains(action));
         let possible = priority.iter().copied().chain(others).filter(can_take).collect();
         let counts = if probabilistic { oracle.entities() } else { 0 };
-        Ok(Shield {
+        let shield = Shield {
             circuits: std::iter::repeat_with(OnceLock::new).take(counts).collect(),
             possible,
             oracle,
             config,
-        })
+        };
+        if probabilistic {
+            // Reports rules whose probabilities do not exist.
+            shield.circuits(1, &Cancel::never())?;
+        }
+        Ok(shield)
     }
 
     /// Checks that the shield fits observations of an oracle with the sensors of a task.
@@ -95,7 +104,7 @@ impl Shield {
                     .help("set `output: belief` or `output: probabilities`"))
             }
             _ if !self.oracle.observes_like(oracle) => Err(invalid(
-                "the shield has other predicates or another number of entities than the environment",
+                "the shield observes other predicates, or another number or order of entities, than the environment",
             )),
             _ => Ok(()),
         }
@@ -105,7 +114,10 @@ impl Shield {
     pub fn forbidden(&self, action: &str, permitted: Actions) -> Diagnostic {
         let table = self.oracle.world().vocabulary.actions();
         let names: Vec<&str> = permitted.iter().map(|action| table.name(action)).collect();
-        let message = format!("the shield does not permit {action} now, only {}", names.join(", "));
+        let message = format!(
+            "the shield does not permit {action} now; it permits {}",
+            names.join(", ")
+        );
         let fault = Diagnostic::new(yaml::codes::INVALID_VALUE, message);
         fault.help("choose among the actions of the mask, or use the mode `override`")
     }
@@ -120,8 +132,8 @@ impl Shield {
         &self.oracle
     }
 
-    /// Returns the actions that the rules derive from what an observer's ego observes as facts, without the default, and
-    /// the one that they choose.
+    /// Returns the actions that the rules derive from the observed facts, without the default, and the action that they
+    /// choose.
     ///
     /// # Errors
     /// `limit-exceeded` if the rules derive too many rows.
@@ -134,7 +146,7 @@ impl Shield {
     }
 
     /// Returns the verdict without probabilities, given the derived actions and which actions are safe.
-    fn crisp(
+    fn judge_facts(
         &self,
         derived: Actions,
         mut is_safe: impl FnMut(Action) -> Result<bool, Diagnostic>,
@@ -149,6 +161,11 @@ impl Shield {
                 }
             }
         }
+        let mut probabilities = [0.0; Action::MAX];
+        if self.config.query == ShieldQuery::Appropriate {
+            probabilities[chosen.index()] = 1.0;
+        }
+        permitted.iter().for_each(|action| probabilities[action.index()] = 1.0);
         // Rules may contradict themselves, so that no action is safe.
         if permitted.is_empty() {
             permitted.insert(chosen);
@@ -160,8 +177,6 @@ impl Shield {
                 .find(|action| permitted.contains(*action))
                 .expect("one is permitted"),
         };
-        let mut probabilities = [0.0; Action::MAX];
-        permitted.iter().for_each(|action| probabilities[action.index()] = 1.0);
         Ok(Verdict {
             permitted,
             preferred,
@@ -207,7 +222,8 @@ impl Shield {
         Ok(Arc::clone(place.get_or_init(|| made.into())))
     }
 
-    /// Compiles the outputs of a program for the first of some entities, for which a predicate may be given.
+    /// Compiles the outputs of a program for an ego among `entities` entities. `given` is the predicate of the imposed
+    /// action.
     fn compile(
         &self,
         program: &Program,
@@ -234,14 +250,13 @@ impl Shield {
         }
         let mut places = HashMap::new();
         for (predicate, row, start) in oracle.observed_sets() {
-            let Some(id) = vocabulary.predicates[predicate].id else {
-                continue;
-            };
+            let known = &vocabulary.predicates[predicate];
+            let Some(id) = known.id else { continue };
             for (entity, &name) in names.iter().enumerate() {
                 let pair = row.filter(|row| *row < entities).map(|row| [names[row], name]);
                 let words = match (row, &pair) {
                     (None, _) => std::slice::from_ref(&name),
-                    (Some(row), Some(pair)) if row != entity => &pair[..],
+                    (Some(row), Some(pair)) if row != entity || known.definition.may_be_reflexive() => &pair[..],
                     _ => continue,
                 };
                 compiler.insert(id, words, 0.5);
@@ -265,24 +280,46 @@ impl Shield {
     }
 }
 
-fn too_complex(inexact: &Inexact, rules: &Rules, entities: usize) -> Diagnostic {
-    let message = match inexact {
-        Inexact::TooLarge => format!("the probabilities of actions among {entities} entities are too complex"),
-        reason => reason.show(rules),
+/// Checks that the rules name no agent, since circuits are about entities of any name.
+fn without_names(world: &World) -> Result<(), Diagnostic> {
+    let rules = world.program.rules();
+    let known = |predicate| {
+        world
+            .vocabulary
+            .predicates
+            .iter()
+            .any(|base| base.id == Some(predicate))
     };
-    let fault = Diagnostic::new(diag::codes::LIMIT_EXCEEDED, message);
-    fault.help("observe fewer `entities`, or use the mode `override`")
+    for clause in &rules.clauses {
+        let atoms = clause.body.iter().filter_map(|literal| literal.atom());
+        let named = atoms
+            .filter(|atom| known(atom.predicate) || world.vocabulary.action_of(atom.predicate).is_some())
+            .any(|atom| atom.terms.iter().any(|term| matches!(term, Term::Constant(_))));
+        if named {
+            let message = "probabilistic shields know entities, not the names of agents";
+            let fault = Diagnostic::new(codes::RULE_MISMATCH, message).at(clause.span, "this clause names an agent");
+            return Err(fault.help("use a variable, or the mode `override`"));
+        }
+    }
+    Ok(())
+}
+
+fn too_complex(inexact: &Inexact, rules: &Rules, entities: usize) -> Diagnostic {
+    let (message, help) = match inexact {
+        Inexact::TooLarge => (
+            format!("the probabilities of actions among {entities} entities are too complex"),
+            "observe fewer `entities`, or use the mode `override`",
+        ),
+        reason => (
+            format!("a probabilistic shield has no probabilities: {}", reason.show(rules)),
+            "use rules that do not aggregate over facts, or the mode `override`",
+        ),
+    };
+    Diagnostic::new(diag::codes::LIMIT_EXCEEDED, message).help(help)
 }
 
 fn observed<'a>(atoms: &'a Atoms, observer: &'a Observer, city: &'a Simulation) -> Observed<'a> {
-    Observed {
-        atoms,
-        entities: observer.entities_of(city),
-        given: None,
-        memory: None,
-        drawing: Drawing::default(),
-        cancel: city.cancel(),
-    }
+    Observed::new(atoms, observer.entities_of(city), city.cancel())
 }
 
 /// The work of a shield for one ego.
@@ -317,12 +354,12 @@ impl ShieldState {
         city: &Simulation,
     ) -> Result<Verdict, Diagnostic> {
         if shield.config.mode == ShieldMode::Probabilistic {
-            return self.weigh(shield, observer, city.cancel());
+            return self.judge_probabilities(shield, observer, city.cancel());
         }
         // The observer has just evaluated the same rules on the same facts.
-        if observer.judges_like(&shield.oracle) {
+        if observer.observes_exactly_for(&shield.oracle) {
             let derived = observer.derived(city)?;
-            return shield.crisp(derived, |action| Ok(observer.violations(city, action)?.is_empty()));
+            return shield.judge_facts(derived, |action| Ok(observer.violations(city, action)?.is_empty()));
         }
         let derived = self.derive(shield, observer, city)?;
         let ShieldState {
@@ -332,7 +369,7 @@ impl ShieldState {
             ..
         } = self;
         let observed = observed(atoms, observer, city);
-        shield.crisp(derived, |action| {
+        shield.judge_facts(derived, |action| {
             violations.violations(shield.oracle.monitor(), observed, action, broken)?;
             Ok(broken.is_empty())
         })
@@ -348,7 +385,12 @@ impl ShieldState {
     }
 
     /// Judges by the probabilities of the observed facts.
-    fn weigh(&mut self, shield: &Shield, observer: &Observer, cancel: &Cancel) -> Result<Verdict, Diagnostic> {
+    fn judge_probabilities(
+        &mut self,
+        shield: &Shield,
+        observer: &Observer,
+        cancel: &Cancel,
+    ) -> Result<Verdict, Diagnostic> {
         let circuits = shield.circuits(observer.entities().len(), cancel)?;
         self.facts.resize(shield.oracle.width(), 0.0);
         observer.write(&mut self.facts);

@@ -65,6 +65,7 @@ pub struct ControlledCar {
     covered: f64,
     derived: Actions,
     allowed: Option<Actions>,
+    /// The state of the shield; `None` without one.
     shielded: Option<Box<ShieldedCar>>,
     last: Transition,
     running: bool,
@@ -190,7 +191,7 @@ impl Env {
         settings: Settings,
         cancel: &Cancel,
     ) -> Result<Env, Diagnostic> {
-        let mut env = Env::without_sensors(task, split, control, settings, cancel)?;
+        let mut env = Env::unmodified(task, split, control, settings, cancel)?;
         if let Some(sensors) = env.task.sensors() {
             let model = env.task.sensor_model(cancel)?.cloned();
             env.sensors = Some((Arc::clone(sensors), model));
@@ -205,8 +206,8 @@ impl Env {
         Ok(env)
     }
 
-    /// Variant of `configured` whose cars observe facts exactly and have no shield.
-    pub(super) fn without_sensors(
+    /// Variant of `configured` without sensors and shield.
+    pub(super) fn unmodified(
         task: Arc<SpfTask>,
         split: Split,
         control: ControlMode,
@@ -312,7 +313,7 @@ impl Env {
         self.shield.as_ref()
     }
 
-    /// Replaces the shield. Call it between episodes.
+    /// Replaces the shield, also during an episode. Call [`Env::ask_shield`] next.
     ///
     /// # Errors
     /// `invalid-value` if the shield is probabilistic and the sensors output facts, or if it has another layout of
@@ -335,14 +336,14 @@ impl Env {
         Ok(())
     }
 
-    /// Asks the shield, if there is one, what it permits each running car in the present state; see
+    /// Asks the shield, if there is one, what it permits each car in the present state; see
     /// [`ControlledCar::verdict`].
     ///
     /// # Errors
     /// `limit-exceeded` if the shield's rules derive too many rows, or its probabilities are too complex.
     pub fn ask_shield(&mut self) -> Result<(), Diagnostic> {
         let Some(shield) = &self.shield else { return Ok(()) };
-        for car in self.controlled_cars.iter_mut().filter(|car| car.running) {
+        for car in &mut self.controlled_cars {
             if let Some(shielded) = &mut car.shielded
                 && shielded.verdict.is_none()
             {
@@ -352,8 +353,7 @@ impl Env {
         Ok(())
     }
 
-    /// Variant of [`Env::step`] for the actions that a learner proposes. The shield replaces those of running cars that
-    /// it does not permit.
+    /// Variant of [`Env::step`] for proposed actions. The shield replaces each one that it does not permit.
     ///
     /// # Errors
     /// As [`Env::step`] and [`Env::ask_shield`]; `invalid-value` if the mode of the shield is `mask`, and it does not

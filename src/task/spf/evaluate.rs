@@ -87,6 +87,14 @@ impl BatchEvaluator {
         })
     }
 
+    /// Removes the shields of the configuration, for policies that need none.
+    ///
+    /// # Errors
+    /// As [`Env::set_shield`].
+    pub fn remove_shields(&mut self) -> Result<(), Diagnostic> {
+        self.envs.iter_mut().try_for_each(|env| env.set_shield(None))
+    }
+
     /// Returns the environments, in the order of the set.
     pub fn envs(&self) -> &[Env] {
         &self.envs

@@ -2,10 +2,10 @@
 
 use crate::city::{Action, Agent};
 use crate::config::ShieldMode;
-use crate::datalog::explain::Explainer;
+use crate::datalog::explain::{Explainer, ExplanationPrinter};
 use crate::datalog::{Session, Value};
 use crate::diag::{Diagnostic, Sources};
-use crate::sim::{Actions, AskedFact, Decision, World};
+use crate::sim::{Actions, AskedFact, Decision, ShieldState, World};
 use crate::task::spf::Env;
 
 /// Describes the current state of a controlled car in a few lines: progress, observed agents, true atoms, and the
@@ -81,8 +81,9 @@ pub fn explain(
     decision_text(env, agent, (world, &session, value), decided, sources)
 }
 
-/// Explains what the shield says of the actions of a controlled car now: which ones it permits, and why its rules
-/// choose one. `sources` are those of its rules. Returns an empty text without a shield and after the episode has ended.
+/// Explains the shield of a controlled car: the actions that it permits now, those that it does not with the clauses that
+/// they violate, and a proof of the action that its rules choose on the observed facts (with probabilities, those above
+/// 0.5). `sources` are those of its rules. Returns an empty text without a shield.
 ///
 /// # Errors
 /// As [`explain`].
@@ -98,14 +99,45 @@ pub fn explain_shield(
         return Ok(String::new());
     };
     let (config, world) = (shield.config(), shield.oracle().world());
-    let table = world.vocabulary.actions();
-    let permitted = verdict.permitted.iter().map(|action| match config.mode {
-        ShieldMode::Probabilistic => {
-            format!("{} ({:.3})", table.name(action), verdict.probabilities[action.index()])
+    let printer = ExplanationPrinter::new(world.program.rules(), &world.program.rules().symbols, sources);
+    let mut lines = [Vec::new(), Vec::new()];
+    let mut state = ShieldState::new(shield);
+    for &action in env.task().possible_actions() {
+        let mut line = world.vocabulary.actions().name(action).to_owned();
+        let mut notes = Vec::new();
+        if config.mode == ShieldMode::Probabilistic {
+            notes.push(format!("{:.3}", verdict.probabilities[action.index()]));
         }
-        ShieldMode::Mask | ShieldMode::Override => table.name(action).to_owned(),
-    });
-    let permitted = permitted.collect::<Vec<_>>().join(", ");
+        let permitted = verdict.permitted.contains(action);
+        if !permitted {
+            let broken = state
+                .violations(shield, ego.observer(), env.city(), action)
+                .map_err(failed)?;
+            let constraints = shield.oracle().constraints();
+            let labels = broken.iter().map(|clause| printer.label(constraints[*clause].clause));
+            let labels = labels.collect::<Vec<String>>().join(", ");
+            if !labels.is_empty() {
+                notes.push(format!("violates {labels}"));
+            }
+        }
+        if !notes.is_empty() {
+            line += &format!(" ({})", notes.join("; "));
+        }
+        lines[usize::from(permitted)].push(line);
+    }
+    let [refused, permitted] = lines.map(|line| line.join(", "));
+    let query = config.query.name();
+    let mut text = format!("{query} by the shield: {permitted}\n");
+    if !verdict
+        .permitted
+        .iter()
+        .any(|action| verdict.probabilities[action.index()] > 0.0)
+    {
+        text = format!("no action is {query}; the rules choose {permitted}\n");
+    }
+    if !refused.is_empty() {
+        text += &format!("not {query}: {refused}\n");
+    }
     let (observer, agent) = (ego.observer(), &env.city().agents()[ego.agent()]);
     let decided = shield.decide(observer, env.city()).map_err(failed)?;
     let (session, value) = observer.observed_session(shield.oracle(), env.city()).map_err(failed)?;

@@ -22,9 +22,9 @@ mod episode;
 mod evaluate;
 mod explain;
 mod metrics;
-mod model;
 mod reward;
 mod rollout;
+mod sensor_model;
 mod trace;
 mod vector;
 
@@ -38,13 +38,11 @@ pub use trace::{Origin, RecordError, record};
 pub use vector::{Autoreset, Begin, EpisodeSource, Info, ObservationKind, Outcome, SubEnv, VectorEnv};
 pub use vector::{Ending, Layer, PolicyNetwork, Trajectories};
 
-use crate::cancel::Cancel;
 use crate::city::{Action, AgentKind, AgentSet, Split};
 use crate::config::{CurriculumStage, EntityOrder, Scenario, SpfConfig};
 use crate::datalog::explain::ExplanationPrinter;
 use crate::diag::{Diagnostic, Sources, did_you_mean, listed};
 use crate::sim::{Observer, Oracle, SensorModel, Sensors, Shield, World};
-use crate::task::spf::model::count_facts;
 use crate::yaml;
 use std::sync::{Arc, OnceLock};
 
@@ -165,23 +163,6 @@ impl SpfTask {
     /// Returns the shield of the configuration, if any. It judges by the rules of the city.
     pub fn shield(&self) -> Option<&Arc<Shield>> {
         self.shield.as_ref()
-    }
-
-    /// Returns the model of the facts that sensors read, counted in the oracle's steps of drawn episodes. It is a
-    /// function of the task. `None` if the sensors' output needs no model.
-    ///
-    /// # Errors
-    /// As [`Env::new`] and [`Env::reset`]; `cancelled` on cancellation.
-    pub fn sensor_model(self: &Arc<Self>, cancel: &Cancel) -> Result<Option<&Arc<SensorModel>>, Diagnostic> {
-        let Some(sensors) = self.sensors.as_ref().filter(|sensors| sensors.needs_model()) else {
-            return Ok(None);
-        };
-        if self.sensor_model.get().is_none() {
-            let model = count_facts(self, sensors, cancel)?;
-            // Another thread may have counted the same.
-            let _ = self.sensor_model.set(Arc::new(model));
-        }
-        Ok(self.sensor_model.get())
     }
 
     /// Returns the label of a clause, by its position in [`Oracle::constraints`]: `S2`, or `file:line` if it has none.

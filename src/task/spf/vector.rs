@@ -163,7 +163,7 @@ pub struct Info {
     pub seed: u64,
     /// The actions that violate no clause now, if the environment computes them.
     pub allowed: Option<Actions>,
-    /// What the shield says of the actions now, if there is one and the car is running.
+    /// What the shield says of the actions now, if there is one.
     pub verdict: Option<Verdict>,
     /// The action that the shield replaced in the last step.
     pub replaced: Option<Action>,
@@ -312,18 +312,35 @@ impl SubEnv {
             Begin::Next => self.source.begin(&mut self.env)?,
             Begin::Given(episode) => self.env.reset_to(episode)?,
         }
-        self.stage = Stage::Running;
         self.env.ask_shield()?;
+        self.stage = Stage::Running;
         self.info.note(&self.env, 0);
         Ok(())
+    }
+
+    /// Repeats a step that was taken; the shield has no say in it.
+    fn replay(&mut self, action: Action) -> Result<(), Diagnostic> {
+        let stepped = self.env.step(&[action]);
+        self.note_step(stepped, Autoreset::Disabled, ObservationKind::Groundings)
     }
 
     fn step(&mut self, action: Action, autoreset: Autoreset, view: ObservationKind) -> Result<(), Diagnostic> {
         if self.stage == Stage::Over {
             return self.begin(&Begin::Next);
         }
+        let stepped = self.env.step_shielded(&[action]);
+        self.note_step(stepped, autoreset, view)
+    }
+
+    /// Updates the results after a step.
+    fn note_step(
+        &mut self,
+        stepped: Result<(), Diagnostic>,
+        autoreset: Autoreset,
+        view: ObservationKind,
+    ) -> Result<(), Diagnostic> {
         self.ended.happened = false;
-        let stepped = self.env.step_shielded(&[action]).and_then(|()| self.env.ask_shield());
+        let stepped = stepped.and_then(|()| self.env.ask_shield());
         if stepped.is_err() {
             self.stage = Stage::Idle;
             return stepped;
@@ -481,19 +498,27 @@ impl VectorEnv {
         }
     }
 
-    /// Replaces the shield of all environments, which takes the actions of [`VectorEnv::step`].
+    /// Replaces the shield of all environments. It judges the actions of [`VectorEnv::step`].
     ///
     /// # Errors
-    /// As [`Env::set_shield`] and [`Env::ask_shield`].
+    /// As [`Env::set_shield`] and [`Env::ask_shield`]. Then no environment has a shield.
     pub fn set_shield(&mut self, shield: Option<&Arc<Shield>>) -> Result<(), Diagnostic> {
-        for sub_env in &mut self.sub_envs {
+        let set = |sub_env: &mut SubEnv| {
             sub_env.env.set_shield(shield.cloned())?;
             if sub_env.stage != Stage::Idle {
                 sub_env.env.ask_shield()?;
                 sub_env.info.note(&sub_env.env, 0);
             }
+            Ok(())
+        };
+        let done = self.sub_envs.iter_mut().try_for_each(set);
+        if done.is_err() {
+            for sub_env in &mut self.sub_envs {
+                sub_env.env.set_shield(None)?;
+                sub_env.info.note(&sub_env.env, 0);
+            }
         }
-        Ok(())
+        done
     }
 
     /// Replaces the source of an environment's episodes.
@@ -549,7 +574,7 @@ impl VectorEnv {
                     let message = "actions follow the end of the episode";
                     return Err(Diagnostic::new(codes::INVALID_EPISODE, message));
                 }
-                sub_env.step(action, Autoreset::Disabled, view)?;
+                sub_env.replay(action)?;
             }
             view.write(&sub_env.env, 0, row);
             Ok(())
@@ -559,8 +584,8 @@ impl VectorEnv {
     /// Takes a step in every environment and writes one row of `observations` for each.
     ///
     /// # Errors
-    /// `limit-exceeded` if rules derive too many rows, or the errors of the next episode, for the first environment
-    /// that fails. It needs a reset; the others have taken the step.
+    /// As [`Env::step_shielded`], or the errors of the next episode, for the first environment that fails. It needs a
+    /// reset; the others have taken the step.
     ///
     /// # Panics
     /// If the number of actions differs from that of environments, or an environment is not [ready](SubEnv::is_ready).

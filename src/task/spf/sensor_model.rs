@@ -1,4 +1,4 @@
-//! Counts how often the facts hold that sensors read, and how often they change.
+//! The model of the facts that sensors read, from how often they hold and change.
 
 use crate::cancel::Cancel;
 use crate::city::Split;
@@ -18,16 +18,32 @@ const EPISODES: u64 = 512;
 /// The maximum number of counted steps.
 const STEPS: u32 = 32_768;
 
-/// Drives the ego as the rules want in drawn episodes of the first split that has agents, and counts the observed facts.
-pub(super) fn count_facts(
-    task: &Arc<SpfTask>,
-    sensors: &Arc<Sensors>,
-    cancel: &Cancel,
-) -> Result<SensorModel, Diagnostic> {
+impl SpfTask {
+    /// Returns the model of the facts that sensors read. It is a function of the task. `None` if the sensors' output needs
+    /// no model.
+    ///
+    /// # Errors
+    /// As [`Env::new`] and [`Env::reset`]; `cancelled` on cancellation.
+    pub fn sensor_model(self: &Arc<Self>, cancel: &Cancel) -> Result<Option<&Arc<SensorModel>>, Diagnostic> {
+        let Some(sensors) = self.sensors.as_ref().filter(|sensors| sensors.needs_model()) else {
+            return Ok(None);
+        };
+        if self.sensor_model.get().is_none() {
+            let model = count_facts(self, sensors, cancel)?;
+            // Another thread may have counted the same.
+            let _ = self.sensor_model.set(Arc::new(model));
+        }
+        Ok(self.sensor_model.get())
+    }
+}
+
+/// Counts the observed facts in drawn episodes of the oracle, in the first split that has agents. It ends after
+/// [`EPISODES`] episodes or [`STEPS`] steps.
+fn count_facts(task: &Arc<SpfTask>, sensors: &Arc<Sensors>, cancel: &Cancel) -> Result<SensorModel, Diagnostic> {
     let mut splits = Split::ALL.into_iter();
     let split = splits.find(|split| task.world().scenario.agent_set(*split).is_some());
     let split = split.unwrap_or(Split::Train);
-    let mut env = Env::without_sensors(Arc::clone(task), split, ControlMode::First, Settings::default(), cancel)?;
+    let mut env = Env::unmodified(Arc::clone(task), split, ControlMode::First, Settings::default(), cancel)?;
     let mut counts = FactCounts::new(Arc::clone(sensors));
     let mut steps = 0;
     for episode in 0..EPISODES {
