@@ -346,6 +346,8 @@ impl Env {
         for car in &mut self.controlled_cars {
             if let Some(shielded) = &mut car.shielded
                 && shielded.verdict.is_none()
+                // Before the first episode, nothing is observed.
+                && car.observer.entities().len() > 0
             {
                 shielded.verdict = Some(shielded.state.judge(shield, &mut car.observer, &self.city)?);
             }

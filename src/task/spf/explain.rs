@@ -141,11 +141,8 @@ pub fn explain_shield(
     let (observer, agent) = (ego.observer(), &env.city().agents()[ego.agent()]);
     let decided = shield.decide(observer, env.city()).map_err(failed)?;
     let (session, value) = observer.observed_session(shield.oracle(), env.city()).map_err(failed)?;
-    let text = decision_text(env, agent, (world, &session, value), decided, sources)?;
-    Ok(format!(
-        "the shield permits as {}: {permitted}\n{text}",
-        config.query.name()
-    ))
+    text += &decision_text(env, agent, (world, &session, value), decided, sources)?;
+    Ok(text)
 }
 
 /// Returns the explanation of what rules decide for an agent. `derived` are the actions before the default, with the
