@@ -6,7 +6,7 @@ use crate::check::{ClauseId, Draw, PredicateId, Term};
 use crate::diagram::{Diagrams, Formula, TooLarge};
 use crate::eval::limits::EvalError;
 use crate::marginals::facts::{AskedRows, FactRow, FactTables, asked_rows};
-use crate::marginals::grounding::{Formulas, GroundClause, Grounding, NOWHERE, value};
+use crate::marginals::grounding::{Formulas, GroundClause, Grounding, InputRow, NOWHERE, value};
 use crate::session::Session;
 use crate::value::Value;
 use std::collections::{BTreeMap, BTreeSet, HashMap};
@@ -143,12 +143,12 @@ struct Instance {
 }
 
 impl<A: Algebra> Work<'_, A> {
-    fn run(&mut self, grounding: &Grounding, inputs: &[(PredicateId, Vec<(u32, u32, FactRow)>)]) -> Result<(), Stop> {
+    fn run(&mut self, grounding: &Grounding, inputs: &[(PredicateId, Vec<InputRow>)]) -> Result<(), Stop> {
         let mut random = Vec::new();
         for (input, rows) in inputs {
             // Both are sorted. Facts of the source are no such facts; clauses add them below.
             let mut given = self.given.facts.of(*input).iter().peekable();
-            for (at, place, row) in rows {
+            for (at, rank, row) in rows {
                 while given.next_if(|(known, _)| known < row).is_some() {}
                 if let Some((_, probability)) = given.next_if(|(known, _)| known == row) {
                     let known = match self.given.formulas.is_empty() {
@@ -157,12 +157,12 @@ impl<A: Algebra> Work<'_, A> {
                     };
                     match known {
                         Some(formula) => self.formulas.set(*input, *at as usize, formula),
-                        None => random.push((*place, *input, *at, *probability)),
+                        None => random.push((*rank, *input, *at, *probability)),
                     }
                 }
             }
         }
-        random.sort_unstable_by_key(|(place, ..)| *place);
+        random.sort_unstable_by_key(|(rank, ..)| *rank);
         for (_, input, at, probability) in random {
             let formula = self.random(probability, Source::Fact(input, at))?;
             self.formulas.set(input, at as usize, formula);

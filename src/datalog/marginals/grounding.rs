@@ -64,17 +64,19 @@ pub(super) struct Grounding {
 pub(super) struct Needed {
     /// Formulas of all rows before the first clause is evaluated.
     pub formulas: Formulas,
-    /// The rows of the uncertain input predicates, with their positions and the places of their variables in the order
-    /// of all: see [`variable_order`].
-    pub inputs: Vec<(PredicateId, Vec<(u32, u32, FactRow)>)>,
+    /// The rows of the uncertain input predicates.
+    pub inputs: Vec<(PredicateId, Vec<InputRow>)>,
 }
 
-/// Returns the place of each row of the inputs in the order of variables.
+/// A row of an uncertain input predicate: its position, the rank of its variable (see [`variable_ranks`]), and its words.
+pub(super) type InputRow = (u32, u32, FactRow);
+
+/// Returns the rank of each input row in the variable order.
 ///
-/// Without an ego, they stay in their order. Otherwise they follow each other by the last of their symbols: all rows
-/// about the ego alone, then those about the next symbol and those before, and so on. Formulas about one symbol at a
-/// time, joined for all of them, then have small diagrams.
-fn variable_order(inputs: &[(PredicateId, Vec<(u32, FactRow)>)], ego: Option<Value>) -> Vec<u32> {
+/// Without an ego, rows keep their order. With an ego, rows are sorted by their greatest symbol, the ego first: rows about
+/// the ego alone, then those that add the next symbol. Formulas that join one subformula for each symbol then have small
+/// diagrams.
+fn variable_ranks(inputs: &[(PredicateId, Vec<(u32, FactRow)>)], ego: Option<Value>) -> Vec<u32> {
     let Some(ego) = ego else {
         let rows: usize = inputs.iter().map(|(_, rows)| rows.len()).sum();
         return (0..rows as u32).collect();
@@ -95,11 +97,11 @@ fn variable_order(inputs: &[(PredicateId, Vec<(u32, FactRow)>)], ego: Option<Val
         })
         .collect();
     keys.sort_unstable();
-    let mut places = vec![0; keys.len()];
-    for (place, (_, _, number)) in (0..).zip(keys) {
-        places[number] = place;
+    let mut ranks = vec![0; keys.len()];
+    for (rank, (_, _, number)) in (0..).zip(keys) {
+        ranks[number] = rank;
     }
-    places
+    ranks
 }
 
 /// The formulas of the rows of the uncertain predicates.
@@ -299,7 +301,7 @@ impl Grounding {
                 [ego] => Some(*ego),
                 _ => None,
             });
-        let mut places = variable_order(&inputs, ego).into_iter();
+        let mut places = variable_ranks(&inputs, ego).into_iter();
         let inputs = (inputs.into_iter())
             .map(|(input, rows)| {
                 let placed = rows
