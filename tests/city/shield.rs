@@ -177,7 +177,7 @@ fn rules_without_probabilities_are_refused() {
         ("Stop(X) :- CollidingClose(X, \"Car_2\").", "not the names of agents"),
     ] {
         let rules = format!(".include \"vocabulary.dl\"\n{clause}\n");
-        let (world, _) = configured("base: easy", &rules, |_| ());
+        let (world, _) = configured("base: expert", &rules, |_| ());
         let oracle = Arc::new(Oracle::new(world, 5).unwrap());
         let config = |mode| ShieldConfig {
             mode,
