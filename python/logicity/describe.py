@@ -146,7 +146,8 @@ def _page(
         "Observation space": _groundings(tasks),
         "Observations of the kind `state`": _state(tasks),
         "Rewards": _rewards(tasks),
-        "Information": f"`reset` and `step` return an `info`{of} with these keys:\n\n{_infos(env_class)}",
+        "Information": f"`reset` and `step` return an `info`{of} with these keys; a shield adds others:\n\n"
+        + _infos(env_class),
         "Starting state": start,
         "Episode end": end,
         "Arguments": _arguments(env_class) + more,
@@ -172,12 +173,13 @@ def _arguments(env_class: type) -> str:
 
 
 def _infos(env_class: type) -> str:
-    """Return a table of the keys of `info` in a class of environments, from the docstring of `SPFEnv`."""
+    """Return a table of the keys of `info` without a shield, from the docstring of `SPFEnv`."""
     keys = re.findall(r"^- `(\w+)` \((.*?)\)(, with .*?)?: (.*)", _docstring(), re.MULTILINE)
     rows = [
         (f"`{key}`", kind + needs, meaning)
         for key, kind, needs, meaning in keys
-        if all(name in _parameters(env_class) for name in re.findall(r"`(\w+)=True`", needs))
+        if "with a shield" not in needs
+        and all(name in _parameters(env_class) for name in re.findall(r"`(\w+)=True`", needs))
     ]
     return _table(("key", "type", "value"), rows)
 

@@ -63,17 +63,15 @@ class SPFEnv(BaseEnv, gymnasium.Env[Any, np.int64]):
       the current state, else 0, as `action_space.sample(mask)` expects.
     - `true_atoms` (tuple of strings), with `atoms=True`: the true atoms about the agents that the car observes, such as
       `IsTiro(Car_1)`, whatever sensors read.
-
-    With a shield (see `logicity.shield`), `info` also has:
-
-    - `shield_mask` (int8 array, one value per action): 1 if the shield permits the action in the current state, else 0.
-    - `shield_probabilities` (float64 array, one value per action, 0 to 1): the probability that the action is
-      appropriate or safe; 0 or 1 in the modes `mask` and `override`.
-    - `replaced_action` (int): the action that the shield replaced in the last step, or -1.
-    - `shield_violations` (bool array, one value per clause of the shield's rules): whether the replaced action violated
-      the clause. `shield_clauses` has the names of the clauses.
-    - `shield_reason` (string; not in vectors and environments with every car): the explanation of the replaced action,
-      empty if there is none.
+    - `shield_mask` (int8 array, one value per action), with a shield (`logicity.shield`): 1 if the shield permits the
+      action in the current state, else 0.
+    - `shield_probabilities` (float64 array, one value per action), with a shield: the probability, 0 to 1, that the
+      action is appropriate or safe; 0 or 1 in the modes `mask` and `override`.
+    - `replaced_action` (int), with a shield: the action that it replaced in the last step, or -1.
+    - `shield_violations` (bool array, one value per clause of the shield), with a shield: whether the replaced action
+      violated the clause. `shield_clauses` has the names of the clauses.
+    - `shield_reason` (string), with a shield, but not in vectors and environments with every car: the explanation of
+      the replaced action, empty if there is none.
 
     Args:
         config: A run configuration: a built-in name such as `expert`, or a path.
