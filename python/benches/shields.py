@@ -1,7 +1,8 @@
 """Measure the time of a shield's decision: `python python/benches/shields.py [MODE]`.
 
-It is the difference in CPU time per step between 64 environments with noisy sensors and the same with a shield, under
-the actions of the oracle. A probabilistic shield also compiles its circuits once for each number of observed entities.
+It is the difference in CPU time per step between 64 environments with noisy sensors and the same with a shield. The
+oracle proposes the actions; a shield replaces some of them, so that the states differ. A probabilistic shield also
+compiles its circuits once for each number of observed entities.
 """
 
 from __future__ import annotations
@@ -26,7 +27,7 @@ SENSORS = {"output": "belief", "true_positive_rate": 0.95, "false_positive_rate"
 
 
 class Steps:
-    """Environments that take steps."""
+    """Environments in which the oracle proposes the actions."""
 
     def __init__(self, mode: str, shield: Mapping[str, Any] | None) -> None:
         """Make the environments, and take some steps."""
@@ -62,7 +63,7 @@ def main() -> None:
     modes = sys.argv[1:] or ["Easy", "Medium", "Hard", "Expert"]
     if unknown := [mode for mode in modes if mode not in logicity.MODES]:
         sys.exit(f"unknown mode `{unknown[0]}`; known: {', '.join(logicity.MODES)}")
-    print("| mode | shield | query | microseconds per decision | more seconds at the start |\n|---|---|---|---|---|")
+    print("| mode | shield | query | microseconds per decision | extra seconds to start |\n|---|---|---|---|---|")
     for mode in modes:
         free = Steps(mode, None)
         base = free.seconds()

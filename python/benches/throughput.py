@@ -158,7 +158,7 @@ def main() -> None:
     mode = sys.argv[1] if len(sys.argv) > 1 else "Expert"
     if mode not in logicity.MODES:
         sys.exit(f"unknown mode `{mode}`; known: {', '.join(logicity.MODES)}")
-    print(f"| {mode}, random actions | steps per CPU second |\n|---|---|")
+    print(f"| {mode}, random actions unless the row says otherwise | steps per CPU second |\n|---|---|")
     rows: list[tuple[str, Callable[[], float]]] = [
         ("`make`, one environment", lambda: single(mode)),
         ("`make_vec`, 64 environments, 1 thread", lambda: vector(mode, 64, 1)),
