@@ -42,9 +42,7 @@ FILE = re.compile(r"^(?://|#) file: (\S+)$")
 def run(*arguments: str, folder: str | None = None) -> str:
     """Return the standard output of a `logicity` command."""
     command = [sys.executable, "-m", "logicity", *arguments]
-    return subprocess.run(
-        command, capture_output=True, text=True, check=True, cwd=folder
-    ).stdout
+    return subprocess.run(command, capture_output=True, text=True, check=True, cwd=folder).stdout
 
 
 # --- commands
@@ -53,16 +51,10 @@ def run(*arguments: str, folder: str | None = None) -> str:
 def commands() -> str:
     """Return a section for each command, with an entry for each option."""
     root = json.loads(run("reference"))
-    return "\n".join(
-        part
-        for command in root["commands"]
-        for part in command_sections(command, ("logicity",))
-    )
+    return "\n".join(part for command in root["commands"] for part in command_sections(command, ("logicity",)))
 
 
-def command_sections(
-    command: dict[str, Any], parents: tuple[str, ...]
-) -> Iterator[str]:
+def command_sections(command: dict[str, Any], parents: tuple[str, ...]) -> Iterator[str]:
     """Yield the section of a command and those of its subcommands."""
     path = (*parents, command["name"])
     name = " ".join(path)
@@ -83,14 +75,10 @@ def command_sections(
             flags += [f"--{argument['long']}"] if argument["long"] else []
             forms = [f"{flag} {values}".strip() for flag in flags]
         text = argument["help"] or ""
-        text, stated = re.subn(
-            r" ?\[default: (.*)\]$", r". Default: \1", text, flags=re.DOTALL
-        )
+        text, stated = re.subn(r" ?\[default: (.*)\]$", r". Default: \1", text, flags=re.DOTALL)
         parts = [sentence(text)]
         if argument["possible"]:
-            parts.append(
-                f"One of {', '.join(f'`{value}`' for value in argument['possible'])}."
-            )
+            parts.append(f"One of {', '.join(f'`{value}`' for value in argument['possible'])}.")
         if argument["default"] and not stated:
             parts.append(f"Default: `{' '.join(argument['default'])}`.")
         if argument["required"]:
@@ -103,39 +91,21 @@ def command_sections(
 def python_command(words: tuple[str, ...], name: str) -> Iterator[str]:
     """Yield the parts of the section of a command that Python implements."""
     parser, _ = parser_of(words)
-    usage = " ".join(
-        parser.format_usage()
-        .removeprefix("usage: ")
-        .replace("[-h] ", "")
-        .replace("[-h]", "")
-        .split()
-    )
+    usage = " ".join(parser.format_usage().removeprefix("usage: ").replace("[-h] ", "").replace("[-h]", "").split())
     yield f"Needs the Python package.\n\n```text\n{usage}\n```\n"
     yield f"```{{program}} {name}\n```\n"
     for action in parser._actions:
         if isinstance(action, argparse._HelpAction):
             continue
-        values = (
-            "" if action.nargs == 0 else f"<{action.metavar or action.dest.upper()}>"
-        )
-        forms = [f"{flag} {values}".strip() for flag in action.option_strings] or [
-            values
-        ]
-        text, stated = re.subn(
-            r"[;,]? ?default: (.*)$", r". Default: \1", action.help or ""
-        )
+        values = "" if action.nargs == 0 else f"<{action.metavar or action.dest.upper()}>"
+        forms = [f"{flag} {values}".strip() for flag in action.option_strings] or [values]
+        text, stated = re.subn(r"[;,]? ?default: (.*)$", r". Default: \1", action.help or "")
         parts = [sentence(text.removeprefix(". "))]
         if action.choices:
-            parts.append(
-                f"One of {', '.join(f'`{value}`' for value in action.choices)}."
-            )
+            parts.append(f"One of {', '.join(f'`{value}`' for value in action.choices)}.")
         if action.required and action.option_strings:
             parts.append("Required.")
-        if (
-            action.default not in (None, False, argparse.SUPPRESS)
-            and not stated
-            and "default" not in text
-        ):
+        if action.default not in (None, False, argparse.SUPPRESS) and not stated and "default" not in text:
             parts.append(f"Default: `{action.default}`.")
         yield option(", ".join(forms), parts)
 
@@ -205,9 +175,7 @@ def example_blocks(example: dict[str, str]) -> str:
     blocks = []
     for name, text in files.items():
         extension = name.rpartition(".")[2]
-        language = {"jsonl": "json", "facts": "text", "pl": "prolog", "rs": "rust"}.get(
-            extension, extension
-        )
+        language = {"jsonl": "json", "facts": "text", "pl": "prolog", "rs": "rust"}.get(extension, extension)
         caption = f":caption: {name}\n\n" if len(files) > 1 else ""
         blocks.append(f"```{{code-block}} {language}\n{caption}{text}```\n")
     return "\n".join(blocks)
@@ -243,16 +211,12 @@ def configuration() -> str:
     parts = []
     for name in ("run", "map", "agents", "predicates", "task"):
         definition = schema["$defs"][name]
-        parts.append(
-            f"\n(schema-{name})=\n## {definition['title']}\n\n{definition['description']}\n"
-        )
+        parts.append(f"\n(schema-{name})=\n## {definition['title']}\n\n{definition['description']}\n")
         parts += mapping(schema, definition, "")
     return "\n".join(parts)
 
 
-def mapping(
-    schema: dict[str, Any], definition: dict[str, Any], path: str
-) -> Iterator[str]:
+def mapping(schema: dict[str, Any], definition: dict[str, Any], path: str) -> Iterator[str]:
     """Yield the keys of a mapping, and the sections of the mappings inside it."""
     entries = []
     inner: list[tuple[str, dict[str, Any]]] = []
@@ -275,9 +239,7 @@ def mapping(
         yield from mapping(schema, found, f"{name}.")
 
 
-def alternatives(
-    schema: dict[str, Any], value: dict[str, Any]
-) -> Iterator[dict[str, Any]]:
+def alternatives(schema: dict[str, Any], value: dict[str, Any]) -> Iterator[dict[str, Any]]:
     """Yield the alternatives of a value, without references to parts that have a section of their own."""
     if "$ref" in value:
         value = {
@@ -294,30 +256,19 @@ def alternatives(
 PARTS = ("map", "agents", "predicates", "task")
 
 
-def mappings_of(
-    schema: dict[str, Any], value: dict[str, Any]
-) -> Iterator[tuple[str, dict[str, Any]]]:
+def mappings_of(schema: dict[str, Any], value: dict[str, Any]) -> Iterator[tuple[str, dict[str, Any]]]:
     """Yield the mappings that a value can be or contain, with what to append to its name."""
     for one in alternatives(schema, value):
         if one.get("from") in PARTS:
             continue
         if one.get("properties"):
             # One table suffices for the three splits.
-            if (
-                set(one["properties"]) != {"train", "val", "test"}
-                or "base" in one["properties"]
-            ):
+            if set(one["properties"]) != {"train", "val", "test"} or "base" in one["properties"]:
                 yield "", one
         elif isinstance(one.get("additionalProperties"), dict):
-            yield from (
-                (f".NAME{suffix}", found)
-                for suffix, found in mappings_of(schema, one["additionalProperties"])
-            )
+            yield from ((f".NAME{suffix}", found) for suffix, found in mappings_of(schema, one["additionalProperties"]))
         elif "items" in one:
-            yield from (
-                (f"[]{suffix}", found)
-                for suffix, found in mappings_of(schema, one["items"])
-            )
+            yield from ((f"[]{suffix}", found) for suffix, found in mappings_of(schema, one["items"]))
 
 
 def values_of(schema: dict[str, Any], value: dict[str, Any]) -> str:
@@ -336,11 +287,7 @@ def value_of(schema: dict[str, Any], value: dict[str, Any]) -> str:
         return " or ".join(f"`{word}`" for word in value["enum"] if word is not None)
     kinds = value.get("type", [])
     kind = next(
-        (
-            kind
-            for kind in ([kinds] if isinstance(kinds, str) else kinds)
-            if kind != "null"
-        ),
+        (kind for kind in ([kinds] if isinstance(kinds, str) else kinds) if kind != "null"),
         "",
     )
     if kind in ("integer", "number"):
@@ -351,10 +298,7 @@ def value_of(schema: dict[str, Any], value: dict[str, Any]) -> str:
     if kind == "object":
         if value.get("from") in PARTS:
             return f"[{value['title'].lower()}](#schema-{value['from']})"
-        if (
-            set(value.get("properties", {})) == {"train", "val", "test"}
-            and "base" not in value["properties"]
-        ):
+        if set(value.get("properties", {})) == {"train", "val", "test"} and "base" not in value["properties"]:
             return "one per split: `train`, `val`, `test`"
         return "mapping"
     return {"string": "text", "boolean": "`true` or `false`"}.get(kind, "")
@@ -379,13 +323,9 @@ def training() -> str:
     schema = json.loads(run("schema", "training"))
     parts = [f"## Keys\n\n{keys_of(schema)}"]
     for definition in schema["$defs"].values():
-        described = any(
-            "description" in value for value in definition["properties"].values()
-        )
+        described = any("description" in value for value in definition["properties"].values())
         columns = ["setting", "values", "default", *["meaning"] * described]
-        parts.append(
-            f"## {definition['title']}\n\n| {' | '.join(columns)} |\n{'|---' * len(columns)}|"
-        )
+        parts.append(f"## {definition['title']}\n\n| {' | '.join(columns)} |\n{'|---' * len(columns)}|")
         for key, value in definition["properties"].items():
             default = code(value["default"]) if "default" in value else "required"
             cells = [
@@ -406,14 +346,8 @@ def keys_of(schema: dict[str, Any]) -> str:
         required = ", required" if key in schema.get("required", []) else ""
         # The section of a mapping shows the defaults of its keys.
         default = value.get("default")
-        stated = (
-            ""
-            if default is None or isinstance(default, dict)
-            else f", default {code(default)}"
-        )
-        entries.append(
-            f"`{key}`\n: *{kinds(value)}*{required}{stated}. {value['description']}\n"
-        )
+        stated = "" if default is None or isinstance(default, dict) else f", default {code(default)}"
+        entries.append(f"`{key}`\n: *{kinds(value)}*{required}{stated}. {value['description']}\n")
     return "\n".join(entries)
 
 
@@ -424,9 +358,7 @@ def experiment_files(task: str) -> str:
     for key, value in schema["$defs"][task]["properties"].items():
         inner = value.get("additionalProperties")
         if isinstance(inner, dict):
-            parts.append(
-                f"### `{key}.NAME`\n\n{inner['description']}\n\n{keys_of(inner)}"
-            )
+            parts.append(f"### `{key}.NAME`\n\n{inner['description']}\n\n{keys_of(inner)}")
         elif "properties" in value:
             parts.append(f"### `{key}`\n\n{value['description']}\n\n{keys_of(value)}")
     return "\n".join(parts)
@@ -450,9 +382,7 @@ def kinds(value: dict[str, Any]) -> str:
             "maximum": "to",
             "exclusiveMaximum": "below",
         }
-        bounds = "".join(
-            f" {word} {value[key]:,}" for key, word in words.items() if key in value
-        )
+        bounds = "".join(f" {word} {value[key]:,}" for key, word in words.items() if key in value)
         return f"{value['type']}{bounds}"
     if value["type"] == "array":
         items = value.get("prefixItems") or [value["items"]]
@@ -493,9 +423,7 @@ def results(name: str) -> str:
     """Return the tables of a file of results."""
     module = imported("logicity.experiments.results")
     with mock(OPTIONAL):
-        text: str = module.leaderboard(
-            module.read_results(ROOT / "results" / f"{name}.json", name), 3
-        )
+        text: str = module.leaderboard(module.read_results(ROOT / "results" / f"{name}.json", name), 3)
     return text
 
 
@@ -507,15 +435,9 @@ def environments() -> str:
     rows = ["| id | mode | its rules |", "|---|---|---|"]
     for mode, name in ENVIRONMENTS.items():
         # The first line describes the mode, as in `# Safe Path Following, easy mode: give way at intersections.`
-        comment = (
-            (ROOT / "configs" / f"{mode}.yaml")
-            .read_text(encoding="utf-8")
-            .partition("\n")[0]
-        )
+        comment = (ROOT / "configs" / f"{mode}.yaml").read_text(encoding="utf-8").partition("\n")[0]
         about = sentence(comment.partition(": ")[2])
-        rows.append(
-            f"| [`{name}`](environments/{mode}.md) | {mode} | {about[0].upper()}{about[1:]} |"
-        )
+        rows.append(f"| [`{name}`](environments/{mode}.md) | {mode} | {about[0].upper()}{about[1:]} |")
     tables = describe().replace("### ", "## ")
     # Short lists of numbers stay on one line.
     tables = re.sub(
@@ -539,9 +461,7 @@ def repository_file(name: str) -> str:
     """Return a Markdown file of the repository, with links that work on the site."""
     text = (ROOT / name).read_text(encoding="utf-8")
     return LINK.sub(
-        lambda match: (
-            f"[{match[1]}]({link})" if (link := site_link(match[2])) else match[1]
-        ),
+        lambda match: f"[{match[1]}]({link})" if (link := site_link(match[2])) else match[1],
         text,
     )
 
@@ -593,6 +513,7 @@ MODULES = {
     "logicity.torch": "Rules as a layer",
     "logicity.envs": "Environments",
     "logicity.envs.registration": "Environments by name",
+    "logicity.envs.shield": "Shields",
     "logicity.envs.layout": "Layouts of observations",
     "logicity.envs.views": "Views of observations",
     "logicity.envs.wrappers": "Wrappers with views",
@@ -631,12 +552,8 @@ def public_names() -> dict[str, list[str]]:
     for module in MODULES:
         exported = logicity._NAMES.get(module.removeprefix("logicity."))
         home = "logicity" if exported else module
-        names[module] = [
-            f"{home}.{name}" for name in exported or imported(module).__all__
-        ]
-    missing = {f"logicity.{name}" for name in logicity.__all__} - {
-        name for found in names.values() for name in found
-    }
+        names[module] = [f"{home}.{name}" for name in exported or imported(module).__all__]
+    missing = {f"logicity.{name}" for name in logicity.__all__} - {name for found in names.values() for name in found}
     if missing != {"logicity.__version__"}:
         raise ValueError(f"no section of the reference has {missing}")
     return names
@@ -656,23 +573,15 @@ def python() -> str:
         if not names[0].startswith(f"{module}."):
             parts.append("Import these names from `logicity`.\n")
         else:
-            parts.append(
-                f"```{{eval-rst}}\n.. automodule:: {module}\n   :no-members:\n   :no-index:\n```\n"
-            )
+            parts.append(f"```{{eval-rst}}\n.. automodule:: {module}\n   :no-members:\n   :no-index:\n```\n")
         for name in names:
             home, _, last = name.rpartition(".")
             with mock(OPTIONAL):
                 value = getattr(importlib.import_module(home), last)
             if inspect.isclass(value):
-                kind = (
-                    "autoexception" if issubclass(value, BaseException) else "autoclass"
-                )
+                kind = "autoexception" if issubclass(value, BaseException) else "autoclass"
             else:
-                kind = (
-                    "autofunction"
-                    if callable(value) and inspect.isroutine(value)
-                    else "autodata"
-                )
+                kind = "autofunction" if callable(value) and inspect.isroutine(value) else "autodata"
             # The comment of a value is in the module that defines it.
             path = f"{module}.{last}" if kind == "autodata" else name
             parts.append(f"```{{eval-rst}}\n.. {kind}:: {path}\n```\n")
@@ -685,25 +594,14 @@ GENERATORS: dict[str, Callable[[], str]] = {
     "warnings": lambda: messages("warning"),
     "configuration": configuration,
     "training": training,
-    **{
-        f"experiment-files-{name}": functools.partial(experiment_files, name)
-        for name in EXPERIMENT_PARTS
-    },
+    **{f"experiment-files-{name}": functools.partial(experiment_files, name) for name in EXPERIMENT_PARTS},
     "environments": environments,
-    **{
-        f"environment-{mode}": functools.partial(environment_page, mode)
-        for mode in ENVIRONMENTS
-    },
+    **{f"environment-{mode}": functools.partial(environment_page, mode) for mode in ENVIRONMENTS},
     "environment-parallel": parallel,
     "python": python,
     "playground": playground,
     "rust": rust,
-    "history": lambda: history.page(
-        (ROOT / "benches" / "history.jsonl").read_text(encoding="utf-8")
-    ),
+    "history": lambda: history.page((ROOT / "benches" / "history.jsonl").read_text(encoding="utf-8")),
     **{f"results-{name}": functools.partial(results, name) for name in RESULTS},
-    **{
-        Path(name).stem.lower(): functools.partial(repository_file, name)
-        for name in REPOSITORY_FILES
-    },
+    **{Path(name).stem.lower(): functools.partial(repository_file, name) for name in REPOSITORY_FILES},
 }
