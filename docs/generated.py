@@ -192,12 +192,7 @@ def said_about(example: dict[str, str], command: str | None) -> str:
         search = os.pathsep.join([str(Path(sys.executable).parent), os.environ["PATH"]])
         environment = {**os.environ, "PATH": search}
         done = subprocess.run(
-            ["sh", "-c", command],
-            cwd=folder,
-            env=environment,
-            capture_output=True,
-            text=True,
-            check=False,
+            ["sh", "-c", command], cwd=folder, env=environment, capture_output=True, text=True, check=False
         )
     return (done.stderr or done.stdout).strip()
 
@@ -242,10 +237,7 @@ def mapping(schema: dict[str, Any], definition: dict[str, Any], path: str) -> It
 def alternatives(schema: dict[str, Any], value: dict[str, Any]) -> Iterator[dict[str, Any]]:
     """Yield the alternatives of a value, without references to parts that have a section of their own."""
     if "$ref" in value:
-        value = {
-            **schema["$defs"][value["$ref"].rpartition("/")[2]],
-            "from": value["$ref"].rpartition("/")[2],
-        }
+        value = {**schema["$defs"][value["$ref"].rpartition("/")[2]], "from": value["$ref"].rpartition("/")[2]}
     if "anyOf" in value:
         for one in value["anyOf"]:
             yield from alternatives(schema, one)
@@ -286,10 +278,7 @@ def value_of(schema: dict[str, Any], value: dict[str, Any]) -> str:
     if "enum" in value:
         return " or ".join(f"`{word}`" for word in value["enum"] if word is not None)
     kinds = value.get("type", [])
-    kind = next(
-        (kind for kind in ([kinds] if isinstance(kinds, str) else kinds) if kind != "null"),
-        "",
-    )
+    kind = next((kind for kind in ([kinds] if isinstance(kinds, str) else kinds) if kind != "null"), "")
     if kind in ("integer", "number"):
         return f"{kind} {number(value['minimum'])} to {number(value['maximum'])}"
     if kind == "array":
@@ -328,12 +317,7 @@ def training() -> str:
         parts.append(f"## {definition['title']}\n\n| {' | '.join(columns)} |\n{'|---' * len(columns)}|")
         for key, value in definition["properties"].items():
             default = code(value["default"]) if "default" in value else "required"
-            cells = [
-                f"`{key}`",
-                kinds(value),
-                default,
-                *[value.get("description", "")] * described,
-            ]
+            cells = [f"`{key}`", kinds(value), default, *[value.get("description", "")] * described]
             parts[-1] += f"\n| {' | '.join(cells)} |"
         parts[-1] += "\n"
     return "\n".join(parts)
@@ -376,23 +360,13 @@ def kinds(value: dict[str, Any]) -> str:
     if "const" in value:
         return f"`{value['const']}`"
     if value["type"] in ("integer", "number"):
-        words = {
-            "minimum": "from",
-            "exclusiveMinimum": "above",
-            "maximum": "to",
-            "exclusiveMaximum": "below",
-        }
+        words = {"minimum": "from", "exclusiveMinimum": "above", "maximum": "to", "exclusiveMaximum": "below"}
         bounds = "".join(f" {word} {value[key]:,}" for key, word in words.items() if key in value)
         return f"{value['type']}{bounds}"
     if value["type"] == "array":
         items = value.get("prefixItems") or [value["items"]]
         return "list of " + ", ".join(kinds(item) for item in items)
-    words = {
-        "string": "text",
-        "boolean": "`true` or `false`",
-        "object": "mapping",
-        "null": "`~`",
-    }
+    words = {"string": "text", "boolean": "`true` or `false`", "object": "mapping", "null": "`~`"}
     return words[value["type"]]
 
 
@@ -440,11 +414,7 @@ def environments() -> str:
         rows.append(f"| [`{name}`](environments/{mode}.md) | {mode} | {about[0].upper()}{about[1:]} |")
     tables = describe().replace("### ", "## ")
     # Short lists of numbers stay on one line.
-    tables = re.sub(
-        r"\(?\d+(?: /|,) \d+(?: / \d+)?\)?",
-        lambda match: match[0].replace(" ", "\u00a0"),
-        tables,
-    )
+    tables = re.sub(r"\(?\d+(?: /|,) \d+(?: / \d+)?\)?", lambda match: match[0].replace(" ", "\u00a0"), tables)
     return "## Modes\n\n" + "\n".join(rows) + f"\n\n{tables}"
 
 
@@ -460,10 +430,7 @@ def parallel() -> str:
 def repository_file(name: str) -> str:
     """Return a Markdown file of the repository, with links that work on the site."""
     text = (ROOT / name).read_text(encoding="utf-8")
-    return LINK.sub(
-        lambda match: f"[{match[1]}]({link})" if (link := site_link(match[2])) else match[1],
-        text,
-    )
+    return LINK.sub(lambda match: f"[{match[1]}]({link})" if (link := site_link(match[2])) else match[1], text)
 
 
 def site_link(target: str) -> str | None:
@@ -530,17 +497,7 @@ MODULES = {
 
 #: Optional dependencies of the package, which need not be installed to read its docstrings.
 OPTIONAL = [
-    *[
-        "PIL",
-        "diffusers",
-        "minari",
-        "pettingzoo",
-        "pyarrow",
-        "stable_baselines3",
-        "tensordict",
-        "torch",
-        "torchrl",
-    ],
+    *["PIL", "diffusers", "minari", "pettingzoo", "pyarrow", "stable_baselines3", "tensordict", "torch", "torchrl"],
     "tqdm",
 ]
 
