@@ -4,8 +4,8 @@ use crate::actor::PyPolicyNetwork;
 use crate::city::one_of;
 use crate::episode::{PyEpisode, PyEpisodeOption, read_episode};
 use crate::task::{
-    PyTask, action_mask, check_permitted, gymnasium_error, read_action, read_actions, shield_mask, shield_of,
-    split_named, table_of, write_violations,
+    PyTask, ShieldSettings, action_mask, check_permitted, gymnasium_error, read_action, read_actions, shield_mask,
+    shield_of, split_named, table_of, write_violations,
 };
 use crate::{Signals, borrowed, borrowed_mut, slice_of};
 use logicity::city::{Action, Split};
@@ -181,12 +181,11 @@ impl PyVectorEnv {
         slf: &Bound<'_, Self>,
         py: Python<'_>,
         rules: Option<Py<PyTask>>,
-        settings: (String, String, Option<f64>),
+        settings: ShieldSettings,
     ) -> PyResult<()> {
         let this = &mut *borrowed_mut(slf)?;
-        let (mode, query, threshold) = settings;
         let of = rules.as_ref().unwrap_or(&this.task).get();
-        let shield = shield_of(py, of, (&mode, &query, threshold))?;
+        let shield = shield_of(py, of, &settings)?;
         let vector = &mut this.vector;
         let set = this.signals.detach(py, || vector.set_shield(Some(&shield)))?;
         set.map_err(|fault| of.error(py, fault))?;
@@ -209,8 +208,7 @@ impl PyVectorEnv {
     fn explain_shield(slf: &Bound<'_, Self>, py: Python<'_>, at: usize) -> PyResult<String> {
         let this = &mut *borrowed_mut(slf)?;
         this.begun(py, at)?;
-        let rules = this.shield_rules.as_ref().unwrap_or(&this.task).get();
-        rules.explain_shield(py, this.vector.sub_envs_mut()[at].env_mut(), 0, &this.signals)
+        this.shield_text(py, at)
     }
 
     /// Writes what the shield does and says in all environments. With `ended`, writes that at the end of the episodes
@@ -312,16 +310,27 @@ impl PyVectorEnv {
         let task = this.task.get();
         let actions = [read_action(py, &task.task, action, String::new)?];
         this.check_permitted(py, &actions)?;
+        // The state of the decision is gone after the step.
+        let verdict = this.vector.sub_envs()[0].info().verdict;
+        let reason = match verdict.is_some_and(|verdict| !verdict.permitted.contains(actions[0])) {
+            true => this.shield_text(py, 0)?,
+            false => String::new(),
+        };
+        let task = this.task.get();
         let rows = this.rows(&mut observation)?;
         (this.signals.run_polled(|| this.vector.step(&actions, rows))?).map_err(|fault| task.error(py, fault))?;
         let sub_env = &this.vector.sub_envs()[0];
         let outcome = sub_env.outcome();
-        Ok((
-            outcome.reward,
-            outcome.terminated,
-            outcome.truncated,
-            this.full_info(py, sub_env)?,
-        ))
+        let info = this.full_info(py, sub_env)?;
+        if let Some(executed) = sub_env.env().taken().next_back().filter(|_| verdict.is_some()) {
+            let name = |action| table_of(&task.task).name(action);
+            let reason = match sub_env.info().replaced {
+                Some(replaced) => format!("{} replaces {}\n{reason}", name(executed[0]), name(replaced)),
+                None => String::new(),
+            };
+            info.set_item("shield_reason", reason)?;
+        }
+        Ok((outcome.reward, outcome.terminated, outcome.truncated, info))
     }
 
     /// Steps all environments.
@@ -550,6 +559,12 @@ impl PyVectorEnv {
     /// Returns the task with the rules of the shield.
     fn shield_task(&self) -> &PyTask {
         self.shield_rules.as_ref().unwrap_or(&self.task).get()
+    }
+
+    /// Explains what the shield of an environment says now.
+    fn shield_text(&mut self, py: Python<'_>, at: usize) -> PyResult<String> {
+        let rules = self.shield_rules.as_ref().unwrap_or(&self.task).get();
+        rules.explain_shield(py, self.vector.sub_envs_mut()[at].env_mut(), 0, &self.signals)
     }
 
     /// Returns the info of an environment, with what its shield does and says.

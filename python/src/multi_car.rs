@@ -1,7 +1,9 @@
 //! An environment that controls every car of a city.
 
 use crate::episode::{PyEpisode, read_episode};
-use crate::task::{PyTask, check_permitted, read_action, read_actions, shield_of, split_named, table_of};
+use crate::task::{
+    PyTask, ShieldSettings, check_permitted, read_action, read_actions, shield_of, split_named, table_of,
+};
 use crate::{Signals, borrowed, borrowed_mut, slice_of};
 use logicity::city::Action;
 use logicity::task::spf::{ControlMode, Env, EpisodeSource, Info, ObservationKind, describe};
@@ -58,12 +60,11 @@ impl PyMultiCarEnv {
         slf: &Bound<'_, Self>,
         py: Python<'_>,
         rules: Option<Py<PyTask>>,
-        settings: (String, String, Option<f64>),
+        settings: ShieldSettings,
     ) -> PyResult<()> {
         let this = &mut *borrowed_mut(slf)?;
-        let (mode, query, threshold) = settings;
         let of = rules.as_ref().unwrap_or(&this.task).get();
-        let shield = shield_of(py, of, (&mode, &query, threshold))?;
+        let shield = shield_of(py, of, &settings)?;
         let env = &mut this.env;
         let set = this.signals.detach(py, || {
             let set = env.set_shield(Some(shield)).and_then(|()| env.ask_shield());

@@ -68,12 +68,11 @@ pub fn action_mask(table: &ActionTable, info: &Info) -> Vec<i8> {
     table.all().map(allows).collect()
 }
 
+/// The mode, the query and the threshold of a shield.
+pub type ShieldSettings = (String, String, Option<f64>);
+
 /// Returns the shield with these settings by the rules of a task.
-pub fn shield_of(
-    py: Python<'_>,
-    rules: &PyTask,
-    (mode, query, threshold): (&str, &str, Option<f64>),
-) -> PyResult<Arc<Shield>> {
+pub fn shield_of(py: Python<'_>, rules: &PyTask, (mode, query, threshold): &ShieldSettings) -> PyResult<Arc<Shield>> {
     let config = ShieldConfig {
         mode: one_of("mode", mode, &ShieldMode::ALL, ShieldMode::name)?,
         query: one_of("query", query, &ShieldQuery::ALL, ShieldQuery::name)?,
@@ -326,7 +325,7 @@ impl PyTask {
     /// Returns the kind of observation with a name, if the task has it.
     pub fn view(&self, py: Python<'_>, name: &str) -> PyResult<ObservationKind> {
         let kind = one_of("observation", name, &ObservationKind::ALL, ObservationKind::name)?;
-        kind.of(&self.task).map_err(|fault| self.error(py, fault))
+        kind.checked_for(&self.task).map_err(|fault| self.error(py, fault))
     }
 
     /// Returns the number of clauses that actions can violate.

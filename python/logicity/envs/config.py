@@ -69,17 +69,17 @@ class EnvConfig:
         if "base" in self.overrides:
             raise ValueError("`overrides` must not contain `base`: the argument `config` is the base")
 
-    def task(self, **more: Any) -> _logicity.Task:
-        """Load the task with additional overrides. Raise `InputError` if any of its sources is invalid."""
-        return _logicity.Task(self.config, self.rules, self._as_json(more), self.limits, None, self.predicates)
+    def task(self, rules: str | os.PathLike[str] | None = None, **more: Any) -> _logicity.Task:
+        """Load the task, with another rule file or overrides. Raise `InputError` if any of its sources is invalid."""
+        chosen = self.rules if rules is None else rule_file(rules)
+        return _logicity.Task(self.config, chosen, self._as_json(more), self.limits, None, self.predicates)
 
-    def with_rules(self, rules: str | os.PathLike[str]) -> _logicity.Task:
-        """Load the task with another rule file. Raise `InputError` if any of its sources is invalid."""
+    def shield_task(self, rules: str | os.PathLike[str]) -> _logicity.Task:
+        """Load the task with the rules of a shield. Raise `InputError` if any of its sources is invalid."""
         task = dict(self.overrides.get("task") or {})
         # Clauses have other labels, and the rules need not fit the shield of the configuration.
         task |= {"reward": {**(task.get("reward") or {}), "clauses": None}, "shield": None}
-        changed = self._as_json({"task": task})
-        return _logicity.Task(self.config, rule_file(rules), changed, self.limits, None, self.predicates)
+        return self.task(rules, task=task)
 
     def _as_json(self, more: Mapping[str, Any]) -> str | None:
         """Return the configuration with its overrides as JSON, or `None` without overrides."""

@@ -95,7 +95,7 @@ class BaseEnv:
             if not 0 <= threshold <= 1:
                 raise ValueError(f"`threshold` must be from 0 to 1, not {threshold}")
         settings = (mode, query, None if threshold is None else float(threshold))
-        task = None if rules is None else self._config.with_rules(rules)
+        task = None if rules is None else self._config.shield_task(rules)
         self._shielded_core().set_shield(task, settings)
         self._shield = task, settings
 

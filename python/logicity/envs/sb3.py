@@ -17,7 +17,6 @@ with extra("learn"):
     from gymnasium.vector import AutoresetMode
     from stable_baselines3.common.vec_env import VecEnv, VecMonitor
 
-from ..types import ShieldMode, ShieldQuery
 from .interface import check_options
 from .vector import SPFVectorEnv
 
@@ -125,16 +124,6 @@ class SPFVecEnv(VecEnv):
     def action_masks(self) -> NDArray[np.bool_]:
         """Return the permitted actions for `MaskablePPO`, as `SPFVectorEnv.action_masks` does."""
         return self.envs.action_masks()
-
-    def set_shield(
-        self,
-        rules: str | os.PathLike[str] | None = None,
-        mode: ShieldMode = "override",
-        query: ShieldQuery = "appropriate",
-        threshold: float | None = None,
-    ) -> None:
-        """Set the shield of the environments, see `logicity.shield`."""
-        self.envs.set_shield(rules, mode, query, threshold)
 
     @property
     def clauses(self) -> tuple[str, ...]:

@@ -47,7 +47,9 @@ def shield(
         ValueError: If an argument is unknown or out of range.
     """
     base: Any = getattr(env, "unwrapped", env)
-    if not hasattr(base, "set_shield"):
+    # `SPFVecEnv` wraps a vector.
+    shielded: Any = base if hasattr(base, "set_shield") else getattr(base, "envs", None)
+    if not hasattr(shielded, "set_shield"):
         raise TypeError(f"expected an environment of Safe Path Following, not {type(base).__name__}")
-    base.set_shield(rules, mode, query, threshold)
+    shielded.set_shield(rules, mode, query, threshold)
     return env

@@ -177,15 +177,7 @@ class SPFEnv(BaseEnv, gymnasium.Env[Any, np.int64]):
         """
         self._check_begun()
         array, number = np.empty(self._shape, np.float32), checked_action(action, self._actions)
-        clauses = self.shield_clauses
-        refused = clauses is not None and not self._permitted()[0][number]
-        reason = self.explain_shield() if refused else ""
         reward, terminated, truncated, info = self._core.step_one(number, array)
-        if clauses is not None:
-            if reason:
-                executed = self._actions[self._core.taken(0)[-1]]
-                reason = f"{executed} replaces {self._actions[number]}\n{reason}"
-            info["shield_reason"] = reason
         observation, info = self._result(array, info)
         return observation, reward, terminated, truncated, info
 

@@ -415,7 +415,7 @@ class Dreamer(TransitionLearner):
     """Learns a world model from sequences of observations, and the actor and the critic in imagination."""
 
     settings_class = DreamerSettings
-    takes_quantities = False
+    takes_numbers = False
     policy_class = DreamerPolicy
     _settings: DreamerSettings
 

@@ -109,7 +109,7 @@ class FoldRMLearner(SymbolicLearner):
     """FOLD-RM on the distinct steps of the demonstrations."""
 
     settings_class = FoldRMSettings
-    takes_quantities = False
+    takes_numbers = False
     _settings: FoldRMSettings
 
     def rules(self, data: Demonstrations) -> str:

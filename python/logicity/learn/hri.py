@@ -696,7 +696,7 @@ class HRI(Learner):
     settings_class = HriSettings
     unit: ClassVar = "updates"
     interacts = False
-    takes_quantities = False
+    takes_numbers = False
     policy_class = HriPolicy
     steps = 0
     _settings: HriSettings

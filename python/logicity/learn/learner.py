@@ -121,8 +121,8 @@ class Learner(ABC):
     interacts: ClassVar[bool]
     #: The kinds of observations that the learner can use.
     observations: ClassVar[tuple[ArrayKind, ...]] = ("groundings",)
-    #: Whether observations may have values of quantities and probabilities beside truth values.
-    takes_quantities: ClassVar[bool] = True
+    #: Whether observations may have numbers besides truth values: quantities and probabilities.
+    takes_numbers: ClassVar[bool] = True
     #: The suffix of the files of its policies.
     suffix: ClassVar[str] = ".pt"
     #: The class of its policies.
@@ -148,7 +148,7 @@ class Learner(ABC):
             raise ValueError(
                 f"`{config.algorithm}` reads no masks: set `mode: override` in the shield of {config.mode}"
             )
-        if not self.takes_quantities:
+        if not self.takes_numbers:
             columns = layout["columns"]
             if layout["sensors"] not in (None, "facts"):
                 raise ValueError(

@@ -138,7 +138,7 @@ class PopperLearner(SymbolicLearner):
     """Popper, run for each action."""
 
     settings_class = PopperSettings
-    takes_quantities = False
+    takes_numbers = False
     #: The arguments that select the algorithm.
     selection: ClassVar[tuple[str, ...]] = ()
     _outcomes: Sequence[dict[str, Any]] = ()

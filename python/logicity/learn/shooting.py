@@ -345,7 +345,7 @@ class Shooting(TransitionLearner):
     """Learns a model of the environment from transitions, and plans with it."""
 
     settings_class = ShootingSettings
-    takes_quantities = False
+    takes_numbers = False
     policy_class = ShootingPolicy
     _settings: ShootingSettings
 

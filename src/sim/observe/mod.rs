@@ -9,6 +9,7 @@ mod observer;
 mod rule_monitor;
 mod sensors;
 mod shield;
+mod visibility;
 
 pub use belief::{Chain, SensorModel};
 pub use decider::Decider;

@@ -24,6 +24,12 @@ use crate::sim::tick::vocabulary::{Actions, Vocabulary};
 /// The maximum number of observed entities.
 pub const OBSERVED_MAX: usize = 64;
 
+/// Returns the set of the first `count` entities.
+pub(super) fn all_of(count: usize) -> u64 {
+    let [all] = first(count);
+    all
+}
+
 /// A clause that demands an action of an agent.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub struct ActionConstraint {

@@ -4,15 +4,16 @@
 //! noise, hides agents, and reads the facts of this tick or of an earlier one. What belongs to an agent follows it to
 //! another place among the observed entities; it is forgotten when the agent leaves them.
 
-use crate::city::{Agent, Cell, CityMap};
+use crate::city::{Agent, CityMap};
 use crate::config::{Sensor, SensorOutput, SensorsConfig};
-use crate::datalog::dense::{first, members};
+use crate::datalog::dense::members;
 use crate::predicate::Definition;
 use crate::rng::{Purpose, Seed, Words};
 use crate::sim::observe::belief::{Counts, FactModel, Joint, Reading, Role, SensorModel};
 use crate::sim::observe::belief::{Likelihoods, condition, fresh, likelihoods, marginal, predict, update};
 use crate::sim::observe::noise::{Threshold, below};
-use crate::sim::observe::rule_monitor::{AtomLayout, Atoms, OBSERVED_MAX};
+use crate::sim::observe::rule_monitor::{AtomLayout, Atoms, OBSERVED_MAX, all_of};
+use crate::sim::observe::visibility::Visibility;
 use crate::sim::tick::agent_state::AgentState;
 use crate::sim::tick::vocabulary::BasePredicate;
 use std::collections::VecDeque;
@@ -32,7 +33,7 @@ pub struct Sensors {
     width: usize,
     groups: Vec<Group>,
     /// The different ways in which agents are hidden.
-    views: Vec<View>,
+    views: Vec<Visibility>,
     /// The greatest delay in ticks.
     delay: usize,
     /// Whether noise depends on that of the tick before.
@@ -86,8 +87,6 @@ struct SensedSet {
     reflexive: bool,
     /// The position of the first number in the observation.
     start: usize,
-    /// The age of readings in ticks.
-    delay: u32,
 }
 
 impl SensedSet {
@@ -102,14 +101,6 @@ impl SensedSet {
     }
 }
 
-/// What can hide an agent from a sensor.
-#[derive(Clone, Copy, Debug, PartialEq)]
-struct View {
-    range: Option<u32>,
-    buildings: bool,
-    agents: bool,
-}
-
 impl Sensors {
     /// Prepares sensors for the observed sets of atoms, each with the place of its first number in an observation.
     pub(super) fn new(
@@ -118,18 +109,14 @@ impl Sensors {
         observed: &[(usize, usize)],
         predicates: &[BasePredicate],
     ) -> Sensors {
-        let (mut groups, mut views): (Vec<Group>, Vec<View>) = (Vec::new(), Vec::new());
+        let (mut groups, mut views): (Vec<Group>, Vec<Visibility>) = (Vec::new(), Vec::new());
         for &(set, start) in observed {
             let (predicate, row) = layout.predicate(set);
             let known = &predicates[predicate];
             let sensor = config.of(&known.name);
             let found = groups.iter().position(|group| group.sensor == sensor);
             let group = found.unwrap_or_else(|| {
-                let view = View {
-                    range: sensor.range,
-                    buildings: sensor.occluded_by_buildings,
-                    agents: sensor.occluded_by_agents,
-                };
+                let view = Visibility::of(&sensor);
                 let place = views.iter().position(|known| *known == view);
                 groups.push(Group {
                     is_simple: sensor.delay == 0
@@ -155,7 +142,6 @@ impl Sensors {
                 row,
                 reflexive: known.definition.may_be_reflexive(),
                 start,
-                delay: sensor.delay,
             });
         }
         let sensors = || groups.iter().map(|group| &group.sensor);
@@ -188,12 +174,6 @@ impl Sensors {
     pub fn needs_model(&self) -> bool {
         self.config.output != SensorOutput::Facts
     }
-}
-
-/// Returns the set of the first `count` entities.
-fn all_of(count: usize) -> u64 {
-    let [all] = first(count);
-    all
 }
 
 /// The places that observed entities had earlier.
@@ -367,25 +347,19 @@ impl Sensing {
         let (sensors, readings) = (&self.sensors, &self.readings);
         let present = all_of(readings.agents.len());
         let Some(model) = &self.model else { return };
-        for set in sensors.groups.iter().flat_map(|group| &group.sets) {
-            let facts = &model.facts[set.predicate];
-            for entity in members(&[set.lanes(present)]) {
-                let fact: &FactModel = &facts[Role::of(set.row, entity) as usize];
-                let place = set.start + entity;
-                take(
-                    *set,
-                    entity,
-                    match sensors.config.output {
-                        _ if sensors.is_exact(*set, entity) => {
-                            f32::from(u8::from(readings.reading(*set, entity) == Reading::Positive))
-                        }
-                        SensorOutput::Belief if readings.age(*set, entity) < set.delay => {
-                            fact.chain.later(fact.chain.initial, readings.age(*set, entity))
-                        }
-                        SensorOutput::Belief => fact.ahead[0] + fact.ahead[1] * readings.belief[place],
-                        _ => fact.after[readings.reading(*set, entity) as usize],
-                    },
-                );
+        for group in &sensors.groups {
+            for &set in &group.sets {
+                for entity in members(&[set.lanes(present)]) {
+                    let fact: &FactModel = &model.facts[set.predicate][Role::of(set.row, entity) as usize];
+                    let (reading, age) = (readings.reading(set, entity), readings.age(set, entity));
+                    let probability = match sensors.config.output {
+                        _ if sensors.is_exact(set, entity) => f32::from(u8::from(reading == Reading::Positive)),
+                        SensorOutput::Belief if age < group.sensor.delay => fact.chain.later(fact.chain.initial, age),
+                        SensorOutput::Belief => fact.ahead[0] + fact.ahead[1] * readings.belief[set.start + entity],
+                        _ => fact.after[reading as usize],
+                    };
+                    take(set, entity, probability);
+                }
             }
         }
     }
@@ -578,78 +552,6 @@ impl Readings {
                 }
             }
         }
-    }
-}
-
-impl View {
-    /// Returns the entities that are not hidden. The ego, which is the first one, never is.
-    fn visible(self, map: &CityMap, bodies: &[AgentState], agents: &[Agent]) -> u64 {
-        let all = all_of(bodies.len());
-        if self.range.is_none() && !self.buildings && !self.agents {
-            return all;
-        }
-        let ego = bodies[0].at;
-        let hidden = |body: &AgentState| {
-            let line = Line::new(ego, body.at);
-            let far = self.range.is_some_and(|range| line.is_longer_than(range));
-            let third = |(at, agent): (usize, &Agent)| {
-                at != bodies[0].agent as usize && at != body.agent as usize && line.crosses(agent.cell)
-            };
-            far || self.buildings && line.between().any(|cell| map.building_at(cell).is_some())
-                || self.agents && agents.iter().enumerate().any(third)
-        };
-        let others = bodies.iter().enumerate().skip(1);
-        others.fold(all, |visible, (entity, body)| {
-            visible & !(u64::from(hidden(body)) << entity)
-        })
-    }
-}
-
-/// The cells between two cells: one in each row or column of the longer direction, rounded to the nearest one.
-#[derive(Clone, Copy)]
-struct Line {
-    from: Cell,
-    rows: i32,
-    cols: i32,
-    /// The number of steps.
-    steps: i32,
-}
-
-impl Line {
-    fn new(from: Cell, to: Cell) -> Line {
-        let (rows, cols) = (to.row - from.row, to.col - from.col);
-        Line {
-            from,
-            rows,
-            cols,
-            steps: rows.abs().max(cols.abs()),
-        }
-    }
-
-    fn is_longer_than(self, range: u32) -> bool {
-        let [rows, cols, range] = [self.rows.into(), self.cols.into(), i64::from(range)];
-        rows * rows + cols * cols > range * range
-    }
-
-    /// Returns the cell after some steps.
-    fn at(self, step: i32) -> Cell {
-        let along = |whole: i32| (2 * step * whole + self.steps).div_euclid(2 * self.steps);
-        Cell::new(self.from.row + along(self.rows), self.from.col + along(self.cols))
-    }
-
-    /// Returns the cells between the ends.
-    fn between(self) -> impl Iterator<Item = Cell> {
-        (1..self.steps).map(move |step| self.at(step))
-    }
-
-    /// Returns whether a cell is between the ends.
-    fn crosses(self, cell: Cell) -> bool {
-        let (rows, cols) = (cell.row - self.from.row, cell.col - self.from.col);
-        let step = match self.rows.abs() >= self.cols.abs() {
-            true => rows * self.rows.signum(),
-            false => cols * self.cols.signum(),
-        };
-        (1..self.steps).contains(&step) && self.at(step) == cell
     }
 }
 

@@ -30,7 +30,7 @@ pub struct Shield {
     /// The actions that the ego can take, those of high priority first.
     possible: Vec<Action>,
     /// By number of entities less one; empty for deterministic shields.
-    circuits: Vec<OnceLock<Arc<[ShieldCircuit]>>>,
+    circuits: Vec<OnceLock<Vec<ShieldCircuit>>>,
 }
 
 /// What a shield says of the actions in a state.
@@ -185,10 +185,10 @@ impl Shield {
     }
 
     /// Returns the circuits for observations of this many entities.
-    fn circuits(&self, entities: usize, cancel: &Cancel) -> Result<Arc<[ShieldCircuit]>, Diagnostic> {
+    fn circuits(&self, entities: usize, cancel: &Cancel) -> Result<&[ShieldCircuit], Diagnostic> {
         let place = &self.circuits[entities - 1];
         if let Some(known) = place.get() {
-            return Ok(Arc::clone(known));
+            return Ok(known);
         }
         let world = self.oracle.world();
         let vocabulary = &world.vocabulary;
@@ -219,7 +219,7 @@ impl Shield {
             }
         };
         // Another thread may have compiled the same.
-        Ok(Arc::clone(place.get_or_init(|| made.into())))
+        Ok(place.get_or_init(|| made))
     }
 
     /// Compiles the outputs of a program for an ego among `entities` entities. `given` is the predicate of the imposed
@@ -395,7 +395,7 @@ impl ShieldState {
         self.facts.resize(shield.oracle.width(), 0.0);
         observer.write(&mut self.facts);
         let mut probabilities = [0.0; Action::MAX];
-        for circuit in circuits.iter() {
+        for circuit in circuits {
             self.probabilities.clear();
             (self.probabilities).extend(circuit.places.iter().map(|place| f64::from(self.facts[*place])));
             let outputs = circuit.circuit.outputs(&self.probabilities);

@@ -191,7 +191,7 @@ impl Env {
         settings: Settings,
         cancel: &Cancel,
     ) -> Result<Env, Diagnostic> {
-        let mut env = Env::unmodified(task, split, control, settings, cancel)?;
+        let mut env = Env::without_sensors_and_shield(task, split, control, settings, cancel)?;
         if let Some(sensors) = env.task.sensors() {
             let model = env.task.sensor_model(cancel)?.cloned();
             env.sensors = Some((Arc::clone(sensors), model));
@@ -207,7 +207,7 @@ impl Env {
     }
 
     /// Variant of `configured` without sensors and shield.
-    pub(super) fn unmodified(
+    pub(super) fn without_sensors_and_shield(
         task: Arc<SpfTask>,
         split: Split,
         control: ControlMode,
@@ -364,10 +364,10 @@ impl Env {
     /// # Panics
     /// If the number of actions differs from that of controlled cars.
     pub fn step_shielded(&mut self, proposed: &[Action]) -> Result<(), Diagnostic> {
-        let Some(shield) = self.shield.clone() else {
+        self.ask_shield()?;
+        let Some(shield) = &self.shield else {
             return self.step(proposed);
         };
-        self.ask_shield()?;
         let mut executed: SmallVec<[Action; 4]> = proposed.into();
         for (car, action) in self.controlled_cars.iter_mut().zip(&mut executed) {
             let Some(shielded) = &mut car.shielded else { continue };
@@ -380,7 +380,7 @@ impl Env {
                 let name = self.task.world().vocabulary.actions().name(*action);
                 return Err(shield.forbidden(name, verdict.permitted));
             }
-            let broken = (shielded.state).violations(&shield, &car.observer, &self.city, *action)?;
+            let broken = (shielded.state).violations(shield, &car.observer, &self.city, *action)?;
             shielded.reasons.clear();
             shielded.reasons.extend_from_slice(broken);
             shielded.replaced = Some(*action);

@@ -13,6 +13,7 @@ use crate::config::codes;
 use crate::config::{PredicateConfig, SpfConfig};
 use crate::diag::{self, Diagnostic, SourceId, Sources, Span, did_you_mean, json_error, listed};
 use crate::files::{ReadError, ReadFile};
+use crate::rng::{Rng, RngExt};
 use crate::task::spf::{self, ControlMode, SpfTask};
 use crate::yaml;
 use serde::{Deserialize, Serialize};
@@ -20,6 +21,11 @@ use sha2::{Digest, Sha256};
 use std::collections::BTreeMap;
 use std::io::{self, Write};
 use std::sync::Arc;
+
+/// Draws the seed of an episode, less than 2^53 so that all JSON readers represent it exactly.
+pub(super) fn episode_seed(stream: &mut impl Rng) -> u64 {
+    stream.random::<u64>() >> 11
+}
 
 /// Version of the file format. It increases when readers of the old version would misread the new one.
 const VERSION: u32 = 1;

@@ -4,6 +4,7 @@ use crate::city::{Action, ActionTable, Split};
 use crate::diag::Diagnostic;
 use crate::diag::codes;
 use crate::rng::{Purpose, RngExt, Seed};
+use crate::task::spf::episode::episode_seed;
 use crate::task::spf::{ControlMode, Env, Episode, EpisodeSet, MapIdentity, OracleRun, SpfTask};
 use std::collections::BTreeMap;
 use std::sync::Arc;
@@ -123,7 +124,7 @@ pub fn reset_demanding(env: &mut Env, seed: u64, agents: Option<usize>) -> Resul
     for draw in 0..DRAWS_MAX {
         let drawn = match draw {
             0 => seed,
-            _ => Seed(seed).stream(Purpose::EPISODE, draw, u64::MAX).random::<u64>() >> 11,
+            _ => episode_seed(&mut Seed(seed).stream(Purpose::EPISODE, draw, u64::MAX)),
         };
         env.reset_with(drawn, agents)?;
         if is_demanding(env)? {

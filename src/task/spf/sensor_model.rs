@@ -3,8 +3,9 @@
 use crate::cancel::Cancel;
 use crate::city::Split;
 use crate::diag::Diagnostic;
-use crate::rng::{Purpose, RngExt, Seed};
+use crate::rng::{Purpose, Seed};
 use crate::sim::{FactCounts, SensorModel, Sensors, Settings};
+use crate::task::spf::episode::episode_seed;
 use crate::task::spf::{ControlMode, Env, SpfTask};
 use std::sync::Arc;
 
@@ -43,12 +44,13 @@ fn count_facts(task: &Arc<SpfTask>, sensors: &Arc<Sensors>, cancel: &Cancel) -> 
     let mut splits = Split::ALL.into_iter();
     let split = splits.find(|split| task.world().scenario.agent_set(*split).is_some());
     let split = split.unwrap_or(Split::Train);
-    let mut env = Env::unmodified(Arc::clone(task), split, ControlMode::First, Settings::default(), cancel)?;
+    let mut env =
+        Env::without_sensors_and_shield(Arc::clone(task), split, ControlMode::First, Settings::default(), cancel)?;
     let mut counts = FactCounts::new(Arc::clone(sensors));
     let mut steps = 0;
     for episode in 0..EPISODES {
         let mut stream = Seed(0).stream(Purpose::SENSOR_MODEL, episode, 0);
-        env.reset(stream.random::<u64>() >> 11)?;
+        env.reset(episode_seed(&mut stream))?;
         counts.begin();
         env.controlled_cars()[0].observer().count(&mut counts);
         while env.controlled_cars()[0].is_running() {

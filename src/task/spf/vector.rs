@@ -7,9 +7,10 @@ pub use actor::{Ending, Layer, PolicyNetwork, Trajectories};
 use crate::cancel::Cancel;
 use crate::city::{Action, Split};
 use crate::diag::Diagnostic;
-use crate::rng::{Purpose, RngExt, Seed};
+use crate::rng::{Purpose, Seed};
 use crate::sim::{Actions, Shield, Verdict, run_polled, start_threads, threads_of};
 use crate::task::spf::codes;
+use crate::task::spf::episode::episode_seed;
 use crate::task::spf::{ControlMode, Env, Episode, SpfTask, reset_demanding};
 use crate::threads::Pool;
 use crate::yaml;
@@ -54,11 +55,11 @@ impl EpisodeSource {
         }
     }
 
-    /// Returns the seed of the next episode, less than 2^53 so that all JSON readers represent it exactly.
+    /// Returns the seed of the next episode.
     pub fn next_seed(&mut self) -> u64 {
         let mut stream = Seed(self.seed).stream(Purpose::EPISODE, self.begun, 0);
         self.begun += 1;
-        stream.random::<u64>() >> 11
+        episode_seed(&mut stream)
     }
 
     /// Returns the seed of the source, and the number of episodes begun.
@@ -110,11 +111,11 @@ impl ObservationKind {
         }
     }
 
-    /// Returns this kind if egos of the task have such observations.
+    /// Returns this kind after a check that egos of the task have such observations.
     ///
     /// # Errors
     /// `invalid-value` for [`ObservationKind::State`] if the task has sensors: it is exact.
-    pub fn of(self, task: &SpfTask) -> Result<ObservationKind, Diagnostic> {
+    pub fn checked_for(self, task: &SpfTask) -> Result<ObservationKind, Diagnostic> {
         match &task.config().sensors {
             Some(sensors) if self == ObservationKind::State => {
                 let message = "the observation `state` is exact, but this task has sensors";
@@ -407,7 +408,7 @@ impl VectorEnv {
     /// Returns one environment per source; the caller controls the first car of each. Call [`VectorEnv::reset`] next.
     ///
     /// # Errors
-    /// As [`Env::new`] and [`ObservationKind::of`]; `limit-exceeded` if the threads cannot be started.
+    /// As [`Env::new`] and [`ObservationKind::checked_for`]; `limit-exceeded` if the threads cannot be started.
     pub fn new(
         task: &Arc<SpfTask>,
         split: Split,
@@ -433,7 +434,7 @@ impl VectorEnv {
         threads: usize,
         cancel: &Cancel,
     ) -> Result<VectorEnv, Diagnostic> {
-        let width = view.of(task)?.shape(task).iter().product();
+        let width = view.checked_for(task)?.shape(task).iter().product();
         let sub_env = |source| {
             if cancel.requested() {
                 return Err(Diagnostic::cancelled());
