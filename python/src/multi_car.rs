@@ -66,13 +66,7 @@ impl PyMultiCarEnv {
         let of = rules.as_ref().unwrap_or(&this.task).get();
         let shield = shield_of(py, of, &settings)?;
         let env = &mut this.env;
-        let set = this.signals.detach(py, || {
-            let set = env.set_shield(Some(shield)).and_then(|()| env.ask_shield());
-            if set.is_err() {
-                env.set_shield(None)?;
-            }
-            set
-        })?;
+        let set = this.signals.detach(py, || env.replace_shield(Some(shield)))?;
         set.map_err(|fault| of.error(py, fault))?;
         this.shield_rules = rules;
         Ok(())

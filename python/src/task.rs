@@ -82,7 +82,7 @@ pub fn shield_of(py: Python<'_>, rules: &PyTask, (mode, query, threshold): &Shie
     made.map(Arc::new).map_err(|fault| rules.error(py, fault))
 }
 
-/// Returns for each action 1 if the shield permits it now, else 0; all 0 after the end of the episode.
+/// Returns for each action 1 if the shield permits it now, else 0; all 0 without an episode.
 pub fn shield_mask(table: &ActionTable, info: &Info) -> Vec<i8> {
     let permits = |action| i8::from(info.verdict.is_some_and(|verdict| verdict.permitted.contains(action)));
     table.all().map(permits).collect()

@@ -224,6 +224,18 @@ def test_faulty_shields_are_refused(arguments: dict[str, Any], message: str) -> 
         logicity.shield(SPFEnv("easy"), **arguments)
 
 
+def test_an_environment_keeps_its_shield_on_an_error(tmp_path: Path) -> None:
+    rules = tmp_path / "count.dl"
+    rules.write_text('.include "vocabulary.dl"\nStop(X) :- Sees(X, X), 1 = count : { IsAtInter(Y) }.\n')
+    for env in (SPFEnv("easy"), SPFVectorEnv(2, "easy"), SPFParallelEnv("easy")):
+        logicity.shield(env, query="safe")
+        before = env.shield_clauses
+        with pytest.raises(InputError, match="aggregate"):
+            logicity.shield(env, rules, mode="probabilistic")
+        env.reset(seed=1)
+        assert env.shield_clauses == before
+
+
 def test_only_environments_have_shields() -> None:
     with pytest.raises(TypeError, match="expected an environment of Safe Path Following, not list"):
         logicity.shield([])

@@ -42,7 +42,8 @@ def shield(
     Raises:
         InputError: If the rules are invalid or need more than the mode allows (`rule-mismatch`), or a probabilistic
             shield has sensors that output facts.
-        LimitError: If the probabilities of a probabilistic shield are too complex, also in a reset or step.
+        LimitError: If the probabilities of a probabilistic shield are too complex, also in a reset or step. On an error
+            here, the environment keeps its shield.
         TypeError: If `env` is no such environment, or an argument has a wrong type.
         ValueError: If an argument is unknown or out of range.
     """

@@ -174,11 +174,8 @@ class SafePathFollowing(Task):
         """Return the splits, the numbers of new episodes or `None` for the recorded ones, their seeds and overrides."""
         return {
             # The seed has no effect on recorded episodes.
-            name: {
-                key: value
-                for key, value in (each.model_dump() | ({"seed": TEST["seed"]} if each.fresh is None else {})).items()
-                if key != "overrides" or value
-            }
+            name: each.model_dump(exclude=None if each.overrides else {"overrides"})
+            | ({"seed": TEST["seed"]} if each.fresh is None else {})
             for name, each in experiment.evaluations.items()
         }
 

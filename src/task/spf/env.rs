@@ -336,6 +336,20 @@ impl Env {
         Ok(())
     }
 
+    /// Replaces the shield, also during an episode, and asks it.
+    ///
+    /// # Errors
+    /// As [`Env::set_shield`] and [`Env::ask_shield`]. Then the environment keeps its shield.
+    pub fn replace_shield(&mut self, shield: Option<Arc<Shield>>) -> Result<(), Diagnostic> {
+        let before = self.shield.clone();
+        let done = self.set_shield(shield).and_then(|()| self.ask_shield());
+        if done.is_err() {
+            self.set_shield(before)?;
+            self.ask_shield()?;
+        }
+        done
+    }
+
     /// Asks the shield, if there is one, what it permits each car in the present state; see
     /// [`ControlledCar::verdict`].
     ///

@@ -502,22 +502,19 @@ impl VectorEnv {
     /// Replaces the shield of all environments. It judges the actions of [`VectorEnv::step`].
     ///
     /// # Errors
-    /// As [`Env::set_shield`] and [`Env::ask_shield`]. Then no environment has a shield.
+    /// As [`Env::replace_shield`]. Then the environments keep their shield.
     pub fn set_shield(&mut self, shield: Option<&Arc<Shield>>) -> Result<(), Diagnostic> {
-        let set = |sub_env: &mut SubEnv| {
-            sub_env.env.set_shield(shield.cloned())?;
+        let before = self.sub_envs.first().and_then(|first| first.env.shield().cloned());
+        let set = |sub_env: &mut SubEnv, shield: Option<&Arc<Shield>>| {
+            sub_env.env.replace_shield(shield.cloned())?;
             if sub_env.stage != Stage::Idle {
-                sub_env.env.ask_shield()?;
                 sub_env.info.note(&sub_env.env, 0);
             }
             Ok(())
         };
-        let done = self.sub_envs.iter_mut().try_for_each(set);
+        let done = self.sub_envs.iter_mut().try_for_each(|sub_env| set(sub_env, shield));
         if done.is_err() {
-            for sub_env in &mut self.sub_envs {
-                sub_env.env.set_shield(None)?;
-                sub_env.info.note(&sub_env.env, 0);
-            }
+            (self.sub_envs.iter_mut()).try_for_each(|sub_env| set(sub_env, before.as_ref()))?;
         }
         done
     }
