@@ -86,6 +86,11 @@ def environment_page(mode: str) -> str:
     return _page(SPFEnv, {mode: task}, overview, description, start, end, more)
 
 
+def _cars(task: _logicity.Task, split: str) -> int:
+    """Return the number of cars that an environment of several egos controls."""
+    return _logicity.VectorEnv(task, split, 1, "Disabled", "groundings", "drawn", 1, True).egos()
+
+
 def parallel_page() -> str:
     """Variant of `environment_page` for `logicity.parallel_env`, in all modes. Needs the extra `pettingzoo`."""
     from .envs.parallel import SPFParallelEnv
@@ -95,7 +100,7 @@ def parallel_page() -> str:
     cars = [
         (
             f"`{mode}`",
-            " / ".join(str(len(_logicity.MultiCarEnv(task, split, "groundings", False).names())) for split in SPLITS),
+            " / ".join(str(_cars(task, split)) for split in SPLITS),
             f"`Box(0.0, 1.0, ({tasks[mode]['width']},), float32)`",
             tasks[mode]["horizon"],
         )

@@ -9,7 +9,7 @@ from __future__ import annotations
 import math
 import os
 import sys
-from collections.abc import Callable, Iterable, Iterator, Mapping
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from dataclasses import asdict, dataclass
 from pathlib import Path
@@ -88,6 +88,7 @@ class EpisodeRecord:
         actions: The number of steps in which the policy chose an action, by the name of the action.
         constrained: The number of steps in which the rules required an action, by the name of the action.
         violations: The names of the clauses that the last action violated.
+        ego: The number of the ego, from 0, if the configuration has several (`task.egos`). Each has its own record.
     """
 
     episode: int
@@ -98,11 +99,15 @@ class EpisodeRecord:
     actions: Mapping[str, int]
     constrained: Mapping[str, int]
     violations: tuple[str, ...]
+    ego: int = 0
 
 
 @dataclass(frozen=True)
 class Evaluation:
     """The measures of a policy on a set of episodes. Rates are from 0 to 1, with Wilson intervals.
+
+    With several egos (`task.egos` of the configuration), a rate counts every ego of every episode, its interval allows
+    for egos of the same episode that do alike, and returns are means over the egos.
 
     Attributes:
         mode: The mode, or the path of the configuration file.
@@ -117,6 +122,10 @@ class Evaluation:
             clause that requires it.
         score: The mean difference between the return and the mean return of the random policy on the same episode.
         mean_return: The mean return (undiscounted sum of rewards).
+        joint_tsr: With several egos, the share of episodes in which all of them reach their goals in time without
+            violating a rule; `None` with one.
+        joint_dsr: With several egos, the share of episodes in which the rules require an action of an ego at least once
+            and no ever violates a rule; `None` with one.
     """
 
     policy: str
@@ -131,6 +140,8 @@ class Evaluation:
     mean_return: Interval
     mean_steps: float
     episodes: tuple[EpisodeRecord, ...]
+    joint_tsr: Interval | None = None
+    joint_dsr: Interval | None = None
 
     def __repr__(self) -> str:
         """Show the main measures and the number of runs."""
@@ -141,7 +152,8 @@ class Evaluation:
 
     def summary(self) -> str:
         """Return the main measures in one line."""
-        return f"compliance {self.compliance}, TSR {self.tsr}, DSR {self.dsr}, Score {self.score}"
+        joint = "" if self.joint_tsr is None else f", joint TSR {self.joint_tsr}"
+        return f"compliance {self.compliance}, TSR {self.tsr}, DSR {self.dsr}, Score {self.score}{joint}"
 
     def chosen(self) -> dict[str, float]:
         """Return the share of all steps in which the policy chose each action."""
@@ -159,8 +171,13 @@ class Evaluation:
         }
 
     def to_dict(self) -> dict[str, Any]:
-        """Return a dictionary for JSON."""
-        return asdict(self)
+        """Return a dictionary for JSON. With one ego, it has no keys about egos."""
+        values = asdict(self)
+        if self.joint_tsr is None:
+            del values["joint_tsr"], values["joint_dsr"]
+            for record in values["episodes"]:
+                del record["ego"]
+        return values
 
 
 #: The names of the main measures.
@@ -206,6 +223,10 @@ class Benchmark:
 
     The step limit of an episode is a multiple of the oracle's number of steps. The factor is `patience` in the task, 2
     in the modes. All episodes run in one batch. Actions for episodes that have ended have no effect.
+
+    With `task.egos` in the configuration, the policy drives that many cars of every episode, each by its own
+    observation. The step limit is a multiple of the number of steps in which the oracle brings all of them to their
+    goals. If it does not, because cars block each other, the limit is `horizon` of the task.
 
     Args:
         mode: One of `logicity.ENVIRONMENTS`, such as `"expert"`, or the path of a configuration file. `logicity
@@ -281,7 +302,7 @@ class Benchmark:
     @episodes_that_fit()
     def evaluate(
         self,
-        policy: Policy,
+        policy: Policy | Sequence[Policy],
         *,
         batched: bool = False,
         name: str | None = None,
@@ -293,9 +314,11 @@ class Benchmark:
         Args:
             policy: `"oracle"`, `"random"`, a model of Stable-Baselines3, or a function. A model predicts
                 deterministically. A function maps one observation to one action, 0 to 3. If the kind of observation is
-                `relational` or `graph`, a model needs an `observation_space` with these arrays.
+                `relational` or `graph`, a model needs an `observation_space` with these arrays. With several egos, a
+                list has the policy of each.
             batched: Whether the function takes all observations, float32 of shape (episodes, ...) or a dictionary of
-                such arrays, and returns integers of shape (episodes,).
+                such arrays, and returns integers of shape (episodes,). With several egos, there is a row for each ego
+                of each episode, those of an episode one after the other.
             name: The name of the policy in the result.
             traces: A folder for one trace per episode, which is created if it does not exist. `episode-7.jsonl` is the
                 trace of episode 7, see `SPFEnv.write_trace`. They replace traces that `evaluate` wrote and that
@@ -321,31 +344,37 @@ class Benchmark:
                     "the random policy runs every episode ten times and supports no traces: pass a function instead"
                 )
             return self._result(named, self._baseline().report())
-        self._check_model(policy)
+        policies = list(policy) if isinstance(policy, (list, tuple)) else [cast(Policy, policy)]
+        for each in policies:
+            self._check_model(each)
         shielded = not (isinstance(policy, str) and policy == "oracle")
         evaluator = _logicity.BatchEvaluator(self._random, self._kind, shielded)
-        count = len(evaluator)
+        egos = evaluator.egos()
+        if isinstance(policy, (list, tuple)) and len(policies) != egos:
+            raise ValueError(f"{len(policies)} policies for {egos} ego{'' if egos == 1 else 's'}")
+        count = len(evaluator) * egos
         observations = np.zeros((count, *self._task.shape(self._kind)), np.float32)
         running = np.ones(count, np.bool_)
         names = self._task.actions()
-        act = _actor(policy, batched, evaluator, names)
+        acts = [_actor(each, batched, evaluator, names) for each in policies]
+        act = acts[0] if len(acts) == 1 else _one_for_each(acts)
         if folder is not None:
             folder.mkdir(parents=True, exist_ok=True)
             self.check_traces(folder, overwrite)
-        taken = [bytearray() for _ in range(count)]
-        with Progress(f"{self.mode} {self.split}, {named}", count) as progress:
+        taken = [bytearray() for _ in range(len(evaluator))]
+        with Progress(f"{self.mode} {self.split}, {named}", len(evaluator)) as progress:
             while running.any():
                 evaluator.observe(observations)
                 given = observations if self._views is None else self._views(observations)
                 actions = _checked(act(given, running), count, names)
                 evaluator.step(actions)
                 if folder is not None:
-                    for at in np.flatnonzero(running):
-                        taken[at].append(int(actions[at]))
+                    for at in np.flatnonzero(running.reshape(-1, egos).any(1)):
+                        taken[at].extend(actions[at * egos : (at + 1) * egos].tolist())
                 evaluator.running(running)
-                progress.update(count - int(running.sum()))
+                progress.update(int((~running.reshape(-1, egos).any(1)).sum()))
         if folder is not None:
-            with Progress(f"{self.mode} {self.split}, traces", count) as progress:
+            with Progress(f"{self.mode} {self.split}, traces", len(taken)) as progress:
                 for episode, numbers in enumerate(taken):
                     target = (folder / _trace_name(episode), "evaluate", overwrite)
                     self._task.write_trace(self.split, evaluator.episode(episode), bytes(numbers), target)
@@ -392,6 +421,7 @@ class Benchmark:
             episodes_hash=self.episodes_hash,
             dsr_by_action={rate["action"]: interval(rate) for rate in summary["dsr_by_action"]},
             **{name: interval(summary[name]) for name in (*MEASURES, "mean_return")},
+            **{f"joint_{name}": interval(rate) for name, rate in summary.get("joint", {}).items()},
             mean_steps=summary["mean_steps"],
             episodes=tuple(
                 EpisodeRecord(**{**record, "violations": tuple(record["violations"])}) for record in report["episodes"]
@@ -413,9 +443,7 @@ def _trace_name(episode: int) -> str:
     return f"episode-{episode}.jsonl"
 
 
-def _actor(
-    policy: Policy, batched: bool, evaluator: _logicity.BatchEvaluator, names: tuple[str, ...]
-) -> Callable[[Observations | View, NDArray[np.bool_]], Any]:
+def _actor(policy: Policy, batched: bool, evaluator: _logicity.BatchEvaluator, names: tuple[str, ...]) -> _Actor:
     """Return a function from all observations and the mask of running episodes to actions."""
     if isinstance(policy, str):
         if policy != "oracle":
@@ -458,6 +486,28 @@ def _actor(
     return one_by_one
 
 
+#: Maps all observations and the mask of running episodes to actions.
+_Actor: TypeAlias = Callable[[Any, NDArray[np.bool_]], Any]
+
+
+def _one_for_each(acts: Sequence[_Actor]) -> _Actor:
+    """Return a function from the observations of all egos to actions. Each ego has its own function."""
+
+    def act(observations: Any, running: NDArray[np.bool_]) -> Any:
+        actions = np.zeros(len(running), np.int64)
+        for ego, of_ego in enumerate(acts):
+            rows = slice(ego, None, len(acts))
+            if isinstance(observations, dict):
+                given: Any = {name: values[rows] for name, values in observations.items()}
+            else:
+                given = observations[rows]
+            chosen = np.asarray(of_ego(given, running[rows]))
+            actions[rows] = chosen[rows] if len(chosen) == len(running) else chosen
+        return actions
+
+    return act
+
+
 def _checked(actions: Any, count: int, names: tuple[str, ...]) -> Actions:
     array = np.asarray(actions)
     if array.shape != (count,):
@@ -473,7 +523,7 @@ def _checked(actions: Any, count: int, names: tuple[str, ...]) -> Actions:
 
 
 def evaluate(
-    policy: Policy,
+    policy: Policy | Sequence[Policy],
     mode: str | os.PathLike[str],
     split: str = "test",
     *,
@@ -498,9 +548,14 @@ def evaluate(
 
 def table(results: list[Evaluation]) -> str:
     """Format a text table like that of the paper, with one row per result."""
-    head = ("policy", "mode", "compliance", "TSR", "DSR", "Score", "return", "steps")
+    joint = any(r.joint_tsr is not None for r in results)
+    head = ("policy", "mode", "compliance", "TSR", *["joint TSR"] * joint, "DSR", "Score", "return", "steps")
     rows = [
-        (r.policy, r.mode, *map(str, (r.compliance, r.tsr, r.dsr, r.score, r.mean_return)), f"{r.mean_steps:.1f}")
+        (
+            *(r.policy, r.mode, str(r.compliance), str(r.tsr)),
+            *["-" if r.joint_tsr is None else str(r.joint_tsr)] * joint,
+            *(str(r.dsr), str(r.score), str(r.mean_return), f"{r.mean_steps:.1f}"),
+        )
         for r in results
     ]
     return aligned([head, *rows])

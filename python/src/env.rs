@@ -1,4 +1,4 @@
-//! Vectorized environments with one controlled car each.
+//! Vectorized environments with one controlled car each, or with several egos.
 
 use crate::actor::PyPolicyNetwork;
 use crate::city::one_of;
@@ -10,7 +10,9 @@ use crate::task::{
 use crate::{Signals, borrowed, borrowed_mut, slice_of};
 use logicity::city::{Action, Split};
 use logicity::diag::did_you_mean;
-use logicity::task::spf::{Autoreset, Begin, Episode, EpisodeSource, Info, SubEnv, VectorEnv, describe};
+use logicity::task::spf::{
+    Autoreset, Begin, ControlMode, Episode, EpisodeSource, Info, PolicyNetwork, SubEnv, VectorEnv, describe,
+};
 use numpy::{
     PyArray1, PyArray3, PyArrayDyn, PyArrayMethods, PyReadonlyArray1, PyReadonlyArray2, PyReadwriteArray1,
     PyReadwriteArray2, PyReadwriteArrayDyn, PyUntypedArrayMethods,
@@ -70,7 +72,7 @@ impl Episodes {
     }
 }
 
-/// Arrays with one row per environment: oracle action, progress, success, steps, seed, violations.
+/// Arrays with one row per ego of every environment: oracle action, progress, success, steps, seed, violations.
 type Columns<'py> = (
     PyReadwriteArray1<'py, i64>,
     PyReadwriteArray1<'py, f64>,
@@ -90,10 +92,10 @@ type Outcomes<'py> = (
 /// The start of an episode, and the actions taken in it, one byte each.
 type BegunEpisode<'py> = (Bound<'py, PyDict>, Vec<u8>);
 
-/// The end of an episode: the index of the environment, and the last observation.
+/// The end of an episode: the index of the environment, and the last observations of its egos, one after the other.
 type EpisodeEnd<'py> = (usize, Bound<'py, PyArray1<f32>>);
 
-/// Writes infos to columns with one row per environment.
+/// Writes infos to columns with one row per ego of every environment.
 fn write_infos<'a>(
     columns: &mut Columns<'_>,
     [count, clauses]: [usize; 2],
@@ -131,7 +133,7 @@ struct PyVectorEnv {
     signals: Arc<Signals>,
 }
 
-/// What a shield does and says, a row per environment: masks, probabilities, replaced actions and violated clauses.
+/// What a shield does and says, a row per ego of every environment: masks, probabilities, replaced actions and violated clauses.
 type ShieldColumns<'py> = (
     PyReadwriteArray2<'py, i8>,
     PyReadwriteArray2<'py, f64>,
@@ -152,8 +154,10 @@ impl PyVectorEnv {
         observation: &str,
         episodes: &str,
         threads: usize,
+        several: bool,
     ) -> PyResult<Self> {
         let split = split_named(split)?;
+        let control = if several { ControlMode::Egos } else { ControlMode::First };
         let (autoreset, view) = (autoreset_named(autoreset)?, task.get().view(py, observation)?);
         let episodes = Episodes::named(py, episodes, task.get(), split)?;
         let sources = std::iter::repeat_n(episodes.source(0), count);
@@ -162,7 +166,7 @@ impl PyVectorEnv {
         let cancel = signals.cancel();
         let vector = signals
             .detach(py, || {
-                VectorEnv::new_with(shared, split, sources, autoreset, view, threads, &cancel)
+                VectorEnv::new_with(shared, (split, control), sources, autoreset, view, threads, &cancel)
             })?
             .map_err(|fault| task.get().error(py, fault))?;
         Ok(PyVectorEnv {
@@ -204,11 +208,39 @@ impl PyVectorEnv {
         shielded.then(|| this.shield_task().clauses(py)).transpose()
     }
 
-    /// Explains what the shield of an environment says now.
-    fn explain_shield(slf: &Bound<'_, Self>, py: Python<'_>, at: usize) -> PyResult<String> {
+    /// Explains what the shield of an ego says now.
+    #[pyo3(signature = (at, ego = 0))]
+    fn explain_shield(slf: &Bound<'_, Self>, py: Python<'_>, at: usize, ego: usize) -> PyResult<String> {
         let this = &mut *borrowed_mut(slf)?;
         this.begun(py, at)?;
-        this.shield_text(py, at)
+        this.shield_text(py, at, ego)
+    }
+
+    /// Returns the number of egos of each environment.
+    fn egos(slf: &Bound<'_, Self>) -> PyResult<usize> {
+        Ok(borrowed(slf)?.vector.egos())
+    }
+
+    /// Returns the names of the egos.
+    fn names(slf: &Bound<'_, Self>) -> PyResult<Vec<String>> {
+        let this = borrowed(slf)?;
+        let env = this.sub_env(0)?.env();
+        let agents = env.city().agents();
+        let names = env
+            .controlled_cars()
+            .iter()
+            .map(|car| agents[car.agent()].name().to_string());
+        Ok(names.collect())
+    }
+
+    /// Writes for each ego whether its action counts in the next step.
+    fn acts(slf: &Bound<'_, Self>, mut out: PyReadwriteArrayDyn<'_, bool>) -> PyResult<()> {
+        let this = borrowed(slf)?;
+        let out = slice_of(&mut out, this.rows_of_egos())?;
+        for (at, ego, place) in this.egos_of_all() {
+            out[place] = this.vector.sub_envs()[at].acts(ego);
+        }
+        Ok(())
     }
 
     /// Writes what the shield does and says in all environments. With `ended`, writes that at the end of the episodes
@@ -216,7 +248,7 @@ impl PyVectorEnv {
     fn shield_infos(slf: &Bound<'_, Self>, columns: ShieldColumns<'_>, ended: bool) -> PyResult<()> {
         let this = borrowed(slf)?;
         let sub_envs = this.vector.sub_envs();
-        let count = sub_envs.len();
+        let count = this.rows_of_egos();
         let table = table_of(&this.task.get().task);
         let (actions, clauses) = (table.all().len(), this.shield_task().constraints());
         let (mut masks, mut probabilities, mut replaced, mut violations) = columns;
@@ -224,20 +256,18 @@ impl PyVectorEnv {
         let probabilities = slice_of(&mut probabilities, count * actions)?;
         let replaced = slice_of(&mut replaced, count)?;
         let violations = slice_of(&mut violations, count * clauses)?;
-        for (at, sub_env) in sub_envs.iter().enumerate() {
-            let info = match ended {
-                false => Some(sub_env.info()),
-                true => sub_env.ended().map(|(_, info)| info),
+        for (at, ego, row) in this.egos_of_all() {
+            let Some(info) = info_of(&sub_envs[at], ego, ended) else {
+                continue;
             };
-            let Some(info) = info else { continue };
-            masks[at * actions..][..actions].copy_from_slice(&shield_mask(table, info));
+            masks[row * actions..][..actions].copy_from_slice(&shield_mask(table, info));
             if let Some(verdict) = info.verdict {
-                probabilities[at * actions..][..actions].copy_from_slice(&verdict.probabilities[..actions]);
+                probabilities[row * actions..][..actions].copy_from_slice(&verdict.probabilities[..actions]);
             }
-            replaced[at] = info.replaced.map_or(-1, |action| action.index() as i64);
+            replaced[row] = info.replaced.map_or(-1, |action| action.index() as i64);
             info.reasons
                 .iter()
-                .for_each(|clause| violations[at * clauses + clause] = true);
+                .for_each(|clause| violations[row * clauses + clause] = true);
         }
         Ok(())
     }
@@ -268,7 +298,7 @@ impl PyVectorEnv {
         let this = &mut *borrowed_mut(slf)?;
         let mut observations = observations.try_readwrite()?;
         let task = this.task.get();
-        this.check(begin.len())?;
+        this.check(begin.len(), this.vector.sub_envs().len())?;
         let read = |(begin, sub_env): (PyEpisodeOption<'_>, &SubEnv)| match begin {
             PyEpisodeOption::Next(next) => Ok(next.then_some(Begin::Next)),
             PyEpisodeOption::Recorded(number) => {
@@ -305,26 +335,26 @@ impl PyVectorEnv {
     ) -> PyResult<(f64, bool, bool, Bound<'py, PyDict>)> {
         let this = &mut *borrowed_mut(slf)?;
         let mut observation = observation.try_readwrite()?;
-        this.check(1)?;
+        this.check(1, 1)?;
         this.check_ready(py)?;
         let task = this.task.get();
         let actions = [read_action(py, &task.task, action, String::new)?];
         this.check_permitted(py, &actions)?;
         // The state of the decision is gone after the step.
-        let verdict = this.vector.sub_envs()[0].info().verdict;
+        let verdict = this.vector.sub_envs()[0].info(0).verdict;
         let reason = match verdict.is_some_and(|verdict| !verdict.permitted.contains(actions[0])) {
-            true => this.shield_text(py, 0)?,
+            true => this.shield_text(py, 0, 0)?,
             false => String::new(),
         };
         let task = this.task.get();
         let rows = this.rows(&mut observation)?;
         (this.signals.run_polled(|| this.vector.step(&actions, rows))?).map_err(|fault| task.error(py, fault))?;
         let sub_env = &this.vector.sub_envs()[0];
-        let outcome = sub_env.outcome();
-        let info = this.full_info(py, sub_env)?;
+        let outcome = sub_env.outcome(0);
+        let info = this.full_info(py, sub_env, 0)?;
         if let Some(executed) = sub_env.env().taken().next_back().filter(|_| verdict.is_some()) {
             let name = |action| table_of(&task.task).name(action);
-            let reason = match sub_env.info().replaced {
+            let reason = match sub_env.info(0).replaced {
                 Some(replaced) => format!("{} replaces {}\n{reason}", name(executed[0]), name(replaced)),
                 None => String::new(),
             };
@@ -333,7 +363,7 @@ impl PyVectorEnv {
         Ok((outcome.reward, outcome.terminated, outcome.truncated, info))
     }
 
-    /// Steps all environments.
+    /// Steps all environments. Each ego has an action and a row of the outcomes and columns.
     fn step<'py>(
         slf: &Bound<'py, Self>,
         py: Python<'py>,
@@ -347,13 +377,13 @@ impl PyVectorEnv {
         let given = actions
             .as_slice()
             .map_err(|error| PyValueError::new_err(error.to_string()))?;
-        this.check(given.len())?;
+        let count = this.rows_of_egos();
+        this.check(given.len(), count)?;
         this.check_ready(py)?;
         this.actions.clear();
-        for (at, &action) in given.iter().enumerate() {
-            this.actions.push(read_action(py, &this.task.get().task, action, || {
-                format!(" (of environment {at})")
-            })?);
+        for (row, &action) in given.iter().enumerate() {
+            let action = read_action(py, &this.task.get().task, action, || format!(" ({})", this.of_row(row)))?;
+            this.actions.push(action);
         }
         this.check_permitted(py, &this.actions)?;
         let task = this.task.get();
@@ -361,40 +391,45 @@ impl PyVectorEnv {
         let (vector, actions) = (&mut this.vector, &this.actions);
         (this.signals.detach(py, || vector.step(actions, rows))?).map_err(|fault| task.error(py, fault))?;
 
-        let count = this.actions.len();
         let (mut rewards, mut terminated, mut truncated) = outcomes;
         let (rewards, terminated) = (slice_of(&mut rewards, count)?, slice_of(&mut terminated, count)?);
         let truncated = slice_of(&mut truncated, count)?;
         let sub_envs = this.vector.sub_envs();
-        for (at, sub_env) in sub_envs.iter().enumerate() {
-            let outcome = sub_env.outcome();
-            (rewards[at], terminated[at], truncated[at]) = (outcome.reward, outcome.terminated, outcome.truncated);
+        for (at, ego, row) in this.egos_of_all() {
+            let outcome = sub_envs[at].outcome(ego);
+            (rewards[row], terminated[row], truncated[row]) = (outcome.reward, outcome.terminated, outcome.truncated);
         }
-        let infos = sub_envs.iter().map(|sub_env| sub_env.info()).enumerate();
+        let infos = sub_envs.iter().flat_map(SubEnv::infos).enumerate();
         write_infos(&mut columns, [count, task.constraints()], infos)
     }
 
-    /// Runs every environment under the stochastic policy of a network, see `logicity::task::spf::VectorEnv::collect`.
-    /// `random` has shape (environments, steps).
+    /// Runs every environment under the stochastic policies of networks, one for all egos or for each, see
+    /// `logicity::task::spf::VectorEnv::collect`. `random` has shape (environments x egos, steps). Returns the arrays of
+    /// each network.
     fn collect<'py>(
         slf: &Bound<'py, Self>,
         py: Python<'py>,
-        network: &PyPolicyNetwork,
+        networks: Vec<PyRef<'py, PyPolicyNetwork>>,
         random: PyReadonlyArray2<'py, f32>,
         observations: &Bound<'py, PyArrayDyn<f32>>,
-    ) -> PyResult<Bound<'py, PyDict>> {
+    ) -> PyResult<Vec<Bound<'py, PyDict>>> {
         let this = &mut *borrowed_mut(slf)?;
         let mut observations = observations.try_readwrite()?;
         let rows = this.rows(&mut observations)?;
         let [count, steps] = [0, 1].map(|axis| random.shape()[axis]);
-        this.check(count)?;
+        this.check(count, this.rows_of_egos())?;
         this.check_ready(py)?;
+        if ![1, this.vector.egos()].contains(&networks.len()) {
+            let (given, egos) = (networks.len(), this.vector.egos());
+            let message = format!("expected a network for all egos or for each of {egos}, not {given} networks");
+            return Err(PyValueError::new_err(message));
+        }
         if count.saturating_mul(steps) > STEPS_MAX {
             let message = format!("expected at most {STEPS_MAX} steps in all environments, not {count} x {steps}");
             return Err(PyValueError::new_err(message));
         }
-        let (width, expected) = (network.network.width(), this.vector.width());
-        if width != expected {
+        let expected = this.vector.width();
+        if let Some(width) = (networks.iter().map(|network| network.network.width())).find(|width| *width != expected) {
             let message = format!("expected a network for observations of {expected} numbers, not {width}");
             return Err(PyValueError::new_err(message));
         }
@@ -404,10 +439,13 @@ impl PyVectorEnv {
         // The array may have another memory layout.
         let random: Vec<f32> = random.as_array().iter().copied().collect();
         let (task, vector) = (this.task.get(), &mut this.vector);
-        let done = this
-            .signals
-            .detach(py, || vector.collect(&network.network, &random, rows))?;
-        network.arrays(py, count, done.map_err(|fault| task.error(py, fault))?)
+        let of_all: Vec<&PolicyNetwork> = networks.iter().map(|network| &network.network).collect();
+        let done = (this.signals).detach(py, || vector.collect(&of_all, &random, rows))?;
+        let done = done.map_err(|fault| task.error(py, fault))?;
+        let arrays = networks.iter().zip(done);
+        arrays
+            .map(|(network, done)| network.arrays(py, count / networks.len(), done))
+            .collect()
     }
 
     /// Returns the episodes that ended in the last step, for autoreset in the same step.
@@ -426,23 +464,43 @@ impl PyVectorEnv {
                 .enumerate()
                 .filter_map(|(at, sub_env)| Some((at, sub_env.ended()?)))
         };
-        let size = [sub_envs.len(), this.task.get().constraints()];
-        write_infos(&mut columns, size, ended().map(|(at, (_, info))| (at, info)))?;
-        let last = |(at, (observation, _)): (usize, (&[f32], &Info))| (at, PyArray1::from_slice(py, observation));
+        let size = [this.rows_of_egos(), this.task.get().constraints()];
+        let egos = this.vector.egos();
+        let infos = ended().flat_map(|(at, (_, infos))| (at * egos..).zip(infos));
+        write_infos(&mut columns, size, infos)?;
+        let last = |(at, (rows, _)): (usize, (&[f32], &[Info]))| (at, PyArray1::from_slice(py, rows));
         Ok(ended().map(last).collect())
     }
 
-    /// Returns the info of an environment.
-    fn info<'py>(slf: &Bound<'py, Self>, py: Python<'py>, at: usize) -> PyResult<Bound<'py, PyDict>> {
+    /// Writes the infos of the egos of some environments to the columns.
+    fn infos<'py>(slf: &Bound<'py, Self>, mut columns: Columns<'py>, places: Vec<usize>) -> PyResult<()> {
         let this = borrowed(slf)?;
-        this.full_info(py, this.sub_env(at)?)
+        let size = [this.rows_of_egos(), this.task.get().constraints()];
+        let egos = this.vector.egos();
+        for at in places {
+            let infos = this.sub_env(at)?.infos();
+            write_infos(&mut columns, size, (at * egos..).zip(infos))?;
+        }
+        Ok(())
     }
 
-    /// Returns the true atoms that the ego of an environment observes.
-    fn atoms<'py>(slf: &Bound<'py, Self>, py: Python<'py>, at: usize) -> PyResult<Bound<'py, PyTuple>> {
+    /// Returns the info of an ego.
+    #[pyo3(signature = (at, ego = 0))]
+    fn info<'py>(slf: &Bound<'py, Self>, py: Python<'py>, at: usize, ego: usize) -> PyResult<Bound<'py, PyDict>> {
+        let this = borrowed(slf)?;
+        this.full_info(py, this.sub_env(at)?, this.checked_ego(ego)?)
+    }
+
+    /// Returns the true atoms that an ego observes.
+    #[pyo3(signature = (at, ego = 0))]
+    fn atoms<'py>(slf: &Bound<'py, Self>, py: Python<'py>, at: usize, ego: usize) -> PyResult<Bound<'py, PyTuple>> {
         let this = borrowed(slf)?;
         let env = this.sub_env(at)?.env();
-        (this.task.get()).atoms(py, env, env.controlled_cars()[0].observer().atoms())
+        (this.task.get()).atoms(
+            py,
+            env,
+            env.controlled_cars()[this.checked_ego(ego)?].observer().atoms(),
+        )
     }
 
     /// Keeps the true atoms at the end of an episode after the next one has started.
@@ -457,31 +515,33 @@ impl PyVectorEnv {
         Ok(())
     }
 
-    /// Writes for each environment which actions violate no clause. With `ended`, writes those at the end of the
-    /// episodes that ended in the last step, for autoreset in the same step.
+    /// Writes for each ego which actions violate no clause. With `ended`, writes those at the end of the episodes that
+    /// ended in the last step, for autoreset in the same step.
     fn action_masks(slf: &Bound<'_, Self>, mut out: PyReadwriteArray2<'_, i8>, ended: bool) -> PyResult<()> {
         let this = borrowed(slf)?;
         let sub_envs = this.vector.sub_envs();
         let table = table_of(&this.task.get().task);
         let count = table.all().len();
-        let rows = slice_of(&mut out, count * sub_envs.len())?;
-        for (sub_env, row) in sub_envs.iter().zip(rows.chunks_exact_mut(count)) {
-            let info = match ended {
-                false => Some(sub_env.info()),
-                true => sub_env.ended().map(|(_, info)| info),
-            };
-            if let Some(info) = info {
-                row.copy_from_slice(&action_mask(table, info));
+        let rows = slice_of(&mut out, count * this.rows_of_egos())?;
+        for (at, ego, row) in this.egos_of_all() {
+            if let Some(info) = info_of(&sub_envs[at], ego, ended) {
+                rows[row * count..][..count].copy_from_slice(&action_mask(table, info));
             }
         }
         Ok(())
     }
 
     /// Returns the true atoms at the end of the episode that ended in the last step, if they were kept.
-    fn ended_atoms<'py>(slf: &Bound<'py, Self>, py: Python<'py>, at: usize) -> PyResult<Bound<'py, PyTuple>> {
+    #[pyo3(signature = (at, ego = 0))]
+    fn ended_atoms<'py>(
+        slf: &Bound<'py, Self>,
+        py: Python<'py>,
+        at: usize,
+        ego: usize,
+    ) -> PyResult<Bound<'py, PyTuple>> {
         let this = borrowed(slf)?;
         let sub_env = this.sub_env(at)?;
-        let atoms = sub_env.ended_atoms().unwrap_or_default().iter().cloned();
+        let atoms = sub_env.ended_atoms(ego).unwrap_or_default().iter().cloned();
         this.task.get().atoms(py, sub_env.env(), atoms)
     }
 
@@ -491,7 +551,7 @@ impl PyVectorEnv {
         Ok(this.sub_env(at)?.is_ready(Autoreset::NextStep))
     }
 
-    /// Returns the actions taken in an environment's episode, one byte each.
+    /// Returns the actions taken in an environment's episode, one byte per step and ego.
     fn taken(slf: &Bound<'_, Self>, at: usize) -> PyResult<Vec<u8>> {
         let this = borrowed(slf)?;
         let taken = this.sub_env(at)?.env().taken().flatten();
@@ -509,7 +569,7 @@ impl PyVectorEnv {
     ) -> PyResult<()> {
         let this = &mut *borrowed_mut(slf)?;
         let mut observations = observations.try_readwrite()?;
-        this.check(episodes.len())?;
+        this.check(episodes.len(), this.vector.sub_envs().len())?;
         let task = this.task.get();
         let read = |(episode, sub_env): (Option<BegunEpisode<'_>>, &SubEnv)| {
             let Some((start, taken)) = episode else { return Ok(None) };
@@ -528,16 +588,20 @@ impl PyVectorEnv {
         Ok(PyEpisode::of(this.begun(py, at)?.env().episode()))
     }
 
-    /// Explains the oracle's action in an environment, or a fact.
-    fn explain(slf: &Bound<'_, Self>, py: Python<'_>, at: usize, fact: Option<&str>) -> PyResult<String> {
+    /// Explains the oracle's action for an ego, or a fact.
+    #[pyo3(signature = (at, fact, ego = 0))]
+    fn explain(slf: &Bound<'_, Self>, py: Python<'_>, at: usize, fact: Option<&str>, ego: usize) -> PyResult<String> {
         let this = borrowed(slf)?;
-        (this.task.get()).explain(py, (this.begun(py, at)?.env(), 0), fact, &this.signals)
+        let ego = this.checked_ego(ego)?;
+        (this.task.get()).explain(py, (this.begun(py, at)?.env(), ego), fact, &this.signals)
     }
 
-    /// Returns the state of an environment as text.
+    /// Returns the state of the egos of an environment as text.
     fn text(slf: &Bound<'_, Self>, py: Python<'_>, at: usize) -> PyResult<String> {
         let this = borrowed(slf)?;
-        Ok(describe(this.begun(py, at)?.env(), 0))
+        let env = this.begun(py, at)?.env();
+        let texts: Vec<String> = (0..this.vector.egos()).map(|ego| describe(env, ego)).collect();
+        Ok(texts.join("\n"))
     }
 
     /// Returns an RGB picture of an environment.
@@ -545,8 +609,21 @@ impl PyVectorEnv {
         let this = borrowed(slf)?;
         {
             let env = this.begun(py, at)?.env();
-            this.task.get().picture(py, env, env.controlled_cars())
+            // The picture marks a single ego.
+            let marked = match env.controlled_cars() {
+                [one] => std::slice::from_ref(one),
+                _ => &[],
+            };
+            this.task.get().picture(py, env, marked)
         }
+    }
+}
+
+/// Returns the info of an ego now, or at the end of the episode that ended in the last step.
+fn info_of(sub_env: &SubEnv, ego: usize, ended: bool) -> Option<&Info> {
+    match ended {
+        false => Some(sub_env.info(ego)),
+        true => sub_env.ended().map(|(_, infos)| &infos[ego]),
     }
 }
 
@@ -561,18 +638,50 @@ impl PyVectorEnv {
         self.shield_rules.as_ref().unwrap_or(&self.task).get()
     }
 
-    /// Explains what the shield of an environment says now.
-    fn shield_text(&mut self, py: Python<'_>, at: usize) -> PyResult<String> {
-        let rules = self.shield_rules.as_ref().unwrap_or(&self.task).get();
-        rules.explain_shield(py, self.vector.sub_envs_mut()[at].env_mut(), 0, &self.signals)
+    /// Returns the number of egos of all environments.
+    fn rows_of_egos(&self) -> usize {
+        self.vector.sub_envs().len() * self.vector.egos()
     }
 
-    /// Returns the info of an environment, with what its shield does and says.
-    fn full_info<'py>(&self, py: Python<'py>, sub_env: &SubEnv) -> PyResult<Bound<'py, PyDict>> {
+    /// Returns the environment, the number and the row of every ego.
+    fn egos_of_all(&self) -> impl Iterator<Item = (usize, usize, usize)> + use<> {
+        let egos = self.vector.egos();
+        (0..self.rows_of_egos()).map(move |row| (row / egos, row % egos, row))
+    }
+
+    /// Names the environment or the ego of a row, for messages.
+    fn of_row(&self, row: usize) -> String {
+        let (egos, count) = (self.vector.egos(), self.vector.sub_envs().len());
+        let (at, ego) = (row / egos, row % egos);
+        let env = self.vector.sub_envs()[at].env();
+        let name = || env.city().agents()[env.controlled_cars()[ego].agent()].name();
+        match (egos, count) {
+            (1, _) => format!("of environment {at}"),
+            (_, 1) => format!("of {}", name()),
+            _ => format!("of {} in environment {at}", name()),
+        }
+    }
+
+    fn checked_ego(&self, ego: usize) -> PyResult<usize> {
+        match ego < self.vector.egos() {
+            true => Ok(ego),
+            false => Err(PyIndexError::new_err(format!("there is no ego {ego}"))),
+        }
+    }
+
+    /// Explains what the shield of an ego says now.
+    fn shield_text(&mut self, py: Python<'_>, at: usize, ego: usize) -> PyResult<String> {
+        let ego = self.checked_ego(ego)?;
+        let rules = self.shield_rules.as_ref().unwrap_or(&self.task).get();
+        rules.explain_shield(py, self.vector.sub_envs_mut()[at].env_mut(), ego, &self.signals)
+    }
+
+    /// Returns the info of an ego, with what its shield does and says.
+    fn full_info<'py>(&self, py: Python<'py>, sub_env: &SubEnv, ego: usize) -> PyResult<Bound<'py, PyDict>> {
         let task = self.task.get();
-        let dict = task.info(py, sub_env.info())?;
+        let dict = task.info(py, sub_env.info(ego))?;
         if let Some(shield) = sub_env.env().shield() {
-            task.add_shield(&dict, sub_env.info(), shield)?;
+            task.add_shield(&dict, sub_env.info(ego), shield)?;
         }
         Ok(dict)
     }
@@ -580,14 +689,15 @@ impl PyVectorEnv {
     /// Checks that shields in the mode `mask` permit the actions.
     fn check_permitted(&self, py: Python<'_>, actions: &[Action]) -> PyResult<()> {
         let (sub_envs, table) = (self.vector.sub_envs(), table_of(&self.task.get().task));
-        for (at, (sub_env, &action)) in sub_envs.iter().zip(actions).enumerate() {
-            let of = || match sub_envs.len() {
+        for ((at, ego, row), &action) in self.egos_of_all().zip(actions) {
+            let of = || match self.rows_of_egos() {
                 1 => String::new(),
-                _ => format!(" of environment {at}"),
+                _ => format!(" {}", self.of_row(row)),
             };
+            let sub_env = &sub_envs[at];
             // The action after the end of an episode only begins the next one.
-            let running = sub_env.env().controlled_cars()[0].is_running();
-            let says = (sub_env.env().shield(), sub_env.info().verdict.filter(|_| running));
+            let running = sub_env.acts(ego);
+            let says = (sub_env.env().shield(), sub_env.info(ego).verdict.filter(|_| running));
             check_permitted(py, says, (action, table.name(action)), of)?;
         }
         Ok(())
@@ -611,12 +721,16 @@ impl PyVectorEnv {
         gymnasium_error(py, "ResetNeeded", message)
     }
 
-    fn check(&self, given: usize) -> PyResult<()> {
-        let count = self.vector.sub_envs().len();
-        match given == count {
+    /// Checks the number of values: one per environment, or one per ego of each.
+    fn check(&self, given: usize, expected: usize) -> PyResult<()> {
+        let each = match expected == self.vector.sub_envs().len() {
+            true => "environment",
+            false => "ego of each environment",
+        };
+        match given == expected {
             true => Ok(()),
             false => Err(PyValueError::new_err(format!(
-                "expected {count} values, one per environment, not {given}"
+                "expected {expected} values, one per {each}, not {given}"
             ))),
         }
     }
@@ -631,6 +745,6 @@ impl PyVectorEnv {
     }
 
     fn rows<'a>(&self, observations: &'a mut PyReadwriteArrayDyn<'_, f32>) -> PyResult<&'a mut [f32]> {
-        slice_of(observations, self.vector.width() * self.vector.sub_envs().len())
+        slice_of(observations, self.vector.width() * self.rows_of_egos())
     }
 }

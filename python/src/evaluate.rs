@@ -5,7 +5,7 @@ use crate::task::{PyTask, read_action, split_named, table_of};
 use crate::{Signals, slice_of, to_python};
 use logicity::city::{Action, Split};
 use logicity::task::spf::{
-    Baseline, BatchEvaluator, ControlMode, Env, EpisodeSet, ObservationKind, RANDOM_RUNS, Rollout, SpfTask, Summary,
+    Baseline, BatchEvaluator, Env, EpisodeSet, ObservationKind, RANDOM_RUNS, Rollout, SpfTask, Summary,
     steps_by_action, summarize,
 };
 use numpy::{IntoPyArray, PyArray1, PyReadonlyArray1, PyReadwriteArray1, PyReadwriteArrayDyn};
@@ -41,7 +41,7 @@ impl PyRandomBaseline {
         let signals = Signals::new();
         let cancel = signals.cancel();
         let env = signals.detach(py, || {
-            Env::new_with(Arc::clone(shared), split, ControlMode::First, &cancel)
+            Env::new_with(Arc::clone(shared), split, shared.control(), &cancel)
         })?;
         Ok(PyRandomBaseline {
             env: env.map_err(|fault| task.get().error(py, fault))?,
@@ -73,9 +73,13 @@ impl PyRandomBaseline {
     /// Returns the results so far: `summary` and `episodes`.
     fn report<'py>(&self, py: Python<'py>) -> PyResult<Bound<'py, PyAny>> {
         let task = self.task.get();
-        let runs = self.baseline.rollouts().iter().enumerate();
-        let records = runs.map(|(run, rollout)| (run / usize::from(RANDOM_RUNS), rollout));
-        report(py, task, &self.baseline.summary(&task.task), records)
+        let runs = usize::from(RANDOM_RUNS);
+        report(
+            py,
+            task,
+            &self.baseline.summary(&task.task),
+            (self.baseline.rollouts(), runs),
+        )
     }
 }
 
@@ -125,43 +129,48 @@ impl PyBatchEvaluator {
         Ok(PyEpisode::of(env.episode()))
     }
 
-    /// Writes the observations, one row per episode.
+    /// Returns the number of egos of each episode.
+    fn egos(&self) -> usize {
+        self.evaluator.egos()
+    }
+
+    /// Writes the observations, one row per episode and ego.
     fn observe(&self, mut out: PyReadwriteArrayDyn<'_, f32>) -> PyResult<()> {
         let width: usize = self.view.shape(&self.task.get().task).iter().product();
+        let width = width * self.evaluator.egos();
         let rows = slice_of(&mut out, width * self.evaluator.envs().len())?;
         for (env, row) in self.evaluator.envs().iter().zip(rows.chunks_exact_mut(width)) {
-            self.view.write(env, 0, row);
+            self.view.write_all(env, row);
         }
         Ok(())
     }
 
-    /// Writes the mask of running episodes.
+    /// Writes the mask of running episodes, one value per episode and ego.
     fn running(&self, mut out: PyReadwriteArray1<'_, bool>) -> PyResult<()> {
-        let out = slice_of(&mut out, self.evaluator.envs().len())?;
+        let out = slice_of(&mut out, self.rows())?;
         out.iter_mut()
             .zip(self.evaluator.running())
             .for_each(|(out, running)| *out = running);
         Ok(())
     }
 
-    /// Returns the oracle's actions.
+    /// Returns the oracle's actions, one per episode and ego.
     fn oracle_actions<'py>(&self, py: Python<'py>) -> Bound<'py, PyArray1<i64>> {
-        let actions = self
-            .evaluator
-            .envs()
-            .iter()
-            .map(|env| env.oracle_action(0).index() as i64);
+        let egos = self.evaluator.egos();
+        let actions = (self.evaluator.envs().iter())
+            .flat_map(|env| (0..egos).map(move |ego| env.oracle_action(ego).index() as i64));
         actions.collect::<Vec<i64>>().into_pyarray(py)
     }
 
-    /// Steps every running episode.
+    /// Steps every running episode. `actions` has one per episode and ego.
     fn step(&mut self, py: Python<'_>, actions: PyReadonlyArray1<'_, i64>) -> PyResult<()> {
         let given = actions.as_array();
-        check(given.len(), self.evaluator.envs().len())?;
+        check(given.len(), self.rows())?;
+        let egos = self.evaluator.egos();
         self.actions.clear();
         for (at, &action) in given.iter().enumerate() {
             self.actions.push(read_action(py, &self.task.get().task, action, || {
-                format!(" (of episode {at})")
+                format!(" (of episode {})", at / egos)
             })?);
         }
         let (evaluator, actions) = (&mut self.evaluator, &self.actions);
@@ -171,40 +180,54 @@ impl PyBatchEvaluator {
     /// Returns the results: `summary`, with the score relative to a baseline on the same episodes, and `episodes`.
     fn report<'py>(&self, py: Python<'py>, baseline: &PyRandomBaseline) -> PyResult<Bound<'py, PyAny>> {
         let (task, rollouts) = (self.task.get(), self.evaluator.rollouts());
-        check(baseline.baseline.returns().len(), rollouts.len())?;
+        check(baseline.baseline.returns().len(), self.evaluator.envs().len())?;
         let summary = summarize(&task.task, rollouts, Some(baseline.baseline.returns()));
-        report(py, task, &summary, rollouts.iter().enumerate())
+        report(py, task, &summary, (rollouts, 1))
     }
 }
 
-/// Checks that there is one value per episode.
+impl PyBatchEvaluator {
+    /// Returns the number of egos of all episodes.
+    fn rows(&self) -> usize {
+        self.evaluator.envs().len() * self.evaluator.egos()
+    }
+}
+
+/// Checks the number of values.
 fn check(given: usize, expected: usize) -> PyResult<()> {
     match given == expected {
         true => Ok(()),
         false => Err(PyValueError::new_err(format!(
-            "expected {expected} values, one per episode, not {given}"
+            "expected {expected} values, one per episode and ego, not {given}"
         ))),
     }
 }
 
-fn report<'py, 'a>(
+/// Reports adjacent rollouts, one per episode, run and ego.
+fn report<'py>(
     py: Python<'py>,
     task: &PyTask,
     summary: &Summary,
-    rollouts: impl Iterator<Item = (usize, &'a Rollout)>,
+    (rollouts, runs): (&[Rollout], usize),
 ) -> PyResult<Bound<'py, PyAny>> {
-    let record = |(episode, rollout): (usize, &Rollout)| {
+    let egos = task.task.egos();
+    let record = |(at, rollout): (usize, &Rollout)| {
+        let episode = at / (runs * egos);
         let table = table_of(&task.task);
         let [actions, constrained] = [rollout.actions, rollout.constrained]
             .map(|steps| steps_by_action(table, steps).collect::<BTreeMap<&str, u32>>());
         let labels = rollout.broken.iter().map(|&constraint| task.task.label(constraint));
-        json!({
+        let mut record = json!({
             "episode": episode, "steps": rollout.steps, "total": rollout.total, "success": rollout.success,
             "truncated": rollout.truncated, "actions": actions, "constrained": constrained,
             "violations": labels.collect::<Vec<&str>>(),
-        })
+        });
+        if egos > 1 {
+            record["ego"] = json!(at % egos);
+        }
+        record
     };
-    let episodes: Vec<Value> = rollouts.map(record).collect();
+    let episodes: Vec<Value> = rollouts.iter().enumerate().map(record).collect();
     to_python(py, &json!({"summary": summary, "episodes": episodes}))
 }
 
@@ -228,7 +251,7 @@ fn layout_of(task: &SpfTask) -> Value {
         described
     });
     json!({
-        "entities": oracle.entities(), "columns": columns.collect::<Vec<Value>>(), "width": task.observation_width(),
+        "egos": task.config().egos.map(|egos| egos.value), "entities": oracle.entities(), "columns": columns.collect::<Vec<Value>>(), "width": task.observation_width(),
         "route_length": task.config().route_length,
         "sensors": task.sensors().map(|sensors| sensors.config().output.name()),
         "shield": task.shield().map(|shield| shield.config().mode.name()),

@@ -8,7 +8,6 @@
 //! - `circuits`: exact probabilities of decisions, with gradients;
 //! - `city`: scenes and simulations; `config`: configuration files that Python interprets;
 //! - `task`: the task of environments; `episode`: the start of an episode; `env`: environments with one controlled car;
-//!   `actor`: networks that run in environments; `multi_car`: an environment that controls every car; `evaluate`: metrics
 //!   of policies;
 //! - `induce`: rules learned from demonstrations;
 //! - `predicate`: base predicates that Python functions compute;
@@ -26,7 +25,6 @@ mod env;
 mod episode;
 mod evaluate;
 mod induce;
-mod multi_car;
 mod output;
 mod policy;
 mod predicate;
@@ -436,7 +434,6 @@ fn _logicity(module: &Bound<'_, PyModule>) -> PyResult<()> {
     task::register(module)?;
     actor::register(module)?;
     env::register(module)?;
-    multi_car::register(module)?;
     evaluate::register(module)?;
     induce::register(module)?;
     policy::register(module)?;

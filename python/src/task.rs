@@ -13,7 +13,7 @@ use logicity::files::Output;
 use logicity::render::{Icons, Marked, Overview, Sprite};
 use logicity::sim::{Chain, Shield, Verdict};
 use logicity::task::spf::{
-    ControlMode, ControlledCar, Env, Episode, EpisodeSet, Info, ObservationKind, Origin, RecordError, SpfTask, explain,
+    ControlledCar, Env, Episode, EpisodeSet, Info, ObservationKind, Origin, RecordError, SpfTask, explain,
     explain_shield, record,
 };
 use numpy::{IntoPyArray, PyArray3, PyArrayMethods};
@@ -295,7 +295,7 @@ impl PyTask {
         let signals = Signals::new();
         let cancel = signals.cancel();
         let env = signals.detach(py, || {
-            Env::new_with(Arc::clone(&self.task), split, ControlMode::First, &cancel)
+            Env::new_with(Arc::clone(&self.task), split, self.task.control(), &cancel)
         })?;
         let episode = env.and_then(|env| read_episode(episode, &env));
         let episode = episode.map_err(|fault| self.error(py, fault))?;

@@ -810,7 +810,7 @@ def test_a_vector_environment_needs_a_reset_first() -> None:
 
 def test_ctrl_c_ends_the_creation_of_many_environments(ctrl_c: Interrupt) -> None:
     task = _logicity.Task("expert", None, None, (None, None, None))
-    ctrl_c(lambda: _logicity.VectorEnv(task, "train", 1_000_000, "Disabled", "groundings", "drawn", 1))
+    ctrl_c(lambda: _logicity.VectorEnv(task, "train", 1_000_000, "Disabled", "groundings", "drawn", 1, False))
 
 
 def test_recorded_seeds_keep_all_bits(tmp_path: Path) -> None:

@@ -268,7 +268,7 @@ def test_collect_rejects_what_does_not_fit() -> None:
     with pytest.raises(Exception, match="has ended or not started"):
         envs.collect(network, np.zeros((2, 3), np.float32))
     envs.reset(seed=0)
-    with pytest.raises(ValueError, match="expected 2 values"):
+    with pytest.raises(ValueError, match=r"expected random numbers of shape \(2, steps\), not \(3, 3\)"):
         envs.collect(network, np.zeros((3, 3), np.float32))
     other = SPFVectorEnv(2, "expert", autoreset_mode="SameStep")
     other.reset(seed=0)
@@ -317,10 +317,10 @@ def test_an_interrupted_run_equals_an_uninterrupted_one(minibatches: int, tmp_pa
     assert resumed.steps == 320
     resumed.fit(640, lambda: None)
     for other in (begun, resumed):
-        assert torch.equal(other._network.parameters, whole._network.parameters)
-        assert torch.equal(other._network.moments, whole._network.moments)
+        assert torch.equal(other._networks[0].parameters, whole._networks[0].parameters)
+        assert torch.equal(other._networks[0].moments, whole._networks[0].moments)
         np.testing.assert_array_equal(other._envs._observations, whole._envs._observations)
-    assert not torch.equal(learner(**changes, seed=1)._network.parameters, learner(**changes)._network.parameters)
+    assert not torch.equal(learner(**changes, seed=1)._networks[0].parameters, learner(**changes)._networks[0].parameters)
 
 
 def test_progress_is_reported_after_each_batch() -> None:
@@ -343,7 +343,7 @@ def test_policies_survive_files(tmp_path: Path) -> None:
     assert (loaded.mode, loaded.settings) == ("easy", training.config.settings)
     started = learner(seed=3)
     started.start_from(loaded)
-    assert torch.equal(started._network.parameters, training._network.parameters)
+    assert torch.equal(started._networks[0].parameters, training._networks[0].parameters)
     with pytest.raises(ValueError, match="its layers do not fit"):
         learner(settings={"network": [8]}).start_from(loaded)
     with pytest.raises(ValueError, match=r"shape \(batch, 85\), not \(30, 80\): the policy was trained in `easy`"):

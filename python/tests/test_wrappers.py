@@ -19,6 +19,7 @@ from gymnasium.utils.env_checker import check_env, data_equivalence
 from gymnasium.vector import AsyncVectorEnv, AutoresetMode, SyncVectorEnv
 
 import logicity
+from logicity.envs.parallel_vector import SPFParallelVectorEnv
 from logicity.envs.single import SPFEnv
 from logicity.envs.vector import SPFVectorEnv
 
@@ -388,7 +389,12 @@ WITH_RUST: dict[str, tuple[Callable[[], Any], Callable[[Any], Any], Callable[[An
     "SPFParallelEnv": (
         parallel_cars,
         lambda cars: cars.step(dict.fromkeys(cars.agents, 1)),
-        lambda cars: cars._cars.taken(),
+        lambda cars: cars._core.taken(0),
+    ),
+    "SPFParallelVectorEnv": (
+        lambda: reset(SPFParallelVectorEnv(2, "easy")),
+        lambda envs: envs.step(np.ones((2, 6), np.int64)),
+        vector_state,
     ),
     "GraphObservation": (
         lambda: viewed(True),

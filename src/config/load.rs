@@ -137,6 +137,7 @@ const PARTS: [(&str, &str, &[&str]); 4] = [
             "patience",
             "reward",
             "ego",
+            "egos",
             "episodes",
         ],
     ),

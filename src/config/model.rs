@@ -414,6 +414,9 @@ pub struct SpfConfig {
     pub reward: RewardConfig,
     /// The random properties of the ego; `None` to use the agent set.
     pub ego: Option<EgoConfig>,
+    /// The number of egos, which are the first cars; `None` for one, or for every car in environments of several egos.
+    #[serde(skip_serializing_if = "Option::is_none")]
+    pub egos: Option<Located<u32>>,
     /// The number of steps that the rules constrain in the oracle's run of a demanding episode, at least 1.
     #[serde(skip_serializing_if = "is_one")]
     pub constrained_steps: u32,

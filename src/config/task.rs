@@ -14,6 +14,8 @@ use std::sync::Arc;
 
 /// The maximum number of observed entities.
 const MAX_ENTITIES: u32 = 64;
+/// The maximum number of egos.
+const MAX_EGOS: u32 = 1024;
 /// The maximum number of rows of the `state` observation.
 const MAX_STATE_AGENTS: u32 = 1024;
 /// The maximum length of an episode, in steps.
@@ -53,6 +55,10 @@ pub(super) fn spf(
     let reward_of = fields
         .required("reward", faults)
         .and_then(|node| reward(node, table, faults));
+    let egos_of = fields.optional("egos").map(|node| {
+        let value = integer(node, 1..=MAX_EGOS, faults)?;
+        Some(Located { value, span: node.span })
+    });
     let ego_of = fields.optional("ego").map(|node| ego(node, predicates, faults));
     let sensors_of = fields.optional("sensors").map(|node| sensors(node, predicates, faults));
     let shield_of = fields.optional("shield").map(|node| {
@@ -70,6 +76,7 @@ pub(super) fn spf(
         patience: patience?,
         reward: reward_of?,
         ego: ego_of.map_or(Some(None), |ego| ego.map(Some))?,
+        egos: egos_of.map_or(Some(None), |egos| egos.map(Some))?,
         constrained_steps: constrained_steps?,
         curriculum: curriculum?,
         sensors: sensors_of.map_or(Some(None), |sensors| sensors.map(Some))?,

@@ -332,7 +332,15 @@ fn environments_observe_external_predicates() {
     ] {
         let mut vectors = [1, 2].map(|threads| {
             let sources = (0..count).map(|seed| EpisodeSource::new(seed, None));
-            VectorEnv::new(&task, Split::Train, sources, Autoreset::NextStep, view, threads).unwrap()
+            VectorEnv::new(
+                &task,
+                (Split::Train, ControlMode::First),
+                sources,
+                Autoreset::NextStep,
+                view,
+                threads,
+            )
+            .unwrap()
         });
         let mut rows = [0, 1].map(|_| vec![0.0; count as usize * width]);
         for (vector, rows) in vectors.iter_mut().zip(&mut rows) {
@@ -358,7 +366,7 @@ fn environments_observe_external_predicates() {
         assert!(view == ObservationKind::State || held > 500, "{held}");
     }
     // The oracle reads them, too.
-    let mut env = Env::new(Arc::clone(&task), Split::Train, ControlMode::Cars).unwrap();
+    let mut env = Env::new(Arc::clone(&task), Split::Train, ControlMode::Egos).unwrap();
     env.reset(1).unwrap();
     let wanted: std::collections::BTreeSet<&str> = (0..env.controlled_cars().len())
         .map(|car| env.oracle_action(car).name())

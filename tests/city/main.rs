@@ -10,6 +10,7 @@ mod chance;
 mod cities;
 mod config;
 mod conflicts;
+mod egos;
 mod executors;
 mod explain;
 mod external;

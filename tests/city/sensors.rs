@@ -276,7 +276,15 @@ fn vectors_and_repetitions_read_the_same() {
     let run = |threads: usize| {
         let sources = (0..12).map(|seed| EpisodeSource::new(seed, None));
         let view = ObservationKind::Groundings;
-        let mut vector = VectorEnv::new(&task, Split::Train, sources, Autoreset::SameStep, view, threads).unwrap();
+        let mut vector = VectorEnv::new(
+            &task,
+            (Split::Train, ControlMode::First),
+            sources,
+            Autoreset::SameStep,
+            view,
+            threads,
+        )
+        .unwrap();
         let mut shown = vec![0.0; 12 * width];
         vector.reset(&vec![Some(Begin::Next); 12], &mut shown).unwrap();
         let mut all = shown.clone();
@@ -326,7 +334,7 @@ fn facts_about_the_ego_may_be_exact() {
     assert!(wrong > 0);
     // Noise that does not depend on the facts is equal for two cars in half of the numbers.
     let task = sensed(&format!("{{{half}}}"));
-    let mut env = Env::new(Arc::clone(&task), Split::Train, ControlMode::Cars).unwrap();
+    let mut env = Env::new(Arc::clone(&task), Split::Train, ControlMode::Egos).unwrap();
     let (mut equal, mut all) = (0.0, 0.0);
     for seed in 0..40 {
         env.reset(seed).unwrap();

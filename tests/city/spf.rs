@@ -429,7 +429,7 @@ fn exact_observations_agree_with_the_definitions() {
         let [room, width] = task.state_shape();
         let unary = (task.world().vocabulary.predicates.iter()).filter(|predicate| predicate.arity == 1);
         assert_eq!([room, width], [rows, 8 + unary.count()]);
-        let mut env = Env::new(Arc::clone(&task), Split::Test, ControlMode::Cars).unwrap();
+        let mut env = Env::new(Arc::clone(&task), Split::Test, ControlMode::Egos).unwrap();
         let mut random = Seed(5).stream(Purpose::POLICY, 0, 0);
         for seed in 0..3 {
             env.reset(seed).unwrap();
@@ -690,7 +690,7 @@ fn the_horizon_truncates_an_episode() {
 #[test]
 fn every_car_can_be_driven() {
     let task = task("expert", None);
-    let mut env = Env::new(Arc::clone(&task), Split::Test, ControlMode::Cars).unwrap();
+    let mut env = Env::new(Arc::clone(&task), Split::Test, ControlMode::Egos).unwrap();
     env.reset(3).unwrap();
     assert_eq!(env.controlled_cars().len(), 10);
     let mut ended = 0;
@@ -748,7 +748,7 @@ fn the_horizon_depends_on_the_controlled_car() {
     let steps = episode.oracle.as_ref().unwrap().steps;
     for (egos, horizon) in [
         (ControlMode::First, 2 * steps),
-        (ControlMode::Cars, task.config().horizon),
+        (ControlMode::Egos, task.config().horizon),
     ] {
         let mut env = Env::new(Arc::clone(&task), Split::Test, egos).unwrap();
         env.reset_to(episode).unwrap();
@@ -1077,7 +1077,15 @@ fn a_vector_and_every_car_get_the_reward_terms() {
     let task = Arc::new(task_of(&format!("{SHAPED}{{progress: 5, potential: {{weight: 2}}}}\n")).unwrap());
     let sources = (0..3).map(|seed| EpisodeSource::new(seed, None));
     let view = ObservationKind::Groundings;
-    let mut vector = VectorEnv::new(&task, Split::Train, sources, Autoreset::NextStep, view, 2).unwrap();
+    let mut vector = VectorEnv::new(
+        &task,
+        (Split::Train, ControlMode::First),
+        sources,
+        Autoreset::NextStep,
+        view,
+        2,
+    )
+    .unwrap();
     let mut rows = vec![0.0; 3 * vector.width()];
     vector.reset(&[const { Some(Begin::Next) }; 3], &mut rows).unwrap();
     for _ in 0..100 {
@@ -1086,12 +1094,12 @@ fn a_vector_and_every_car_get_the_reward_terms() {
             let last = sub_env.env().controlled_cars()[0].last();
             let stepped = sub_env.env().steps() > 0;
             assert_eq!(
-                sub_env.outcome().reward,
+                sub_env.outcome(0).reward,
                 if stepped { last.shaped_reward() } else { 0.0 }
             );
         }
     }
-    let mut env = Env::new(task, Split::Train, ControlMode::Cars).unwrap();
+    let mut env = Env::new(task, Split::Train, ControlMode::Egos).unwrap();
     env.reset(2).unwrap();
     let cars = env.controlled_cars().len();
     let before: Vec<f64> = (0..cars).map(|car| env.progress(car)).collect();

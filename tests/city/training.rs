@@ -213,7 +213,15 @@ fn demanding_episodes_do_not_depend_on_threads() {
     let run = |threads: usize, count: u64| {
         let sources = (0..count).map(EpisodeSource::demanding);
         let view = ObservationKind::Groundings;
-        let mut vector = VectorEnv::new(&task, Split::Train, sources, Autoreset::SameStep, view, threads).unwrap();
+        let mut vector = VectorEnv::new(
+            &task,
+            (Split::Train, ControlMode::First),
+            sources,
+            Autoreset::SameStep,
+            view,
+            threads,
+        )
+        .unwrap();
         vector.judge_actions();
         let mut rows = vec![0.0; count as usize * vector.width()];
         vector
@@ -228,7 +236,7 @@ fn demanding_episodes_do_not_depend_on_threads() {
             let first = &vector.sub_envs()[..20];
             let infos: Vec<_> = first
                 .iter()
-                .map(|sub_env| (sub_env.outcome(), sub_env.info().clone()))
+                .map(|sub_env| (sub_env.outcome(0), sub_env.info(0).clone()))
                 .collect();
             results.push((rows[..20 * vector.width()].to_vec(), infos));
         }
@@ -325,13 +333,13 @@ fn a_curriculum_is_for_drawn_episodes_of_training() {
     for (split, control, count) in [
         (Split::Val, ControlMode::First, 14),
         (Split::Test, ControlMode::First, 18),
-        (Split::Train, ControlMode::Cars, 11),
+        (Split::Train, ControlMode::Egos, 11),
         (Split::Train, ControlMode::First, 2),
     ] {
         let mut env = env_in("expert", keys, split, control);
         EpisodeSource::new(1, None).begin(&mut env).unwrap();
         assert_eq!(env.city().agents().len(), count, "{split:?} {control:?}");
-        assert_eq!(env.controlled_cars().len() > 1, control == ControlMode::Cars);
+        assert_eq!(env.controlled_cars().len() > 1, control == ControlMode::Egos);
     }
     // An episode with fewer agents needs a stage of their number, in the order of the split, with the ego.
     let mut small = env_of("expert", keys);

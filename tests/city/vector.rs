@@ -41,7 +41,15 @@ fn compare(config: &str, split: Split, view: ObservationKind, autoreset: Autores
     let task = task(config, None);
     let width: usize = view.shape(&task).iter().product();
     let source = |sub_env: usize| EpisodeSource::new(100 + sub_env as u64, None);
-    let mut batch = VectorEnv::new(&task, split, (0..COUNT).map(source), autoreset, view, threads).unwrap();
+    let mut batch = VectorEnv::new(
+        &task,
+        (split, ControlMode::First),
+        (0..COUNT).map(source),
+        autoreset,
+        view,
+        threads,
+    )
+    .unwrap();
     batch.keep_last_atoms();
     let mut alone: Vec<Alone> = (0..COUNT)
         .map(|sub_env| Alone {
@@ -68,7 +76,7 @@ fn compare(config: &str, split: Split, view: ObservationKind, autoreset: Autores
         batch.step(&actions, &mut shown).unwrap();
         for (sub_env, one) in alone.iter_mut().enumerate() {
             let together = &batch.sub_envs()[sub_env];
-            let outcome = together.outcome();
+            let outcome = together.outcome(0);
             let result = (outcome.reward, outcome.terminated, outcome.truncated);
             if one.over {
                 one.begin(view);
@@ -81,17 +89,17 @@ fn compare(config: &str, split: Split, view: ObservationKind, autoreset: Autores
                 one.look(view);
             }
             assert_eq!(together.ended().is_some(), one.over && autoreset == Autoreset::SameStep);
-            if let Some((observation, info)) = together.ended() {
+            if let Some((observation, infos)) = together.ended() {
                 let atoms: Vec<_> = one.env.controlled_cars()[0].observer().atoms().collect();
-                assert_eq!(together.ended_atoms().unwrap(), atoms, "step {step}");
+                assert_eq!(together.ended_atoms(0).unwrap(), atoms, "step {step}");
                 assert_eq!(observation, one.shown, "step {step}");
-                assert_eq!(*info, one.info, "step {step}");
+                assert_eq!(infos, std::slice::from_ref(&one.info), "step {step}");
                 ended += 1;
                 one.begin(view);
             }
             ended += usize::from(one.over);
             assert_eq!(shown[sub_env * width..(sub_env + 1) * width], one.shown, "step {step}");
-            assert_eq!(*together.info(), one.info, "step {step}");
+            assert_eq!(*together.info(0), one.info, "step {step}");
         }
     }
     assert!(ended > 30, "{ended} episodes ended");
@@ -151,7 +159,7 @@ fn a_replayed_batch_continues_identically() {
     for autoreset in [Autoreset::NextStep, Autoreset::SameStep, Autoreset::Disabled] {
         let make = |seeds: u64| {
             let sources = (0..COUNT as u64).map(|sub_env| EpisodeSource::new(seeds + sub_env, None));
-            VectorEnv::new(&task, Split::Train, sources, autoreset, view, 1).unwrap()
+            VectorEnv::new(&task, (Split::Train, ControlMode::First), sources, autoreset, view, 1).unwrap()
         };
         let (mut first, mut shown) = (make(7), vec![0.0; COUNT * width]);
         // The last environment has no episode yet.
@@ -195,7 +203,7 @@ fn a_replayed_batch_continues_identically() {
                 proceed(&mut twin, &actions, &mut seen);
                 assert_eq!(seen, shown, "{autoreset:?} after {steps}");
                 for (one, other) in first.sub_envs().iter().zip(twin.sub_envs()) {
-                    assert_eq!((one.outcome(), one.info()), (other.outcome(), other.info()));
+                    assert_eq!((one.outcome(0), one.info(0)), (other.outcome(0), other.info(0)));
                     assert_eq!(one.ended(), other.ended());
                 }
             }
@@ -228,7 +236,7 @@ fn the_seed_chooses_recorded_episodes() {
     let source = |_| EpisodeSource::new(5, Some(Arc::clone(&recorded)));
     let mut batch = VectorEnv::new(
         &task,
-        Split::Val,
+        (Split::Val, ControlMode::First),
         (0..2).map(source),
         Autoreset::SameStep,
         ObservationKind::Groundings,
@@ -266,7 +274,15 @@ fn after_cancellation_the_rest_of_a_batch_needs_a_reset() {
         let cancel = Cancel::when(move || polls.fetch_sub(1, Ordering::Relaxed) <= 0);
         let sources = (0..COUNT).map(|sub_env| EpisodeSource::new(sub_env as u64, None));
         let (autoreset, view) = (Autoreset::Disabled, ObservationKind::Groundings);
-        let batch = VectorEnv::new_with(&task, Split::Train, sources, autoreset, view, threads, &cancel);
+        let batch = VectorEnv::new_with(
+            &task,
+            (Split::Train, ControlMode::First),
+            sources,
+            autoreset,
+            view,
+            threads,
+            &cancel,
+        );
         let mut batch = batch.unwrap();
         let mut shown = vec![0.0; COUNT * task.observation_width()];
         batch.reset(&vec![Some(Begin::Next); COUNT], &mut shown).unwrap();
@@ -308,7 +324,15 @@ fn a_batch_judges_as_fresh_observers() {
     let task = task("expert", None);
     let view = ObservationKind::Groundings;
     let sources = (0..COUNT).map(|sub_env| EpisodeSource::new(sub_env as u64, None));
-    let mut batch = VectorEnv::new(&task, Split::Train, sources, Autoreset::NextStep, view, 1).unwrap();
+    let mut batch = VectorEnv::new(
+        &task,
+        (Split::Train, ControlMode::First),
+        sources,
+        Autoreset::NextStep,
+        view,
+        1,
+    )
+    .unwrap();
     let mut shown = vec![0.0; COUNT * batch.width()];
     batch.reset(&vec![Some(Begin::Next); COUNT], &mut shown).unwrap();
     let mut random = Seed(2).stream(Purpose::POLICY, 0, 0);
@@ -332,7 +356,7 @@ fn a_batch_judges_as_fresh_observers() {
         batch.step(&actions, &mut shown).unwrap();
         for (sub_env, judged) in batch.sub_envs().iter().zip(judged) {
             if let Some(judged) = judged {
-                assert_eq!(sub_env.info().broken, judged);
+                assert_eq!(sub_env.info(0).broken, judged);
                 violated += usize::from(!judged.is_empty());
             }
         }

@@ -2,7 +2,7 @@
 
 `import logicity` registers them with gymnasium: `gymnasium.make("logicity/SPF-Expert-v0")` makes an `SPFEnv`, and
 `gymnasium.make_vec("logicity/SPF-Expert-v0", num_envs=256)` makes an `SPFVectorEnv`. `logicity.parallel_env` makes an
-`SPFParallelEnv`, in which every car is a controlled agent.
+`SPFParallelEnv`, in which several cars are controlled agents, and `SPFParallelVectorEnv` steps many of these.
 
 - `layout` has the positions of the numbers in an observation, and `views` maps observations to tensors and graphs.
 - `wrappers` replaces the observations of an environment by such views.
@@ -19,6 +19,7 @@ if TYPE_CHECKING:
     from ..types import EpisodeAgent, EpisodeStart, OracleRun
     from . import layout as layout
     from . import parallel as parallel
+    from . import parallel_vector as parallel_vector
     from . import sb3 as sb3
     from . import single as single
     from . import torchrl as torchrl
@@ -26,6 +27,7 @@ if TYPE_CHECKING:
     from . import views as views
     from . import wrappers as wrappers
     from .parallel import SPFParallelEnv
+    from .parallel_vector import SPFParallelVectorEnv
     from .single import SPFEnv
     from .vector import SPFVectorEnv
 
@@ -35,11 +37,20 @@ _HOMES = {
     "OracleRun": ".types",
     "SPFEnv": "single",
     "SPFParallelEnv": "parallel",
+    "SPFParallelVectorEnv": "parallel_vector",
     "SPFVectorEnv": "vector",
 }
-_MODULES = ("layout", "parallel", "sb3", "single", "torchrl", "vector", "views", "wrappers")
+_MODULES = ("layout", "parallel", "parallel_vector", "sb3", "single", "torchrl", "vector", "views", "wrappers")
 
-__all__ = ["EpisodeAgent", "EpisodeStart", "OracleRun", "SPFEnv", "SPFParallelEnv", "SPFVectorEnv"]
+__all__ = [
+    "EpisodeAgent",
+    "EpisodeStart",
+    "OracleRun",
+    "SPFEnv",
+    "SPFParallelEnv",
+    "SPFParallelVectorEnv",
+    "SPFVectorEnv",
+]
 
 if not TYPE_CHECKING:
     __getattr__, __dir__ = exports(globals(), _HOMES, _MODULES)

@@ -33,6 +33,23 @@ RENDER_MODES = ["human", "rgb_array", "ansi"]
 RENDER_FPS = 10
 
 
+#: The types of the infos that the core computes, in its order.
+INFOS = {
+    "oracle_action": np.int64,
+    "progress": np.float64,
+    "success": np.bool_,
+    "steps": np.int64,
+    "seed": np.int64,
+    "violations": np.bool_,
+}
+
+
+def infos_of(rows: int, clauses: Sequence[str]) -> tuple[Any, ...]:
+    """Return the arrays of infos that the core fills, in the order of `INFOS`, for this number of egos."""
+    shapes = {"violations": (rows, len(clauses))}
+    return tuple(np.zeros(shapes.get(name, (rows,)), kind) for name, kind in INFOS.items())
+
+
 class BaseEnv:
     """The parts that the environments with one, several and many cars share."""
 
@@ -42,6 +59,8 @@ class BaseEnv:
     _core: _logicity.VectorEnv
     _shield: tuple[_logicity.Task | None, tuple[str, str, float | None]] | None = None
     _spec: EnvSpec | None
+    #: The number of egos of all environments.
+    _rows: int
 
     def _load(
         self,
@@ -49,32 +68,40 @@ class BaseEnv:
         render_mode: str | None,
         episodes: str = "drawn",
         batch: tuple[int, str, int] = (1, "Disabled", 1),
+        several: bool = False,
     ) -> None:
         """Load the task, and make the window of the render mode.
 
-        `batch` is the number of environments, their autoreset mode and the number of threads.
+        `batch` is the number of environments, their autoreset mode and the number of threads. `several` says whether
+        the environments control several egos.
         """
         if render_mode is not None and render_mode not in RENDER_MODES:
             raise UnsupportedMode(f"unknown render mode `{render_mode}`; known: {', '.join(RENDER_MODES)}")
         self.render_mode, self._window = render_mode, _Window() if render_mode == "human" else None
         self._episodes, self._recorded = episodes, episodes == "recorded"
         self._config, self._kind, self._batch = config, array_kind(config.observation), batch
+        self._several = several
         self._task = self._core_task = config.task()
         self._clauses, self._shape = self._task.clauses(), tuple(self._task.shape(self._kind))
         self._views = views_of(self._task, config.observation)
         self._actions = self._task.actions()
+        egos = _logicity.layout(self._task)["egos"] or 1
+        if egos > 1 and not several:
+            raise ValueError(
+                f"the configuration has {egos} egos (`task.egos`), but `{type(self).__name__}` controls one car: use "
+                "`SPFParallelEnv` or `SPFParallelVectorEnv`"
+            )
 
     def _make_core(self, task: _logicity.Task) -> _logicity.VectorEnv:
         count, autoreset, threads = self._batch
-        core = _logicity.VectorEnv(task, self._config.split, count, autoreset, self._kind, self._episodes, threads)
+        split, episodes = self._config.split, self._episodes
+        core = _logicity.VectorEnv(task, split, count, autoreset, self._kind, episodes, threads, self._several)
+        self._rows = count * core.egos()
         if self._config.action_masks:
             core.judge_actions()
         if self._shield is not None:
             core.set_shield(*self._shield)
         return core
-
-    def _shielded_core(self) -> _logicity.VectorEnv | _logicity.MultiCarEnv:
-        return self._core
 
     def set_shield(
         self,
@@ -96,13 +123,13 @@ class BaseEnv:
                 raise ValueError(f"`threshold` must be from 0 to 1, not {threshold}")
         settings = (mode, query, None if threshold is None else float(threshold))
         task = None if rules is None else self._config.shield_task(rules)
-        self._shielded_core().set_shield(task, settings)
+        self._core.set_shield(task, settings)
         self._shield = task, settings
 
     @property
     def shield_clauses(self) -> tuple[str, ...] | None:
         """The names of the clauses of the shield's rules, in the order of `shield_violations`; `None` without one."""
-        return self._shielded_core().shield_clauses()
+        return self._core.shield_clauses()
 
     def _space(self) -> Space[Any]:
         if self._views is not None:
@@ -185,21 +212,21 @@ class BaseEnv:
         ]
 
     def _masks(self, ended: bool = False) -> NDArray[np.int8]:
-        """Return the allowed actions of all environments, or those of the episodes that ended in the last step."""
-        masks = np.zeros((self._batch[0], len(self._actions)), np.int8)
+        """Return the allowed actions of all egos, or those of the episodes that ended in the last step."""
+        masks = np.zeros((self._rows, len(self._actions)), np.int8)
         self._core.action_masks(masks, ended)
         return masks
 
     def _permitted(self) -> NDArray[np.bool_]:
-        """Return the actions that the shield permits in all environments; without one, those that violate no clause."""
+        """Return the actions that the shield permits all egos; without one, those that violate no clause."""
         self._check_masks()
         clauses = self.shield_clauses
         masks = self._masks() if clauses is None else self._shield_infos(len(clauses))["shield_mask"]
         return masks.astype(np.bool_)
 
     def _shield_infos(self, clauses: int, ended: bool = False) -> dict[str, NDArray[Any]]:
-        """Return the infos of the shields of all environments, or those of the episodes that just ended."""
-        count, actions = self._batch[0], len(self._actions)
+        """Return the infos of the shields of all egos, or those of the episodes that just ended."""
+        count, actions = self._rows, len(self._actions)
         infos: dict[str, NDArray[Any]] = {
             "shield_mask": np.zeros((count, actions), np.int8),
             "shield_probabilities": np.zeros((count, actions), np.float64),
@@ -219,7 +246,7 @@ class BaseEnv:
         states = state.pop("_states")
         self.__dict__.update(state)
         self._core = self._make_core(self._core_task)
-        restore_states(self._core, states, np.empty((self._batch[0], *self._shape), np.float32))
+        restore_states(self._core, states, np.empty((self._rows, *self._shape), np.float32))
 
     # Two environments cannot share a city.
     __copy__ = deepcopy

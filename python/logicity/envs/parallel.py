@@ -1,4 +1,4 @@
-"""A PettingZoo `ParallelEnv` that controls every car of a city. Needs the extra `pettingzoo`."""
+"""A PettingZoo `ParallelEnv` that controls several cars of a city. Needs the extra `pettingzoo`."""
 
 from __future__ import annotations
 
@@ -16,11 +16,10 @@ with extra("pettingzoo"):
     from gymnasium.utils.seeding import np_random
     from pettingzoo import ParallelEnv
 
-from .. import _logicity
 from ..errors import did_you_mean
 from ..types import EnvOptions, EpisodeStart
 from .config import EnvConfig
-from .interface import BaseEnv, checked_action, checked_seed, parse_episode
+from .interface import BaseEnv, checked_action, checked_seed, infos_of, parse_episode
 from .views import Observations, View
 
 if TYPE_CHECKING:
@@ -30,8 +29,9 @@ __all__ = ["SPFParallelEnv"]
 
 
 class SPFParallelEnv(BaseEnv, ParallelEnv[str, Any, "np.int64 | int"]):
-    """Safe Path Following in which every car is a controlled agent, named `Car_1`, `Car_2`, ...
+    """Safe Path Following in which several cars are controlled agents, named `Car_1`, `Car_2`, ...
 
+    These are the first cars, as many as `task.egos` of the configuration says, or every car without that key.
     Observations, actions, rewards and `info` of a car are those of `SPFEnv`. When the episode of a car ends, the car
     leaves `agents` and follows the rules. A curriculum of the configuration has no effect.
 
@@ -49,25 +49,15 @@ class SPFParallelEnv(BaseEnv, ParallelEnv[str, Any, "np.int64 | int"]):
         **options: Unpack[EnvOptions],
     ) -> None:
         """Load the configuration and the rules."""
-        self._load(EnvConfig(config, SPFParallelEnv, **options), render_mode)
-        self._cars = self._make_cars()
-        self.possible_agents = self._cars.names()
+        self._load(EnvConfig(config, SPFParallelEnv, **options), render_mode, several=True)
+        self._core = self._make_core(self._task)
+        self.possible_agents = self._core.names()
         self.agents: list[str] = []
         self._index = {name: car for car, name in enumerate(self.possible_agents)}
         # Each car has its own space, so that seeding one does not affect the others.
         self.observation_spaces = {name: self._space() for name in self.possible_agents}
         self.action_spaces = {name: Discrete(len(self._actions)) for name in self.possible_agents}
         self._seeded = self._begun = False
-
-    def _make_cars(self) -> _logicity.MultiCarEnv:
-        config = self._config
-        cars = _logicity.MultiCarEnv(self._task, config.split, self._kind, config.action_masks)
-        if self._shield is not None:
-            cars.set_shield(*self._shield)
-        return cars
-
-    def _shielded_core(self) -> _logicity.MultiCarEnv:
-        return self._cars
 
     def observation_space(self, agent: str) -> Space[Any]:
         """Return the observation space of a car. Every call returns the same object.
@@ -110,23 +100,26 @@ class SPFParallelEnv(BaseEnv, ParallelEnv[str, Any, "np.int64 | int"]):
         """
         options = options or {}
         if seed is not None or not self._seeded:
-            self._cars.seed(checked_seed(seed, np_random(seed)[0]), 0)
+            self._core.seed(0, checked_seed(seed, np_random(seed)[0]), 0)
             self._seeded = True
         episode = parse_episode(options.get("episode"))
         if not (episode is True or isinstance(episode, dict)):
             raise ValueError("`episode` must be a mapping: recorded episodes have only one controlled car")
         self.agents, self._begun = [], False
-        self._cars.reset(None if episode is True else episode)
+        observations = np.empty((len(self.possible_agents), *self._shape), np.float32)
+        self._core.reset([episode], observations)
         self.agents, self._begun = list(self.possible_agents), True
-        infos = {name: self._info(self._cars.outcome(self._index[name])[3]) for name in self.agents}
         if self._window is not None:
             self.render()
-        return {name: self._observe(name) for name in self.agents}, infos
+        return self._by_car(observations), self._infos_by_car()
 
-    def _observe(self, name: str) -> Observations | View:
-        observation = np.empty(self._shape, np.float32)
-        self._cars.observe(self._index[name], observation)
-        return self._output(observation)
+    def _by_car(self, observations: Observations) -> dict[str, Observations | View]:
+        """Return the observations of the cars in `agents`."""
+        return {name: self._output(observations[self._index[name]].copy()) for name in self.agents}
+
+    def _infos_by_car(self) -> dict[str, dict[str, Any]]:
+        """Return the infos of the cars in `agents`."""
+        return {name: self._info(self._core.info(0, self._index[name])) for name in self.agents}
 
     def step(
         self, actions: dict[str, np.int64 | int]
@@ -148,27 +141,33 @@ class SPFParallelEnv(BaseEnv, ParallelEnv[str, Any, "np.int64 | int"]):
                 raise InvalidAction(self._unknown(name))
         if missing := [name for name in live if name not in actions]:
             raise InvalidAction(f"missing action of {', '.join(missing)}")
-        numbers = [0] * len(self.possible_agents)
+        count = len(self.possible_agents)
+        numbers = np.zeros(count, np.int64)
         for name in live:
             numbers[self._index[name]] = checked_action(actions[name], self._actions)
-        self._cars.step(numbers)
-        outcomes = {name: self._cars.outcome(self._index[name]) for name in live}
-        self.agents = [name for name in live if not (outcomes[name][1] or outcomes[name][2])]
+        observations = np.empty((count, *self._shape), np.float32)
+        rewards = np.empty(count, np.float64)
+        terminated, truncated = np.empty(count, np.bool_), np.empty(count, np.bool_)
+        if live:
+            self._core.step(numbers, observations, (rewards, terminated, truncated), infos_of(count, self._clauses))
+        places = {name: self._index[name] for name in live}
+        shown, infos = self._by_car(observations), self._infos_by_car()
+        self.agents = [name for name, at in places.items() if not (terminated[at] or truncated[at])]
         if self._window is not None:
             self.render()
         return (
-            {name: self._observe(name) for name in live},
-            {name: outcome[0] for name, outcome in outcomes.items()},
-            {name: outcome[1] for name, outcome in outcomes.items()},
-            {name: outcome[2] for name, outcome in outcomes.items()},
-            {name: self._info(outcome[3]) for name, outcome in outcomes.items()},
+            shown,
+            {name: float(rewards[at]) for name, at in places.items()},
+            {name: bool(terminated[at]) for name, at in places.items()},
+            {name: bool(truncated[at]) for name, at in places.items()},
+            infos,
         )
 
     @property
     def episode(self) -> EpisodeStart:
         """The start of the current episode. Pass it to `reset(options={"episode": ...})` to restart it."""
         self._check_begun()
-        return cast(EpisodeStart, self._cars.episode())
+        return cast(EpisodeStart, self._core.episode(0))
 
     def explain(self, agent: str, fact: str | None = None) -> str:
         """Return proofs of the action that the rules derive for a car, or of a fact, as `SPFEnv.explain` does.
@@ -181,7 +180,7 @@ class SPFParallelEnv(BaseEnv, ParallelEnv[str, Any, "np.int64 | int"]):
         self._check_begun()
         if agent not in self._index:
             raise ValueError(self._unknown(agent))
-        return self._cars.explain(self._index[agent], fact)
+        return self._core.explain(0, fact, self._index[agent])
 
     def explain_shield(self, agent: str) -> str:
         """Return which actions the shield permits a car now, as `SPFEnv.explain_shield` does.
@@ -193,7 +192,7 @@ class SPFParallelEnv(BaseEnv, ParallelEnv[str, Any, "np.int64 | int"]):
         self._check_begun()
         if agent not in self._index:
             raise ValueError(self._unknown(agent))
-        return self._cars.explain_shield(self._index[agent])
+        return self._core.explain_shield(0, self._index[agent])
 
     def render(self) -> Any:
         """Return a picture of the city, a uint8 array of shape (height, width, 3), or text in the mode `ansi`.
@@ -203,23 +202,6 @@ class SPFParallelEnv(BaseEnv, ParallelEnv[str, Any, "np.int64 | int"]):
         if self.render_mode is None:
             raise gymnasium.error.Error("the environment has no `render_mode`: pass one to `parallel_env`")
         self._check_begun()
-        if self.render_mode == "ansi":
-            return "\n".join(self._cars.text(car) for car in range(len(self.possible_agents)))
-        return self._shown([self._cars.picture()])[0]
+        return self._rendered()[0]
 
     close = BaseEnv.close_extras
-
-    def __getstate__(self) -> dict[str, Any]:
-        """Return the task, the episode and the actions taken, which determine the state."""
-        state = {key: value for key, value in self.__dict__.items() if key != "_cars"}
-        episode = (self._cars.episode(), self._cars.taken()) if self._begun else None
-        return {**state, "_source": self._cars.source(), "_episode": episode}
-
-    def __setstate__(self, state: dict[str, Any]) -> None:
-        """Start the same episode and take the same actions."""
-        source, episode = state.pop("_source"), state.pop("_episode")
-        self.__dict__.update(state)
-        self._cars = self._make_cars()
-        self._cars.seed(*source)
-        if episode is not None:
-            self._cars.replay(*episode)

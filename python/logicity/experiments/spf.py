@@ -20,7 +20,7 @@ from ..errors import InputError, did_you_mean
 from ..evaluation import Benchmark, Interval
 from ..files import read_json
 from ..learn.config import TrainConfig, unused
-from ..learn.faults import Fault, contains
+from ..learn.faults import Fault, contains, merged
 from ..learn.learner import LearnedPolicy
 from ..learn.policies import load_policy
 from ..learn.run import config_faults, train
@@ -88,7 +88,7 @@ class SafePathFollowing(Task):
     name = "spf"
     title = "Safe Path Following"
     experiment = SpfExperiment
-    measures: ClassVar[Mapping[str, str]] = {"tsr": "TSR", "dsr": "DSR", "score": "Score"}
+    measures: ClassVar[Mapping[str, str]] = {"tsr": "TSR", "dsr": "DSR", "score": "Score", "joint_tsr": "joint TSR"}
     headline = "tsr"
     measured_on = "test episodes"
     sampled = "samples"
@@ -241,13 +241,13 @@ class SafePathFollowing(Task):
     def intervals(self, evaluations: Sequence[Mapping[str, Any]]) -> dict[str, Interval]:
         """Return the measures with 95 % intervals: those of the evaluation of one run, or of several, see `pooled`."""
         if len(evaluations) == 1:
-            return {name: Interval(**evaluations[0][name]) for name in self.measures}
-        return pooled([per_episode(each) for each in evaluations], rates=("tsr", "dsr"))
+            return {name: Interval(**evaluations[0][name]) for name in self.measures if name in evaluations[0]}
+        return pooled([per_episode(each) for each in evaluations], rates=("tsr", "dsr", "joint_tsr"))
 
     def samples(self, evaluation: Mapping[str, Any]) -> dict[str, list[float]]:
         """Return success, decision success and score of each episode."""
         values = per_episode(evaluation)
-        return {name: [round(float(value), 4) for value in values[name]] for name in self.measures}
+        return {name: [round(float(value), 4) for value in values[name]] for name in self.measures if name in values}
 
     def evaluation_of(self, row: Mapping[str, Any]) -> dict[str, Any]:
         """Return the measures and the values of the episodes."""
@@ -272,17 +272,26 @@ class SafePathFollowing(Task):
 
 
 def per_episode(evaluation: Mapping[str, Any]) -> dict[str, NDArray[np.float64]]:
-    """Return TSR, DSR and Score of each episode: 0 or 1, and the return minus the random policy's mean return."""
+    """Return TSR, DSR and Score of each episode: 0 or 1, and the return minus the random policy's mean return.
+
+    With several egos they are means over the egos, and the joint TSR follows.
+    """
     if "samples" in evaluation:
         return {name: np.array(values, np.float64) for name, values in evaluation["samples"].items()}
     records = sorted(evaluation["episodes"], key=lambda record: record["episode"])
     kept = [any(record["constrained"].values()) and not record["violations"] for record in records]
-    returns = np.array([record["total"] for record in records]) - np.array(evaluation["random_returns"])
-    return {
-        "tsr": np.array([record["success"] for record in records], np.float64),
-        "dsr": np.array(kept, np.float64),
-        "score": returns,
+    random = np.array(evaluation["random_returns"])
+
+    def by_episode(values: Iterable[float]) -> NDArray[np.float64]:
+        return np.array(list(values), np.float64).reshape(len(random), -1)
+
+    success = by_episode(record["success"] for record in records)
+    measures = {
+        "tsr": success.mean(1),
+        "dsr": by_episode(kept).mean(1),
+        "score": by_episode(record["total"] for record in records).mean(1) - random,
     }
+    return measures if success.shape[1] == 1 else {**measures, "joint_tsr": success.min(1)}
 
 
 @cache
@@ -339,7 +348,7 @@ def _evaluated(
     done = {}
     for name, each in evaluations.items():
         mode = config.mode if each["fresh"] is None else _fresh(folder, config.mode, each)
-        overrides = each.get("overrides")
+        overrides = merged(config.evaluation_overrides() or {}, each.get("overrides") or {}) or None
         benchmark = Benchmark(mode, each["split"], observation=config.observation, overrides=overrides)
         if tested is not None and each == TEST:
             result = dict(tested)

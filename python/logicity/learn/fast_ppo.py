@@ -10,6 +10,9 @@ Three properties of Safe Path Following make it fast:
 The first layer of the network is shared by *slots*: a slot has the atoms about the ego and a few other entities. The
 maximum over the slots makes the policy independent of the order of entities, as the rules are: "there is an entity Y
 such that ...". With one slot for all entities the network is a multilayer perceptron.
+
+Several egos (`task.egos`) are independent learners (de Witt et al., 2020): each has its own observation, reward and
+return, and they share one policy or have one each.
 """
 
 from __future__ import annotations
@@ -19,17 +22,19 @@ import math
 import time
 from collections.abc import Mapping, Sequence
 from pathlib import Path
-from typing import Any, ClassVar, NamedTuple, TypeAlias
+from typing import Any, ClassVar, Literal, NamedTuple, TypeAlias
 
 import numpy as np
 import torch
 from gymnasium.vector import AutoresetMode
 from numpy.typing import NDArray
+from pydantic import SerializerFunctionWrapHandler, model_serializer
 from torch import Tensor, nn
 
 from .. import _logicity
 from ..city import ACTIONS
 from ..envs.layout import atoms_of
+from ..envs.parallel_vector import SPFParallelVectorEnv
 from ..envs.vector import SPFVectorEnv
 from ..envs.views import Actions, Observations
 from ..files import read_tensors
@@ -50,6 +55,8 @@ LOG_EVERY = 50
 
 #: The endings of episodes in the training curves, by their number in `SPFVectorEnv.collect`.
 ENDINGS = {1: "violation", 2: "success", 3: "horizon"}
+#: The ending of a step of an ego whose episode had ended before.
+ABSENT = 4
 
 
 class FastPPOSettings(LearnerSettings):
@@ -84,6 +91,16 @@ class FastPPOSettings(LearnerSettings):
     """The coefficient of the value's squared error in the loss."""
     max_grad_norm: Positive = 0.5
     """The norm to which larger gradients are clipped."""
+    policies: Literal["shared", "separate"] = "shared"
+    """Whether several egos (`task.egos`) share one policy or have one each."""
+
+    @model_serializer(mode="wrap")
+    def _without_default(self, serialize: SerializerFunctionWrapHandler) -> dict[str, Any]:
+        """Leave out the default of `policies`, so that the settings of one ego look as before it existed."""
+        values: dict[str, Any] = serialize(self)
+        if values.get("policies") == "shared":
+            del values["policies"]
+        return values
 
 
 def slots(description: Mapping[str, Any], others: int) -> NDArray[np.int64]:
@@ -295,20 +312,34 @@ def losses(outputs: Tensor, batch: Batch, clip_range: float, vf_coef: float, ent
 
 
 class FastPPOPolicy(LearnedPolicy):
-    """A policy of `ppo-fast`."""
+    """A policy of `ppo-fast`.
+
+    With separate policies of several egos, observations have a row for each ego of each episode, those of an episode
+    one after the other.
+    """
 
     def __init__(
-        self, network: Network, slots: NDArray[np.int64], width: int, mode: str, settings: FastPPOSettings
+        self,
+        networks: Sequence[Network],
+        slots: NDArray[np.int64],
+        width: int,
+        mode: str,
+        settings: FastPPOSettings,
     ) -> None:
-        """Store the network, the entries that its slots select, and the length of an observation."""
+        """Store the network of all egos or those of each, the entries that slots select, and the observation's size."""
         self.mode, self.settings = mode, settings
-        self._network, self._slots, self._width = network, slots, width
+        self._networks, self._slots, self._width = list(networks), slots, width
         self._random = np.random.default_rng(0)
 
     def _decide(self, observation: Observations, deterministic: bool) -> Actions:
         check_shape(observation, self._width, self.mode)
-        native = self._network.native(self._width, self._slots)
-        logits = native.evaluate(np.ascontiguousarray(observation, np.float32))[:, :-1]
+        rows, count = len(observation), len(self._networks)
+        if rows % count:
+            raise ValueError(f"{rows} observations for the policies of {count} egos")
+        logits = np.empty((rows, len(ACTIONS)), np.float32)
+        for ego, network in enumerate(self._networks):
+            native = network.native(self._width, self._slots)
+            logits[ego::count] = native.evaluate(np.ascontiguousarray(observation[ego::count], np.float32))[:, :-1]
         if not deterministic:
             # The Gumbel-max trick.
             logits += self._random.gumbel(size=logits.shape).astype(np.float32)
@@ -324,13 +355,18 @@ class FastPPOPolicy(LearnedPolicy):
             "settings": self.settings.model_dump(mode="json"),
             "slots": torch.from_numpy(self._slots),
             "width": self._width,
-            "weights": self._network.parameters,
+            "weights": self._parameters(),
         }
         torch.save(content, path)
 
+    def _parameters(self) -> Tensor:
+        """Return the weights and biases of the network in one vector, or with separate policies one row for each."""
+        parameters = [network.parameters for network in self._networks]
+        return parameters[0] if self.settings.policies == "shared" else torch.stack(parameters)
+
     def weights(self) -> Mapping[str, Any]:
         """Return all weights and biases in one vector."""
-        return {"parameters": self._network.parameters}
+        return {"parameters": self._parameters()}
 
     @classmethod
     def load(cls, path: Path) -> FastPPOPolicy:
@@ -343,12 +379,18 @@ class FastPPOPolicy(LearnedPolicy):
         try:
             settings = FastPPOSettings.model_validate(content["settings"])
             positions = content["slots"].numpy()
-            network = Network(positions.shape[1], settings.network)
-            if content["weights"].shape != network.parameters.shape:
-                raise ValueError("the number of weights does not match the settings")
-            network.parameters.copy_(content["weights"])
-            policy = cls(network, positions, content["width"], content["mode"], settings)
-            network.native(content["width"], positions)
+            weights = content["weights"]
+            if weights.ndim != (1 if settings.policies == "shared" else 2) or not len(weights):
+                raise ValueError("the shape of the weights does not match the settings")
+            networks = []
+            for parameters in weights.unsqueeze(0) if weights.ndim == 1 else weights:
+                network = Network(positions.shape[1], settings.network)
+                if parameters.shape != network.parameters.shape:
+                    raise ValueError("the number of weights does not match the settings")
+                network.parameters.copy_(parameters)
+                network.native(content["width"], positions)
+                networks.append(network)
+            policy = cls(networks, positions, content["width"], content["mode"], settings)
         except (AttributeError, IndexError, KeyError, OverflowError, RuntimeError, TypeError, ValueError) as error:
             raise ValueError(f"{path} is a damaged policy of `{NAME}`: {error}") from None
         return policy
@@ -366,6 +408,7 @@ class FastPPO(Learner):
     interacts = True
     policy_class = FastPPOPolicy
     starts = True
+    drives_egos = True
     steps = 0
     _settings: FastPPOSettings
 
@@ -375,13 +418,18 @@ class FastPPO(Learner):
         description = _logicity.describe(load_task(config.mode, overrides=config.overrides))
         self._slots = slots(description, self._settings.entities_per_slot)
         self._width: int = description["width"]
+        self._egos: int = description["egos"] or 1
+        count = 1 if self._settings.policies == "shared" else self._egos
         with torch.random.fork_rng(devices=[]):
             torch.manual_seed(config.seed)
-            self._network = Network(self._slots.shape[1], self._settings.network)
+            self._networks = [Network(self._slots.shape[1], self._settings.network) for _ in range(count)]
         self._random = np.random.default_rng(config.seed)
         self._updates = 0
         options: dict[str, Any] = {**config.env_options(), "num_threads": config.threads, "copy": False}
-        self._envs = SPFVectorEnv(config.envs, config.mode, autoreset_mode=AutoresetMode.SAME_STEP, **options)
+        kind: Any = SPFVectorEnv if self._egos == 1 else SPFParallelVectorEnv
+        self._envs: SPFVectorEnv | SPFParallelVectorEnv = kind(
+            config.envs, config.mode, autoreset_mode=AutoresetMode.SAME_STEP, **options
+        )
         self._envs.reset(seed=config.seed)
         self._ended = np.zeros(len(ENDINGS) + 1, np.int64)
         self.seconds = dict.fromkeys(("rollouts", "grouping", "updates"), 0.0)
@@ -391,31 +439,51 @@ class FastPPO(Learner):
         assert isinstance(policy, FastPPOPolicy)
         if policy.settings.network != self._settings.network or not np.array_equal(policy._slots, self._slots):
             raise ValueError("its layers do not fit the observations and the settings")
-        self._network.parameters.copy_(policy._network.parameters)
+        if len(policy._networks) not in (1, len(self._networks)):
+            raise ValueError(f"it has the policies of {len(policy._networks)} egos, not of {len(self._networks)}")
+        for at, network in enumerate(self._networks):
+            network.parameters.copy_(policy._networks[min(at, len(policy._networks) - 1)].parameters)
 
     def _step(self, steps: int) -> None:
         """Collect a batch, and update the network with it. Schedules end at the steps of the configuration."""
         settings, begun = self._settings, time.process_time()
-        random = self._random.random((self.config.envs, settings.rollout_steps), np.float32)
-        done = self._envs.collect(self._network.native(self._width, self._slots), random)
-        collected = time.process_time()
+        egos = () if self._egos == 1 else (self._egos,)
+        random = self._random.random((self.config.envs, *egos, settings.rollout_steps), np.float32)
+        natives = [network.native(self._width, self._slots) for network in self._networks]
+        if isinstance(self._envs, SPFParallelVectorEnv):
+            collected = self._envs.collect(natives, random)
+        else:
+            collected = [self._envs.collect(natives[0], random)]
+        self.seconds["rollouts"] += time.process_time() - begun
+        for network, done in zip(self._networks, collected, strict=True):
+            self._learn(network, done)
+        self.steps += self.config.envs * settings.rollout_steps
+        self._updates += 1
+        if self.log is not None and self._updates % LOG_EVERY == 0:
+            self._write_curves()
+
+    def _learn(self, network: Network, done: Mapping[str, NDArray[Any]]) -> None:
+        """Update a network with the steps that it collected."""
+        settings, begun = self._settings, time.process_time()
         values, ended = done["outputs"][done["states"], -1], done["endings"] > 0
         estimates = advantages(done["rewards"], values, done["next_values"], ended, settings.gamma, settings.gae_lambda)
-        returns = estimates + values
-        estimates = (estimates - estimates.mean()) / (estimates.std() + np.float32(1e-8))
-        columns = (each.ravel() for each in (done["states"], done["actions"], estimates, returns))
-        batch = grouped(done["inputs"], done["outputs"], *columns)
+        returns, acts = estimates + values, done["endings"] != ABSENT
+        columns = [done["states"], done["actions"], estimates, returns]
+        if not acts.all():
+            if not acts.any():
+                return
+            columns = [each[acts] for each in columns]
+        estimates = columns[2]
+        columns[2] = (estimates - estimates.mean()) / (estimates.std() + np.float32(1e-8))
+        batch, size = grouped(done["inputs"], done["outputs"], *(each.ravel() for each in columns)), int(acts.sum())
         prepared = time.process_time()
-        last = self._update(batch, random.size)
-        self.steps += random.size
-        self._updates += 1
-        spent = (collected - begun, prepared - collected, time.process_time() - prepared)
-        for phase, seconds in zip(self.seconds, spent, strict=True):
-            self.seconds[phase] += seconds
+        last = self._update(network, batch, size)
+        self.seconds["grouping"] += prepared - begun
+        self.seconds["updates"] += time.process_time() - prepared
         if self.log is not None:
-            self._add_to_curves(done, batch, last)
+            self._add_to_curves(done["rewards"][acts], done["endings"][acts], batch, last)
 
-    def _update(self, batch: Batch, size: int) -> Losses:
+    def _update(self, network: Network, batch: Batch, size: int) -> Losses:
         """Take the gradient steps of a batch of `size` steps. Return the loss of the last one."""
         settings = self._settings
         learning_rate = self._scheduled(settings.learning_rate, settings.final_learning_rate)
@@ -427,30 +495,31 @@ class FastPPO(Learner):
                 order = torch.from_numpy(self._random.permutation(len(batch.counts)))
                 parts = [batch.part(chosen) for chosen in order.chunk(settings.minibatches)]
             for part in parts:
-                outputs = self._network.forward(part.inputs)
+                outputs = network.forward(part.inputs)
                 loss, derivative = losses(outputs, part, settings.clip_range, settings.vf_coef, ent_coef)
-                self._network.backward(scale * derivative)
-                self._network.step(learning_rate, settings.max_grad_norm)
+                network.backward(scale * derivative)
+                network.step(learning_rate, settings.max_grad_norm)
         return loss
 
     def _scheduled(self, first: float, last: float) -> float:
         return first + (last - first) * min(1.0, self.steps / self.config.steps)
 
-    def _add_to_curves(self, done: Mapping[str, NDArray[Any]], batch: Batch, loss: Losses) -> None:
-        """Add a batch to the training curves, and write them every `LOG_EVERY` updates."""
-        size = done["rewards"].size
+    def _add_to_curves(self, rewards: Floats, endings: NDArray[Any], batch: Batch, loss: Losses) -> None:
+        """Add a batch to the training curves."""
+        size = rewards.size
         part = self._settings.minibatches / size
-        self._ended += np.bincount(done["endings"].ravel(), minlength=len(self._ended))
+        self._ended += np.bincount(endings.ravel(), minlength=len(self._ended))
         self._curves.add(
             {
-                "batches/reward": done["rewards"].mean(),
+                "batches/reward": rewards.mean(),
                 "batches/distinct": len(batch.counts) / size,
                 "batches/value_loss": loss.value * part,
                 "batches/entropy": loss.entropy * part,
             }
         )
-        if self._updates % LOG_EVERY:
-            return
+
+    def _write_curves(self) -> None:
+        """Write the training curves."""
         episodes = max(self._ended[1:].sum(), 1)
         self._curves.add({f"episodes/{name}": self._ended[ending] / episodes for ending, name in ENDINGS.items()})
         self._curves.add({f"cpu_seconds/{phase}": seconds for phase, seconds in self.seconds.items()})
@@ -459,12 +528,13 @@ class FastPPO(Learner):
 
     def policy(self) -> FastPPOPolicy:
         """Return the current policy."""
-        return FastPPOPolicy(self._network, self._slots, self._width, self.config.mode, self._settings)
+        return FastPPOPolicy(self._networks, self._slots, self._width, self.config.mode, self._settings)
 
     def state(self) -> dict[str, Any]:
         """Return the weights, the optimizer, the environments and the random state."""
+        networks = [(network.parameters, network.moments, network.updates) for network in self._networks]
         return {
-            "network": (self._network.parameters, self._network.moments, self._network.updates),
+            "network": networks[0] if len(networks) == 1 else networks,
             "environments": self._envs.state(),
             "random": self._random.bit_generator.state,
             "counts": (self.steps, self._updates),
@@ -472,9 +542,12 @@ class FastPPO(Learner):
 
     def load_state(self, state: dict[str, Any]) -> None:
         """Restore what `state` returned."""
-        parameters, moments, self._network.updates = state["network"]
-        self._network.parameters.copy_(parameters)
-        self._network.moments.copy_(moments)
+        saved = state["network"]
+        networks = [saved] if isinstance(saved, tuple) else saved
+        for network, (parameters, moments, updates) in zip(self._networks, networks, strict=True):
+            network.parameters.copy_(parameters)
+            network.moments.copy_(moments)
+            network.updates = updates
         self._random.bit_generator.state = state["random"]
         self.steps, self._updates = state["counts"]
         self._envs.restore(state["environments"])

@@ -123,6 +123,8 @@ class Learner(ABC):
     observations: ClassVar[tuple[ArrayKind, ...]] = ("groundings",)
     #: Whether observations may have numbers besides truth values: quantities and probabilities.
     takes_numbers: ClassVar[bool] = True
+    #: Whether the learner can drive several egos. It needs `interacts`.
+    drives_egos: ClassVar[bool] = False
     #: The suffix of the files of its policies.
     suffix: ClassVar[str] = ".pt"
     #: The class of its policies.
@@ -147,6 +149,11 @@ class Learner(ABC):
         if self.interacts and layout["shield"] == "mask":
             raise ValueError(
                 f"`{config.algorithm}` reads no masks: set `mode: override` in the shield of {config.mode}"
+            )
+        if self.interacts and (layout["egos"] or 1) > 1 and not self.drives_egos:
+            raise ValueError(
+                f"`{config.algorithm}` drives one car in training, not the {layout['egos']} egos of the configuration: "
+                "train it with one, and evaluate its policy with several"
             )
         if not self.takes_numbers:
             columns = layout["columns"]

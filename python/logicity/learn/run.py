@@ -118,7 +118,8 @@ def train(
         state.hashes = hashes
         torch.set_num_threads(config.threads)
         # Load the test episodes now: an error in them must not surface after hours of training.
-        val, test = (Benchmark(config.mode, split, observation=config.observation) for split in ("val", "test"))
+        kind, overrides = config.observation, config.evaluation_overrides()
+        val, test = (Benchmark(config.mode, split, observation=kind, overrides=overrides) for split in ("val", "test"))
         check_overrides(config)
         log = run / "tensorboard" if tensorboard else None
         files.enter_context(_enough_memory(config))

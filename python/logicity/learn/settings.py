@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from typing import Annotated, Any, TypeAlias
 
 from ..errors import extra
@@ -72,8 +73,8 @@ class Training(BaseModel):
     settings: SerializeAsAny[LearnerSettings] = Field(default_factory=LearnerSettings, validate_default=True)
     """The settings of the learner."""
     overrides: dict[str, Any] = Field(default_factory=dict)
-    """Changes to the configuration for training. Validation and test use the mode without overrides. For learners that
-    step environments."""
+    """Changes to the configuration for training. Validation and test use the mode without overrides, except for the
+    number of egos, `task.egos`. For learners that step environments."""
     steps: Count = Field(default=200_000, validate_default=True)
     """The number of training steps: steps of all environments together, or updates of a learner from demonstrations.
     Only `steps` may change when a run resumes."""
@@ -92,6 +93,12 @@ class Training(BaseModel):
     """The number of steps between validations. Each validation writes a checkpoint."""
     threads: Count = 1
     """The number of PyTorch threads."""
+
+    def evaluation_overrides(self) -> dict[str, Any] | None:
+        """Return the part of the overrides that validation and test use: the number of egos."""
+        task = self.overrides.get("task")
+        egos = task.get("egos") if isinstance(task, Mapping) else None
+        return None if egos is None else {"task": {"egos": egos}}
 
     def env_options(self) -> TrainingOptions:
         """Return the options of the training environments."""

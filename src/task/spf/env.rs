@@ -14,7 +14,7 @@ use smallvec::SmallVec;
 use std::sync::Arc;
 
 impl Purpose {
-    /// The ego of an episode: its priority and concepts.
+    /// An ego of an episode: its priority and concepts; index: the number of the ego.
     pub const EGO: Purpose = Purpose::new(7);
 
     /// The agents that take part in an episode of a curriculum.
@@ -26,11 +26,12 @@ impl Purpose {
 pub enum ControlMode {
     /// The first car.
     First,
-    /// Every car, each as its own [`ControlledCar`].
-    Cars,
+    /// The first `egos` cars of the task's configuration, or every car if it has no such key. Each is its own
+    /// [`ControlledCar`].
+    Egos,
 }
 
-/// A city in which the caller controls one car or every car. Task, split and seed determine an episode.
+/// A city in which the caller controls one car or several. Task, split and seed determine an episode.
 pub struct Env {
     task: Arc<SpfTask>,
     city: Simulation,
@@ -161,7 +162,7 @@ impl Env {
     ///
     /// # Errors
     /// `unknown-split`, `no-start-cell`, `no-route`, `limit-exceeded`: see [`Simulation::new`]; `invalid-value` if the
-    /// split has no car.
+    /// split has no car, or fewer than the task has egos.
     pub fn new(task: Arc<SpfTask>, split: Split, control: ControlMode) -> Result<Env, Diagnostic> {
         Env::new_with(task, split, control, &Cancel::never())
     }
@@ -221,7 +222,7 @@ impl Env {
             .map(|(position, _)| position);
         let driven = cars.take(match control {
             ControlMode::First => 1,
-            ControlMode::Cars => usize::MAX,
+            ControlMode::Egos => task.config().egos.map_or(usize::MAX, |egos| egos.value as usize),
         });
         let controlled_car = |ego| ControlledCar {
             observer: Observer::new(Arc::clone(task.oracle()), ego),
@@ -234,6 +235,15 @@ impl Env {
             running: false,
         };
         let controlled_cars: Vec<ControlledCar> = driven.map(controlled_car).collect();
+        if let Some(egos) = (task.config().egos)
+            .filter(|egos| control == ControlMode::Egos && controlled_cars.len() < egos.value as usize)
+        {
+            let (split, count) = (split.name(), controlled_cars.len());
+            let plural = if count == 1 { "" } else { "s" };
+            let message = format!("the split `{split}` has {count} car{plural}, not {}", egos.value);
+            let fault = Diagnostic::new(codes::INVALID_VALUE, message).at(egos.span, "for these egos");
+            return Err(fault.help("lower `egos`, or add cars to the split"));
+        }
         if controlled_cars.is_empty() {
             let message = format!("the split `{}` has no car to control", split.name());
             return Err(Diagnostic::new(codes::INVALID_VALUE, message).at(task.config().span, "for this task"));
@@ -280,6 +290,11 @@ impl Env {
     /// Returns the controlled cars, in the order of the list of agents.
     pub fn controlled_cars(&self) -> &[ControlledCar] {
         &self.controlled_cars
+    }
+
+    /// Returns whether the episode of a controlled car is running.
+    pub fn is_running(&self) -> bool {
+        self.controlled_cars.iter().any(ControlledCar::is_running)
     }
 
     /// Returns the number of steps so far.
@@ -403,8 +418,8 @@ impl Env {
         self.step(&executed)
     }
 
-    /// Begins a random episode: draws starts and goals for all agents, and priority and concepts for the first car if
-    /// the configuration says so.
+    /// Begins a random episode: draws starts and goals for all agents, and priority and concepts for the egos if the
+    /// configuration says so. The egos are the first car, or as many cars as `egos` of the configuration says.
     ///
     /// # Errors
     /// `no-start-cell`, `no-route`, `limit-exceeded`. The environment then needs another reset.
@@ -419,25 +434,33 @@ impl Env {
     /// As [`Env::reset`].
     pub fn reset_with(&mut self, seed: u64, agents: Option<usize>) -> Result<(), Diagnostic> {
         self.horizon = self.task.config().horizon;
-        let (task, first) = (&self.task, self.controlled_cars[0].agent());
-        let split = self.city.split();
+        let (task, split) = (&self.task, self.city.split());
+        let count = match self.control {
+            ControlMode::First => 1,
+            ControlMode::Egos => task.config().egos.map_or(1, |egos| egos.value as usize),
+        };
+        let egos = self.controlled_cars.iter().take(count).map(ControlledCar::agent);
+        let draw_egos = |agents: &mut [Agent]| {
+            for (number, ego) in (0..).zip(egos) {
+                draw_ego(task, (split, seed, number), &mut agents[ego]);
+            }
+        };
         if agents.is_none() && self.city.has_all_agents() {
-            let change = |agents: &mut [Agent]| draw_ego(task, split, seed, &mut agents[first]);
-            self.city.restart_drawn(Seed(seed), change)?;
+            self.city.restart_drawn(Seed(seed), draw_egos)?;
             self.note(seed);
             return self.start();
         }
         let mut drawn = Vec::new();
         self.city.draw_agents(Seed(seed), &mut drawn)?;
-        draw_ego(task, split, seed, &mut drawn[first]);
+        draw_egos(&mut drawn);
         if let Some(agents) = agents {
             select(seed, agents, &mut drawn);
         }
         self.begin(seed, drawn)
     }
 
-    /// Begins a given episode. Its horizon is [`Episode::horizon`]; if every car is controlled, it is the configured
-    /// horizon, because the oracle's steps are those of the first car.
+    /// Begins a given episode. Its horizon is [`Episode::horizon`]. In the mode [`ControlMode::Egos`] it is the
+    /// configured horizon, because the oracle's steps are those of the first car.
     ///
     /// # Errors
     /// `invalid-episode` if its agents differ from those of the split, have concepts without a predicate for their
@@ -446,7 +469,7 @@ impl Env {
         let agents = episode.place(&self.task, self.city.split(), self.control)?;
         self.horizon = match self.control {
             ControlMode::First => episode.horizon(self.task.config()),
-            ControlMode::Cars => self.task.config().horizon.max(1),
+            ControlMode::Egos => self.task.config().horizon.max(1),
         };
         self.begin(episode.seed, agents)?;
         self.episode.oracle.clone_from(&episode.oracle);
@@ -652,12 +675,12 @@ fn sensed(observer: Observer, sensors: Option<&SensorsWithModel>) -> Observer {
     }
 }
 
-/// Draws the priority and the concepts of the first car, if the configuration says so.
-fn draw_ego(task: &SpfTask, split: Split, seed: u64, first: &mut Agent) {
+/// Draws the priority and the concepts of an ego by its number, if the configuration says so.
+fn draw_ego(task: &SpfTask, (split, seed, number): (Split, u64, u64), agent: &mut Agent) {
     let Some(ego) = &task.config().ego else { return };
-    let mut stream = Seed(seed).stream(Purpose::EGO, 0, 0);
+    let mut stream = Seed(seed).stream(Purpose::EGO, number, 0);
     let most = ego.priority[split as usize];
-    first.priority = stream.random_range(1..=most).cast_signed();
+    agent.priority = stream.random_range(1..=most).cast_signed();
     let sum: f64 = ego.concepts.iter().map(|(weight, _)| weight).sum();
     let mut left = stream.random::<f64>() * sum;
     // Rounding may leave a remainder after the last entry; it must not select one of weight 0.
@@ -667,7 +690,7 @@ fn draw_ego(task: &SpfTask, split: Split, seed: u64, first: &mut Agent) {
         left < 0.0
     });
     let (_, concepts) = drawn.or(possible.next_back()).expect("a weight is not 0");
-    first.concepts = Arc::clone(concepts);
+    agent.concepts = Arc::clone(concepts);
 }
 
 /// Keeps the first agent, which is the ego, and others up to `count`, each as probable as any (selection sampling,

@@ -107,8 +107,8 @@ pub struct ActionRate {
     pub rate: Rate,
 }
 
-/// The measures of a policy. With several runs per episode, means and their intervals use the mean of each episode's
-/// runs.
+/// The measures of a policy. With several runs or egos per episode, means and their intervals use the mean over the runs
+/// and egos of each episode, and a rate counts every ego of every run.
 #[derive(Clone, Debug, PartialEq, Serialize)]
 pub struct Summary {
     /// Trajectory success rate: the proportion of runs that reach the goal in time without a violation.
@@ -120,6 +120,9 @@ pub struct Summary {
     pub dsr: Rate,
     /// Decision success rate by action.
     pub dsr_by_action: Vec<ActionRate>,
+    /// The rates of all egos together; `None` for one ego.
+    #[serde(skip_serializing_if = "Option::is_none")]
+    pub joint: Option<JointRates>,
     /// Mean return.
     pub mean_return: Score,
     /// Mean return minus that of the random policy on the same episodes; `None` if that is unknown.
@@ -128,22 +131,37 @@ pub struct Summary {
     pub mean_steps: f64,
 }
 
-/// Summarizes rollouts, one per episode. `random` has the random policy's mean return on each episode.
-///
-/// # Panics
-/// If the lengths of `rollouts` and `random` differ.
-pub fn summarize(task: &SpfTask, rollouts: &[Rollout], random: Option<&[f64]>) -> Summary {
-    summarize_runs(task, rollouts, 1, random)
+/// The rates of all egos of a run together.
+#[derive(Clone, Copy, Debug, PartialEq, Serialize)]
+pub struct JointRates {
+    /// The proportion of runs in which all egos reach their goals in time without a violation.
+    pub tsr: Rate,
+    /// The proportion of runs without a violation in which an ego has a constrained step.
+    pub dsr: Rate,
 }
 
-/// Summarizes `runs` adjacent rollouts of each episode. `random` has a mean return for each episode.
+/// Summarizes rollouts, one per episode and ego of the task. `random` has the random policy's mean return on each
+/// episode.
+///
+/// # Panics
+/// If the numbers of episodes differ.
+pub fn summarize(task: &SpfTask, rollouts: &[Rollout], random: Option<&[f64]>) -> Summary {
+    summarize_runs(task, rollouts, [1, task.egos()], random)
+}
+
+/// Summarizes adjacent rollouts of each episode, one per run and ego. `random` has a mean return for each episode.
 #[allow(clippy::cast_precision_loss)] // fewer than 2^53 runs and steps
-pub(super) fn summarize_runs(task: &SpfTask, rollouts: &[Rollout], runs: usize, random: Option<&[f64]>) -> Summary {
+pub(super) fn summarize_runs(
+    task: &SpfTask,
+    rollouts: &[Rollout],
+    [runs, egos]: [usize; 2],
+    random: Option<&[f64]>,
+) -> Summary {
     assert!(
-        rollouts.len().is_multiple_of(runs),
+        rollouts.len().is_multiple_of(runs * egos),
         "the same number of rollouts of each episode"
     );
-    let episodes = rollouts.chunks_exact(runs);
+    let episodes = rollouts.chunks_exact((runs * egos).max(1));
     // `None` if the run does not count.
     let rate = |hits: &dyn Fn(&Rollout) -> Option<bool>| {
         Rate::of(episodes.clone().map(|runs| {
@@ -171,6 +189,9 @@ pub(super) fn summarize_runs(task: &SpfTask, rollouts: &[Rollout], runs: usize, 
         assert!(random.len() == episodes.len(), "one random return for each episode");
         Score::of(returns.clone().zip(random).map(|(mean, random)| mean - random))
     });
+    let joint_rate = |hits: &dyn Fn(&[Rollout]) -> bool| {
+        Rate::of((episodes.clone()).map(|all| [all.chunks_exact(egos).filter(|run| hits(run)).count(), runs]))
+    };
     let steps: u64 = rollouts.iter().map(|rollout| u64::from(rollout.steps)).sum();
     let constrained = |rollout: &Rollout| rollout.constrained.iter().any(|steps| *steps > 0);
     Summary {
@@ -182,6 +203,10 @@ pub(super) fn summarize_runs(task: &SpfTask, rollouts: &[Rollout], runs: usize, 
             .filter(|action| asked(*action))
             .map(by_action)
             .collect(),
+        joint: (egos > 1).then(|| JointRates {
+            tsr: joint_rate(&|run| run.iter().all(|rollout| rollout.success)),
+            dsr: joint_rate(&|run| run.iter().all(|rollout| rollout.broken.is_empty()) && run.iter().any(constrained)),
+        }),
         mean_return: Score::of(returns),
         score,
         mean_steps: steps as f64 / rollouts.len().max(1) as f64,

@@ -11,7 +11,7 @@
 //! ends with the penalty, undivided. Otherwise the reward of the step is that of its action, divided by four times the
 //! cells of the route. The episode also ends at the goal. At the horizon it is truncated, with the overtime penalty.
 //!
-//! [`rollout`] runs a built-in policy on an episode; a [`BatchEvaluator`] runs an external one on a whole set;
+//! [`rollouts`] runs a built-in policy on an episode; a [`BatchEvaluator`] runs an external one on a whole set;
 //! [`Baseline`] has the results of the random policy. [`summarize`] computes the paper's rates and score over many
 //! episodes. A [`VectorEnv`] steps many environments together. [`explain`] explains what the rules want, and [`record`]
 //! writes the trace of an episode.
@@ -32,8 +32,8 @@ pub use env::{ControlMode, ControlledCar, Env, Transition};
 pub use episode::{Episode, EpisodeAgent, EpisodeSet, MapIdentity, OracleRun};
 pub use evaluate::{Baseline, BatchEvaluator, RANDOM_RUNS};
 pub use explain::{describe, explain, explain_shield};
-pub use metrics::{ActionRate, Rate, Score, Summary, summarize};
-pub use rollout::{DRAWS_MAX, Policy, Rollout, make_episodes, reset_demanding, rollout, steps_by_action};
+pub use metrics::{ActionRate, JointRates, Rate, Score, Summary, summarize};
+pub use rollout::{DRAWS_MAX, Policy, Rollout, make_episodes, reset_demanding, rollout, rollouts, steps_by_action};
 pub use trace::{Origin, RecordError, record};
 pub use vector::{Autoreset, Begin, EpisodeSource, Info, ObservationKind, Outcome, SubEnv, VectorEnv};
 pub use vector::{Ending, Layer, PolicyNetwork, Trajectories};
@@ -138,6 +138,19 @@ impl SpfTask {
     /// Returns the city and its rules.
     pub fn world(&self) -> &Arc<World> {
         self.oracle.world()
+    }
+
+    /// Returns which cars evaluations and learners control: the egos that the configuration counts, or the first car.
+    pub fn control(&self) -> ControlMode {
+        match self.config.egos {
+            Some(_) => ControlMode::Egos,
+            None => ControlMode::First,
+        }
+    }
+
+    /// Returns the number of cars that evaluations and learners control.
+    pub fn egos(&self) -> usize {
+        self.config.egos.map_or(1, |egos| egos.value as usize)
     }
 
     /// Returns the actions that an ego can take, in the order of the action table.

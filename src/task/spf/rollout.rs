@@ -4,6 +4,7 @@ use crate::city::{Action, ActionTable, Split};
 use crate::diag::Diagnostic;
 use crate::diag::codes;
 use crate::rng::{Purpose, RngExt, Seed};
+use crate::sim::Actions;
 use crate::task::spf::episode::episode_seed;
 use crate::task::spf::{ControlMode, Env, Episode, EpisodeSet, MapIdentity, OracleRun, SpfTask};
 use std::collections::BTreeMap;
@@ -38,7 +39,7 @@ pub enum Policy {
     Always(Action),
 }
 
-/// The result of an episode.
+/// The result of an episode for an ego.
 #[derive(Clone, Debug, Default, PartialEq)]
 pub struct Rollout {
     /// Number of steps.
@@ -69,10 +70,10 @@ impl Rollout {
         steps.map(|(action, steps)| (action.to_owned(), steps)).collect()
     }
 
-    /// Adds the last step of the first controlled car, in which it took an action. `asked` are the actions that the
-    /// rules derived before it.
-    pub fn add(&mut self, env: &Env, action: Action, asked: impl Iterator<Item = Action>) {
-        let last = env.controlled_cars()[0].last();
+    /// Adds the last step of a controlled car, in which it took an action. `asked` are the actions that the rules derived
+    /// before it.
+    pub fn add(&mut self, env: &Env, controlled_car: usize, action: Action, asked: impl Iterator<Item = Action>) {
+        let last = env.controlled_cars()[controlled_car].last();
         self.steps += 1;
         self.total += last.reward;
         self.success = last.success;
@@ -85,14 +86,27 @@ impl Rollout {
     }
 }
 
-/// Runs a policy on the first controlled car from the start of an episode to its end.
+/// Runs a policy on the controlled cars from the start of an episode to its end for the first one.
 ///
 /// # Errors
 /// `limit-exceeded` for rules that derive too much; `cancelled` if the environment's work is cancelled.
 pub fn rollout(env: &mut Env, policy: Policy) -> Result<Rollout, Diagnostic> {
-    let mut done = Rollout::default();
-    let mut actions: Vec<Action> = Vec::new();
-    while env.controlled_cars()[0].is_running() {
+    let mut done = run_while(env, policy, |env| env.controlled_cars()[0].is_running())?;
+    Ok(done.swap_remove(0))
+}
+
+/// Runs a policy on the controlled cars from the start of an episode to its end for all of them. Returns their results.
+///
+/// # Errors
+/// As [`rollout`].
+pub fn rollouts(env: &mut Env, policy: Policy) -> Result<Vec<Rollout>, Diagnostic> {
+    run_while(env, policy, Env::is_running)
+}
+
+fn run_while(env: &mut Env, policy: Policy, runs: impl Fn(&Env) -> bool) -> Result<Vec<Rollout>, Diagnostic> {
+    let mut done = vec![Rollout::default(); env.controlled_cars().len()];
+    let (mut actions, mut asked): (Vec<Action>, Vec<Option<Actions>>) = (Vec::new(), Vec::new());
+    while runs(env) {
         if env.city().cancel().requested() {
             return Err(Diagnostic::cancelled());
         }
@@ -107,11 +121,37 @@ pub fn rollout(env: &mut Env, policy: Policy) -> Result<Rollout, Diagnostic> {
         };
         actions.clear();
         actions.extend((0..env.controlled_cars().len()).map(act));
-        let asked = env.controlled_cars()[0].derived();
+        asked.clear();
+        asked.extend((env.controlled_cars().iter()).map(|car| car.is_running().then(|| car.derived())));
         env.step(&actions)?;
-        done.add(env, actions[0], asked.iter());
+        for (number, asked) in asked.iter().enumerate() {
+            if let Some(asked) = asked {
+                done[number].add(env, number, actions[number], asked.iter());
+            }
+        }
     }
     Ok(done)
+}
+
+/// Begins a recorded episode. In the mode [`ControlMode::Egos`], its horizon is `patience` times the steps that the
+/// oracle needs until all egos are at their goals, or the configured horizon if it does not get there.
+///
+/// # Errors
+/// As [`Env::reset_to`] and [`rollout`].
+pub(super) fn reset_patiently(env: &mut Env, episode: &Episode) -> Result<(), Diagnostic> {
+    env.reset_to(episode)?;
+    if env.control() == ControlMode::Egos {
+        env.set_horizon(STEPS_MAX);
+        let oracle = rollouts(env, Policy::Oracle)?;
+        let (steps, config) = (env.steps(), env.task().config());
+        let horizon = match oracle.iter().all(|rollout| rollout.success) {
+            true => steps.saturating_mul(config.patience),
+            false => config.horizon,
+        };
+        env.reset_to(episode)?;
+        env.set_horizon(horizon);
+    }
+    Ok(())
 }
 
 /// Begins the first demanding episode of a sequence of drawn ones: in the oracle's run of it, up to the horizon, the

@@ -40,9 +40,9 @@ impl From<io::Error> for RecordError {
     }
 }
 
-/// Replays an episode of a split with the actions of the first car, and writes the trace in the format of `logicity
-/// run`. The first car appears as [`Driven`]. Start and actions determine an episode, so environments need not keep
-/// traces.
+/// Replays an episode of a split with the actions of the egos, and writes the trace in the format of `logicity run`. The
+/// egos appear as [`Driven`] until their episodes end; [`SpfTask::control`] says which cars they are. Start and actions
+/// determine an episode, so environments need not keep traces.
 ///
 /// # Errors
 /// As [`Env::new`] and [`Env::reset_to`]; `invalid-value` for more actions than the episode has steps,
@@ -60,8 +60,12 @@ pub fn record<W: Write>(
         count_firings: true,
         ..Settings::default()
     };
-    let mut env = Env::configured(Arc::clone(task), split, ControlMode::First, settings, cancel)?;
+    let mut env = Env::configured(Arc::clone(task), split, task.control(), settings, cancel)?;
     env.reset_to(episode)?;
+    if env.control() == ControlMode::Egos {
+        // Environments and evaluations have different horizons.
+        env.set_horizon(u32::MAX);
+    }
     let agents = env.city().agents().len();
     if agents > MAX_ENTITIES {
         let message = format!("a trace of {agents} agents would be too large; the limit is {MAX_ENTITIES}");
@@ -69,40 +73,47 @@ pub fn record<W: Write>(
     }
     let Origin { sources, rule_files } = origin;
     let mut trace = TraceWriter::new(out, env.city(), sources, rule_files)?;
-    for &action in actions {
+    let (egos, count) = (env.controlled_cars().len(), actions.len());
+    if !count.is_multiple_of(egos) {
+        let message = format!("{count} actions of {egos} egos");
+        return Err(Diagnostic::new(codes::INVALID_VALUE, message).into());
+    }
+    let mut driven: Vec<(usize, Driven)> = Vec::new();
+    for actions in actions.chunks_exact(egos) {
         if env.city().cancel().requested() {
             return Err(Diagnostic::cancelled().into());
         }
-        if !env.controlled_cars()[0].is_running() {
-            let message = format!(
-                "{} actions for an episode that ends after {} steps",
-                actions.len(),
-                env.steps()
-            );
+        if !env.is_running() {
+            let message = format!("{count} actions for an episode that ends after {} steps", env.steps());
             return Err(Diagnostic::new(codes::INVALID_VALUE, message).into());
         }
-        let mut driven = observed(&env);
-        env.step(&[action])?;
-        driven.broken = broken(&env);
-        trace.tick_driven(env.city(), &[(env.controlled_cars()[0].agent(), driven)])?;
+        driven.clear();
+        let running = (0..egos).filter(|ego| env.controlled_cars()[*ego].is_running());
+        driven.extend(running.map(|ego| (ego, observed(&env, ego))));
+        env.step(actions)?;
+        for (ego, driven) in &mut driven {
+            driven.broken = broken(&env, *ego);
+            *ego = env.controlled_cars()[*ego].agent();
+        }
+        trace.tick_driven(env.city(), &driven)?;
     }
     Ok(trace.into_inner())
 }
 
-/// Returns the observation of the first controlled car, and the action that the rules want of it.
-fn observed(env: &Env) -> Driven {
+/// Returns the observation of a controlled car, and the action that the rules want of it.
+fn observed(env: &Env, ego: usize) -> Driven {
     let agents = env.city().agents();
-    let entities = env.controlled_cars()[0].observer().entities();
+    let entities = env.controlled_cars()[ego].observer().entities();
     Driven {
         observes: entities.map(|agent| agents[agent].name().to_string()).collect(),
-        wanted: env.oracle_action(0).name().to_owned(),
+        wanted: env.oracle_action(ego).name().to_owned(),
         broken: Vec::new(),
     }
 }
 
 /// Returns the clauses that its last action violated.
-fn broken(env: &Env) -> Vec<usize> {
-    let (controlled_car, constraints) = (&env.controlled_cars()[0], env.task().oracle().constraints());
+fn broken(env: &Env, ego: usize) -> Vec<usize> {
+    let (controlled_car, constraints) = (&env.controlled_cars()[ego], env.task().oracle().constraints());
     let clauses = env.city().clauses();
     let position = |&constraint: &usize| {
         let found = clauses

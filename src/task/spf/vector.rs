@@ -15,6 +15,7 @@ use crate::task::spf::{ControlMode, Env, Episode, SpfTask, reset_demanding};
 use crate::threads::Pool;
 use crate::yaml;
 use rayon::prelude::*;
+use smallvec::SmallVec;
 use std::hint::black_box;
 use std::sync::Arc;
 use std::sync::atomic::{AtomicBool, Ordering};
@@ -79,7 +80,7 @@ impl EpisodeSource {
     pub fn begin(&mut self, env: &mut Env) -> Result<(), Diagnostic> {
         let agents = match env.control() {
             ControlMode::First => env.task().agents_after(self.begun, env.city().split()),
-            ControlMode::Cars => None,
+            ControlMode::Egos => None,
         };
         let seed = self.next_seed();
         match &self.recorded {
@@ -143,6 +144,16 @@ impl ObservationKind {
             ObservationKind::Groundings => env.observe(controlled_car, out),
             ObservationKind::State => env.observe_state(controlled_car, out),
         }
+    }
+
+    /// Writes the observations of all controlled cars, one after the other.
+    ///
+    /// # Panics
+    /// If `out` does not have as many observations.
+    pub fn write_all(self, env: &Env, out: &mut [f32]) {
+        let egos = env.controlled_cars().len();
+        let rows = out.chunks_exact_mut(out.len() / egos);
+        (0..egos).zip(rows).for_each(|(ego, row)| self.write(env, ego, row));
     }
 }
 
@@ -219,9 +230,17 @@ pub struct SubEnv {
     env: Env,
     source: EpisodeSource,
     stage: Stage,
+    egos: SmallVec<[EgoResult; 1]>,
+    ended: Ended,
+}
+
+/// What the last step gave an ego.
+#[derive(Clone, Debug, Default)]
+struct EgoResult {
     outcome: Outcome,
     info: Info,
-    ended: Ended,
+    /// Whether its action counts in the next step, if that begins no episode.
+    acts: bool,
 }
 
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
@@ -247,11 +266,15 @@ pub struct Outcome {
 #[derive(Clone, Debug, Default)]
 pub struct Ended {
     happened: bool,
-    observation: Vec<f32>,
-    info: Info,
-    /// The atoms of [`Observer::atoms`](crate::sim::Observer::atoms), if the vector keeps them.
-    atoms: Option<Vec<(usize, Vec<usize>)>>,
+    /// One after the other.
+    observations: Vec<f32>,
+    infos: SmallVec<[Info; 1]>,
+    /// The atoms of [`Observer::atoms`](crate::sim::Observer::atoms) for each ego, if the vector keeps them.
+    atoms: Option<Vec<EgoAtoms>>,
 }
+
+/// The atoms of an ego: the position of the predicate, and of each entity.
+type EgoAtoms = Vec<(usize, Vec<usize>)>;
 
 impl SubEnv {
     /// Returns the environment.
@@ -269,26 +292,40 @@ impl SubEnv {
         &self.source
     }
 
-    /// Returns the result of the last step.
-    pub fn outcome(&self) -> Outcome {
-        self.outcome
+    /// Returns the result of the last step for an ego. That of an ego that did not act is the default.
+    pub fn outcome(&self, ego: usize) -> Outcome {
+        self.egos[ego].outcome
     }
 
-    /// Returns the information besides the observation.
-    pub fn info(&self) -> &Info {
-        &self.info
+    /// Returns the information about an ego besides its observation.
+    pub fn info(&self, ego: usize) -> &Info {
+        &self.egos[ego].info
     }
 
-    /// Returns the last observation and information of the episode that the last step ended, if the next episode began
-    /// in that step.
-    pub fn ended(&self) -> Option<(&[f32], &Info)> {
-        let Ended { observation, info, .. } = &self.ended;
-        self.ended.happened.then_some((observation, info))
+    /// Returns the information about all egos.
+    pub fn infos(&self) -> impl Iterator<Item = &Info> {
+        self.egos.iter().map(|ego| &ego.info)
     }
 
-    /// Returns the atoms that were true then; see [`VectorEnv::keep_last_atoms`].
-    pub fn ended_atoms(&self) -> Option<&[(usize, Vec<usize>)]> {
-        self.ended.atoms.as_deref().filter(|_| self.ended.happened)
+    /// Returns whether the action of an ego counts in the next step, unless that step begins an episode. The rules drive
+    /// egos whose episode has ended, until it has ended for all.
+    pub fn acts(&self, ego: usize) -> bool {
+        self.egos[ego].acts
+    }
+
+    /// Returns the last observations of all egos, one after the other, and their information, in the episode that the
+    /// last step ended, if the next episode began in that step.
+    pub fn ended(&self) -> Option<(&[f32], &[Info])> {
+        let Ended {
+            observations, infos, ..
+        } = &self.ended;
+        self.ended.happened.then_some((observations, infos))
+    }
+
+    /// Returns the atoms of an ego that were true then; see [`VectorEnv::keep_last_atoms`].
+    pub fn ended_atoms(&self, ego: usize) -> Option<&[(usize, Vec<usize>)]> {
+        let atoms = self.ended.atoms.as_ref().filter(|_| self.ended.happened)?;
+        atoms.get(ego).map(Vec::as_slice)
     }
 
     /// Returns whether it can take a step without a reset.
@@ -308,28 +345,37 @@ impl SubEnv {
     fn begin(&mut self, how: &Begin) -> Result<(), Diagnostic> {
         self.stage = Stage::Idle;
         self.ended.happened = false;
-        self.outcome = Outcome::default();
         match how {
             Begin::Next => self.source.begin(&mut self.env)?,
             Begin::Given(episode) => self.env.reset_to(episode)?,
         }
         self.env.ask_shield()?;
         self.stage = Stage::Running;
-        self.info.note(&self.env, 0);
+        for ego in &mut self.egos {
+            (ego.outcome, ego.acts) = (Outcome::default(), true);
+        }
+        self.note();
         Ok(())
     }
 
+    /// Updates the information about all egos.
+    fn note(&mut self) {
+        for (number, ego) in self.egos.iter_mut().enumerate() {
+            ego.info.note(&self.env, number);
+        }
+    }
+
     /// Repeats a step that was taken; the shield has no say in it.
-    fn replay(&mut self, action: Action) -> Result<(), Diagnostic> {
-        let stepped = self.env.step(&[action]);
+    fn replay(&mut self, actions: &[Action]) -> Result<(), Diagnostic> {
+        let stepped = self.env.step(actions);
         self.note_step(stepped, Autoreset::Disabled, ObservationKind::Groundings)
     }
 
-    fn step(&mut self, action: Action, autoreset: Autoreset, view: ObservationKind) -> Result<(), Diagnostic> {
+    fn step(&mut self, actions: &[Action], autoreset: Autoreset, view: ObservationKind) -> Result<(), Diagnostic> {
         if self.stage == Stage::Over {
             return self.begin(&Begin::Next);
         }
-        let stepped = self.env.step_shielded(&[action]);
+        let stepped = self.env.step_shielded(actions);
         self.note_step(stepped, autoreset, view)
     }
 
@@ -346,27 +392,41 @@ impl SubEnv {
             self.stage = Stage::Idle;
             return stepped;
         }
-        let last = self.env.controlled_cars()[0].last();
-        let outcome = Outcome {
-            reward: last.shaped_reward(),
-            terminated: last.terminated,
-            truncated: last.truncated,
-        };
-        let over = outcome.terminated || outcome.truncated;
+        let mut over = true;
+        for (ego, car) in self.egos.iter_mut().zip(self.env.controlled_cars()) {
+            let last = car.last();
+            ego.outcome = match ego.acts {
+                true => Outcome {
+                    reward: last.shaped_reward(),
+                    terminated: last.terminated,
+                    truncated: last.truncated,
+                },
+                false => Outcome::default(),
+            };
+            ego.acts = car.is_running();
+            over &= !ego.acts;
+        }
         if over && autoreset == Autoreset::SameStep {
-            view.write(&self.env, 0, &mut self.ended.observation);
-            self.ended.info.note(&self.env, 0);
-            if let Some(atoms) = &mut self.ended.atoms {
-                atoms.clear();
-                atoms.extend(self.env.controlled_cars()[0].observer().atoms());
+            view.write_all(&self.env, &mut self.ended.observations);
+            for (number, info) in self.ended.infos.iter_mut().enumerate() {
+                info.note(&self.env, number);
             }
+            if let Some(atoms) = &mut self.ended.atoms {
+                for (atoms, car) in atoms.iter_mut().zip(self.env.controlled_cars()) {
+                    atoms.clear();
+                    atoms.extend(car.observer().atoms());
+                }
+            }
+            let outcomes: SmallVec<[Outcome; 4]> = self.egos.iter().map(|ego| ego.outcome).collect();
             self.begin(&Begin::Next)?;
             self.ended.happened = true;
+            for (ego, outcome) in self.egos.iter_mut().zip(outcomes) {
+                ego.outcome = outcome;
+            }
         } else {
-            self.info.note(&self.env, 0);
+            self.note();
             self.stage = if over { Stage::Over } else { Stage::Running };
         }
-        self.outcome = outcome;
         Ok(())
     }
 }
@@ -396,6 +456,8 @@ fn in_turn(sub_envs: &mut [SubEnv], mut act: impl FnMut(usize, &mut SubEnv)) {
 /// A vectorized environment. Results equal those of the individual environments, on any number of threads.
 pub struct VectorEnv {
     sub_envs: Vec<SubEnv>,
+    /// The controlled cars of each environment.
+    egos: usize,
     autoreset: Autoreset,
     view: ObservationKind,
     /// Numbers per observation.
@@ -405,19 +467,20 @@ pub struct VectorEnv {
 }
 
 impl VectorEnv {
-    /// Returns one environment per source; the caller controls the first car of each. Call [`VectorEnv::reset`] next.
+    /// Returns one environment per source. Call [`VectorEnv::reset`] next.
     ///
     /// # Errors
     /// As [`Env::new`] and [`ObservationKind::checked_for`]; `limit-exceeded` if the threads cannot be started.
     pub fn new(
         task: &Arc<SpfTask>,
-        split: Split,
+        (split, control): (Split, ControlMode),
         sources: impl IntoIterator<Item = EpisodeSource>,
         autoreset: Autoreset,
         view: ObservationKind,
         threads: usize,
     ) -> Result<VectorEnv, Diagnostic> {
-        VectorEnv::new_with(task, split, sources, autoreset, view, threads, &Cancel::never())
+        let agents = (split, control);
+        VectorEnv::new_with(task, agents, sources, autoreset, view, threads, &Cancel::never())
     }
 
     /// Cancellable variant of [`VectorEnv::new`]. The environments keep `cancel`, so their later work is cancellable,
@@ -427,7 +490,7 @@ impl VectorEnv {
     /// As [`VectorEnv::new`]; `cancelled` on cancellation.
     pub fn new_with(
         task: &Arc<SpfTask>,
-        split: Split,
+        (split, control): (Split, ControlMode),
         sources: impl IntoIterator<Item = EpisodeSource>,
         autoreset: Autoreset,
         view: ObservationKind,
@@ -439,24 +502,29 @@ impl VectorEnv {
             if cancel.requested() {
                 return Err(Diagnostic::cancelled());
             }
+            let env = Env::new_with(Arc::clone(task), split, control, cancel)?;
+            let egos = env.controlled_cars().len();
+            let ended = match autoreset {
+                Autoreset::SameStep => egos,
+                Autoreset::NextStep | Autoreset::Disabled => 0,
+            };
             Ok(SubEnv {
-                env: Env::new_with(Arc::clone(task), split, ControlMode::First, cancel)?,
+                env,
                 source,
                 stage: Stage::Idle,
-                outcome: Outcome::default(),
-                info: Info::default(),
+                egos: smallvec::smallvec![EgoResult::default(); egos],
                 ended: Ended {
-                    observation: match autoreset {
-                        Autoreset::SameStep => vec![0.0; width],
-                        Autoreset::NextStep | Autoreset::Disabled => Vec::new(),
-                    },
+                    observations: vec![0.0; ended * width],
+                    infos: smallvec::smallvec![Info::default(); ended],
                     ..Ended::default()
                 },
             })
         };
         let threads = start_threads(threads)?;
+        let sub_envs: Vec<SubEnv> = sources.into_iter().map(sub_env).collect::<Result<_, _>>()?;
         Ok(VectorEnv {
-            sub_envs: sources.into_iter().map(sub_env).collect::<Result<_, _>>()?,
+            egos: sub_envs.first().map_or(1, |first| first.egos.len()),
+            sub_envs,
             autoreset,
             view,
             width,
@@ -475,7 +543,12 @@ impl VectorEnv {
         &mut self.sub_envs
     }
 
-    /// Returns the numbers per observation.
+    /// Returns the number of egos, which are the controlled cars, of each environment.
+    pub fn egos(&self) -> usize {
+        self.egos
+    }
+
+    /// Returns the numbers per observation. Each ego of each environment has one.
     pub fn width(&self) -> usize {
         self.width
     }
@@ -488,7 +561,7 @@ impl VectorEnv {
     /// Keeps from now on the atoms at the end of an episode whose successor begins in the same step.
     pub fn keep_last_atoms(&mut self) {
         for sub_env in &mut self.sub_envs {
-            sub_env.ended.atoms = Some(Vec::new());
+            sub_env.ended.atoms = Some(vec![Vec::new(); self.egos]);
         }
     }
 
@@ -508,7 +581,7 @@ impl VectorEnv {
         let set = |sub_env: &mut SubEnv, shield: Option<&Arc<Shield>>| {
             sub_env.env.replace_shield(shield.cloned())?;
             if sub_env.stage != Stage::Idle {
-                sub_env.info.note(&sub_env.env, 0);
+                sub_env.note();
             }
             Ok(())
         };
@@ -524,7 +597,7 @@ impl VectorEnv {
         self.sub_envs[sub_env].source = source;
     }
 
-    /// Begins episodes; `None` leaves an environment unchanged. Writes one row of `observations` for each begun
+    /// Begins episodes; `None` leaves an environment unchanged. Writes a row of `observations` for each ego of each begun
     /// episode.
     ///
     /// # Errors
@@ -541,17 +614,18 @@ impl VectorEnv {
                 return sub_env.cancel();
             }
             sub_env.begin(how)?;
-            view.write(&sub_env.env, 0, row);
+            view.write_all(&sub_env.env, row);
             Ok(())
         })
     }
 
     /// Restores the states of environments from the starts of their episodes and the actions taken in them, as
-    /// [`Env::episode`] and [`Env::taken`] return them. `None` leaves an environment unchanged. Writes one row of
-    /// `observations` for each restored environment.
+    /// [`Env::episode`] and [`Env::taken`] return them. `None` leaves an environment unchanged. Writes a row of
+    /// `observations` for each ego of each restored environment.
     ///
     /// # Errors
-    /// As [`VectorEnv::reset`] and [`VectorEnv::step`]; `invalid-episode` if actions follow the end of an episode.
+    /// As [`VectorEnv::reset`] and [`VectorEnv::step`]; `invalid-episode` if actions follow the end of an episode, or
+    /// their number is not a multiple of that of the egos.
     ///
     /// # Panics
     /// If the length of `episodes` differs from the number of environments.
@@ -560,44 +634,60 @@ impl VectorEnv {
         episodes: &[Option<(Arc<Episode>, Vec<Action>)>],
         observations: &mut [f32],
     ) -> Result<(), Diagnostic> {
-        let view = self.view;
+        let (view, egos) = (self.view, self.egos);
         self.each(episodes, observations, |sub_env, episode, row, cancelled| {
             let Some((start, taken)) = episode else { return Ok(()) };
             if cancelled {
                 return sub_env.cancel();
             }
             sub_env.begin(&Begin::Given(Arc::clone(start)))?;
-            for &action in taken {
-                if !sub_env.is_ready(Autoreset::Disabled) {
-                    let message = "actions follow the end of the episode";
-                    return Err(Diagnostic::new(codes::INVALID_EPISODE, message));
-                }
-                sub_env.replay(action)?;
+            let invalid = |message: String| Err(Diagnostic::new(codes::INVALID_EPISODE, message));
+            if !taken.len().is_multiple_of(egos) {
+                return invalid(format!("{} actions of {egos} egos", taken.len()));
             }
-            view.write(&sub_env.env, 0, row);
+            for actions in taken.chunks_exact(egos) {
+                if !sub_env.is_ready(Autoreset::Disabled) {
+                    return invalid("actions follow the end of the episode".to_owned());
+                }
+                sub_env.replay(actions)?;
+            }
+            view.write_all(&sub_env.env, row);
             Ok(())
         })
     }
 
-    /// Takes a step in every environment and writes one row of `observations` for each.
+    /// Takes a step in every environment and writes a row of `observations` for each ego. `actions` has the actions of
+    /// the egos of the first environment, then those of the next; those of egos that do not [act](SubEnv::acts) have no
+    /// effect.
     ///
     /// # Errors
     /// As [`Env::step_shielded`], or the errors of the next episode, for the first environment that fails. It needs a
     /// reset; the others have taken the step.
     ///
     /// # Panics
-    /// If the number of actions differs from that of environments, or an environment is not [ready](SubEnv::is_ready).
+    /// If the number of actions differs from that of egos, or an environment is not [ready](SubEnv::is_ready).
     pub fn step(&mut self, actions: &[Action], observations: &mut [f32]) -> Result<(), Diagnostic> {
         let (autoreset, view) = (self.autoreset, self.view);
-        self.each(actions, observations, |sub_env, &action, row, cancelled| {
+        let act = |sub_env: &mut SubEnv, actions: &[Action], row: &mut [f32], cancelled| {
             assert!(sub_env.is_ready(autoreset), "an episode must begin first");
             if cancelled {
                 return sub_env.cancel();
             }
-            sub_env.step(action, autoreset, view)?;
-            view.write(&sub_env.env, 0, row);
+            sub_env.step(actions, autoreset, view)?;
+            view.write_all(&sub_env.env, row);
             Ok(())
-        })
+        };
+        match self.egos {
+            1 => self.each(actions, observations, |sub_env, action, row, cancelled| {
+                act(sub_env, std::slice::from_ref(action), row, cancelled)
+            }),
+            egos => {
+                let actions: Vec<&[Action]> = actions.chunks(egos).collect();
+                self.each(&actions, observations, |sub_env, actions, row, cancelled| {
+                    act(sub_env, actions, row, cancelled)
+                })
+            }
+        }
     }
 
     fn each<T: Sync>(
@@ -607,9 +697,9 @@ impl VectorEnv {
         act: impl Fn(&mut SubEnv, &T, &mut [f32], bool) -> Result<(), Diagnostic> + Sync,
     ) -> Result<(), Diagnostic> {
         let count = self.sub_envs.len();
+        let width = self.egos * self.width;
         assert!(given.len() == count, "{} given for {count} environments", given.len());
-        assert!(observations.len() == count * self.width, "a row for each environment");
-        let width = self.width;
+        assert!(observations.len() == count * width, "a row for each ego");
         // The first error by position, so that the result does not depend on threads.
         let first = |a: Option<(usize, Diagnostic)>, b: Option<(usize, Diagnostic)>| match (a, b) {
             (Some(a), Some(b)) => Some(if a.0 <= b.0 { a } else { b }),

@@ -1,7 +1,7 @@
 //! Trajectories of a vectorized environment under a small policy network, without a call per step.
 //!
 //! ```text
-//! PolicyNetwork (weights) + VectorEnv + uniform random numbers -> VectorEnv::collect -> Trajectories
+//! PolicyNetworks (weights) + VectorEnv + uniform random numbers -> VectorEnv::collect -> Trajectories
 //! ```
 //!
 //! Each environment runs all its steps before the next one starts, so its memory stays in the cache. The network
@@ -276,9 +276,11 @@ pub enum Ending {
     Success = 2,
     /// The episode reached its horizon.
     Horizon = 3,
+    /// The episode of the car had ended before: its action had no effect, and its reward is 0.
+    Absent = 4,
 }
 
-/// The steps of all environments, one environment after the other.
+/// The steps of all egos that a network drives: one ego after the other, in the order of environments.
 #[derive(Clone, Debug, Default)]
 pub struct Trajectories {
     /// The position of the observation among the distinct ones, for each step.
@@ -296,6 +298,18 @@ pub struct Trajectories {
     pub inputs: Vec<f32>,
     /// The outputs of the network for each distinct observation: a logit per action, and the value.
     pub outputs: Vec<f32>,
+}
+
+impl Trajectories {
+    /// Adds absent steps.
+    fn extend(&mut self, steps: usize) {
+        let all = self.states.len() + steps;
+        self.states.resize(all, 0);
+        self.actions.resize(all, 0);
+        self.rewards.resize(all, 0.0);
+        self.endings.resize(all, Ending::Absent as u8);
+        self.next_values.resize(all, 0.0);
+    }
 }
 
 /// The outputs for a state.
@@ -329,15 +343,27 @@ impl Evaluation {
     }
 }
 
-/// The steps of some environments.
+/// The steps of some egos that one network drives.
 #[derive(Default)]
-struct EnvChunk {
+struct NetworkChunk {
     seen: IndexMap<Key, Evaluation>,
     scratch: Scratch,
     done: Trajectories,
 }
 
-impl EnvChunk {
+impl NetworkChunk {
+    /// Returns the position of an observation among the distinct ones, and the outputs for it.
+    fn evaluate(&mut self, network: &PolicyNetwork, observation: &[f32]) -> (usize, Evaluation) {
+        match self.seen.entry(Key::of(observation)) {
+            Entry::Occupied(known) => (known.index(), *known.get()),
+            Entry::Vacant(place) => {
+                let evaluation = Evaluation::of(network.outputs(place.key(), &mut self.scratch));
+                (place.index(), *place.insert(evaluation))
+            }
+        }
+    }
+
+    /// Returns the value of an observation in which no action follows.
     fn value(&mut self, network: &PolicyNetwork, observation: &[f32]) -> f32 {
         let key = Key::of(observation);
         match self.seen.get(&key) {
@@ -345,65 +371,129 @@ impl EnvChunk {
             None => network.outputs(&key, &mut self.scratch)[ACTIONS],
         }
     }
+}
 
-    /// Runs an environment; one step per random number.
+/// An ego in the run of an environment.
+#[derive(Clone, Copy)]
+struct EgoRun {
+    /// The position of its network.
+    network: usize,
+    /// The position of its first step among the steps of the network.
+    start: usize,
+    ending: Ending,
+}
+
+/// The steps of some environments, by network.
+struct EnvChunk {
+    networks: Vec<NetworkChunk>,
+    egos: Vec<EgoRun>,
+    actions: Vec<Action>,
+}
+
+impl EnvChunk {
+    fn new(networks: usize) -> EnvChunk {
+        EnvChunk {
+            networks: std::iter::repeat_with(NetworkChunk::default).take(networks).collect(),
+            egos: Vec::new(),
+            actions: Vec::new(),
+        }
+    }
+
+    /// Runs an environment. `random` has the numbers of each ego, one per step.
     fn run(
         &mut self,
-        network: &PolicyNetwork,
+        networks: &[&PolicyNetwork],
         view: ObservationKind,
         sub_env: &mut SubEnv,
-        observation: &mut [f32],
+        observations: &mut [f32],
         random: &[f32],
     ) -> Result<(), Diagnostic> {
-        let mut ending = Ending::Horizon;
-        for (step, &random) in random.iter().enumerate() {
-            let (state, known) = match self.seen.entry(Key::of(observation)) {
-                Entry::Occupied(known) => (known.index(), *known.get()),
-                Entry::Vacant(place) => {
-                    let evaluation = Evaluation::of(network.outputs(place.key(), &mut self.scratch));
-                    (place.index(), *place.insert(evaluation))
-                }
-            };
-            if step > 0 && ending == Ending::None {
-                self.done.next_values.push(known.value());
-            }
-            let action = known.action(random);
-            sub_env.step(Action::STANDARD[action], Autoreset::SameStep, view)?;
-            view.write(sub_env.env(), 0, observation);
-            let outcome = sub_env.outcome();
-            ending = match sub_env.ended() {
-                None => Ending::None,
-                Some(_) if outcome.truncated => Ending::Horizon,
-                Some((_, info)) if info.success => Ending::Success,
-                Some(_) => Ending::Violation,
-            };
-            match (ending, sub_env.ended()) {
-                (Ending::None, _) => {}
-                (Ending::Horizon, Some((last, _))) => {
-                    let value = self.value(network, last);
-                    self.done.next_values.push(value);
-                }
-                _ => self.done.next_values.push(0.0),
-            }
-            let done = &mut self.done;
-            done.states.push(u32::try_from(state).expect("fewer states than 2^32"));
-            done.actions.push(action as u8);
-            #[allow(clippy::cast_possible_truncation)] // training needs no more digits
-            done.rewards.push(outcome.reward as f32);
-            done.endings.push(ending as u8);
+        let EnvChunk {
+            networks: chunks,
+            egos,
+            actions,
+        } = self;
+        let count = sub_env.egos.len();
+        let (width, steps) = (observations.len() / count, random.len() / count);
+        egos.clear();
+        for ego in 0..count {
+            let network = ego.min(networks.len() - 1);
+            let done = &mut chunks[network].done;
+            let start = done.states.len();
+            done.extend(steps);
+            egos.push(EgoRun {
+                network,
+                start,
+                ending: Ending::Absent,
+            });
         }
-        if ending == Ending::None {
-            let value = self.value(network, observation);
-            self.done.next_values.push(value);
+        for step in 0..steps {
+            actions.clear();
+            for (ego, run) in egos.iter().enumerate() {
+                if !sub_env.acts(ego) {
+                    actions.push(Action::STANDARD[0]);
+                    continue;
+                }
+                let chunk = &mut chunks[run.network];
+                let observation = &observations[ego * width..][..width];
+                let (state, known) = chunk.evaluate(networks[run.network], observation);
+                let (done, at) = (&mut chunk.done, run.start + step);
+                if run.ending == Ending::None {
+                    done.next_values[at - 1] = known.value();
+                }
+                let action = known.action(random[ego * steps + step]);
+                done.states[at] = u32::try_from(state).expect("fewer states than 2^32");
+                done.actions[at] = action as u8;
+                // The step replaces it.
+                done.endings[at] = Ending::None as u8;
+                actions.push(Action::STANDARD[action]);
+            }
+            sub_env.step(actions, Autoreset::SameStep, view)?;
+            view.write_all(sub_env.env(), observations);
+            for (ego, run) in egos.iter_mut().enumerate() {
+                let chunk = &mut chunks[run.network];
+                let at = run.start + step;
+                if chunk.done.endings[at] == Ending::Absent as u8 {
+                    run.ending = Ending::Absent;
+                    continue;
+                }
+                let outcome = sub_env.outcome(ego);
+                let success = match sub_env.ended() {
+                    Some((_, infos)) => infos[ego].success,
+                    None => sub_env.info(ego).success,
+                };
+                run.ending = match (outcome.terminated, outcome.truncated) {
+                    (_, true) => Ending::Horizon,
+                    (true, false) if success => Ending::Success,
+                    (true, false) => Ending::Violation,
+                    (false, false) => Ending::None,
+                };
+                if run.ending == Ending::Horizon {
+                    // All episodes reach the horizon in the same step, which begins the next ones.
+                    let (last, _) = sub_env.ended().expect("the next episode has begun");
+                    let last = &last[ego * width..][..width];
+                    chunk.done.next_values[at] = chunk.value(networks[run.network], last);
+                }
+                #[allow(clippy::cast_possible_truncation)] // training needs no more digits
+                let reward = outcome.reward as f32;
+                chunk.done.rewards[at] = reward;
+                chunk.done.endings[at] = run.ending as u8;
+            }
+        }
+        for (ego, run) in egos.iter().enumerate().filter(|(_, run)| run.ending == Ending::None) {
+            let chunk = &mut chunks[run.network];
+            let value = chunk.value(networks[run.network], &observations[ego * width..][..width]);
+            chunk.done.next_values[run.start + steps - 1] = value;
         }
         Ok(())
     }
 }
 
 impl VectorEnv {
-    /// Runs every environment under the stochastic policy of a network. `random` has one number from 0 to 1 per
-    /// environment and step, which selects the action. `observations` has the current observations, and receives those
-    /// after the last step. An ended episode is followed by the next one in the same step, whatever the autoreset mode.
+    /// Runs every environment under the stochastic policies of networks: one for all egos, or one for each ego. Returns
+    /// the steps of each network. `random` has one number from 0 to 1 per environment, ego and step, which selects the
+    /// action. `observations` has the current observations, and receives those after the last step. An ended episode is
+    /// followed by the next one in the same step, whatever the autoreset mode.
     ///
     /// # Errors
     /// As [`VectorEnv::step`], for the first environment that fails.
@@ -412,57 +502,68 @@ impl VectorEnv {
     /// If the length of an argument does not match, or an environment is not running.
     pub fn collect(
         &mut self,
-        network: &PolicyNetwork,
+        networks: &[&PolicyNetwork],
         random: &[f32],
         observations: &mut [f32],
-    ) -> Result<Trajectories, Diagnostic> {
-        let (count, width, view) = (self.sub_envs.len(), self.width, self.view);
+    ) -> Result<Vec<Trajectories>, Diagnostic> {
+        let (count, egos, width, view) = (self.sub_envs.len(), self.egos, self.width, self.view);
         let task = self.sub_envs[0].env().task();
         (task.world().vocabulary).only_standard_actions("networks that run without a call per step")?;
         assert!(
-            network.width() == width,
-            "a network for observations of {width} numbers"
+            networks.len() == 1 || networks.len() == egos,
+            "a network for all egos or for each"
         );
-        assert!(observations.len() == count * width, "a row for each environment");
         assert!(
-            random.len().is_multiple_of(count),
-            "as many numbers for each environment"
+            networks.iter().all(|network| network.width() == width),
+            "networks for observations of {width} numbers"
+        );
+        assert!(observations.len() == count * egos * width, "a row for each ego");
+        assert!(
+            random.len().is_multiple_of(count * egos),
+            "as many numbers for each ego"
         );
         let ready = |sub_env: &SubEnv| sub_env.is_ready(Autoreset::SameStep);
         assert!(self.sub_envs.iter().all(ready), "an episode must begin first");
-        let steps = random.len() / count;
+        // The numbers of an environment.
+        let (row, numbers) = (egos * width, random.len() / count);
         let threads = threads_of(self.threads.as_ref())?;
         let share = count.div_ceil(threads.as_ref().map_or(1, |pool| pool.current_num_threads()));
         let cancel = &self.cancel;
         let run = |(sub_envs, rows): (&mut [SubEnv], &mut [f32]), random: &[f32]| {
-            let mut part = EnvChunk::default();
-            for (at, (sub_env, row)) in sub_envs.iter_mut().zip(rows.chunks_exact_mut(width)).enumerate() {
+            let mut part = EnvChunk::new(networks.len());
+            for (at, (sub_env, row)) in sub_envs.iter_mut().zip(rows.chunks_exact_mut(row)).enumerate() {
                 if cancel.requested() {
                     sub_env.cancel()?;
                 }
-                part.run(network, view, sub_env, row, &random[at * steps..][..steps])?;
+                part.run(networks, view, sub_env, row, &random[at * numbers..][..numbers])?;
             }
-            Ok(part)
+            Ok(part.networks)
         };
-        let parts: Vec<Result<EnvChunk, Diagnostic>> = match &threads {
+        let parts: Vec<Result<Vec<NetworkChunk>, Diagnostic>> = match &threads {
             Some(pool) => run_polled(pool, &|| _ = cancel.requested(), || {
                 (self.sub_envs.par_chunks_mut(share))
-                    .zip(observations.par_chunks_mut(share * width))
+                    .zip(observations.par_chunks_mut(share * row))
                     .enumerate()
-                    .map(|(at, part)| run(part, &random[at * share * steps..]))
+                    .map(|(at, part)| run(part, &random[at * share * numbers..]))
                     .collect()
             }),
             None => vec![run((&mut self.sub_envs, observations), random)],
         };
-        let parts = parts.into_iter().collect::<Result<Vec<EnvChunk>, Diagnostic>>()?;
-        Ok(join(network, parts))
+        let mut by_network: Vec<Vec<NetworkChunk>> = networks.iter().map(|_| Vec::new()).collect();
+        for part in parts {
+            for (of, chunk) in by_network.iter_mut().zip(part?) {
+                of.push(chunk);
+            }
+        }
+        let joined = networks.iter().zip(by_network);
+        Ok(joined.map(|(network, parts)| join(network, parts)).collect())
     }
 }
 
 /// Joins the steps of all environments. The order of states does not depend on the parts.
-fn join(network: &PolicyNetwork, parts: Vec<EnvChunk>) -> Trajectories {
+fn join(network: &PolicyNetwork, parts: Vec<NetworkChunk>) -> Trajectories {
     let mut parts = parts.into_iter();
-    let Some(EnvChunk { mut seen, mut done, .. }) = parts.next() else {
+    let Some(NetworkChunk { mut seen, mut done, .. }) = parts.next() else {
         return Trajectories::default();
     };
     for part in parts {
@@ -474,8 +575,12 @@ fn join(network: &PolicyNetwork, parts: Vec<EnvChunk>) -> Trajectories {
                 state
             })
             .collect();
-        done.states
-            .extend(part.done.states.iter().map(|&state| states[state as usize]));
+        let steps = part.done.states.iter().zip(&part.done.endings);
+        done.states.extend(steps.map(|(&state, &ending)| match ending {
+            // It has no state.
+            ending if ending == Ending::Absent as u8 => 0,
+            _ => states[state as usize],
+        }));
         done.actions.extend(part.done.actions);
         done.rewards.extend(part.done.rewards);
         done.endings.extend(part.done.endings);
