@@ -89,6 +89,10 @@ class EpisodeRecord:
         constrained: The number of steps in which the rules required an action, by the name of the action.
         violations: The names of the clauses that the last action violated.
         ego: The number of the ego, from 0, if the configuration has several (`task.egos`). Each has its own record.
+        clauses: With `task.sensors.share`, the numbers of clauses that applied to the car, which are those that some
+            action would have violated, summed over the steps: those that it observed fully, partly and not at all. A clause is
+            observed fully if it also applies by what the car observes, and partly if the car observes one of the facts
+            that the clause needs. Otherwise, and for the random policy, `None`.
     """
 
     episode: int
@@ -100,6 +104,7 @@ class EpisodeRecord:
     constrained: Mapping[str, int]
     violations: tuple[str, ...]
     ego: int = 0
+    clauses: tuple[int, int, int] | None = None
 
 
 @dataclass(frozen=True)
@@ -159,6 +164,18 @@ class Evaluation:
         """Return the share of all steps in which the policy chose each action."""
         return self._share(lambda record: record.actions)
 
+    def observed(self) -> tuple[float, float, float] | None:
+        """Return the shares of the applying clauses that were observed fully, partly and not at all.
+
+        If nobody counted them, or no clause applied, return `None`.
+        """
+        counts = [record.clauses for record in self.episodes if record.clauses is not None]
+        sums = [sum(each) for each in zip(*counts, strict=True)]
+        if not sum(sums):
+            return None
+        fully, partly, never = (each / sum(sums) for each in sums)
+        return fully, partly, never
+
     def required(self) -> dict[str, float]:
         """Return the share of all steps in which the rules required each action."""
         return self._share(lambda record: record.constrained)
@@ -171,12 +188,15 @@ class Evaluation:
         }
 
     def to_dict(self) -> dict[str, Any]:
-        """Return a dictionary for JSON. With one ego, it has no keys about egos."""
+        """Return a dictionary for JSON. Keys about several egos or what others tell are missing without these."""
         values = asdict(self)
         if self.joint_tsr is None:
             del values["joint_tsr"], values["joint_dsr"]
-            for record in values["episodes"]:
+        for record in values["episodes"]:
+            if self.joint_tsr is None:
                 del record["ego"]
+            if record["clauses"] is None:
+                del record["clauses"]
         return values
 
 
@@ -350,8 +370,7 @@ class Benchmark:
         shielded = not (isinstance(policy, str) and policy == "oracle")
         evaluator = _logicity.BatchEvaluator(self._random, self._kind, shielded)
         egos = evaluator.egos()
-        if isinstance(policy, (list, tuple)) and len(policies) != egos:
-            raise ValueError(f"{len(policies)} policies for {egos} ego{'' if egos == 1 else 's'}")
+        self._check_egos(policy, egos)
         count = len(evaluator) * egos
         observations = np.zeros((count, *self._task.shape(self._kind)), np.float32)
         running = np.ones(count, np.bool_)
@@ -395,6 +414,14 @@ class Benchmark:
         for name in sorted(names):
             check_writable(folder / name, by="evaluate", overwrite=overwrite)
 
+    def _check_egos(self, policy: Policy | Sequence[Policy], egos: int) -> None:
+        count = len(policy) if isinstance(policy, (list, tuple)) else getattr(policy, "egos", None)
+        if count not in (None, egos):
+            raise ValueError(
+                f"{count} {'policy' if count == 1 else 'policies'} for {egos} ego{'' if egos == 1 else 's'}: set "
+                f"`task.egos` to {count}, or pass one policy for all egos"
+            )
+
     def _check_model(self, policy: Policy) -> None:
         shape = model_shape(policy)
         if shape not in (None, self.observation_shape):
@@ -424,7 +451,14 @@ class Benchmark:
             **{f"joint_{name}": interval(rate) for name, rate in summary.get("joint", {}).items()},
             mean_steps=summary["mean_steps"],
             episodes=tuple(
-                EpisodeRecord(**{**record, "violations": tuple(record["violations"])}) for record in report["episodes"]
+                EpisodeRecord(
+                    **{
+                        **record,
+                        "violations": tuple(record["violations"]),
+                        "clauses": tuple(record["clauses"]) if "clauses" in record else None,
+                    }
+                )
+                for record in report["episodes"]
             ),
         )
 

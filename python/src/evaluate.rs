@@ -222,6 +222,9 @@ fn report<'py>(
             "truncated": rollout.truncated, "actions": actions, "constrained": constrained,
             "violations": labels.collect::<Vec<&str>>(),
         });
+        if task.task.shares() && runs == 1 {
+            record["clauses"] = json!(rollout.clauses);
+        }
         if egos > 1 {
             record["ego"] = json!(at % egos);
         }

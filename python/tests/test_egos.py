@@ -193,6 +193,9 @@ def test_egos_learn(policies: str, tmp_path: Path) -> None:
     policy = load_policy(tmp_path / "one").policy
     assert isinstance(policy, FastPPOPolicy)
     assert len(policy._networks) == (1 if policies == "shared" else 3)
+    if policies == "separate":
+        with pytest.raises(ValueError, match="3 policies for 1 ego: set `task.egos` to 3, or pass one policy"):
+            logicity.evaluate(policy, "easy", "val")
 
     def interrupt(steps: int) -> None:
         if steps > 3000:

@@ -320,7 +320,9 @@ def test_an_interrupted_run_equals_an_uninterrupted_one(minibatches: int, tmp_pa
         assert torch.equal(other._networks[0].parameters, whole._networks[0].parameters)
         assert torch.equal(other._networks[0].moments, whole._networks[0].moments)
         np.testing.assert_array_equal(other._envs._observations, whole._envs._observations)
-    assert not torch.equal(learner(**changes, seed=1)._networks[0].parameters, learner(**changes)._networks[0].parameters)
+    assert not torch.equal(
+        learner(**changes, seed=1)._networks[0].parameters, learner(**changes)._networks[0].parameters
+    )
 
 
 def test_progress_is_reported_after_each_batch() -> None:

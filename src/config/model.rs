@@ -254,6 +254,9 @@ pub struct SensorsConfig {
     pub common: Sensor,
     /// The sensors of single predicates.
     pub predicates: Vec<(Located<String>, Sensor)>,
+    /// What others tell the ego.
+    #[serde(skip_serializing_if = "Option::is_none")]
+    pub share: Option<ShareConfig>,
     /// The place of the configuration.
     #[serde(skip)]
     pub span: Span,
@@ -328,6 +331,59 @@ impl Default for Sensor {
             correlation: 0.0,
         }
     }
+}
+
+/// Facts that others tell the ego: true ones of which its sensors have no reading.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize)]
+pub struct ShareConfig {
+    /// The maximum number of facts in a tick.
+    pub facts: u32,
+    /// Which facts come first.
+    pub by: ShareOrder,
+    /// Who tells them.
+    pub from: Sender,
+    /// The maximum number of other agents that these facts are about in a tick; `None` for no bound.
+    pub entities: Option<u32>,
+}
+
+/// The order in which facts are told.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Serialize)]
+pub enum ShareOrder {
+    /// By the distance from the ego to the farthest agent of the fact.
+    #[default]
+    Distance,
+    /// First a set of facts that lets the rules choose what they choose with all facts, and from which no fact can be
+    /// left out; then the others by distance.
+    Relevance,
+    /// In random order.
+    Random,
+}
+
+impl ShareOrder {
+    /// All orders.
+    pub const ALL: [ShareOrder; 3] = [ShareOrder::Distance, ShareOrder::Relevance, ShareOrder::Random];
+
+    /// Returns its name: `distance`, `relevance` or `random`.
+    pub const fn name(self) -> &'static str {
+        match self {
+            ShareOrder::Distance => "distance",
+            ShareOrder::Relevance => "relevance",
+            ShareOrder::Random => "random",
+        }
+    }
+}
+
+/// Who tells the ego facts.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize)]
+pub enum Sender {
+    /// An assistant that knows all facts.
+    Assistant,
+    /// The other cars within a distance in cells, or all of them. Each knows the facts whose agents the sensor of the
+    /// predicate reaches from its place: `range` and `occluded_by` apply, errors do not.
+    Cars {
+        /// The maximum Euclidean distance from the ego.
+        radius: Option<u32>,
+    },
 }
 
 /// A shield: rules judge every action of the learner before the ego takes it.

@@ -1,6 +1,6 @@
 //! Reads the sensors of a task.
 
-use crate::config::model::{Sensor, SensorOutput, SensorsConfig};
+use crate::config::model::{Sender, Sensor, SensorOutput, SensorsConfig, ShareConfig, ShareOrder};
 use crate::config::predicates::{Predicates, SEES};
 use crate::diag::{Diagnostic, did_you_mean, listed};
 use crate::located::Located;
@@ -11,6 +11,8 @@ use crate::yaml::{Value, YamlNode};
 
 /// The maximum range in cells.
 const MAX_RANGE: u32 = 1_000_000;
+/// The maximum number of facts that are told in a tick.
+const MAX_FACTS: u32 = 10_000;
 /// The maximum delay in ticks.
 const MAX_DELAY: u32 = 100;
 /// The maximum correlation of noise in successive ticks.
@@ -38,6 +40,7 @@ pub(super) fn sensors(
     });
     let common = sensor(&mut fields, Sensor::default(), faults);
     let own = fields.optional("predicates");
+    let share_of = fields.optional("share").map(|node| share(node, faults));
     fields.close(faults);
     let common = common?;
     let own = own.map_or(Some(Vec::new()), |node| of_predicates(node, common, predicates, faults));
@@ -46,7 +49,40 @@ pub(super) fn sensors(
         exact_ego: exact_ego?,
         common,
         predicates: own?,
+        share: share_of.map_or(Some(None), |share| share.map(Some))?,
         span: node.span,
+    })
+}
+
+/// Reads `share`.
+fn share(node: &YamlNode, faults: &mut Vec<Diagnostic>) -> Option<ShareConfig> {
+    let mut fields = Fields::open(node, "what others tell", faults)?;
+    let facts = (fields.required("facts", faults)).and_then(|node| integer(node, 0..=MAX_FACTS, faults));
+    let orders = ShareOrder::ALL.map(|order| (order.name(), order));
+    let by = (fields.optional("by")).map_or(Some(ShareOrder::default()), |node| choice(node, &orders, faults));
+    let from = (fields.optional("from")).map_or(Some(true), |node| {
+        choice(node, &[("assistant", true), ("cars", false)], faults)
+    });
+    let entities = (fields.optional("entities")).map(|node| integer(node, 0..=MAX_FACTS, faults));
+    let radius_node = fields.optional("radius");
+    let radius = radius_node.map(|node| integer(node, 1..=MAX_RANGE, faults));
+    fields.close(faults);
+    let is_assistant = from?;
+    if let Some(node) = radius_node.filter(|_| is_assistant) {
+        let fault = Diagnostic::new(codes::INVALID_VALUE, "the assistant has no radius").at(node.span, "");
+        faults.push(fault.help("set `from: cars`, or remove the radius"));
+        return None;
+    }
+    let radius = radius.map_or(Some(None), |radius| radius.map(Some))?;
+    Some(ShareConfig {
+        facts: facts?,
+        by: by?,
+        from: if is_assistant {
+            Sender::Assistant
+        } else {
+            Sender::Cars { radius }
+        },
+        entities: entities.map_or(Some(None), |entities| entities.map(Some))?,
     })
 }
 

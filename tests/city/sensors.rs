@@ -1,10 +1,11 @@
 //! Sensors of Safe Path Following: what they hide, their rates, and the probabilities that follow from readings.
 
-use crate::shipped_world::task_of;
-use logicity::city::{Agent, Cell, CityMap, Split};
+use crate::shipped_world::{task, task_of};
+use logicity::cancel::Cancel;
+use logicity::city::{Action, Agent, AgentKind, Cell, CityMap, Split};
 use logicity::config::Sensor;
 use logicity::rng::{Purpose, RngExt, Seed};
-use logicity::sim::{Observer, observed_columns};
+use logicity::sim::{Decider, Observer, observed_columns};
 use logicity::task::spf::{Autoreset, Begin, ControlMode, Env, EpisodeSource, ObservationKind, SpfTask, VectorEnv};
 use std::collections::{BTreeMap, BTreeSet, VecDeque};
 use std::sync::Arc;
@@ -408,5 +409,234 @@ fn faulty_sensors_are_reported_at_their_place() {
     ] {
         let said = fault(sensors);
         assert!(said.contains(message), "{sensors}: {said}");
+    }
+}
+
+/// The observation of the ego, and the entities that each of its numbers is about.
+fn observation(env: &Env) -> (Vec<f32>, Vec<Vec<usize>>) {
+    let task = env.task();
+    let mut numbers = vec![f32::NAN; task.observation_width()];
+    env.observe(0, &mut numbers);
+    let most = task.config().entities as usize;
+    let about = observed_columns(task.world(), most).into_iter().flat_map(|column| {
+        (0..column.width).map(move |place| match column.arity {
+            1 => vec![place],
+            _ => vec![place / most, place % most],
+        })
+    });
+    let about = about.collect();
+    (numbers, about)
+}
+
+/// What others tell is what the definition says: true facts without a reading that a sender knows, the first ones in the
+/// order that the configuration wants, about as many agents as it allows.
+#[test]
+fn told_facts_are_those_of_the_definition() {
+    let plain = sensed("{range: 9}");
+    let mut decider = Decider::new(Arc::clone(plain.oracle())).unwrap();
+    let mut decide = |numbers: &[f32]| decider.action(numbers, &Cancel::never()).unwrap();
+    let (mut told_facts, mut relevant_sets, mut bounded, mut unknown) = (0, 0, 0, 0);
+    for (by, from, radius, entities) in [
+        ("distance", "assistant", None, None),
+        ("distance", "assistant", None, Some(1)),
+        ("relevance", "assistant", None, None),
+        ("relevance", "assistant", None, Some(2)),
+        ("relevance", "cars", None, None),
+        ("distance", "cars", Some(12), None),
+        ("random", "assistant", None, None),
+    ] {
+        for facts in [0, 1, 3, 8] {
+            let more = radius.map_or(String::new(), |radius| format!(", radius: {radius}"))
+                + &entities.map_or(String::new(), |most| format!(", entities: {most}"));
+            let shared = sensed(&format!(
+                "{{range: 9, share: {{facts: {facts}, by: {by}, from: {from}{more}}}}}"
+            ));
+            let [mut sharing, mut alone, mut exact] = [
+                env(&shared, Split::Test),
+                env(&plain, Split::Test),
+                env(&task("expert", None), Split::Test),
+            ];
+            for seed in 0..4 {
+                for env in [&mut sharing, &mut alone, &mut exact] {
+                    env.reset(seed).unwrap();
+                }
+                while exact.controlled_cars()[0].is_running() {
+                    let (agents, entity) = (exact.city().agents(), |entity: usize| {
+                        exact.controlled_cars()[0].observer().entities().nth(entity).unwrap()
+                    });
+                    let cells = |from: usize, to: usize| {
+                        let [from, to] = [from, to].map(|agent| agents[agent].cell);
+                        f64::from(to.row - from.row).hypot(f64::from(to.col - from.col))
+                    };
+                    let ego = entity(0);
+                    let [(with, about), (without, _), (truth, _)] = [&sharing, &alone, &exact].map(observation);
+                    let sends = |car: usize| {
+                        car != ego
+                            && agents[car].kind_id == AgentKind::Car.into()
+                            && radius.is_none_or(|radius| cells(ego, car) <= f64::from(radius))
+                    };
+                    let knows = |at: usize| {
+                        from == "assistant"
+                            || (0..agents.len())
+                                .filter(|car| sends(*car))
+                                .any(|car| about[at].iter().all(|&each| cells(car, entity(each)) <= 9.0))
+                    };
+                    let missed: Vec<usize> = (0..truth.len())
+                        .filter(|&at| truth[at] == 1.0 && without[at] == 0.0)
+                        .collect();
+                    let mut order: Vec<usize> = missed.iter().copied().filter(|at| knows(*at)).collect();
+                    unknown += missed.len() - order.len();
+                    let far = |at: &usize| {
+                        about[*at]
+                            .iter()
+                            .map(|&each| cells(ego, entity(each)))
+                            .fold(0.0, f64::max)
+                    };
+                    order.sort_by(|a, b| far(a).total_cmp(&far(b)).then(a.cmp(b)));
+                    let told: Vec<usize> = (0..truth.len()).filter(|&at| with[at] != without[at]).collect();
+                    assert!(
+                        told.iter().all(|at| order.contains(at) && with[*at] == 1.0),
+                        "{by} {from}"
+                    );
+                    let given = |facts: &[usize]| {
+                        let mut numbers = without.clone();
+                        facts.iter().for_each(|at| numbers[*at] = 1.0);
+                        numbers
+                    };
+                    if by == "relevance" {
+                        // Leaves out whatever the decision does not need, the farthest facts first.
+                        let all = decide(&given(&order));
+                        let mut needed = order.clone();
+                        if decide(&without) == all {
+                            needed.clear();
+                        }
+                        for at in order.iter().rev() {
+                            let fewer: Vec<usize> = needed.iter().copied().filter(|each| each != at).collect();
+                            if fewer.len() < needed.len() && decide(&given(&fewer)) == all {
+                                needed = fewer;
+                            }
+                        }
+                        relevant_sets += usize::from(!needed.is_empty());
+                        let rest: Vec<usize> = order.iter().copied().filter(|at| !needed.contains(at)).collect();
+                        order = needed;
+                        order.extend(rest);
+                    }
+                    let (mut expected, mut of): (Vec<usize>, BTreeSet<usize>) = (Vec::new(), BTreeSet::new());
+                    for at in order.iter().take_while(|_| by != "random") {
+                        let mut more = of.clone();
+                        more.extend(about[*at].iter().filter(|each| **each > 0));
+                        if expected.len() < facts && entities.is_none_or(|most| more.len() <= most) {
+                            expected.push(*at);
+                            of = more;
+                        } else {
+                            bounded += 1;
+                        }
+                    }
+                    expected.sort_unstable();
+                    match by {
+                        "random" => assert_eq!(told.len(), facts.min(order.len())),
+                        _ => assert_eq!(told, expected, "{by} {from} {facts} {seed}"),
+                    }
+                    told_facts += told.len();
+                    let action = exact.oracle_action(0);
+                    for env in [&mut sharing, &mut alone, &mut exact] {
+                        env.step(&[action]).unwrap();
+                    }
+                }
+            }
+        }
+    }
+    assert!(
+        told_facts > 1000 && relevant_sets > 20 && bounded > 100 && unknown > 100,
+        "{told_facts} {relevant_sets} {bounded} {unknown}"
+    );
+}
+
+/// Told facts are certain, and beliefs remember them.
+#[test]
+fn told_facts_are_certain() {
+    for output in ["probabilities", "belief"] {
+        let sensor = format!("output: {output}, range: 9, false_positive_rate: .1, correlation: .4");
+        let [alone, shared] = ["", ", share: {facts: 50}"].map(|share| sensed(&format!("{{{sensor}{share}}}")));
+        let [mut alone, mut shared] = [alone, shared].map(|task| env(&task, Split::Test));
+        let (mut certain, mut remembered) = (0, 0);
+        for seed in 0..3 {
+            alone.reset(seed).unwrap();
+            shared.reset(seed).unwrap();
+            while shared.controlled_cars()[0].is_running() {
+                let [without, with] = [&alone, &shared].map(numbers);
+                let truth = truths(shared.controlled_cars()[0].observer());
+                for (fact, number) in &with {
+                    if *number == 1.0 && without[fact] < 1.0 {
+                        assert!(truth.contains(fact));
+                        certain += 1;
+                    }
+                    remembered += usize::from(*number < 1.0 && *number != without[fact]);
+                }
+                let action = shared.oracle_action(0);
+                alone.step(&[action]).unwrap();
+                shared.step(&[action]).unwrap();
+            }
+        }
+        assert!(certain > 300, "{certain}");
+        assert_eq!(remembered > 0, output == "belief", "{remembered}");
+    }
+}
+
+/// A clause that applies is observed fully, partly or not at all; without sensors, and with exact ones, fully.
+#[test]
+fn observed_clauses_are_counted() {
+    let exact = task("expert", None);
+    let cases = [
+        (exact, [true, false, false]),
+        (sensed("{range: 1000}"), [true, false, false]),
+        (sensed("{range: 9}"), [true, true, false]),
+        // Not even what the ego knows of itself is read.
+        (sensed("{true_positive_rate: 0}"), [false, false, true]),
+        (sensed("{true_positive_rate: 0, ego: exact}"), [true, true, true]),
+        // Whoever knows all facts leaves none unobserved.
+        (sensed("{range: 2, share: {facts: 1000}}"), [true, false, false]),
+    ];
+    for (task, some) in cases {
+        let mut env = env(&task, Split::Test);
+        let mut sums = [0; 3];
+        for seed in 0..6 {
+            env.reset(seed).unwrap();
+            while env.controlled_cars()[0].is_running() {
+                let counts = env.observed_clauses(0).unwrap();
+                let mut fresh = Observer::new(Arc::clone(task.oracle()), env.controlled_cars()[0].agent());
+                fresh.begin(env.city());
+                fresh.look(env.city()).unwrap();
+                let mut applying = BTreeSet::new();
+                for action in Action::STANDARD {
+                    applying.extend(fresh.violations(env.city(), action).unwrap().iter().copied());
+                }
+                assert_eq!(counts.iter().sum::<u32>() as usize, applying.len());
+                sums.iter_mut().zip(counts).for_each(|(sum, count)| *sum += count);
+                env.step(&[env.oracle_action(0)]).unwrap();
+            }
+        }
+        assert_eq!(sums.map(|sum| sum > 0), some, "{sums:?}");
+    }
+}
+
+#[test]
+fn faulty_shares_are_reported_at_their_place() {
+    for (share, message) in [
+        ("{}", "`facts`"),
+        ("{facts: -1}", "0"),
+        ("{facts: 2, by: distanse}", "`distanse`"),
+        ("{facts: 2, from: egos}", "`egos`"),
+        ("{facts: 2, radius: 5}", "the assistant has no radius"),
+        ("{facts: 2, from: cars, radius: 0}", "1"),
+        ("{facts: 2, entites: 3}", "`entites`"),
+    ] {
+        let config = format!("base: expert\ntask: {{sensors: {{share: {share}}}}}\n");
+        let faults = task_of(&config).err().unwrap();
+        assert!(
+            faults[0].message.contains(message) && faults[0].primary.is_some(),
+            "{share}: {:?}",
+            faults[0]
+        );
     }
 }

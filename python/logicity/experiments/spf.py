@@ -88,7 +88,14 @@ class SafePathFollowing(Task):
     name = "spf"
     title = "Safe Path Following"
     experiment = SpfExperiment
-    measures: ClassVar[Mapping[str, str]] = {"tsr": "TSR", "dsr": "DSR", "score": "Score", "joint_tsr": "joint TSR"}
+    measures: ClassVar[Mapping[str, str]] = {
+        "tsr": "TSR",
+        "dsr": "DSR",
+        "score": "Score",
+        "joint_tsr": "joint TSR",
+        "observed": "observed",
+    }
+    main_measures = 3
     headline = "tsr"
     measured_on = "test episodes"
     sampled = "samples"
@@ -241,7 +248,9 @@ class SafePathFollowing(Task):
     def intervals(self, evaluations: Sequence[Mapping[str, Any]]) -> dict[str, Interval]:
         """Return the measures with 95 % intervals: those of the evaluation of one run, or of several, see `pooled`."""
         if len(evaluations) == 1:
-            return {name: Interval(**evaluations[0][name]) for name in self.measures if name in evaluations[0]}
+            known = {name: Interval(**evaluations[0][name]) for name in self.measures if name in evaluations[0]}
+            more = {name: values for name, values in per_episode(evaluations[0]).items() if name not in known}
+            return known | (pooled([more]) if more else {})
         return pooled([per_episode(each) for each in evaluations], rates=("tsr", "dsr", "joint_tsr"))
 
     def samples(self, evaluation: Mapping[str, Any]) -> dict[str, list[float]]:
@@ -274,7 +283,8 @@ class SafePathFollowing(Task):
 def per_episode(evaluation: Mapping[str, Any]) -> dict[str, NDArray[np.float64]]:
     """Return TSR, DSR and Score of each episode: 0 or 1, and the return minus the random policy's mean return.
 
-    With several egos they are means over the egos, and the joint TSR follows.
+    With several egos they are means over the egos, and the joint TSR follows. If others may tell the ego facts, the
+    share of applying clauses follows that it observed fully, 1 in an episode in which none applied.
     """
     if "samples" in evaluation:
         return {name: np.array(values, np.float64) for name, values in evaluation["samples"].items()}
@@ -291,7 +301,12 @@ def per_episode(evaluation: Mapping[str, Any]) -> dict[str, NDArray[np.float64]]
         "dsr": by_episode(kept).mean(1),
         "score": by_episode(record["total"] for record in records).mean(1) - random,
     }
-    return measures if success.shape[1] == 1 else {**measures, "joint_tsr": success.min(1)}
+    if success.shape[1] > 1:
+        measures["joint_tsr"] = success.min(1)
+    if records and "clauses" in records[0]:
+        counts = np.array([record["clauses"] for record in records], np.float64).reshape(len(random), -1, 3).sum(1)
+        measures["observed"] = np.where(counts.sum(1) > 0, counts[:, 0] / np.maximum(counts.sum(1), 1), 1.0)
+    return measures
 
 
 @cache

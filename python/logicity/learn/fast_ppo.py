@@ -329,6 +329,8 @@ class FastPPOPolicy(LearnedPolicy):
         """Store the network of all egos or those of each, the entries that slots select, and the observation's size."""
         self.mode, self.settings = mode, settings
         self._networks, self._slots, self._width = list(networks), slots, width
+        #: The number of egos that have a policy each; `None` for one policy of any number.
+        self.egos = None if settings.policies == "shared" else len(self._networks)
         self._random = np.random.default_rng(0)
 
     def _decide(self, observation: Observations, deterministic: bool) -> Actions:

@@ -171,6 +171,15 @@ pub(super) fn predict(sensor: &Sensor, chain: Chain, joint: &Joint) -> Joint {
     })
 }
 
+/// Conditions joint probabilities on the truth of the fact.
+pub(super) fn assume(sensor: &Sensor, joint: &mut Joint) {
+    let sum: f32 = joint[1].iter().sum();
+    *joint = match sum > 0.0 {
+        true => [[0.0; 3], joint[1].map(|share| share / sum)],
+        false => fresh(sensor, 1.0),
+    };
+}
+
 /// Conditions joint probabilities on a reading. A reading that is impossible leaves them as they were.
 pub(super) fn condition(sensor: &Sensor, joint: &mut Joint, reading: Reading) {
     if reading == Reading::Missing {

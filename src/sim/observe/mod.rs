@@ -8,6 +8,7 @@ mod numbers;
 mod observer;
 mod rule_monitor;
 mod sensors;
+mod share;
 mod shield;
 mod visibility;
 

@@ -19,12 +19,14 @@ use crate::diag::Diagnostic;
 use crate::predicate::{
     CellTable, Definition, External, Measured, PairRelation, Progress, Quantity, Relation, Static, Views, with_relation,
 };
+use crate::rng::Purpose;
 use crate::sim::observe::belief::SensorModel;
 use crate::sim::observe::numbers::{Numbers, greatest_priority, places};
 use crate::sim::observe::rule_monitor::{
     ActionConstraint, AtomLayout, Atoms, Entities, OBSERVED_MAX, Observed, RuleMonitor, Violations,
 };
 use crate::sim::observe::sensors::{FactCounts, Sensing, Sensors};
+use crate::sim::observe::share::{self, Fact};
 use crate::sim::tick::agent_state::AgentState;
 use crate::sim::tick::chance::{Chance, Draws};
 use crate::sim::tick::external::ExternalFacts;
@@ -280,6 +282,44 @@ pub struct Observer {
     broken: Vec<usize>,
     /// What the ego reads through sensors.
     sensing: Option<Box<Sensing>>,
+    /// Where the rules are applied to other facts than the true ones; `None` without sensors.
+    known: Option<Box<Supposed>>,
+}
+
+/// Facts that need not be true, and what the rules make of them.
+struct Supposed {
+    atoms: Atoms,
+    violations: Violations,
+    broken: Vec<usize>,
+}
+
+impl Supposed {
+    /// Returns the actions that the rules derive for the ego.
+    fn derive(&mut self, oracle: &Oracle, bodies: &[AgentState], city: &Simulation) -> Result<Actions, Diagnostic> {
+        self.violations.forget();
+        let facts = observed(&self.atoms, bodies, city);
+        self.violations
+            .derived(&oracle.monitor, &oracle.world.vocabulary, facts)
+    }
+
+    /// Returns whether one of some actions of the ego violates a clause.
+    fn applies(
+        &mut self,
+        oracle: &Oracle,
+        bodies: &[AgentState],
+        city: &Simulation,
+        (clause, actions): (usize, &[Action]),
+    ) -> Result<bool, Diagnostic> {
+        self.violations.forget();
+        for &action in actions {
+            let facts = observed(&self.atoms, bodies, city);
+            (self.violations).violations(&oracle.monitor, facts, action, &mut self.broken)?;
+            if self.broken.contains(&clause) {
+                return Ok(true);
+            }
+        }
+        Ok(false)
+    }
 }
 
 impl Observer {
@@ -287,6 +327,7 @@ impl Observer {
     pub fn new(oracle: Arc<Oracle>, ego: usize) -> Observer {
         Observer {
             sensing: None,
+            known: None,
             ego,
             steady: Vec::new(),
             like: Vec::new(),
@@ -308,6 +349,11 @@ impl Observer {
         assert!(model.is_some() || !sensors.needs_model(), "these sensors need a model");
         let sensing = Sensing::new(sensors, model, self.oracle.no_atoms());
         Observer {
+            known: Some(Box::new(Supposed {
+                atoms: self.oracle.no_atoms(),
+                violations: Violations::new(&self.oracle.monitor),
+                broken: Vec::new(),
+            })),
             sensing: Some(Box::new(sensing)),
             ..self
         }
@@ -396,12 +442,83 @@ impl Observer {
         self.look_with(city, &draws)
     }
 
-    /// Reads the sensors, if there are any. Call it once per tick, after [`Observer::look`].
-    pub fn sense(&mut self, city: &Simulation) {
-        if let Some(sensing) = &mut self.sensing {
-            let of_city = (self.oracle.world.map(), city.agents());
-            sensing.sense(&self.atoms, &self.bodies, of_city, (city.seed(), city.now()));
+    /// Reads the sensors, if there are any, and what others tell. Call it once per tick, after [`Observer::look`].
+    ///
+    /// # Errors
+    /// `limit-exceeded` if the rules derive too many rows where they decide which facts are relevant.
+    pub fn sense(&mut self, city: &Simulation) -> Result<(), Diagnostic> {
+        let Some(sensing) = &mut self.sensing else {
+            return Ok(());
+        };
+        let (oracle, bodies) = (&*self.oracle, &self.bodies);
+        let of_city = (oracle.world.map(), city.agents());
+        sensing.sense(&self.atoms, bodies, of_city, (city.seed(), city.now()));
+        if let Some(share) = sensing.sensors().share().copied() {
+            let facts = sensing.untold(&self.atoms, bodies, of_city);
+            let known = self.known.as_mut().expect("it was made with the sensors");
+            let derive = |told: &[Fact]| {
+                sensing.copy_facts(&mut known.atoms);
+                for fact in told {
+                    known.atoms.words[fact.set] |= 1 << fact.entity;
+                }
+                known.derive(oracle, bodies, city)
+            };
+            let random = city
+                .seed()
+                .words(Purpose::SHARE, u64::from(bodies[0].agent), city.now());
+            let told = share::choose(&share, facts, bodies, derive, random)?;
+            sensing.tell(&told);
         }
+        Ok(())
+    }
+
+    /// Counts the clauses that apply to the ego, which are those that some action violates, by how far it observes them:
+    /// fully, if they also apply given what it observes; partly, if it observes some of the facts that they need; and not
+    /// at all. The facts that a clause needs are some that hold and without any of which it would not apply. Without
+    /// sensors, all are observed fully.
+    ///
+    /// # Errors
+    /// `limit-exceeded` if the rules derive too many rows.
+    pub fn observed_clauses(&mut self, city: &Simulation, actions: &[Action]) -> Result<[u32; 3], Diagnostic> {
+        let mut applying: Vec<usize> = Vec::new();
+        for &action in actions {
+            applying.extend_from_slice(self.violations(city, action)?);
+        }
+        applying.sort_unstable();
+        applying.dedup();
+        let count = u32::try_from(applying.len()).expect("fewer clauses than 2^32");
+        let (Some(sensing), Some(known)) = (&self.sensing, &mut self.known) else {
+            return Ok([count, 0, 0]);
+        };
+        let (oracle, bodies) = (&*self.oracle, &self.bodies);
+        sensing.copy_facts(&mut known.atoms);
+        let mut observed = oracle.no_atoms();
+        observed.copy_from(&known.atoms);
+        let mut counts = [0; 3];
+        for clause in applying {
+            known.atoms.copy_from(&observed);
+            if known.applies(oracle, bodies, city, (clause, actions))? {
+                counts[0] += 1;
+                continue;
+            }
+            // Leaves out each fact that is not needed, unobserved ones first.
+            known.atoms.copy_from(&self.atoms);
+            for first in [true, false] {
+                for &(set, _) in oracle.sets() {
+                    let unobserved = known.atoms.words[set] & !observed.words[set];
+                    let all = if first { unobserved } else { known.atoms.words[set] };
+                    for entity in members(&[all]) {
+                        known.atoms.words[set] &= !(1 << entity);
+                        if !known.applies(oracle, bodies, city, (clause, actions))? {
+                            known.atoms.words[set] |= 1 << entity;
+                        }
+                    }
+                }
+            }
+            let partly = (oracle.sets().iter()).any(|&(set, _)| known.atoms.words[set] & observed.words[set] != 0);
+            counts[if partly { 1 } else { 2 }] += 1;
+        }
+        Ok(counts)
     }
 
     /// Copies the observed facts: with sensors, those read as true, or more probable than 0.5.

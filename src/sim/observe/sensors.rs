@@ -4,15 +4,16 @@
 //! noise, hides agents, and reads the facts of this tick or of an earlier one. What belongs to an agent follows it to
 //! another place among the observed entities; it is forgotten when the agent leaves them.
 
-use crate::city::{Agent, CityMap};
-use crate::config::{Sensor, SensorOutput, SensorsConfig};
+use crate::city::{Agent, AgentKind, CityMap};
+use crate::config::{Sender, Sensor, SensorOutput, SensorsConfig, ShareConfig};
 use crate::datalog::dense::members;
 use crate::predicate::Definition;
 use crate::rng::{Purpose, Seed, Words};
 use crate::sim::observe::belief::{Counts, FactModel, Joint, Reading, Role, SensorModel};
-use crate::sim::observe::belief::{Likelihoods, condition, fresh, likelihoods, marginal, predict, update};
+use crate::sim::observe::belief::{Likelihoods, assume, condition, fresh, likelihoods, marginal, predict, update};
 use crate::sim::observe::noise::{Threshold, below};
 use crate::sim::observe::rule_monitor::{AtomLayout, Atoms, OBSERVED_MAX, all_of};
+use crate::sim::observe::share::Fact;
 use crate::sim::observe::visibility::Visibility;
 use crate::sim::tick::agent_state::AgentState;
 use crate::sim::tick::vocabulary::BasePredicate;
@@ -170,6 +171,11 @@ impl Sensors {
         self.config.exact_ego && set.row.is_none() && entity == 0
     }
 
+    /// Returns what others tell the ego, if they do.
+    pub(super) fn share(&self) -> Option<&ShareConfig> {
+        self.config.share.as_ref()
+    }
+
     /// Returns whether observations need a [`SensorModel`].
     pub fn needs_model(&self) -> bool {
         self.config.output != SensorOutput::Facts
@@ -271,6 +277,8 @@ struct Readings {
     atoms: Atoms,
     /// The facts with a reading, as sets.
     read: Vec<u64>,
+    /// The facts that others told in this tick, as sets; empty if nobody tells any.
+    told: Vec<u64>,
     /// By set, the facts that are read as holding if they hold, and if they do not.
     noise: Vec<[u64; 2]>,
     /// The facts without a reading because of dropout, as sets.
@@ -294,6 +302,7 @@ impl Sensing {
             ages: Vec::with_capacity(sensors.layout.entities),
             atoms: no_atoms,
             read: vec![0; sets],
+            told: vec![0; if sensors.config.share.is_some() { sets } else { 0 }],
             noise: vec![[0; 2]; if simple { 0 } else { sets }],
             dropped: vec![0; if simple { 0 } else { sets }],
             frames: VecDeque::with_capacity(sensors.delay + 1),
@@ -333,12 +342,79 @@ impl Sensing {
         self.readings.frames.clear();
     }
 
+    /// Returns the sensors.
+    pub fn sensors(&self) -> &Arc<Sensors> {
+        &self.sensors
+    }
+
     /// Reads the facts of a tick. `bodies` are the observed entities, the ego first.
     pub fn sense(&mut self, truth: &Atoms, bodies: &[AgentState], city: (&CityMap, &[Agent]), now: (Seed, u64)) {
+        self.readings.told.fill(0);
         let origins = self.readings.sense(&self.sensors, truth, bodies, city, now);
         if self.sensors.config.output == SensorOutput::Belief {
             let model = self.model.as_ref().expect("beliefs have a model");
             self.readings.filter(&self.sensors, model, &origins);
+        }
+    }
+
+    /// Returns the facts that others can tell: those that hold, of which there is no reading, and which a sender knows.
+    pub fn untold(&self, truth: &Atoms, bodies: &[AgentState], (map, agents): (&CityMap, &[Agent])) -> Vec<Fact> {
+        let Some(share) = &self.sensors.config.share else {
+            return Vec::new();
+        };
+        let present = all_of(bodies.len());
+        // By sender and view, the entities that it sees.
+        let senders: Vec<Vec<u64>> = match share.from {
+            Sender::Assistant => vec![vec![present; self.sensors.views.len()]],
+            Sender::Cars { radius } => {
+                let cars = (0..).zip(agents).filter(|(car, agent): &(u32, &Agent)| {
+                    let is_other = agent.kind_id == AgentKind::Car.into() && *car != bodies[0].agent;
+                    is_other && Visibility::is_within(radius, bodies[0].at, agent.cell)
+                });
+                let sees = |(car, agent): (u32, &Agent)| {
+                    let views = self.sensors.views.iter();
+                    views
+                        .map(|view| view.visible(map, (car, agent.cell), bodies, agents))
+                        .collect()
+                };
+                cars.map(sees).collect()
+            }
+        };
+        let mut facts = Vec::new();
+        for (number, group) in self.sensors.groups.iter().enumerate() {
+            for &set in &group.sets {
+                let missed = set.lanes(present) & truth.words[set.set] & !self.readings.read[set.set];
+                for entity in members(&[missed]) {
+                    let about = 1 << entity | set.row.map_or(0, |row| 1 << row);
+                    if senders.iter().any(|views| views[group.view] & about == about) {
+                        facts.push(Fact {
+                            set: set.set,
+                            row: set.row,
+                            entity,
+                            place: set.start + entity,
+                            group: number,
+                        });
+                    }
+                }
+            }
+        }
+        facts
+    }
+
+    /// Adds facts that others told in this tick.
+    pub fn tell(&mut self, facts: &[Fact]) {
+        let readings = &mut self.readings;
+        for fact in facts {
+            readings.told[fact.set] |= 1 << fact.entity;
+            readings.atoms.words[fact.set] |= 1 << fact.entity;
+            let sensor = &self.sensors.groups[fact.group].sensor;
+            // A belief is about the tick of the reading; what is told is about this one.
+            if sensor.delay == 0 && !readings.belief.is_empty() {
+                readings.belief[fact.place] = 1.0;
+                if sensor.correlation > 0.0 {
+                    assume(sensor, &mut readings.joint[fact.place]);
+                }
+            }
         }
     }
 
@@ -353,6 +429,7 @@ impl Sensing {
                     let fact: &FactModel = &model.facts[set.predicate][Role::of(set.row, entity) as usize];
                     let (reading, age) = (readings.reading(set, entity), readings.age(set, entity));
                     let probability = match sensors.config.output {
+                        _ if readings.is_told(set, entity) => 1.0,
                         _ if sensors.is_exact(set, entity) => f32::from(u8::from(reading == Reading::Positive)),
                         SensorOutput::Belief if age < group.sensor.delay => fact.chain.later(fact.chain.initial, age),
                         SensorOutput::Belief => fact.ahead[0] + fact.ahead[1] * readings.belief[set.start + entity],
@@ -384,6 +461,12 @@ impl Readings {
     fn age(&self, set: SensedSet, entity: usize) -> u32 {
         let age = |entity: usize| self.ages.get(entity).copied().unwrap_or_default();
         set.row.map_or(age(entity), |row| age(row).min(age(entity)))
+    }
+
+    /// Returns whether others told a fact in this tick.
+    #[inline]
+    fn is_told(&self, set: SensedSet, entity: usize) -> bool {
+        (self.told.get(set.set)).is_some_and(|told| told >> entity & 1 != 0)
     }
 
     /// Returns the reading of a fact about an entity.
@@ -423,7 +506,8 @@ impl Readings {
             false => Frame::default(),
         };
         frame.visible.clear();
-        (frame.visible).extend(sensors.views.iter().map(|view| view.visible(map, bodies, agents)));
+        let ego = (bodies[0].agent, bodies[0].at);
+        (frame.visible).extend(sensors.views.iter().map(|view| view.visible(map, ego, bodies, agents)));
         if sensors.delay > 0 {
             frame.agents.clone_from(&self.agents);
             frame.words.clone_from(&truth.words);

@@ -22,26 +22,31 @@ impl Visibility {
         }
     }
 
-    /// Returns the entities that are not hidden. The ego, which is the first one, never is.
-    pub fn visible(self, map: &CityMap, bodies: &[AgentState], agents: &[Agent]) -> u64 {
+    /// Returns the entities that are not hidden from a viewer, which is never hidden from itself. `at` is the cell of the
+    /// viewer.
+    pub fn visible(self, map: &CityMap, (viewer, at): (u32, Cell), bodies: &[AgentState], agents: &[Agent]) -> u64 {
         let all = all_of(bodies.len());
         if self.range.is_none() && !self.buildings && !self.agents {
             return all;
         }
-        let ego = bodies[0].at;
         let hidden = |body: &AgentState| {
-            let line = Line::new(ego, body.at);
+            let line = Line::new(at, body.at);
             let far = self.range.is_some_and(|range| line.is_longer_than(range));
-            let third = |(at, agent): (usize, &Agent)| {
-                at != bodies[0].agent as usize && at != body.agent as usize && line.crosses(agent.cell)
+            let third = |(place, agent): (usize, &Agent)| {
+                place != viewer as usize && place != body.agent as usize && line.crosses(agent.cell)
             };
             far || self.buildings && line.between().any(|cell| map.building_at(cell).is_some())
                 || self.agents && agents.iter().enumerate().any(third)
         };
-        let others = bodies.iter().enumerate().skip(1);
+        let others = bodies.iter().enumerate().filter(|(_, body)| body.agent != viewer);
         others.fold(all, |visible, (entity, body)| {
             visible & !(u64::from(hidden(body)) << entity)
         })
+    }
+
+    /// Returns whether two cells are within a distance, or there is no bound.
+    pub fn is_within(radius: Option<u32>, from: Cell, to: Cell) -> bool {
+        radius.is_none_or(|radius| !Line::new(from, to).is_longer_than(radius))
     }
 }
 

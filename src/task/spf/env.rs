@@ -536,7 +536,7 @@ impl Env {
     fn look(&mut self) -> Result<(), Diagnostic> {
         for controlled_car in &mut self.controlled_cars {
             controlled_car.observer.look(&self.city)?;
-            controlled_car.observer.sense(&self.city);
+            controlled_car.observer.sense(&self.city)?;
             if let Some(shielded) = &mut controlled_car.shielded {
                 shielded.verdict = None;
             }
@@ -553,6 +553,19 @@ impl Env {
             }
         }
         Ok(())
+    }
+
+    /// Counts the clauses that apply to a controlled car now, which are those that some action violates, by how far it
+    /// observes them: fully, partly, and not at all; see [`Observer::observed_clauses`].
+    ///
+    /// # Errors
+    /// `limit-exceeded` if the rules derive too many rows.
+    pub fn observed_clauses(&mut self, controlled_car: usize) -> Result<[u32; 3], Diagnostic> {
+        let (observer, actions) = (
+            &mut self.controlled_cars[controlled_car].observer,
+            self.task.possible_actions(),
+        );
+        observer.observed_clauses(&self.city, actions)
     }
 
     /// Returns the action that the rules want of a controlled car.

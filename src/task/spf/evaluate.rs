@@ -153,6 +153,14 @@ impl BatchEvaluator {
             if env.city().cancel().requested() {
                 return Err(Diagnostic::cancelled());
             }
+            if env.task().shares() {
+                for (ego, done) in done.iter_mut().enumerate() {
+                    if env.controlled_cars()[ego].is_running() {
+                        let clauses = env.observed_clauses(ego)?;
+                        (done.clauses.iter_mut().zip(clauses)).for_each(|(sum, count)| *sum += count);
+                    }
+                }
+            }
             asked.clear();
             asked.extend((env.controlled_cars().iter()).map(|car| car.is_running().then(|| car.derived())));
             env.step_shielded(actions)?;

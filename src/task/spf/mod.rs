@@ -173,6 +173,11 @@ impl SpfTask {
         self.sensors.as_ref()
     }
 
+    /// Returns whether others may tell the ego facts.
+    pub fn shares(&self) -> bool {
+        self.sensors.as_ref().is_some_and(|sensors| sensors.config().share.is_some())
+    }
+
     /// Returns the shield of the configuration, if any. It judges by the rules of the city.
     pub fn shield(&self) -> Option<&Arc<Shield>> {
         self.shield.as_ref()

@@ -56,6 +56,9 @@ pub struct Rollout {
     pub constrained: [u32; Action::MAX],
     /// The violated clauses, by their positions in [`Oracle::constraints`](crate::sim::Oracle::constraints).
     pub broken: Vec<usize>,
+    /// The clauses that applied, summed over the steps: those observed fully, partly and not at all. An evaluation
+    /// counts them if others may tell the ego facts; see [`Env::observed_clauses`].
+    pub clauses: [u32; 3],
 }
 
 /// Returns the names of the actions that have steps, and their numbers of steps, which are in the order of the table.
