@@ -384,6 +384,8 @@ RESULTS = (
     "composition",
     "observations",
     "noise",
+    "communication",
+    "egos",
     "vap",
     "vap-50",
     "vap-continual",

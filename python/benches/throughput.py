@@ -18,6 +18,7 @@ import gymnasium
 import numpy as np
 
 import logicity
+from logicity.envs import SPFParallelVectorEnv
 
 #: The minimum duration of each measurement, in CPU seconds.
 SECONDS = 3.0
@@ -82,6 +83,21 @@ def following(mode: str, shield: Mapping[str, Any] | None = None, **options: Any
         infos = envs.step(infos["oracle_action"])[4]
 
     return rate(256, step)
+
+
+def several(mode: str, egos: int, told: int | None = None) -> float:
+    """Measure 64 environments with several egos and told facts under the oracle's actions. Count the steps of egos."""
+    task: dict[str, Any] = {"egos": egos}
+    if told is not None:
+        task["sensors"] = {"range": 12, "share": {"facts": told, "by": "relevance"}}
+    envs = SPFParallelVectorEnv(64, logicity.MODES[mode], overrides={"task": task})
+    infos = envs.reset(seed=0)[1]
+
+    def step(call: int) -> None:
+        nonlocal infos
+        infos = envs.step(infos["oracle_action"])[4]
+
+    return rate(64 * egos, step)
 
 
 def memory(mode: str) -> float:
@@ -167,6 +183,9 @@ def main() -> None:
         ("256, `copy=False`", lambda: vector(mode, 256, 1, copy=False)),
         ("256, autoreset mode SameStep", lambda: vector(mode, 256, 1, autoreset_mode="SameStep")),
         ('256, `observation="relational"`', lambda: vector(mode, 256, 1, observation="relational")),
+        ("64 environments, 4 egos each, oracle's actions, steps of egos", lambda: several(mode, 4)),
+        ("the same, range 12", lambda: several(mode, 4, 0)),
+        ("the same, 4 told facts by relevance", lambda: several(mode, 4, 4)),
         ('256, `observation="graph"`', lambda: vector(mode, 256, 1, observation="graph")),
         ("`make_vec`, 256 environments, 2 threads", lambda: vector(mode, 256, 2)),
         *(

@@ -108,13 +108,14 @@ def parallel_page() -> str:
     ]
     overview = [
         ("import", '`logicity.parallel_env("expert")`, or another mode or configuration file'),
-        ("agents", "`Car_1`, `Car_2`, ...: all cars, in `possible_agents`"),
+        ("agents", "`Car_1`, `Car_2`, ...: the first cars, as many as `task.egos` says, or all, in `possible_agents`"),
         ("action spaces", "`Discrete(4)`"),
         ("observation spaces", "one for each car, all alike; see the table of modes"),
     ]
     description = (
-        "Every car of a city is a separate agent, which must reach the end of its route without violating a rule. "
-        "Pedestrians follow the rules. `step` takes one action for each car in `agents`. When the episode of a car "
+        "Each of several cars is an agent of its own, which must reach the end of its route without violating a rule. "
+        "The rules drive the other cars and the pedestrians. `step` takes one action for each car in `agents`. "
+        "When the episode of a car "
         "ends, the car leaves `agents` and from then on follows the rules, so that the others still meet it.\n\n"
         + _table(("mode", "cars in `train` / `val` / `test`", "observation space of a car", "horizon"), cars)
         + "\n`env.clauses` has the names of the clauses that a car can violate, which the page of each mode explains. "
@@ -123,6 +124,7 @@ def parallel_page() -> str:
     start = (
         "`reset(seed=s)` begins a sequence of drawn episodes, and further calls of `reset()` continue it. The seed "
         "determines the start and the goal of every agent and all later random draws. "
+        "With `task.egos`, it also determines the priority and the concepts of each ego, otherwise those of the first. "
         '`reset(options={"episode": env.episode})` starts the same episode again. Recorded episodes have one '
         "controlled car, so this environment takes none of them by number. All agents rest at first.\n"
     )

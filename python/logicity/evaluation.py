@@ -90,9 +90,9 @@ class EpisodeRecord:
         violations: The names of the clauses that the last action violated.
         ego: The number of the ego, from 0, if the configuration has several (`task.egos`). Each has its own record.
         clauses: With `task.sensors.share`, the numbers of clauses that applied to the car, which are those that some
-            action would have violated, summed over the steps: those that it observed fully, partly and not at all. A clause is
-            observed fully if it also applies by what the car observes, and partly if the car observes one of the facts
-            that the clause needs. Otherwise, and for the random policy, `None`.
+            action would have violated, summed over the steps: those that it observed fully, partly and not at all. A
+            clause is observed fully if it also applies by what the car observes, and partly if the car observes one of
+            the facts that the clause needs. Otherwise, and for the random policy, `None`.
     """
 
     episode: int
@@ -150,9 +150,11 @@ class Evaluation:
 
     def __repr__(self) -> str:
         """Show the main measures and the number of runs."""
+        egos = 1 + max((record.ego for record in self.episodes), default=0)
+        of = "" if egos == 1 else f" of {egos} egos"
         return (
             f"<Evaluation of {self.policy} in {self.mode}, {self.split}: {self.summary()}, "
-            f"{len(self.episodes)} episodes>"
+            f"{len(self.episodes) // egos} episodes{of}>"
         )
 
     def summary(self) -> str:

@@ -222,7 +222,7 @@ ViewKind: TypeAlias = Literal["relational", "graph"]
 ObservationKind: TypeAlias = Literal[ArrayKind, ViewKind]
 """The kind of observation. See `logicity.envs.SPFEnv`."""
 
-ShieldMode: TypeAlias = Literal["mask", "override", "probabilistic"]
+ShieldMode: TypeAlias = Literal["mask", "override", "probabilistic", "joint"]
 """What a shield does with an action that it does not permit. See `logicity.shield`."""
 
 ShieldQuery: TypeAlias = Literal["appropriate", "safe"]

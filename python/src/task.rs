@@ -69,13 +69,24 @@ pub fn action_mask(table: &ActionTable, info: &Info) -> Vec<i8> {
 }
 
 /// The mode, the query and the threshold of a shield.
-pub type ShieldSettings = (String, String, Option<f64>);
+pub type ShieldSettings = (String, Option<String>, Option<f64>);
 
 /// Returns the shield with these settings by the rules of a task.
 pub fn shield_of(py: Python<'_>, rules: &PyTask, (mode, query, threshold): &ShieldSettings) -> PyResult<Arc<Shield>> {
+    let mode = one_of("mode", mode, &ShieldMode::ALL, ShieldMode::name)?;
+    let query = match query {
+        Some(query) => one_of("query", query, &ShieldQuery::ALL, ShieldQuery::name)?,
+        None => mode.usual_query(),
+    };
+    if !mode.answers(query) {
+        let (mode, query) = (mode.name(), query.name());
+        return Err(PyValueError::new_err(format!(
+            "the mode `{mode}` does not answer the query `{query}`: use `query=\"safe\"`"
+        )));
+    }
     let config = ShieldConfig {
-        mode: one_of("mode", mode, &ShieldMode::ALL, ShieldMode::name)?,
-        query: one_of("query", query, &ShieldQuery::ALL, ShieldQuery::name)?,
+        mode,
+        query,
         threshold: threshold.unwrap_or(ShieldConfig::THRESHOLD),
     };
     let made = Shield::new(Arc::clone(rules.task.oracle()), config);

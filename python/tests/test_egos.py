@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import itertools
+import json
 from pathlib import Path
 from typing import Any
 
@@ -143,6 +144,37 @@ def test_shields_judge_every_ego() -> None:
             envs.step(generator.integers(0, 4, (3, 3)))
 
 
+def test_joint_shields_read_the_actions_of_others(tmp_path: Path) -> None:
+    rules = tmp_path / "coupled.dl"
+    rules.write_text('.include "vocabulary.dl"\nSlow(X) :- Fast(Y), IsClose(X, Y), IsCar(X).\n')
+    envs = SPFParallelVectorEnv(8, "expert", overrides={"task": {"egos": 4}}, autoreset_mode="SameStep", atoms=True)
+    logicity.shield(envs, rules=rules, mode="joint")
+    infos, generator = envs.reset(seed=0)[1], np.random.default_rng(2)
+    changed = 0
+    for _ in range(240):
+        atoms, acts, before = infos["true_atoms"], infos["acts"], generator.integers(0, 4, (8, 4))
+        *_, infos = envs.step(before)
+        replaced = infos["replaced_action"]
+        # In the steps in which no episode ended, infos are of the same episode.
+        for at in np.flatnonzero(~infos.get("_final_info", np.zeros(8, np.bool_))):
+            proposed, taken = before[at], envs._core.taken(int(at))[-4:]
+            close = {pair for each in atoms[at] for pair in each if pair.startswith("IsClose(")}
+            for (one, x), (two, y) in itertools.permutations(enumerate(envs.possible_agents), 2):
+                if acts[at, one] and acts[at, two] and f"IsClose({x}, {y})" in close and taken[two] == 2:
+                    # The view of a car decides whether it observes the other.
+                    seen = f"IsClose({x}, {y})" in atoms[at, one]
+                    assert taken[one] == 0 or not seen
+            for ego in np.flatnonzero(acts[at]):
+                assert (replaced[at, ego] >= 0) == (taken[ego] != proposed[ego])
+                changed += taken[ego] != proposed[ego]
+    assert changed > 20
+    for query, message in (("appropriate", 'use `query="safe"`'), ("sae", "query must be one of")):
+        with pytest.raises(ValueError, match=message):
+            logicity.shield(envs, mode="joint", query=query)  # type: ignore[arg-type]
+    # The environments keep their shield.
+    assert envs.shield_clauses is not None and len(envs.shield_clauses) == 1
+
+
 def test_evaluations_count_egos_alone_and_together(tmp_path: Path) -> None:
     overrides = {"task": {"egos": 3}}
     benchmark = logicity.Benchmark("expert", "val", overrides=overrides)
@@ -168,6 +200,16 @@ def test_evaluations_count_egos_alone_and_together(tmp_path: Path) -> None:
     with pytest.raises(ValueError, match="2 policies for 3 egos"):
         benchmark.evaluate(["oracle", "oracle"])
     assert len(list(tmp_path.glob("episode-*.jsonl"))) == count
+    # In a trace, an ego is driven until its episode ends.
+    for episode in range(3):
+        header, *ticks = map(
+            json.loads, (tmp_path / f"episode-{episode}.jsonl").read_text(encoding="utf-8").splitlines()
+        )
+        names = [agent["id"] for agent in header["agents"]]
+        pairs = [zip(names, tick["agents"], strict=True) for tick in ticks]
+        driven = [name for each in pairs for name, agent in each if "driven" in agent]
+        steps = [record.steps for record in slow.episodes[3 * episode : 3 * episode + 3]]
+        assert [driven.count(f"Car_{ego}") for ego in (1, 2, 3)] == steps and len(driven) == sum(steps)
 
 
 @pytest.mark.parametrize("policies", ["shared", "separate"])
@@ -212,6 +254,6 @@ def test_learners_of_one_car_refuse_several(tmp_path: Path) -> None:
     from logicity.learn.config import TrainConfig
     from logicity.learn.run import train
 
-    values = {"algorithm": "dqn", "mode": "easy", "overrides": {"task": {"egos": 2}}, "steps": 100}
+    config = TrainConfig.load("dqn-easy", changes={"overrides": {"task": {"egos": 2}}, "steps": 100})
     with pytest.raises(ValueError, match="`dqn` drives one car in training, not the 2 egos"):
-        train(TrainConfig.model_validate(values), tmp_path / "run")
+        train(config, tmp_path / "run")

@@ -63,6 +63,16 @@ def noisy(learner: str, noise: float, shield: str, mode: str = "easy") -> str:
     return of("noise", learner=learner, mode=mode, evaluation=f"noise {noise:g}, {shield}")
 
 
+def told(mode: str, facts: str, by: str = "") -> str:
+    """Return the TSR of exact rules with a range of 12 cells and told facts."""
+    evaluation = f"range 12, k {facts}" + (f", {by}" if by else "")
+    return of("communication", learner="induce", mode=mode, evaluation=evaluation)
+
+
+def egos(learner: str, evaluation: str, measure: str = "joint_tsr", mode: str = "expert") -> str:
+    return of("egos", measure, learner=learner, mode=mode, evaluation=evaluation)
+
+
 def by_steps(learner: str, variant: str) -> str:
     return of("vap-steps", "wAcc", mode="hard", learner=learner, variant=variant)
 
@@ -98,6 +108,21 @@ QUOTES: dict[str, list[str]] = {
         f"with a probability of 0.99, and the TSR is {noisy('ppo-fast', 0.05, 'probabilistic safe 0.99')}",
         f"with a TSR of {noisy('ppo-fast', 0.2, 'probabilistic safe 0.99')}, and the threshold 0.9 is better "
         f"({noisy('ppo-fast', 0.2, 'probabilistic safe 0.9')})",
+        f"rules are exact, is {told('easy', '0')} in easy and {told('expert', '0')} in expert mode",
+        f"Two facts by relevance restore {told('easy', '2', 'relevance')} in easy and "
+        f"{told('expert', '2', 'relevance')} in expert mode; eight by distance {told('easy', '8', 'distance')} and "
+        f"{told('expert', '8', 'distance')}, and eight at random {told('easy', '8', 'random')} and "
+        f"{told('expert', '8', 'random')}",
+        *(
+            f"bring it to {told('easy', k, 'from cars')} and {told('expert', k, 'from cars')}, with any k"
+            for k in ("1", "2", "4", "8")
+        ),
+        f"policy of one all succeed in {egos('ppo-fast', '8 egos')} of the episodes, although each succeeds in "
+        f"{egos('ppo-fast', '8 egos', 'tsr')}, and in {egos('ppo-fast', '8 egos, shield')} behind a shield",
+        f"they succeed in {egos('ppo-fast-4', '8 egos')} without a shield; exact rules reach "
+        f"{egos('induce', '8 egos')}",
+        f"changes little: {egos('ppo-fast-4', '8 egos', mode='easy')} against "
+        f"{egos('ppo-fast', '8 egos', mode='easy')}",
         f"has a wAcc of {by_steps('modular-gnn', 'from easy 1 %')} from easy mode and "
         f"{by_steps('modular-gnn', 'from scratch 1 %')} from scratch, and `e2e-gnn` "
         f"{by_steps('e2e-gnn', 'from easy 1 %')} and {by_steps('e2e-gnn', 'from scratch 1 %')}",

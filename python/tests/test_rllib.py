@@ -84,7 +84,7 @@ def test_rllib_trains_every_car() -> None:
         return ParallelPettingZooEnv(logicity.parallel_env("easy", **arguments))
 
     register_env("cars", make)
-    config = config_of("cars", overrides={"task": {"horizon": 20}}).env_runners(num_env_runners=0)
+    config = config_of("cars", overrides={"task": {"horizon": 20, "egos": 3}}).env_runners(num_env_runners=0)
     config = config.training(train_batch_size=40, minibatch_size=40)
     trained(config.multi_agent(policies={"car"}, policy_mapping_fn=lambda agent, *_, **__: "car"))
 

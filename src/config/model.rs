@@ -406,11 +406,19 @@ pub enum ShieldMode {
     Override,
     /// The ego takes the most probable action. Facts have the probabilities of the ego's sensors.
     Probabilistic,
+    /// The egos take the safe joint action that changes the fewest proposed ones. Clauses may read the actions of other
+    /// egos. Only for the query [`ShieldQuery::Safe`].
+    Joint,
 }
 
 impl ShieldMode {
     /// All modes.
-    pub const ALL: [ShieldMode; 3] = [ShieldMode::Mask, ShieldMode::Override, ShieldMode::Probabilistic];
+    pub const ALL: [ShieldMode; 4] = [
+        ShieldMode::Mask,
+        ShieldMode::Override,
+        ShieldMode::Probabilistic,
+        ShieldMode::Joint,
+    ];
 
     /// Returns its name: `mask`, `override` or `probabilistic`.
     pub const fn name(self) -> &'static str {
@@ -418,7 +426,21 @@ impl ShieldMode {
             ShieldMode::Mask => "mask",
             ShieldMode::Override => "override",
             ShieldMode::Probabilistic => "probabilistic",
+            ShieldMode::Joint => "joint",
         }
+    }
+
+    /// Returns the query unless another one is given: `safe` in the mode `joint`, else `appropriate`.
+    pub fn usual_query(self) -> ShieldQuery {
+        match self {
+            ShieldMode::Joint => ShieldQuery::Safe,
+            _ => ShieldQuery::default(),
+        }
+    }
+
+    /// Returns whether shields of this mode answer a query.
+    pub fn answers(self, query: ShieldQuery) -> bool {
+        self != ShieldMode::Joint || query == ShieldQuery::Safe
     }
 }
 

@@ -12,7 +12,9 @@ pub(super) fn shield(node: &YamlNode, faults: &mut Vec<Diagnostic>) -> Option<Sh
     let modes = ShieldMode::ALL.map(|mode| (mode.name(), mode));
     let mode = (fields.required("mode", faults)).and_then(|node| choice(node, &modes, faults));
     let queries = ShieldQuery::ALL.map(|query| (query.name(), query));
-    let query = (fields.optional("query")).map_or(Some(ShieldQuery::default()), |node| choice(node, &queries, faults));
+    let query_node = fields.optional("query");
+    let usual = mode.map_or(ShieldQuery::default(), ShieldMode::usual_query);
+    let query = query_node.map_or(Some(usual), |node| choice(node, &queries, faults));
     let threshold_node = fields.optional("threshold");
     let threshold = threshold_node.map_or(Some(ShieldConfig::THRESHOLD), |node| {
         number(node, 0.0..=1.0, "a probability from 0 to 1", faults)
@@ -25,9 +27,20 @@ pub(super) fn shield(node: &YamlNode, faults: &mut Vec<Diagnostic>) -> Option<Sh
         faults.push(fault.help("set `mode: probabilistic`, or remove the threshold"));
         return None;
     }
+    let query = query?;
+    if let Some(node) = query_node.filter(|_| !mode.answers(query)) {
+        let message = format!(
+            "the mode `{}` does not answer the query `{}`",
+            mode.name(),
+            query.name()
+        );
+        let fault = Diagnostic::new(codes::INVALID_VALUE, message).at(node.span, "");
+        faults.push(fault.help("set `query: safe`, or `mode: override`"));
+        return None;
+    }
     Some(ShieldConfig {
         mode,
-        query: query?,
+        query,
         threshold: threshold?,
     })
 }

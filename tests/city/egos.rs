@@ -3,8 +3,10 @@
 use crate::shipped_world::task_of;
 use logicity::builtin::BuiltinFiles;
 use logicity::city::{Action, Split};
+use logicity::config::{ShieldConfig, ShieldMode, ShieldQuery};
 use logicity::diag::Sources;
 use logicity::rng::{Purpose, RngExt, Seed};
+use logicity::sim::Shield;
 use logicity::task::spf::{
     Autoreset, Baseline, BatchEvaluator, Begin, ControlMode, Ending, Env, EpisodeSet, EpisodeSource, Info, Layer,
     ObservationKind, Policy, PolicyNetwork, RANDOM_RUNS, Rate, Rollout, Score, SpfTask, Trajectories, VectorEnv,
@@ -424,4 +426,156 @@ fn rates_count_egos_alone_and_together() {
     });
     assert_eq!(first.rollouts(), expected.collect::<Vec<_>>());
     assert_eq!(summarize(&one, first.rollouts(), None).joint, None);
+}
+
+/// Rules in which the actions of other cars matter.
+const COUPLED: &str = "\
+.include \"vocabulary.dl\"
+
+Fast(X) :- IsAmbulance(X).
+Slow(X) :- Fast(Y), IsClose(X, Y), IsCar(X).
+Stop(X) :- Slow(Y), CollidingClose(X, Y), IsCar(X).
+Stop(X) :- IsAtInter(X), IsInInter(Y), IsClose(X, Y).
+";
+
+/// Returns whether the action of an ego is safe in a joint action, by the definition of the rules above. `others` are the
+/// actions of the other egos, by agent.
+fn is_safe(env: &Env, ego: usize, joint: &[Action]) -> bool {
+    let observer = env.controlled_cars()[ego].observer();
+    let predicates = &env.task().world().vocabulary.predicates;
+    let atoms: Vec<(&str, Vec<usize>)> = observer
+        .atoms()
+        .map(|(predicate, agents)| (predicates[predicate].name.as_str(), agents))
+        .collect();
+    let holds = |name: &str, agents: &[usize]| atoms.iter().any(|(known, of)| *known == name && of == agents);
+    let me = observer.ego();
+    let takes = |agent: usize, action: Action| {
+        let of = env.controlled_cars().iter().position(|car| car.agent() == agent);
+        of.is_some_and(|other| env.controlled_cars()[other].is_running() && joint[other] == action)
+    };
+    let any = |test: &dyn Fn(usize) -> bool| observer.entities().any(|agent| agent != me && test(agent));
+    let mut demanded = Vec::new();
+    if holds("IsAmbulance", &[me]) {
+        demanded.push(Action::Fast);
+    }
+    if any(&|y| takes(y, Action::Fast) && holds("IsClose", &[me, y])) {
+        demanded.push(Action::Slow);
+    }
+    if any(&|y| takes(y, Action::Slow) && holds("CollidingClose", &[me, y]))
+        || holds("IsAtInter", &[me]) && any(&|y| holds("IsInInter", &[y]) && holds("IsClose", &[me, y]))
+    {
+        demanded.push(Action::Stop);
+    }
+    demanded.iter().all(|action| *action == joint[ego])
+}
+
+fn joint_shield(rules: &Arc<SpfTask>) -> Arc<Shield> {
+    let config = ShieldConfig {
+        mode: ShieldMode::Joint,
+        query: ShieldQuery::Safe,
+        threshold: ShieldConfig::THRESHOLD,
+    };
+    Arc::new(Shield::new(Arc::clone(rules.oracle()), config).unwrap())
+}
+
+/// A joint shield changes as few actions as any safe joint action requires, of all there are.
+#[test]
+fn joint_shields_change_the_fewest_actions() {
+    const EGOS: usize = 5;
+    let shield = joint_shield(&crate::shipped_world::task("expert", Some(COUPLED)));
+    let mut env = env(&task("expert", "{egos: 5}"), Split::Train);
+    env.set_shield(Some(shield)).unwrap();
+    let mut random = Seed(11).stream(Purpose::POLICY, 0, 0);
+    let (mut changes, mut none) = ([0; EGOS + 1], 0);
+    for seed in 0..40 {
+        env.reset(seed).unwrap();
+        for _ in 0..60 {
+            let running: Vec<usize> = (0..EGOS)
+                .filter(|ego| env.controlled_cars()[*ego].is_running())
+                .collect();
+            let Some(most) = (running.len() as u32 > 1).then(|| 4usize.pow(running.len() as u32)) else {
+                break;
+            };
+            let proposed: Vec<Action> = (0..EGOS).map(|_| Action::STANDARD[random.random_range(0..4)]).collect();
+            let joint_of = |number: usize| {
+                let mut joint = proposed.clone();
+                for (place, &ego) in running.iter().enumerate() {
+                    joint[ego] = Action::STANDARD[number / 4usize.pow(place as u32) % 4];
+                }
+                joint
+            };
+            let changed = |joint: &[Action]| running.iter().filter(|ego| joint[**ego] != proposed[**ego]).count();
+            let safe = |joint: &[Action]| running.iter().all(|ego| is_safe(&env, *ego, joint));
+            let fewest = (0..most)
+                .map(joint_of)
+                .filter(|joint| safe(joint))
+                .map(|joint| changed(&joint))
+                .min();
+            let before: Vec<bool> = running.iter().map(|&ego| is_safe(&env, ego, &proposed)).collect();
+            // Keeps a copy of the state in which the shield decided.
+            let (start, taken) = (
+                env.episode().clone(),
+                env.taken().flatten().copied().collect::<Vec<_>>(),
+            );
+            env.step_shielded(&proposed).unwrap();
+            let executed = env.taken().next_back().unwrap().to_vec();
+            let mut earlier = Env::new(Arc::clone(env.task()), Split::Train, ControlMode::Egos).unwrap();
+            earlier.reset_to(&start).unwrap();
+            taken
+                .chunks_exact(EGOS)
+                .for_each(|actions| earlier.step(actions).unwrap());
+            match fewest {
+                Some(fewest) => {
+                    assert!(
+                        running.iter().all(|ego| is_safe(&earlier, *ego, &executed)),
+                        "{executed:?}"
+                    );
+                    assert_eq!(changed(&executed), fewest);
+                    changes[fewest] += 1;
+                }
+                None => none += 1,
+            }
+            for (&ego, was_safe) in running.iter().zip(before) {
+                let replaced = env.controlled_cars()[ego].replaced();
+                assert_eq!(replaced.is_some(), executed[ego] != proposed[ego]);
+                if let Some((action, reasons)) = replaced {
+                    assert_eq!((action, reasons.is_empty()), (proposed[ego], was_safe));
+                }
+            }
+        }
+    }
+    assert!(
+        changes[..3].iter().all(|count| *count > 20) && changes[3] > 0,
+        "{changes:?} {none}"
+    );
+}
+
+/// Where no rule reads the actions of others, a joint shield does what each ego's own shield does.
+#[test]
+fn joint_shields_of_independent_egos_are_those_of_each() {
+    let [joint, alone] = ["joint", "override"].map(|mode| {
+        task(
+            "expert",
+            &format!("{{egos: 4, shield: {{mode: {mode}, query: safe}}, sensors: {{range: 15}}}}"),
+        )
+    });
+    let [mut joint, mut alone] = [&joint, &alone].map(|task| env(task, Split::Train));
+    let mut random = Seed(12).stream(Purpose::POLICY, 0, 0);
+    let mut replaced = 0;
+    for seed in 0..20 {
+        joint.reset(seed).unwrap();
+        alone.reset(seed).unwrap();
+        while joint.is_running() {
+            let proposed: Vec<Action> = (0..4).map(|_| Action::STANDARD[random.random_range(0..4)]).collect();
+            joint.step_shielded(&proposed).unwrap();
+            alone.step_shielded(&proposed).unwrap();
+            let [of_joint, of_alone] = [&joint, &alone].map(|env| env.taken().next_back().unwrap().to_vec());
+            assert_eq!(of_joint, of_alone);
+            for (one, other) in joint.controlled_cars().iter().zip(alone.controlled_cars()) {
+                replaced += usize::from(one.replaced().is_some());
+                assert_eq!(one.replaced(), other.replaced());
+            }
+        }
+    }
+    assert!(replaced > 300, "{replaced}");
 }

@@ -92,6 +92,12 @@ impl Place {
                         Some(Step::Key(above)) if above == "map" && at == 1 => {
                             entries.insert("base".into(), json!("random-8x8"));
                         }
+                        Some(Step::Key(above)) if above == "share" => {
+                            entries.insert("facts".into(), json!(1));
+                            if key == "radius" {
+                                entries.insert("from".into(), json!("cars"));
+                            }
+                        }
                         Some(Step::Key(above)) if above == "shield" && key != "mode" => {
                             entries.insert("mode".into(), json!("probabilistic"));
                         }

@@ -57,7 +57,7 @@ class BaseEnv:
     render_mode: str | None
     _begun: bool
     _core: _logicity.VectorEnv
-    _shield: tuple[_logicity.Task | None, tuple[str, str, float | None]] | None = None
+    _shield: tuple[_logicity.Task | None, tuple[str, str | None, float | None]] | None = None
     _spec: EnvSpec | None
     #: The number of egos of all environments.
     _rows: int
@@ -107,12 +107,12 @@ class BaseEnv:
         self,
         rules: str | os.PathLike[str] | None = None,
         mode: ShieldMode = "override",
-        query: ShieldQuery = "appropriate",
+        query: ShieldQuery | None = None,
         threshold: float | None = None,
     ) -> None:
         """Set the shield of the environment, see `logicity.shield`."""
         for name, value in {"mode": mode, "query": query}.items():
-            if not isinstance(value, str):
+            if not isinstance(value, str) and not (name == "query" and value is None):
                 raise TypeError(f"{name}: expected str, not {type(value).__name__}")
         if threshold is not None:
             if isinstance(threshold, bool) or not isinstance(threshold, (int, float, np.number)):

@@ -16,7 +16,7 @@ def shield(
     env: _Env,
     rules: str | os.PathLike[str] | None = None,
     mode: ShieldMode = "override",
-    query: ShieldQuery = "appropriate",
+    query: ShieldQuery | None = None,
     threshold: float | None = None,
 ) -> _Env:
     """Shield an environment: rules judge every action by what the car observes. Return the environment.
@@ -26,8 +26,8 @@ def shield(
     `logicity.envs.SPFEnv`. A shield in a configuration (`task: {shield: {mode: override}}`) uses the rules of the city.
 
     Args:
-        env: An `SPFEnv`, `SPFVectorEnv`, `SPFParallelEnv` or `SPFVecEnv`, also in wrappers. The shield replaces an
-            earlier one.
+        env: An `SPFEnv`, `SPFVectorEnv`, `SPFParallelEnv`, `SPFParallelVectorEnv` or `SPFVecEnv`, also in wrappers.
+            The shield replaces an earlier one.
         rules: The rule file; `None` for the rules of the city. Rules may not draw or read earlier ticks.
         mode: What happens to an action that is not permitted. `override`: the car takes the action that the rules
             choose, or, if that one is not permitted either, the permitted one of highest priority. `mask`: a step with
@@ -35,14 +35,20 @@ def shield(
             `SPFParallelEnv`, `action_masks()`, too. `probabilistic`: the car takes the most probable action. An action
             is permitted if the probability that it is appropriate or safe is at least `threshold`; the most probable
             action is always permitted. Facts have the probabilities that the sensors output, and count as independent.
-            The rules may not read quantities, name agents, or aggregate over facts.
-        query: `appropriate` or `safe`. If no action is safe, the shield permits the one that the rules choose.
+            The rules may not read quantities, name agents, or aggregate over facts. `joint`: the egos of an environment
+            take the safe joint action that changes the fewest proposed actions. A joint action is safe if, with all of
+            it, no clause demands another action of an ego; so rules can read the actions of other egos. Among equals,
+            earlier cars keep their action, and then take the one that the rules choose. If no joint action is safe,
+            they take those that the rules choose. `shield_mask` and `explain_shield` are then about each ego alone.
+        query: `appropriate` (default) or `safe`, which is the only one of the mode `joint` and its default. If no
+            action is safe, the shield permits the one that the rules choose.
         threshold: The threshold of the mode `probabilistic`, 0 to 1 (default: 0.5).
 
     Raises:
         InputError: If the rules are invalid or need more than the mode allows (`rule-mismatch`), or a probabilistic
             shield has sensors that output facts.
-        LimitError: If the probabilities of a probabilistic shield are too complex, also in a reset or step. On an error
+        LimitError: If the probabilities of a probabilistic shield are too complex, or a joint shield tries too many
+            joint actions, also in a reset or step. On an error
             here, the environment keeps its shield.
         TypeError: If `env` is no such environment, or an argument has a wrong type.
         ValueError: If an argument is unknown or out of range.

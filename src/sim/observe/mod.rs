@@ -3,6 +3,7 @@
 
 mod belief;
 mod decider;
+mod joint;
 mod noise;
 mod numbers;
 mod observer;

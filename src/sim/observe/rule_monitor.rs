@@ -449,6 +449,64 @@ impl RuleMonitor {
     }
 }
 
+/// The rules, prepared to judge the actions of several agents together: those in all bodies are inputs.
+#[derive(Debug)]
+pub(super) struct JointMonitor {
+    checked: Evaluator,
+    /// Whether a clause reads the actions of other agents than that of its head.
+    pub reads_others: bool,
+}
+
+impl JointMonitor {
+    /// Variant of [`RuleMonitor::new`].
+    ///
+    /// # Errors
+    /// If the rules cannot be planned.
+    pub fn new(program: &Program, vocabulary: &Vocabulary, limits: Limits) -> Result<JointMonitor, Diagnostic> {
+        let rules = program.rules();
+        let reads = |clause: &datalog::Clause| {
+            let is_of_head = |atom: &datalog::Atom| {
+                vocabulary.action_of(clause.head.predicate).is_some() && atom.terms == clause.head.terms
+            };
+            let actions = clause.body.iter().filter_map(|literal| literal.atom());
+            let mut actions = actions.filter(|atom| vocabulary.action_of(atom.predicate).is_some());
+            actions.any(|atom| !is_of_head(atom))
+        };
+        let reads_others = rules.clauses.iter().any(reads);
+        let (checked, given) = with_actions_given(rules, vocabulary);
+        let checked = Evaluator::new(Program::new(checked)?, vocabulary, limits, &given, TrackFirings::Each);
+        Ok(JointMonitor { checked, reads_others })
+    }
+}
+
+/// The state of a [`JointMonitor`] for one observation.
+pub(super) struct JointState(State);
+
+impl JointState {
+    pub fn new(monitor: &JointMonitor) -> JointState {
+        JointState(State::new(&monitor.checked))
+    }
+
+    /// Collects the constraints that demand another action of the ego than `action`, in ascending order. The imposed
+    /// actions of `observed` contain it.
+    ///
+    /// # Errors
+    /// `limit-exceeded` if the rules derive too many rows.
+    pub fn violations(
+        &mut self,
+        (monitor, constraints): (&JointMonitor, &[ActionConstraint]),
+        observed: Observed<'_>,
+        action: Action,
+        broken: &mut Vec<usize>,
+    ) -> Result<(), Diagnostic> {
+        let ego = observed.entities.position(0) as usize;
+        broken.clear();
+        self.0.run(&monitor.checked, observed)?;
+        broken.extend(self.0.demands(&monitor.checked, constraints, (ego, action)));
+        Ok(())
+    }
+}
+
 /// The facts about up to 64 entities.
 #[derive(Clone, Debug, Default)]
 pub(super) struct Atoms {
@@ -628,14 +686,25 @@ impl Entities<'_> {
     }
 }
 
+/// Imposed actions: for each action, the entities that take it.
+#[derive(Clone, Copy, Debug, Default)]
+pub(super) struct GivenActions([u64; Action::MAX]);
+
+impl GivenActions {
+    /// Imposes an action on an entity.
+    pub fn give(&mut self, entity: usize, action: Action) {
+        self.0[action.index()] |= 1 << entity;
+    }
+}
+
 /// The input of an evaluation.
 #[derive(Clone, Copy)]
 pub(super) struct Observed<'a> {
     pub atoms: &'a Atoms,
     /// The observed entities, the ego first.
     pub entities: Entities<'a>,
-    /// The imposed action of the ego, if the rules take it as input.
-    pub given: Option<Action>,
+    /// The imposed actions, if the rules take them as input.
+    pub given: Option<&'a GivenActions>,
     /// What the rules read of earlier ticks; `None` without a city.
     pub memory: Option<&'a Memory>,
     /// What draws read.
@@ -661,7 +730,7 @@ impl<'a> Observed<'a> {
     fn unary(&self, predicate: usize) -> u64 {
         match predicate.checked_sub(self.atoms.layout.predicates) {
             None => self.atoms.unary(predicate),
-            Some(action) => u64::from(self.given.is_some_and(|given| given.index() == action)),
+            Some(action) => self.given.map_or(0, |given| given.0[action]),
         }
     }
 
@@ -789,6 +858,22 @@ impl State {
         }
     }
 
+    /// Returns the positions of the constraints that demand another action of the ego.
+    fn demands<'a>(
+        &'a self,
+        evaluator: &'a Evaluator,
+        constraints: &'a [ActionConstraint],
+        (ego, action): (usize, Action),
+    ) -> impl Iterator<Item = usize> + 'a {
+        let constraints = constraints.iter().enumerate();
+        let demands = move |constraint: &ActionConstraint| {
+            constraint.action != action && self.fired(evaluator, constraint.clause, ego)
+        };
+        constraints
+            .filter(move |(_, constraint)| demands(constraint))
+            .map(|(position, _)| position)
+    }
+
     /// Returns whether a clause derives its head for the ego.
     fn fired(&self, evaluator: &Evaluator, clause: ClauseId, ego: usize) -> bool {
         match (self, evaluator) {
@@ -876,17 +961,11 @@ impl Violations {
                 conditions.violations(held, action, broken);
             }
             (Violations::Twice { checked: state, .. }, How::Twice { checked, .. }) => {
-                let given = Some(action);
+                let mut given = GivenActions::default();
+                given.give(0, action);
+                let given = Some(&given);
                 state.run(checked, Observed { given, ..observed })?;
-                let constraints = monitor.constraints.iter().enumerate();
-                let holds = |constraint: &ActionConstraint| {
-                    constraint.action != action && state.fired(checked, constraint.clause, ego)
-                };
-                broken.extend(
-                    constraints
-                        .filter(|(_, constraint)| holds(constraint))
-                        .map(|(position, _)| position),
-                );
+                broken.extend(state.demands(checked, &monitor.constraints, (ego, action)));
             }
             _ => unreachable!("violations are computed by their own monitor"),
         }

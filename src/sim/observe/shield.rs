@@ -1,8 +1,9 @@
 //! Shields: rules that judge the actions of an ego by what it observes (Alshiekh et al.: Safe reinforcement learning via
 //! shielding, 2018; Yang et al.: Safe reinforcement learning via probabilistic logic shields, 2023).
 //!
-//! An action is *appropriate* if the rules choose it. It is *safe* if it violates no clause. A deterministic shield judges
-//! the observed facts. A probabilistic one computes the probability that an action is appropriate or safe. It assumes
+//! An action is *appropriate* if the rules choose it. It is *safe* if it violates no clause. A joint action of several egos
+//! is safe if, with all of these actions, no clause demands another action of an ego. A deterministic shield judges the
+//! observed facts. A probabilistic one computes the probability that an action is appropriate or safe. It assumes
 //! that facts are independent, and compiles its circuits once for each number of entities.
 
 use crate::cancel::Cancel;
@@ -14,8 +15,11 @@ use crate::datalog::{
     Value,
 };
 use crate::diag::{self, Diagnostic};
+use crate::sim::observe::joint::Proposal;
 use crate::sim::observe::observer::{Observer, Oracle};
-use crate::sim::observe::rule_monitor::{Atoms, Observed, Violations, safety_rules};
+use crate::sim::observe::rule_monitor::{
+    Atoms, GivenActions, JointMonitor, JointState, Observed, Violations, safety_rules,
+};
 use crate::sim::tick::simulation::Simulation;
 use crate::sim::tick::vocabulary::Actions;
 use crate::sim::tick::world::World;
@@ -31,6 +35,8 @@ pub struct Shield {
     possible: Vec<Action>,
     /// By number of entities less one; empty for deterministic shields.
     circuits: Vec<OnceLock<Vec<ShieldCircuit>>>,
+    /// The rules for several egos together; `None` in other modes.
+    joint: Option<JointMonitor>,
 }
 
 /// What a shield says of the actions in a state.
@@ -75,7 +81,12 @@ impl Shield {
         let others = table.all().filter(|action| !priority.contains(action));
         let possible = priority.iter().copied().chain(others).filter(can_take).collect();
         let counts = if probabilistic { oracle.entities() } else { 0 };
+        let joint = match config.mode {
+            ShieldMode::Joint => Some(JointMonitor::new(&world.program, vocabulary, world.limits)?),
+            _ => None,
+        };
         let shield = Shield {
+            joint,
             circuits: std::iter::repeat_with(OnceLock::new).take(counts).collect(),
             possible,
             oracle,
@@ -86,6 +97,77 @@ impl Shield {
             shield.circuits(1, &Cancel::never())?;
         }
         Ok(shield)
+    }
+
+    /// Returns the joint action of egos that is nearest to a proposed one: the safe one that changes the fewest actions.
+    /// Among equals, earlier egos keep theirs, and then take the action that the rules choose or, if that one is not safe,
+    /// the safe one of highest priority. Egos for which there is no safe joint action take those that the rules choose.
+    /// Each ego has its state, its observer and the proposed action. Afterwards, the states have the clauses that the
+    /// proposed actions violate; see [`ShieldState::reasons`].
+    ///
+    /// # Errors
+    /// `limit-exceeded` if the rules derive too many rows, or the search tries too many joint actions.
+    ///
+    /// # Panics
+    /// If the mode is another one than `joint`.
+    pub fn nearest_safe(
+        &self,
+        egos: &mut [(&mut ShieldState, &Observer, Action)],
+        city: &Simulation,
+    ) -> Result<Vec<Action>, Diagnostic> {
+        let monitor = self.joint.as_ref().expect("the mode is `joint`");
+        let vocabulary = &self.oracle.world().vocabulary;
+        let agents: Vec<usize> = egos.iter().map(|(_, observer, _)| observer.ego()).collect();
+        let mut fallback = Vec::with_capacity(egos.len());
+        // For each ego, the observed egos: the entity and the ego.
+        let mut scopes: Vec<Vec<(usize, usize)>> = Vec::with_capacity(egos.len());
+        for (state, observer, _) in &mut *egos {
+            let derived = state.derive(self, observer, city)?;
+            fallback.push(vocabulary.decide(Some(AgentKind::Car.into()), derived));
+            let others = observer.entities().enumerate().skip(1).filter(|_| monitor.reads_others);
+            let ego_of = |agent: usize| agents.iter().position(|ego| *ego == agent);
+            scopes.push(
+                others
+                    .filter_map(|(entity, agent)| Some((entity, ego_of(agent)?)))
+                    .collect(),
+            );
+        }
+        let others = egos.iter().zip(&fallback).map(|((_, _, proposed), chosen)| {
+            let rest = self.possible.iter().filter(|action| *action != chosen);
+            let all = std::iter::once(chosen).chain(rest);
+            all.filter(|action| *action != proposed).copied().collect()
+        });
+        let proposal = Proposal {
+            actions: egos.iter().map(|(_, _, proposed)| *proposed).collect(),
+            others: others.collect(),
+            scopes: scopes
+                .iter()
+                .map(|scope| scope.iter().map(|(_, ego)| *ego).collect())
+                .collect(),
+        };
+        let mut judge = |ego: usize, joint: &[Action]| -> Result<bool, Diagnostic> {
+            let (state, observer, _) = &mut egos[ego];
+            let mut given = GivenActions::default();
+            given.give(0, joint[ego]);
+            scopes[ego]
+                .iter()
+                .for_each(|&(entity, other)| given.give(entity, joint[other]));
+            let facts = Observed {
+                given: Some(&given),
+                ..observed(&state.atoms, observer, city)
+            };
+            let of = (monitor, self.oracle.constraints());
+            let checked = state.joint.get_or_insert_with(|| JointState::new(monitor));
+            checked.violations(of, facts, joint[ego], &mut state.broken)?;
+            Ok(state.broken.is_empty())
+        };
+        let nearest = proposal.nearest_safe(&fallback, &mut judge)?;
+        for (ego, (action, proposed)) in nearest.iter().zip(&proposal.actions).enumerate() {
+            if action != proposed {
+                judge(ego, &proposal.actions)?;
+            }
+        }
+        Ok(nearest)
     }
 
     /// Checks that the shield fits observations of an oracle with the sensors of a task.
@@ -329,6 +411,8 @@ pub struct ShieldState {
     facts: Vec<f32>,
     probabilities: Vec<f64>,
     broken: Vec<usize>,
+    /// Made on demand.
+    joint: Option<JointState>,
 }
 
 impl ShieldState {
@@ -340,6 +424,7 @@ impl ShieldState {
             facts: Vec::new(),
             probabilities: Vec::new(),
             broken: Vec::new(),
+            joint: None,
         }
     }
 
@@ -418,6 +503,12 @@ impl ShieldState {
             preferred,
             probabilities,
         })
+    }
+
+    /// Returns the clauses that [`Shield::nearest_safe`] found the proposed action to violate in the proposed joint action,
+    /// as positions in [`Oracle::constraints`].
+    pub fn reasons(&self) -> &[usize] {
+        &self.broken
     }
 
     /// Returns the clauses of the shield's rules that an action of the ego violates in the state that was judged last,

@@ -397,6 +397,10 @@ impl Env {
         let Some(shield) = &self.shield else {
             return self.step(proposed);
         };
+        if shield.config().mode == ShieldMode::Joint {
+            let shield = Arc::clone(shield);
+            return self.step_jointly(&shield, proposed);
+        }
         let mut executed: SmallVec<[Action; 4]> = proposed.into();
         for (car, action) in self.controlled_cars.iter_mut().zip(&mut executed) {
             let Some(shielded) = &mut car.shielded else { continue };
@@ -414,6 +418,35 @@ impl Env {
             shielded.reasons.extend_from_slice(broken);
             shielded.replaced = Some(*action);
             *action = verdict.preferred;
+        }
+        self.step(&executed)
+    }
+
+    /// Takes the safe joint action that is nearest to the proposed one.
+    fn step_jointly(&mut self, shield: &Shield, proposed: &[Action]) -> Result<(), Diagnostic> {
+        let mut executed: SmallVec<[Action; 4]> = proposed.into();
+        let mut egos = Vec::with_capacity(proposed.len());
+        let mut running: SmallVec<[usize; 4]> = SmallVec::new();
+        for (number, car) in self.controlled_cars.iter_mut().enumerate() {
+            let ControlledCar { observer, shielded, .. } = car;
+            let Some(shielded) = shielded else { continue };
+            shielded.replaced = None;
+            shielded.reasons.clear();
+            if car.running {
+                egos.push((&mut shielded.state, &*observer, proposed[number]));
+                running.push(number);
+            }
+        }
+        let nearest = shield.nearest_safe(&mut egos, &self.city)?;
+        for (number, action) in running.into_iter().zip(nearest) {
+            let Some(shielded) = &mut self.controlled_cars[number].shielded else {
+                continue;
+            };
+            if action != proposed[number] {
+                shielded.replaced = Some(proposed[number]);
+                shielded.reasons.extend_from_slice(shielded.state.reasons());
+                executed[number] = action;
+            }
         }
         self.step(&executed)
     }

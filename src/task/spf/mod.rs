@@ -175,7 +175,9 @@ impl SpfTask {
 
     /// Returns whether others may tell the ego facts.
     pub fn shares(&self) -> bool {
-        self.sensors.as_ref().is_some_and(|sensors| sensors.config().share.is_some())
+        self.sensors
+            .as_ref()
+            .is_some_and(|sensors| sensors.config().share.is_some())
     }
 
     /// Returns the shield of the configuration, if any. It judges by the rules of the city.
