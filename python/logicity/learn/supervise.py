@@ -66,6 +66,12 @@ def _end_descendants() -> None:
 
 def _main() -> int:
     if sys.platform == "linux":
+        # Ray kills the direct children of a worker that ends. So the supervisor is a child of a child.
+        supervisor = os.fork()
+        if supervisor:
+            _, status = os.waitpid(supervisor, 0)
+            code = os.waitstatus_to_exitcode(status)
+            return code if code >= 0 else 128 - code
         # Become the parent of all descendants whose own parent ends, so that none can leave this process.
         import ctypes
 
