@@ -4,8 +4,8 @@ use crate::builtin::BuiltinFiles;
 use crate::city::{CityMap, MapConfig};
 use crate::cli::failure::Failure;
 use crate::cli::load::missing_is_usage;
-use crate::cli::report::agents_in_words;
-use crate::config::{ActionsConfig, Loaded, Scenario, load_any, missing_file};
+use crate::cli::report::{agents_in_words, plural};
+use crate::config::{ActionsConfig, Loaded, Scenario, SpfConfig, load_any, missing_file};
 use crate::datalog::Program;
 use crate::diag::{Diagnostic, Sources, Span};
 use crate::files::ReadFile as _;
@@ -82,6 +82,24 @@ pub fn open_run(path: &Path, sources: &mut Sources) -> Result<Checked, Failure> 
             Err(Failure::Usage(message))
         }
     }
+}
+
+/// Describes a task in a line.
+fn in_words(task: &SpfConfig) -> String {
+    let mut text = "Safe Path Following".to_owned();
+    if let Some(egos) = task.egos {
+        text += &format!(", {}", plural(egos.value, "ego"));
+    }
+    if let Some(sensors) = &task.sensors {
+        text += &format!(", sensors ({})", sensors.output.name());
+        if let Some(share) = sensors.share {
+            text += &format!(", up to {} by {}", plural(share.facts, "told fact"), share.by.name());
+        }
+    }
+    if let Some(shield) = &task.shield {
+        text += &format!(", shield ({}, {})", shield.value.mode.name(), shield.value.query.name());
+    }
+    text
 }
 
 impl Checked {
@@ -173,11 +191,7 @@ impl Checked {
             let agents = agents_in_words(&scenario.kinds, |kind| set.count_of(kind));
             format!("{} {agents}", split.name())
         });
-        let task = if scenario.task.is_some() {
-            "Safe Path Following"
-        } else {
-            "none"
-        };
+        let task = scenario.task.as_ref().map_or("none".to_owned(), in_words);
         writeln!(out, "{}: a run configuration", path.display())?;
         writeln!(out, "  map: {}, {map}", self.map.name)?;
         writeln!(out, "  agents: {}", agents.collect::<Vec<_>>().join(", "))?;

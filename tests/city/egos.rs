@@ -183,6 +183,8 @@ fn too_many_egos_are_reported() {
             "{fault:?}"
         );
     }
+    let most = fault("{egos: 10}", Split::Train);
+    assert_eq!(most.message, "no split has 10 cars; the largest has 9");
     let fault = fault("{egos: 7}", Split::Train);
     assert_eq!(fault.message, "the split `train` has 6 cars, not 7");
     assert!(

@@ -99,6 +99,7 @@ impl SpfTask {
             })
             .collect();
         faults.extend(too_large_stages(scenario, &config));
+        faults.extend(too_many_egos(scenario, &config));
         if !faults.is_empty() {
             return Err(faults);
         }
@@ -219,6 +220,16 @@ impl SpfTask {
         let region = set.and_then(|set| set.region).map(|region| region.value);
         region.unwrap_or_else(|| self.world().map().rows().unsigned_abs())
     }
+}
+
+/// Reports a number of egos that no split has.
+fn too_many_egos(scenario: &Scenario, config: &SpfConfig) -> Option<Diagnostic> {
+    let cars = |set: &AgentSet| set.count_of(AgentKind::Car.into());
+    let most = scenario.splits.iter().map(|(_, set)| cars(set)).max().unwrap_or(0);
+    let egos = config.egos.filter(|egos| egos.value as usize > most)?;
+    let message = format!("no split has {} cars; the largest has {most}", egos.value);
+    let fault = Diagnostic::new(yaml::codes::INVALID_VALUE, message).at(egos.span, "for these egos");
+    Some(fault.help("lower `egos`, or add cars to a split"))
 }
 
 /// Reports the stages of the curriculum that want more agents than the training split has.
