@@ -11,6 +11,7 @@ from pathlib import Path
 from typing import Annotated, Any, ClassVar, Literal
 
 import numpy as np
+import torch
 from numpy.typing import NDArray
 from pydantic import Field
 
@@ -234,6 +235,8 @@ class SafePathFollowing(Task):
 
     def measure_again(self, cell: Cell, root: Path) -> dict[str, dict[str, Any]]:
         """Evaluate the best policy."""
+        # As in `run`. Several threads would wait for each other at every step.
+        torch.set_num_threads(cell.settings.threads)
         folder = cell.folder(root)
         try:
             policy = load_policy(folder).policy
