@@ -12,7 +12,7 @@ use crate::sim::tick::vocabulary::Actions;
 
 impl Purpose {
     /// The order of the facts that others tell an ego; index: the ego.
-    pub const SHARE: Purpose = Purpose::new(52);
+    pub const SHARE: Purpose = Purpose::new(54);
 }
 
 /// A fact that holds and of which the ego has no reading.
