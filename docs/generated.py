@@ -421,7 +421,7 @@ def environments() -> str:
 
 
 def parallel() -> str:
-    """Return the page of the environment in which every car is controlled."""
+    """Return the page of the environment in which several cars are controlled."""
     imported("logicity.envs.parallel")
     return parallel_page()
 

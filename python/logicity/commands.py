@@ -277,10 +277,10 @@ def _modes(text: str) -> list[str]:
         raise argparse.ArgumentTypeError(str(error)) from None
 
 
-def _named_policy(text: str, trust: bool) -> tuple[Policy, str, str | None, ObservationKind | None]:
-    """Return the policy that an argument names, its name for tables, and the mode and observation of its training."""
+def _named_policy(text: str, trust: bool) -> tuple[Policy, str, str | None, ObservationKind | None, int | None]:
+    """Return the policy that an argument names, its name for tables, and mode, observation and egos of its training."""
     if text in ("oracle", "random"):
-        return cast("Policy", text), text, None, None
+        return cast("Policy", text), text, None, None, None
     path = Path(text)
     if not path.exists():
         if path.suffix or len(path.parts) > 1:
@@ -295,7 +295,7 @@ def _named_policy(text: str, trust: bool) -> tuple[Policy, str, str | None, Obse
     from .learn import load_policy
 
     saved = load_policy(path, trust=trust)
-    return saved.policy, saved.path.stem, saved.mode, saved.observation
+    return saved.policy, saved.path.stem, saved.mode, saved.observation, saved.egos
 
 
 def _rule_file(text: str) -> Path | None:
@@ -331,7 +331,10 @@ def _check_prediction(policy: Policy, name: str, trained: str | None, benchmark:
     if predict is None or isinstance(shape, dict) or model_shape(policy) is not None:
         return
     try:
-        predict(np.zeros((1, *shape), np.float32), state=None, episode_start=np.ones(1, np.bool_), deterministic=True)
+        # A policy of several egos takes a row for each.
+        rows = getattr(policy, "egos", None) or 1
+        starts = np.ones(rows, np.bool_)
+        predict(np.zeros((rows, *shape), np.float32), state=None, episode_start=starts, deterministic=True)
     except InputError:
         raise
     except ValueError as error:
@@ -422,7 +425,7 @@ def _evaluate(given: argparse.Namespace) -> int:
     if given.traces is not None:
         _check_folder("--traces", given.traces)
     results: list[Evaluation] = []
-    trained = kind = None
+    trained = kind = egos = None
     rules = _rule_file(given.policy)
     if rules is not None:
         # The same rules read the observations of each mode in another order.
@@ -430,7 +433,7 @@ def _evaluate(given: argparse.Namespace) -> int:
         name, modes = rules.stem, [each.mode for each in compiled]
         policies: list[Policy] = list(compiled)
     else:
-        policy, name, trained, kind = _named_policy(given.policy, given.trust)
+        policy, name, trained, kind, egos = _named_policy(given.policy, given.trust)
         modes = given.modes or ([checked_mode(trained)] if trained is not None else list(ENVIRONMENTS))
         policies = [policy] * len(modes)
     policy = policies[0]
@@ -440,7 +443,9 @@ def _evaluate(given: argparse.Namespace) -> int:
     if given.traces is not None and policy == "random":
         raise _UsageError("the random policy runs every episode ten times and supports no traces")
     observation = _check_kind(given.observation, kind, policy)
-    benchmarks = [Benchmark(mode, given.split, observation=observation) for mode in modes]
+    # As in the validation and the test of the run.
+    overrides = None if egos is None else {"task": {"egos": egos}}
+    benchmarks = [Benchmark(mode, given.split, observation=observation, overrides=overrides) for mode in modes]
     _check_fit(policy, trained, benchmarks)
     folders = [None if given.traces is None else given.traces / stem for stem in stems]
     runs = list(zip(benchmarks, policies, folders, strict=True))
@@ -480,7 +485,9 @@ def _train(given: argparse.Namespace) -> int:
         raise located(given.config, config, error) from error
     spent = f"{result['cpu_seconds']:,.0f} CPU seconds"
     print_text(f"{result['steps']} {result['unit']} in {spent}; best after {result['best']['steps']}")
-    for name, label in {"compliance": "compliance", "tsr": "TSR", "dsr": "DSR"}.items():
+    for name, label in {"compliance": "compliance", "tsr": "TSR", "joint_tsr": "joint TSR", "dsr": "DSR"}.items():
+        if name not in result["test"]:
+            continue
         print_text(f"{label} on test episodes: {Interval(**result['test'][name])}")
     print_text(f"all results in {run / 'result.json'}")
     return 0

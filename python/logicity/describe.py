@@ -125,8 +125,8 @@ def parallel_page() -> str:
         "`reset(seed=s)` begins a sequence of drawn episodes, and further calls of `reset()` continue it. The seed "
         "determines the start and the goal of every agent and all later random draws. "
         "With `task.egos`, it also determines the priority and the concepts of each ego, otherwise those of the first. "
-        '`reset(options={"episode": env.episode})` starts the same episode again. Recorded episodes have one '
-        "controlled car, so this environment takes none of them by number. All agents rest at first.\n"
+        '`reset(options={"episode": env.episode})` starts the same episode again, and `reset(options={"episode": 7})` '
+        "a recorded one, with the horizon of the configuration. All agents rest at first.\n"
     )
     end = (
         "- *Termination* of a car: it reaches its goal, or its action violates a clause.\n"

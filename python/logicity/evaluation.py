@@ -89,10 +89,10 @@ class EpisodeRecord:
         constrained: The number of steps in which the rules required an action, by the name of the action.
         violations: The names of the clauses that the last action violated.
         ego: The number of the ego, from 0, if the configuration has several (`task.egos`). Each has its own record.
-        clauses: With `task.sensors.share`, the numbers of clauses that applied to the car, which are those that some
-            action would have violated, summed over the steps: those that it observed fully, partly and not at all. A
-            clause is observed fully if it also applies by what the car observes, and partly if the car observes one of
-            the facts that the clause needs. Otherwise, and for the random policy, `None`.
+        observed_clauses: With `task.sensors.share`, the numbers of clauses that applied to the car, which are those
+            that some action would have violated, summed over the steps: those that it observed fully, partly and not at
+            all. A clause is observed fully if it also applies by what the car observes, and partly if the car observes
+            one of the facts that the clause needs. Otherwise, and for the random policy, `None`.
     """
 
     episode: int
@@ -104,15 +104,15 @@ class EpisodeRecord:
     constrained: Mapping[str, int]
     violations: tuple[str, ...]
     ego: int = 0
-    clauses: tuple[int, int, int] | None = None
+    observed_clauses: tuple[int, int, int] | None = None
 
 
 @dataclass(frozen=True)
 class Evaluation:
     """The measures of a policy on a set of episodes. Rates are from 0 to 1, with Wilson intervals.
 
-    With several egos (`task.egos` of the configuration), a rate counts every ego of every episode, its interval allows
-    for egos of the same episode that do alike, and returns are means over the egos.
+    With several egos (`task.egos` of the configuration), a rate counts every ego of every episode, its interval
+    accounts for the correlation between the egos of an episode, and returns are means over the egos.
 
     Attributes:
         mode: The mode, or the path of the configuration file.
@@ -130,7 +130,7 @@ class Evaluation:
         joint_tsr: With several egos, the share of episodes in which all of them reach their goals in time without
             violating a rule; `None` with one.
         joint_dsr: With several egos, the share of episodes in which the rules require an action of an ego at least once
-            and no ever violates a rule; `None` with one.
+            and no ego violates a rule; `None` with one.
     """
 
     policy: str
@@ -169,14 +169,14 @@ class Evaluation:
     def observed(self) -> tuple[float, float, float] | None:
         """Return the shares of the applying clauses that were observed fully, partly and not at all.
 
-        If nobody counted them, or no clause applied, return `None`.
+        Return `None` if the evaluation did not count clauses, which needs `task.sensors.share`, or none applied.
         """
-        counts = [record.clauses for record in self.episodes if record.clauses is not None]
+        counts = [record.observed_clauses for record in self.episodes if record.observed_clauses is not None]
         sums = [sum(each) for each in zip(*counts, strict=True)]
         if not sum(sums):
             return None
-        fully, partly, never = (each / sum(sums) for each in sums)
-        return fully, partly, never
+        fully, partly, unobserved = (each / sum(sums) for each in sums)
+        return fully, partly, unobserved
 
     def required(self) -> dict[str, float]:
         """Return the share of all steps in which the rules required each action."""
@@ -190,15 +190,15 @@ class Evaluation:
         }
 
     def to_dict(self) -> dict[str, Any]:
-        """Return a dictionary for JSON. Keys about several egos or what others tell are missing without these."""
+        """Return a dictionary for JSON, without the keys of features that were not used."""
         values = asdict(self)
         if self.joint_tsr is None:
             del values["joint_tsr"], values["joint_dsr"]
         for record in values["episodes"]:
             if self.joint_tsr is None:
                 del record["ego"]
-            if record["clauses"] is None:
-                del record["clauses"]
+            if record["observed_clauses"] is None:
+                del record["observed_clauses"]
         return values
 
 
@@ -382,23 +382,19 @@ class Benchmark:
         if folder is not None:
             folder.mkdir(parents=True, exist_ok=True)
             self.check_traces(folder, overwrite)
-        taken = [bytearray() for _ in range(len(evaluator))]
         with Progress(f"{self.mode} {self.split}, {named}", len(evaluator)) as progress:
             while running.any():
                 evaluator.observe(observations)
                 given = observations if self._views is None else self._views(observations)
                 actions = _checked(act(given, running), count, names)
                 evaluator.step(actions)
-                if folder is not None:
-                    for at in np.flatnonzero(running.reshape(-1, egos).any(1)):
-                        taken[at].extend(actions[at * egos : (at + 1) * egos].tolist())
                 evaluator.running(running)
                 progress.update(int((~running.reshape(-1, egos).any(1)).sum()))
         if folder is not None:
-            with Progress(f"{self.mode} {self.split}, traces", len(taken)) as progress:
-                for episode, numbers in enumerate(taken):
+            with Progress(f"{self.mode} {self.split}, traces", len(evaluator)) as progress:
+                for episode in range(len(evaluator)):
                     target = (folder / _trace_name(episode), "evaluate", overwrite)
-                    self._task.write_trace(self.split, evaluator.episode(episode), bytes(numbers), target)
+                    self._task.write_trace(self.split, evaluator.episode(episode), evaluator.taken(episode), target)
                     progress.update(episode + 1)
         return self._result(named, evaluator.report(self._baseline()))
 
@@ -419,10 +415,12 @@ class Benchmark:
     def _check_egos(self, policy: Policy | Sequence[Policy], egos: int) -> None:
         count = len(policy) if isinstance(policy, (list, tuple)) else getattr(policy, "egos", None)
         if count not in (None, egos):
+            help = f"set `task.egos` to {count}, or pass one policy for all egos" if count else "pass one for each ego"
             raise ValueError(
-                f"{count} {'policy' if count == 1 else 'policies'} for {egos} ego{'' if egos == 1 else 's'}: set "
-                f"`task.egos` to {count}, or pass one policy for all egos"
+                f"{count} {'policy' if count == 1 else 'policies'} for {egos} ego{'' if egos == 1 else 's'}: {help}"
             )
+        if isinstance(policy, (list, tuple)) and "random" in [each for each in policy if isinstance(each, str)]:
+            raise ValueError("the random policy runs every episode ten times, so it cannot be one of a list")
 
     def _check_model(self, policy: Policy) -> None:
         shape = model_shape(policy)
@@ -457,7 +455,7 @@ class Benchmark:
                     **{
                         **record,
                         "violations": tuple(record["violations"]),
-                        "clauses": tuple(record["clauses"]) if "clauses" in record else None,
+                        "observed_clauses": tuple(record["observed_clauses"]) if "observed_clauses" in record else None,
                     }
                 )
                 for record in report["episodes"]

@@ -340,6 +340,11 @@ def demonstrations(
         )
     checked_kind(observation)
     task = load_task(mode, options.get("rules"), options.get("overrides"))
+    if _logicity.layout(task)["egos"] is not None:
+        # Here the oracle drives only the first car.
+        overrides = dict(options.get("overrides") or {})
+        options["overrides"] = {**overrides, "task": {**(overrides.get("task") or {}), "egos": None}}
+        task = load_task(mode, options.get("rules"), options["overrides"])
     count = task.recorded(split)
     wanted = count if n is None else as_integer("n", n)
     if not 1 <= wanted <= count:

@@ -234,11 +234,11 @@ impl PyVectorEnv {
     }
 
     /// Writes for each ego whether its action counts in the next step.
-    fn acts(slf: &Bound<'_, Self>, mut out: PyReadwriteArrayDyn<'_, bool>) -> PyResult<()> {
+    fn active(slf: &Bound<'_, Self>, mut out: PyReadwriteArrayDyn<'_, bool>) -> PyResult<()> {
         let this = borrowed(slf)?;
         let out = slice_of(&mut out, this.rows_of_egos())?;
         for (at, ego, place) in this.egos_of_all() {
-            out[place] = this.vector.sub_envs()[at].acts(ego);
+            out[place] = this.vector.sub_envs()[at].is_active(ego);
         }
         Ok(())
     }
@@ -696,7 +696,7 @@ impl PyVectorEnv {
             };
             let sub_env = &sub_envs[at];
             // The action after the end of an episode only begins the next one.
-            let running = sub_env.acts(ego);
+            let running = sub_env.is_active(ego);
             let says = (sub_env.env().shield(), sub_env.info(ego).verdict.filter(|_| running));
             check_permitted(py, says, (action, table.name(action)), of)?;
         }

@@ -162,6 +162,15 @@ impl PyBatchEvaluator {
         actions.collect::<Vec<i64>>().into_pyarray(py)
     }
 
+    /// Returns the actions that the cars have taken in an episode, which shields may have replaced, one byte per step and
+    /// ego.
+    fn taken(&self, at: usize) -> PyResult<Vec<u8>> {
+        let env = self.evaluator.envs().get(at);
+        let env = env.ok_or_else(|| PyIndexError::new_err(format!("there is no episode {at}")))?;
+        let byte = |action: &Action| u8::try_from(action.index()).expect("less than 16");
+        Ok(env.taken().flatten().map(byte).collect())
+    }
+
     /// Steps every running episode. `actions` has one per episode and ego.
     fn step(&mut self, py: Python<'_>, actions: PyReadonlyArray1<'_, i64>) -> PyResult<()> {
         let given = actions.as_array();
@@ -210,7 +219,7 @@ fn report<'py>(
     summary: &Summary,
     (rollouts, runs): (&[Rollout], usize),
 ) -> PyResult<Bound<'py, PyAny>> {
-    let egos = task.task.egos();
+    let egos = task.task.evaluated_egos();
     let record = |(at, rollout): (usize, &Rollout)| {
         let episode = at / (runs * egos);
         let table = table_of(&task.task);
@@ -223,7 +232,7 @@ fn report<'py>(
             "violations": labels.collect::<Vec<&str>>(),
         });
         if task.task.shares() && runs == 1 {
-            record["clauses"] = json!(rollout.clauses);
+            record["observed_clauses"] = json!(rollout.observed_clauses);
         }
         if egos > 1 {
             record["ego"] = json!(at % egos);

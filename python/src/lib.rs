@@ -7,8 +7,8 @@
 //! - `checked`: checked rules for Python code that evaluates them;
 //! - `circuits`: exact probabilities of decisions, with gradients;
 //! - `city`: scenes and simulations; `config`: configuration files that Python interprets;
-//! - `task`: the task of environments; `episode`: the start of an episode; `env`: environments with one controlled car;
-//!   of policies;
+//! - `task`: the task of environments; `episode`: the start of an episode; `env`: environments with one or several
+//!   controlled cars; `actor`: networks that run in environments; `evaluate`: metrics of policies;
 //! - `induce`: rules learned from demonstrations;
 //! - `predicate`: base predicates that Python functions compute;
 //! - `vap`: data sets of Visual Action Prediction.

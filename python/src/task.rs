@@ -76,12 +76,12 @@ pub fn shield_of(py: Python<'_>, rules: &PyTask, (mode, query, threshold): &Shie
     let mode = one_of("mode", mode, &ShieldMode::ALL, ShieldMode::name)?;
     let query = match query {
         Some(query) => one_of("query", query, &ShieldQuery::ALL, ShieldQuery::name)?,
-        None => mode.usual_query(),
+        None => mode.default_query(),
     };
-    if !mode.answers(query) {
+    if !mode.supports(query) {
         let (mode, query) = (mode.name(), query.name());
         return Err(PyValueError::new_err(format!(
-            "the mode `{mode}` does not answer the query `{query}`: use `query=\"safe\"`"
+            "the mode `{mode}` does not support the query `{query}`: use `query=\"safe\"`"
         )));
     }
     let config = ShieldConfig {

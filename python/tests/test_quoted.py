@@ -114,12 +114,12 @@ QUOTES: dict[str, list[str]] = {
         f"{told('expert', '8', 'distance')}, and eight at random {told('easy', '8', 'random')} and "
         f"{told('expert', '8', 'random')}",
         *(
-            f"bring it to {told('easy', k, 'from cars')} and {told('expert', k, 'from cars')}, with any k"
+            f"raise it only to {told('easy', k, 'from cars')} and {told('expert', k, 'from cars')}, for k from 1 to 8"
             for k in ("1", "2", "4", "8")
         ),
         f"policy of one all succeed in {egos('ppo-fast', '8 egos')} of the episodes, although each succeeds in "
         f"{egos('ppo-fast', '8 egos', 'tsr')}, and in {egos('ppo-fast', '8 egos, shield')} behind a shield",
-        f"they succeed in {egos('ppo-fast-4', '8 egos')} without a shield; exact rules reach "
+        f"with four all succeed in {egos('ppo-fast-4', '8 egos')} without a shield; exact rules reach "
         f"{egos('induce', '8 egos')}",
         f"changes little: {egos('ppo-fast-4', '8 egos', mode='easy')} against "
         f"{egos('ppo-fast', '8 egos', mode='easy')}",

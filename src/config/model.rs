@@ -352,8 +352,8 @@ pub enum ShareOrder {
     /// By the distance from the ego to the farthest agent of the fact.
     #[default]
     Distance,
-    /// First a set of facts that lets the rules choose what they choose with all facts, and from which no fact can be
-    /// left out; then the others by distance.
+    /// First some facts with which the rules derive the same actions as with all facts that could be told; then the
+    /// others by distance.
     Relevance,
     /// In random order.
     Random,
@@ -420,7 +420,7 @@ impl ShieldMode {
         ShieldMode::Joint,
     ];
 
-    /// Returns its name: `mask`, `override` or `probabilistic`.
+    /// Returns its name in configurations.
     pub const fn name(self) -> &'static str {
         match self {
             ShieldMode::Mask => "mask",
@@ -430,16 +430,16 @@ impl ShieldMode {
         }
     }
 
-    /// Returns the query unless another one is given: `safe` in the mode `joint`, else `appropriate`.
-    pub fn usual_query(self) -> ShieldQuery {
+    /// Returns the default query: `safe` in the mode `joint`, else `appropriate`.
+    pub fn default_query(self) -> ShieldQuery {
         match self {
             ShieldMode::Joint => ShieldQuery::Safe,
             _ => ShieldQuery::default(),
         }
     }
 
-    /// Returns whether shields of this mode answer a query.
-    pub fn answers(self, query: ShieldQuery) -> bool {
+    /// Returns whether shields of this mode support a query.
+    pub fn supports(self, query: ShieldQuery) -> bool {
         self != ShieldMode::Joint || query == ShieldQuery::Safe
     }
 }

@@ -13,7 +13,7 @@ pub(super) fn shield(node: &YamlNode, faults: &mut Vec<Diagnostic>) -> Option<Sh
     let mode = (fields.required("mode", faults)).and_then(|node| choice(node, &modes, faults));
     let queries = ShieldQuery::ALL.map(|query| (query.name(), query));
     let query_node = fields.optional("query");
-    let usual = mode.map_or(ShieldQuery::default(), ShieldMode::usual_query);
+    let usual = mode.map_or(ShieldQuery::default(), ShieldMode::default_query);
     let query = query_node.map_or(Some(usual), |node| choice(node, &queries, faults));
     let threshold_node = fields.optional("threshold");
     let threshold = threshold_node.map_or(Some(ShieldConfig::THRESHOLD), |node| {
@@ -28,9 +28,9 @@ pub(super) fn shield(node: &YamlNode, faults: &mut Vec<Diagnostic>) -> Option<Sh
         return None;
     }
     let query = query?;
-    if let Some(node) = query_node.filter(|_| !mode.answers(query)) {
+    if let Some(node) = query_node.filter(|_| !mode.supports(query)) {
         let message = format!(
-            "the mode `{}` does not answer the query `{}`",
+            "the mode `{}` does not support the query `{}`",
             mode.name(),
             query.name()
         );

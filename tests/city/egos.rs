@@ -124,7 +124,7 @@ fn vectors_equal_individual_environments() {
                     let (row, info) = seen(env, ego);
                     assert_eq!(shown[(at * EGOS + ego) * width..][..width], row, "step {step}");
                     assert_eq!(*sub_env.info(ego), info, "step {step}");
-                    assert_eq!(sub_env.acts(ego), env.controlled_cars()[ego].is_running());
+                    assert_eq!(sub_env.is_active(ego), env.controlled_cars()[ego].is_running());
                 }
             }
         }
@@ -176,6 +176,15 @@ fn too_many_egos_are_reported() {
         Ok(task) => Env::new(Arc::new(task), split, ControlMode::Egos).err().unwrap(),
         Err(mut faults) => faults.swap_remove(0),
     };
+    let shield = fault("{shield: {mode: joint, query: appropriate}}", Split::Train);
+    assert_eq!(
+        shield.message,
+        "the mode `joint` does not support the query `appropriate`"
+    );
+    assert!(
+        shield.primary.is_some() && shield.help[0].contains("query: safe"),
+        "{shield:?}"
+    );
     for keys in ["{egos: 0}", "{egos: two}", "{egos: 2000}"] {
         let fault = fault(keys, Split::Train);
         assert!(
@@ -226,7 +235,7 @@ fn plain_trajectories(
     let mut done = vec![[const { Vec::new() }; 5]; rows];
     for step in 0..steps {
         let acts: Vec<bool> = (0..rows)
-            .map(|row| vector.sub_envs()[row / egos].acts(row % egos))
+            .map(|row| vector.sub_envs()[row / egos].is_active(row % egos))
             .collect();
         let outputs: Vec<[f32; 5]> = (0..rows)
             .map(|row| value(row, &shown[row * width..][..width]))
@@ -249,7 +258,7 @@ fn plain_trajectories(
             let outcome = sub_env.outcome(ego);
             let info = sub_env.ended().map_or(sub_env.info(ego), |(_, infos)| &infos[ego]);
             let ending = match outcome {
-                _ if !acts[row] => Ending::Absent,
+                _ if !acts[row] => Ending::Inactive,
                 outcome if outcome.truncated => Ending::Horizon,
                 outcome if !outcome.terminated => Ending::None,
                 _ if info.success => Ending::Success,
@@ -320,7 +329,7 @@ fn trajectories_equal_single_steps() {
                     "row {row}, step {step}"
                 );
                 endings[usize::from(found.endings[at])] += 1;
-                if found.endings[at] == Ending::Absent as u8 {
+                if found.endings[at] == Ending::Inactive as u8 {
                     absent += 1;
                     assert_eq!(found.states[at], 0);
                 } else {
@@ -440,8 +449,7 @@ Stop(X) :- Slow(Y), CollidingClose(X, Y), IsCar(X).
 Stop(X) :- IsAtInter(X), IsInInter(Y), IsClose(X, Y).
 ";
 
-/// Returns whether the action of an ego is safe in a joint action, by the definition of the rules above. `others` are the
-/// actions of the other egos, by agent.
+/// Returns whether the action of an ego is safe in a joint action, by the definition of the rules above.
 fn is_safe(env: &Env, ego: usize, joint: &[Action]) -> bool {
     let observer = env.controlled_cars()[ego].observer();
     let predicates = &env.task().world().vocabulary.predicates;

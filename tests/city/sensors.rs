@@ -435,7 +435,7 @@ fn told_facts_are_those_of_the_definition() {
     let plain = sensed("{range: 9}");
     let mut decider = Decider::new(Arc::clone(plain.oracle())).unwrap();
     let mut decide = |numbers: &[f32]| decider.action(numbers, &Cancel::never()).unwrap();
-    let (mut told_facts, mut relevant_sets, mut bounded, mut unknown) = (0, 0, 0, 0);
+    let (mut told_facts, mut relevant_sets, mut bounded, mut unknown, mut farther) = (0, 0, 0, 0, 0);
     for (by, from, radius, entities) in [
         ("distance", "assistant", None, None),
         ("distance", "assistant", None, Some(1)),
@@ -534,7 +534,12 @@ fn told_facts_are_those_of_the_definition() {
                     }
                     expected.sort_unstable();
                     match by {
-                        "random" => assert_eq!(told.len(), facts.min(order.len())),
+                        "random" => {
+                            assert_eq!(told.len(), facts.min(order.len()));
+                            let mut nearest = order[..told.len()].to_vec();
+                            nearest.sort_unstable();
+                            farther += usize::from(told != nearest);
+                        }
                         _ => assert_eq!(told, expected, "{by} {from} {facts} {seed}"),
                     }
                     told_facts += told.len();
@@ -547,8 +552,8 @@ fn told_facts_are_those_of_the_definition() {
         }
     }
     assert!(
-        told_facts > 1000 && relevant_sets > 20 && bounded > 100 && unknown > 100,
-        "{told_facts} {relevant_sets} {bounded} {unknown}"
+        told_facts > 1000 && relevant_sets > 20 && bounded > 100 && unknown > 100 && farther > 50,
+        "{told_facts} {relevant_sets} {bounded} {unknown} {farther}"
     );
 }
 
@@ -624,11 +629,14 @@ fn observed_clauses_are_counted() {
 fn faulty_shares_are_reported_at_their_place() {
     for (share, message) in [
         ("{}", "`facts`"),
-        ("{facts: -1}", "0"),
+        ("{facts: -1}", "expected a whole number from 0 to 10000, found `-1`"),
         ("{facts: 2, by: distanse}", "`distanse`"),
         ("{facts: 2, from: egos}", "`egos`"),
         ("{facts: 2, radius: 5}", "the assistant has no radius"),
-        ("{facts: 2, from: cars, radius: 0}", "1"),
+        (
+            "{facts: 2, from: cars, radius: 0}",
+            "expected a whole number from 1 to 1000000, found `0`",
+        ),
         ("{facts: 2, entites: 3}", "`entites`"),
     ] {
         let config = format!("base: expert\ntask: {{sensors: {{share: {share}}}}}\n");

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import os
+from collections.abc import Mapping
 from typing import TYPE_CHECKING, Any, cast
 
 import numpy as np
@@ -91,20 +92,20 @@ class SPFParallelEnv(BaseEnv, ParallelEnv[str, Any, "np.int64 | int"]):
 
         Args:
             seed: The seed of a new sequence of episodes, from 0 to 2**64 - 1. `None` continues the sequence.
-            options: `episode` is a mapping such as the property `episode`. Other keys have no effect, as PettingZoo
+            options: `episode` is the number of a recorded episode of the split, whose horizon is then that of the
+                configuration, or a mapping such as the property `episode`. Other keys have no effect, as PettingZoo
                 requires.
 
         Raises:
+            IndexError: If the recorded episode does not exist.
             InputError: If the mapping is not a valid episode of this environment (`invalid-episode`).
-            ValueError: If the episode is not a mapping.
+            ValueError: If the option is neither a number nor a mapping.
         """
         options = options or {}
         if seed is not None or not self._seeded:
             self._core.seed(0, checked_seed(seed, np_random(seed)[0]), 0)
             self._seeded = True
         episode = parse_episode(options.get("episode"))
-        if not (episode is True or isinstance(episode, dict)):
-            raise ValueError("`episode` must be a mapping: recorded episodes have only one controlled car")
         self.agents, self._begun = [], False
         observations = np.empty((len(self.possible_agents), *self._shape), np.float32)
         self._core.reset([episode], observations)
@@ -136,6 +137,8 @@ class SPFParallelEnv(BaseEnv, ParallelEnv[str, Any, "np.int64 | int"]):
         """
         self._check_begun()
         live = self.agents
+        if not isinstance(actions, Mapping):
+            raise InvalidAction(f"expected a mapping from cars to actions, not {type(actions).__name__}")
         for name in actions:
             if name not in self._index:
                 raise InvalidAction(self._unknown(name))

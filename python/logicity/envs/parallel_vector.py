@@ -36,12 +36,12 @@ class SPFParallelVectorEnv(BaseVectorEnv):
     has no effect, its reward is 0, and it neither terminates nor is truncated.
 
     Arrays begin with the shape (num_envs, egos): observations, rewards (float64), `terminated` (bool), `truncated`
-    (bool), actions and the values of `infos`, which have the keys of `SPFVectorEnv` and `acts` (bool): whether the
+    (bool), actions and the values of `infos`, which have the keys of `SPFVectorEnv` and `active` (bool): whether the
     action of the ego has an effect in the next step. The masks of `infos` under `_key` have the shape (num_envs,). In
     the autoreset mode SameStep, `final_obs` and `final_info` describe the episodes that ended for all egos: `success`
     in `final_info` says which egos have succeeded, so `final_info["success"].all(1)` is the joint success.
 
-    It is no `gymnasium.vector.VectorEnv`, whose rewards have the shape (num_envs,).
+    It is not a `gymnasium.vector.VectorEnv`, whose rewards have the shape (num_envs,).
 
     Attributes:
         possible_agents: The names of the egos, in the order of the axis.
@@ -88,10 +88,10 @@ class SPFParallelVectorEnv(BaseVectorEnv):
 
     def _infos(self, columns: Any, mask: NDArray[np.bool_], ended: bool = False) -> dict[str, Any]:
         infos = super()._infos(columns, mask, ended)
-        infos["acts"] = np.zeros(self._lead, np.bool_)
+        infos["active"] = np.zeros(self._lead, np.bool_)
         if not ended:
-            self._core.acts(infos["acts"])
-        infos["_acts"] = mask.copy()
+            self._core.active(infos["active"])
+        infos["_active"] = mask.copy()
         return infos
 
     def collect(
@@ -108,7 +108,7 @@ class SPFParallelVectorEnv(BaseVectorEnv):
             The arrays of `SPFVectorEnv.collect` for each network. Those with a row per environment have one for each
             ego that the network drives: of shape (num_envs, steps), or (num_envs x egos, steps) for a network of all
             egos, with the egos of an environment one after the other. `endings` is 4 in the steps of an ego whose
-            episode had ended before: they are to be left out.
+            episode had ended before: ignore these steps.
 
         Raises:
             gymnasium.error.ResetNeeded: If an episode has not started.

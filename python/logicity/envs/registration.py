@@ -41,7 +41,7 @@ def register_environments() -> None:
 
 
 def parallel_env(config: str | os.PathLike[str] = "expert", **arguments: Any) -> SPFParallelEnv:
-    """Make a PettingZoo `ParallelEnv` in which every car is a controlled agent. Needs the extra `pettingzoo`.
+    """Make a PettingZoo `ParallelEnv` in which several cars are controlled agents. Needs the extra `pettingzoo`.
 
     The arguments and exceptions are those of `logicity.envs.SPFParallelEnv`.
     """

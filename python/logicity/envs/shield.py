@@ -36,10 +36,11 @@ def shield(
             is permitted if the probability that it is appropriate or safe is at least `threshold`; the most probable
             action is always permitted. Facts have the probabilities that the sensors output, and count as independent.
             The rules may not read quantities, name agents, or aggregate over facts. `joint`: the egos of an environment
-            take the safe joint action that changes the fewest proposed actions. A joint action is safe if, with all of
-            it, no clause demands another action of an ego; so rules can read the actions of other egos. Among equals,
-            earlier cars keep their action, and then take the one that the rules choose. If no joint action is safe,
-            they take those that the rules choose. `shield_mask` and `explain_shield` are then about each ego alone.
+            take the safe joint action that changes the fewest proposed actions. A joint action is safe if, given the
+            actions of all egos, no clause demands a different action of any of them; so rules can read the actions of
+            other egos. Among several, the first car decides first: it keeps its action if it can, and otherwise takes
+            the one that the rules choose; then the second car decides, and so on. If no joint action is safe, the egos
+            take what the rules choose. `shield_mask` and `explain_shield` are then about each ego alone.
         query: `appropriate` (default) or `safe`, which is the only one of the mode `joint` and its default. If no
             action is safe, the shield permits the one that the rules choose.
         threshold: The threshold of the mode `probabilistic`, 0 to 1 (default: 0.5).

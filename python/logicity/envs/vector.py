@@ -35,7 +35,7 @@ __all__ = ["BaseVectorEnv", "SPFVectorEnv"]
 
 
 class BaseVectorEnv(BaseEnv):
-    """What vectorized environments share: all but the shape in which their arrays begin.
+    """The common base of vectorized environments, whose arrays differ in their leading shape.
 
     Attributes:
         num_envs: The number of environments.
@@ -46,7 +46,7 @@ class BaseVectorEnv(BaseEnv):
     num_envs: int
     autoreset_mode: AutoresetMode
     copy: bool
-    #: The shape in which arrays begin: the environments, and the egos if there are several.
+    #: The leading shape of all arrays: the environments, and the egos if there are several.
     _lead: tuple[int, ...]
 
     def _begin(
@@ -81,7 +81,7 @@ class BaseVectorEnv(BaseEnv):
         return core
 
     def _generator(self, seed: int | None) -> np.random.Generator:
-        """Return the generator of the seeds of environments, after a reset with `seed`."""
+        """Return the generator of the seeds of environments; `seed` reseeds it."""
         raise NotImplementedError
 
     def reset(
@@ -257,8 +257,14 @@ class BaseVectorEnv(BaseEnv):
         It has the seed of the episodes with the number of episodes started, and, if an episode has started, its start
         and the actions taken.
         """
+        egos = {} if len(self._lead) == 1 else {"egos": self._lead[1]}
         return [
-            {"source": source, "episode": None if begun is None else begun[0], "actions": (begun or ({}, b""))[1].hex()}
+            {
+                **egos,
+                "source": source,
+                "episode": None if begun is None else begun[0],
+                "actions": (begun or ({}, b""))[1].hex(),
+            }
             for source, begun in self._states()
         ]
 
@@ -273,6 +279,8 @@ class BaseVectorEnv(BaseEnv):
             raise ValueError(f"a state of {len(state)} environments, not of {self.num_envs}")
         states: interface.States = []
         try:
+            if other := next((each for each in state if each.get("egos", 1) != self._rows // self.num_envs), None):
+                raise ValueError(f"a state of {other.get('egos', 1)} egos, not of {self._rows // self.num_envs}")
             for each in state:
                 seed, begun = (checked_integer("source", number) for number in each["source"])
                 actions = bytes.fromhex(each["actions"])

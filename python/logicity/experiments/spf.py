@@ -284,10 +284,11 @@ class SafePathFollowing(Task):
 
 
 def per_episode(evaluation: Mapping[str, Any]) -> dict[str, NDArray[np.float64]]:
-    """Return TSR, DSR and Score of each episode: 0 or 1, and the return minus the random policy's mean return.
+    """Return the measures of each episode.
 
-    With several egos they are means over the egos, and the joint TSR follows. If others may tell the ego facts, the
-    share of applying clauses follows that it observed fully, 1 in an episode in which none applied.
+    TSR and DSR are 0 or 1, and Score is the return minus the random policy's mean return. With several egos they are
+    means over the egos, and there is the joint TSR. If others may tell the ego facts, there is also the share of
+    applying clauses that it observed fully, or 1 if none applied.
     """
     if "samples" in evaluation:
         return {name: np.array(values, np.float64) for name, values in evaluation["samples"].items()}
@@ -306,8 +307,10 @@ def per_episode(evaluation: Mapping[str, Any]) -> dict[str, NDArray[np.float64]]
     }
     if success.shape[1] > 1:
         measures["joint_tsr"] = success.min(1)
-    if records and "clauses" in records[0]:
-        counts = np.array([record["clauses"] for record in records], np.float64).reshape(len(random), -1, 3).sum(1)
+    if records and "observed_clauses" in records[0]:
+        counts = (
+            np.array([record["observed_clauses"] for record in records], np.float64).reshape(len(random), -1, 3).sum(1)
+        )
         measures["observed"] = np.where(counts.sum(1) > 0, counts[:, 0] / np.maximum(counts.sum(1), 1), 1.0)
     return measures
 

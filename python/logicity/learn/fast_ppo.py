@@ -56,7 +56,7 @@ LOG_EVERY = 50
 #: The endings of episodes in the training curves, by their number in `SPFVectorEnv.collect`.
 ENDINGS = {1: "violation", 2: "success", 3: "horizon"}
 #: The ending of a step of an ego whose episode had ended before.
-ABSENT = 4
+INACTIVE = 4
 
 
 class FastPPOSettings(LearnerSettings):
@@ -96,7 +96,7 @@ class FastPPOSettings(LearnerSettings):
 
     @model_serializer(mode="wrap")
     def _without_default(self, serialize: SerializerFunctionWrapHandler) -> dict[str, Any]:
-        """Leave out the default of `policies`, so that the settings of one ego look as before it existed."""
+        """Omit the default of `policies`, so that hashes of settings stay the same."""
         values: dict[str, Any] = serialize(self)
         if values.get("policies") == "shared":
             del values["policies"]
@@ -469,7 +469,7 @@ class FastPPO(Learner):
         settings, begun = self._settings, time.process_time()
         values, ended = done["outputs"][done["states"], -1], done["endings"] > 0
         estimates = advantages(done["rewards"], values, done["next_values"], ended, settings.gamma, settings.gae_lambda)
-        returns, acts = estimates + values, done["endings"] != ABSENT
+        returns, acts = estimates + values, done["endings"] != INACTIVE
         columns = [done["states"], done["actions"], estimates, returns]
         if not acts.all():
             if not acts.any():

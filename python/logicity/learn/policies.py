@@ -32,6 +32,7 @@ class SavedPolicy:
         algorithm: The name of the learner.
         mode: The mode of the training, or the path of its configuration file; `None` if nothing records it.
         observation: The kind of observation of the training; `None` if nothing records it.
+        egos: The number of egos that the run trained (`task.egos` in its overrides); `None` if it records none.
     """
 
     policy: LearnedPolicy
@@ -39,6 +40,7 @@ class SavedPolicy:
     algorithm: str
     mode: str | None
     observation: ArrayKind | None
+    egos: int | None = None
 
 
 def load_policy(path: str | os.PathLike[str], *, trust: bool = False) -> SavedPolicy:
@@ -92,7 +94,7 @@ def load_policy(path: str | os.PathLike[str], *, trust: bool = False) -> SavedPo
     if file.suffix != ".zip":
         policy = learner_class(algorithm).policy_class.load(file)
     mode, observation = (recorded.get(key, saved.get(key)) for key in ("mode", "observation"))
-    return SavedPolicy(policy, file, algorithm, mode, observation)
+    return SavedPolicy(policy, file, algorithm, mode, observation, recorded.get("egos"))
 
 
 def _recorded(file: Path) -> dict[str, Any]:
@@ -102,4 +104,8 @@ def _recorded(file: Path) -> dict[str, Any]:
     with suppress(OSError, RecursionError, ValueError):
         config = read_json(run / "config.json")
     known = config if isinstance(config, dict) else {}
-    return {key: known[key] for key in ("mode", "observation") if isinstance(known.get(key), str)}
+    found: dict[str, Any] = {key: known[key] for key in ("mode", "observation") if isinstance(known.get(key), str)}
+    task = overrides.get("task") if isinstance(overrides := known.get("overrides"), dict) else None
+    if isinstance(task, dict) and isinstance(task.get("egos"), int):
+        found["egos"] = task["egos"]
+    return found

@@ -66,7 +66,7 @@ def _end_descendants() -> None:
 
 def _main() -> int:
     if sys.platform == "linux":
-        # Ray kills the direct children of a worker that ends. So the supervisor is a child of a child.
+        # Ray kills the direct children of an ending worker. As a grandchild, the supervisor survives and ends the rest.
         supervisor = os.fork()
         if supervisor:
             _, status = os.waitpid(supervisor, 0)

@@ -1,7 +1,7 @@
 //! Joint shields: the safe joint action of several egos that is nearest to the proposed one.
 //!
-//! Whether the action of an ego is safe depends on the actions of those egos only that its rules read: its *scope*. Egos
-//! whose scopes are connected form a group. A search by branch and bound changes the fewest actions of each group in
+//! The safety of an ego's action depends only on its own action and on those of the egos in its *scope*, which its rules
+//! read. Egos whose scopes are connected form a group. A search by branch and bound changes the fewest actions of each group in
 //! which an action is not safe, so that independent egos cost no more together than alone.
 
 use crate::city::Action;
@@ -15,8 +15,8 @@ const TRIES_MAX: usize = 1_000_000;
 pub(super) struct Proposal {
     /// The proposed actions.
     pub actions: Vec<Action>,
-    /// For each ego, the other actions that it can take, in the order in which they are preferred.
-    pub others: Vec<Vec<Action>>,
+    /// For each ego, the alternatives to the proposed action, in the order in which it prefers them.
+    pub alternatives: Vec<Vec<Action>>,
     /// For each ego, the other egos whose actions matter for it.
     pub scopes: Vec<Vec<usize>>,
 }
@@ -38,9 +38,10 @@ impl Proposal {
         members.filter(|members: &Vec<usize>| !members.is_empty()).collect()
     }
 
-    /// Returns the safe joint action that changes the fewest proposed actions. Among equals, earlier egos keep theirs, and
-    /// then take the action that they prefer. A group without a safe joint action takes those that `fallback` has.
-    /// `is_safe` says whether the action of an ego is safe in a joint action; it reads those of its scope only.
+    /// Returns the safe joint action that changes the fewest proposed actions. Among several, the first ego decides
+    /// first: it keeps its action if it can, and otherwise takes the alternative that it prefers; then the second ego
+    /// decides, and so on. A group without a safe joint action takes the actions of `fallback`. `is_safe` says whether
+    /// the action of an ego is safe in a joint action; it reads only those of its scope.
     ///
     /// # Errors
     /// Those of `is_safe`; `limit-exceeded` if the search tries too many joint actions.
@@ -87,7 +88,8 @@ struct Search<'a, F> {
 }
 
 impl<F: FnMut(usize, &[Action]) -> Result<bool, Diagnostic>> Search<'_, F> {
-    /// Tries the actions of the ego at a place of the group, after those before it, of which some are changed.
+    /// Tries all actions of the ego at a place of the group, given those before it. `changed` of these differ from the
+    /// proposed ones.
     fn extend(&mut self, place: usize, changed: usize) -> Result<(), Diagnostic> {
         if self.best.as_ref().is_some_and(|(best, _)| changed >= *best) {
             return Ok(());
@@ -97,7 +99,8 @@ impl<F: FnMut(usize, &[Action]) -> Result<bool, Diagnostic>> Search<'_, F> {
             return Ok(());
         };
         let proposed = self.proposal.actions[ego];
-        let options = std::iter::once((0, proposed)).chain(self.proposal.others[ego].iter().map(|action| (1, *action)));
+        let options =
+            std::iter::once((0, proposed)).chain(self.proposal.alternatives[ego].iter().map(|action| (1, *action)));
         for (cost, action) in options {
             self.tries += 1;
             if self.tries > TRIES_MAX {
@@ -115,7 +118,7 @@ impl<F: FnMut(usize, &[Action]) -> Result<bool, Diagnostic>> Search<'_, F> {
         Ok(())
     }
 
-    /// Returns whether all egos are safe whose scope ends at a place of the group.
+    /// Returns whether every ego whose scope is complete at a place of the group is safe.
     fn holds(&mut self, place: usize) -> Result<bool, Diagnostic> {
         let last = self.group[place];
         for &ego in &self.group[..=place] {
@@ -151,7 +154,7 @@ mod tests {
                 })
                 .collect();
             let proposal = Proposal {
-                others: (actions.iter())
+                alternatives: (actions.iter())
                     .map(|proposed| {
                         Action::STANDARD
                             .into_iter()
@@ -191,7 +194,7 @@ mod tests {
                     for (place, &ego) in group.iter().enumerate() {
                         let choice = number / 4usize.pow((group.len() - 1 - place) as u32) % 4;
                         if choice > 0 {
-                            joint[ego] = proposal.others[ego][choice - 1];
+                            joint[ego] = proposal.alternatives[ego][choice - 1];
                             changed += 1;
                         }
                     }
@@ -223,7 +226,7 @@ mod tests {
         let egos = 40;
         let proposal = Proposal {
             actions: vec![Action::STANDARD[0]; egos],
-            others: vec![Action::STANDARD[1..].to_vec(); egos],
+            alternatives: vec![Action::STANDARD[1..].to_vec(); egos],
             scopes: (0..egos).map(|ego| vec![(ego + 1) % egos]).collect(),
         };
         // Only the last ego is never safe, which the search learns late.

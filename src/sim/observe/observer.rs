@@ -283,17 +283,17 @@ pub struct Observer {
     /// What the ego reads through sensors.
     sensing: Option<Box<Sensing>>,
     /// Where the rules are applied to other facts than the true ones; `None` without sensors.
-    known: Option<Box<Supposed>>,
+    hypothesis: Option<Box<Hypothesis>>,
 }
 
 /// Facts that need not be true, and what the rules make of them.
-struct Supposed {
+struct Hypothesis {
     atoms: Atoms,
     violations: Violations,
     broken: Vec<usize>,
 }
 
-impl Supposed {
+impl Hypothesis {
     /// Returns the actions that the rules derive for the ego.
     fn derive(&mut self, oracle: &Oracle, bodies: &[AgentState], city: &Simulation) -> Result<Actions, Diagnostic> {
         self.violations.forget();
@@ -327,7 +327,7 @@ impl Observer {
     pub fn new(oracle: Arc<Oracle>, ego: usize) -> Observer {
         Observer {
             sensing: None,
-            known: None,
+            hypothesis: None,
             ego,
             steady: Vec::new(),
             like: Vec::new(),
@@ -349,7 +349,7 @@ impl Observer {
         assert!(model.is_some() || !sensors.needs_model(), "these sensors need a model");
         let sensing = Sensing::new(sensors, model, self.oracle.no_atoms());
         Observer {
-            known: Some(Box::new(Supposed {
+            hypothesis: Some(Box::new(Hypothesis {
                 atoms: self.oracle.no_atoms(),
                 violations: Violations::new(&self.oracle.monitor),
                 broken: Vec::new(),
@@ -454,8 +454,8 @@ impl Observer {
         let of_city = (oracle.world.map(), city.agents());
         sensing.sense(&self.atoms, bodies, of_city, (city.seed(), city.now()));
         if let Some(share) = sensing.sensors().share().copied() {
-            let facts = sensing.untold(&self.atoms, bodies, of_city);
-            let known = self.known.as_mut().expect("it was made with the sensors");
+            let facts = sensing.shareable(&self.atoms, bodies, of_city);
+            let known = self.hypothesis.as_mut().expect("it was made with the sensors");
             let derive = |told: &[Fact]| {
                 sensing.copy_facts(&mut known.atoms);
                 for fact in told {
@@ -487,7 +487,7 @@ impl Observer {
         applying.sort_unstable();
         applying.dedup();
         let count = u32::try_from(applying.len()).expect("fewer clauses than 2^32");
-        let (Some(sensing), Some(known)) = (&self.sensing, &mut self.known) else {
+        let (Some(sensing), Some(known)) = (&self.sensing, &mut self.hypothesis) else {
             return Ok([count, 0, 0]);
         };
         let (oracle, bodies) = (&*self.oracle, &self.bodies);

@@ -358,7 +358,7 @@ impl Sensing {
     }
 
     /// Returns the facts that others can tell: those that hold, of which there is no reading, and which a sender knows.
-    pub fn untold(&self, truth: &Atoms, bodies: &[AgentState], (map, agents): (&CityMap, &[Agent])) -> Vec<Fact> {
+    pub fn shareable(&self, truth: &Atoms, bodies: &[AgentState], (map, agents): (&CityMap, &[Agent])) -> Vec<Fact> {
         let Some(share) = &self.sensors.config.share else {
             return Vec::new();
         };

@@ -1,8 +1,7 @@
 //! What others tell the ego: facts of which its sensors have no reading.
 //!
-//! A sender, another car nearby or an assistant that knows all, tells at most `facts` facts in a tick. A set of facts is
-//! *relevant* if the rules choose with it what they choose with all facts that could be told, and no fact can be left
-//! out.
+//! The senders are the other cars nearby, or an assistant that knows all. Together they tell at most `facts` facts in a
+//! tick. *Relevant* facts are some with which the rules derive the same actions as with all facts that could be told.
 
 use crate::config::{ShareConfig, ShareOrder};
 use crate::diag::Diagnostic;
@@ -11,7 +10,7 @@ use crate::sim::tick::agent_state::AgentState;
 use crate::sim::tick::vocabulary::Actions;
 
 impl Purpose {
-    /// The order of the facts that others tell an ego; index: the ego.
+    /// The order of the facts that others tell an ego; index: the agent.
     pub const SHARE: Purpose = Purpose::new(54);
 }
 
@@ -20,9 +19,9 @@ impl Purpose {
 pub(super) struct Fact {
     /// The place of its set in [`Atoms::words`](super::rule_monitor::Atoms::words).
     pub set: usize,
-    /// The first entity, if it is about two.
+    /// The first entity of a binary fact.
     pub row: Option<usize>,
-    /// The other one.
+    /// The entity; the second one of a binary fact.
     pub entity: usize,
     /// The position of its number in the observation.
     pub place: usize,
@@ -36,8 +35,8 @@ impl Fact {
         (self.row.map_or(0, |row| 1 << row) | 1 << self.entity) & !1
     }
 
-    /// Returns the square of the distance from the ego to its farthest agent.
-    fn distance(self, bodies: &[AgentState]) -> i64 {
+    /// Returns the square of the distance from the ego to its farthest agent, in cells.
+    fn squared_distance(self, bodies: &[AgentState]) -> i64 {
         let of = |entity: usize| {
             let [to, from] = [bodies[entity].at, bodies[0].at];
             let [rows, cols] = [to.row - from.row, to.col - from.col].map(i64::from);
@@ -47,8 +46,8 @@ impl Fact {
     }
 }
 
-/// Chooses the facts to tell among those that can be told. `derive` returns the actions that the rules derive if the ego
-/// is told some facts.
+/// Chooses the facts to tell among those that can be told. `derive` returns the actions that the rules derive if the
+/// ego is told some facts.
 ///
 /// # Errors
 /// Those of `derive`.
@@ -59,7 +58,7 @@ pub(super) fn choose(
     derive: impl FnMut(&[Fact]) -> Result<Actions, Diagnostic>,
     mut random: Words,
 ) -> Result<Vec<Fact>, Diagnostic> {
-    let near = |fact: &Fact| (fact.distance(bodies), fact.place);
+    let near = |fact: &Fact| (fact.squared_distance(bodies), fact.place);
     facts.sort_by_key(near);
     match config.by {
         ShareOrder::Distance => {}
@@ -91,7 +90,7 @@ pub(super) fn choose(
     Ok(told)
 }
 
-/// Returns a relevant subset of facts. It leaves out facts from the last one on.
+/// Returns relevant facts: drops facts from the last one on, as long as the derived actions stay the same.
 fn relevant(
     facts: &[Fact],
     mut derive: impl FnMut(&[Fact]) -> Result<Actions, Diagnostic>,

@@ -1,9 +1,9 @@
 //! Shields: rules that judge the actions of an ego by what it observes (Alshiekh et al.: Safe reinforcement learning via
 //! shielding, 2018; Yang et al.: Safe reinforcement learning via probabilistic logic shields, 2023).
 //!
-//! An action is *appropriate* if the rules choose it. It is *safe* if it violates no clause. A joint action of several egos
-//! is safe if, with all of these actions, no clause demands another action of an ego. A deterministic shield judges the
-//! observed facts. A probabilistic one computes the probability that an action is appropriate or safe. It assumes
+//! An action is *appropriate* if the rules choose it. It is *safe* if it violates no clause. A joint action of several
+//! egos is safe if, given the actions of all egos, no clause demands a different action of any of them. A deterministic
+//! shield judges the observed facts. A probabilistic one computes the probability that an action is appropriate or safe. It assumes
 //! that facts are independent, and compiles its circuits once for each number of entities.
 
 use crate::cancel::Cancel;
@@ -99,11 +99,12 @@ impl Shield {
         Ok(shield)
     }
 
-    /// Returns the joint action of egos that is nearest to a proposed one: the safe one that changes the fewest actions.
-    /// Among equals, earlier egos keep theirs, and then take the action that the rules choose or, if that one is not safe,
-    /// the safe one of highest priority. Egos for which there is no safe joint action take those that the rules choose.
-    /// Each ego has its state, its observer and the proposed action. Afterwards, the states have the clauses that the
-    /// proposed actions violate; see [`ShieldState::reasons`].
+    /// Returns the safe joint action of egos that changes the fewest proposed actions. Among several, the first ego
+    /// decides first: it keeps its action if it can, and otherwise takes the one that the rules choose, or the one of
+    /// highest priority; then the second ego decides, and so on. Egos for which there is no safe joint action take what
+    /// the rules choose. Each ego has its state, its observer and the proposed action. Afterwards,
+    /// [`ShieldState::reasons`] of an ego whose action changed has the clauses that its proposed action violates; that of
+    /// other egos is unspecified.
     ///
     /// # Errors
     /// `limit-exceeded` if the rules derive too many rows, or the search tries too many joint actions.
@@ -132,14 +133,14 @@ impl Shield {
                     .collect(),
             );
         }
-        let others = egos.iter().zip(&fallback).map(|((_, _, proposed), chosen)| {
+        let alternatives = egos.iter().zip(&fallback).map(|((_, _, proposed), chosen)| {
             let rest = self.possible.iter().filter(|action| *action != chosen);
             let all = std::iter::once(chosen).chain(rest);
             all.filter(|action| *action != proposed).copied().collect()
         });
         let proposal = Proposal {
             actions: egos.iter().map(|(_, _, proposed)| *proposed).collect(),
-            others: others.collect(),
+            alternatives: alternatives.collect(),
             scopes: scopes
                 .iter()
                 .map(|scope| scope.iter().map(|(_, ego)| *ego).collect())
@@ -505,8 +506,8 @@ impl ShieldState {
         })
     }
 
-    /// Returns the clauses that [`Shield::nearest_safe`] found the proposed action to violate in the proposed joint action,
-    /// as positions in [`Oracle::constraints`].
+    /// Returns the clauses that the proposed action violates in the proposed joint action, as positions in
+    /// [`Oracle::constraints`], after [`Shield::nearest_safe`] has changed it.
     pub fn reasons(&self) -> &[usize] {
         &self.broken
     }

@@ -292,7 +292,7 @@ impl Env {
         &self.controlled_cars
     }
 
-    /// Returns whether the episode of a controlled car is running.
+    /// Returns whether the episode of any controlled car is running.
     pub fn is_running(&self) -> bool {
         self.controlled_cars.iter().any(ControlledCar::is_running)
     }
@@ -384,7 +384,8 @@ impl Env {
         Ok(())
     }
 
-    /// Variant of [`Env::step`] for proposed actions. The shield replaces each one that it does not permit.
+    /// Variant of [`Env::step`] for proposed actions. The shield replaces each one that it does not permit. A joint shield
+    /// replaces the fewest actions with which the joint action is safe.
     ///
     /// # Errors
     /// As [`Env::step`] and [`Env::ask_shield`]; `invalid-value` if the mode of the shield is `mask`, and it does not

@@ -6,7 +6,7 @@ use crate::diag::Diagnostic;
 use crate::rng::{Purpose, RngExt, Seed};
 use crate::sim::Actions;
 use crate::task::spf::metrics::{mean_return, summarize_runs};
-use crate::task::spf::rollout::reset_patiently;
+use crate::task::spf::rollout::reset_for_evaluation;
 use crate::task::spf::{ControlledCar, Env, Episode, EpisodeSet, Policy, Rollout, SpfTask, Summary, rollouts};
 use smallvec::SmallVec;
 use std::sync::Arc;
@@ -30,7 +30,7 @@ impl Baseline {
     /// # Errors
     /// As [`Env::reset_to`] and [`rollouts`]; on an error the baseline does not change.
     pub fn add(&mut self, env: &mut Env, episode: &Episode) -> Result<(), Diagnostic> {
-        reset_patiently(env, episode)?;
+        reset_for_evaluation(env, episode)?;
         let horizon = env.horizon();
         let runs = (0..RANDOM_RUNS).map(|run| {
             env.reset_to(episode)?;
@@ -93,10 +93,10 @@ impl BatchEvaluator {
                 return Err(Diagnostic::cancelled());
             }
             let mut env = Env::new_with(Arc::clone(task), set.split, task.control(), cancel)?;
-            reset_patiently(&mut env, episode)?;
+            reset_for_evaluation(&mut env, episode)?;
             Ok(env)
         };
-        let egos = task.egos();
+        let egos = task.evaluated_egos();
         Ok(BatchEvaluator {
             envs: set.episodes.iter().map(begin).collect::<Result<_, Diagnostic>>()?,
             egos,
@@ -157,7 +157,7 @@ impl BatchEvaluator {
                 for (ego, done) in done.iter_mut().enumerate() {
                     if env.controlled_cars()[ego].is_running() {
                         let clauses = env.observed_clauses(ego)?;
-                        (done.clauses.iter_mut().zip(clauses)).for_each(|(sum, count)| *sum += count);
+                        (done.observed_clauses.iter_mut().zip(clauses)).for_each(|(sum, count)| *sum += count);
                     }
                 }
             }

@@ -144,9 +144,9 @@ pub struct JointRates {
 /// episode.
 ///
 /// # Panics
-/// If the numbers of episodes differ.
+/// If `rollouts` has no whole number of episodes, or `random` has another number of them.
 pub fn summarize(task: &SpfTask, rollouts: &[Rollout], random: Option<&[f64]>) -> Summary {
-    summarize_runs(task, rollouts, [1, task.egos()], random)
+    summarize_runs(task, rollouts, [1, task.evaluated_egos()], random)
 }
 
 /// Summarizes adjacent rollouts of each episode, one per run and ego. `random` has a mean return for each episode.

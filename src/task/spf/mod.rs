@@ -150,7 +150,7 @@ impl SpfTask {
     }
 
     /// Returns the number of cars that evaluations and learners control.
-    pub fn egos(&self) -> usize {
+    pub fn evaluated_egos(&self) -> usize {
         self.config.egos.map_or(1, |egos| egos.value as usize)
     }
 

@@ -58,7 +58,7 @@ pub struct Rollout {
     pub broken: Vec<usize>,
     /// The clauses that applied, summed over the steps: those observed fully, partly and not at all. An evaluation
     /// counts them if others may tell the ego facts; see [`Env::observed_clauses`].
-    pub clauses: [u32; 3],
+    pub observed_clauses: [u32; 3],
 }
 
 /// Returns the names of the actions that have steps, and their numbers of steps, which are in the order of the table.
@@ -137,11 +137,12 @@ fn run_while(env: &mut Env, policy: Policy, runs: impl Fn(&Env) -> bool) -> Resu
 }
 
 /// Begins a recorded episode. In the mode [`ControlMode::Egos`], its horizon is `patience` times the steps that the
-/// oracle needs until all egos are at their goals, or the configured horizon if it does not get there.
+/// oracle needs until all egos are at their goals, or the configured horizon if it does not get there within
+/// [`STEPS_MAX`] steps.
 ///
 /// # Errors
 /// As [`Env::reset_to`] and [`rollout`].
-pub(super) fn reset_patiently(env: &mut Env, episode: &Episode) -> Result<(), Diagnostic> {
+pub(super) fn reset_for_evaluation(env: &mut Env, episode: &Episode) -> Result<(), Diagnostic> {
     env.reset_to(episode)?;
     if env.control() == ControlMode::Egos {
         env.set_horizon(STEPS_MAX);

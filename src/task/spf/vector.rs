@@ -149,7 +149,7 @@ impl ObservationKind {
     /// Writes the observations of all controlled cars, one after the other.
     ///
     /// # Panics
-    /// If `out` does not have as many observations.
+    /// If the length of `out` is not that of one observation per controlled car.
     pub fn write_all(self, env: &Env, out: &mut [f32]) {
         let egos = env.controlled_cars().len();
         let rows = out.chunks_exact_mut(out.len() / egos);
@@ -240,7 +240,7 @@ struct EgoResult {
     outcome: Outcome,
     info: Info,
     /// Whether its action counts in the next step, if that begins no episode.
-    acts: bool,
+    active: bool,
 }
 
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
@@ -266,7 +266,7 @@ pub struct Outcome {
 #[derive(Clone, Debug, Default)]
 pub struct Ended {
     happened: bool,
-    /// One after the other.
+    /// The last observations of the egos, concatenated.
     observations: Vec<f32>,
     infos: SmallVec<[Info; 1]>,
     /// The atoms of [`Observer::atoms`](crate::sim::Observer::atoms) for each ego, if the vector keeps them.
@@ -309,8 +309,8 @@ impl SubEnv {
 
     /// Returns whether the action of an ego counts in the next step, unless that step begins an episode. The rules drive
     /// egos whose episode has ended, until it has ended for all.
-    pub fn acts(&self, ego: usize) -> bool {
-        self.egos[ego].acts
+    pub fn is_active(&self, ego: usize) -> bool {
+        self.egos[ego].active
     }
 
     /// Returns the last observations of all egos, one after the other, and their information, in the episode that the
@@ -352,7 +352,7 @@ impl SubEnv {
         self.env.ask_shield()?;
         self.stage = Stage::Running;
         for ego in &mut self.egos {
-            (ego.outcome, ego.acts) = (Outcome::default(), true);
+            (ego.outcome, ego.active) = (Outcome::default(), true);
         }
         self.note();
         Ok(())
@@ -395,7 +395,7 @@ impl SubEnv {
         let mut over = true;
         for (ego, car) in self.egos.iter_mut().zip(self.env.controlled_cars()) {
             let last = car.last();
-            ego.outcome = match ego.acts {
+            ego.outcome = match ego.active {
                 true => Outcome {
                     reward: last.shaped_reward(),
                     terminated: last.terminated,
@@ -403,8 +403,8 @@ impl SubEnv {
                 },
                 false => Outcome::default(),
             };
-            ego.acts = car.is_running();
-            over &= !ego.acts;
+            ego.active = car.is_running();
+            over &= !ego.active;
         }
         if over && autoreset == Autoreset::SameStep {
             view.write_all(&self.env, &mut self.ended.observations);
@@ -467,7 +467,8 @@ pub struct VectorEnv {
 }
 
 impl VectorEnv {
-    /// Returns one environment per source. Call [`VectorEnv::reset`] next.
+    /// Returns one environment per source, each with the agents of a split. The caller controls the cars that `control`
+    /// names. Call [`VectorEnv::reset`] next.
     ///
     /// # Errors
     /// As [`Env::new`] and [`ObservationKind::checked_for`]; `limit-exceeded` if the threads cannot be started.
@@ -657,7 +658,7 @@ impl VectorEnv {
     }
 
     /// Takes a step in every environment and writes a row of `observations` for each ego. `actions` has the actions of
-    /// the egos of the first environment, then those of the next; those of egos that do not [act](SubEnv::acts) have no
+    /// the egos of the first environment, then those of the next; those of egos that do not [act](SubEnv::is_active) have no
     /// effect.
     ///
     /// # Errors

@@ -277,7 +277,7 @@ pub enum Ending {
     /// The episode reached its horizon.
     Horizon = 3,
     /// The episode of the car had ended before: its action had no effect, and its reward is 0.
-    Absent = 4,
+    Inactive = 4,
 }
 
 /// The steps of all egos that a network drives: one ego after the other, in the order of environments.
@@ -301,13 +301,13 @@ pub struct Trajectories {
 }
 
 impl Trajectories {
-    /// Adds absent steps.
-    fn extend(&mut self, steps: usize) {
+    /// Adds steps of inactive egos.
+    fn push_inactive(&mut self, steps: usize) {
         let all = self.states.len() + steps;
         self.states.resize(all, 0);
         self.actions.resize(all, 0);
         self.rewards.resize(all, 0.0);
-        self.endings.resize(all, Ending::Absent as u8);
+        self.endings.resize(all, Ending::Inactive as u8);
         self.next_values.resize(all, 0.0);
     }
 }
@@ -420,17 +420,17 @@ impl EnvChunk {
             let network = ego.min(networks.len() - 1);
             let done = &mut chunks[network].done;
             let start = done.states.len();
-            done.extend(steps);
+            done.push_inactive(steps);
             egos.push(EgoRun {
                 network,
                 start,
-                ending: Ending::Absent,
+                ending: Ending::Inactive,
             });
         }
         for step in 0..steps {
             actions.clear();
             for (ego, run) in egos.iter().enumerate() {
-                if !sub_env.acts(ego) {
+                if !sub_env.is_active(ego) {
                     actions.push(Action::STANDARD[0]);
                     continue;
                 }
@@ -444,7 +444,7 @@ impl EnvChunk {
                 let action = known.action(random[ego * steps + step]);
                 done.states[at] = u32::try_from(state).expect("fewer states than 2^32");
                 done.actions[at] = action as u8;
-                // The step replaces it.
+                // The outcome of the step follows below.
                 done.endings[at] = Ending::None as u8;
                 actions.push(Action::STANDARD[action]);
             }
@@ -453,8 +453,8 @@ impl EnvChunk {
             for (ego, run) in egos.iter_mut().enumerate() {
                 let chunk = &mut chunks[run.network];
                 let at = run.start + step;
-                if chunk.done.endings[at] == Ending::Absent as u8 {
-                    run.ending = Ending::Absent;
+                if chunk.done.endings[at] == Ending::Inactive as u8 {
+                    run.ending = Ending::Inactive;
                     continue;
                 }
                 let outcome = sub_env.outcome(ego);
@@ -578,7 +578,7 @@ fn join(network: &PolicyNetwork, parts: Vec<NetworkChunk>) -> Trajectories {
         let steps = part.done.states.iter().zip(&part.done.endings);
         done.states.extend(steps.map(|(&state, &ending)| match ending {
             // It has no state.
-            ending if ending == Ending::Absent as u8 => 0,
+            ending if ending == Ending::Inactive as u8 => 0,
             _ => states[state as usize],
         }));
         done.actions.extend(part.done.actions);
