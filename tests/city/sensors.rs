@@ -603,6 +603,16 @@ fn observed_clauses_are_counted() {
         (sensed("{range: 2, share: {facts: 1000}}"), [true, false, false]),
     ];
     for (task, some) in cases {
+        let mut decider = Decider::new(Arc::clone(task.oracle())).unwrap();
+        let mut applies = |numbers: &[f32], clause: usize| {
+            let mut violates = |action| {
+                decider
+                    .violations(numbers, action, &Cancel::never())
+                    .unwrap()
+                    .contains(&clause)
+            };
+            Action::STANDARD.into_iter().any(&mut violates)
+        };
         let mut env = env(&task, Split::Test);
         let mut sums = [0; 3];
         for seed in 0..6 {
@@ -617,6 +627,33 @@ fn observed_clauses_are_counted() {
                     applying.extend(fresh.violations(env.city(), action).unwrap().iter().copied());
                 }
                 assert_eq!(counts.iter().sum::<u32>() as usize, applying.len());
+                // The obvious computation, on observations.
+                let (seen, _) = observation(&env);
+                let mut truth = vec![0.0; seen.len()];
+                fresh.write(&mut truth);
+                let mut expected = [0; 3];
+                for clause in applying {
+                    if applies(&seen, clause) {
+                        expected[0] += 1;
+                        continue;
+                    }
+                    let (observed, unobserved): (Vec<usize>, Vec<usize>) = (0..truth.len())
+                        .filter(|&at| truth[at] == 1.0)
+                        .partition(|&at| seen[at] == 1.0);
+                    let mut needed = truth.clone();
+                    for &at in unobserved.iter().chain(&observed) {
+                        needed[at] = 0.0;
+                        if !applies(&needed, clause) {
+                            needed[at] = 1.0;
+                        }
+                    }
+                    expected[if observed.iter().any(|&at| needed[at] == 1.0) {
+                        1
+                    } else {
+                        2
+                    }] += 1;
+                }
+                assert_eq!(counts, expected);
                 sums.iter_mut().zip(counts).for_each(|(sum, count)| *sum += count);
                 env.step(&[env.oracle_action(0)]).unwrap();
             }
