@@ -278,9 +278,11 @@ class BaseVectorEnv(BaseEnv):
         if len(state) != self.num_envs:
             raise ValueError(f"a state of {len(state)} environments, not of {self.num_envs}")
         states: interface.States = []
+        egos = self._rows // self.num_envs
+        for each in state:
+            if isinstance(each, Mapping) and (other := each.get("egos", 1)) != egos:
+                raise ValueError(f"a state of {other} egos, not of {egos}")
         try:
-            if other := next((each for each in state if each.get("egos", 1) != self._rows // self.num_envs), None):
-                raise ValueError(f"a state of {other.get('egos', 1)} egos, not of {self._rows // self.num_envs}")
             for each in state:
                 seed, begun = (checked_integer("source", number) for number in each["source"])
                 actions = bytes.fromhex(each["actions"])
