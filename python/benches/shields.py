@@ -41,9 +41,9 @@ EGOS = 4
 COUPLED = """.include "vocabulary.dl"
 
 Fast(X) :- IsAmbulance(X).
-Slow(X) :- Fast(Y), IsClose(X, Y), IsCar(X).
+Slow(X) :- Fast(Y), HigherPri(Y, X), IsCar(X).
 Stop(X) :- Slow(Y), CollidingClose(X, Y), IsCar(X).
-Stop(X) :- IsAtInter(X), IsInInter(Y), IsClose(X, Y).
+Stop(X) :- IsAtInter(X), IsInInter(Y), X != Y.
 """
 
 
