@@ -69,6 +69,12 @@ def told(mode: str, facts: str, by: str = "") -> str:
     return of("communication", learner="induce", mode=mode, evaluation=evaluation)
 
 
+def told_in(side: int, facts: int) -> str:
+    """Return the TSR of exact rules with told facts in expert mode, in regions with a side in percent."""
+    evaluation = f"region {side} %, range 12, k {facts}"
+    return of("communication", learner="induce", mode="expert", evaluation=evaluation)
+
+
 def egos(learner: str, evaluation: str, measure: str = "joint_tsr", mode: str = "expert") -> str:
     return of("egos", measure, learner=learner, mode=mode, evaluation=evaluation)
 
@@ -125,6 +131,8 @@ QUOTES: dict[str, list[str]] = {
             f"raise it only to {told('easy', k, 'from cars')} and {told('expert', k, 'from cars')}, for k from 1 to 8"
             for k in ("1", "2", "4", "8")
         ),
+        f"with two, `induce` has {told_in(200, 2)} in regions of 200 %, and {told_in(70, 2)} in those of 70 %, where "
+        f"eight raise it to {told_in(70, 8)}",
         f"policy of one all succeed in {egos('ppo-fast', '8 egos')} of the episodes, although each succeeds in "
         f"{egos('ppo-fast', '8 egos', 'tsr')}, and in {egos('ppo-fast', '8 egos, shield')} behind a shield",
         f"with four all succeed in {egos('ppo-fast-4', '8 egos')} without a shield; exact rules reach "

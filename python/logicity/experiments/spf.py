@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import hashlib
 import json
 import re
 from collections import Counter
@@ -58,7 +59,8 @@ class EvaluationSpec(StrictModel):
     split: Literal["train", "val", "test"] = "test"
     """The split whose agents and episodes are used."""
     fresh: Count | None = None
-    """The number of new episodes to generate. By default the recorded episodes of the split are used."""
+    """The number of new episodes to generate, with the overrides. By default the recorded episodes of the split are
+    used."""
     seed: Seed = 1000
     """The seed of the new episodes."""
     overrides: dict[str, Any] | None = None
@@ -368,8 +370,8 @@ def _evaluated(
     """
     done = {}
     for name, each in evaluations.items():
-        mode = config.mode if each["fresh"] is None else _fresh(folder, config.mode, each)
         overrides = merged(config.evaluation_overrides() or {}, each.get("overrides") or {}) or None
+        mode = config.mode if each["fresh"] is None else _fresh(folder, config.mode, each, overrides or {})
         benchmark = Benchmark(mode, each["split"], observation=config.observation, overrides=overrides)
         if tested is not None and each == TEST:
             result = dict(tested)
@@ -381,19 +383,29 @@ def _evaluated(
     return done
 
 
-def _fresh(folder: Path, mode: str, evaluation: Mapping[str, Any]) -> str:
-    """Make new episodes of a split in a folder, and return a configuration file that names them."""
+def _fresh(folder: Path, mode: str, evaluation: Mapping[str, Any], overrides: Mapping[str, Any]) -> str:
+    """Make new episodes of a split in a folder, and return a configuration file that names them.
+
+    Overrides apply, except for those of `task`: episodes that differ only in sensors, shields and egos are the same.
+    """
     split, count, seed = evaluation["split"], evaluation["fresh"], evaluation["seed"]
-    episodes = folder / f"fresh-{split}-{count}-{seed}.jsonl"
-    if not episodes.exists():
-        options = ["--split", split, "--count", str(count), "--seed", str(seed), "-o", str(episodes)]
-        code, _, _ = _logicity.run_command_line(["episodes", "make", mode, *options])
-        if code:
-            raise OSError(f"`logicity episodes make {mode} {' '.join(options)}` failed")
+    city = {key: value for key, value in overrides.items() if key != "task"}
+    changed = "-" + hashlib.sha256(json.dumps(city, sort_keys=True).encode()).hexdigest()[:12] if city else ""
+    episodes = folder / f"fresh-{split}-{count}-{seed}{changed}.jsonl"
     config = episodes.with_suffix(".yaml")
     if mode in ENVIRONMENTS:
         base = f"configs/{mode}.yaml"
     else:
         base = str(Path(mode).resolve()) if Path(mode).is_file() else mode
-    config.write_text(f"base: {json.dumps(base)}\ntask: {{episodes: {{{split}: {episodes.name}}}}}\n", encoding="utf-8")
+    if not episodes.exists():
+        drawn = mode
+        if city:
+            drawn = str(config)
+            config.write_text(json.dumps({"base": base, **city}), encoding="utf-8")
+        options = ["--split", split, "--count", str(count), "--seed", str(seed), "-o", str(episodes)]
+        code, _, _ = _logicity.run_command_line(["episodes", "make", drawn, *options])
+        if code:
+            raise OSError(f"`logicity episodes make {drawn} {' '.join(options)}` failed")
+    task = f"task: {{episodes: {{{split}: {episodes.name}}}}}\n"
+    config.write_text(f"base: {json.dumps(base)}\n{task}", encoding="utf-8")
     return str(config)
