@@ -45,8 +45,10 @@ class SPFParallelVectorEnv(BaseVectorEnv):
 
     Attributes:
         possible_agents: The names of the egos, in the order of the axis.
-        single_observation_space, single_action_space: The spaces of an ego.
-        observation_space, action_space: The spaces of all egos of all environments.
+        single_observation_space: The observation space of an ego.
+        single_action_space: The action space of an ego.
+        observation_space: The observation space of all egos of all environments.
+        action_space: The action space of all egos of all environments.
 
     Args:
         num_envs, config, episodes, atoms, render_mode, autoreset_mode, num_threads, copy, options: As for
