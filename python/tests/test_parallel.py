@@ -117,12 +117,12 @@ def test_invalid_use_raises() -> None:
     assert isinstance(infos["Car_1"]["seed"], np.int64)
     with pytest.raises(ValueError, match="unknown car `Car_77`; (did you mean|there are)"):
         env.explain("Car_77")
+    with pytest.raises(InvalidAction, match="expected a mapping"):
+        env.step(None)  # type: ignore[arg-type]
     with pytest.raises(ValueError, match="mapping"):
         env.reset(options={"episode": -1})
     with pytest.raises(IndexError, match="no episode 1000"):
         env.reset(options={"episode": 1000})
-    with pytest.raises(InvalidAction, match="expected a mapping"):
-        env.step(None)  # type: ignore[arg-type]
 
 
 def test_the_page_describes_the_environment() -> None:
