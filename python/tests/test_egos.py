@@ -58,7 +58,7 @@ def test_a_vector_equals_parallel_environments(mode: str, observation: Any) -> N
     for _ in range(150):
         if mode == "Disabled" and (over := ~infos["active"].any(1)).any():
             observations, infos = envs.reset(options={"reset_mask": over})
-            for at in np.flatnonzero(over):
+            for at in np.flatnonzero(over).tolist():
                 check(at, *alone[at].reset())
             # The others keep their infos, which the reset does not repeat.
             infos = {**infos, "active": np.array([[name in env.agents for name in names] for env in alone])}
@@ -207,11 +207,11 @@ def test_evaluations_count_egos_alone_and_together(tmp_path: Path) -> None:
             benchmark.evaluate(policies)  # type: ignore[arg-type]
     # A trace has the executed actions.
     for mode in ("override", "joint"):
-        overrides = {"task": {"egos": 3, "shield": {"mode": mode, "query": "safe"}}}
-        folder = tmp_path / mode
-        shielded = logicity.evaluate(lambda observation: 2, "expert", "val", overrides=overrides, traces=folder)
-        assert shielded.tsr.value > 0.9 and len(list(folder.glob("*.jsonl"))) == count
-        _, *ticks = map(json.loads, (folder / "episode-0.jsonl").read_text(encoding="utf-8").splitlines())
+        shield = {"mode": mode, "query": "safe"}
+        options: dict[str, Any] = {"overrides": {"task": {"egos": 3, "shield": shield}}, "traces": tmp_path / mode}
+        shielded = logicity.evaluate(lambda observation: 2, "expert", "val", **options)
+        assert shielded.tsr.value > 0.9 and len(list((tmp_path / mode).glob("*.jsonl"))) == count
+        _, *ticks = map(json.loads, (tmp_path / mode / "episode-0.jsonl").read_text(encoding="utf-8").splitlines())
         assert not any(agent["driven"]["broken"] for tick in ticks for agent in tick["agents"] if "driven" in agent)
     assert len(list(tmp_path.glob("episode-*.jsonl"))) == count
     # In a trace, an ego is driven until its episode ends.

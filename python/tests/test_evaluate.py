@@ -291,7 +291,7 @@ def test_a_model_needs_a_mode_that_fits(
         file = path / "best.pt" if path.is_dir() else path
         run = file.parent.parent if file.parent.name.startswith("checkpoint-") else file.parent
         mode = "easy" if (run / "config.json").exists() else None
-        return SimpleNamespace(policy=EasyModel(), path=file, mode=mode, observation=None)
+        return SimpleNamespace(policy=EasyModel(), path=file, mode=mode, observation=None, egos=None)
 
     monkeypatch.setitem(sys.modules, "logicity.learn", SimpleNamespace(load_policy=load))
     run = tmp_path / "dqn-easy-0"

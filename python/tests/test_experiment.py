@@ -5,6 +5,7 @@ from __future__ import annotations
 import hashlib
 import json
 import os
+import re
 import socket
 import subprocess
 import sys
@@ -87,15 +88,25 @@ def results_of(cells: Sequence[Cell], root: Path) -> list[Any]:
 def test_the_shipped_experiments_name_existing_configurations() -> None:
     # Tests of other tasks read their files.
     files = [file for file in sorted(EXPERIMENTS.glob("*.yaml")) if "task" not in read_experiment(file)[2]]
-    assert [file.stem for file in files] == ["composition", "noise", "observations", "spf", "transfer"]
+    assert [file.stem for file in files] == [
+        "communication",
+        "composition",
+        "egos",
+        "noise",
+        "observations",
+        "spf",
+        "transfer",
+    ]
     for file in files:
         experiment = load_experiment(file).experiment
         assert isinstance(experiment, SpfExperiment)
-        # The paper has no noise.
-        assert experiment.paper == (None if file.stem == "noise" else file.stem)
+        # The paper has no noise, no told facts, and one ego.
+        ours = ("communication", "egos", "noise")
+        assert experiment.paper == (None if file.stem in ours else file.stem)
         if experiment.paper is not None:
             assert paper_table(experiment.paper)["source"].startswith("LogiCity (NeurIPS 2024")
-        assert {row.removesuffix("-tuned") for row in experiment.learners} <= set(LEARNERS)
+        # Rows end with how they differ from their learner.
+        assert {re.sub("-(tuned|4)$", "", row) for row in experiment.learners} <= set(LEARNERS)
         for quick in (False, True):
             assert {cell.row for cell in cells_of(file, quick=quick)[1]} == set(experiment.learners)
     spf = load_experiment(EXPERIMENTS / "spf.yaml").experiment

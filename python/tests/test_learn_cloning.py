@@ -41,7 +41,7 @@ def config(algorithm: str, settings: dict[str, Any], **keys: Any) -> Any:
     """Return a training configuration."""
     checked = LEARNERS[algorithm].settings_class.model_validate(settings)
     defaults = {"mode": "easy", "demonstrations": 0.03, "start": None, "seed": 0}
-    return SimpleNamespace(algorithm=algorithm, settings=checked, **{**defaults, **keys})
+    return SimpleNamespace(algorithm=algorithm, settings=checked, overrides={}, **{**defaults, **keys})
 
 
 def nothing() -> None:

@@ -38,6 +38,7 @@ def config(mode: str = "easy", steps: int = 4, seed: int = 0, **settings: Any) -
         settings=HriSettings(**settings),
         steps=steps,
         seed=seed,
+        overrides={},
         demonstrations=0.1,
         start=None,
     )
