@@ -133,7 +133,8 @@ struct PyVectorEnv {
     signals: Arc<Signals>,
 }
 
-/// What a shield does and says, a row per ego of every environment: masks, probabilities, replaced actions and violated clauses.
+/// What a shield does and says, a row per ego of every environment: masks, probabilities, replaced actions and violated
+/// clauses.
 type ShieldColumns<'py> = (
     PyReadwriteArray2<'py, i8>,
     PyReadwriteArray2<'py, f64>,
@@ -404,8 +405,8 @@ impl PyVectorEnv {
     }
 
     /// Runs every environment under the stochastic policies of networks, one for all egos or for each, see
-    /// `logicity::task::spf::VectorEnv::collect`. `random` has shape (environments x egos, steps). Returns the arrays of
-    /// each network.
+    /// `logicity::task::spf::VectorEnv::collect`. `random` has shape (environments x egos, steps). Returns the arrays
+    /// of each network.
     fn collect<'py>(
         slf: &Bound<'py, Self>,
         py: Python<'py>,

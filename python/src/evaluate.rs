@@ -162,8 +162,8 @@ impl PyBatchEvaluator {
         actions.collect::<Vec<i64>>().into_pyarray(py)
     }
 
-    /// Returns the actions that the cars have taken in an episode, which shields may have replaced, one byte per step and
-    /// ego.
+    /// Returns the actions that the cars have taken in an episode, which shields may have replaced, one byte per step
+    /// and ego.
     fn taken(&self, at: usize) -> PyResult<Vec<u8>> {
         let env = self.evaluator.envs().get(at);
         let env = env.ok_or_else(|| PyIndexError::new_err(format!("there is no episode {at}")))?;

@@ -428,8 +428,8 @@ fn observation(env: &Env) -> (Vec<f32>, Vec<Vec<usize>>) {
     (numbers, about)
 }
 
-/// What others tell is what the definition says: true facts without a reading that a sender knows, the first ones in the
-/// order that the configuration wants, about as many agents as it allows.
+/// What others tell is what the definition says: true facts without a reading that a sender knows, the first ones in
+/// the order that the configuration wants, about as many agents as it allows.
 #[test]
 fn told_facts_are_those_of_the_definition() {
     let plain = sensed("{range: 9}");
@@ -599,7 +599,7 @@ fn observed_clauses_are_counted() {
         // Not even what the ego knows of itself is read.
         (sensed("{true_positive_rate: 0}"), [false, false, true]),
         (sensed("{true_positive_rate: 0, ego: exact}"), [true, true, true]),
-        // Whoever knows all facts leaves none unobserved.
+        // If the other agents tell every true fact, the ego observes all that its rules need.
         (sensed("{range: 2, share: {facts: 1000}}"), [true, false, false]),
     ];
     for (task, some) in cases {

@@ -1,8 +1,9 @@
 //! How probable facts are: before a reading, after one, and after all readings of an episode.
 //!
-//! Each fact is an independent Markov chain with two states; [`SensorModel`] has its probabilities. A sensor is a binary
-//! channel with a true and a false positive rate. A missing reading carries no information. The forward algorithm
-//! (Rabiner: A tutorial on hidden Markov models, 1989, section III A) computes the probability given all readings.
+//! Each fact is an independent Markov chain with two states; [`SensorModel`] has its probabilities. A sensor is a
+//! binary channel with a true and a false positive rate. A missing reading carries no information. The forward
+//! algorithm (Rabiner: A tutorial on hidden Markov models, 1989, section III A) computes the probability given all
+//! readings.
 
 use crate::config::Sensor;
 
@@ -220,8 +221,8 @@ pub(super) struct FactModel {
     pub chain: Chain,
     /// The probability now after each [`Reading`] of this tick.
     pub after: [f32; 3],
-    /// The probability that the fact holds now if it did not hold in the tick of the reading, and how much greater it is
-    /// if it did.
+    /// The probability that the fact holds now if it did not hold in the tick of the reading, and how much greater it
+    /// is if it did.
     pub ahead: [f32; 2],
 }
 

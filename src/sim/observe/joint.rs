@@ -1,8 +1,8 @@
 //! Joint shields: the safe joint action of several egos that is nearest to the proposed one.
 //!
-//! The safety of an ego's action depends only on its own action and on those of the egos in its *scope*, which its rules
-//! read. Egos whose scopes are connected form a group. A search by branch and bound changes the fewest actions of each group in
-//! which an action is not safe, so that independent egos cost no more together than alone.
+//! The safety of an ego's action depends only on its own action and on those of the egos in its *scope*, which its
+//! rules read. Egos whose scopes are connected form a group. A search by branch and bound changes the fewest actions of
+//! each group in which an action is not safe, so that independent egos cost no more together than alone.
 
 use crate::city::Action;
 use crate::diag::Diagnostic;

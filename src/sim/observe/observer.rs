@@ -180,8 +180,8 @@ impl Oracle {
         self.monitor.constraints()
     }
 
-    /// Returns for each observed set: its predicate, the first entity if it is about pairs, and the position of its first
-    /// number in an observation.
+    /// Returns for each observed set: its predicate, the first entity if it is about pairs, and the position of its
+    /// first number in an observation.
     pub(super) fn observed_sets(&self) -> impl Iterator<Item = (usize, Option<usize>, usize)> {
         self.sets.iter().map(|&(set, start)| {
             let (predicate, row) = self.layout.predicate(set);
@@ -472,10 +472,10 @@ impl Observer {
         Ok(())
     }
 
-    /// Counts the clauses that apply to the ego, which are those that some action violates, by how far it observes them:
-    /// fully, if they also apply given what it observes; partly, if it observes some of the facts that they need; and not
-    /// at all. The facts that a clause needs are some that hold and without any of which it would not apply. Without
-    /// sensors, all are observed fully.
+    /// Counts the clauses that apply to the ego, which are those that some action violates, by how far it observes
+    /// them: fully, if they also apply given what it observes; partly, if it observes some of the facts that they need;
+    /// and not at all. The facts that a clause needs are some that hold and without any of which it would not apply.
+    /// Without sensors, all are observed fully.
     ///
     /// # Errors
     /// `limit-exceeded` if the rules derive too many rows.

@@ -160,8 +160,8 @@ fn with_actions_given(rules: &Rules, vocabulary: &Vocabulary) -> (Rules, Vec<Opt
 }
 
 /// Returns rules that derive an action for the ego if and only if a clause demands it under an imposed action. Also
-/// returns the predicate of each imposed action. These predicates replace the action predicates in all bodies; clauses of
-/// the default derive nothing.
+/// returns the predicate of each imposed action. These predicates replace the action predicates in all bodies; clauses
+/// of the default derive nothing.
 pub(super) fn safety_rules(rules: &Rules, vocabulary: &Vocabulary) -> (Rules, Vec<Option<PredicateId>>) {
     let demanding = constraints(rules, vocabulary);
     let (mut rules, given) = with_actions_given(rules, vocabulary);
@@ -512,8 +512,8 @@ impl JointState {
 pub(super) struct Atoms {
     /// The sets of entities, see [`AtomLayout`].
     pub words: Vec<u64>,
-    /// For each quantity of the vocabulary, its values for the entities, or for each pair of them, [`AtomLayout::entities`] to a
-    /// row, or for the city; empty for other predicates.
+    /// For each quantity of the vocabulary, its values for the entities, or for each pair of them,
+    /// [`AtomLayout::entities`] to a row, or for the city; empty for other predicates.
     pub values: Vec<Vec<Option<Value>>>,
     pub layout: AtomLayout,
 }
@@ -539,7 +539,8 @@ impl AtomLayout {
         self.predicates + (predicate - self.first_pair) * self.entities
     }
 
-    /// Returns the predicate of a set, and the entity whose related ones are in it, if the predicate is over two agents.
+    /// Returns the predicate of a set, and the entity whose related ones are in it, if the predicate is over two
+    /// agents.
     pub fn predicate(self, set: usize) -> (usize, Option<usize>) {
         match set.checked_sub(self.predicates) {
             None => (set, None),

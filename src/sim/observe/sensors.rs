@@ -59,8 +59,8 @@ struct Group {
 }
 
 impl Group {
-    /// Draws five bits for each lane: whether a true fact is read as true, whether a false one is, whether the reading is
-    /// dropped, and whether noise and dropout each stay as they were.
+    /// Draws five bits for each lane: whether a true fact is read as true, whether a false one is, whether the reading
+    /// is dropped, and whether noise and dropout each stay as they were.
     fn draw(&self, lanes: u64, random: &mut Words) -> [u64; 5] {
         let [detected, alarmed] = below(self.rates, lanes, random);
         if self.is_simple {
@@ -357,7 +357,7 @@ impl Sensing {
         }
     }
 
-    /// Returns the facts that others can tell: those that hold, of which there is no reading, and which a sender knows.
+    /// Returns the facts that other agents can tell: true facts without a reading that some sender knows.
     pub fn shareable(&self, truth: &Atoms, bodies: &[AgentState], (map, agents): (&CityMap, &[Agent])) -> Vec<Fact> {
         let Some(share) = &self.sensors.config.share else {
             return Vec::new();
@@ -408,7 +408,7 @@ impl Sensing {
             readings.told[fact.set] |= 1 << fact.entity;
             readings.atoms.words[fact.set] |= 1 << fact.entity;
             let sensor = &self.sensors.groups[fact.group].sensor;
-            // A belief is about the tick of the reading; what is told is about this one.
+            // A told fact is of this tick, so it sets the belief only if readings have no delay.
             if sensor.delay == 0 && !readings.belief.is_empty() {
                 readings.belief[fact.place] = 1.0;
                 if sensor.correlation > 0.0 {

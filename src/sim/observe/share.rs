@@ -46,8 +46,8 @@ impl Fact {
     }
 }
 
-/// Chooses the facts to tell among those that can be told. `derive` returns the actions that the rules derive if the
-/// ego is told some facts.
+/// Chooses the facts to tell the ego among those that can be told. `derive` returns the actions that the rules derive
+/// once the given facts are told.
 ///
 /// # Errors
 /// Those of `derive`.

@@ -1,10 +1,10 @@
-//! Shields: rules that judge the actions of an ego by what it observes (Alshiekh et al.: Safe reinforcement learning via
-//! shielding, 2018; Yang et al.: Safe reinforcement learning via probabilistic logic shields, 2023).
+//! Shields: rules that judge the actions of an ego by what it observes (Alshiekh et al.: Safe reinforcement learning
+//! via shielding, 2018; Yang et al.: Safe reinforcement learning via probabilistic logic shields, 2023).
 //!
 //! An action is *appropriate* if the rules choose it. It is *safe* if it violates no clause. A joint action of several
 //! egos is safe if, given the actions of all egos, no clause demands a different action of any of them. A deterministic
-//! shield judges the observed facts. A probabilistic one computes the probability that an action is appropriate or safe. It assumes
-//! that facts are independent, and compiles its circuits once for each number of entities.
+//! shield judges the observed facts. A probabilistic one computes the probability that an action is appropriate or
+//! safe. It assumes that facts are independent, and compiles its circuits once for each number of entities.
 
 use crate::cancel::Cancel;
 use crate::city::{Action, AgentKind};
@@ -103,8 +103,8 @@ impl Shield {
     /// decides first: it keeps its action if it can, and otherwise takes the one that the rules choose, or the one of
     /// highest priority; then the second ego decides, and so on. Egos for which there is no safe joint action take what
     /// the rules choose. Each ego has its state, its observer and the proposed action. Afterwards,
-    /// [`ShieldState::reasons`] of an ego whose action changed has the clauses that its proposed action violates; that of
-    /// other egos is unspecified.
+    /// [`ShieldState::reasons`] of an ego whose action changed has the clauses that its proposed action violates; that
+    /// of other egos is unspecified.
     ///
     /// # Errors
     /// `limit-exceeded` if the rules derive too many rows, or the search tries too many joint actions.

@@ -22,8 +22,8 @@ impl Visibility {
         }
     }
 
-    /// Returns the entities that are not hidden from a viewer, which is never hidden from itself. `at` is the cell of the
-    /// viewer.
+    /// Returns the entities that are not hidden from a viewer, which is never hidden from itself. `at` is the cell of
+    /// the viewer.
     pub fn visible(self, map: &CityMap, (viewer, at): (u32, Cell), bodies: &[AgentState], agents: &[Agent]) -> u64 {
         let all = all_of(bodies.len());
         if self.range.is_none() && !self.buildings && !self.agents {

@@ -384,8 +384,8 @@ impl Env {
         Ok(())
     }
 
-    /// Variant of [`Env::step`] for proposed actions. The shield replaces each one that it does not permit. A joint shield
-    /// replaces the fewest actions with which the joint action is safe.
+    /// Variant of [`Env::step`] for proposed actions. The shield replaces each one that it does not permit. A joint
+    /// shield replaces the fewest actions with which the joint action is safe.
     ///
     /// # Errors
     /// As [`Env::step`] and [`Env::ask_shield`]; `invalid-value` if the mode of the shield is `mask`, and it does not
@@ -461,8 +461,8 @@ impl Env {
         self.reset_with(seed, None)
     }
 
-    /// Variant of [`Env::reset`] with `agents` agents: the first car, and others that the seed selects. They start as in
-    /// the episode with all agents. `None` means all.
+    /// Variant of [`Env::reset`] with `agents` agents: the first car, and others that the seed selects. They start as
+    /// in the episode with all agents. `None` means all.
     ///
     /// # Errors
     /// As [`Env::reset`].

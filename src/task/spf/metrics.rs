@@ -107,8 +107,8 @@ pub struct ActionRate {
     pub rate: Rate,
 }
 
-/// The measures of a policy. With several runs or egos per episode, means and their intervals use the mean over the runs
-/// and egos of each episode, and a rate counts every ego of every run.
+/// The measures of a policy. With several runs or egos per episode, means and their intervals use the mean over the
+/// runs and egos of each episode, and a rate counts every ego of every run.
 #[derive(Clone, Debug, PartialEq, Serialize)]
 pub struct Summary {
     /// Trajectory success rate: the proportion of runs that reach the goal in time without a violation.

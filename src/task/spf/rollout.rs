@@ -73,8 +73,8 @@ impl Rollout {
         steps.map(|(action, steps)| (action.to_owned(), steps)).collect()
     }
 
-    /// Adds the last step of a controlled car, in which it took an action. `asked` are the actions that the rules derived
-    /// before it.
+    /// Adds the last step of a controlled car, in which it took an action. `asked` are the actions that the rules
+    /// derived before it.
     pub fn add(&mut self, env: &Env, controlled_car: usize, action: Action, asked: impl Iterator<Item = Action>) {
         let last = env.controlled_cars()[controlled_car].last();
         self.steps += 1;
@@ -266,8 +266,8 @@ impl Wanted {
 }
 
 /// Generates a set of random episodes in which the oracle reaches the goal and at least one step is constrained. The
-/// set is balanced over the kinds of egos in the configuration. If the rules can derive k actions, each of them occurs in
-/// at least 1 / (2k) of the episodes. Calls `watch` with the number of episodes after each new one.
+/// set is balanced over the kinds of egos in the configuration. If the rules can derive k actions, each of them occurs
+/// in at least 1 / (2k) of the episodes. Calls `watch` with the number of episodes after each new one.
 ///
 /// # Errors
 /// As [`Env::new`] and [`Env::reset`]; `limit-exceeded` if the search finds too few episodes.

@@ -40,9 +40,9 @@ impl From<io::Error> for RecordError {
     }
 }
 
-/// Replays an episode of a split with the actions of the egos, and writes the trace in the format of `logicity run`. The
-/// egos appear as [`Driven`] until their episodes end; [`SpfTask::control`] says which cars they are. Start and actions
-/// determine an episode, so environments need not keep traces.
+/// Replays an episode of a split with the actions of the egos, and writes the trace in the format of `logicity run`.
+/// The egos appear as [`Driven`] until their episodes end; [`SpfTask::control`] says which cars they are. Start and
+/// actions determine an episode, so environments need not keep traces.
 ///
 /// # Errors
 /// As [`Env::new`] and [`Env::reset_to`]; `invalid-value` for more actions than the episode has steps,

@@ -307,8 +307,8 @@ impl SubEnv {
         self.egos.iter().map(|ego| &ego.info)
     }
 
-    /// Returns whether the action of an ego counts in the next step, unless that step begins an episode. The rules drive
-    /// egos whose episode has ended, until it has ended for all.
+    /// Returns whether the action of an ego counts in the next step, unless that step begins an episode. The rules
+    /// drive egos whose episode has ended, until it has ended for all.
     pub fn is_active(&self, ego: usize) -> bool {
         self.egos[ego].active
     }
@@ -598,8 +598,8 @@ impl VectorEnv {
         self.sub_envs[sub_env].source = source;
     }
 
-    /// Begins episodes; `None` leaves an environment unchanged. Writes a row of `observations` for each ego of each begun
-    /// episode.
+    /// Begins episodes; `None` leaves an environment unchanged. Writes a row of `observations` for each ego of each
+    /// begun episode.
     ///
     /// # Errors
     /// As [`Env::reset`] and [`Env::reset_to`], for the first environment that fails. It needs another reset; the
@@ -658,8 +658,8 @@ impl VectorEnv {
     }
 
     /// Takes a step in every environment and writes a row of `observations` for each ego. `actions` has the actions of
-    /// the egos of the first environment, then those of the next; those of egos that do not [act](SubEnv::is_active) have no
-    /// effect.
+    /// the egos of the first environment, then those of the next; those of egos that do not [act](SubEnv::is_active)
+    /// have no effect.
     ///
     /// # Errors
     /// As [`Env::step_shielded`], or the errors of the next episode, for the first environment that fails. It needs a
