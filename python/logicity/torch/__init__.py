@@ -25,5 +25,6 @@ Two further ones take degrees as the probabilities of independent facts:
 
 from .exact import Proof
 from .layer import DEFAULT, PRIORITY, RuleLayer, Semantics
+from .weights import WeightedRules, learn_weights
 
-__all__ = ["DEFAULT", "PRIORITY", "Proof", "RuleLayer", "Semantics"]
+__all__ = ["DEFAULT", "PRIORITY", "Proof", "RuleLayer", "Semantics", "WeightedRules", "learn_weights"]

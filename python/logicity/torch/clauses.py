@@ -35,7 +35,8 @@ class Clause:
         probability: That of the head, 1 without one.
         label: The label, such as `S1`.
         source: The position among the clauses of the program.
-        number: The position among the clauses of the layer.
+        place: Its file, line and column, such as `rules/expert.dl:5:1`.
+        number: The position among the written clauses of the layer, -1 for a part of one.
     """
 
     head: Atom
@@ -45,6 +46,7 @@ class Clause:
     probability: float
     label: str
     source: int
+    place: str
     number: int = -1
 
 
@@ -79,7 +81,9 @@ class Clauses:
         derived: The actions that clauses derive.
         strata: The clauses.
         pasts: What their temporal operators read.
-        labels: The labels of the clauses, by `Clause.number`.
+        written: Those of the source, by `Clause.number`; the others are parts of them, such as operands of `once`.
+        labels: The labels of the written clauses.
+        read: The predicates that the clauses read.
         alone: The derived predicates of which only the atoms that begin with an ego are read.
     """
 
@@ -132,13 +136,20 @@ class Clauses:
                 raise ValueError(f"queries: no clause derives `{name}`")
         self.strata = self._needed(checked["strata"])
         used: list[Clause] = []
+        written: list[Clause] = []
         for stratum in self.strata:
             for place, clauses in stratum.clauses.items():
-                stratum.clauses[place] = [replace(each, number=len(used) + at) for at, each in enumerate(clauses)]
-                used += stratum.clauses[place]
-        self.labels = tuple(clause.label for clause in used)
+                if not self._predicates[place]["hidden"]:
+                    clauses = [replace(each, number=len(written) + at) for at, each in enumerate(clauses)]
+                    stratum.clauses[place] = clauses
+                    written += clauses
+                used += clauses
+        self.written = tuple(written)
+        self.labels = tuple(clause.label for clause in written)
         needed = {atom.predicate for clause in used for atom, _ in clause.literals}
         self.pasts = [past for past in self.pasts if past.predicate in needed]
+        operands = {place for past in self.pasts for place in (past.operand, *(past.held or ())[:1])}
+        self.read = needed | operands
         self.alone = self._read_by_egos(used)
 
     def _is_derived(self, action: str) -> bool:
@@ -240,7 +251,8 @@ class Clauses:
                 raise refuse("has a probability that is not a constant")
             chosen = given["alternative"]
             probability = given["probabilities"][chosen]
-        return Clause(head, tuple(literals), tuple(same), len(numbers), probability, given["label"], given["clause"])
+        origin = (given["label"], given["clause"], given["place"])
+        return Clause(head, tuple(literals), tuple(same), len(numbers), probability, *origin)
 
     def _read_by_egos(self, clauses: list[Clause]) -> set[int]:
         """Return the derived predicates of which only the atoms that begin with an ego are read."""

@@ -51,8 +51,7 @@ class Circuits:
         self._clauses, self._queries = clauses, tuple(queries)
         with_clauses = {place for stratum in clauses.strata for place in stratum.clauses}
         self.order = [name for name in clauses.derived if clauses.places[name] in with_clauses]
-        used = [each for stratum in clauses.strata for every in stratum.clauses.values() for each in every]
-        sources = [each.source for each in sorted(used, key=lambda each: each.number)]
+        sources = [each.source for each in clauses.written]
         places = clauses.places
         self._core = _logicity.Circuits(
             program._program,

@@ -360,7 +360,7 @@ class RuleLayer(nn.Module):
             groups[larger] = self._both(groups[larger], groups.pop(key))
         total = groups[left[-1]]
         weights = self.weights()
-        if weights is not None:
+        if weights is not None and clause.number >= 0:
             total = self._both(total, weights[clause.number])
         if clause.probability != 1:
             total = self._both(total, total.new_tensor(clause.probability))
