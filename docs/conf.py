@@ -45,9 +45,10 @@ smartquotes = False
 nb_execution_in_temp = True
 nb_execution_mode = "force"
 nb_execution_show_tb = True
-nb_execution_timeout = 240
-# This one trains a network. Without PyTorch, which is a large package, the page has no output.
-nb_execution_excludepatterns = [] if importlib.util.find_spec("torch") else ["tutorials/pixels-to-proof*"]
+nb_execution_timeout = 600
+# These train a network. Without PyTorch, which is a large package, the pages have no output.
+TRAINING = ["tutorials/pixels-to-proof*", "tutorials/rules-as-a-layer*"]
+nb_execution_excludepatterns = [] if importlib.util.find_spec("torch") else TRAINING
 
 myst_enable_extensions = ["attrs_block", "attrs_inline", "colon_fence", "deflist"]
 myst_heading_anchors = 4
