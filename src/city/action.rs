@@ -36,6 +36,12 @@ impl Action {
     /// The maximum number of actions of a scenario.
     pub const MAX: usize = 16;
 
+    /// Returns the standard action of a name in any case.
+    pub fn standard_ignoring_case(name: &str) -> Option<Action> {
+        let mut standard = Self::STANDARD.into_iter();
+        standard.find(|action| action.name().eq_ignore_ascii_case(name))
+    }
+
     /// Returns the action at a position in a table, which is less than [`Action::MAX`].
     pub(crate) fn at(position: usize) -> Action {
         assert!(position < Self::MAX, "no action {position}");

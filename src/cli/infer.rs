@@ -158,15 +158,15 @@ fn answer_all(
             (Err(fault), _) => Err(vec![fault]),
             (Ok(source), Asked::Marginals(options)) => {
                 let marginals = inference.marginals(&sources, source, options, &Cancel::never());
-                let line = match marginals {
-                    Ok(marginals) => marginals.to_json(),
+                let written = match marginals {
+                    Ok(marginals) => marginals.write_json(out).and_then(|()| writeln!(out)),
                     Err(faults) => {
                         found = Faulty::Scene;
                         report(&faults, &sources);
-                        json!({ "error": to_json(&faults, &sources) })
+                        writeln!(out, "{}", json!({ "error": to_json(&faults, &sources) }))
                     }
                 };
-                writeln!(out, "{line}").map_err(unwritable)?;
+                written.map_err(unwritable)?;
                 continue;
             }
             (Ok(source), Asked::Decision) => (inference.answer(&sources, source)).map(|answer| (answer, Ok(None))),

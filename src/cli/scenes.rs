@@ -112,7 +112,10 @@ impl SceneLines {
                 match files::to_text(bytes) {
                     Ok(line) if line.trim().is_empty() => continue,
                     Ok(line) if number == 1 && line.starts_with(LOG_START) => continue,
-                    Ok(line) => Ok(sources.add_from(name.as_str(), line.trim_end_matches(['\n', '\r']), number)),
+                    Ok(mut line) => {
+                        line.truncate(line.trim_end_matches(['\n', '\r']).len());
+                        Ok(sources.add_from(name.as_str(), line, number))
+                    }
                     Err(ReadError::NotText { column, .. }) => {
                         let what = format!("not UTF-8 text (first bad byte in column {column})");
                         Err(fault(codes::NOT_TEXT, &what))

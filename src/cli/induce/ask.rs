@@ -455,12 +455,8 @@ fn read_action(line: &[u8]) -> Result<Action, OracleError> {
     let is_not = "the answer of the oracle is not an action";
     let value: Value = serde_json::from_slice(line).map_err(|error| invalid(is_not, line, Some(json_error(&error))))?;
     let name = value.get("action").and_then(Value::as_str);
-    let named = |name: &str| {
-        Action::STANDARD
-            .into_iter()
-            .find(|action| action.name().eq_ignore_ascii_case(name))
-    };
-    name.and_then(named).ok_or_else(|| invalid(is_not, line, None))
+    name.and_then(Action::standard_ignoring_case)
+        .ok_or_else(|| invalid(is_not, line, None))
 }
 
 fn invalid(what: &str, line: &[u8], cause: Option<String>) -> OracleError {

@@ -563,6 +563,13 @@ impl Rules {
         Some(PredicateId(u32::try_from(index).expect("fewer than 2^32 predicates")))
     }
 
+    /// Returns a predicate that temporal operators read and whose rows depend on draws.
+    pub fn drawn_operand(&self) -> Option<PredicateId> {
+        let chance = self.chance?;
+        let mut operands = self.pasts.iter().flat_map(Past::operands);
+        operands.find(|operand| self.depends_on(*operand, chance))
+    }
+
     /// Returns whether the rows of a predicate depend on those of another, through any number of clauses.
     pub fn depends_on(&self, predicate: PredicateId, other: PredicateId) -> bool {
         let mut is_known = vec![false; self.predicates.len()];

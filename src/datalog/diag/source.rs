@@ -84,12 +84,8 @@ impl Sources {
     pub fn add_from(&mut self, name: impl Into<String>, text: impl Into<String>, first_line: usize) -> SourceId {
         let text = text.into();
         let mut line_starts = vec![0];
-        line_starts.extend(
-            text.bytes()
-                .enumerate()
-                .filter(|&(_, byte)| byte == b'\n')
-                .map(|(index, _)| u32::try_from(index + 1).unwrap_or(u32::MAX)),
-        );
+        let breaks = text.match_indices('\n');
+        line_starts.extend(breaks.map(|(index, _)| u32::try_from(index + 1).unwrap_or(u32::MAX)));
         self.list.push(Source {
             name: name.into(),
             text,

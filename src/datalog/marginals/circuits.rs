@@ -154,17 +154,13 @@ impl CircuitCompiler {
         }
         self.marginals.prepare(cancel)?;
         let Marginals {
-            grounding,
-            facts,
-            diagrams,
-            ..
+            grounding, diagrams, ..
         } = &mut self.marginals;
         let grounding = grounding.as_ref().expect("it is prepared");
         if let Some(inexact) = grounding.inexact {
             return Ok(Err(inexact));
         }
         let given = Given {
-            facts,
             formulas: &self.given,
             weights,
         };

@@ -5,8 +5,8 @@ use crate::chance;
 use crate::check::{ClauseId, Draw, PredicateId, Term};
 use crate::diagram::{Diagrams, Formula, TooLarge};
 use crate::eval::limits::EvalError;
-use crate::marginals::facts::{AskedRows, FactRow, FactTables, asked_rows};
-use crate::marginals::grounding::{Formulas, GroundClause, Grounding, InputRow, NOWHERE, value};
+use crate::marginals::facts::{AskedRows, FactRow, asked_rows};
+use crate::marginals::grounding::{Formulas, GroundClause, Grounding, NOWHERE, value};
 use crate::session::Session;
 use crate::value::Value;
 use std::collections::{BTreeMap, BTreeSet, HashMap};
@@ -54,7 +54,7 @@ impl Grounding {
             sources,
             cancel,
         };
-        match work.run(self, &needed.inputs) {
+        match work.run(self, &needed.ranks) {
             Ok(()) => Ok(Ok(work.formulas)),
             Err(Stop::TooLarge) => Ok(Err(TooLarge)),
             Err(Stop::Cancelled) => Err(EvalError::Cancelled { clause: ClauseId(0) }),
@@ -102,7 +102,6 @@ pub(super) enum Source {
 /// What is given of a tick.
 #[derive(Clone, Copy)]
 pub(super) struct Given<'g> {
-    pub facts: &'g FactTables,
     /// The formulas of facts, in place of their probabilities.
     pub formulas: &'g HashMap<(PredicateId, FactRow), Formula>,
     /// The weights of clauses.
@@ -143,22 +142,27 @@ struct Instance {
 }
 
 impl<A: Algebra> Work<'_, A> {
-    fn run(&mut self, grounding: &Grounding, inputs: &[(PredicateId, Vec<InputRow>)]) -> Result<(), Stop> {
+    fn run(&mut self, grounding: &Grounding, ranks: &[Vec<u32>]) -> Result<(), Stop> {
         let mut random = Vec::new();
-        for (input, rows) in inputs {
-            // Both are sorted. Facts of the source are no such facts; clauses add them below.
-            let mut given = self.given.facts.of(*input).iter().peekable();
-            for (at, rank, row) in rows {
-                while given.next_if(|(known, _)| known < row).is_some() {}
-                if let Some((_, probability)) = given.next_if(|(known, _)| known == row) {
-                    let known = match self.given.formulas.is_empty() {
-                        true => None,
-                        false => self.given.formulas.get(&(*input, row.clone())).copied(),
-                    };
-                    match known {
-                        Some(formula) => self.formulas.set(*input, *at as usize, formula),
-                        None => random.push((*rank, *input, *at, *probability)),
+        // Facts of the source are no such facts; clauses add them below.
+        for (input, ranks) in grounding.inputs.iter().zip(ranks) {
+            for &(at, probability) in &input.given {
+                let rank = ranks[at as usize];
+                if rank == NOWHERE {
+                    continue;
+                }
+                let known = match self.given.formulas.is_empty() {
+                    true => None,
+                    false => {
+                        let row = input.rows[at as usize].clone();
+                        self.given.formulas.get(&(input.predicate, row)).copied()
                     }
+                };
+                match known {
+                    Some(formula) => self.formulas.set(input.predicate, at as usize, formula),
+                    // These need no variable, and so no order.
+                    None if probability >= 1.0 => self.formulas.set(input.predicate, at as usize, Formula::TRUE),
+                    None => random.push((rank, input.predicate, at, probability)),
                 }
             }
         }

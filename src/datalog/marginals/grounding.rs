@@ -7,13 +7,14 @@ use crate::check::{
 };
 use crate::diagram::Formula;
 use crate::eval::limits::EvalError;
-use crate::marginals::facts::{AskedRows, FactRow, asked_rows, find_row};
+use crate::marginals::facts::{AskedRows, FactRow, FactTables, asked_rows, find_row};
 use crate::program::Program;
 use crate::session::Session;
 use crate::symbol::Symbols;
 use crate::syntax::ast::BaseType;
 use crate::value::Value;
 use smallvec::SmallVec;
+use std::cmp::Ordering;
 use std::collections::{BTreeMap, BTreeSet};
 
 /// Why probabilities are estimates.
@@ -53,7 +54,7 @@ pub(super) struct Grounding {
     /// The predicates whose rows may be uncertain and that the queries depend on.
     pub uncertain: Vec<bool>,
     /// The input predicates among them.
-    pub inputs: Vec<PredicateId>,
+    pub inputs: Vec<GroundInput>,
     pub strata: Vec<GroundStratum>,
     pub inexact: Option<Inexact>,
     /// What the queries depend on. Made on demand; every commit and other queried rows clear it.
@@ -64,27 +65,34 @@ pub(super) struct Grounding {
 pub(super) struct Needed {
     /// Formulas of all rows before the first clause is evaluated.
     pub formulas: Formulas,
-    /// The rows of the uncertain input predicates.
-    pub inputs: Vec<(PredicateId, Vec<InputRow>)>,
+    /// By input and position of a row: the rank of its variable, see [`variable_ranks`], or [`NOWHERE`] if it is not
+    /// needed.
+    pub ranks: Vec<Vec<u32>>,
 }
 
-/// A row of an uncertain input predicate: its position, the rank of its variable (see [`variable_ranks`]), and its words.
-pub(super) type InputRow = (u32, u32, FactRow);
+/// An input predicate whose rows may be uncertain.
+pub(super) struct GroundInput {
+    pub predicate: PredicateId,
+    /// Its rows in the session, sorted.
+    pub rows: Vec<FactRow>,
+    /// The positions of the given facts among them, with their probabilities.
+    pub given: Vec<(u32, f64)>,
+}
 
 /// Returns the rank of each input row in the variable order.
 ///
 /// Without an ego, rows keep their order. With an ego, rows are sorted by their greatest symbol, the ego first: rows about
 /// the ego alone, then those that add the next symbol. Formulas that join one subformula for each symbol then have small
 /// diagrams.
-fn variable_ranks(inputs: &[(PredicateId, Vec<(u32, FactRow)>)], ego: Option<Value>) -> Vec<u32> {
+fn variable_ranks(inputs: &[Vec<(u32, FactRow)>], ego: Option<Value>) -> Vec<u32> {
     let Some(ego) = ego else {
-        let rows: usize = inputs.iter().map(|(_, rows)| rows.len()).sum();
+        let rows: usize = inputs.iter().map(Vec::len).sum();
         return (0..rows as u32).collect();
     };
     let rows = inputs
         .iter()
         .enumerate()
-        .flat_map(|(input, (_, rows))| rows.iter().map(move |(_, row)| (input, row)));
+        .flat_map(|(input, rows)| rows.iter().map(move |(_, row)| (input, row)));
     let mut keys: Vec<(SmallVec<[u32; 4]>, usize, usize)> = rows
         .enumerate()
         .map(|(number, (input, row))| {
@@ -171,8 +179,6 @@ impl Grounding {
         symbols: &Symbols,
     ) -> Grounding {
         let rules = program.rules();
-        let mut is_lifted = vec![false; rules.predicates.len()];
-        lifted.iter().for_each(|predicate| is_lifted[predicate.index()] = true);
         let inputs: BTreeSet<PredicateId> = inputs.union(&lifted).copied().collect();
         let uncertain = relevant(rules, uncertain(rules, &inputs, weights), queries);
         let is_uncertain = |atom: &Atom| uncertain[atom.predicate.index()];
@@ -209,6 +215,8 @@ impl Grounding {
                     .into_iter()
                     .partition(|(atom, _)| in_stratum(stratum, atom));
                 clause.lower = lower;
+                // Positive atoms first: most facts are false, so these make a conjunction false sooner.
+                clause.lower.sort_by_key(|(_, negated)| *negated);
                 let recursive: Vec<(Atom, bool)> = recursive;
                 clause.recursive = recursive.into_iter().map(|(atom, _)| atom).collect();
                 Some(clause)
@@ -217,11 +225,15 @@ impl Grounding {
             (!is_empty).then_some(GroundStratum { clauses })
         });
         let strata = strata.collect();
-        let inputs = inputs
-            .iter()
-            .copied()
-            .filter(|input| uncertain[input.index()])
-            .collect();
+        let inputs = inputs.iter().filter(|input| uncertain[input.index()]);
+        let inputs = inputs.map(|&predicate| GroundInput {
+            predicate,
+            rows: Vec::new(),
+            given: Vec::new(),
+        });
+        let inputs = inputs.collect();
+        let mut is_lifted = vec![false; rules.predicates.len()];
+        lifted.iter().for_each(|predicate| is_lifted[predicate.index()] = true);
         let made = Program::new(restratified(made)).expect("the clauses have fewer literals than those of the program");
         Grounding {
             session: made.session_with(symbols.clone()),
@@ -236,25 +248,47 @@ impl Grounding {
         }
     }
 
-    /// Notes a change of a fact.
+    /// Notes a change of a fact, unless [`update`](Grounding::update) will find it.
     pub fn note(&mut self, to: PredicateId, words: &[Value], holds: bool) {
-        if self.is_lifted[to.index()] {
-            if !holds || self.session.contains(to, words) {
-                return;
-            }
-            self.lifted_rows += 1;
+        if !self.is_lifted[to.index()] {
+            self.changed = true;
+            self.session.change_row(to, words, holds);
         }
-        self.changed = true;
-        self.session.change_row(to, words, holds);
+    }
+
+    /// Commits the facts, which are sorted, and finds their positions. Adds the rows that the session lacks.
+    pub fn update(&mut self, facts: &FactTables, cancel: &Cancel) -> Result<(), EvalError> {
+        for input in &mut self.inputs {
+            let lacking = input.match_facts(facts.of(input.predicate));
+            // The others have been noted.
+            if self.is_lifted[input.predicate.index()] && !lacking.is_empty() {
+                (lacking.iter()).for_each(|row| self.session.change_row(input.predicate, row, true));
+                self.lifted_rows += lacking.len();
+                self.changed = true;
+            }
+        }
+        if self.changed {
+            self.commit(cancel)?;
+            for input in &mut self.inputs {
+                input.match_facts(facts.of(input.predicate));
+            }
+        }
+        Ok(())
     }
 
     /// Derives what there may be, and finds the rows of all instances.
-    pub fn commit(&mut self, cancel: &Cancel) -> Result<(), EvalError> {
+    fn commit(&mut self, cancel: &Cancel) -> Result<(), EvalError> {
         if !self.changed {
             return Ok(());
         }
         self.session.commit_with(cancel)?;
         self.changed = false;
+        for input in &mut self.inputs {
+            input.rows.clear();
+            input
+                .rows
+                .extend(self.session.encoded_rows(input.predicate).map(FactRow::from_slice));
+        }
         let clauses = self.strata.iter_mut().flat_map(|stratum| &mut stratum.clauses);
         clauses.for_each(|clause| clause.find(&self.session));
         self.needed = None;
@@ -289,28 +323,27 @@ impl Grounding {
                 }
             }
         }
-        let rows_of = |input: PredicateId| {
-            let rows = (0..).zip(self.session.encoded_rows(input)).zip(&needed[input.index()]);
+        let rows_of = |input: &GroundInput| {
+            let rows = (0..).zip(&input.rows).zip(&needed[input.predicate.index()]);
             let needed = rows.filter(|(_, needed)| **needed);
-            (input, needed.map(|((at, row), _)| (at, row.into())).collect())
+            needed.map(|((at, row), _)| (at, row.clone())).collect()
         };
-        let inputs: Vec<(PredicateId, Vec<(u32, FactRow)>)> = self.inputs.iter().map(|input| rows_of(*input)).collect();
+        let rows: Vec<Vec<(u32, FactRow)>> = self.inputs.iter().map(rows_of).collect();
         let ego = asked
             .filter(|asked| asked.len() == 1)
             .and_then(|asked| match &**asked.first()? {
                 [ego] => Some(*ego),
                 _ => None,
             });
-        let mut places = variable_ranks(&inputs, ego).into_iter();
-        let inputs = (inputs.into_iter())
-            .map(|(input, rows)| {
-                let placed = rows
-                    .into_iter()
-                    .zip(&mut places)
-                    .map(|((at, row), place)| (at, place, row));
-                (input, placed.collect())
-            })
-            .collect();
+        let mut found = variable_ranks(&rows, ego).into_iter();
+        let ranks = self.inputs.iter().zip(&rows).map(|(input, rows)| {
+            let mut ranks = vec![NOWHERE; input.rows.len()];
+            rows.iter()
+                .zip(&mut found)
+                .for_each(|((at, _), rank)| ranks[*at as usize] = rank);
+            ranks
+        });
+        let ranks = ranks.collect();
         let mut next = 0;
         let start = |(rows, uncertain): (&Vec<bool>, &bool)| {
             uncertain.then(|| {
@@ -324,8 +357,44 @@ impl Grounding {
                 starts,
                 all: vec![Formula::FALSE; next],
             },
-            inputs,
+            ranks,
         });
+    }
+}
+
+/// Compares rows of a predicate. Most have one or two columns.
+#[inline]
+fn compare(one: &[Value], other: &[Value]) -> Ordering {
+    match (one, other) {
+        ([x], [y]) => x.cmp(y),
+        ([x, y], [z, w]) => (x, y).cmp(&(z, w)),
+        _ => one.cmp(other),
+    }
+}
+
+impl GroundInput {
+    /// Finds the positions of sorted facts, and returns those that are not among the rows.
+    fn match_facts<'f>(&mut self, facts: &'f [(FactRow, f64)]) -> Vec<&'f FactRow> {
+        let mut rows = (0..).zip(&self.rows).peekable();
+        let mut lacking = Vec::new();
+        self.given.clear();
+        for (row, probability) in facts {
+            loop {
+                match rows.peek().map(|(_, known)| compare(known, row)) {
+                    Some(Ordering::Less) => _ = rows.next(),
+                    Some(Ordering::Equal) => {
+                        let (at, _) = rows.next().expect("it has been seen");
+                        self.given.push((at, *probability));
+                        break;
+                    }
+                    _ => {
+                        lacking.push(row);
+                        break;
+                    }
+                }
+            }
+        }
+        lacking
     }
 }
 

@@ -239,6 +239,30 @@ impl Marginals {
     /// As [`Session::insert`], and if the probability is none.
     pub fn insert(&mut self, predicate: impl AsPredicate, row: impl IntoRow, probability: f64) -> Result<(), RowError> {
         let (to, words) = self.encoded(predicate, &row)?;
+        self.add(to, words, probability)
+    }
+
+    /// Variant of [`insert`](Marginals::insert) for many rows of words, each with its probability. On an error, the rows
+    /// before the invalid one stay added.
+    ///
+    /// # Errors
+    /// As [`insert`](Marginals::insert).
+    pub fn insert_all<R: AsRef<[Value]>>(
+        &mut self,
+        predicate: impl AsPredicate,
+        rows: impl IntoIterator<Item = (R, f64)>,
+    ) -> Result<(), RowError> {
+        let program = self.program.clone();
+        let (predicate, to) = program.base(predicate)?;
+        let symbols = self.symbols.len();
+        for (row, probability) in rows {
+            check_words(predicate, row.as_ref(), symbols)?;
+            self.add(to, FactRow::from_slice(row.as_ref()), probability)?;
+        }
+        Ok(())
+    }
+
+    fn add(&mut self, to: PredicateId, words: FactRow, probability: f64) -> Result<(), RowError> {
         if !(0.0..=1.0).contains(&probability) {
             let predicate = self.program.rules().predicates[to.index()].name.clone();
             let found = probability.to_string();
@@ -307,7 +331,6 @@ impl Marginals {
                 self.diagrams.clear();
                 self.sources.clear();
                 let given = Given {
-                    facts: &self.facts,
                     formulas: &HashMap::new(),
                     weights: &[],
                 };
@@ -375,7 +398,7 @@ impl Marginals {
             if grounding.session.symbols().len() < self.symbols.len() {
                 grounding.session.set_symbols(self.symbols.clone());
             }
-            grounding.commit(cancel)?;
+            grounding.update(&self.facts, cancel)?;
             grounding.find_needed(&self.queries, self.asked.as_ref());
         }
         Ok(())

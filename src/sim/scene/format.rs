@@ -7,7 +7,7 @@ use crate::datalog::Value;
 use crate::diag::{self, Diagnostic, Faults, SourceId, Sources, Span, did_you_mean, json_error, listed};
 use crate::predicate::{Progress, Unit};
 use crate::sim::codes;
-use crate::sim::scene::rows::plain_rows;
+use crate::sim::scene::plain::{NameIndex, PlainFacts, PlainScene, plain_rows, plain_scene};
 use crate::sim::tick::ground::MAX_ENTITIES;
 use indexmap::IndexMap;
 use indexmap::map::Entry;
@@ -274,11 +274,11 @@ struct Reader<'a> {
 
 impl<'a> Reader<'a> {
     fn scenes(&self) -> Read<Vec<Scene>> {
-        // Most scenes are symbolic: one pass. Other scenes and errors take more. A list would fill the fields, too.
-        if self.text.trim_start().starts_with('{')
-            && let Ok(raw) = serde_json::from_str::<RawSymbolic<'a>>(self.text)
+        // Most scenes are symbolic: one pass. Other scenes and errors take more.
+        if let Some(plain) = plain_scene(self.text, &self.terms.predicates)
+            && let Ok(scene) = self.plain(plain)
         {
-            return Ok(vec![Scene::Symbolic(self.symbolic(raw)?)]);
+            return Ok(vec![Scene::Symbolic(scene)]);
         }
         let whole: &RawValue = self.read(self.text, 0)?;
         if !whole.get().starts_with('[') {
@@ -471,6 +471,25 @@ impl<'a> Reader<'a> {
         }
     }
 
+    /// Completes a scene that was parsed in one pass.
+    fn plain(&self, plain: PlainScene<'a>) -> Read<SymbolicScene> {
+        let facts = plain.facts.into_iter().map(|(predicate, facts)| match facts {
+            PlainFacts::Rows((rows, uncertain)) => Ok(GivenPredicate {
+                predicate,
+                rows,
+                values: Vec::new(),
+                uncertain,
+            }),
+            PlainFacts::Quantity(raw) => self.checked_rows(raw, predicate, &plain.names, "entity"),
+        });
+        Ok(SymbolicScene {
+            facts: all(facts)?,
+            entities: plain.entities.into_iter().map(str::to_owned).collect(),
+            ego: plain.ego,
+            actions: plain.actions,
+        })
+    }
+
     fn bounded(&self, list: &[&'a RawValue], what: &str) -> Read<()> {
         match list.get(MAX_ENTITIES) {
             None => Ok(()),
@@ -483,12 +502,12 @@ impl<'a> Reader<'a> {
     }
 
     /// Returns the positions by name.
-    fn names<'n>(&self, list: impl Iterator<Item = (&'n str, Span)>) -> Read<HashMap<String, usize>> {
-        let mut names = HashMap::new();
+    fn names<'n>(&self, list: impl Iterator<Item = (&'n str, Span)>) -> Read<NameIndex<'n>> {
+        let mut names = NameIndex::default();
         let mut spans = Vec::new();
         let mut faults = Vec::new();
-        for (index, (name, span)) in list.enumerate() {
-            if let Some(first) = names.insert(name.to_owned(), index) {
+        for (name, span) in list {
+            if let Some(first) = names.add(name) {
                 let fault = Diagnostic::new(codes::INVALID_SCENE, format!("the name `{name}` is given twice"));
                 faults.push(fault.at(span, "again here").also(spans[first], "first here"));
             }
@@ -498,29 +517,21 @@ impl<'a> Reader<'a> {
     }
 
     /// Returns the position of the agent or entity (`what`) that a JSON string names.
-    fn named(&self, raw: &'a RawValue, names: &HashMap<String, usize>, what: &str) -> Read<usize> {
+    fn named(&self, raw: &'a RawValue, names: &NameIndex<'_>, what: &str) -> Read<usize> {
         let name: String = self.value(raw)?;
-        let position = names.get(&name).copied();
+        let position = names.get(&name);
         position.ok_or_else(|| vec![self.fault(raw, format!("the scene has no {what} `{name}`"), "unknown name")])
     }
 
     /// Parses labels: the name of an action for each agent or entity (`what`).
-    fn actions(
-        &self,
-        Entries(entries): Entries<'a>,
-        names: &HashMap<String, usize>,
-        what: &str,
-    ) -> Read<Vec<(usize, Action)>> {
+    fn actions(&self, Entries(entries): Entries<'a>, names: &NameIndex<'_>, what: &str) -> Read<Vec<(usize, Action)>> {
         all(entries.into_iter().map(|(name, raw)| {
-            let position = names.get(&name).copied().ok_or_else(|| {
+            let position = names.get(&name).ok_or_else(|| {
                 let fault = Diagnostic::new(codes::INVALID_SCENE, format!("the scene has no {what} `{name}`"));
                 vec![fault.at(self.key_span(raw), "unknown name")]
             })?;
             let named: String = self.value(raw)?;
-            let action = Action::STANDARD
-                .into_iter()
-                .find(|action| action.name().eq_ignore_ascii_case(&named));
-            let action = action.ok_or_else(|| {
+            let action = Action::standard_ignoring_case(&named).ok_or_else(|| {
                 let names: Vec<&str> = Action::STANDARD.iter().map(|action| action.name()).collect();
                 vec![self.fault(
                     raw,
@@ -532,12 +543,7 @@ impl<'a> Reader<'a> {
         }))
     }
 
-    fn rows(
-        &self,
-        Entries(entries): Entries<'a>,
-        names: &HashMap<String, usize>,
-        what: &str,
-    ) -> Read<Vec<GivenPredicate>> {
+    fn rows(&self, Entries(entries): Entries<'a>, names: &NameIndex<'_>, what: &str) -> Read<Vec<GivenPredicate>> {
         all(entries.into_iter().map(|(name, raw)| {
             let known = self.terms.predicates.iter().position(|(known, ..)| *known == name);
             let Some((predicate, &(_, arity, unit))) = known.map(|at| (at, &self.terms.predicates[at])) else {
@@ -566,7 +572,7 @@ impl<'a> Reader<'a> {
         &self,
         raw: &'a RawValue,
         predicate: usize,
-        names: &HashMap<String, usize>,
+        names: &NameIndex<'_>,
         what: &str,
     ) -> Read<GivenPredicate> {
         let (name, arity, unit) = self.terms.predicates[predicate];
@@ -635,7 +641,7 @@ impl<'a> Reader<'a> {
         &self,
         raw: &'a RawValue,
         (arity, unit): (usize, Option<Unit>),
-        names: &HashMap<String, usize>,
+        names: &NameIndex<'_>,
         what: &str,
     ) -> Read<([u32; 2], Value)> {
         let terms = if raw.get().starts_with('[') {
@@ -766,6 +772,75 @@ mod tests {
         }
     }
 
+    /// One-pass parsing equals the parts of [`Reader::scene`].
+    #[test]
+    fn plain_scenes_equal_checked_scenes() {
+        const ENTITIES: [&str; 7] = [
+            r#""entities":["a","b"]"#,
+            r#""entities":["b","\u0061","c"]"#,
+            r#""entities":["a","a"]"#,
+            r#""entities":["a","b","c","d","e","f","g","h","i","j","k","l","m","n","o","p"]"#,
+            r#""entities":["a","b","c","d","e","f","g","h","i","j","k","l","m","n","o","p","q","r"]"#,
+            r#""entities":["pedestrian_1","pedestrian_2","pedestria","a"]"#,
+            r#""entities":3"#,
+        ];
+        const OTHERS: [&str; 14] = [
+            r#""ego":"a""#,
+            r#""ego":"b""#,
+            r#""ego":"z""#,
+            r#""ego":"pedestrian_2""#,
+            r#""facts":{"P":["pedestria"],"Q":[["pedestrian_2","pedestrian_1"],["pedestrian_1","a"]]}"#,
+            r#""facts":{"P":["a",["b"]],"Q":[["a","b"],{"row":["b","a"],"probability":0.5}]}"#,
+            r#""facts":{"Q":[["b","a"],["b","b"]],"V":[["b",3],["a",-1]]}"#,
+            r#""facts":{"V":[["b",3],["b",4]]}"#,
+            r#""facts":{"P":["a"],"P":["b"]}"#,
+            r#""facts":{"R":["a"]}"#,
+            r#""actions":{"a":"stop","b":"Fast"}"#,
+            r#""actions":{"a":"Stop","a":"Fast"}"#,
+            r#""reason":"a test""#,
+            r#""more":1"#,
+        ];
+        let kinds = KindTable::default();
+        let terms = Terms {
+            predicates: vec![("P", 1, None), ("Q", 2, None), ("V", 1, Some(Unit::Number))],
+            concepts: Vec::new(),
+            kinds: &kinds,
+        };
+        let mut counts = [0; 2];
+        for case in 0..4000 {
+            let mut random = Seed(case).stream(Purpose::TEST, 0, 0);
+            let mut parts = vec![ENTITIES[random.random_range(0..7)], OTHERS[random.random_range(0..5)]];
+            parts.extend((0..random.random_range(0..4)).map(|_| OTHERS[random.random_range(0..14)]));
+            if random.random_bool(0.2) {
+                parts.rotate_left(1);
+            }
+            let mut sources = Sources::new();
+            let source = sources.add("scene", format!(" {{{}}} ", parts.join(", ")));
+            let reader = Reader {
+                source,
+                text: sources.text(source),
+                terms: &terms,
+            };
+            let whole: &RawValue = serde_json::from_str(reader.text.trim()).expect("it is JSON");
+            let checked = reader.scene(whole);
+            let plain = plain_scene(reader.text, &terms.predicates).and_then(|plain| reader.plain(plain).ok());
+            counts[usize::from(plain.is_some())] += 1;
+            if let Some(plain) = plain {
+                let expected = checked.expect("it has no fault");
+                assert_eq!(
+                    format!("{:?}", Scene::Symbolic(plain)),
+                    format!("{expected:?}"),
+                    "{}",
+                    reader.text
+                );
+            } else if checked.is_ok() {
+                let refused = reader.text.contains("\\u0061") || !reader.text.starts_with(" {\"entities");
+                assert!(refused, "{}", reader.text);
+            }
+        }
+        assert!(counts.iter().all(|count| *count > 300), "{counts:?}");
+    }
+
     /// One-pass parsing equals `checked_rows`, and rejects the same rows.
     #[test]
     fn plain_rows_equal_checked_rows() {
@@ -788,7 +863,10 @@ mod tests {
             "3",
         ];
         let mut counts = [0; 2];
-        let names = HashMap::from([("a".to_owned(), 0), ("b".to_owned(), 1)]);
+        let mut names = NameIndex::default();
+        for name in ["a", "b"] {
+            assert_eq!(names.add(name), None);
+        }
         let kinds = KindTable::default();
         for case in 0..4000 {
             let mut random = Seed(case).stream(Purpose::TEST, 0, 0);

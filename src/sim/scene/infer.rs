@@ -398,7 +398,9 @@ impl Inference {
         let sees = self.vocabulary.sees;
         if scene.facts.iter().all(|known| known.predicate != sees) {
             let all = 0..u32::try_from(scene.entities.len()).expect("fewer than 2^32 entities");
-            facts.rows[sees] = all.clone().flat_map(|x| all.clone().map(move |y| [x, y])).collect();
+            let rows = &mut facts.rows[sees];
+            rows.reserve_exact(all.len() * all.len());
+            all.clone().for_each(|x| rows.extend(all.clone().map(|y| [x, y])));
         }
         for known in scene.facts {
             facts.rows[known.predicate] = known.rows;

@@ -2,7 +2,7 @@
 
 use crate::cancel::Cancel;
 use crate::city::{Action, Heading};
-use crate::datalog::{BaseType, MarginalOptions, Marginals, Past, PredicateId, Probability, Value};
+use crate::datalog::{BaseType, MarginalOptions, Marginals, PredicateId, Probability, Value};
 use crate::diag::{Diagnostic, SourceId, Sources, Span};
 use crate::sim::codes;
 use crate::sim::scene::answer::SceneFacts;
@@ -10,6 +10,7 @@ use crate::sim::scene::infer::Inference;
 use crate::sim::tick::ground_state::GroundPredicate;
 use serde_json::json;
 use smallvec::SmallVec;
+use std::io::{self, Write};
 use std::sync::Arc;
 
 /// The probabilities of the actions of the egos of a scene.
@@ -40,27 +41,55 @@ struct Order {
 }
 
 impl MarginalAnswer {
-    /// Returns the answer as JSON: `{"egos": {ID: {"derived": {ACTION: 0.4}, "action": {ACTION: 0.4}}}, "exact": true}`.
-    /// An estimate is `{"value", "low", "high"}`, and has the key `because` in place of `exact`.
-    pub fn to_json(&self) -> serde_json::Value {
-        let probability = |probability: &Probability| match probability.interval {
-            None => json!(probability.value),
-            Some((low, high)) => json!({ "value": probability.value, "low": low, "high": high }),
-        };
-        let all = |list: &[(String, Probability)]| {
-            let entries = list.iter().map(|(action, value)| (action.clone(), probability(value)));
-            serde_json::Value::Object(entries.collect())
-        };
-        let egos = self.egos.iter().map(|ego| {
-            let entry = json!({ "derived": all(&ego.derived), "action": all(&ego.decided) });
-            (ego.id.clone(), entry)
-        });
-        let egos = serde_json::Value::Object(egos.collect());
+    /// Writes the answer as JSON: `{"egos": {ID: {"derived": {ACTION: 0.4}, "action": {ACTION: 0.4}}}, "exact": true}`.
+    /// An estimate is `{"value", "low", "high"}`, and the answer then has the key `because`.
+    ///
+    /// # Errors
+    /// The errors of `out`.
+    pub fn write_json(&self, out: &mut dyn Write) -> io::Result<()> {
+        out.write_all(b"{\"egos\":{")?;
+        for (position, ego) in self.egos.iter().enumerate() {
+            write_key(out, position, &ego.id)?;
+            out.write_all(b"{\"derived\":")?;
+            write_probabilities(out, &ego.derived)?;
+            out.write_all(b",\"action\":")?;
+            write_probabilities(out, &ego.decided)?;
+            out.write_all(b"}")?;
+        }
         match &self.inexact {
-            None => json!({ "egos": egos, "exact": true }),
-            Some(reason) => json!({ "egos": egos, "exact": false, "because": reason }),
+            None => out.write_all(b"},\"exact\":true}"),
+            Some(reason) => write!(out, "}},\"exact\":false,\"because\":{}}}", json!(reason)),
         }
     }
+
+    /// Returns the answer as JSON; see [`MarginalAnswer::write_json`].
+    pub fn to_json(&self) -> serde_json::Value {
+        let mut text = Vec::new();
+        self.write_json(&mut text).expect("writing to memory cannot fail");
+        serde_json::from_slice(&text).expect("it has been written as JSON")
+    }
+}
+
+/// Writes the key of an entry of an object.
+fn write_key(out: &mut dyn Write, position: usize, key: &str) -> io::Result<()> {
+    out.write_all(if position > 0 { b"," } else { b"" })?;
+    serde_json::to_writer(&mut *out, key)?;
+    out.write_all(b":")
+}
+
+fn write_probabilities(out: &mut dyn Write, list: &[(String, Probability)]) -> io::Result<()> {
+    out.write_all(b"{")?;
+    for (position, (action, probability)) in list.iter().enumerate() {
+        write_key(out, position, action)?;
+        match probability.interval {
+            None => serde_json::to_writer(&mut *out, &probability.value)?,
+            Some((low, high)) => {
+                let estimate = json!({ "value": probability.value, "low": low, "high": high });
+                write!(out, "{estimate}")?;
+            }
+        }
+    }
+    out.write_all(b"}")
 }
 
 impl Inference {
@@ -89,8 +118,7 @@ impl Inference {
     /// Checks that no operand of a temporal operator depends on a draw.
     fn check_certain_past(&self) -> Result<(), Diagnostic> {
         let rules = self.program.rules();
-        let is_drawn = |operand: &PredicateId| rules.chance.is_some_and(|chance| rules.depends_on(*operand, chance));
-        let Some(drawn) = rules.pasts.iter().flat_map(Past::operands).find(is_drawn) else {
+        let Some(drawn) = rules.drawn_operand() else {
             return Ok(());
         };
         let message = format!(
@@ -128,31 +156,46 @@ impl Inference {
         };
         let names: Vec<Value> = scene.names.iter().map(|name| marginals.intern(name)).collect();
         let headings = Heading::ALL.map(|heading| marginals.intern(heading.name()));
-        let mut insert = |predicate: GroundPredicate, row: [u32; 2], value: Option<Value>, probability: f64| {
-            let words = row[..predicate.arity].iter().map(|entity| names[*entity as usize]);
-            let value = value.map(|value| match predicate.value {
-                Some(BaseType::Symbol) => headings[value.0 as usize],
-                _ => value,
-            });
-            let words: SmallVec<[Value; 4]> = words.chain(value).collect();
-            let inserted = marginals.insert(predicate.id, &words[..], probability);
-            inserted.expect("facts of the vocabulary fit");
+        let words = |row: &[u32; 2], arity: usize| -> SmallVec<[Value; 4]> {
+            // Columns that the predicate does not have contain 0, also in a scene without entities.
+            let both = row.map(|entity| names.get(entity as usize).copied().unwrap_or_default());
+            SmallVec::from_slice(&both[..arity])
         };
         for (index, predicate) in GroundPredicate::of(&vocabulary).enumerate() {
-            let Some(predicate) = predicate else { continue };
-            let rows = scene.facts.rows[index].iter().enumerate();
-            rows.for_each(|(at, row)| insert(predicate, *row, scene.facts.values[index].get(at).copied(), 1.0));
+            let Some(GroundPredicate { id, arity, value }) = predicate else {
+                continue;
+            };
+            let (rows, values) = (&scene.facts.rows[index], &scene.facts.values[index]);
             let uncertain = scene.uncertain.iter().filter(|(of, ..)| *of == index);
-            uncertain.for_each(|(_, row, probability)| insert(predicate, *row, None, *probability));
+            let inserted = if values.is_empty() {
+                // Both are sorted.
+                let mut uncertain = uncertain.peekable();
+                let rows = rows.iter().map(|row| {
+                    let known = uncertain.next_if(|(_, uncertain, _)| uncertain == row);
+                    (words(row, arity), known.map_or(1.0, |(.., probability)| *probability))
+                });
+                let inserted = marginals.insert_all(id, rows);
+                debug_assert!(uncertain.peek().is_none(), "all uncertain rows are among the rows");
+                inserted
+            } else {
+                let value = |at: Value| match value {
+                    Some(BaseType::Symbol) => headings[at.0 as usize],
+                    _ => at,
+                };
+                let rows = rows.iter().zip(values).map(|(row, at)| {
+                    let mut words = words(row, arity);
+                    words.push(value(*at));
+                    (words, 1.0)
+                });
+                marginals.insert_all(id, rows)
+            };
+            inserted.expect("facts of the vocabulary fit");
         }
         let rules = self.program.rules();
         for (past, rows) in rules.pasts.iter().zip(&scene.facts.past) {
-            let predicate = GroundPredicate {
-                id: past.predicate,
-                arity: rules.predicates[past.predicate.index()].arity(),
-                value: None,
-            };
-            rows.iter().for_each(|(row, _)| insert(predicate, *row, None, 1.0));
+            let arity = rules.predicates[past.predicate.index()].arity();
+            let inserted = marginals.insert_all(past.predicate, rows.iter().map(|(row, _)| (words(row, arity), 1.0)));
+            inserted.expect("facts of the vocabulary fit");
         }
         let rows: Vec<[Value; 1]> = scene.egos.iter().map(|ego| [names[*ego]]).collect();
         let rows: Vec<&[Value]> = rows.iter().map(|row| &row[..]).collect();

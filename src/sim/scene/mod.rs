@@ -9,7 +9,7 @@ mod infer;
 mod judge;
 mod lint;
 mod marginals;
-mod rows;
+mod plain;
 mod theory;
 
 pub use answer::{Answer, EgoAnswer, SceneFacts};
