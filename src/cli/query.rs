@@ -16,7 +16,9 @@ use crate::cli::values::{integer, threads};
 use crate::datalog::cancel::Cancel;
 use crate::datalog::codes;
 use crate::datalog::explain::ExplanationPrinter;
-use crate::datalog::{ClauseId, Directive, EvalError, InputPolicy, MarkKind, PredicateId, RowPlace, Rules, rewrite};
+use crate::datalog::{
+    ClauseId, Directive, EvalError, InputPolicy, MarkKind, PredicateId, RowPlace, Rules, Value, rewrite,
+};
 use crate::datalog::{
     Delta, EvalEvent, Limits, MarginalOptions, Marginals, Options, Program, RuleStats, Session, Threads, constraints,
 };
@@ -37,9 +39,10 @@ pub struct Arguments {
     /// Rule file
     rules: PathBuf,
     /// Folder with a file NAME.facts for each input predicate: one row per line, tab-separated, unless options of
-    /// `.input` differ [default: .]
+    /// `.input` differ. Repeat the option to give the facts of successive ticks; results and --profile are those of the
+    /// last tick [default: .]
     #[arg(short = 'F', long, value_name = "DIR")]
-    facts: Option<PathBuf>,
+    facts: Vec<PathBuf>,
     /// Folder for a file NAME.csv for each output predicate; created if missing; `-` means standard output
     #[arg(short = 'D', long, value_name = "DIR", default_value = ".")]
     output: PathBuf,
@@ -120,7 +123,7 @@ pub fn run(arguments: &Arguments, sources: &mut Sources) -> Result<(), Failure> 
         true => program,
         false => Program::with(program.rules().clone(), options)?,
     };
-    if arguments.plan && arguments.facts.is_none() {
+    if arguments.plan && arguments.facts.is_empty() {
         write!(terminal::out(), "{}", program.show_plans(sources))?;
         return Ok(());
     }
@@ -129,25 +132,58 @@ pub fn run(arguments: &Arguments, sources: &mut Sources) -> Result<(), Failure> 
     session.set_limits(arguments.limits.limits(Limits::default()));
     (session.set_threads(Threads::new(arguments.threads)))
         .map_err(|error| Failure::Usage(format!("cannot start {} threads: {error}", arguments.threads)))?;
-    let facts = arguments.facts.as_deref().unwrap_or(Path::new("."));
-    load_inputs(facts, &mut session, sources)?;
-    let inputs = Inputs::of(sources).with(input_paths(session.program(), facts));
-    if question.is_none() && !arguments.plan && !arguments.marginals {
-        outputs::check(session.program(), arguments, &inputs)?;
-    }
-    let times = match arguments.profile {
-        true => timed_commit(&mut session).map(|(_, times)| Some(times)),
-        false => (session.commit().map(|_| None)).map_err(|error| exceeded(&error, program.rules())),
+    let here = [PathBuf::from(".")];
+    let folders = match arguments.facts.as_slice() {
+        [] => &here,
+        folders => folders,
     };
-    let times = times?;
+    let paths = folders.iter().flat_map(|folder| input_paths(session.program(), folder));
+    let inputs = Inputs::of(sources).with(paths.collect::<Vec<_>>());
+    if let [_, second, ..] = folders {
+        let is_stdin = |path: &PathBuf| path == Path::new("-") || path == Path::new("/dev/stdin");
+        if input_paths(session.program(), &here[0]).iter().any(is_stdin) {
+            let message = "an input predicate reads standard input, which has the facts of one tick";
+            return Err(Failure::Usage(format!("{message}; omit `-F {}`", second.display())));
+        }
+        if let Some(drawn) = program.rules().drawn_operand().filter(|_| arguments.marginals) {
+            return Err(Failure::Usage(format!(
+                "temporal operators read `{}` of the earlier ticks, which is uncertain, since the rules draw it; give \
+                 one folder with --marginals",
+                program.rules().predicates[drawn.index()].title()
+            )));
+        }
+    }
+    for folder in folders {
+        check_inputs(session.program(), folder)?;
+    }
+    let mut times = None;
+    for (tick, folder) in folders.iter().enumerate() {
+        if tick > 0 {
+            retract_inputs(&mut session);
+        }
+        load_inputs(folder, &mut session, sources)?;
+        if tick == 0 && question.is_none() && !arguments.plan && !arguments.marginals {
+            outputs::check(session.program(), arguments, &inputs)?;
+        }
+        let committed = match (arguments.profile, tick) {
+            (true, 0) => timed_commit(&mut session).map(|(_, times)| Some(times)),
+            (true, _) => timed_advance(&mut session).map(|(_, times)| Some(times)),
+            (false, _) => {
+                let done = if tick == 0 { session.commit() } else { session.advance() };
+                done.map(|_| None).map_err(|error| exceeded(&error, program.rules()))
+            }
+        };
+        times = committed?;
+        if !arguments.plan {
+            let broken = constraints::violations(&session);
+            if !broken.is_empty() {
+                return Err(broken.into());
+            }
+        }
+    }
     if arguments.plan {
         write!(terminal::out(), "{}", session.show_plans(sources))?;
         return Ok(());
-    }
-
-    let broken = constraints::violations(&session);
-    if !broken.is_empty() {
-        return Err(broken.into());
     }
 
     if arguments.marginals {
@@ -250,6 +286,18 @@ pub(super) struct Times {
 
 /// Commits and measures the time.
 pub(super) fn timed_commit(session: &mut Session) -> Result<(Delta, Times), Diagnostic> {
+    timed(session, Session::commit_watched)
+}
+
+/// Begins the next tick and measures the time.
+pub(super) fn timed_advance(session: &mut Session) -> Result<(Delta, Times), Diagnostic> {
+    timed(session, Session::advance_watched)
+}
+
+/// A commit that reports its events.
+type WatchedCommit = fn(&mut Session, &dyn Fn(EvalEvent)) -> Result<Delta, EvalError>;
+
+fn timed(session: &mut Session, commit: WatchedCommit) -> Result<(Delta, Times), Diagnostic> {
     let start = Instant::now();
     let (begun, times) = (Cell::new(start), RefCell::new(Times::default()));
     let watch = |event| match event {
@@ -261,7 +309,7 @@ pub(super) fn timed_commit(session: &mut Session) -> Result<(Delta, Times), Diag
             *count += 1;
         }
     };
-    let delta = session.commit_watched(&watch);
+    let delta = commit(session, &watch);
     let delta = delta.map_err(|error| exceeded(&error, session.program().rules()))?;
     let mut times = times.into_inner();
     times.total = start.elapsed();
@@ -359,13 +407,22 @@ fn input_paths(program: &Program, folder: &Path) -> Vec<PathBuf> {
     predicates(program).flat_map(|(_, predicate)| of(predicate)).collect()
 }
 
+/// Marks the facts of all input predicates to hold no longer, from the next commit on.
+fn retract_inputs(session: &mut Session) {
+    let program = session.program().clone();
+    for (id, predicate) in predicates(&program).filter(|(_, predicate)| predicate.input) {
+        let given = predicate.edb.unwrap_or(id);
+        let rows: Vec<Vec<Value>> = session.encoded_rows(given).map(<[Value]>::to_vec).collect();
+        for row in rows {
+            session.retract(id, &row).expect("it is a row of the predicate");
+        }
+    }
+}
+
 /// Reads the facts of every input predicate. Reports the faults of all files at once.
 pub(super) fn load_inputs(folder: &Path, session: &mut Session, sources: &mut Sources) -> Result<(), Failure> {
-    if !folder.is_dir() {
-        return Err(Failure::file("read facts from", folder, "no such folder"));
-    }
     let program = session.program().clone();
-    refuse_missing(&program, folder)?;
+    check_inputs(&program, folder)?;
     let mut faults = Vec::new();
     for (id, predicate) in predicates(&program) {
         for directive in predicate
@@ -392,8 +449,11 @@ pub(super) fn load_inputs(folder: &Path, session: &mut Session, sources: &mut So
     if faults.is_empty() { Ok(()) } else { Err(faults.into()) }
 }
 
-/// Refuses to read facts if several files are missing, and names them all.
-fn refuse_missing(program: &Program, folder: &Path) -> Result<(), Failure> {
+/// Refuses to read facts if the folder or several of its files are missing, and names them all.
+fn check_inputs(program: &Program, folder: &Path) -> Result<(), Failure> {
+    if !folder.is_dir() {
+        return Err(Failure::file("read facts from", folder, "no such folder"));
+    }
     let paths = input_paths(program, folder).into_iter();
     let missing: Vec<String> = paths
         .filter(|path| path.as_os_str() != "-" && !path.exists())

@@ -292,10 +292,22 @@ impl Session {
     /// # Errors
     /// As [`advance`](Session::advance).
     pub fn advance_with(&mut self, cancel: &Cancel) -> Result<Delta, EvalError> {
+        self.run_advance(None, cancel)
+    }
+
+    /// Variant of [`advance`](Session::advance) that calls `watch` as [`commit_watched`](Session::commit_watched) does.
+    ///
+    /// # Errors
+    /// As [`advance`](Session::advance).
+    pub fn advance_watched(&mut self, watch: &dyn Fn(EvalEvent)) -> Result<Delta, EvalError> {
+        self.run_advance(Some(watch), &Cancel::never())
+    }
+
+    fn run_advance(&mut self, watch: Option<&dyn Fn(EvalEvent)>, cancel: &Cancel) -> Result<Delta, EvalError> {
         let before = self.history.staged.len();
         self.history.advance();
         self.stage(before);
-        self.run_commit(None, cancel)
+        self.run_commit(watch, cancel)
     }
 
     /// Makes the staged changes from this position on pending.

@@ -2721,3 +2721,73 @@ fn a_fault_in_many_places_is_printed_once() {
     let json = logicity(["check", "--json", &rules]);
     assert_eq!(out(&json).matches("records (`[...]`)").count(), 150);
 }
+
+/// Several folders of `query` have the facts of successive ticks.
+#[test]
+fn folders_of_facts_are_ticks() {
+    let folder = tempfile::tempdir().unwrap();
+    let declared = ".decl Button(x: symbol)\n.input Button\n.decl Light(x: symbol)\n.output Light\n";
+    let rules = format!("{declared}Light(x) :- once[1,2] Button(x).\nButton(\"always\").\n");
+    let rules = write(folder.path(), "light.dl", rules);
+    let tick = |name: &str, facts: &str| {
+        let tick = folder.path().join(name);
+        fs::create_dir(&tick).unwrap();
+        write(&tick, "Button.facts", facts);
+        tick.to_str().unwrap().to_owned()
+    };
+    let ticks = [
+        tick("0", "hall\nattic\n"),
+        tick("1", "attic\n"),
+        tick("2", ""),
+        tick("3", ""),
+    ];
+    let asked = |rules: &str, ticks: &[&String], more: &[&str]| {
+        let folders = ticks.iter().flat_map(|tick| ["-F", tick]);
+        let arguments: Vec<&str> = ["query", rules]
+            .into_iter()
+            .chain(folders)
+            .chain(more.iter().copied())
+            .collect();
+        run(&arguments, b"")
+    };
+    let lights = |ticks: &[&String]| {
+        let output = asked(&rules, ticks, &["-D", "-"]);
+        succeeds(&output);
+        let out = out(&output);
+        let rows = out
+            .lines()
+            .filter(|line| !line.starts_with(['-', '=']) && !["Light", "x"].contains(line));
+        rows.map(str::to_owned).collect::<Vec<_>>()
+    };
+    let [zero, one, two, three] = &ticks;
+    assert_eq!(lights(&[zero]), [""; 0]);
+    assert_eq!(lights(&[zero, one]), ["always", "attic", "hall"]);
+    assert_eq!(lights(&[zero, one, two]), ["always", "attic", "hall"]);
+    assert_eq!(lights(&[zero, one, two, three]), ["always", "attic"]);
+    assert_eq!(lights(&[zero, one, two, three, two]), ["always"]);
+    let why = asked(&rules, &[zero, one], &["--explain", "Light(\"hall\")"]);
+    assert!(out(&why).contains("in tick 0"), "{}", out(&why));
+    let profiled = asked(&rules, &[zero, one], &["-D", "-", "--profile"]);
+    assert!(
+        err(&profiled).contains("Light(x) :- once[1,2] Button(x)."),
+        "{}",
+        err(&profiled)
+    );
+    // All folders are looked for before the first tick.
+    fails(&asked(&rules, &[zero, &"no/such".to_owned()], &[]), 2, &["no/such"]);
+    let stdin = format!("{declared}.input Button(filename=\"/dev/stdin\")\n").replace(".input Button\n", "");
+    let stdin = write(folder.path(), "stdin.dl", stdin);
+    fails(
+        &asked(&stdin, &[zero, one], &[]),
+        2,
+        &["standard input, which has the facts of one tick"],
+    );
+    let drawn = format!("{declared}0.5 :: Light(x) :- Button(x).\nLight(x) :- previous Light(x).\n");
+    let drawn = write(folder.path(), "drawn.dl", drawn);
+    fails(
+        &asked(&drawn, &[zero, one], &["--marginals"]),
+        2,
+        &["`Light` of the earlier ticks, which is uncertain"],
+    );
+    succeeds(&asked(&drawn, &[zero], &["--marginals"]));
+}

@@ -646,3 +646,51 @@ mod terminal {
         terminal.process.wait().unwrap();
     }
 }
+
+const LIGHT: &str = "
+.decl Button(x: symbol)
+.decl Light(x: symbol)
+Light(x) :- once[1,2] Button(x).
+";
+
+#[test]
+fn ticks_pass() {
+    let out = good(&format!(
+        "{LIGHT}Button(\"hall\").\nretract Button(\"hall\")\n?- Light(x).\n.tick\n"
+    ));
+    // What counts is the end of a tick.
+    assert_eq!(out, "Button +1\nButton -1\n0 rows\ntick 1\n");
+    let out = good(&format!(
+        "{LIGHT}Button(\"hall\").\n.tick\nretract Button(\"hall\")\n?- Light(x).\n.tick 2\n?- Light(x).\n"
+    ));
+    let row = "x\n----\nhall\n1 row\n";
+    assert_eq!(
+        out,
+        format!("Button +1\ntick 1\nLight +1\nButton -1\n{row}tick 3\nLight -1\n0 rows\n")
+    );
+    let out = good(&format!(
+        "{LIGHT}Button(\"hall\").\n.tick\n.tick\nLight(\"cellar\").\n?- Light(x).\n"
+    ));
+    assert!(out.contains("tick 0 begins again"), "{out}");
+    assert!(out.ends_with("x\n------\ncellar\n1 row\n"), "{out}");
+    // The ticks before a failure stay.
+    let folder = tempfile::tempdir().unwrap();
+    let growing = ".decl N(n: number)\n.decl Pair(m: number, n: number)\nN(0).\nN(n) :- previous N(m), n = m + 1.\n\
+                   Pair(m, n) :- N(m), N(n).\n.tick 100\n.tick 1\n";
+    let (out, err, code) = typed_in(folder.path(), &["--max-rows", "50"], growing);
+    let place = err.find("in tick ").expect("the error names the tick") + "in tick ".len();
+    let failed: u32 = err[place..].split(';').next().unwrap().parse().unwrap();
+    assert!((2..100).contains(&failed) && code == 1, "{out}{err}");
+    assert!(
+        err[place..].starts_with(&format!("{failed}; earlier ticks stay")),
+        "{err}"
+    );
+    for (input, says) in [
+        (".tick 0", "`0` is not a number of ticks"),
+        (".tick x", "`x` is not"),
+        ("next", "type `.tick`"),
+    ] {
+        let (_, err, code) = typed(&format!("{LIGHT}{input}\n"));
+        assert!(err.contains(says) && code == 1, "{err}");
+    }
+}

@@ -22,6 +22,7 @@ Commands take one line; a full stop at the end is optional:
   .load FILE...      add rule files
   .reload            reload all rule files; keep what you typed
   .facts FOLDER      read NAME.facts for each input predicate
+  .tick [N]          begin the next tick, or N ticks; the facts stay until you retract them
   .predicates         list all predicates and their sizes
   .show NAME         print declaration, clauses and rows of a predicate
   .plan [?- ...]     print the evaluation plan of the clauses or of a question
@@ -36,6 +37,7 @@ pub const DOTTED: &[&str] = &[
     "load",
     "reload",
     "facts",
+    "tick",
     "predicates",
     "show",
     "plan",
@@ -68,11 +70,16 @@ const OTHER_WORDS: &[(&str, &str)] = &[
     ("delete", "retract FACTS"),
     ("remove", "retract FACTS"),
     ("read", ".load FILE"),
+    ("advance", ".tick"),
+    ("next", ".tick"),
     ("consult", ".load FILE"),
 ];
 
 /// The words of [`OTHER_WORDS`] that end an incomplete input if they are alone on a line.
 const LONE_WORDS: &[&str] = &["quit", "exit", "help"];
+
+/// The maximum number of ticks of a command.
+const TICKS_MAX: u32 = 1_000_000;
 
 #[derive(Debug)]
 pub enum Command {
@@ -83,6 +90,8 @@ pub enum Command {
     Plan(Option<SourceId>),
     Load(Vec<PathBuf>),
     Facts(PathBuf),
+    /// The number of ticks.
+    Tick(u32),
     Reload,
     Profile,
     Predicates,
@@ -176,6 +185,21 @@ impl<'t> Typed<'t> {
             .into())
     }
 
+    /// Returns the number of ticks; 1 without an argument.
+    fn ticks(&self) -> Result<u32, Failure> {
+        match self.argument().trim_end_matches('.') {
+            "" => Ok(1),
+            number => number
+                .parse()
+                .ok()
+                .filter(|ticks| (1..=TICKS_MAX).contains(ticks))
+                .ok_or_else(|| {
+                    let fault = Diagnostic::new(codes::SYNTAX, format!("`{number}` is not a number of ticks"));
+                    fault.at(self.place(), format!("expected 1 to {TICKS_MAX}")).into()
+                }),
+        }
+    }
+
     /// Fails if there is an argument.
     fn stands_alone(&self, name: &str) -> Result<(), Failure> {
         if self.argument().trim_end_matches('.').is_empty() {
@@ -207,7 +231,7 @@ pub fn read(sources: &mut Sources, id: SourceId) -> Result<Option<Command>, Fail
         "load" => typed.wants("the names of rule files")?,
         "facts" => typed.wants("the name of a folder")?,
         "show" => typed.wants("the name of a predicate")?,
-        "plan" => {}
+        "plan" | "tick" => {}
         alone => typed.stands_alone(alone)?,
     }
     Ok(Some(match name {
@@ -219,6 +243,7 @@ pub fn read(sources: &mut Sources, id: SourceId) -> Result<Option<Command>, Fail
         "plan" => Command::Plan(Some(typed.part(sources, ""))),
         "load" => Command::Load(argument.split_whitespace().map(PathBuf::from).collect()),
         "facts" => Command::Facts(PathBuf::from(argument)),
+        "tick" => Command::Tick(typed.ticks()?),
         "show" => Command::Show(argument.trim_end_matches('.').to_owned(), typed.place()),
         "reload" => Command::Reload,
         "profile" => Command::Profile,

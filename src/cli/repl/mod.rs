@@ -184,6 +184,7 @@ impl<W: Write> Repl<W> {
             Some(Command::Reload) => bench.reload()?,
             Some(Command::Facts(folder)) => return self.load_facts(bench, &folder).map(|()| true),
             Some(Command::Retract(id)) => bench.retract(id)?,
+            Some(Command::Tick(ticks)) => bench.tick(ticks)?,
             Some(command) => return self.show(bench, command).map(|()| true),
         };
         self.print_outcome(bench, &outcome)?;
@@ -220,7 +221,12 @@ impl<W: Write> Repl<W> {
                 }
             },
             Command::Help => write!(self.out, "{}", command::HELP)?,
-            Command::Quit | Command::Load(_) | Command::Reload | Command::Facts(_) | Command::Retract(_) => {}
+            Command::Quit
+            | Command::Load(_)
+            | Command::Reload
+            | Command::Facts(_)
+            | Command::Retract(_)
+            | Command::Tick(_) => {}
         }
         Ok(())
     }

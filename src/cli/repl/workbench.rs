@@ -5,7 +5,8 @@
 //! ```
 //!
 //! A change either succeeds as a whole or has no effect. Changes to facts of predicates without rules commit to the
-//! session; other changes build a new program, and the facts move to its session.
+//! session; other changes build a new program, and the facts move to its session. `.tick` is the exception: the ticks
+//! before a failure stay.
 // Decision: docs/decisions/tools.md#d030
 
 use crate::builtin::BuiltinFiles;
@@ -22,6 +23,7 @@ use crate::datalog::{BaseType, Functor, InputPolicy, Predicate, PredicateId, Rul
 use crate::datalog::{Delta, Limits, Loaded, Program, RowError, Session, facts};
 use crate::diag::{Diagnostic, SourceId, Sources, Span};
 use crate::symbol::Symbol;
+use indexmap::IndexMap;
 use std::collections::{BTreeSet, HashSet};
 use std::path::{Path, PathBuf};
 
@@ -127,6 +129,30 @@ impl<'s> Workbench<'s> {
     pub fn load_facts(&mut self, folder: &Path) -> Result<Outcome, Failure> {
         let loaded = query::load_inputs(folder, &mut self.session, self.sources);
         self.commit(loaded)
+    }
+
+    /// Advances by a number of ticks. The outcome sums the changes of all of them.
+    pub fn tick(&mut self, ticks: u32) -> Result<Outcome, Failure> {
+        let mut outcome = Outcome::default();
+        let mut counts: IndexMap<String, (usize, usize)> = IndexMap::new();
+        for _ in 0..ticks {
+            let (delta, times) = query::timed_advance(&mut self.session)
+                .map_err(|fault| fault.note(format!("in tick {}; earlier ticks stay", self.session.tick())))?;
+            self.times = times;
+            for change in self.changes(&delta) {
+                let (added, removed) = counts.entry(change.predicate).or_default();
+                *added += change.added;
+                *removed += change.removed;
+            }
+        }
+        let of = |(predicate, (added, removed))| Changed {
+            predicate,
+            added,
+            removed,
+        };
+        outcome.changes = counts.into_iter().map(of).collect();
+        outcome.notes.push(format!("tick {}", self.session.tick()));
+        Ok(outcome)
     }
 
     /// Adds a source of facts, clauses, declarations and directives.
@@ -287,7 +313,10 @@ impl<'s> Workbench<'s> {
         }
         let mut session = Program::new(rules)?.session();
         session.set_limits(self.limits);
-        let notes = self.move_facts(&mut session);
+        let mut notes = self.move_facts(&mut session);
+        if self.session.tick() > 0 {
+            notes.push("tick 0 begins again: new rules know no earlier ticks".to_owned());
+        }
         let (_, times) = query::timed_commit(&mut session)?;
 
         let outcome = Outcome {
@@ -378,8 +407,11 @@ impl<'s> Workbench<'s> {
     /// Copies the facts to another session. Returns notes about facts that do not fit there.
     fn move_facts(&self, to: &mut Session) -> Vec<String> {
         let mut notes = Vec::new();
+        let old = self.session.program().rules();
+        // The session itself keeps what rules read of earlier ticks and of draws.
+        let is_kept = |id| old.chance == Some(id) || old.pasts.iter().any(|past| past.predicate == id);
         for (id, predicate) in query::predicates(self.session.program()) {
-            if predicate.derived {
+            if predicate.derived || is_kept(id) {
                 continue;
             }
             let given = self.given(id);
