@@ -4,8 +4,9 @@ use crate::cancel::Cancel;
 use crate::city::{Action, AgentKind};
 use crate::datalog::dense::holding;
 use crate::diag::Diagnostic;
+use crate::sim::observe::observed::{Atoms, Entities, Observed};
 use crate::sim::observe::observer::Oracle;
-use crate::sim::observe::rule_monitor::{Atoms, Entities, Observed, Violations};
+use crate::sim::observe::rule_monitor::Violations;
 use std::sync::Arc;
 
 /// Applies rules to observations: vectors that [`Observer::write`](crate::sim::Observer::write) wrote.

@@ -6,6 +6,7 @@ mod decider;
 mod joint;
 mod noise;
 mod numbers;
+mod observed;
 mod observer;
 mod rule_monitor;
 mod sensors;
@@ -15,7 +16,8 @@ mod visibility;
 
 pub use belief::{Chain, SensorModel};
 pub use decider::Decider;
+pub use observed::OBSERVED_MAX;
 pub use observer::{ObservedColumn, Observer, Oracle, observed_columns};
-pub use rule_monitor::{ActionConstraint, OBSERVED_MAX};
+pub use rule_monitor::ActionConstraint;
 pub use sensors::{FactCounts, Sensors};
 pub use shield::{Shield, ShieldState, Verdict};

@@ -97,7 +97,7 @@ impl Numbers {
         self.columns.iter().filter(|column| column.arity() == 1)
     }
 
-    /// Writes the numbers. `values` has the values of each predicate, as in [`Atoms`](super::rule_monitor::Atoms), and
+    /// Writes the numbers. `values` has the values of each predicate, as in [`Atoms`](super::observed::Atoms), and
     /// the first `present` entities exist.
     pub fn write(&self, values: &[Vec<Option<Value>>], present: usize, out: &mut [f32]) {
         for column in &self.columns {

@@ -22,9 +22,8 @@ use crate::predicate::{
 use crate::rng::Purpose;
 use crate::sim::observe::belief::SensorModel;
 use crate::sim::observe::numbers::{Numbers, greatest_priority, places};
-use crate::sim::observe::rule_monitor::{
-    ActionConstraint, AtomLayout, Atoms, Entities, OBSERVED_MAX, Observed, RuleMonitor, Violations,
-};
+use crate::sim::observe::observed::{AtomLayout, Atoms, Entities, OBSERVED_MAX, Observed};
+use crate::sim::observe::rule_monitor::{ActionConstraint, RuleMonitor, Violations};
 use crate::sim::observe::sensors::{FactCounts, Sensing, Sensors};
 use crate::sim::observe::share::{self, Fact};
 use crate::sim::tick::agent_state::AgentState;

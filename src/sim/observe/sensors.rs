@@ -12,7 +12,7 @@ use crate::rng::{Purpose, Seed, Words};
 use crate::sim::observe::belief::{Counts, FactModel, Joint, Reading, Role, SensorModel};
 use crate::sim::observe::belief::{Likelihoods, assume, condition, fresh, likelihoods, marginal, predict, update};
 use crate::sim::observe::noise::{Threshold, below};
-use crate::sim::observe::rule_monitor::{AtomLayout, Atoms, OBSERVED_MAX, all_of};
+use crate::sim::observe::observed::{AtomLayout, Atoms, OBSERVED_MAX, all_of};
 use crate::sim::observe::share::Fact;
 use crate::sim::observe::visibility::Visibility;
 use crate::sim::tick::agent_state::AgentState;

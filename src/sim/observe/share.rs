@@ -17,7 +17,7 @@ impl Purpose {
 /// A fact that holds and of which the ego has no reading.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub(super) struct Fact {
-    /// The place of its set in [`Atoms::words`](super::rule_monitor::Atoms::words).
+    /// The place of its set in [`Atoms::words`](super::observed::Atoms::words).
     pub set: usize,
     /// The first entity of a binary fact.
     pub row: Option<usize>,

@@ -16,10 +16,9 @@ use crate::datalog::{
 };
 use crate::diag::{self, Diagnostic};
 use crate::sim::observe::joint::Proposal;
+use crate::sim::observe::observed::{Atoms, GivenActions, Observed};
 use crate::sim::observe::observer::{Observer, Oracle};
-use crate::sim::observe::rule_monitor::{
-    Atoms, GivenActions, JointMonitor, JointState, Observed, Violations, safety_rules,
-};
+use crate::sim::observe::rule_monitor::{JointMonitor, JointState, Violations, safety_rules};
 use crate::sim::tick::simulation::Simulation;
 use crate::sim::tick::vocabulary::Actions;
 use crate::sim::tick::world::World;

@@ -2,7 +2,7 @@
 
 use crate::city::{Agent, Cell, CityMap};
 use crate::config::Sensor;
-use crate::sim::observe::rule_monitor::all_of;
+use crate::sim::observe::observed::all_of;
 use crate::sim::tick::agent_state::AgentState;
 
 /// What can hide an agent from a sensor.
