@@ -98,6 +98,43 @@ def test_given_and_unused_probabilities_stay(tmp_path: Path) -> None:
     assert rules.program.predicates
 
 
+def test_probabilities_reach_every_form_of_include(tmp_path: Path) -> None:
+    train = demonstrated(tmp_path, DRIVER, "train", 10)
+    (tmp_path / "mine.dl").write_bytes(
+        '\ufeff.include "easy.dl"\r\n/// E: one more\r\nStop(X) :- IsInInter(X), IsAtInter(Y).\r\n'.encode()
+    )
+    rules = learn_weights(tmp_path / "mine.dl", train, iterations=30)
+    assert rules.weights.keys() == {"S1", "S2", "S7", "E"}
+    assert rules.text.count(" :: Stop(X)") == 4 and "easy.dl" not in rules.text
+    mine = tmp_path / "blocks.dl"
+    mine.write_text('/* .include "easy.dl" */ .include "easy.dl"\n', encoding="utf-8")
+    with pytest.raises(ValueError, match="on a line of its own"):
+        learn_weights(mine, train, iterations=1)
+
+
+def test_clauses_that_a_file_cannot_weigh_are_refused(tmp_path: Path) -> None:
+    train = demonstrated(tmp_path, DRIVER, "train", 10)
+    for clause, message in (
+        ("Stop(X) :- IsAtInter(X), (IsInInter(X) ; CollidingClose(X, Y)).", "several heads or alternatives"),
+        ("Stop(X), Slow(X) :- CollidingClose(X, Y).", "several heads or alternatives"),
+        ("Stop(X) :- CollidingClose(X, _).", "name all variables"),
+        ("Stop(X) :- CollidingClose(X, _Y).", "name all variables"),
+    ):
+        path = tmp_path / "refused.dl"
+        path.write_text(f'.include "vocabulary.dl"\n{clause}\n', encoding="utf-8")
+        with pytest.raises(ValueError, match=message):
+            learn_weights(path, train, iterations=1)
+    path.write_text('.include "vocabulary.dl"\nStop(X) :- IsAtInter(X), Not(HigherPri(X, _)).\n', encoding="utf-8")
+    learn_weights(path, train, iterations=1)
+    one = tmp_path / "one.dl"
+    text = '.include "vocabulary.dl"\n/// A: same\n1.0 :: Stop(X) :- IsAtInter(X), IsInInter(Y).\n'
+    same = "/// B: same\nStop(X) :- CollidingClose(X, Y).\n/// B: same\nStop(X) :- IsInInter(X), IsInInter(Y).\n"
+    one.write_text(text + same, encoding="utf-8")
+    rules = learn_weights(one, train, iterations=5)
+    assert [name.partition(" (")[0] for name in rules.weights] == ["B", "B"]
+    assert "\n1.0 :: Stop(X) :- IsAtInter(X), IsInInter(Y)." in rules.text
+
+
 def test_rules_may_read_earlier_ticks(tmp_path: Path) -> None:
     text = '.include "vocabulary.dl"\n/// P: just came\n0.7 :: Stop(X) :- IsInInter(X), once[1,3] IsAtInter(X).\n'
     train = demonstrated(tmp_path, text, "train")

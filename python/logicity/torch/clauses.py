@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import re
 from collections.abc import Iterable, Sequence
 from dataclasses import dataclass, replace
 from typing import Any
@@ -10,6 +11,9 @@ from .. import _logicity
 from ..rules import Program
 
 __all__ = ["Atom", "Clause", "Clauses", "Past", "Stratum"]
+
+#: A negated literal of one atom, and a variable over which a probability is not drawn.
+NEGATED, UNNAMED = re.compile(r"\bNot\(\s*\w+\([^()]*\)\s*\)|!\s*\w+\([^()]*\)"), re.compile(r"\b_\w*")
 
 #: The largest number of variables of a clause.
 VARIABLES_MAX = 6
@@ -35,7 +39,9 @@ class Clause:
         probability: That of the head, 1 without one.
         label: The label, such as `S1`.
         source: The position among the clauses of the program.
-        place: Its file, line and column, such as `rules/expert.dl:5:1`.
+        location: Its place in the source, such as `rules/expert.dl:5:1`.
+        drawn: Whether its source has a probability.
+        unnamed: Whether positive literals have variables without a name, or whose names begin with `_`.
         number: The position among the written clauses of the layer, -1 for a part of one.
     """
 
@@ -46,7 +52,9 @@ class Clause:
     probability: float
     label: str
     source: int
-    place: str
+    location: str
+    drawn: bool = False
+    unnamed: bool = False
     number: int = -1
 
 
@@ -83,7 +91,7 @@ class Clauses:
         pasts: What their temporal operators read.
         written: Those of the source, by `Clause.number`; the others are parts of them, such as operands of `once`.
         labels: The labels of the written clauses.
-        read: The predicates that the clauses read.
+        body_predicates: The predicates in bodies and under temporal operators.
         alone: The derived predicates of which only the atoms that begin with an ego are read.
     """
 
@@ -139,18 +147,25 @@ class Clauses:
         written: list[Clause] = []
         for stratum in self.strata:
             for place, clauses in stratum.clauses.items():
-                if not self._predicates[place]["hidden"]:
-                    clauses = [replace(each, number=len(written) + at) for at, each in enumerate(clauses)]
-                    stratum.clauses[place] = clauses
-                    written += clauses
+                for at, clause in enumerate(clauses):
+                    if not self._is_part(place, clause):
+                        clauses[at] = replace(clause, number=len(written))
+                        written.append(clauses[at])
                 used += clauses
         self.written = tuple(written)
         self.labels = tuple(clause.label for clause in written)
         needed = {atom.predicate for clause in used for atom, _ in clause.literals}
         self.pasts = [past for past in self.pasts if past.predicate in needed]
         operands = {place for past in self.pasts for place in (past.operand, *(past.held or ())[:1])}
-        self.read = needed | operands
+        self.body_predicates = needed | operands
         self.alone = self._read_by_egos(used)
+
+    def _is_part(self, place: int, clause: Clause) -> bool:
+        """Return whether the engine made a clause of a predicate: a part of others, or the one that reads the facts."""
+        edb = self._predicates[place]["edb"]
+        return bool(self._predicates[place]["hidden"]) or (
+            edb is not None and [atom.predicate for atom, _ in clause.literals] == [edb]
+        )
 
     def _is_derived(self, action: str) -> bool:
         place = self.places.get(action)
@@ -251,7 +266,8 @@ class Clauses:
                 raise refuse("has a probability that is not a constant")
             chosen = given["alternative"]
             probability = given["probabilities"][chosen]
-        origin = (given["label"], given["clause"], given["place"])
+        unnamed = UNNAMED.search(NEGATED.sub("", given["text"])) is not None
+        origin = (given["label"], given["clause"], given["place"], given["probabilities"] is not None, unnamed)
         return Clause(head, tuple(literals), tuple(same), len(numbers), probability, *origin)
 
     def _read_by_egos(self, clauses: list[Clause]) -> set[int]:

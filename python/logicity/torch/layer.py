@@ -93,8 +93,8 @@ class RuleLayer(nn.Module):
             taken. By default that of `configs/common.yaml`. Actions that the rules do not declare are not derived.
         default: The action of an entity for which none is derived.
         depth: How often the clauses of recursive predicates are applied. Atoms whose derivation needs more are 0.
-        learn_weights: Whether each clause that the layer uses has a weight, from 0 to 1, which is a conjunct of its
-            body. `weight_logits` is its parameter, with one element for each of `clauses`.
+        learn_weights: Whether each clause of the source that the layer uses has a weight, from 0 to 1, which is a
+            conjunct of its body. `weight_logits` is its parameter, with one element for each of `clauses`.
         k: The number of proofs that `top-k` and `proofs` keep for each atom.
         nodes_max: The largest number of decisions in the diagram of a scene, for `exact` and `top-k`.
 
@@ -102,7 +102,7 @@ class RuleLayer(nn.Module):
         unary: The names of the U input predicates over one entity, in the order of the input.
         binary: The names of the R input predicates over two entities, in the same order.
         actions: The names of the actions: `priority`, and the default if it is not among them.
-        clauses: The labels of the clauses that the layer uses.
+        clauses: The labels of the clauses of the source that the layer uses.
         temporal: Whether the rules read earlier ticks. Inputs then have a dimension of time.
         weight_logits: (clauses,): the logits of the weights, initially 3, a weight of 0.95. `None` without
             `learn_weights`.

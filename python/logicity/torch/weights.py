@@ -18,6 +18,7 @@ from ..errors import extra
 from ..files import write_text
 from ..offline import Demonstrations, Trajectory
 from ..rules import Program
+from .clauses import Clause, Clauses
 from .layer import DEFAULT, PRIORITY, RuleLayer
 
 with extra("learn"):
@@ -30,10 +31,13 @@ __all__ = ["WeightedRules", "learn_weights"]
 SCOPE = "Sees"
 
 #: A line that includes a file.
-INCLUDE = re.compile(r'^[ \t]*\.include[ \t]+"([^"]*)"[ \t]*(?://.*)?$', re.MULTILINE)
+INCLUDE = re.compile(r'^[ \t]*\.include[ \t]+"([^"]*)"[ \t\r]*(?://.*)?$', re.MULTILINE)
+
+#: The folder of built-in files in the names of sources.
+BUILTIN = "<builtin>"
 
 #: The built-in declarations, which have no clauses.
-VOCABULARY = "rules/vocabulary.dl"
+VOCABULARY = ("rules/vocabulary.dl", f"{BUILTIN}/vocabulary.dl")
 
 #: The digits of a written probability after the point.
 DIGITS = 4
@@ -70,7 +74,7 @@ class WeightedRules:
         return Program(self.text)
 
     def save(self, path: str | os.PathLike[str], *, overwrite: bool = False) -> None:
-        """Write `text` to a file. With `overwrite`, replaces also a file that this method did not write.
+        """Write `text` to a file. `overwrite` also replaces a file that this method did not write.
 
         Raises:
             OSError: If the file cannot be written, or must not be replaced.
@@ -81,8 +85,8 @@ class WeightedRules:
         """Return the mean logarithm of the probabilities of the demonstrated actions, in nats per step.
 
         Args:
-            demonstrations: Demonstrations of the same predicates; for a fair figure, others than those of the training.
-            crisp: Whether the given rules with `crisp_slip` predict, without learned probabilities.
+            demonstrations: Demonstrations with the same predicates; use held-out ones for a fair figure.
+            crisp: Whether to score the given rules, with `crisp_slip`, instead of the learned ones.
 
         Raises:
             ValueError: As for `learn_weights`.
@@ -106,24 +110,26 @@ def learn_weights(
     """Learn a probability for each clause that maximizes the likelihood of the demonstrated actions.
 
     The probabilities are those of the file format: a clause derives its head for each combination of values with its
-    probability, independently. Likelihoods are exact. A probability that the driver takes an action at random is
-    learned with them, so that actions that no rule explains are possible. The method is gradient ascent on the logits
-    by Adam over all demonstrations. It has no random choices.
+    probability, independently. Likelihoods are exact. `slip`, the probability of a random action, is fitted too, so
+    that every action has a positive probability. The method is gradient ascent on the logits by Adam over all
+    demonstrations. It has no random choices.
 
     Args:
         rules: A rule file, or a program.
-        demonstrations: Steps of drivers, with observations of the kind `groundings`, whose first entity is the driver.
+        demonstrations: Steps of drivers, with observations of the kind `groundings`. Their first entity is the driver.
         priority: As for `RuleLayer`.
         default: As for `RuleLayer`.
         iterations: The number of updates.
         learning_rate: That of Adam.
-        progress: Is called after each update with its number, from 1, and the log-likelihood before it.
+        progress: Called after each update with its number, from 1, and the mean log-likelihood before it.
 
     Raises:
         InputError: If the rules are invalid.
         OSError: If the file cannot be read.
-        ValueError: As for `RuleLayer`; or if the demonstrations are empty, or have an action or lack a predicate of the
-            rules.
+        ValueError: As for `RuleLayer`. Or if the demonstrations have no steps, take an action that the rules lack, lack
+            a predicate that the rules read, have quantities, or are not of the kind `groundings`. Or if `iterations` or
+            `learning_rate` is out of range. Or if a clause has several heads or alternatives, or variables without
+            names, over which a file cannot draw.
     """
     if iterations < 1:
         raise ValueError(f"iterations: expected at least 1, not {iterations}")
@@ -136,11 +142,12 @@ def learn_weights(
     examples = _Examples.of(demonstrations, soft)
     logits = cast("torch.nn.Parameter", soft.weight_logits)
     slip_logit = torch.nn.Parameter(torch.tensor(-3.0, dtype=torch.float64))
-    given = {clause.number for clause in soft._rules.written if clause.probability != 1}
+    given = {clause.number for clause in soft._rules.written if clause.drawn}
     examples.log_likelihood(soft, slip_logit.sigmoid()).backward()
     # Clauses that never apply keep the weight 1, as do those with a probability of their own.
     unused = cast(Tensor, logits.grad) == 0
     fixed = [number for number in range(len(logits)) if number in given or bool(unused[number])]
+    labels = _labels(soft._rules.written, [number for number in range(len(logits)) if number not in fixed])
     logits.data[fixed] = math.inf
     optimizer = torch.optim.Adam([logits, slip_logit], lr=learning_rate)
     for iteration in range(iterations):
@@ -158,7 +165,7 @@ def learn_weights(
     numbers = {at: float(learned[at]) for at in range(len(logits)) if at not in fixed}
     return WeightedRules(
         _written(soft, numbers),
-        {soft.clauses[at]: weight for at, weight in numbers.items()},
+        {labels[at]: weight for at, weight in numbers.items()},
         float(slip_logit.detach().sigmoid()),
         examples.best_slip(crisp),
         examples.steps,
@@ -196,7 +203,7 @@ class _Examples:
             raise ValueError("demonstrations: there are no steps")
         layout = Layout.of_atoms(demonstrations.atoms)
         rules = layer._rules
-        read = rules.read & rules.inputs.keys()
+        read = rules.body_predicates & rules.inputs.keys()
         names = {(layer.unary if rules.arities[each] == 1 else layer.binary)[rules.inputs[each]] for each in read}
         lacking = names - {*layout.unary, *layout.binary, SCOPE}
         if lacking:
@@ -226,14 +233,14 @@ class _Examples:
         known = unary.any(2) | binary.flatten(2).any(2) | binary.transpose(1, 2).flatten(2).any(2)
         known[:, 0] = True
         mask = known.flip(1).cummax(1).values.flip(1)
-        pairs = {name: binary[..., at] for at, name in enumerate(layout.binary)}
-        pairs[SCOPE] = torch.ones(steps, count, count, dtype=torch.float64)
-        alone = {name: unary[..., at] for at, name in enumerate(layout.unary)}
+        binary_by_name = {name: binary[..., at] for at, name in enumerate(layout.binary)}
+        binary_by_name.setdefault(SCOPE, torch.ones(steps, count, count, dtype=torch.float64))
+        unary_by_name = {name: unary[..., at] for at, name in enumerate(layout.unary)}
         none = torch.zeros(steps, count, count, dtype=torch.float64)
         actions = torch.tensor([_position(layer, int(action)) for action in trajectory.actions])
         return (
-            torch.stack([alone.get(name, none[..., 0]) for name in layer.unary], -1),
-            torch.stack([pairs.get(name, none) for name in layer.binary], -1),
+            torch.stack([unary_by_name.get(name, none[..., 0]) for name in layer.unary], -1),
+            torch.stack([binary_by_name.get(name, none) for name in layer.binary], -1),
             mask,
             actions,
             torch.ones(steps, dtype=torch.float64),
@@ -260,7 +267,10 @@ class _Examples:
             ratio = (math.sqrt(5) - 1) / 2
             while high - low > 1e-9:
                 one, other = high - ratio * (high - low), low + ratio * (high - low)
-                values = [self._mean(by_rules, torch.tensor(slip), len(layer.actions)) for slip in (one, other)]
+                values = [
+                    self._mean(by_rules, torch.tensor(slip, dtype=torch.float64), len(layer.actions))
+                    for slip in (one, other)
+                ]
                 low, high = (low, other) if values[0] >= values[1] else (one, high)
         return (low + high) / 2
 
@@ -275,13 +285,38 @@ def _position(layer: RuleLayer, action: int) -> int:
     return layer.actions.index(name)
 
 
+def _labels(written: Sequence[Clause], numbers: Sequence[int]) -> dict[int, str]:
+    """Return the labels of clauses by their numbers, with the location of each whose label others have, too.
+
+    Raises:
+        ValueError: If a file cannot have a probability for each of them.
+    """
+    locations = [clause.location for clause in written]
+    clauses = [written[number] for number in numbers]
+    for clause in clauses:
+        if locations.count(clause.location) > 1:
+            raise ValueError(
+                f"{clause.location}: the clause has several heads or alternatives: write a clause for each"
+            )
+        if clause.unnamed:
+            raise ValueError(
+                f"{clause.location}: name all variables of the clause, without `_` before the name: a probability is "
+                "drawn for each combination of their values"
+            )
+    labels = [clause.label for clause in clauses]
+    return {
+        clause.number: clause.label if labels.count(clause.label) == 1 else f"{clause.label} ({clause.location})"
+        for clause in clauses
+    }
+
+
 def _written(layer: RuleLayer, learned: Mapping[int, float]) -> str:
     """Return the rules of a layer as one file, with probabilities by the number of the clause."""
-    files = dict(layer.program._program.files())
+    files = {name: text.removeprefix("\ufeff") for name, text in layer.program._program.files()}
     inserted: dict[str, list[tuple[int, int, str]]] = {}
     for clause in layer._rules.written:
         if clause.number in learned and learned[clause.number] < 1:
-            name, line, column = clause.place.rsplit(":", 2)
+            name, line, column = clause.location.rsplit(":", 2)
             inserted.setdefault(name, []).append((int(line), int(column), f"{learned[clause.number]:.{DIGITS}f} :: "))
     written: set[str] = set()
 
@@ -294,12 +329,26 @@ def _written(layer: RuleLayer, learned: Mapping[int, float]) -> str:
             lines[line - 1] = before[: column - 1] + text + before[column - 1 :]
 
         def included(match: re.Match[str]) -> str:
-            other = posixpath.normpath(posixpath.join(posixpath.dirname(name), match[1]))
-            found = next((each for each in files if posixpath.normpath(each) == other), None)
-            if found is None or found == VOCABULARY:
+            beside = posixpath.normpath(posixpath.join(posixpath.dirname(name), match[1]))
+            # As the engine, also among the built-in files.
+            wanted = (beside, posixpath.normpath(posixpath.join(BUILTIN, match[1])))
+            found = next((each for want in wanted for each in files if posixpath.normpath(each) == want), None)
+            if found is None:
                 return match[0]
+            if found in VOCABULARY:
+                return '.include "vocabulary.dl"'
             return "" if found in written else expanded(found)
 
         return INCLUDE.sub(included, "\n".join(lines))
 
-    return expanded(layer.program._program.files()[0][0])
+    text = expanded(layer.program._program.files()[0][0])
+    # A file may write its includes in other ways than the pattern knows.
+    try:
+        clauses = Clauses(Program(text), (), layer.actions, layer.default, layer.depth, by_engine=True).written
+    except ValueError as error:
+        raise ValueError(f"rules: they cannot be written as one file: {error}") from None
+    found = sorted(clause.probability for clause in clauses)
+    wanted = sorted(learned.get(clause.number, clause.probability) for clause in layer._rules.written)
+    if len(found) != len(wanted) or not np.allclose(found, wanted, rtol=0, atol=1e-6):
+        raise ValueError("rules: they cannot be written as one file: write each `.include` on a line of its own")
+    return text
