@@ -126,6 +126,23 @@ def test_clauses_that_a_file_cannot_weigh_are_refused(tmp_path: Path) -> None:
             learn_weights(path, train, iterations=1)
     path.write_text('.include "vocabulary.dl"\nStop(X) :- IsAtInter(X), Not(HigherPri(X, _)).\n', encoding="utf-8")
     learn_weights(path, train, iterations=1)
+    busy = "Busy(x: agent) inline\nBusy(X) :- IsAtInter(X), IsInInter(Y).\nStop(X) :- Busy(X).\n"
+    for text, message in (
+        (f'.include "vocabulary.dl"\n.decl {busy}', "cannot be written as one file: .*inline"),
+        ('.include "vocabulary.dl"\nStop("Car_1").\n', "is a fact about constants"),
+        ('.include "vocabulary.dl"\n0.5 :: Stop(X) :- IsInInter(X).\n', "there is none to weigh"),
+    ):
+        path.write_text(text, encoding="utf-8")
+        with pytest.raises(ValueError, match=message):
+            learn_weights(path, train, iterations=1)
+    alone = ".type agent <: symbol\n.decl IsAtInter, Stop, Normal(x: agent)\n.input IsAtInter\n"
+    path.write_text(f"{alone}/// A: alone\nStop(X) :- IsAtInter(X).\n", encoding="utf-8")
+    assert learn_weights(path, train, iterations=1).weights.keys() == {"A"}
+    path.write_text('.include "vocabulary.dl"\nStop(X) :- IsInInter(X).\n', encoding="utf-8")
+    # The default of the vocabulary is then a clause like others.
+    assert "N" in learn_weights(path, train, iterations=1, default="Slow").weights
+    with pytest.raises(TypeError, match="expected those of `logicity.demonstrations`"):
+        learn_weights(path, [])  # type: ignore[arg-type]
     one = tmp_path / "one.dl"
     text = '.include "vocabulary.dl"\n/// A: same\n1.0 :: Stop(X) :- IsAtInter(X), IsInInter(Y).\n'
     same = "/// B: same\nStop(X) :- CollidingClose(X, Y).\n/// B: same\nStop(X) :- IsInInter(X), IsInInter(Y).\n"

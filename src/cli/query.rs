@@ -177,7 +177,15 @@ pub fn run(arguments: &Arguments, sources: &mut Sources) -> Result<(), Failure> 
         if !arguments.plan {
             let broken = constraints::violations(&session);
             if !broken.is_empty() {
-                return Err(broken.into());
+                let of = match folders.len() {
+                    1 => None,
+                    _ => Some(format!("in tick {tick}, with the facts of `{}`", folder.display())),
+                };
+                let broken = broken.into_iter().map(|fault| match &of {
+                    None => fault,
+                    Some(tick) => fault.note(tick.clone()),
+                });
+                return Err(broken.collect::<Vec<_>>().into());
             }
         }
     }

@@ -671,7 +671,7 @@ fn ticks_pass() {
     let out = good(&format!(
         "{LIGHT}Button(\"hall\").\n.tick\n.tick\nLight(\"cellar\").\n?- Light(x).\n"
     ));
-    assert!(out.contains("tick 0 begins again"), "{out}");
+    assert!(out.contains("the rules have changed: tick 0 begins again"), "{out}");
     assert!(out.ends_with("x\n------\ncellar\n1 row\n"), "{out}");
     // The ticks before a failure stay.
     let folder = tempfile::tempdir().unwrap();

@@ -136,6 +136,8 @@ class Clauses:
             )
             for each in checked["pasts"]
         ]
+        given = (clause for stratum in checked["strata"] for clause in stratum["clauses"])
+        self._heads = {clause["head"]["predicate"] for clause in given}
         self.derived = tuple(name for name in self._actions if self._is_derived(name))
         for name in self._queries:
             if name not in self.places:
@@ -174,7 +176,8 @@ class Clauses:
         each = self._predicates[place]
         if each["symbols"] != [True]:
             raise ValueError(f"priority: `{action}` is not a predicate over one entity")
-        return bool(each["derived"])
+        # A fact in the source derives it, too.
+        return bool(each["derived"]) or place in self._heads
 
     def _needed(self, strata: list[dict[str, Any]]) -> list[Stratum]:
         """Return the strata of the predicates on which actions and queries depend, in order."""

@@ -14,7 +14,7 @@ import numpy as np
 
 from ..city import ACTIONS
 from ..envs.layout import Layout
-from ..errors import extra
+from ..errors import as_integer, extra
 from ..files import write_text
 from ..offline import Demonstrations, Trajectory
 from ..rules import Program
@@ -128,10 +128,11 @@ def learn_weights(
         OSError: If the file cannot be read.
         ValueError: As for `RuleLayer`. Or if the demonstrations have no steps, take an action that the rules lack, lack
             a predicate that the rules read, have quantities, or are not of the kind `groundings`. Or if `iterations` or
-            `learning_rate` is out of range. Or if a clause has several heads or alternatives, or variables without
-            names, over which a file cannot draw.
+            `learning_rate` is out of range. Or if no clause is left to weigh, or a file cannot give one a probability:
+            it has several heads or alternatives, an inline predicate, or variables without names.
+        TypeError: If an argument has another type.
     """
-    if iterations < 1:
+    if as_integer("iterations", iterations) < 1:
         raise ValueError(f"iterations: expected at least 1, not {iterations}")
     if not (learning_rate > 0 and math.isfinite(learning_rate)):
         raise ValueError(f"learning_rate: expected a positive number, not {learning_rate}")
@@ -148,6 +149,10 @@ def learn_weights(
     unused = cast(Tensor, logits.grad) == 0
     fixed = [number for number in range(len(logits)) if number in given or bool(unused[number])]
     labels = _labels(soft._rules.written, [number for number in range(len(logits)) if number not in fixed])
+    if not labels:
+        raise ValueError("rules: no clause without a probability applies in the demonstrations: there is none to weigh")
+    # Fails now if a file cannot have the probabilities.
+    _written(soft, dict.fromkeys(labels, 0.5))
     logits.data[fixed] = math.inf
     optimizer = torch.optim.Adam([logits, slip_logit], lr=learning_rate)
     for iteration in range(iterations):
@@ -194,6 +199,9 @@ class _Examples:
     @classmethod
     def of(cls, demonstrations: Demonstrations, layer: RuleLayer) -> _Examples:
         """Convert demonstrations."""
+        if not isinstance(demonstrations, Demonstrations):
+            found = type(demonstrations).__name__
+            raise TypeError(f"demonstrations: expected those of `logicity.demonstrations`, not {found}")
         if not demonstrations.atoms:
             raise ValueError("demonstrations: rules need observations of the kind `groundings`")
         if demonstrations.quantities:
@@ -239,8 +247,8 @@ class _Examples:
         none = torch.zeros(steps, count, count, dtype=torch.float64)
         actions = torch.tensor([_position(layer, int(action)) for action in trajectory.actions])
         return (
-            torch.stack([unary_by_name.get(name, none[..., 0]) for name in layer.unary], -1),
-            torch.stack([binary_by_name.get(name, none) for name in layer.binary], -1),
+            _stacked([unary_by_name.get(name, none[..., 0]) for name in layer.unary], none[..., 0]),
+            _stacked([binary_by_name.get(name, none) for name in layer.binary], none),
             mask,
             actions,
             torch.ones(steps, dtype=torch.float64),
@@ -273,6 +281,11 @@ class _Examples:
                 ]
                 low, high = (low, other) if values[0] >= values[1] else (one, high)
         return (low + high) / 2
+
+
+def _stacked(columns: Sequence[Tensor], like: Tensor) -> Tensor:
+    """Return columns as the last dimension of a tensor, which may have none."""
+    return torch.stack(list(columns), -1) if columns else like.new_zeros(*like.shape, 0)
 
 
 def _position(layer: RuleLayer, action: int) -> int:
@@ -335,7 +348,7 @@ def _written(layer: RuleLayer, learned: Mapping[int, float]) -> str:
             found = next((each for want in wanted for each in files if posixpath.normpath(each) == want), None)
             if found is None:
                 return match[0]
-            if found in VOCABULARY:
+            if found in VOCABULARY and found not in inserted:
                 return '.include "vocabulary.dl"'
             return "" if found in written else expanded(found)
 

@@ -22,7 +22,8 @@ Commands take one line; a full stop at the end is optional:
   .load FILE...      add rule files
   .reload            reload all rule files; keep what you typed
   .facts FOLDER      read NAME.facts for each input predicate
-  .tick [N]          begin the next tick, or N ticks; the facts stay until you retract them
+  .tick [N]          begin the next tick, or N ticks, and sum their changes; facts stay until you retract them, and
+                     changed rules begin again at tick 0
   .predicates         list all predicates and their sizes
   .show NAME         print declaration, clauses and rows of a predicate
   .plan [?- ...]     print the evaluation plan of the clauses or of a question

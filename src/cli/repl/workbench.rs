@@ -315,7 +315,7 @@ impl<'s> Workbench<'s> {
         session.set_limits(self.limits);
         let mut notes = self.move_facts(&mut session);
         if self.session.tick() > 0 {
-            notes.push("tick 0 begins again: new rules know no earlier ticks".to_owned());
+            notes.push("the rules have changed: tick 0 begins again, and earlier ticks are forgotten".to_owned());
         }
         let (_, times) = query::timed_commit(&mut session)?;
 

@@ -238,13 +238,13 @@ impl Inference {
     /// Returns what temporal operators read of earlier scenes in the present one.
     fn past(&self, earlier: &[SceneFacts], present: &SceneFacts, cancel: &Cancel) -> Result<Vec<PastRows>, Diagnostic> {
         let rules = self.program.rules();
-        if rules.pasts.is_empty() || earlier.is_empty() {
-            return Ok(Vec::new());
-        }
         if earlier.iter().any(|scene| !scene.uncertain.is_empty()) {
             let message = "a scene of an earlier tick states rows with a probability";
             let fault = Diagnostic::new(codes::INVALID_SCENE, message);
             return Err(fault.help("only the last scene of a list, which is the present, may be uncertain"));
+        }
+        if rules.pasts.is_empty() || earlier.is_empty() {
+            return Ok(Vec::new());
         }
         // Entities of the same name are the same one.
         let mut known: HashMap<&str, u32> = HashMap::new();

@@ -258,15 +258,16 @@ impl<'de> Visitor<'de> for Rows<'_, '_> {
             rows.push(row);
             uncertain.extend(probability.map(|probability| (row, probability)));
         }
+        uncertain.sort_by_key(|(row, _)| *row);
         if !rows.is_sorted_by(|one, other| one < other) {
             rows.sort_unstable();
+            let is_uncertain = |row: &[u32; 2]| uncertain.binary_search_by_key(row, |(row, _)| *row).is_ok();
+            if rows.windows(2).any(|pair| pair[0] == pair[1] && is_uncertain(&pair[0])) {
+                return Err(de::Error::custom("a row with a probability is given again"));
+            }
             rows.dedup();
         }
-        uncertain.sort_by_key(|(row, _)| *row);
-        match uncertain.windows(2).any(|pair| pair[0].0 == pair[1].0) {
-            true => Err(de::Error::custom("a second probability")),
-            false => Ok((rows, uncertain)),
-        }
+        Ok((rows, uncertain))
     }
 }
 
