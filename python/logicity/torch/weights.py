@@ -4,8 +4,6 @@ from __future__ import annotations
 
 import math
 import os
-import posixpath
-import re
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 from typing import cast
@@ -18,8 +16,8 @@ from ..errors import as_integer, extra
 from ..files import write_text
 from ..offline import Demonstrations, Trajectory
 from ..rules import Program
-from .clauses import Clause, Clauses
 from .layer import DEFAULT, PRIORITY, RuleLayer
+from .source import DIGITS, labels_of, written_as_one
 
 with extra("learn"):
     import torch
@@ -29,18 +27,6 @@ __all__ = ["WeightedRules", "learn_weights"]
 
 #: The predicate that relates entities in view.
 SCOPE = "Sees"
-
-#: A line that includes a file.
-INCLUDE = re.compile(r'^[ \t]*\.include[ \t]+"([^"]*)"[ \t\r]*(?://.*)?$', re.MULTILINE)
-
-#: The folder of built-in files in the names of sources.
-BUILTIN = "<builtin>"
-
-#: The built-in declarations, which have no clauses.
-VOCABULARY = ("rules/vocabulary.dl", f"{BUILTIN}/vocabulary.dl")
-
-#: The digits of a written probability after the point.
-DIGITS = 4
 
 
 @dataclass(frozen=True, eq=False)
@@ -148,11 +134,11 @@ def learn_weights(
     # Clauses that never apply keep the weight 1, as do those with a probability of their own.
     unused = cast(Tensor, logits.grad) == 0
     fixed = [number for number in range(len(logits)) if number in given or bool(unused[number])]
-    labels = _labels(soft._rules.written, [number for number in range(len(logits)) if number not in fixed])
+    labels = labels_of(soft._rules.written, [number for number in range(len(logits)) if number not in fixed])
     if not labels:
         raise ValueError("rules: no clause without a probability applies in the demonstrations: there is none to weigh")
     # Fails now if a file cannot have the probabilities.
-    _written(soft, dict.fromkeys(labels, 0.5))
+    written_as_one(soft, dict.fromkeys(labels, 0.5))
     logits.data[fixed] = math.inf
     optimizer = torch.optim.Adam([logits, slip_logit], lr=learning_rate)
     for iteration in range(iterations):
@@ -169,7 +155,7 @@ def learn_weights(
         logits.copy_(torch.logit(learned))
     numbers = {at: float(learned[at]) for at in range(len(logits)) if at not in fixed}
     return WeightedRules(
-        _written(soft, numbers),
+        written_as_one(soft, numbers),
         {labels[at]: weight for at, weight in numbers.items()},
         float(slip_logit.detach().sigmoid()),
         examples.best_slip(crisp),
@@ -296,72 +282,3 @@ def _position(layer: RuleLayer, action: int) -> int:
             f"demonstrations: the action {name} is not among those of the rules: {', '.join(layer.actions)}"
         )
     return layer.actions.index(name)
-
-
-def _labels(written: Sequence[Clause], numbers: Sequence[int]) -> dict[int, str]:
-    """Return the labels of clauses by their numbers, with the location of each whose label others have, too.
-
-    Raises:
-        ValueError: If a file cannot have a probability for each of them.
-    """
-    locations = [clause.location for clause in written]
-    clauses = [written[number] for number in numbers]
-    for clause in clauses:
-        if locations.count(clause.location) > 1:
-            raise ValueError(
-                f"{clause.location}: the clause has several heads or alternatives: write a clause for each"
-            )
-        if clause.unnamed:
-            raise ValueError(
-                f"{clause.location}: name all variables of the clause, without `_` before the name: a probability is "
-                "drawn for each combination of their values"
-            )
-    labels = [clause.label for clause in clauses]
-    return {
-        clause.number: clause.label if labels.count(clause.label) == 1 else f"{clause.label} ({clause.location})"
-        for clause in clauses
-    }
-
-
-def _written(layer: RuleLayer, learned: Mapping[int, float]) -> str:
-    """Return the rules of a layer as one file, with probabilities by the number of the clause."""
-    files = {name: text.removeprefix("\ufeff") for name, text in layer.program._program.files()}
-    inserted: dict[str, list[tuple[int, int, str]]] = {}
-    for clause in layer._rules.written:
-        if clause.number in learned and learned[clause.number] < 1:
-            name, line, column = clause.location.rsplit(":", 2)
-            inserted.setdefault(name, []).append((int(line), int(column), f"{learned[clause.number]:.{DIGITS}f} :: "))
-    written: set[str] = set()
-
-    def expanded(name: str) -> str:
-        """Return the text of a file in which included files replace their names."""
-        written.add(name)
-        lines = files[name].split("\n")
-        for line, column, text in sorted(inserted.get(name, []), reverse=True):
-            before = lines[line - 1]
-            lines[line - 1] = before[: column - 1] + text + before[column - 1 :]
-
-        def included(match: re.Match[str]) -> str:
-            beside = posixpath.normpath(posixpath.join(posixpath.dirname(name), match[1]))
-            # As the engine, also among the built-in files.
-            wanted = (beside, posixpath.normpath(posixpath.join(BUILTIN, match[1])))
-            found = next((each for want in wanted for each in files if posixpath.normpath(each) == want), None)
-            if found is None:
-                return match[0]
-            if found in VOCABULARY and found not in inserted:
-                return '.include "vocabulary.dl"'
-            return "" if found in written else expanded(found)
-
-        return INCLUDE.sub(included, "\n".join(lines))
-
-    text = expanded(layer.program._program.files()[0][0])
-    # A file may write its includes in other ways than the pattern knows.
-    try:
-        clauses = Clauses(Program(text), (), layer.actions, layer.default, layer.depth, by_engine=True).written
-    except ValueError as error:
-        raise ValueError(f"rules: they cannot be written as one file: {error}") from None
-    found = sorted(clause.probability for clause in clauses)
-    wanted = sorted(learned.get(clause.number, clause.probability) for clause in layer._rules.written)
-    if len(found) != len(wanted) or not np.allclose(found, wanted, rtol=0, atol=1e-6):
-        raise ValueError("rules: they cannot be written as one file: write each `.include` on a line of its own")
-    return text

@@ -86,8 +86,8 @@ pub(super) type PlainRows = (Vec<[u32; 2]>, Vec<([u32; 2], f64)>);
 /// Base predicates: name, number of agents in a row, and the type of the value of a quantity.
 pub(super) type Predicates<'a> = &'a [(&'a str, usize, Option<Unit>)];
 
-/// Parses a scene of entities in one pass; `None` if it has a fault, is of another form, escapes characters in names, or
-/// states facts before entities.
+/// Parses a symbolic scene in one pass. Returns `None` for a scene with a fault, with an escaped character in a name, or
+/// with facts before its entities.
 pub(super) fn plain_scene<'t>(text: &'t str, predicates: Predicates<'_>) -> Option<PlainScene<'t>> {
     let mut read = serde_json::Deserializer::from_str(text);
     let scene = SceneSeed { predicates }.deserialize(&mut read).ok()?;
