@@ -153,7 +153,8 @@ pub fn run(arguments: &Arguments, sources: &mut Sources) -> Result<(), Failure> 
             )));
         }
     }
-    for folder in folders {
+    // The first one is checked when it is read, before any tick.
+    for folder in &folders[1..] {
         check_inputs(session.program(), folder)?;
     }
     let mut times = None;

@@ -161,7 +161,7 @@ impl Answer<'_> {
 }
 
 /// Returns what separates the element at a position from the one before it.
-fn comma(position: usize) -> &'static str {
+pub(super) fn comma(position: usize) -> &'static str {
     if position > 0 { "," } else { "" }
 }
 

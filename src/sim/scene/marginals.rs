@@ -5,7 +5,7 @@ use crate::city::{Action, Heading};
 use crate::datalog::{BaseType, MarginalOptions, Marginals, PredicateId, Probability, Value};
 use crate::diag::{Diagnostic, SourceId, Sources, Span};
 use crate::sim::codes;
-use crate::sim::scene::answer::SceneFacts;
+use crate::sim::scene::answer::{SceneFacts, comma};
 use crate::sim::scene::infer::Inference;
 use crate::sim::tick::ground_state::GroundPredicate;
 use serde_json::json;
@@ -72,7 +72,7 @@ impl MarginalAnswer {
 
 /// Writes the key of an entry of an object.
 fn write_key(out: &mut dyn Write, position: usize, key: &str) -> io::Result<()> {
-    out.write_all(if position > 0 { b"," } else { b"" })?;
+    out.write_all(comma(position).as_bytes())?;
     serde_json::to_writer(&mut *out, key)?;
     out.write_all(b":")
 }
