@@ -1,9 +1,9 @@
 """Measure rules as a layer: `python python/benches/layer.py [RULES] [--scenes N] [--seconds S]`.
 
 Each figure is the scenes per second of a forward and backward pass over random degrees of 12 entities: per CPU second
-on one core, and on a GPU if there is one. Building the inputs does not count. For `exact` and `top-k`, which the engine
-computes on the CPU, ten facts of a scene are uncertain and the others are certain; after the first pass, the diagrams
-of `exact` are known.
+on one core, and on a GPU if there is one, in larger batches. Building the inputs does not count. For `exact` and
+`top-k`, which the engine computes on the CPU, ten facts of a scene are uncertain and the others are certain; after the
+first pass, the diagrams of `exact` are known.
 """
 
 from __future__ import annotations
@@ -22,6 +22,9 @@ ENTITIES = 12
 
 #: The number of uncertain facts of a scene where not all are, and of scenes in a batch there.
 UNCERTAIN, FEW = 10, 256
+
+#: The number of scenes in a batch by device, unless the caller chooses it.
+SCENES = {"cpu": 4096, "cuda": 1 << 18}
 
 
 def with_doubts(unary: Tensor, binary: Tensor) -> tuple[Tensor, Tensor]:
@@ -64,19 +67,23 @@ def main() -> None:
     """Print a line for each semantics."""
     parser = argparse.ArgumentParser(description="Measure rules as a layer.")
     parser.add_argument("rules", nargs="?", default="rules/expert.dl")
-    parser.add_argument("--scenes", type=int, default=4096, help="scenes in a batch")
+    parser.add_argument("--scenes", type=int, help="scenes in a batch; default: 4096, on a GPU 262144")
     parser.add_argument("--seconds", type=float, default=3.0, help="duration of each measurement")
     given = parser.parse_args()
     torch.set_num_threads(1)
+    if torch.cuda.is_available():
+        print(f"cuda: {torch.cuda.get_device_name()}")
     for device in ["cpu", *(["cuda"] if torch.cuda.is_available() else [])]:
         for semantics in get_args(Semantics):
             layer = RuleLayer(given.rules, semantics)
             by_engine = semantics in ("exact", "top-k")
             if by_engine and device != "cpu":
                 continue
-            scenes = min(given.scenes, FEW) if by_engine else given.scenes
+            scenes = given.scenes or SCENES[device]
+            scenes = min(scenes, FEW) if by_engine else scenes
             one, all_ = (speed(layer, scenes, egos, given.seconds, device) for egos in ([0], None))
-            print(f"{device} {semantics}: {one:,.0f} scenes per second for one ego, {all_:,.0f} for all entities")
+            found = f"{one:,.0f} scenes per second for one ego, {all_:,.0f} for all entities"
+            print(f"{device} {semantics}, {scenes} scenes at once: {found}")
 
 
 if __name__ == "__main__":

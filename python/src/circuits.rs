@@ -100,13 +100,18 @@ impl Scenes<'_> {
 }
 
 impl Batch {
-    /// Interns the names `e0`, `e1`, ... of this many entities.
-    fn set_entities(&mut self, count: usize) {
+    /// Interns the names `e0`, `e1`, ... of this many entities, and prepares for facts about them.
+    fn set_entities(&mut self, count: usize, cancel: &Cancel) -> Result<(), Stop> {
+        if self.words.len() >= count {
+            return Ok(());
+        }
         while self.words.len() < count {
             let word = self.compiler.intern(&format!("e{}", self.words.len()));
             self.positions.insert(word, self.words.len());
             self.words.push(word);
         }
+        let inputs = self.inputs.concat();
+        self.compiler.foresee(&inputs, &self.words, cancel).map_err(Stop::Limit)
     }
 
     /// Returns which facts of a scene are certain, as bits: two for each fact. Facts about absent entities do not hold.
@@ -383,7 +388,7 @@ impl PyCircuits {
             scenes.unary.shape()[2],
         );
         let done = self.batch.detached(py, |batch, cancel| {
-            batch.set_entities(entities);
+            batch.set_entities(entities, cancel)?;
             let width = batch.outputs(scenes.egos.len(), entities);
             let mut outputs = Array3::zeros((count, ticks, width));
             let mut traced = Vec::with_capacity(count);
@@ -432,7 +437,7 @@ impl PyCircuits {
             weights: weights.as_array().to_vec(),
         };
         let done = self.batch.detached(py, |batch, cancel| {
-            batch.set_entities(scenes.unary.shape()[2]);
+            batch.set_entities(scenes.unary.shape()[2], cancel)?;
             batch.compile(scenes.scene(0), &scenes.egos, &scenes.weights, cancel)?;
             let found = batch.compiler.proofs(batch.words[ego], place).map_err(Stop::Inexact)?;
             let literal = |(variable, holds): &(RandomVariable, bool)| {

@@ -261,8 +261,10 @@ impl PyVectorEnv {
             let Some(info) = info_of(&sub_envs[at], ego, ended) else {
                 continue;
             };
-            masks[row * actions..][..actions].copy_from_slice(&shield_mask(table, info));
-            if let Some(verdict) = info.verdict {
+            let mask = masks[row * actions..][..actions].iter_mut();
+            mask.zip(shield_mask(table, info))
+                .for_each(|(to, permits)| *to = permits);
+            if let Some(verdict) = &info.verdict {
                 probabilities[row * actions..][..actions].copy_from_slice(&verdict.probabilities[..actions]);
             }
             replaced[row] = info.replaced.map_or(-1, |action| action.index() as i64);
@@ -342,8 +344,11 @@ impl PyVectorEnv {
         let actions = [read_action(py, &task.task, action, String::new)?];
         this.check_permitted(py, &actions)?;
         // The state of the decision is gone after the step.
-        let verdict = this.vector.sub_envs()[0].info(0).verdict;
-        let reason = match verdict.is_some_and(|verdict| !verdict.permitted.contains(actions[0])) {
+        let verdict = this.vector.sub_envs()[0].info(0).verdict.clone();
+        let reason = match verdict
+            .as_ref()
+            .is_some_and(|verdict| !verdict.permitted.contains(actions[0]))
+        {
             true => this.shield_text(py, 0, 0)?,
             false => String::new(),
         };
@@ -691,14 +696,16 @@ impl PyVectorEnv {
     fn check_permitted(&self, py: Python<'_>, actions: &[Action]) -> PyResult<()> {
         let (sub_envs, table) = (self.vector.sub_envs(), table_of(&self.task.get().task));
         for ((at, ego, row), &action) in self.egos_of_all().zip(actions) {
+            let sub_env = &sub_envs[at];
+            // The action after the end of an episode only begins the next one.
+            let verdict = sub_env.info(ego).verdict.as_ref().filter(|_| sub_env.is_active(ego));
+            let Some(says) = sub_env.env().shield().zip(verdict) else {
+                continue;
+            };
             let of = || match self.rows_of_egos() {
                 1 => String::new(),
                 _ => format!(" {}", self.of_row(row)),
             };
-            let sub_env = &sub_envs[at];
-            // The action after the end of an episode only begins the next one.
-            let running = sub_env.is_active(ego);
-            let says = (sub_env.env().shield(), sub_env.info(ego).verdict.filter(|_| running));
             check_permitted(py, says, (action, table.name(action)), of)?;
         }
         Ok(())

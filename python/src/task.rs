@@ -94,21 +94,19 @@ pub fn shield_of(py: Python<'_>, rules: &PyTask, (mode, query, threshold): &Shie
 }
 
 /// Returns for each action 1 if the shield permits it now, else 0; all 0 without an episode.
-pub fn shield_mask(table: &ActionTable, info: &Info) -> Vec<i8> {
-    let permits = |action| i8::from(info.verdict.is_some_and(|verdict| verdict.permitted.contains(action)));
-    table.all().map(permits).collect()
+pub fn shield_mask(table: &ActionTable, info: &Info) -> impl Iterator<Item = i8> + use<> {
+    let permitted = info.verdict.as_ref().map(|verdict| verdict.permitted);
+    let permits = move |action| permitted.is_some_and(|permitted| permitted.contains(action));
+    table.all().map(move |action| i8::from(permits(action)))
 }
 
 /// Checks that a shield in the mode `mask` permits an action. `of` says whose it is, for messages.
 pub fn check_permitted(
     py: Python<'_>,
-    (shield, verdict): (Option<&Arc<Shield>>, Option<Verdict>),
+    (shield, verdict): (&Arc<Shield>, &Verdict),
     action: (Action, &str),
     of: impl Fn() -> String,
 ) -> PyResult<()> {
-    let Some((shield, verdict)) = shield.zip(verdict) else {
-        return Ok(());
-    };
     if shield.config().mode != ShieldMode::Mask || verdict.permitted.contains(action.0) {
         return Ok(());
     }
@@ -409,8 +407,12 @@ impl PyTask {
     pub fn add_shield<'py>(&self, dict: &Bound<'py, PyDict>, info: &Info, shield: &Shield) -> PyResult<()> {
         let py = dict.py();
         let table = table_of(&self.task);
-        dict.set_item(intern!(py, "shield_mask"), shield_mask(table, info).into_pyarray(py))?;
-        let probabilities = info.verdict.map_or([0.0; Action::MAX], |verdict| verdict.probabilities);
+        let mask: Vec<i8> = shield_mask(table, info).collect();
+        dict.set_item(intern!(py, "shield_mask"), mask.into_pyarray(py))?;
+        let probabilities = info
+            .verdict
+            .as_ref()
+            .map_or([0.0; Action::MAX], |verdict| verdict.probabilities);
         let probabilities = probabilities[..table.all().len()].to_vec();
         dict.set_item(intern!(py, "shield_probabilities"), probabilities.into_pyarray(py))?;
         let replaced = info.replaced.map_or(-1, |action| action.index() as i64);

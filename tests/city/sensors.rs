@@ -356,6 +356,33 @@ fn facts_about_the_ego_may_be_exact() {
     assert!((equal / all - 0.5).abs() < 0.1, "{equal} of {all}");
 }
 
+/// Sensors without delay, correlation and exact facts have code of their own. It reads what the general code reads, which
+/// an ego with exact facts about itself needs.
+#[test]
+fn simple_sensors_equal_general_ones() {
+    for output in ["facts", "probabilities", "belief"] {
+        for (case, more) in ["", ", range: 14", ", occluded_by: [buildings, agents]"]
+            .into_iter()
+            .enumerate()
+        {
+            let rates = format!("output: {output}, true_positive_rate: .8, false_positive_rate: .3{more}");
+            let tasks = [format!("{{{rates}}}"), format!("{{{rates}, ego: exact}}")].map(|text| sensed(&text));
+            let run = |task: &Arc<SpfTask>| {
+                let mut all = Vec::new();
+                drive(&mut env(task, Split::Train), 0..4, |env, _| {
+                    let ego = env.controlled_cars()[0].observer().ego();
+                    let others = numbers(env).into_iter().filter(|(fact, _)| fact.1 != [ego]);
+                    all.push(others.collect::<Vec<_>>());
+                });
+                all
+            };
+            let [simple, general] = tasks.each_ref().map(run);
+            assert!(simple.len() > 100, "{}", simple.len());
+            assert_eq!(simple, general, "{output}, case {case}");
+        }
+    }
+}
+
 /// Without any reading, a belief is that of agents that have just come into view, whatever the delay.
 #[test]
 fn late_readings_do_not_age_beliefs() {

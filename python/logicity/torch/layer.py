@@ -6,7 +6,7 @@ import os
 from collections.abc import Iterable, Sequence
 from typing import Any, Literal, TypeAlias, cast, get_args
 
-from ..errors import extra
+from ..errors import did_you_mean, extra
 from ..rules import Program
 from .clauses import Atom, Clause, Clauses, Past
 from .derivatives import once
@@ -90,7 +90,8 @@ class RuleLayer(nn.Module):
         semantics: `godel`, `product`, `lukasiewicz`, `exact` or `top-k`; see the module.
         queries: Further derived predicates to compute. `degrees` returns them.
         priority: The actions in the order of `actions.priority` of a configuration: the first that is derived is
-            taken. By default that of `configs/common.yaml`. Actions that the rules do not declare are not derived.
+            taken. By default that of `configs/common.yaml`. Of its actions, the rules may lack some, which are then
+            not derived; they must declare others.
         default: The action of an entity for which none is derived.
         depth: How often the clauses of recursive predicates are applied. Atoms whose derivation needs more are 0.
         learn_weights: Whether each clause of the source that the layer uses has a weight, from 0 to 1, which is a
@@ -110,7 +111,8 @@ class RuleLayer(nn.Module):
     Raises:
         InputError: If the rules are invalid.
         OSError: If the file cannot be read.
-        ValueError: If an action or a query needs a clause that has no degree, or is not derived.
+        ValueError: If an action or a query needs a clause that has no degree, or is not derived, or the rules do not
+            declare it.
     """
 
     weight_logits: nn.Parameter | None
@@ -145,6 +147,11 @@ class RuleLayer(nn.Module):
         self.queries, self.default = tuple(dict.fromkeys(queries)), default
         self.actions = tuple(dict.fromkeys([*priority, default]))
         self._rules = Clauses(self.program, self.queries, self.actions, default, depth, by_engine=is_exact)
+        derived = [name for name, place in self._rules.places.items() if place not in self._rules.inputs]
+        known = dict.fromkeys([*PRIORITY, default, *derived])
+        for name in priority:
+            if name not in known:
+                raise ValueError(f"priority: the rules declare no action `{name}`{did_you_mean(name, known)}")
         self.unary, self.binary, self.clauses = self._rules.unary, self._rules.binary, self._rules.labels
         self.temporal = bool(self._rules.pasts)
         self.weight_logits = nn.Parameter(torch.full((len(self.clauses),), 3.0)) if learn_weights else None

@@ -109,6 +109,14 @@ impl CircuitCompiler {
         self.marginals.intern(text)
     }
 
+    /// Prepares for scenes with any facts of these predicates about these symbols. Begin a new circuit after it.
+    ///
+    /// # Errors
+    /// If the evaluation exceeds a limit, or the caller cancels it.
+    pub fn foresee(&mut self, inputs: &[PredicateId], symbols: &[Value], cancel: &Cancel) -> Result<(), EvalError> {
+        self.marginals.foresee(inputs, symbols, cancel)
+    }
+
     /// Begins a new circuit, before its first tick.
     pub fn begin(&mut self) {
         self.marginals.clear();

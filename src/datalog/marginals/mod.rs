@@ -76,6 +76,9 @@ pub struct Probability {
     pub interval: Option<(f64, f64)>,
 }
 
+/// The maximum number of instances of clauses, and of facts of a predicate, that [`Marginals::foresee`] derives.
+const FORESEEN_MAX: usize = 1 << 16;
+
 /// The rows of a predicate, sorted, with their probabilities.
 type Marginal = Vec<(Box<[Value]>, Probability)>;
 
@@ -105,6 +108,8 @@ pub struct Marginals {
     facts: FactTables,
     /// The input predicates that had an uncertain fact, for which the grounding was made.
     uncertain: BTreeSet<PredicateId>,
+    /// The number of rows that [`foresee`](Marginals::foresee) made known.
+    foreseen: usize,
     grounding: Option<Grounding>,
     diagrams: Diagrams,
     /// What the variables of the diagrams stand for.
@@ -140,6 +145,7 @@ impl Marginals {
             queries: queries.collect::<Result<_, _>>()?,
             facts: FactTables::new(program.rules().predicates.len()),
             uncertain: BTreeSet::new(),
+            foreseen: 0,
             grounding: None,
             diagrams: Diagrams::new(options.nodes_max.min(nodes_max)),
             sources: Vec::new(),
@@ -269,11 +275,48 @@ impl Marginals {
             return Err(RowError::Probability { predicate, found });
         }
         if probability < 1.0 && self.uncertain.insert(to) {
-            self.grounding = None;
+            // Where its facts count as uncertain anyway, the grounding stays the same.
+            self.grounding = self.grounding.take().filter(|known| known.is_lifted[to.index()]);
         }
         self.note(to, &words, true);
         self.facts.insert(to, words, probability);
         Ok(())
+    }
+
+    /// Removes all facts, and derives what there may be with all facts of these predicates about these symbols, so that
+    /// scenes with some of them need no evaluation. Without effect if there may be too many instances of clauses.
+    ///
+    /// # Errors
+    /// As [`compute`](Marginals::compute).
+    fn foresee(&mut self, inputs: &[PredicateId], words: &[Value], cancel: &Cancel) -> Result<(), EvalError> {
+        self.clear();
+        let rules = self.program.rules();
+        let combinations = |columns: usize| words.len().saturating_pow(columns as u32);
+        let instances = rules.clauses.iter().map(|clause| combinations(clause.variables.len()));
+        if instances.fold(0, usize::saturating_add) > FORESEEN_MAX {
+            return Ok(());
+        }
+        let liftable = liftable(rules);
+        let mut rows: Vec<(PredicateId, FactRow)> = Vec::new();
+        for input in inputs {
+            let predicate = &rules.predicates[input.index()];
+            let to = predicate.edb.unwrap_or(*input);
+            if !liftable.contains(&to) || combinations(predicate.arity()) > FORESEEN_MAX {
+                continue;
+            }
+            for place in 0..combinations(predicate.arity()) {
+                let column = |column: usize| words[place / combinations(column) % words.len()];
+                rows.push((to, (0..predicate.arity()).rev().map(column).collect()));
+            }
+        }
+        self.foreseen = rows.len();
+        for (to, row) in rows {
+            self.note(to, &row, true);
+            self.facts.insert(to, row, 1.0);
+        }
+        let prepared = self.prepare(cancel);
+        self.clear();
+        prepared
     }
 
     /// Removes a fact.
@@ -376,12 +419,12 @@ impl Marginals {
     fn prepare(&mut self, cancel: &Cancel) -> Result<(), EvalError> {
         self.facts.sort();
         // Earlier scenes may have left many rows.
-        let kept = 4 * self.facts.len() + LIFTED_MAX;
+        let kept = self.foreseen + 4 * self.facts.len() + LIFTED_MAX;
         self.grounding = self.grounding.take().filter(|known| known.lifted_rows <= kept);
         let grounding = match &mut self.grounding {
             Some(grounding) => grounding,
             None => {
-                let lifted = match self.facts.len() <= LIFTED_MAX {
+                let lifted = match self.facts.len() <= LIFTED_MAX.max(self.foreseen) {
                     true => liftable(self.program.rules()),
                     false => BTreeSet::new(),
                 };

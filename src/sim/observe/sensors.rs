@@ -39,6 +39,8 @@ pub struct Sensors {
     delay: usize,
     /// Whether noise depends on that of the tick before.
     correlated: bool,
+    /// Whether observations need only the readings of the tick, and beliefs after them.
+    current: bool,
     /// The predicates whose facts never change.
     fixed: Vec<bool>,
 }
@@ -63,9 +65,6 @@ impl Group {
     /// is dropped, and whether noise and dropout each stay as they were.
     fn draw(&self, lanes: u64, random: &mut Words) -> [u64; 5] {
         let [detected, alarmed] = below(self.rates, lanes, random);
-        if self.is_simple {
-            return [detected, alarmed, 0, 0, 0];
-        }
         let [dropped] = below([self.dropout], lanes, random);
         let [kept] = below([self.correlation], lanes, random);
         let [kept_dropped] = match self.dropout.is_never() {
@@ -84,8 +83,10 @@ struct SensedSet {
     predicate: usize,
     /// The first entity of the pairs; `None` if facts are about one agent.
     row: Option<usize>,
-    /// Whether the predicate may relate an entity to itself.
-    reflexive: bool,
+    /// The same entity as a set; empty if facts are about one agent.
+    first: u64,
+    /// That entity, unless the predicate may relate it to itself.
+    without: u64,
     /// The position of the first number in the observation.
     start: usize,
 }
@@ -94,11 +95,17 @@ impl SensedSet {
     /// Returns those of some entities whose facts exist.
     #[inline]
     fn lanes(self, among: u64) -> u64 {
-        match self.row {
-            Some(row) if among >> row & 1 == 0 => 0,
-            Some(row) if !self.reflexive => among & !(1 << row),
-            _ => among,
+        match among & self.first == self.first {
+            true => among & !self.without,
+            false => 0,
         }
+    }
+
+    /// Returns the models of the fact about the ego and of those about other entities.
+    #[inline]
+    fn models(self, model: &SensorModel) -> [&FactModel; 2] {
+        let of = |entity| &model.facts[self.predicate][Role::of(self.row, entity) as usize];
+        [of(0), of(1)]
     }
 }
 
@@ -137,11 +144,13 @@ impl Sensors {
                 });
                 groups.len() - 1
             });
+            let first = row.map_or(0, |row| 1 << row);
             groups[group].sets.push(SensedSet {
                 set,
                 predicate,
                 row,
-                reflexive: known.definition.may_be_reflexive(),
+                first,
+                without: if known.definition.may_be_reflexive() { 0 } else { first },
                 start,
             });
         }
@@ -149,6 +158,7 @@ impl Sensors {
         Sensors {
             delay: sensors().map(|sensor| sensor.delay as usize).max().unwrap_or(0),
             correlated: sensors().any(|sensor| sensor.correlation > 0.0),
+            current: !config.exact_ego && config.share.is_none() && sensors().all(|sensor| sensor.delay == 0),
             fixed: (predicates.iter())
                 .map(|predicate| matches!(predicate.definition, Definition::Static(_)))
                 .collect(),
@@ -340,6 +350,7 @@ impl Sensing {
     pub fn begin(&mut self) {
         self.readings.agents.clear();
         self.readings.frames.clear();
+        self.readings.belief.fill(0.0);
     }
 
     /// Returns the sensors.
@@ -443,10 +454,20 @@ impl Sensing {
 
     /// Writes the first part of an observation, the numbers of the facts.
     pub fn write(&self, out: &mut [f32]) {
-        out.fill(0.0);
-        if self.sensors.config.output != SensorOutput::Facts {
-            return self.probabilities(|set, entity, probability| out[set.start + entity] = probability);
+        match (self.sensors.config.output, &self.model) {
+            (SensorOutput::Facts, _) => {}
+            (SensorOutput::Belief, _) if self.sensors.current && !self.sensors.correlated => {
+                return out.copy_from_slice(&self.readings.belief);
+            }
+            (SensorOutput::Probabilities, Some(model)) if self.sensors.current => {
+                return self.readings.write_probabilities(&self.sensors, model, out);
+            }
+            _ => {
+                out.fill(0.0);
+                return self.probabilities(|set, entity, probability| out[set.start + entity] = probability);
+            }
         }
+        out.fill(0.0);
         for set in self.sensors.groups.iter().flat_map(|group| &group.sets) {
             for member in members(&[self.readings.atoms.words[set.set]]) {
                 out[set.start + member] = 1.0;
@@ -514,9 +535,7 @@ impl Readings {
         }
         self.frames.push_back(frame);
         let mut random = seed.words(Purpose::SENSORS, u64::from(now[0]), tick);
-        // Only facts about present entities have noise.
-        let each = 64 / bodies.len();
-        let lanes = u64::MAX >> (64 - each * bodies.len());
+        let (each, lanes) = noisy_lanes(bodies.len());
         for group in &sensors.groups {
             let delay = group.sensor.delay as usize;
             let frame = self.frames.len().checked_sub(delay + 1).map(|at| &self.frames[at]);
@@ -528,6 +547,10 @@ impl Readings {
                 (Some(frame), None) => frame.visible[group.view],
                 (Some(frame), Some(origins)) => origins.carry(frame.visible[group.view]),
             };
+            if group.is_simple {
+                self.read_simply(group, &truth.words, (present, seen), &mut random);
+                continue;
+            }
             let (mut drawn, mut left) = ([0; 5], 0);
             for &set in &group.sets {
                 if set.row.is_some_and(|row| row >= bodies.len()) {
@@ -541,12 +564,6 @@ impl Readings {
                 drawn = drawn.map(|bits| bits.checked_shr(bodies.len() as u32).unwrap_or(0));
                 left -= 1;
                 let read = set.lanes(present & seen);
-                if group.is_simple {
-                    let held = truth.words[set.set];
-                    self.read[set.set] = read;
-                    self.atoms.words[set.set] = (held & detected | !held & alarmed) & read;
-                    continue;
-                }
                 let known = origins.known_with(set.row);
                 let mix = |kept: u64, old: u64, new: u64| old & kept & known | new & !(kept & known);
                 let noise = &mut self.noise[set.set];
@@ -568,6 +585,59 @@ impl Readings {
             }
         }
         origins
+    }
+
+    /// Variant of the last part of [`Readings::sense`] for a [simple](Group::is_simple) group.
+    fn read_simply(&mut self, group: &Group, truth: &[u64], (present, seen): (u64, u64), random: &mut Words) {
+        let count = present.count_ones();
+        let (each, lanes) = noisy_lanes(count as usize);
+        let (mut detected, mut alarmed, mut left) = (0, 0, 0);
+        for &set in &group.sets {
+            if set.first & !present != 0 {
+                self.read[set.set] = 0;
+                continue;
+            }
+            if left == 0 {
+                ([detected, alarmed], left) = (below(group.rates, lanes, random), each);
+            }
+            let (held, read) = (truth[set.set], set.lanes(present & seen));
+            self.read[set.set] = read;
+            self.atoms.words[set.set] = (held & detected | !held & alarmed) & read;
+            // By less than 64, unless these bits are the last ones.
+            (detected, alarmed) = (detected.wrapping_shr(count), alarmed.wrapping_shr(count));
+            left -= 1;
+        }
+    }
+
+    /// Writes the probability of each fact given its reading.
+    fn write_probabilities(&self, sensors: &Sensors, model: &SensorModel, out: &mut [f32]) {
+        let count = self.agents.len();
+        let present = all_of(count);
+        for &set in sensors.groups.iter().flat_map(|group| &group.sets) {
+            let out = &mut out[set.start..][..sensors.layout.entities];
+            let lanes = set.lanes(present);
+            if lanes == 0 {
+                out.fill(0.0);
+                continue;
+            }
+            let (read, holds) = (self.read[set.set], self.atoms.words[set.set]);
+            let models = set.models(model);
+            let after = |entity: usize, reading: Reading| models[usize::from(entity > 0)].after[reading as usize];
+            // Most readings are negative.
+            let (given, absent) = out.split_at_mut(count);
+            given.fill(after(1, Reading::Negative));
+            given[0] = after(0, Reading::Negative);
+            absent.fill(0.0);
+            for entity in members(&[present & !read]) {
+                given[entity] = match lanes >> entity & 1 {
+                    0 => 0.0,
+                    _ => after(entity, Reading::Missing),
+                };
+            }
+            for entity in members(&[read & holds]) {
+                given[entity] = after(entity, Reading::Positive);
+            }
+        }
     }
 
     /// Moves noise and beliefs to the present places of their agents.
@@ -609,6 +679,10 @@ impl Readings {
         let present = all_of(self.agents.len());
         for group in &sensors.groups {
             let sensor = &group.sensor;
+            if sensor.delay == 0 && sensor.correlation == 0.0 {
+                self.filter_simply(group, model, (present, origins.known));
+                continue;
+            }
             for &set in &group.sets {
                 let facts = &model.facts[set.predicate];
                 let known = set.lanes(origins.known);
@@ -637,6 +711,42 @@ impl Readings {
             }
         }
     }
+
+    /// Variant of [`Readings::filter`] for a group without delay and correlation. Beliefs of facts that do not exist are 0.
+    fn filter_simply(&mut self, group: &Group, model: &SensorModel, (present, known): (u64, u64)) {
+        let entities = self.atoms.layout.entities;
+        for &set in &group.sets {
+            let belief = &mut self.belief[set.start..][..entities];
+            let lanes = set.lanes(present);
+            if lanes == 0 {
+                belief.fill(0.0);
+                continue;
+            }
+            let known = set.lanes(known);
+            let (read, holds) = (self.read[set.set], self.atoms.words[set.set]);
+            let chains = set.models(model).map(|model| model.chain);
+            for (entity, belief) in belief.iter_mut().enumerate() {
+                let bit = |words: u64| words >> entity & 1;
+                if bit(lanes) == 0 {
+                    *belief = 0.0;
+                    continue;
+                }
+                let chain = &chains[usize::from(entity > 0)];
+                let before = match bit(known) {
+                    0 => chain.initial,
+                    _ => chain.next(*belief),
+                };
+                *belief = update(&group.likelihoods, before, Reading::of(bit(read), bit(holds)));
+            }
+        }
+    }
+}
+
+/// Returns for how many sets of this many entities 64 random bits have noise, and these bits.
+#[inline]
+fn noisy_lanes(entities: usize) -> (usize, u64) {
+    let each = 64 / entities;
+    (each, u64::MAX >> (64 - each * entities))
 }
 
 /// Counts the facts of many observations, for a [`SensorModel`].

@@ -39,7 +39,7 @@ pub struct Shield {
 }
 
 /// What a shield says of the actions in a state.
-#[derive(Clone, Copy, Debug, PartialEq)]
+#[derive(Clone, Debug, PartialEq)]
 pub struct Verdict {
     /// The actions that it permits, at least one.
     pub permitted: Actions,

@@ -135,8 +135,8 @@ impl ControlledCar {
     }
 
     /// Returns what the shield says of the present state, after [`Env::ask_shield`].
-    pub fn verdict(&self) -> Option<Verdict> {
-        self.shielded.as_ref()?.verdict
+    pub fn verdict(&self) -> Option<&Verdict> {
+        self.shielded.as_ref()?.verdict.as_ref()
     }
 
     /// Returns the action that the shield replaced in the last step, and the clauses of the shield's rules that this
@@ -404,9 +404,11 @@ impl Env {
         }
         let mut executed: SmallVec<[Action; 4]> = proposed.into();
         for (car, action) in self.controlled_cars.iter_mut().zip(&mut executed) {
-            let Some(shielded) = &mut car.shielded else { continue };
+            let Some(shielded) = car.shielded.as_deref_mut() else {
+                continue;
+            };
             shielded.replaced = None;
-            let forbidding = shielded.verdict.filter(|verdict| !verdict.permitted.contains(*action));
+            let forbidding = (shielded.verdict.as_ref()).filter(|verdict| !verdict.permitted.contains(*action));
             let Some(verdict) = forbidding.filter(|_| car.running) else {
                 continue;
             };

@@ -189,7 +189,7 @@ impl Info {
     pub fn note(&mut self, env: &Env, controlled_car: usize) {
         let car = &env.controlled_cars()[controlled_car];
         let last = car.last();
-        self.verdict = car.verdict();
+        self.verdict = car.verdict().cloned();
         let (replaced, reasons) = car.replaced().unzip();
         self.replaced = replaced;
         self.reasons.clear();
