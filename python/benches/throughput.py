@@ -1,7 +1,9 @@
 """Measure environment steps per CPU second with random actions: `python python/benches/throughput.py [MODE]`.
 
-On Linux, the output also has the memory that an environment of a vector takes. With Stable-Baselines3 installed, it has
-the environment's share of the CPU time of training.
+Sensors and shields are measured in turn with environments without them, several times. Their rows also have the median
+of the ratios of the turns, which other work on the machine changes less than the steps. On Linux, the output also has
+the memory that an environment of a vector takes. With Stable-Baselines3 installed, it has the environment's share of
+the CPU time of training.
 """
 
 from __future__ import annotations
@@ -12,7 +14,8 @@ import sys
 import time
 from collections.abc import Callable, Mapping
 from pathlib import Path
-from typing import Any
+from statistics import median
+from typing import Any, TypeAlias
 
 import gymnasium
 import numpy as np
@@ -22,6 +25,9 @@ from logicity.envs import SPFParallelVectorEnv
 
 #: The minimum duration of each measurement, in CPU seconds.
 SECONDS = 3.0
+
+#: The number of turns of what is compared.
+TURNS = 7
 
 #: The number of training steps to measure.
 TRAINING_STEPS = 8000
@@ -33,12 +39,16 @@ MANY, MANY_STEPS = 8192, 100
 MEMORY = Path("/proc/self/statm")
 
 
-def rate(steps: int, step: Callable[[int], None]) -> float:
+#: Takes a step, given the number of the call.
+Step: TypeAlias = Callable[[int], None]
+
+
+def rate(steps: int, step: Step, seconds: float = SECONDS) -> float:
     """Return steps per CPU second of all threads. Each call of `step` takes `steps` steps."""
     for call in range(20):
         step(call)
     begin, call = time.process_time(), 0
-    while (spent := time.process_time() - begin) < SECONDS:
+    while (spent := time.process_time() - begin) < seconds:
         for _ in range(20):
             step(call)
             call += 1
@@ -59,8 +69,25 @@ def single(mode: str) -> float:
     return rate(1, step)
 
 
+def compared(base: Step, others: Mapping[str, Step]) -> dict[str, str]:
+    """Return the steps per CPU second of steps of 256 environments, and the ratios to `base`, by name."""
+    found: dict[str, list[tuple[float, float]]] = {name: [] for name in others}
+    for _ in range(TURNS):
+        first = rate(256, base, SECONDS / TURNS)
+        for name, step in others.items():
+            steps = rate(256, step, SECONDS / TURNS)
+            found[name].append((steps, steps / first))
+    medians = {name: [median(each) for each in zip(*turns, strict=True)] for name, turns in found.items()}
+    return {name: f"{steps:,.0f}; {ratio:.2f}" for name, (steps, ratio) in medians.items()}
+
+
 def vector(mode: str, count: int, threads: int, **options: Any) -> float:
     """Measure a vectorized environment."""
+    return rate(count, stepping(mode, count, threads, **options))
+
+
+def stepping(mode: str, count: int, threads: int, **options: Any) -> Step:
+    """Return the steps of a vectorized environment."""
     envs = gymnasium.make_vec(f"logicity/SPF-{mode}-v0", num_envs=count, num_threads=threads, **options)
     actions = np.random.default_rng(0).integers(4, size=(64, count))
     envs.reset(seed=0)
@@ -68,12 +95,12 @@ def vector(mode: str, count: int, threads: int, **options: Any) -> float:
     def step(call: int) -> None:
         envs.step(actions[call % 64])
 
-    return rate(count, step)
+    return step
 
 
-def following(mode: str, shield: Mapping[str, Any] | None = None, **options: Any) -> float:
-    """Measure 256 environments whose actions are those of the oracle, which exact shields permit."""
-    envs = gymnasium.make_vec(f"logicity/SPF-{mode}-v0", num_envs=256, **options)
+def following(mode: str, shield: Mapping[str, Any] | None = None) -> Step:
+    """Return the steps of 256 environments whose actions are those of the oracle, which exact shields permit."""
+    envs = gymnasium.make_vec(f"logicity/SPF-{mode}-v0", num_envs=256)
     if shield is not None:
         logicity.shield(envs, **shield)
     infos = envs.reset(seed=0)[1]
@@ -82,7 +109,7 @@ def following(mode: str, shield: Mapping[str, Any] | None = None, **options: Any
         nonlocal infos
         infos = envs.step(infos["oracle_action"])[4]
 
-    return rate(256, step)
+    return step
 
 
 def several(mode: str, egos: int, told: int | None = None) -> float:
@@ -188,24 +215,20 @@ def main() -> None:
         ("the same, 4 told facts by relevance", lambda: several(mode, 4, 4)),
         ('256, `observation="graph"`', lambda: vector(mode, 256, 1, observation="graph")),
         ("`make_vec`, 256 environments, 2 threads", lambda: vector(mode, 256, 2)),
-        *(
-            (f"256, noisy sensors, `output: {output}`", lambda output=output: vector(mode, 256, 1, **noisy(output)))
-            for output in ("facts", "probabilities", "belief")
-        ),
-        ("256, the oracle's actions", lambda: following(mode)),
-        *(
-            (
-                f"256, the oracle's actions, shield `{how}`, `{query}`",
-                lambda how=how, query=query: following(mode, {"mode": how, "query": query}),
-            )
-            for how in ("mask", "override")
-            for query in ("appropriate", "safe")
-        ),
+        ("256, the oracle's actions", lambda: rate(256, following(mode))),
     ]
     if importlib.util.find_spec("stable_baselines3"):
         rows.append(("`sb3.make_vec_env`, 256 environments", lambda: stable_baselines(mode, 256)))
     for name, measure in rows:
         print(f"| {name} | {measure():,.0f} |", flush=True)
+    outputs = {output: stepping(mode, 256, 1, **noisy(output)) for output in ("facts", "probabilities", "belief")}
+    print("\n| 256 environments | steps per CPU second; ratio to those without |\n|---|---|")
+    for name, found in compared(stepping(mode, 256, 1), outputs).items():
+        print(f"| noisy sensors, `output: {name}` | {found} |", flush=True)
+    ways = [(how, query) for how in ("mask", "override") for query in ("appropriate", "safe")]
+    shields = {f"`{how}`, `{query}`": following(mode, {"mode": how, "query": query}) for how, query in ways}
+    for name, found in compared(following(mode), shields).items():
+        print(f"| the oracle's actions, shield {name} | {found} |", flush=True)
     if MEMORY.exists():
         print(f"\nThe memory of an environment of a vector: {memory(mode):,.0f} bytes")
     if not importlib.util.find_spec("stable_baselines3"):

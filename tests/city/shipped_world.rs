@@ -4,7 +4,7 @@
 use logicity::builtin::{BuiltinFiles, ReadWith};
 use logicity::config::Scenario;
 use logicity::diag::{Diagnostic, Sources};
-use logicity::files::{BUILTIN_FOLDER, ReadError, ReadFile};
+use logicity::files::{BUILTIN_FOLDER, ReadError, ReadFile, read_text};
 use logicity::sim::{LoadError, LoadedCity, World};
 use logicity::task::spf::SpfTask;
 use std::cell::OnceCell;
@@ -61,6 +61,14 @@ pub fn task_of(config: &str) -> Result<SpfTask, Vec<Diagnostic>> {
     };
     let (world, sources) = load("mine.yaml", &read, None, |_| ())?;
     SpfTask::new(world, &sources)
+}
+
+/// The world of a configuration in a file, with its rules.
+pub fn of_file(path: &str) -> Arc<World> {
+    let read = ReadWith(read_text);
+    load(path, &read, None, |_| ())
+        .unwrap_or_else(|faults| panic!("{faults:?}"))
+        .0
 }
 
 fn load(

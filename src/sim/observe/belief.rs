@@ -111,7 +111,11 @@ impl Reading {
     /// Returns the reading with these bits: whether there is one, and whether it is positive.
     #[inline]
     pub fn of(read: u64, positive: u64) -> Reading {
-        Reading::ALL[(read + (read & positive)) as usize]
+        match read + (read & positive) {
+            0 => Reading::Missing,
+            1 => Reading::Negative,
+            _ => Reading::Positive,
+        }
     }
 }
 
@@ -135,7 +139,8 @@ pub(super) fn likelihoods(sensor: &Sensor) -> Likelihoods {
 pub(super) fn update(likelihoods: &Likelihoods, holds: f32, reading: Reading) -> f32 {
     let [no, yes] = likelihoods[reading as usize];
     let (yes, no) = (holds * yes, (1.0 - holds) * no);
-    if yes + no > 0.0 { yes / (yes + no) } else { holds }
+    let after = yes / (yes + no);
+    if yes + no > 0.0 { after } else { holds }
 }
 
 /// The probabilities of a fact and of the noise of its sensor, if noise is correlated: `[holds][class]`.
@@ -213,6 +218,8 @@ pub(super) fn marginal(joint: &Joint) -> f32 {
 pub struct SensorModel {
     /// By predicate of the vocabulary and role.
     pub(super) facts: Vec<[FactModel; Role::COUNT]>,
+    /// By number of observed entities, the observed probabilities after negative readings of all facts.
+    pub(super) negative: Vec<Vec<f32>>,
 }
 
 /// The model of the facts of a predicate in which the ego has the same role.

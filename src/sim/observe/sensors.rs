@@ -9,7 +9,7 @@ use crate::config::{Sender, Sensor, SensorOutput, SensorsConfig, ShareConfig};
 use crate::datalog::dense::members;
 use crate::predicate::Definition;
 use crate::rng::{Purpose, Seed, Words};
-use crate::sim::observe::belief::{Counts, FactModel, Joint, Reading, Role, SensorModel};
+use crate::sim::observe::belief::{Chain, Counts, FactModel, Joint, Reading, Role, SensorModel};
 use crate::sim::observe::belief::{Likelihoods, assume, condition, fresh, likelihoods, marginal, predict, update};
 use crate::sim::observe::noise::{Threshold, below};
 use crate::sim::observe::observed::{AtomLayout, Atoms, OBSERVED_MAX, all_of};
@@ -200,6 +200,8 @@ struct Origins {
     known: u64,
     /// Whether every known entity has kept its place.
     same: bool,
+    /// Whether the entities are those that were observed, in the same order.
+    unchanged: bool,
 }
 
 impl Origins {
@@ -210,6 +212,7 @@ impl Origins {
                 from,
                 known: all_of(now.len()),
                 same,
+                unchanged: true,
             };
         }
         for (entity, (agent, origin)) in now.iter().zip(&mut from).enumerate() {
@@ -219,7 +222,12 @@ impl Origins {
                 same &= place == entity;
             }
         }
-        Origins { from, known, same }
+        Origins {
+            from,
+            known,
+            same,
+            unchanged: false,
+        }
     }
 
     /// Returns the place that an entity had.
@@ -611,31 +619,19 @@ impl Readings {
 
     /// Writes the probability of each fact given its reading.
     fn write_probabilities(&self, sensors: &Sensors, model: &SensorModel, out: &mut [f32]) {
-        let count = self.agents.len();
-        let present = all_of(count);
+        // Most readings are negative.
+        out.copy_from_slice(&model.negative[self.agents.len()]);
+        let present = all_of(self.agents.len());
         for &set in sensors.groups.iter().flat_map(|group| &group.sets) {
-            let out = &mut out[set.start..][..sensors.layout.entities];
-            let lanes = set.lanes(present);
-            if lanes == 0 {
-                out.fill(0.0);
-                continue;
-            }
-            let (read, holds) = (self.read[set.set], self.atoms.words[set.set]);
+            let (read, positive) = (self.read[set.set], self.atoms.words[set.set]);
             let models = set.models(model);
-            let after = |entity: usize, reading: Reading| models[usize::from(entity > 0)].after[reading as usize];
-            // Most readings are negative.
-            let (given, absent) = out.split_at_mut(count);
-            given.fill(after(1, Reading::Negative));
-            given[0] = after(0, Reading::Negative);
-            absent.fill(0.0);
-            for entity in members(&[present & !read]) {
-                given[entity] = match lanes >> entity & 1 {
-                    0 => 0.0,
-                    _ => after(entity, Reading::Missing),
-                };
-            }
-            for entity in members(&[read & holds]) {
-                given[entity] = after(entity, Reading::Positive);
+            for (entities, reading) in [
+                (set.lanes(present) & !read, Reading::Missing),
+                (read & positive, Reading::Positive),
+            ] {
+                for entity in members(&[entities]) {
+                    out[set.start + entity] = models[usize::from(entity > 0)].after[reading as usize];
+                }
             }
         }
     }
@@ -680,7 +676,7 @@ impl Readings {
         for group in &sensors.groups {
             let sensor = &group.sensor;
             if sensor.delay == 0 && sensor.correlation == 0.0 {
-                self.filter_simply(group, model, (present, origins.known));
+                self.filter_simply(group, model, present, origins);
                 continue;
             }
             for &set in &group.sets {
@@ -713,32 +709,44 @@ impl Readings {
     }
 
     /// Variant of [`Readings::filter`] for a group without delay and correlation. Beliefs of facts that do not exist are 0.
-    fn filter_simply(&mut self, group: &Group, model: &SensorModel, (present, known): (u64, u64)) {
+    fn filter_simply(&mut self, group: &Group, model: &SensorModel, present: u64, origins: &Origins) {
         let entities = self.atoms.layout.entities;
         for &set in &group.sets {
-            let belief = &mut self.belief[set.start..][..entities];
-            let lanes = set.lanes(present);
-            if lanes == 0 {
-                belief.fill(0.0);
-                continue;
-            }
-            let known = set.lanes(known);
-            let (read, holds) = (self.read[set.set], self.atoms.words[set.set]);
+            let beliefs = &mut self.belief[set.start..][..entities];
+            let (lanes, known) = (set.lanes(present), set.lanes(origins.known));
+            let read = self.read[set.set];
+            let readings = [read, read & self.atoms.words[set.set]];
             let chains = set.models(model).map(|model| model.chain);
-            for (entity, belief) in belief.iter_mut().enumerate() {
-                let bit = |words: u64| words >> entity & 1;
-                if bit(lanes) == 0 {
-                    *belief = 0.0;
-                    continue;
-                }
-                let chain = &chains[usize::from(entity > 0)];
-                let before = match bit(known) {
-                    0 => chain.initial,
-                    _ => chain.next(*belief),
-                };
-                *belief = update(&group.likelihoods, before, Reading::of(bit(read), bit(holds)));
+            // Facts about the ego have another chain than others.
+            for (lanes, chain) in [lanes & 1, lanes & !1].into_iter().zip(chains) {
+                advance(beliefs, (lanes, known), readings, chain, &group.likelihoods);
+            }
+            if !origins.unchanged {
+                let absent = beliefs.iter_mut().enumerate();
+                let absent = absent.filter(|(entity, _)| lanes >> entity & 1 == 0);
+                absent.for_each(|(_, belief)| *belief = 0.0);
             }
         }
+    }
+}
+
+/// Updates the beliefs of the facts in `lanes`, which have the same chain, by their readings: those with a reading, and
+/// those with a positive one. The `known` ones had a belief before.
+#[inline]
+fn advance(
+    beliefs: &mut [f32],
+    (lanes, known): (u64, u64),
+    [read, positive]: [u64; 2],
+    chain: Chain,
+    likelihoods: &Likelihoods,
+) {
+    for lane in members(&[lanes]) {
+        let belief = &mut beliefs[lane];
+        let before = match known >> lane & 1 {
+            0 => chain.initial,
+            _ => chain.next(*belief),
+        };
+        *belief = update(likelihoods, before, Reading::of(read >> lane & 1, positive >> lane & 1));
     }
 }
 
@@ -818,6 +826,21 @@ impl FactCounts {
             let sensor = sensor(predicate);
             counts.map(|counts| FactModel::new(&sensor, counts.chain(self.sensors.fixed[predicate])))
         });
-        SensorModel { facts: facts.collect() }
+        let mut model = SensorModel {
+            facts: facts.collect(),
+            negative: Vec::new(),
+        };
+        for count in 0..=self.sensors.layout.entities {
+            let mut numbers = vec![0.0; self.sensors.width];
+            for &set in self.sensors.groups.iter().flat_map(|group| &group.sets) {
+                let models = set.models(&model);
+                for entity in members(&[set.lanes(all_of(count))]) {
+                    let after = &models[usize::from(entity > 0)].after;
+                    numbers[set.start + entity] = after[Reading::Negative as usize];
+                }
+            }
+            model.negative.push(numbers);
+        }
+        model
     }
 }

@@ -843,7 +843,7 @@ mod tests {
             let plain = plain_scene(reader.text, &terms.predicates).and_then(|plain| reader.plain(plain).ok());
             counts[usize::from(plain.is_some())] += 1;
             if let Some(plain) = plain {
-                let expected = checked.expect("it has no fault");
+                let expected = checked.unwrap_or_else(|()| panic!("it has a fault: {}", reader.text));
                 assert_eq!(
                     format!("{:?}", Scene::Symbolic(plain)),
                     format!("{expected:?}"),

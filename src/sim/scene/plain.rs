@@ -176,9 +176,9 @@ impl<'t> Cursor<'t> {
         let start = self.at;
         let rest = &self.text.as_bytes()[start..];
         let length = rest.iter().position(|byte| matches!(byte, b'"' | b'\\' | ..0x20))?;
-        self.at = start + length;
-        self.skip(b'"')?;
-        Some(&self.text[start..start + length])
+        let end = start + length;
+        self.at = end + 1;
+        (rest[length] == b'"').then(|| &self.text[start..end])
     }
 
     /// Reads any value.
