@@ -265,7 +265,8 @@ impl PyVectorEnv {
             mask.zip(shield_mask(table, info))
                 .for_each(|(to, permits)| *to = permits);
             if let Some(verdict) = &info.verdict {
-                probabilities[row * actions..][..actions].copy_from_slice(&verdict.probabilities[..actions]);
+                let probabilities = probabilities[row * actions..][..actions].iter_mut();
+                (probabilities.zip(table.all())).for_each(|(to, action)| *to = verdict.probability(action));
             }
             replaced[row] = info.replaced.map_or(-1, |action| action.index() as i64);
             info.reasons

@@ -409,11 +409,8 @@ impl PyTask {
         let table = table_of(&self.task);
         let mask: Vec<i8> = shield_mask(table, info).collect();
         dict.set_item(intern!(py, "shield_mask"), mask.into_pyarray(py))?;
-        let probabilities = info
-            .verdict
-            .as_ref()
-            .map_or([0.0; Action::MAX], |verdict| verdict.probabilities);
-        let probabilities = probabilities[..table.all().len()].to_vec();
+        let probability = |action| (info.verdict.as_ref()).map_or(0.0, |verdict| verdict.probability(action));
+        let probabilities: Vec<f64> = table.all().map(probability).collect();
         dict.set_item(intern!(py, "shield_probabilities"), probabilities.into_pyarray(py))?;
         let replaced = info.replaced.map_or(-1, |action| action.index() as i64);
         dict.set_item(intern!(py, "replaced_action"), replaced)?;

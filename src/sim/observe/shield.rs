@@ -45,8 +45,20 @@ pub struct Verdict {
     pub permitted: Actions,
     /// The permitted action that replaces others.
     pub preferred: Action,
-    /// By action, the probability that it is appropriate or safe; 0 or 1 in deterministic shields.
-    pub probabilities: [f64; Action::MAX],
+    /// The actions that are appropriate or safe for certain.
+    certain: Actions,
+    /// In probabilistic shields, by action, the probability that it is appropriate or safe.
+    probabilities: Option<Box<[f64; Action::MAX]>>,
+}
+
+impl Verdict {
+    /// Returns the probability that an action is appropriate or safe; 0 or 1 in deterministic shields.
+    pub fn probability(&self, action: Action) -> f64 {
+        match &self.probabilities {
+            Some(probabilities) => probabilities[action.index()],
+            None => f64::from(u8::from(self.certain.contains(action))),
+        }
+    }
 }
 
 /// The probability of actions as a function of those of facts.
@@ -243,11 +255,10 @@ impl Shield {
                 }
             }
         }
-        let mut probabilities = [0.0; Action::MAX];
         if self.config.query == ShieldQuery::Appropriate {
-            probabilities[chosen.index()] = 1.0;
+            permitted.insert(chosen);
         }
-        permitted.iter().for_each(|action| probabilities[action.index()] = 1.0);
+        let certain = permitted;
         // Rules may contradict themselves, so that no action is safe.
         if permitted.is_empty() {
             permitted.insert(chosen);
@@ -262,7 +273,8 @@ impl Shield {
         Ok(Verdict {
             permitted,
             preferred,
-            probabilities,
+            certain,
+            probabilities: None,
         })
     }
 
@@ -479,7 +491,7 @@ impl ShieldState {
         let circuits = shield.circuits(observer.entities().len(), cancel)?;
         self.facts.resize(shield.oracle.width(), 0.0);
         observer.write(&mut self.facts);
-        let mut probabilities = [0.0; Action::MAX];
+        let mut probabilities = Box::new([0.0; Action::MAX]);
         for circuit in circuits {
             self.probabilities.clear();
             (self.probabilities).extend(circuit.places.iter().map(|place| f64::from(self.facts[*place])));
@@ -501,7 +513,8 @@ impl ShieldState {
         Ok(Verdict {
             permitted,
             preferred,
-            probabilities,
+            certain: Actions::default(),
+            probabilities: Some(probabilities),
         })
     }
 

@@ -106,7 +106,7 @@ pub fn explain_shield(
         let mut line = world.vocabulary.actions().name(action).to_owned();
         let mut notes = Vec::new();
         if config.mode == ShieldMode::Probabilistic {
-            notes.push(format!("{:.3}", verdict.probabilities[action.index()]));
+            notes.push(format!("{:.3}", verdict.probability(action)));
         }
         let permitted = verdict.permitted.contains(action);
         if !permitted {
@@ -128,11 +128,7 @@ pub fn explain_shield(
     let [refused, permitted] = lines.map(|line| line.join(", "));
     let query = config.query.name();
     let mut text = format!("{query} by the shield: {permitted}\n");
-    if !verdict
-        .permitted
-        .iter()
-        .any(|action| verdict.probabilities[action.index()] > 0.0)
-    {
+    if !verdict.permitted.iter().any(|action| verdict.probability(action) > 0.0) {
         text = format!("no action is {query}; the rules choose {permitted}\n");
     }
     if !refused.is_empty() {
