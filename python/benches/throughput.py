@@ -1,8 +1,8 @@
 """Measure environment steps per CPU second with random actions: `python python/benches/throughput.py [MODE]`.
 
-Sensors and shields are measured in turn with environments without them, several times. Their rows also have the median
-of the ratios of the turns, which other work on the machine changes less than the steps. On Linux, the output also has
-the memory that an environment of a vector takes. With Stable-Baselines3 installed, it has the environment's share of
+Sensors and shields alternate with the same environments without them. Their rows have medians over the turns: steps,
+and the ratio to those without, which other work on the machine changes less. On Linux, the output also has the memory
+that an environment of a vector takes. With Stable-Baselines3 installed, it has the environment's share of
 the CPU time of training.
 """
 
@@ -23,10 +23,10 @@ import numpy as np
 import logicity
 from logicity.envs import SPFParallelVectorEnv
 
-#: The minimum duration of each measurement, in CPU seconds.
+#: The minimum duration of each measurement, over all its turns, in CPU seconds.
 SECONDS = 3.0
 
-#: The number of turns of what is compared.
+#: How often `compare` measures each environment.
 TURNS = 7
 
 #: The number of training steps to measure.
@@ -39,7 +39,7 @@ MANY, MANY_STEPS = 8192, 100
 MEMORY = Path("/proc/self/statm")
 
 
-#: Takes a step, given the number of the call.
+#: A function that steps environments. Its argument counts the calls.
 Step: TypeAlias = Callable[[int], None]
 
 
@@ -69,8 +69,8 @@ def single(mode: str) -> float:
     return rate(1, step)
 
 
-def compared(base: Step, others: Mapping[str, Step]) -> dict[str, str]:
-    """Return the steps per CPU second of steps of 256 environments, and the ratios to `base`, by name."""
+def compare(base: Step, others: Mapping[str, Step]) -> dict[str, str]:
+    """Return the median steps per CPU second and their ratio to `base`, by name. Each step is of 256 environments."""
     found: dict[str, list[tuple[float, float]]] = {name: [] for name in others}
     for _ in range(TURNS):
         first = rate(256, base, SECONDS / TURNS)
@@ -83,11 +83,11 @@ def compared(base: Step, others: Mapping[str, Step]) -> dict[str, str]:
 
 def vector(mode: str, count: int, threads: int, **options: Any) -> float:
     """Measure a vectorized environment."""
-    return rate(count, stepping(mode, count, threads, **options))
+    return rate(count, random_steps(mode, count, threads, **options))
 
 
-def stepping(mode: str, count: int, threads: int, **options: Any) -> Step:
-    """Return the steps of a vectorized environment."""
+def random_steps(mode: str, count: int, threads: int, **options: Any) -> Step:
+    """Return a function that steps a vectorized environment with random actions."""
     envs = gymnasium.make_vec(f"logicity/SPF-{mode}-v0", num_envs=count, num_threads=threads, **options)
     actions = np.random.default_rng(0).integers(4, size=(64, count))
     envs.reset(seed=0)
@@ -98,8 +98,8 @@ def stepping(mode: str, count: int, threads: int, **options: Any) -> Step:
     return step
 
 
-def following(mode: str, shield: Mapping[str, Any] | None = None) -> Step:
-    """Return the steps of 256 environments whose actions are those of the oracle, which exact shields permit."""
+def oracle_steps(mode: str, shield: Mapping[str, Any] | None = None) -> Step:
+    """Return a function that steps 256 environments with the oracle's actions, which exact shields permit."""
     envs = gymnasium.make_vec(f"logicity/SPF-{mode}-v0", num_envs=256)
     if shield is not None:
         logicity.shield(envs, **shield)
@@ -215,19 +215,19 @@ def main() -> None:
         ("the same, 4 told facts by relevance", lambda: several(mode, 4, 4)),
         ('256, `observation="graph"`', lambda: vector(mode, 256, 1, observation="graph")),
         ("`make_vec`, 256 environments, 2 threads", lambda: vector(mode, 256, 2)),
-        ("256, the oracle's actions", lambda: rate(256, following(mode))),
+        ("256, the oracle's actions", lambda: rate(256, oracle_steps(mode))),
     ]
     if importlib.util.find_spec("stable_baselines3"):
         rows.append(("`sb3.make_vec_env`, 256 environments", lambda: stable_baselines(mode, 256)))
     for name, measure in rows:
         print(f"| {name} | {measure():,.0f} |", flush=True)
-    outputs = {output: stepping(mode, 256, 1, **noisy(output)) for output in ("facts", "probabilities", "belief")}
-    print("\n| 256 environments | steps per CPU second; ratio to those without |\n|---|---|")
-    for name, found in compared(stepping(mode, 256, 1), outputs).items():
+    outputs = {output: random_steps(mode, 256, 1, **noisy(output)) for output in ("facts", "probabilities", "belief")}
+    print("\n| 256 environments | steps per CPU second; ratio to the same without |\n|---|---|")
+    for name, found in compare(random_steps(mode, 256, 1), outputs).items():
         print(f"| noisy sensors, `output: {name}` | {found} |", flush=True)
     ways = [(how, query) for how in ("mask", "override") for query in ("appropriate", "safe")]
-    shields = {f"`{how}`, `{query}`": following(mode, {"mode": how, "query": query}) for how, query in ways}
-    for name, found in compared(following(mode), shields).items():
+    shields = {f"`{how}`, `{query}`": oracle_steps(mode, {"mode": how, "query": query}) for how, query in ways}
+    for name, found in compare(oracle_steps(mode), shields).items():
         print(f"| the oracle's actions, shield {name} | {found} |", flush=True)
     if MEMORY.exists():
         print(f"\nThe memory of an environment of a vector: {memory(mode):,.0f} bytes")

@@ -60,6 +60,8 @@ struct Batch {
     /// The words of the entities, and their positions.
     words: Vec<Value>,
     positions: HashMap<Value, usize>,
+    /// The number of entities over which the rules have been grounded.
+    grounded: usize,
     /// The columns of the predicates in the inputs.
     columns: HashMap<PredicateId, usize>,
     /// Circuits by what is certain. Lookup only, never iterated. `None` if circuits depend on probabilities, too.
@@ -100,9 +102,9 @@ impl Scenes<'_> {
 }
 
 impl Batch {
-    /// Interns the names `e0`, `e1`, ... of this many entities, and prepares for facts about them.
+    /// Interns the names `e0`, `e1`, ... of this many entities, and grounds the rules over them.
     fn set_entities(&mut self, count: usize, cancel: &Cancel) -> Result<(), Stop> {
-        if self.words.len() >= count {
+        if self.grounded >= count {
             return Ok(());
         }
         while self.words.len() < count {
@@ -111,7 +113,11 @@ impl Batch {
             self.words.push(word);
         }
         let inputs = self.inputs.concat();
-        self.compiler.foresee(&inputs, &self.words, cancel).map_err(Stop::Limit)
+        self.compiler
+            .preground(&inputs, &self.words, cancel)
+            .map_err(Stop::Limit)?;
+        self.grounded = count;
+        Ok(())
     }
 
     /// Returns which facts of a scene are certain, as bits: two for each fact. Facts about absent entities do not hold.
@@ -349,6 +355,7 @@ impl PyCircuits {
             inputs,
             words: Vec::new(),
             positions: HashMap::new(),
+            grounded: 0,
             known: proofs.is_none().then(HashMap::new),
             kept_nodes: 0,
             order: order.len(),

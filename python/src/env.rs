@@ -345,11 +345,9 @@ impl PyVectorEnv {
         let actions = [read_action(py, &task.task, action, String::new)?];
         this.check_permitted(py, &actions)?;
         // The state of the decision is gone after the step.
-        let verdict = this.vector.sub_envs()[0].info(0).verdict.clone();
-        let reason = match verdict
-            .as_ref()
-            .is_some_and(|verdict| !verdict.permitted.contains(actions[0]))
-        {
+        let verdict = this.vector.sub_envs()[0].info(0).verdict.as_ref();
+        let permitted = verdict.map(|verdict| verdict.permitted);
+        let reason = match permitted.is_some_and(|permitted| !permitted.contains(actions[0])) {
             true => this.shield_text(py, 0, 0)?,
             false => String::new(),
         };
@@ -359,7 +357,7 @@ impl PyVectorEnv {
         let sub_env = &this.vector.sub_envs()[0];
         let outcome = sub_env.outcome(0);
         let info = this.full_info(py, sub_env, 0)?;
-        if let Some(executed) = sub_env.env().taken().next_back().filter(|_| verdict.is_some()) {
+        if let Some(executed) = sub_env.env().taken().next_back().filter(|_| permitted.is_some()) {
             let name = |action| table_of(&task.task).name(action);
             let reason = match sub_env.info(0).replaced {
                 Some(replaced) => format!("{} replaces {}\n{reason}", name(executed[0]), name(replaced)),

@@ -146,7 +146,7 @@ QUOTES: dict[str, list[str]] = {
         f"{pair('modular-gnn', 100, 'against')}, {pair('modular-nlm', 100, 'against')}, and "
         f"{pair('e2e-gnn', 100, 'against')}",
         f"is the exception: {pair('e2e-nlm', 1, 'against')} with 1 %, and {pair('e2e-nlm', 100, 'against')} with all, "
-        f"where its three seeds from scratch differ by {spread('e2e-nlm', 'from scratch 100 %')}",
+        f"where its three seeds from scratch span {spread('e2e-nlm', 'from scratch 100 %')}",
         f"reach a wAcc of {vap('vap', 'rules', 'random', 'threshold')} with random agents in training, and "
         f"{vap('vap', 'rules', 'fixed', 'threshold')} with fixed agents",
         f"without the bus (`bound`) have {vap('vap', 'bound', 'fixed')}",

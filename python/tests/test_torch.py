@@ -466,9 +466,9 @@ def test_faulty_arguments_are_reported() -> None:
         RuleLayer("rules/easy.dl", "exact", nodes_max=0)
     with pytest.raises(ValueError, match="priority: expected a sequence of actions, not the string 'Stop'"):
         RuleLayer("rules/easy.dl", priority="Stop")
-    with pytest.raises(ValueError, match="priority: the rules declare no action `Stpo`; did you mean `Stop`?"):
+    with pytest.raises(ValueError, match=r"priority: the rules declare no action `Stpo`; did you mean `Stop`\?"):
         RuleLayer("rules/easy.dl", priority=("Stpo", "Slow"))
-    with pytest.raises(ValueError, match="priority: the rules declare no action `IsCar`; known: Stop, "):
+    with pytest.raises(ValueError, match="priority: `IsCar` is an input, not an action"):
         RuleLayer("rules/easy.dl", priority=("IsCar",))
     with pytest.raises(ValueError, match="no predicate `Halt`"):
         RuleLayer("rules/easy.dl", queries=["Halt"])

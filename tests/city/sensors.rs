@@ -356,8 +356,8 @@ fn facts_about_the_ego_may_be_exact() {
     assert!((equal / all - 0.5).abs() < 0.1, "{equal} of {all}");
 }
 
-/// Sensors without delay, correlation and exact facts have code of their own. It reads what the general code reads, which
-/// an ego with exact facts about itself needs.
+/// Sensors without delay, dropout, correlation and exact facts have code of their own. `ego: exact` needs the general code,
+/// which must read the same.
 #[test]
 fn simple_sensors_equal_general_ones() {
     for (output, more) in [

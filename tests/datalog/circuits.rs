@@ -15,6 +15,12 @@ use std::collections::BTreeMap;
 /// The predicates of decisions, and the rows of which circuits have the probability.
 const ORDER: [&str; 3] = ["d", "a", "b"];
 
+/// A compiler of the decisions and of `c`.
+fn compiler(program: &Program, options: &CircuitOptions) -> CircuitCompiler {
+    let order = ORDER.map(|name| program.predicate(name).unwrap());
+    CircuitCompiler::new(program, &order, &[program.predicate("c").unwrap()], options)
+}
+
 /// A compiler with the facts, and the circuit of the decisions of both symbols and of all rows of `c`.
 fn compiled(
     program: &Program,
@@ -22,9 +28,19 @@ fn compiled(
     probabilities: &[f64],
     (options, weights): (&CircuitOptions, &[f64]),
 ) -> (CircuitCompiler, Result<ProbabilityCircuit, Inexact>) {
-    let order = ORDER.map(|name| program.predicate(name).unwrap());
+    let mut compiler = compiler(program, options);
+    let circuit = compiled_by(&mut compiler, program, (facts, probabilities), weights);
+    (compiler, circuit)
+}
+
+/// The circuit that a compiler makes of the decisions of both symbols and of all rows of `c`.
+fn compiled_by(
+    compiler: &mut CircuitCompiler,
+    program: &Program,
+    (facts, probabilities): (&[(&str, Vec<&str>)], &[f64]),
+    weights: &[f64],
+) -> Result<ProbabilityCircuit, Inexact> {
     let c = program.predicate("c").unwrap();
-    let mut compiler = CircuitCompiler::new(program, &order, &[c], options);
     compiler.begin();
     for ((name, row), probability) in facts.iter().zip(probabilities) {
         let mut row: Vec<Value> = row.iter().map(|text| compiler.intern(text)).collect();
@@ -39,8 +55,7 @@ fn compiled(
         .flat_map(|x| egos.map(|y| (c, Box::from([*x, y]))))
         .collect();
     let done = compiler.tick(&egos, &pairs, weights, &Cancel::never()).unwrap();
-    let circuit = done.map(|()| compiler.circuit());
-    (compiler, circuit)
+    done.map(|()| compiler.circuit())
 }
 
 /// The present probabilities of variables, given those of facts by row.
@@ -143,6 +158,23 @@ proptest! {
             let sum: f64 = proofs.iter().map(|proof| proof.probability).sum();
             prop_assert!(most <= expected + 1e-9 && *expected <= sum + 1e-9);
             prop_assert!(proofs.windows(2).all(|pair| pair[0].probability >= pair[1].probability));
+        }
+    }
+
+    /// Instances that are derived in advance change no probability, in one scene after another.
+    #[test]
+    fn grounding_in_advance_changes_nothing(clauses in clauses(), scenes in vec((0..256_u16, uncertain()), 3)) {
+        let program = program(&text(&clauses));
+        let mut compiler = compiler(&program, &CircuitOptions::default());
+        let symbols = SYMBOLS.map(|text| compiler.intern(text));
+        let inputs = ["n", "e", "w"].map(|name| program.predicate(name).unwrap());
+        compiler.preground(&inputs, &symbols, &Cancel::never()).unwrap();
+        for (bits, uncertain) in scenes {
+            let facts = facts(bits);
+            let circuit = compiled_by(&mut compiler, &program, (&facts, &uncertain), &[]).unwrap();
+            let given = by_row(&program, &mut compiler, &facts, &uncertain);
+            let outputs = circuit.outputs(&probabilities(&circuit, &given, &[]));
+            close(&outputs, &expected(&program, &facts, &uncertain))?;
         }
     }
 

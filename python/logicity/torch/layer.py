@@ -90,8 +90,8 @@ class RuleLayer(nn.Module):
         semantics: `godel`, `product`, `lukasiewicz`, `exact` or `top-k`; see the module.
         queries: Further derived predicates to compute. `degrees` returns them.
         priority: The actions in the order of `actions.priority` of a configuration: the first that is derived is
-            taken. By default that of `configs/common.yaml`. Of its actions, the rules may lack some, which are then
-            not derived; they must declare others.
+            taken. By default that of `configs/common.yaml`. The rules need not declare these four and `default`; they
+            must declare any other action.
         default: The action of an entity for which none is derived.
         depth: How often the clauses of recursive predicates are applied. Atoms whose derivation needs more are 0.
         learn_weights: Whether each clause of the source that the layer uses has a weight, from 0 to 1, which is a
@@ -111,8 +111,8 @@ class RuleLayer(nn.Module):
     Raises:
         InputError: If the rules are invalid.
         OSError: If the file cannot be read.
-        ValueError: If an action or a query needs a clause that has no degree, or is not derived, or the rules do not
-            declare it.
+        ValueError: If an action or a query needs a clause that has no degree, if no clause derives a query, or if the
+            rules do not declare an action of `priority`.
     """
 
     weight_logits: nn.Parameter | None
@@ -147,9 +147,11 @@ class RuleLayer(nn.Module):
         self.queries, self.default = tuple(dict.fromkeys(queries)), default
         self.actions = tuple(dict.fromkeys([*priority, default]))
         self._rules = Clauses(self.program, self.queries, self.actions, default, depth, by_engine=is_exact)
-        derived = [name for name, place in self._rules.places.items() if place not in self._rules.inputs]
-        known = dict.fromkeys([*PRIORITY, default, *derived])
+        declared = [name for name, place in self._rules.places.items() if place not in self._rules.inputs]
+        known = dict.fromkeys([*PRIORITY, default, *declared])
         for name in priority:
+            if self._rules.places.get(name) in self._rules.inputs:
+                raise ValueError(f"priority: `{name}` is an input, not an action")
             if name not in known:
                 raise ValueError(f"priority: the rules declare no action `{name}`{did_you_mean(name, known)}")
         self.unary, self.binary, self.clauses = self._rules.unary, self._rules.binary, self._rules.labels

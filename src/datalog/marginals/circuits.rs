@@ -109,12 +109,13 @@ impl CircuitCompiler {
         self.marginals.intern(text)
     }
 
-    /// Prepares for scenes with any facts of these predicates about these symbols. Begin a new circuit after it.
+    /// Derives all instances of clauses over these symbols in advance, unless there are too many. Begin a new circuit after
+    /// it.
     ///
     /// # Errors
-    /// If the evaluation exceeds a limit, or the caller cancels it.
-    pub fn foresee(&mut self, inputs: &[PredicateId], symbols: &[Value], cancel: &Cancel) -> Result<(), EvalError> {
-        self.marginals.foresee(inputs, symbols, cancel)
+    /// If the caller cancels it.
+    pub fn preground(&mut self, inputs: &[PredicateId], symbols: &[Value], cancel: &Cancel) -> Result<(), EvalError> {
+        self.marginals.preground(inputs, symbols, cancel)
     }
 
     /// Begins a new circuit, before its first tick.

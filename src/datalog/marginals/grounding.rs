@@ -39,7 +39,7 @@ impl Inexact {
     }
 }
 
-/// The maximum number of facts that count as uncertain although they are certain.
+/// The maximum number of certain facts that count as uncertain, unless more are grounded in advance.
 pub(super) const LIFTED_MAX: usize = 512;
 
 /// A session that derives what there may be, and the clauses of what is uncertain.

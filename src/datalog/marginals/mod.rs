@@ -11,8 +11,8 @@
 //! Slow("a") = Near("a", "b") and draw("a", "b") and not Bus("a")    its formula, from each instance
 //! ```
 //!
-//! Facts about symbols, if they are few, count as uncertain too, with the formulas "true" and "false". So the session
-//! need not derive anew what there may be in another scene of the same entities.
+//! Facts about symbols, if they are few or derived from in advance, count as uncertain too, with the formulas "true" and
+//! "false". So the session need not derive anew what there may be in another scene of the same entities.
 //!
 //! Formulas are decision diagrams. Where they grow too large, or where an aggregate counts uncertain rows, the result is
 //! an estimate from sampled worlds, with an interval.
@@ -28,7 +28,7 @@ pub use grounding::Inexact;
 
 use crate::cancel::Cancel;
 use crate::chance;
-use crate::check::{ClauseId, PredicateId};
+use crate::check::{Clause, ClauseId, Literal, PredicateId, Stratum, Term};
 use crate::convert::{AsPredicate, IntoRow, RowError, check_words, encode};
 use crate::diagram::{Diagrams, NODE_BYTES, TooLarge};
 use crate::eval::limits::{EvalError, Limits};
@@ -76,8 +76,8 @@ pub struct Probability {
     pub interval: Option<(f64, f64)>,
 }
 
-/// The maximum number of instances of clauses, and of facts of a predicate, that [`Marginals::foresee`] derives.
-const FORESEEN_MAX: usize = 1 << 16;
+/// The maximum number of instances of clauses, and of rows of an input, to derive in advance.
+const PREGROUND_MAX: usize = 1 << 14;
 
 /// The rows of a predicate, sorted, with their probabilities.
 type Marginal = Vec<(Box<[Value]>, Probability)>;
@@ -106,10 +106,10 @@ pub struct Marginals {
     queries: Vec<PredicateId>,
     options: MarginalOptions,
     facts: FactTables,
-    /// The input predicates that had an uncertain fact, for which the grounding was made.
+    /// The input predicates that had an uncertain fact. The grounding treats them as uncertain, or lifts them.
     uncertain: BTreeSet<PredicateId>,
-    /// The number of rows that [`foresee`](Marginals::foresee) made known.
-    foreseen: usize,
+    /// The number of rows that [`preground`](Marginals::preground) has made known.
+    pregrounded: usize,
     grounding: Option<Grounding>,
     diagrams: Diagrams,
     /// What the variables of the diagrams stand for.
@@ -145,7 +145,7 @@ impl Marginals {
             queries: queries.collect::<Result<_, _>>()?,
             facts: FactTables::new(program.rules().predicates.len()),
             uncertain: BTreeSet::new(),
-            foreseen: 0,
+            pregrounded: 0,
             grounding: None,
             diagrams: Diagrams::new(options.nodes_max.min(nodes_max)),
             sources: Vec::new(),
@@ -283,17 +283,30 @@ impl Marginals {
         Ok(())
     }
 
-    /// Removes all facts, and derives what there may be with all facts of these predicates about these symbols, so that
-    /// scenes with some of them need no evaluation. Without effect if there may be too many instances of clauses.
+    /// Removes all facts, and derives all instances of clauses over these symbols, so that scenes about them need no
+    /// evaluation. Skips inputs with more than [`PREGROUND_MAX`] rows. Does nothing more if the clauses may have more
+    /// instances than that, or if a recursive clause draws or has a weight, each instance of which is a variable.
     ///
     /// # Errors
-    /// As [`compute`](Marginals::compute).
-    fn foresee(&mut self, inputs: &[PredicateId], words: &[Value], cancel: &Cancel) -> Result<(), EvalError> {
+    /// If the caller cancels it.
+    fn preground(&mut self, inputs: &[PredicateId], symbols: &[Value], cancel: &Cancel) -> Result<(), EvalError> {
         self.clear();
+        self.pregrounded = 0;
         let rules = self.program.rules();
-        let combinations = |columns: usize| words.len().saturating_pow(columns as u32);
-        let instances = rules.clauses.iter().map(|clause| combinations(clause.variables.len()));
-        if instances.fold(0, usize::saturating_add) > FORESEEN_MAX {
+        let combinations = |columns: usize| symbols.len().saturating_pow(columns as u32);
+        let instances = rules.clauses.iter().map(|clause| combinations(columns(clause)));
+        let draws = |clause: &ClauseId| {
+            self.weights.contains_key(clause) || rules.draw(&rules.clauses[clause.index()]).is_some()
+        };
+        let recursive = |stratum: &Stratum, clause: &ClauseId| {
+            let mut atoms = rules.clauses[clause.index()].body.iter().filter_map(Literal::atom);
+            atoms.any(|atom| stratum.predicates.contains(&atom.predicate))
+        };
+        let draws_in = |stratum: &Stratum| {
+            let mut clauses = stratum.clauses.iter();
+            clauses.any(|clause| draws(clause) && recursive(stratum, clause))
+        };
+        if instances.fold(0, usize::saturating_add) > PREGROUND_MAX || rules.strata.iter().any(draws_in) {
             return Ok(());
         }
         let liftable = liftable(rules);
@@ -301,22 +314,28 @@ impl Marginals {
         for input in inputs {
             let predicate = &rules.predicates[input.index()];
             let to = predicate.edb.unwrap_or(*input);
-            if !liftable.contains(&to) || combinations(predicate.arity()) > FORESEEN_MAX {
+            if !liftable.contains(&to) || combinations(predicate.arity()) > PREGROUND_MAX {
                 continue;
             }
             for place in 0..combinations(predicate.arity()) {
-                let column = |column: usize| words[place / combinations(column) % words.len()];
+                let column = |column: usize| symbols[place / combinations(column) % symbols.len()];
                 rows.push((to, (0..predicate.arity()).rev().map(column).collect()));
             }
         }
-        self.foreseen = rows.len();
+        self.pregrounded = rows.len();
         for (to, row) in rows {
             self.note(to, &row, true);
             self.facts.insert(to, row, 1.0);
         }
         let prepared = self.prepare(cancel);
         self.clear();
-        prepared
+        let Err(error) = prepared else { return Ok(()) };
+        // The session would keep these rows, and scenes need only some of them.
+        (self.grounding, self.pregrounded) = (None, 0);
+        match error {
+            EvalError::Cancelled { .. } => Err(error),
+            _ => Ok(()),
+        }
     }
 
     /// Removes a fact.
@@ -419,12 +438,12 @@ impl Marginals {
     fn prepare(&mut self, cancel: &Cancel) -> Result<(), EvalError> {
         self.facts.sort();
         // Earlier scenes may have left many rows.
-        let kept = self.foreseen + 4 * self.facts.len() + LIFTED_MAX;
+        let kept = self.pregrounded + 4 * self.facts.len() + LIFTED_MAX;
         self.grounding = self.grounding.take().filter(|known| known.lifted_rows <= kept);
         let grounding = match &mut self.grounding {
             Some(grounding) => grounding,
             None => {
-                let lifted = match self.facts.len() <= LIFTED_MAX.max(self.foreseen) {
+                let lifted = match self.facts.len() <= LIFTED_MAX.max(self.pregrounded) {
                     true => liftable(self.program.rules()),
                     false => BTreeSet::new(),
                 };
@@ -560,6 +579,18 @@ impl Marginals {
     pub fn symbols(&self) -> &Symbols {
         &self.symbols
     }
+}
+
+/// Returns an upper bound of the number of columns of the instances of a clause: a `_` of a positive atom becomes one.
+fn columns(clause: &Clause) -> usize {
+    let positive = clause.body.iter().filter_map(|literal| match literal {
+        Literal::Positive(atom) | Literal::Guard(atom) => Some(atom),
+        _ => None,
+    });
+    let unnamed = positive
+        .flat_map(|atom| &atom.terms)
+        .filter(|term| **term == Term::Wildcard);
+    clause.variables.len() + unnamed.count()
 }
 
 impl Probability {

@@ -139,6 +139,7 @@ pub(super) fn likelihoods(sensor: &Sensor) -> Likelihoods {
 pub(super) fn update(likelihoods: &Likelihoods, holds: f32, reading: Reading) -> f32 {
     let [no, yes] = likelihoods[reading as usize];
     let (yes, no) = (holds * yes, (1.0 - holds) * no);
+    // Divides in either case, so that the compiler needs no branch.
     let after = yes / (yes + no);
     if yes + no > 0.0 { after } else { holds }
 }
@@ -218,7 +219,8 @@ pub(super) fn marginal(joint: &Joint) -> f32 {
 pub struct SensorModel {
     /// By predicate of the vocabulary and role.
     pub(super) facts: Vec<[FactModel; Role::COUNT]>,
-    /// By number of observed entities, the observed probabilities after negative readings of all facts.
+    /// By number of observed entities, the observed probabilities after negative readings of all facts, if observations
+    /// are probabilities.
     pub(super) negative: Vec<Vec<f32>>,
 }
 

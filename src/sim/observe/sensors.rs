@@ -39,7 +39,7 @@ pub struct Sensors {
     delay: usize,
     /// Whether noise depends on that of the tick before.
     correlated: bool,
-    /// Whether observations need only the readings of the tick, and beliefs after them.
+    /// Whether observations follow from the readings and beliefs of this tick alone: no delay, sharing or exact ego.
     current: bool,
     /// The predicates whose facts never change.
     fixed: Vec<bool>,
@@ -83,9 +83,9 @@ struct SensedSet {
     predicate: usize,
     /// The first entity of the pairs; `None` if facts are about one agent.
     row: Option<usize>,
-    /// The same entity as a set; empty if facts are about one agent.
+    /// `row` as a set; empty without one.
     first: u64,
-    /// That entity, unless the predicate may relate it to itself.
+    /// The entities without a fact: `first`, or none if the predicate may be reflexive.
     without: u64,
     /// The position of the first number in the observation.
     start: usize,
@@ -611,7 +611,7 @@ impl Readings {
             let (held, read) = (truth[set.set], set.lanes(present & seen));
             self.read[set.set] = read;
             self.atoms.words[set.set] = (held & detected | !held & alarmed) & read;
-            // By less than 64, unless these bits are the last ones.
+            // With 64 entities the shift wraps, but then no set is left to read these bits.
             (detected, alarmed) = (detected.wrapping_shr(count), alarmed.wrapping_shr(count));
             left -= 1;
         }
@@ -627,7 +627,7 @@ impl Readings {
             let models = set.models(model);
             for (entities, reading) in [
                 (set.lanes(present) & !read, Reading::Missing),
-                (read & positive, Reading::Positive),
+                (set.lanes(present) & read & positive, Reading::Positive),
             ] {
                 for entity in members(&[entities]) {
                     out[set.start + entity] = models[usize::from(entity > 0)].after[reading as usize];
@@ -708,7 +708,8 @@ impl Readings {
         }
     }
 
-    /// Variant of [`Readings::filter`] for a group without delay and correlation. Beliefs of facts that do not exist are 0.
+    /// Variant of [`Readings::filter`] for a group without delay and correlation. Sets beliefs of facts that do not exist
+    /// to 0.
     fn filter_simply(&mut self, group: &Group, model: &SensorModel, present: u64, origins: &Origins) {
         let entities = self.atoms.layout.entities;
         for &set in &group.sets {
@@ -750,7 +751,7 @@ fn advance(
     }
 }
 
-/// Returns for how many sets of this many entities 64 random bits have noise, and these bits.
+/// Returns how many sets of this many entities fit in 64 random bits, and the mask of the bits that they use.
 #[inline]
 fn noisy_lanes(entities: usize) -> (usize, u64) {
     let each = 64 / entities;
@@ -830,7 +831,8 @@ impl FactCounts {
             facts: facts.collect(),
             negative: Vec::new(),
         };
-        for count in 0..=self.sensors.layout.entities {
+        let copied = self.sensors.current && self.sensors.config.output == SensorOutput::Probabilities;
+        for count in 0..=if copied { self.sensors.layout.entities } else { 0 } {
             let mut numbers = vec![0.0; self.sensors.width];
             for &set in self.sensors.groups.iter().flat_map(|group| &group.sets) {
                 let models = set.models(&model);

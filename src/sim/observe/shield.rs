@@ -45,18 +45,24 @@ pub struct Verdict {
     pub permitted: Actions,
     /// The permitted action that replaces others.
     pub preferred: Action,
-    /// The actions that are appropriate or safe for certain.
-    certain: Actions,
-    /// In probabilistic shields, by action, the probability that it is appropriate or safe.
-    probabilities: Option<Box<[f64; Action::MAX]>>,
+    probabilities: Probabilities,
+}
+
+/// The probability that each action is appropriate or safe.
+#[derive(Clone, Debug, PartialEq)]
+enum Probabilities {
+    /// 1 for these actions, 0 for others.
+    Certain(Actions),
+    /// By action.
+    Each(Box<[f64; Action::MAX]>),
 }
 
 impl Verdict {
     /// Returns the probability that an action is appropriate or safe; 0 or 1 in deterministic shields.
     pub fn probability(&self, action: Action) -> f64 {
         match &self.probabilities {
-            Some(probabilities) => probabilities[action.index()],
-            None => f64::from(u8::from(self.certain.contains(action))),
+            Probabilities::Certain(actions) => f64::from(u8::from(actions.contains(action))),
+            Probabilities::Each(probabilities) => probabilities[action.index()],
         }
     }
 }
@@ -248,17 +254,17 @@ impl Shield {
         let vocabulary = &self.oracle.world().vocabulary;
         let chosen = vocabulary.decide(Some(AgentKind::Car.into()), derived);
         let mut permitted = Actions::default();
-        if self.config.query == ShieldQuery::Safe {
-            for &action in &self.possible {
-                if is_safe(action)? {
-                    permitted.insert(action);
+        match self.config.query {
+            ShieldQuery::Appropriate => permitted.insert(chosen),
+            ShieldQuery::Safe => {
+                for &action in &self.possible {
+                    if is_safe(action)? {
+                        permitted.insert(action);
+                    }
                 }
             }
         }
-        if self.config.query == ShieldQuery::Appropriate {
-            permitted.insert(chosen);
-        }
-        let certain = permitted;
+        let probabilities = Probabilities::Certain(permitted);
         // Rules may contradict themselves, so that no action is safe.
         if permitted.is_empty() {
             permitted.insert(chosen);
@@ -273,8 +279,7 @@ impl Shield {
         Ok(Verdict {
             permitted,
             preferred,
-            certain,
-            probabilities: None,
+            probabilities,
         })
     }
 
@@ -513,8 +518,7 @@ impl ShieldState {
         Ok(Verdict {
             permitted,
             preferred,
-            certain: Actions::default(),
-            probabilities: Some(probabilities),
+            probabilities: Probabilities::Each(probabilities),
         })
     }
 

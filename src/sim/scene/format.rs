@@ -784,8 +784,9 @@ mod tests {
     /// One-pass parsing equals the parts of [`Reader::scene`].
     #[test]
     fn plain_scenes_equal_checked_scenes() {
-        const ENTITIES: [&str; 7] = [
+        const ENTITIES: [&str; 8] = [
             r#""entities":["a","b"]"#,
+            r#""entities":["a","b","ä"]"#,
             r#""entities":["b","\u0061","c"]"#,
             r#""entities":["a","a"]"#,
             r#""entities":["a","b","c","d","e","f","g","h","i","j","k","l","m","n","o","p"]"#,
@@ -793,7 +794,8 @@ mod tests {
             r#""entities":["pedestrian_1","pedestrian_2","pedestria","a"]"#,
             r#""entities":3"#,
         ];
-        const OTHERS: [&str; 14] = [
+        const OTHERS: [&str; 15] = [
+            r#""facts":{"P":["ä",["a"]]}"#,
             r#""ego":"a""#,
             r#""ego":"b""#,
             r#""ego":"z""#,
@@ -818,19 +820,19 @@ mod tests {
         let mut counts = [0; 2];
         for case in 0..4000 {
             let mut random = Seed(case).stream(Purpose::TEST, 0, 0);
-            let mut parts = vec![ENTITIES[random.random_range(0..7)], OTHERS[random.random_range(0..5)]];
-            parts.extend((0..random.random_range(0..4)).map(|_| OTHERS[random.random_range(0..14)]));
+            let mut parts = vec![ENTITIES[random.random_range(0..8)], OTHERS[random.random_range(0..6)]];
+            parts.extend((0..random.random_range(0..4)).map(|_| OTHERS[random.random_range(0..15)]));
             if random.random_bool(0.2) {
                 parts.rotate_left(1);
             }
             let mut sources = Sources::new();
             let mut text = format!(" {{{}}} ", parts.join(", "));
             if random.random_bool(0.2) {
-                // One character is lost, doubled or another one.
-                let at = random.random_range(0..text.len());
-                let found = &text[at..=at];
+                // Drops, doubles or replaces one character.
+                let at = text.floor_char_boundary(random.random_range(0..text.len()));
+                let found = &text[at..].chars().next().expect("a character").to_string();
                 let changed = ["", &found.repeat(2), "\"", "\t", "]", ",", "0"][random.random_range(0..7)].to_owned();
-                text.replace_range(at..=at, &changed);
+                text.replace_range(at..at + found.len(), &changed);
             }
             let source = sources.add("scene", text);
             let reader = Reader {
@@ -861,7 +863,7 @@ mod tests {
     /// One-pass parsing equals `checked_rows`, and rejects the same rows.
     #[test]
     fn plain_rows_equal_checked_rows() {
-        const PARTS: [&str; 16] = [
+        const PARTS: [&str; 24] = [
             r#"["a"]"#,
             r#"["b"]"#,
             r#""a""#,
@@ -878,6 +880,14 @@ mod tests {
             r#"["c"]"#,
             r#"["a","b","a"]"#,
             "3",
+            r#"{"row":["a"],"probability":1e400}"#,
+            r#"{"row":["a"],"probability":1e-400}"#,
+            r#"{"row":["a"],"probability":-0.5}"#,
+            r#"{"row":["a"],"probability":"0.5"}"#,
+            r#"{"row":["a"],"probability":null}"#,
+            r#"{"row":["a"],"probability":0.99999999999999999999}"#,
+            r#"{"row":["a"],"probability":0.5 }"#,
+            r#"["\u0061"]"#,
         ];
         let mut counts = [0; 2];
         let mut names = NameIndex::default();

@@ -1,7 +1,6 @@
 //! One-pass parser of symbolic scenes, without the places of their parts.
 //!
-//! It reads the JSON of scenes without faults only, in a third of the time of a parser of all JSON. What it does not know,
-//! it leaves to the parser of all scenes, which also finds faults.
+//! It parses only the JSON that scenes without faults usually have. `format.rs` parses the rest, and reports faults.
 
 use crate::city::Action;
 use crate::predicate::Unit;
@@ -88,8 +87,8 @@ pub(super) type PlainRows = (Vec<[u32; 2]>, Vec<([u32; 2], f64)>);
 /// Base predicates: name, number of agents in a row, and the type of the value of a quantity.
 pub(super) type Predicates<'a> = &'a [(&'a str, usize, Option<Unit>)];
 
-/// Parses a symbolic scene in one pass. Returns `None` for a scene with a fault, with an escaped character in a name, or
-/// with facts before its entities.
+/// Parses a symbolic scene in one pass. Returns `None` for anything else, among it scenes with escaped characters, or with
+/// facts or actions before the entities.
 pub(super) fn plain_scene<'t>(text: &'t str, predicates: Predicates<'_>) -> Option<PlainScene<'t>> {
     let mut cursor = Cursor { text, at: 0 };
     let mut entities: Option<Vec<&'t str>> = None;
@@ -133,14 +132,14 @@ pub(super) fn plain_rows(raw: &RawValue, arity: usize, names: &NameIndex<'_>) ->
     cursor.end().map(|()| rows)
 }
 
-/// Reads JSON from a position on. Each method returns `None` for a fault, and for what it does not know.
+/// A position in JSON text. Methods return `None` for invalid JSON, and for JSON that plain scenes lack.
 struct Cursor<'t> {
     text: &'t str,
     at: usize,
 }
 
 impl<'t> Cursor<'t> {
-    /// Skips whitespace, and returns the next character if it is ASCII.
+    /// Skips whitespace, and returns the next byte.
     #[inline]
     fn peek(&mut self) -> Option<u8> {
         loop {
@@ -151,17 +150,18 @@ impl<'t> Cursor<'t> {
         }
     }
 
-    /// Skips a character if it is the next one. Returns whether it is.
+    /// Consumes a byte if it is the next one after whitespace. Returns whether it is.
     #[inline]
-    fn skips(&mut self, wanted: u8) -> bool {
+    fn eat(&mut self, wanted: u8) -> bool {
         let is_next = self.peek() == Some(wanted);
         self.at += usize::from(is_next);
         is_next
     }
 
+    /// Consumes a byte that must be the next one after whitespace.
     #[inline]
-    fn skip(&mut self, wanted: u8) -> Option<()> {
-        self.skips(wanted).then_some(())
+    fn expect(&mut self, wanted: u8) -> Option<()> {
+        self.eat(wanted).then_some(())
     }
 
     /// Checks that nothing follows.
@@ -172,7 +172,7 @@ impl<'t> Cursor<'t> {
     /// Reads a string without escaped characters.
     #[inline]
     fn string(&mut self) -> Option<&'t str> {
-        self.skip(b'"')?;
+        self.expect(b'"')?;
         let start = self.at;
         let rest = &self.text.as_bytes()[start..];
         let length = rest.iter().position(|byte| matches!(byte, b'"' | b'\\' | ..0x20))?;
@@ -181,7 +181,7 @@ impl<'t> Cursor<'t> {
         (rest[length] == b'"').then(|| &self.text[start..end])
     }
 
-    /// Reads any value.
+    /// Parses the next value with `serde_json`.
     fn value<T: Deserialize<'t>>(&mut self) -> Option<T> {
         let mut values = serde_json::Deserializer::from_str(&self.text[self.at..]).into_iter();
         let value = values.next()?.ok()?;
@@ -192,31 +192,31 @@ impl<'t> Cursor<'t> {
     /// Reads a list. `item` reads an item.
     #[inline]
     fn list(&mut self, item: impl FnMut(&mut Self) -> Option<()>) -> Option<()> {
-        self.skip(b'[')?;
+        self.expect(b'[')?;
         self.items(b']', item)
     }
 
     /// Reads an object. `entry` reads the value of a key.
     #[inline]
     fn object(&mut self, mut entry: impl FnMut(&mut Self, &'t str) -> Option<()>) -> Option<()> {
-        self.skip(b'{')?;
+        self.expect(b'{')?;
         self.items(b'}', |cursor| {
             let key = cursor.string()?;
-            cursor.skip(b':')?;
+            cursor.expect(b':')?;
             entry(cursor, key)
         })
     }
 
-    /// Reads what is separated by commas, up to a closing bracket.
+    /// Reads items that commas separate, up to the closing bracket.
     #[inline]
     fn items(&mut self, close: u8, mut item: impl FnMut(&mut Self) -> Option<()>) -> Option<()> {
-        if self.skips(close) {
+        if self.eat(close) {
             return Some(());
         }
         loop {
             item(self)?;
-            if !self.skips(b',') {
-                return self.skip(close);
+            if !self.eat(b',') {
+                return self.expect(close);
             }
         }
     }
