@@ -820,6 +820,16 @@ impl Observer {
             .violations(&self.oracle.monitor, observed, action, &mut self.broken)?;
         Ok(&self.broken)
     }
+
+    /// Returns those of some actions of the ego that violate no clause.
+    ///
+    /// # Errors
+    /// `limit-exceeded` if the rules derive too many rows.
+    pub fn safe(&mut self, city: &Simulation, actions: &[Action]) -> Result<Actions, Diagnostic> {
+        let observed = observed(&self.atoms, &self.bodies, city);
+        self.violations
+            .safe(&self.oracle.monitor, observed, actions, &mut self.broken)
+    }
 }
 
 /// Returns whether a static predicate holds for an agent. `steady` has `words` words per agent.

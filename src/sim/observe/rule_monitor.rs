@@ -302,11 +302,16 @@ impl Conditions {
 
     /// Collects the constraints that an action violates, in ascending order.
     fn violations(&self, held: &[usize], action: Action, broken: &mut Vec<usize>) {
+        broken.extend(self.refusing(held, action));
+        broken.sort_unstable();
+    }
+
+    /// Returns the clauses that an action violates, in any order.
+    fn refusing(&self, held: &[usize], action: Action) -> impl Iterator<Item = usize> {
         let given = [action].into_iter().collect();
         let conditions = held.iter().map(|&position| &self.clauses[position]);
-        let refusing = conditions.filter(|condition| condition.action != action && condition.allows(given));
-        broken.extend(refusing.filter_map(|condition| condition.constraint));
-        broken.sort_unstable();
+        let refusing = conditions.filter(move |condition| condition.action != action && condition.allows(given));
+        refusing.filter_map(|condition| condition.constraint)
     }
 }
 
@@ -736,5 +741,33 @@ impl Violations {
             _ => unreachable!("violations are computed by their own monitor"),
         }
         Ok(())
+    }
+
+    /// Returns those of some actions that violate no clause; `broken` is working memory.
+    ///
+    /// # Errors
+    /// As [`Violations::violations`].
+    pub fn safe(
+        &mut self,
+        monitor: &RuleMonitor,
+        observed: Observed<'_>,
+        actions: &[Action],
+        broken: &mut Vec<usize>,
+    ) -> Result<Actions, Diagnostic> {
+        if let (Violations::Once { bit_state, held, known }, How::Once(conditions)) = (&mut *self, &monitor.how) {
+            conditions.evaluate(bit_state, held, known, observed);
+            let actions = actions.iter().copied();
+            return Ok(actions
+                .filter(|action| conditions.refusing(held, *action).next().is_none())
+                .collect());
+        }
+        let mut safe = Actions::default();
+        for &action in actions {
+            self.violations(monitor, observed, action, broken)?;
+            if broken.is_empty() {
+                safe.insert(action);
+            }
+        }
+        Ok(safe)
     }
 }

@@ -245,25 +245,18 @@ impl Shield {
         Ok((vocabulary.before_default(derived), chosen))
     }
 
-    /// Returns the verdict without probabilities, given the derived actions and which actions are safe.
+    /// Returns the verdict without probabilities, given the derived actions. `safe` returns which ones are safe.
     fn judge_facts(
         &self,
         derived: Actions,
-        mut is_safe: impl FnMut(Action) -> Result<bool, Diagnostic>,
+        safe: impl FnOnce(&[Action]) -> Result<Actions, Diagnostic>,
     ) -> Result<Verdict, Diagnostic> {
         let vocabulary = &self.oracle.world().vocabulary;
         let chosen = vocabulary.decide(Some(AgentKind::Car.into()), derived);
-        let mut permitted = Actions::default();
-        match self.config.query {
-            ShieldQuery::Appropriate => permitted.insert(chosen),
-            ShieldQuery::Safe => {
-                for &action in &self.possible {
-                    if is_safe(action)? {
-                        permitted.insert(action);
-                    }
-                }
-            }
-        }
+        let mut permitted = match self.config.query {
+            ShieldQuery::Appropriate => [chosen].into_iter().collect(),
+            ShieldQuery::Safe => safe(&self.possible)?,
+        };
         let probabilities = Probabilities::Certain(permitted);
         // Rules may contradict themselves, so that no action is safe.
         if permitted.is_empty() {
@@ -461,7 +454,7 @@ impl ShieldState {
         // The observer has just evaluated the same rules on the same facts.
         if observer.observes_exactly_for(&shield.oracle) {
             let derived = observer.derived(city)?;
-            return shield.judge_facts(derived, |action| Ok(observer.violations(city, action)?.is_empty()));
+            return shield.judge_facts(derived, |actions| observer.safe(city, actions));
         }
         let derived = self.derive(shield, observer, city)?;
         let ShieldState {
@@ -471,9 +464,8 @@ impl ShieldState {
             ..
         } = self;
         let observed = observed(atoms, observer, city);
-        shield.judge_facts(derived, |action| {
-            violations.violations(shield.oracle.monitor(), observed, action, broken)?;
-            Ok(broken.is_empty())
+        shield.judge_facts(derived, |actions| {
+            violations.safe(shield.oracle.monitor(), observed, actions, broken)
         })
     }
 
