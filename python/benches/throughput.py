@@ -2,8 +2,8 @@
 
 Sensors and shields alternate with the same environments without them. Their rows have medians over the turns: steps,
 and the ratio to those without, which other work on the machine changes less. On Linux, the output also has the memory
-that an environment of a vector takes. With Stable-Baselines3 installed, it has the environment's share of
-the CPU time of training.
+that an environment of a vector takes. With Stable-Baselines3 installed, it has the environment's share of the CPU time
+of training.
 """
 
 from __future__ import annotations
@@ -70,7 +70,10 @@ def single(mode: str) -> float:
 
 
 def compare(base: Step, others: Mapping[str, Step]) -> dict[str, str]:
-    """Return the median steps per CPU second and their ratio to `base`, by name. Each step is of 256 environments."""
+    """Return by name the median of the steps per CPU second, and of their ratio to those of `base`.
+
+    Each call of a function steps 256 environments.
+    """
     found: dict[str, list[tuple[float, float]]] = {name: [] for name in others}
     for _ in range(TURNS):
         first = rate(256, base, SECONDS / TURNS)

@@ -11,8 +11,8 @@
 //! Slow("a") = Near("a", "b") and draw("a", "b") and not Bus("a")    its formula, from each instance
 //! ```
 //!
-//! Facts about symbols, if they are few or derived from in advance, count as uncertain too, with the formulas "true" and
-//! "false". So the session need not derive anew what there may be in another scene of the same entities.
+//! Facts about symbols, if they are few or the instances are derived in advance, count as uncertain too, with the formulas
+//! "true" and "false". So the session need not derive anew what there may be in another scene of the same entities.
 //!
 //! Formulas are decision diagrams. Where they grow too large, or where an aggregate counts uncertain rows, the result is
 //! an estimate from sampled worlds, with an interval.
@@ -28,7 +28,7 @@ pub use grounding::Inexact;
 
 use crate::cancel::Cancel;
 use crate::chance;
-use crate::check::{Clause, ClauseId, Literal, PredicateId, Stratum, Term};
+use crate::check::{Clause, ClauseId, Literal, PredicateId, Term};
 use crate::convert::{AsPredicate, IntoRow, RowError, check_words, encode};
 use crate::diagram::{Diagrams, NODE_BYTES, TooLarge};
 use crate::eval::limits::{EvalError, Limits};
@@ -285,7 +285,7 @@ impl Marginals {
 
     /// Removes all facts, and derives all instances of clauses over these symbols, so that scenes about them need no
     /// evaluation. Skips inputs with more than [`PREGROUND_MAX`] rows. Does nothing more if the clauses may have more
-    /// instances than that, or if a recursive clause draws or has a weight, each instance of which is a variable.
+    /// instances than that, or if clauses of a recursive stratum draw or have weights: each instance is then a variable.
     ///
     /// # Errors
     /// If the caller cancels it.
@@ -298,15 +298,10 @@ impl Marginals {
         let draws = |clause: &ClauseId| {
             self.weights.contains_key(clause) || rules.draw(&rules.clauses[clause.index()]).is_some()
         };
-        let recursive = |stratum: &Stratum, clause: &ClauseId| {
-            let mut atoms = rules.clauses[clause.index()].body.iter().filter_map(Literal::atom);
-            atoms.any(|atom| stratum.predicates.contains(&atom.predicate))
-        };
-        let draws_in = |stratum: &Stratum| {
-            let mut clauses = stratum.clauses.iter();
-            clauses.any(|clause| draws(clause) && recursive(stratum, clause))
-        };
-        if instances.fold(0, usize::saturating_add) > PREGROUND_MAX || rules.strata.iter().any(draws_in) {
+        let mut recursive = rules.strata.iter().filter(|stratum| stratum.recursive);
+        if instances.fold(0, usize::saturating_add) > PREGROUND_MAX
+            || recursive.any(|stratum| stratum.clauses.iter().any(draws))
+        {
             return Ok(());
         }
         let liftable = liftable(rules);

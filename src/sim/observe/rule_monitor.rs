@@ -747,7 +747,7 @@ impl Violations {
     ///
     /// # Errors
     /// As [`Violations::violations`].
-    pub fn safe(
+    pub fn safe_actions(
         &mut self,
         monitor: &RuleMonitor,
         observed: Observed<'_>,

@@ -84,8 +84,8 @@ struct SensedSet {
     /// The first entity of the pairs; `None` if facts are about one agent.
     row: Option<usize>,
     /// `row` as a set; empty without one.
-    first: u64,
-    /// The entities without a fact: `first`, or none if the predicate may be reflexive.
+    row_set: u64,
+    /// The entities without a fact: `row_set`, or none if the predicate may be reflexive.
     without: u64,
     /// The position of the first number in the observation.
     start: usize,
@@ -95,7 +95,7 @@ impl SensedSet {
     /// Returns those of some entities whose facts exist.
     #[inline]
     fn lanes(self, among: u64) -> u64 {
-        match among & self.first == self.first {
+        match among & self.row_set == self.row_set {
             true => among & !self.without,
             false => 0,
         }
@@ -144,13 +144,17 @@ impl Sensors {
                 });
                 groups.len() - 1
             });
-            let first = row.map_or(0, |row| 1 << row);
+            let row_set = row.map_or(0, |row| 1 << row);
             groups[group].sets.push(SensedSet {
                 set,
                 predicate,
                 row,
-                first,
-                without: if known.definition.may_be_reflexive() { 0 } else { first },
+                row_set,
+                without: if known.definition.may_be_reflexive() {
+                    0
+                } else {
+                    row_set
+                },
                 start,
             });
         }
@@ -595,13 +599,13 @@ impl Readings {
         origins
     }
 
-    /// Variant of the last part of [`Readings::sense`] for a [simple](Group::is_simple) group.
+    /// Reads the facts of a [simple](Group::is_simple) group, as the loop of [`Readings::sense`] does for others.
     fn read_simply(&mut self, group: &Group, truth: &[u64], (present, seen): (u64, u64), random: &mut Words) {
         let count = present.count_ones();
         let (each, lanes) = noisy_lanes(count as usize);
         let (mut detected, mut alarmed, mut left) = (0, 0, 0);
         for &set in &group.sets {
-            if set.first & !present != 0 {
+            if set.row_set & !present != 0 {
                 self.read[set.set] = 0;
                 continue;
             }
@@ -831,8 +835,10 @@ impl FactCounts {
             facts: facts.collect(),
             negative: Vec::new(),
         };
+        // Only these observations copy them.
         let copied = self.sensors.current && self.sensors.config.output == SensorOutput::Probabilities;
-        for count in 0..=if copied { self.sensors.layout.entities } else { 0 } {
+        let counts = if copied { self.sensors.layout.entities + 1 } else { 0 };
+        for count in 0..counts {
             let mut numbers = vec![0.0; self.sensors.width];
             for &set in self.sensors.groups.iter().flat_map(|group| &group.sets) {
                 let models = set.models(&model);

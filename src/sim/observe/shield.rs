@@ -454,7 +454,7 @@ impl ShieldState {
         // The observer has just evaluated the same rules on the same facts.
         if observer.observes_exactly_for(&shield.oracle) {
             let derived = observer.derived(city)?;
-            return shield.judge_facts(derived, |actions| observer.safe(city, actions));
+            return shield.judge_facts(derived, |actions| observer.safe_actions(city, actions));
         }
         let derived = self.derive(shield, observer, city)?;
         let ShieldState {
@@ -465,7 +465,7 @@ impl ShieldState {
         } = self;
         let observed = observed(atoms, observer, city);
         shield.judge_facts(derived, |actions| {
-            violations.safe(shield.oracle.monitor(), observed, actions, broken)
+            violations.safe_actions(shield.oracle.monitor(), observed, actions, broken)
         })
     }
 

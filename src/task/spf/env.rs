@@ -74,7 +74,7 @@ pub struct ControlledCar {
 
 /// What a shield does for a car.
 struct ShieldedCar {
-    state: Box<ShieldState>,
+    state: ShieldState,
     /// What it says of the present state; `None` before it is asked.
     verdict: Option<Verdict>,
     /// The action that it replaced in the last step.
@@ -340,7 +340,7 @@ impl Env {
         for car in &mut self.controlled_cars {
             car.shielded = shield.as_ref().map(|shield| {
                 Box::new(ShieldedCar {
-                    state: Box::new(ShieldState::new(shield)),
+                    state: ShieldState::new(shield),
                     verdict: None,
                     replaced: None,
                     reasons: Vec::new(),
@@ -436,7 +436,7 @@ impl Env {
             shielded.replaced = None;
             shielded.reasons.clear();
             if car.running {
-                egos.push((&mut *shielded.state, &*observer, proposed[number]));
+                egos.push((&mut shielded.state, &*observer, proposed[number]));
                 running.push(number);
             }
         }
@@ -685,13 +685,8 @@ impl Env {
 
     /// Loads what a step uses into the cache, while other work proceeds. Returns a meaningless sum of what it reads.
     pub fn prefetch(&self) -> u64 {
-        let read = |car: &ControlledCar| {
-            let shielded = car.shielded.as_ref().map_or(0, |shielded| shielded.reasons.len());
-            car.observer.prefetch() ^ shielded as u64
-        };
-        self.controlled_cars
-            .iter()
-            .fold(self.city.prefetch(), |sum, car| sum ^ read(car))
+        let observers = self.controlled_cars.iter().map(|car| car.observer.prefetch());
+        observers.fold(self.city.prefetch(), |sum, read| sum ^ read)
     }
 
     /// Writes the observation of the groundings: the true atoms as [`Observer::write`] does and, if configured, the
