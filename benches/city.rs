@@ -45,6 +45,52 @@ fn tick(criterion: &mut Criterion) {
     group.finish();
 }
 
+/// Ticks of the expert test city under its rules and more clauses, whose bodies are evaluated and never hold. The
+/// difference to `expert` is their price. Throughput is in decisions.
+fn clauses(criterion: &mut Criterion) {
+    const CONFIG: &str = "base: expert\npredicates: {define: {Waited: {quantity: waited}, Speed: {quantity: speed}, \
+                          Priority: {quantity: priority}}}\n";
+    const DECLARED: &str = ".include \"expert.dl\"\n.decl Waited(x: agent, n: number)\n\
+                            .decl Speed(x: agent, n: number)\n.decl Priority(x: agent, n: number)\n\
+                            .input Waited, Speed, Priority\n";
+    let clause = |chance: &str, condition: &str| format!("{chance}Stop(X) :- IsCar(X), IsPedestrian(X){condition}.\n");
+    let window = |at: usize| {
+        let operator = [
+            "once[0,30]",
+            "historically[0,30]",
+            "for[30]",
+            "once[1,30]",
+            "historically[1,30]",
+        ][at % 5];
+        clause("", &format!(", {operator} {}(X)", ["IsAtInter", "IsInInter"][at / 5]))
+    };
+    let threshold = |at: usize| {
+        let quantity = ["Waited", "Speed", "Priority"][at % 3];
+        clause("", &format!(", {quantity}(X, n), n > {}", at + 10))
+    };
+    let draw = |at: usize| clause(&format!("0.{} :: ", at + 1), "");
+    let mut group = criterion.benchmark_group("clauses");
+    for (name, rules) in [
+        ("expert", clause("", "")),
+        ("10 windows of 30 ticks", (0..10).map(window).collect()),
+        ("1 threshold", (0..1).map(threshold).collect()),
+        ("10 thresholds", (0..10).map(threshold).collect()),
+        ("5 draws", (0..5).map(draw).collect()),
+    ] {
+        let (world, _) = shipped_world::configured(CONFIG, &format!("{DECLARED}{rules}"), |_| ());
+        let settings = Settings {
+            executor: Executor::Dense,
+            ..Settings::default()
+        };
+        let mut simulation = Simulation::new(world, Split::Test, Seed(1), settings).expect("agents placed");
+        group.throughput(Throughput::Elements(simulation.agents().len() as u64));
+        group.bench_function(name, |bencher| {
+            bencher.iter(|| black_box(simulation.tick(&[]).expect("within limits")).tick);
+        });
+    }
+    group.finish();
+}
+
 /// One scene, from text to answer; throughput is in scenes.
 fn infer(criterion: &mut Criterion) {
     let world = world("expert");
@@ -192,6 +238,6 @@ criterion_group! {
     name = city;
     // Long enough for figures within some percent of each other; all of `cargo bench` takes minutes.
     config = Criterion::default().warm_up_time(Duration::from_secs(1)).measurement_time(Duration::from_secs(3));
-    targets = tick, infer, rules, route, moves
+    targets = tick, clauses, infer, rules, route, moves
 }
 criterion_main!(city);

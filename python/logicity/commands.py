@@ -167,6 +167,11 @@ def _add_experiment(to: _Parser) -> None:
         "a file such as results/spf.json with the same figures; run none"
     )
     exclusive.add_argument("--rehash", type=Path, metavar="RESULTS", help=help)
+    help = (
+        "compare the finished cells with the rows of a file such as results/spf.json, and exit with 1 if a model or a "
+        "figure differs; run none"
+    )
+    exclusive.add_argument("--compare", type=Path, metavar="RESULTS", help=help)
     help = "copy equal trainings from the folder of another experiment of Safe Path Following, for example runs/spf"
     exclusive.add_argument("--reuse", type=Path, metavar="FOLDER", help=help)
     to.add("--quick", action="store_true", help="tiny budgets and one seed: a test of every cell")
@@ -176,6 +181,8 @@ def _add_experiment(to: _Parser) -> None:
     )
     to.add("--only", type=_cells, action="append", default=[], metavar="LEARNER[,MODE[,VARIANT]]", help=help)
     to.add("--seeds", type=_seeds, metavar="LIST", help="replace the seeds, for example 0,1,2")
+    help = "select at random COUNT of these cells, and those that they start from; default of SEED: 0"
+    to.add("--sample", type=_sample, metavar="COUNT[,SEED]", help=help)
     help = (
         "change a key of every selected training configuration, for example threads=2, or with `--only dqn` "
         "settings.gamma=0.9; for `vap` a setting, for example training.epochs=3; for `language` a key of the "
@@ -382,6 +389,11 @@ def _seeds(text: str) -> tuple[int, ...]:
     return tuple(dict.fromkeys(_seed(each) for each in text.split(",")))
 
 
+def _sample(text: str) -> tuple[int, int]:
+    count, comma, seed = text.partition(",")
+    return _positive(count), _seed(seed) if comma else 0
+
+
 def _cells(text: str) -> tuple[str, ...]:
     names = tuple(text.split(",", 2))
     if not all(names):
@@ -494,12 +506,12 @@ def _train(given: argparse.Namespace) -> int:
 
 
 def _experiment(given: argparse.Namespace) -> int:
-    from .experiments.cells import finished
+    from .experiments.cells import finished, sampled
     from .experiments.experiment import Selection
     from .experiments.jobs import run
     from .experiments.registry import load_experiment
     from .experiments.report import Report
-    from .experiments.results import submit
+    from .experiments.results import compare, submit
     from .learn.faults import merged
 
     changes: dict[str, object] = reduce(merged, given.set, {})
@@ -515,20 +527,29 @@ def _experiment(given: argparse.Namespace) -> int:
         raise _UsageError("--reuse: only experiments of Safe Path Following can reuse trainings")
     if given.wandb is not None and not loaded.task.sends_curves:
         raise _UsageError("--wandb: only experiments of Safe Path Following send curves")
+    if given.sample is not None:
+        cells = sampled(cells, *given.sample)
     root = _results_folder(given, loaded.file)
     if given.list:
         for cell in cells:
             print_text(f"{'finished' if finished(cell, root) else 'not run ':8}  {cell.name}  {cell.identity[:12]}")
         return 0
-    results = given.submit or given.rehash
-    if results is not None:
-        option = "--submit" if given.rehash is None else "--rehash"
+    options = {"--submit": given.submit, "--rehash": given.rehash, "--compare": given.compare}
+    for option, results in options.items():
+        if results is None:
+            continue
         if given.quick or given.set:
             raise _UsageError(f"{option}: rows have the budgets of the experiment: remove `--quick` and `--set`")
         if not any(finished(cell, root) for cell in cells if not cell.hidden):
             help = "run the experiment first, or name its folder with `--run`"
             raise _UsageError(f"{option}: none of the cells is finished in `{root}`\nhelp: {help}")
-        for line in submit(loaded, cells, root, results, only_hashes=given.rehash is not None):
+        if option == "--compare":
+            equal = True
+            for same, line in compare(loaded, cells, root, results):
+                print_text(line)
+                equal &= same
+            return int(not equal)
+        for line in submit(loaded, cells, root, results, only_hashes=option == "--rehash"):
             print_text(line)
         return 0
     failed: dict[str, str] = {}

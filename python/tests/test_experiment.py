@@ -24,7 +24,7 @@ from logicity.evaluation import Interval
 needs("stable_baselines3", "learn")
 from logicity.cluster import _check_listening  # noqa: E402
 from logicity.commands import run as command  # noqa: E402
-from logicity.experiments.cells import finished, prepare, reuse, run_cell  # noqa: E402
+from logicity.experiments.cells import finished, prepare, reuse, run_cell, sampled  # noqa: E402
 from logicity.experiments.experiment import Selection, read_experiment  # noqa: E402
 from logicity.experiments.jobs import exclusive, run_in_processes  # noqa: E402
 from logicity.experiments.paper import paper_table  # noqa: E402
@@ -680,7 +680,18 @@ def test_ray_runs_the_cell_of_a_lost_worker_again(tiny: Path, tmp_path: Path) ->
     assert results_of(cells, tmp_path / "ray") == results_of(cells, tmp_path / "here")
 
 
-def test_published_rows_are_evaluated_again(tiny: Path, tmp_path: Path) -> None:
+def test_a_sample_has_what_its_cells_start_from() -> None:
+    cells = load_experiment("transfer").cells(Selection())
+    drawn = [sampled(cells, 3, seed) for seed in range(20)]
+    for chosen in drawn:
+        names = {cell.identity for cell in chosen}
+        assert all(cell.start is None or cell.start.identity in names for cell in chosen)
+        assert sum(not cell.hidden for cell in chosen) >= 3 and chosen == [cell for cell in cells if cell in chosen]
+    assert drawn[7] == sampled(cells, 3, 7) and any(chosen != drawn[0] for chosen in drawn)
+    assert sampled(cells, 10_000, 0) == cells
+
+
+def test_published_rows_are_evaluated_again(tiny: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     experiment, cells = cells_of(tiny)
     root, file = tmp_path / "run", tmp_path / "results.json"
     run_here([cells[0], cells[1]], root)
@@ -731,6 +742,30 @@ def test_published_rows_are_evaluated_again(tiny: Path, tmp_path: Path) -> None:
         file.write_text(as_text({**results, "rows": [{**older, **change}]}))
         with pytest.raises(ValueError, match=message):
             list(submit(experiment, cells[:1], root, file, only_hashes=True))
+    # A comparison says what differs.
+    measures = published["measures"]
+    elsewhere = {**published["versions"], "processor": "Other"}
+    here, shown = published["versions"]["processor"], f"{measures['tsr']['value']:.3f}"
+    for change, expected in [
+        ({}, f"equal, weights {published['sha256'][:12]}"),
+        ({"sha256_of": "file", "sha256": file_hash, "versions": {}}, f"equal, file {file_hash[:12]}"),
+        (
+            {"sha256": "0" * 64, "versions": elsewhere},
+            f"equal figures, weights {published['sha256'][:12]} on {here}, published weights 000000000000 on Other",
+        ),
+        (
+            {"measures": {**measures, "tsr": {**measures["tsr"], "value": 0.123}}},
+            f"other measures: TSR {shown}, published 0.123; the same weights",
+        ),
+    ]:
+        file.write_text(as_text({**results, "rows": [{**published, **change}]}))
+        given = [str(tiny), "--only", "ppo", "--run", str(root), "--compare", str(file)]
+        assert command(("experiment",), [*given, "--seeds", "0"]) == int(not expected.startswith("equal, "))
+        assert capsys.readouterr().out == f"{cells[0].name}, test: {expected}\n"
+    assert command(("experiment",), given) == 1
+    assert f"{cells[1].name}, test: not published" in capsys.readouterr().out
+    assert command(("experiment",), [*given[:-1], str(tmp_path / "none.json")]) == 2
+    assert "none.json: no such file" in capsys.readouterr().err
     file.write_text(as_text({**results, "rows": [published]}))
     # Another policy than the recorded one is refused.
     other, mine = load_policy(cells[1].folder(root)).path, load_policy(cells[0].folder(root)).path

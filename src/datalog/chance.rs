@@ -74,8 +74,23 @@ impl Draw {
     /// Returns the drawn number, at least 0 and below 1.
     #[inline]
     pub fn number(self) -> f64 {
-        (mix(self.0) >> 11) as f64 / (1_u64 << 53) as f64
+        self.bits() as f64 / Draw::STEPS
     }
+
+    /// Returns the drawn number in units of its smallest difference.
+    #[inline]
+    pub fn bits(self) -> u64 {
+        mix(self.0) >> 11
+    }
+
+    /// Returns the least [`bits`](Draw::bits) of numbers that are at least `number`, which is at least 0.
+    pub fn bits_from(number: f64) -> u64 {
+        // The product is exact, and conversions of greater numbers give the greatest word.
+        (number * Draw::STEPS).ceil() as u64
+    }
+
+    /// How many numbers can be drawn.
+    const STEPS: f64 = (1_u64 << 53) as f64;
 }
 
 /// Returns the alternative that a number from 0 to 1 selects, or their count if it selects none. `None` if these are no
@@ -138,6 +153,18 @@ mod tests {
                 (f64::from(count) - expected * draws as f64).abs() <= within,
                 "{counts:?}"
             );
+        }
+    }
+
+    #[test]
+    fn bits_compare_like_numbers() {
+        let bounds = (0..200).map(|round| Draw::new(round, 1).number());
+        let bounds = bounds.flat_map(|number| [number, number.next_down(), number.next_up(), f64::from(number as f32)]);
+        for bound in bounds.chain([0.0, 1.0, f64::INFINITY]) {
+            for round in 0..200 {
+                let draw = Draw::new(round, 1);
+                assert_eq!(draw.bits() >= Draw::bits_from(bound), draw.number() >= bound, "{bound}");
+            }
         }
     }
 

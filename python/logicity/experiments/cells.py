@@ -10,6 +10,7 @@ from __future__ import annotations
 import argparse
 import json
 import os
+import random
 import shutil
 import sys
 import time
@@ -25,7 +26,7 @@ from ..terminal import print_message
 from .registry import task_named
 from .task import Cell, Running
 
-__all__ = ["finished", "inputs", "prepare", "reuse", "run_cell"]
+__all__ = ["finished", "inputs", "prepare", "reuse", "run_cell", "sampled"]
 
 #: A file in the folder of a cell that names the cell of another experiment whose training it has.
 _REUSED = "reused.json"
@@ -43,6 +44,19 @@ def prepare(cell: Cell, root: Path) -> Path:
     names = {"identity": cell.identity, "task": cell.task.name, "row": cell.row, "variant": cell.variant}
     write_json(folder / "cell.json", {**names, "spec": cell.spec, **cell.task.document(cell, root)})
     return folder
+
+
+def sampled(cells: Sequence[Cell], count: int, seed: int) -> list[Cell]:
+    """Draw cells that tables show, and return them with those that they start from, in the order of `cells`."""
+    shown = [cell for cell in cells if not cell.hidden]
+    drawn = random.Random(seed).sample(shown, min(count, len(shown)))
+    wanted: set[str] = set()
+    for cell in drawn:
+        start: Cell | None = cell
+        while start is not None:
+            wanted.add(start.identity)
+            start = start.start
+    return [cell for cell in cells if cell.identity in wanted]
 
 
 def inputs(folder: Path) -> list[Path]:

@@ -21,7 +21,7 @@ from .statistics import grouped
 from .tables import markdown_table
 from .task import Cell
 
-__all__ = ["as_text", "check_rows", "leaderboard", "read_results", "submit"]
+__all__ = ["as_text", "check_rows", "compare", "leaderboard", "read_results", "submit"]
 
 #: The version of the format.
 FORMAT = 4
@@ -157,6 +157,63 @@ def submit(
     yield f"{len(rows)} rows in {results}"
 
 
+def compare(loaded: Loaded, cells: Sequence[Cell], root: Path, results: Path) -> Iterator[tuple[bool, str]]:
+    """Compare finished cells with the published rows of the same names, without measuring again.
+
+    Cells that tables omit are skipped.
+
+    Yields:
+        For each evaluation, whether its model and its figures are the published ones, and a line.
+
+    Raises:
+        OSError: If a file cannot be read.
+        ValueError: If the file has results of another experiment.
+    """
+    if not results.exists():
+        raise FileNotFoundError(f"{results}: no such file")
+    rows = {tuple(row[key] for key in KEY): row for row in read_results(results, loaded.file.stem)["rows"]}
+    for cell in cells:
+        if cell.hidden:
+            continue
+        if (measured := finished(cell, root)) is None:
+            yield False, f"{cell.name}: not finished"
+            continue
+        for name, evaluation in measured["evaluations"].items():
+            published = rows.get((cell.mode, cell.row, cell.variant, name, cell.seed))
+            place = ", ".join(filter(None, (cell.name, name)))
+            if published is None:
+                yield False, f"{place}: not published"
+                continue
+            row = json.loads(json.dumps(_row(loaded, cell, root, measured, name, evaluation)))
+            if published["sha256_of"] == "file":
+                row["sha256"] = file_hash(loaded.task.model(cell.folder(root)))
+            yield _compared(loaded, place, published, row)
+
+
+def _compared(loaded: Loaded, place: str, published: Row, row: Row) -> tuple[bool, str]:
+    """Return whether a row equals the published one, and a line that says what differs."""
+    kind, same_model = published["sha256_of"], published["sha256"] == row["sha256"]
+    different = _different(published, row)
+    if same_model and not different:
+        return True, f"{place}: equal, {kind} {row['sha256'][:12]}"
+    made = (
+        f"{kind} {each['sha256'][:12]} on {each['versions'].get('processor', 'an unnamed processor')}"
+        for each in (row, published)
+    )
+    models = f"the same {kind}" if same_model else f"{next(made)}, published {next(made)}"
+    if not different:
+        return False, f"{place}: equal figures, {models}"
+    headline = loaded.task.headline
+    figures = [each["measures"][headline]["value"] for each in (row, published)]
+    shown = f"{loaded.task.measures[headline]} {figures[0]:.3f}, published {figures[1]:.3f}"
+    return False, f"{place}: other {', '.join(different)}: {shown}; {models}"
+
+
+def _different(published: Row, row: Row) -> list[str]:
+    """Return the keys in which rows differ, apart from those that may change when a model is trained again."""
+    return [key for key in published if key not in _CHANGING and published[key] != row.get(key)]
+
+
 def _place_of(row: Row, loaded: Loaded) -> tuple[Any, ...]:
     """Return the place of a row: those of its names in the experiment. Unknown names come last."""
     experiment = loaded.experiment
@@ -258,7 +315,7 @@ def _row(
 def _rehashed(place: str, old: Row, new: Row) -> dict[str, Any]:
     """Return a published row with the hash of the model that was trained again. Its figures must be the same."""
     again = json.loads(json.dumps(new))
-    if different := [key for key in old if key not in _CHANGING and old[key] != again.get(key)]:
+    if different := _different(old, again):
         raise ValueError(f"{place} differs in {', '.join(f'`{key}`' for key in different)}")
     if old["sha256_of"] == again["sha256_of"] and old["sha256"] != again["sha256"]:
         raise ValueError(f"{place} has the {old['sha256_of']} {old['sha256']}, not {again['sha256']}")

@@ -23,7 +23,7 @@ from ..city import ACTIONS
 from ..evaluation import Interval
 from ..files import read_tensors
 from ..learn.faults import Fault, faults
-from ..learn.storage import weights_hash
+from ..learn.storage import processor, weights_hash
 from ..vap.stages import NO_CONCEPTS, VapSettings, VapWork, measure, rules_hash, train_stage
 from ..vap.training import save
 from .experiment import Experiment, Place, Selection, changes_of, place_of, unknown_in
@@ -148,7 +148,12 @@ class VisualActionPrediction(Task):
             "seed": spec["seed"],
             # Epochs before an interruption took their time in another process.
             "cpu_seconds": round(max(time.process_time() - begun, trained), 1),
-            "versions": {"logicity": __version__, "torch": torch.__version__, "python": platform.python_version()},
+            "versions": {
+                "logicity": __version__,
+                "torch": torch.__version__,
+                "python": platform.python_version(),
+                "processor": processor(),
+            },
             "hashes": {name: spec[name] for name in ("rules", "backbone") if name in spec},
             "model_sha256": weights_hash(model),
             "history": [{name: each[name] for name in ("loss", "score")} for each in history],

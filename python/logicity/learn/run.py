@@ -38,6 +38,7 @@ from .curves import Curves
 from .faults import Fault
 from .learner import Learner
 from .policies import SavedPolicy, load_policy
+from .storage import processor
 
 __all__ = ["FolderError", "check_overrides", "check_start", "train"]
 
@@ -481,7 +482,7 @@ def _checkpoints(run: Path) -> list[Path]:
 
 
 def _result(config: TrainConfig, learner: Learner, state: State, measured: Evaluation) -> dict[str, Any]:
-    versions = {"logicity": __version__, "python": sys.version.split()[0]}
+    versions = {"logicity": __version__, "python": sys.version.split()[0], "processor": processor()}
     for name in ("torch", "stable-baselines3", "torch-geometric", "numpy"):
         with suppress(PackageNotFoundError):
             versions[name] = version(name)

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import hashlib
 import json
+import platform
 from abc import abstractmethod
 from collections.abc import Iterator, Mapping
 from pathlib import Path
@@ -21,7 +22,7 @@ from .learner import LearnedPolicy
 if TYPE_CHECKING:
     from typing_extensions import Self
 
-__all__ = ["StoredPolicy", "policy_hash", "restore_optimizer", "weights_hash"]
+__all__ = ["StoredPolicy", "policy_hash", "processor", "restore_optimizer", "weights_hash"]
 
 #: The version of the files of policies.
 FORMAT = 1
@@ -94,6 +95,17 @@ def policy_hash(policy: LearnedPolicy) -> tuple[str, str]:
     if rules is not None:
         return "rules", hashlib.sha256(rules.encode()).hexdigest()
     return "weights", weights_hash(policy.weights())
+
+
+def processor() -> str:
+    """Return the vendor of the processor and the vector instructions that PyTorch uses, such as `GenuineIntel AVX512`.
+
+    PyTorch adds numbers in an order that depends on both, so trainings on different ones have different weights.
+    """
+    information = Path("/proc/cpuinfo")
+    lines = information.read_text(encoding="utf-8").splitlines() if information.exists() else []
+    vendor = next((line.partition(":")[2].strip() for line in lines if line.startswith("vendor_id")), "")
+    return f"{vendor or platform.processor() or platform.machine()} {torch.backends.cpu.get_cpu_capability()}"
 
 
 def weights_hash(weights: Mapping[str, Any]) -> str:

@@ -26,18 +26,26 @@ pub struct Condition {
     /// The number of entities, 1 or 2.
     pub entities: usize,
     steps: Vec<Step>,
-    /// The condition, if it is nothing but a draw with constant probabilities about entities.
+    /// See [`Condition::entity_draw`].
     draw: Option<EntityDraw>,
 }
 
-/// A draw about one entity or two that succeeds for the numbers from `low` to below `high`.
+/// A draw with constant probabilities about at most two entities.
 #[derive(Clone, Copy, Debug)]
-struct EntityDraw {
+pub struct EntityDraw {
     stream: u64,
     places: [usize; 2],
     count: usize,
-    low: f64,
-    high: f64,
+    /// It succeeds for the drawn numbers from `low` to below `high`, in units of the smallest difference.
+    low: u64,
+    high: u64,
+}
+
+/// A draw in a tick.
+#[derive(Clone, Copy, Debug)]
+pub struct TickDraw {
+    draw: EntityDraw,
+    begun: chance::Draw,
 }
 
 impl EntityDraw {
@@ -82,18 +90,32 @@ impl EntityDraw {
             stream: *stream,
             places,
             count,
-            low,
-            high,
+            low: chance::Draw::bits_from(low),
+            high: chance::Draw::bits_from(high),
         })
     }
 
+    /// Begins the draw in the tick with this word.
     #[inline]
-    fn succeeds(&self, given: &impl ConditionValues) -> bool {
-        let begun = chance::Draw::new(given.word(), self.stream);
-        let places = self.places[..self.count].iter();
-        let draw = places.fold(begun, |draw, place| draw.symbol(given.symbol_hash(*place)));
-        let number = draw.number();
-        self.low <= number && number < self.high
+    pub fn in_tick(self, word: u64) -> TickDraw {
+        let begun = chance::Draw::new(word, self.stream);
+        TickDraw { draw: self, begun }
+    }
+}
+
+impl TickDraw {
+    /// Returns whether the draw succeeds for the entities at the places 0 and 1, given the
+    /// [hashes](crate::internal::symbol_hash) of their symbols.
+    #[inline(always)]
+    pub fn succeeds(&self, [first, second]: [u64; 2]) -> bool {
+        let of = |draw: chance::Draw, place: usize| draw.symbol(if place == 0 { first } else { second });
+        let EntityDraw { places, count, .. } = self.draw;
+        let all = match count {
+            0 => self.begun,
+            1 => of(self.begun, places[0]),
+            _ => of(of(self.begun, places[0]), places[1]),
+        };
+        (self.draw.low..self.draw.high).contains(&all.bits())
     }
 }
 
@@ -181,7 +203,9 @@ impl Condition {
     #[inline]
     pub fn holds(&self, symbols: &Symbols, given: &impl ConditionValues) -> bool {
         match &self.draw {
-            Some(draw) => draw.succeeds(given),
+            Some(draw) => draw
+                .in_tick(given.word())
+                .succeeds([given.symbol_hash(0), given.symbol_hash(1)]),
             None => self.steps_hold(symbols, given),
         }
     }
@@ -340,6 +364,11 @@ impl Condition {
             (1, 0) => Some((right, op.mirrored(), left)),
             _ => None,
         }
+    }
+
+    /// Returns the condition, if it is nothing but a draw with constant probabilities about entities.
+    pub fn entity_draw(&self) -> Option<EntityDraw> {
+        self.draw
     }
 
     /// Returns the predicates that the condition reads. `None` if it draws.

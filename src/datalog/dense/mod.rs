@@ -40,7 +40,7 @@ mod tree;
 mod values;
 
 pub use analyze::{Construct, Unsupported, costly, obstacles};
-pub use condition::{Condition, ConditionValues, Lifted, lift};
+pub use condition::{Condition, ConditionValues, EntityDraw, Lifted, TickDraw, lift};
 pub use division::{Division, Handed, divide};
 pub use facts::BitFacts;
 pub use program::{Argument, Dense, Input, List, TrackFirings};

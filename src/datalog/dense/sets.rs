@@ -70,8 +70,9 @@ pub fn is_empty<const W: usize>(set: &Set<W>) -> bool {
 
 /// Returns the set of the entities for which a value is true. There is one value per entity, at most 64.
 #[inline]
-pub fn holding(values: impl Iterator<Item = bool>) -> u64 {
-    (values.enumerate()).fold(0, |set, (entity, holds)| set | u64::from(holds) << entity)
+pub fn holding(values: impl DoubleEndedIterator<Item = bool>) -> u64 {
+    // Shifting the set takes fewer instructions than shifting each value.
+    values.rev().fold(0, |set, holds| set << 1 | u64::from(holds))
 }
 
 /// Returns the entities of a set in ascending order.

@@ -71,6 +71,11 @@ impl Condition {
         let (given, refused) = (self.given.bits(), self.refused.bits());
         actions.bits() & (given | refused) == given
     }
+
+    /// Returns whether it demands another action of an ego that has this one.
+    fn refuses(&self, action: Action) -> bool {
+        self.action != action && self.allows([action].into_iter().collect())
+    }
 }
 
 /// Rules with their executor.
@@ -261,16 +266,16 @@ impl Conditions {
         })
     }
 
-    /// Finds the conditions that hold, unless they are known.
+    /// Finds the conditions that hold, unless they are known, and returns the derived actions.
     fn evaluate(
         &self,
         bit_state: &mut Option<Box<BitState<1>>>,
         held: &mut Vec<usize>,
-        known: &mut bool,
+        known: &mut Option<Actions>,
         observed: Observed<'_>,
-    ) {
-        if *known {
-            return;
+    ) -> Actions {
+        if let Some(derived) = *known {
+            return derived;
         }
         let bit_state = bit_state.get_or_insert_with(|| Box::new(BitState::new(&self.rules.compiled.dense, 0)));
         self.rules.run(bit_state, observed);
@@ -286,7 +291,7 @@ impl Conditions {
                 .filter(|(_, condition)| holds(condition.clause))
                 .map(|(position, _)| position),
         );
-        *known = true;
+        *known.insert(self.derived(held))
     }
 
     /// Returns the derived actions, given the positions of the conditions that hold, in ascending order.
@@ -308,10 +313,21 @@ impl Conditions {
 
     /// Returns the clauses that an action violates, in any order.
     fn refusing(&self, held: &[usize], action: Action) -> impl Iterator<Item = usize> {
-        let given = [action].into_iter().collect();
         let conditions = held.iter().map(|&position| &self.clauses[position]);
-        let refusing = conditions.filter(move |condition| condition.action != action && condition.allows(given));
+        let refusing = conditions.filter(move |condition| condition.refuses(action));
         refusing.filter_map(|condition| condition.constraint)
+    }
+
+    /// Returns those of some actions that violate a constraint.
+    fn refused(&self, held: &[usize], actions: &[Action]) -> Actions {
+        let conditions = held.iter().map(|&position| &self.clauses[position]);
+        let constraints = conditions.filter(|condition| condition.constraint.is_some());
+        let mut refused = Actions::default();
+        for condition in constraints {
+            let by = |action: &&Action| condition.refuses(**action);
+            actions.iter().filter(by).for_each(|action| refused.insert(*action));
+        }
+        refused
     }
 }
 
@@ -560,8 +576,8 @@ pub(super) enum Violations {
         bit_state: Option<Box<BitState<1>>>,
         /// The conditions that hold, by position.
         held: Vec<usize>,
-        /// Whether `held` is up to date.
-        known: bool,
+        /// The actions that they derive; `None` unless both are up to date.
+        known: Option<Actions>,
     },
     Twice {
         wanted: State,
@@ -666,7 +682,7 @@ impl Violations {
             How::Once(conditions) => Violations::Once {
                 bit_state: None,
                 held: Vec::with_capacity(conditions.clauses.len()),
-                known: false,
+                known: None,
             },
             How::Twice { wanted, checked } => Violations::Twice {
                 wanted: State::new(wanted),
@@ -685,7 +701,15 @@ impl Violations {
     /// Invalidates the results after a change of the facts.
     pub fn forget(&mut self) {
         if let Violations::Once { known, .. } = self {
-            *known = false;
+            *known = None;
+        }
+    }
+
+    /// Returns what [`derived`](Violations::derived) returned since the last change of the facts, if that is known.
+    pub fn known(&self) -> Option<Actions> {
+        match self {
+            Violations::Once { known, .. } => *known,
+            Violations::Twice { .. } => None,
         }
     }
 
@@ -702,8 +726,7 @@ impl Violations {
         let ego = observed.entities.position(0) as usize;
         match (self, &monitor.how) {
             (Violations::Once { bit_state, held, known }, How::Once(conditions)) => {
-                conditions.evaluate(bit_state, held, known, observed);
-                Ok(conditions.derived(held))
+                Ok(conditions.evaluate(bit_state, held, known, observed))
             }
             (Violations::Twice { wanted: state, .. }, How::Twice { wanted, .. }) => {
                 state.run(wanted, observed)?;
@@ -756,10 +779,9 @@ impl Violations {
     ) -> Result<Actions, Diagnostic> {
         if let (Violations::Once { bit_state, held, known }, How::Once(conditions)) = (&mut *self, &monitor.how) {
             conditions.evaluate(bit_state, held, known, observed);
+            let refused = conditions.refused(held, actions);
             let actions = actions.iter().copied();
-            return Ok(actions
-                .filter(|action| conditions.refusing(held, *action).next().is_none())
-                .collect());
+            return Ok(actions.filter(|action| !refused.contains(*action)).collect());
         }
         let mut safe = Actions::default();
         for &action in actions {

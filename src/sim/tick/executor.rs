@@ -2,8 +2,8 @@
 
 use crate::city::Heading;
 use crate::datalog::dense::{
-    self, BitFacts, Condition, ConditionValues, Dense, Division, Handed, Lifted, TooManySteps, TrackFirings,
-    Unsupported, divide, lift,
+    self, BitFacts, Condition, ConditionValues, Dense, Division, EntityDraw, Handed, Lifted, TooManySteps,
+    TrackFirings, Unsupported, divide, lift,
 };
 use crate::datalog::internal::symbol_hash;
 use crate::datalog::{ClauseId, Comparison, Past, PredicateId, Program, Rules, Value};
@@ -240,7 +240,8 @@ pub(crate) struct Threshold {
 impl Threshold {
     #[inline]
     pub fn holds(&self, number: i32) -> bool {
-        (self.low <= number && number <= self.high) == self.inside
+        // Without branches, since either may hold as often.
+        (self.low <= number) & (number <= self.high) == self.inside
     }
 }
 
@@ -296,6 +297,11 @@ impl Conditions {
                 .filter(|quantity| quantity.unit() == Unit::Number)
         };
         Some((number(first)?, op, number(second)?))
+    }
+
+    /// Returns [`Condition::entity_draw`].
+    pub fn entity_draw(&self, condition: usize) -> Option<EntityDraw> {
+        self.list[condition].entity_draw()
     }
 
     /// Returns the quantities that a condition on one agent reads. `None` if it draws, or is about two agents.

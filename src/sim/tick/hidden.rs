@@ -2,7 +2,7 @@
 //! ticks, and facts that the caller or a session provides.
 
 use crate::city::{Agent, CityMap, Heading};
-use crate::datalog::dense::{Set, first};
+use crate::datalog::dense::{EntityDraw, Set, TickDraw, and, first, holding};
 use crate::datalog::{Comparison, PredicateId, Value};
 use crate::predicate::{Measure, Measured, Progress, Quantity, headings};
 use crate::sim::tick::agent_state::AgentState;
@@ -38,25 +38,40 @@ impl Now<'_> {
         }
     }
 
-    /// Returns whether the numbers of an agent are within all thresholds.
+    /// Returns the entities whose number is within a threshold. `whole`: the bodies are all agents, in list order.
     #[inline]
-    fn is_within(&self, map: &CityMap, thresholds: &[Threshold], body: &AgentState) -> bool {
-        let number = |threshold: &Threshold| self.number(map, threshold.quantity, body);
-        (thresholds.iter()).all(|threshold| number(threshold).is_some_and(|number| threshold.holds(number)))
+    fn within<const W: usize>(
+        &self,
+        map: &CityMap,
+        threshold: &Threshold,
+        bodies: &[AgentState],
+        whole: bool,
+    ) -> Set<W> {
+        let holds = |number: Option<i32>| number.is_some_and(|number| threshold.holds(number));
+        // The most frequent quantities have loops of their own.
+        match threshold.quantity {
+            Quantity::Waited if whole => set_of(self.agents, |agent| holds(carried(Quantity::Waited, agent))),
+            Quantity::Speed if whole => set_of(self.agents, |agent| holds(carried(Quantity::Speed, agent))),
+            Quantity::Priority => set_of(bodies, |body| threshold.holds(body.priority)),
+            quantity => set_of(bodies, |body| holds(self.number(map, quantity, body))),
+        }
     }
 
     /// Returns a whole number of an agent.
     #[inline]
     fn number(&self, map: &CityMap, quantity: Quantity, body: &AgentState) -> Option<i32> {
-        let agent = &self.agents[body.agent as usize];
-        let count = |number: u32| i32::try_from(number).unwrap_or(i32::MAX);
-        match quantity {
-            Quantity::Waited => Some(count(agent.waited)),
-            Quantity::Speed => Some(i32::from(agent.speed)),
+        carried(quantity, &self.agents[body.agent as usize]).or_else(|| match quantity {
             Quantity::Priority => Some(body.priority),
             Quantity::Tick => Some(self.tick()),
             quantity => self.value(map, quantity, [body; 2], &[0]).map(Value::as_number),
-        }
+        })
+    }
+
+    /// Returns whether a draw succeeds for two agents.
+    #[inline(always)]
+    pub fn succeeds(&self, draw: &TickDraw, bodies: [&AgentState; 2]) -> bool {
+        let names = self.drawing.names;
+        draw.succeeds(bodies.map(|body| names.get(body.agent as usize).copied().unwrap_or_default()))
     }
 
     fn tick(&self) -> i32 {
@@ -92,6 +107,8 @@ pub(super) enum Hidden {
     /// A condition, by its position, on the heading of an agent and the tick, or on the tick alone.
     TickAndHeading(usize),
     Tick(usize),
+    /// A draw with constant probabilities about at most two agents.
+    Draw(EntityDraw),
     /// Another condition on quantities, by its position.
     Condition(usize),
     /// What a temporal operator reads of earlier ticks, by its position in the memory.
@@ -143,7 +160,9 @@ impl Hidden {
             let conditions = &rules.conditions;
             let thresholds = conditions.thresholds(condition).map(Hidden::Thresholds);
             let comparison = |(first, op, second)| Hidden::Comparison(first, op, second);
-            let known = thresholds.or_else(|| conditions.comparison(condition).map(comparison));
+            let known = thresholds
+                .or_else(|| conditions.comparison(condition).map(comparison))
+                .or_else(|| conditions.entity_draw(condition).map(Hidden::Draw));
             known.unwrap_or_else(|| match conditions.reads(condition).as_deref() {
                 Some([Quantity::Tick, rest @ ..]) if rest.iter().all(|of| *of == Quantity::Tick) => {
                     Hidden::Tick(condition)
@@ -174,13 +193,17 @@ impl Hidden {
     /// Returns whether the predicate holds for agents.
     pub fn holds(&self, conditions: &Conditions, map: &CityMap, now: Now<'_>, bodies: [&AgentState; 2]) -> bool {
         match *self {
-            Hidden::Thresholds(ref thresholds) => now.is_within(map, thresholds, bodies[0]),
+            Hidden::Thresholds(ref thresholds) => thresholds.iter().all(|threshold| {
+                let number = now.number(map, threshold.quantity, bodies[0]);
+                number.is_some_and(|number| threshold.holds(number))
+            }),
             Hidden::Comparison(first, op, second) => {
                 let [x, y] = bodies;
                 let numbers = (now.number(map, first, x), now.number(map, second, y));
                 matches!(numbers, (Some(left), Some(right)) if op.accepts(left.cmp(&right)))
             }
             Hidden::Headings(headings) => headings.contains(bodies[0].heading),
+            Hidden::Draw(draw) => now.succeeds(&draw.in_tick(now.drawing.word), bodies),
             Hidden::Condition(condition) | Hidden::Tick(condition) | Hidden::TickAndHeading(condition) => {
                 let value = |_, quantity, places: &[usize]| now.value(map, quantity, bodies, places);
                 let Drawing { word, names } = now.drawing;
@@ -203,11 +226,24 @@ impl Hidden {
         (diagonal, whole): (bool, bool),
     ) -> Set<W> {
         match self {
-            Hidden::Thresholds(thresholds) => set_of(bodies.iter().map(|body| now.is_within(map, thresholds, body))),
-            Hidden::Headings(headings) => set_of(bodies.iter().map(|body| headings.contains(body.heading))),
+            Hidden::Thresholds(thresholds) => {
+                let within = thresholds
+                    .iter()
+                    .map(|threshold| now.within(map, threshold, bodies, whole));
+                within.fold(first(bodies.len()), |all, within| and(all, &within))
+            }
+            Hidden::Draw(draw) => {
+                let Drawing { word, names } = now.drawing;
+                let draw = draw.in_tick(word);
+                match whole && names.len() == bodies.len() {
+                    true => set_of(names, |hash| draw.succeeds([*hash; 2])),
+                    false => set_of(bodies, |body| now.succeeds(&draw, [body, body])),
+                }
+            }
+            Hidden::Headings(headings) => set_of(bodies, |body| headings.contains(body.heading)),
             Hidden::TickAndHeading(condition) => {
                 let headings = HeadingSet::new(conditions, *condition, now.tick());
-                set_of(bodies.iter().map(|body| headings.contains(body.heading)))
+                set_of(bodies, |body| headings.contains(body.heading))
             }
             Hidden::Tick(_) => {
                 let holds = bodies
@@ -217,12 +253,12 @@ impl Hidden {
             }
             Hidden::Past(past) if !diagonal => match now.memory.holding(*past).filter(|_| whole) {
                 Some(holding) => set_of_words(holding),
-                None => set_of(bodies.iter().map(|body| now.memory.holds_alone(*past, body.agent))),
+                None => set_of(bodies, |body| now.memory.holds_alone(*past, body.agent)),
             },
             Hidden::Given(source, predicate) if !diagonal && whole => {
                 set_of_words(now.given(*source).members(*predicate))
             }
-            _ => set_of(bodies.iter().map(|body| self.holds(conditions, map, now, [body, body]))),
+            _ => set_of(bodies, |body| self.holds(conditions, map, now, [body, body])),
         }
     }
 }
@@ -232,11 +268,22 @@ pub(super) fn set_of_words<const W: usize>(words: &[u64]) -> Set<W> {
     std::array::from_fn(|word| words.get(word).copied().unwrap_or(0))
 }
 
-/// Returns the set of the entities for which `holds` is true, in their order.
-fn set_of<const W: usize>(holds: impl Iterator<Item = bool>) -> Set<W> {
+/// Returns a whole number that an agent carries; `None` for other quantities.
+#[inline(always)]
+fn carried(quantity: Quantity, agent: &Agent) -> Option<i32> {
+    match quantity {
+        Quantity::Waited => Some(i32::try_from(agent.waited).unwrap_or(i32::MAX)),
+        Quantity::Speed => Some(i32::from(agent.speed)),
+        _ => None,
+    }
+}
+
+/// Returns the set of the entities for which `holds` is true.
+#[inline(always)]
+fn set_of<T, const W: usize>(entities: &[T], holds: impl Fn(&T) -> bool) -> Set<W> {
     let mut set = [0; W];
-    for (entity, holds) in holds.enumerate() {
-        set[entity / 64] |= u64::from(holds) << (entity % 64);
+    for (word, entities) in set.iter_mut().zip(entities.chunks(64)) {
+        *word = holding(entities.iter().map(&holds));
     }
     set
 }

@@ -681,13 +681,17 @@ impl<S> Scene<'_, S> {
             if let (Hidden::Given(source, predicate), Argument::Second, true) = (hidden, list.axis, self.whole) {
                 return and(near, &set_of_words(self.now.given(*source).row(*predicate, at)));
             }
-            let [at, bodies] = [&self.bodies[at..=at], self.bodies];
+            let (here, bodies) = (&self.bodies[at], self.bodies);
+            let pair = |other: usize| match list.axis {
+                Argument::Second => [here, &bodies[other]],
+                Argument::First => [&bodies[other], here],
+            };
+            if let Hidden::Draw(draw) = hidden {
+                let draw = draw.in_tick(self.now.drawing.word);
+                return keep(near, |other| self.now.succeeds(&draw, pair(other)));
+            }
             return keep(near, |other| {
-                let pair = match list.axis {
-                    Argument::Second => [&at[0], &bodies[other]],
-                    Argument::First => [&bodies[other], &at[0]],
-                };
-                hidden.holds(&self.plan.rules.conditions, &self.plan.map, self.now, pair)
+                hidden.holds(&self.plan.rules.conditions, &self.plan.map, self.now, pair(other))
             });
         };
         with_relation!(relation, relation => match list.axis {

@@ -402,7 +402,7 @@ impl Env {
             let shield = Arc::clone(shield);
             return self.step_jointly(&shield, proposed);
         }
-        let mut executed: SmallVec<[Action; 4]> = proposed.into();
+        let mut executed: SmallVec<[Action; 4]> = SmallVec::from_slice(proposed);
         for (car, action) in self.controlled_cars.iter_mut().zip(&mut executed) {
             let Some(shielded) = car.shielded.as_deref_mut() else {
                 continue;
@@ -427,7 +427,7 @@ impl Env {
 
     /// Takes the safe joint action that is nearest to the proposed one.
     fn step_jointly(&mut self, shield: &Shield, proposed: &[Action]) -> Result<(), Diagnostic> {
-        let mut executed: SmallVec<[Action; 4]> = proposed.into();
+        let mut executed: SmallVec<[Action; 4]> = SmallVec::from_slice(proposed);
         let mut egos = Vec::with_capacity(proposed.len());
         let mut running: SmallVec<[usize; 4]> = SmallVec::new();
         for (number, car) in self.controlled_cars.iter_mut().enumerate() {
