@@ -546,12 +546,12 @@ def _checked(actions: Any, count: int, names: tuple[str, ...]) -> Actions:
     array = np.asarray(actions)
     if array.shape != (count,):
         raise ValueError(f"expected one action for each of {count} observations, not an array of shape {array.shape}")
+    known = ", ".join(f"{number} {name}" for number, name in enumerate(names))
     if not np.issubdtype(array.dtype, np.integer):
-        raise TypeError(f"expected integer actions, not {array.dtype}")
+        raise TypeError(f"expected integer actions, not {array.tolist()[0]!r}; known: {known}")
     numbers = array.astype(np.int64)
     wrong = np.flatnonzero((numbers < 0) | (numbers >= len(names)))
     if len(wrong):
-        known = ", ".join(f"{number} {name}" for number, name in enumerate(names))
         raise ValueError(f"{numbers[wrong[0]]} is not an action; known: {known}")
     return numbers
 

@@ -17,6 +17,7 @@ from .envs.config import EnvConfig
 from .errors import checked_path
 from .files import write_text
 from .modes import checked_mode
+from .rules import read_rules
 from .types import Limits
 
 __all__ = ["RulePolicy", "rule_policies"]
@@ -37,7 +38,7 @@ class RulePolicy:
     A policy is picklable. It has no random choices and no memory.
 
     Args:
-        path: The rule file.
+        path: The rule file, which may be a built-in one such as `expert`.
         mode: As for `Benchmark`. It determines the order of the numbers in an observation.
         overrides, limits: As for `Benchmark`.
 
@@ -57,9 +58,9 @@ class RulePolicy:
     ) -> None:
         """Compile the rules."""
         self.mode = checked_mode(mode)
-        name = checked_path("path", path)
+        name, text = read_rules(checked_path("path", path))
         #: The text of the rule file.
-        self.text: str = _logicity.read_file(name)
+        self.text = text
         self._task = EnvConfig(self.mode, rules=name, overrides=overrides, limits=limits).task()
         #: The number of numbers in an observation.
         self.width: int = self._task.shape("groundings")[0]

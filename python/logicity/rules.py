@@ -5,7 +5,9 @@ from __future__ import annotations
 import os
 import re
 from collections.abc import Iterable, Iterator, Mapping, Sequence
+from contextlib import suppress
 from dataclasses import dataclass
+from pathlib import Path
 from typing import Any, Literal, NoReturn, cast, overload
 
 import numpy.typing as npt
@@ -46,6 +48,21 @@ def rule_file(rules: str | os.PathLike[str] | None) -> str | None:
         remedy = "write it to a file (`check` accepts source text)"
         raise ValueError(f"`rules` must be the path of a rule file, not source text: {remedy}")
     return None if rules is None else checked_path("rules", rules)
+
+
+def read_rules(name: str) -> tuple[str, str]:
+    """Return the path of a rule file and its text.
+
+    The file may be a built-in one. A bare name such as `hard`, if no file has it, means `rules/hard.dl`, on disk or
+    built in. Raise `OSError` if the file cannot be read.
+    """
+    try:
+        return name, _logicity.read_file(name)
+    except FileNotFoundError:
+        if len(Path(name).parts) == 1 and not Path(name).suffix:
+            with suppress(OSError):
+                return (named := f"rules/{name}.dl"), _logicity.read_file(named)
+        raise
 
 
 @dataclass(frozen=True)
@@ -100,14 +117,14 @@ class Program:
     def load(cls, path: str | os.PathLike[str]) -> Program:
         """Read a rule file and its includes.
 
-        If the path does not exist, it may name a built-in file, for example `rules/expert.dl`.
+        If the path does not exist, it may name a built-in file: `expert`, or `rules/expert.dl`.
 
         Raises:
             InputError: If the rules are invalid.
             OSError: If a file cannot be read (`FileNotFoundError` if it does not exist).
         """
-        name = checked_path("path", path)
-        return cls(_logicity.read_file(name), name)
+        name, text = read_rules(checked_path("path", path))
+        return cls(text, name)
 
     def __getstate__(self) -> list[tuple[str, str]]:
         """Return the sources."""

@@ -113,6 +113,10 @@ def test_invalid_use_raises() -> None:
         envs.step(np.zeros((2, 3), np.int64))
     with pytest.raises(Error, match="make it with `action_masks=True`, or add a shield"):
         envs.action_masks()
+    with pytest.raises(Error, match="the environment has no shield"):
+        envs.explain_shield(0, "Car_1")
+    with pytest.raises(Error, match="seed: expected an integer or a list, not str"):
+        envs.reset(seed="x")  # type: ignore[arg-type]
     envs.reset(seed=1)
     with pytest.raises(InvalidAction, match=r"expected integers of shape \(2, 3\)"):
         envs.step([0, 1])

@@ -507,7 +507,7 @@ def test_invalid_use_raises_gymnasium_errors() -> None:
         with pytest.raises(ResetNeeded):
             use()
     env.reset(seed=0)
-    for action in (4, -1, 2**70, float("nan"), 1.0, "1", None, np.zeros(2, int)):
+    for action in (4, -1, 2**70, float("nan"), 1.0, True, np.True_, "1", None, np.zeros(2, int)):
         with pytest.raises(InvalidAction):
             env.step(action)  # type: ignore[arg-type]
     assert env.step(np.int64(1))[4]["steps"] == 1
@@ -522,6 +522,9 @@ def test_invalid_use_raises_gymnasium_errors() -> None:
         env.reset(seed=-1)
     with pytest.raises(gymnasium.error.Error):
         env.reset(seed=2**64)
+    for options in (5, 0, "", [("episode", 1)]):
+        with pytest.raises(TypeError, match=f"^options: expected dict, not {type(options).__name__}"):
+            env.reset(options=options)  # type: ignore[arg-type]
 
 
 def test_invalid_arguments_raise() -> None:
@@ -708,6 +711,7 @@ def test_invalid_use_of_a_vector_environment_raises() -> None:
         [0, -1, 0],
         None,
         [0, "1", 2],
+        [True, False, True],
     ):
         with pytest.raises(InvalidAction):
             envs.step(actions)  # type: ignore[arg-type]
@@ -724,6 +728,17 @@ def test_invalid_use_of_a_vector_environment_raises() -> None:
     ):
         with pytest.raises(error):
             envs.reset(options={"reset_mask": mask})
+    for seed in ("x", b"abc", 1.5, {0: 1}, np.array(3)):
+        with pytest.raises(gymnasium.error.Error, match="^seed: expected an integer or a list, not "):
+            envs.reset(seed=seed)  # type: ignore[arg-type]
+    for options, message in (
+        (5, "options: expected dict, not int"),
+        ("", "options: expected dict, not str"),
+        ({"episodes": 5}, "episodes: expected a list, not int"),
+        ({"episodes": "abc"}, "episodes: expected a list, not str"),
+    ):
+        with pytest.raises(TypeError, match=f"^{message}"):
+            envs.reset(options=options)  # type: ignore[arg-type]
     with pytest.raises(ValueError, match="2 seeds"):
         envs.reset(seed=[1, 2])
     with pytest.raises(ValueError, match="give one of them"):

@@ -340,6 +340,9 @@ def test_built_in_rule_files_are_policies(
     monkeypatch.chdir(tmp_path)
     assert main(["evaluate", "--policy", "rules/easy.dl", "--modes", "easy", "--split", "val"]) == 0
     assert capsys.readouterr().out.splitlines()[1].split()[:3] == ["easy", "easy", "1.00"]
+    by_name = logicity.RulePolicy("easy", "easy")
+    assert by_name.text == logicity.RulePolicy("rules/easy.dl", "easy").text
+    assert evaluate(by_name, "easy", "val").tsr.value == 1
     assert main(["evaluate", "--policy", "rules/none.dl", "--modes", "easy"]) == 2
     assert capsys.readouterr().err.startswith("error: cannot read `rules/none.dl`: no such file")
 
@@ -410,6 +413,18 @@ def test_invalid_policies_raise(policy: Any, batched: bool, error: type[Exceptio
     with pytest.raises(error):
         benchmark.evaluate(policy, batched=batched)
     assert benchmark.evaluate("oracle").tsr.value == 1.0
+
+
+@pytest.mark.parametrize(
+    ("action", "found"),
+    [("Stop", "'Stop'"), (None, "None"), (1.5, "1.5"), (np.float32(1), "1.0"), (True, "True")],
+)
+def test_actions_of_other_types_are_named(action: Any, found: str) -> None:
+    message = f"^expected integer actions, not {found}; known: 0 Slow, 1 Normal, 2 Fast, 3 Stop$"
+    for batched in (False, True):
+        policy = (lambda rows: [action] * len(rows)) if batched else (lambda row: action)
+        with pytest.raises(TypeError, match=message):
+            evaluate(policy, "easy", "val", batched=batched)
 
 
 @pytest.mark.parametrize(

@@ -746,7 +746,7 @@ def test_published_rows_are_evaluated_again(tiny: Path, tmp_path: Path, capsys: 
     measures = published["measures"]
     elsewhere = {**published["versions"], "processor": "Other"}
     here, shown = published["versions"]["processor"], f"{measures['tsr']['value']:.3f}"
-    for change, expected in [
+    compared: list[tuple[dict[str, Any], str]] = [
         ({}, f"equal, weights {published['sha256'][:12]}"),
         ({"sha256_of": "file", "sha256": file_hash, "versions": {}}, f"equal, file {file_hash[:12]}"),
         (
@@ -757,7 +757,8 @@ def test_published_rows_are_evaluated_again(tiny: Path, tmp_path: Path, capsys: 
             {"measures": {**measures, "tsr": {**measures["tsr"], "value": 0.123}}},
             f"other measures: TSR {shown}, published 0.123; the same weights",
         ),
-    ]:
+    ]
+    for change, expected in compared:
         file.write_text(as_text({**results, "rows": [{**published, **change}]}))
         given = [str(tiny), "--only", "ppo", "--run", str(root), "--compare", str(file)]
         assert command(("experiment",), [*given, "--seeds", "0"]) == int(not expected.startswith("equal, "))

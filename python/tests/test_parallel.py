@@ -103,6 +103,7 @@ def test_invalid_use_raises() -> None:
         ({"Car_1": 0}, "missing action of Car_2"),
         (dict.fromkeys(env.agents, 4), "4 is not an action"),
         (dict.fromkeys(env.agents, 0.5), "0.5 is not an action"),
+        (dict.fromkeys(env.agents, True), "True is not an action"),
         ({"Car_99": 1}, "unknown car `Car_99`; did you mean"),
     ]:
         with pytest.raises(InvalidAction, match=message):
@@ -119,6 +120,9 @@ def test_invalid_use_raises() -> None:
         env.explain("Car_77")
     with pytest.raises(InvalidAction, match="expected a mapping"):
         env.step(None)  # type: ignore[arg-type]
+    for options in (5, 0):
+        with pytest.raises(TypeError, match="^options: expected dict, not int"):
+            env.reset(options=options)  # type: ignore[arg-type]
     with pytest.raises(ValueError, match="mapping"):
         env.reset(options={"episode": -1})
     with pytest.raises(IndexError, match="no episode 1000"):

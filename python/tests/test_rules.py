@@ -97,12 +97,18 @@ def test_a_program_lists_its_predicates_and_clauses() -> None:
     assert "3 clauses" in repr(program)
 
 
-def test_programs_are_loaded_from_files_and_built_in_files(tmp_path: Path) -> None:
+def test_programs_are_loaded_from_files_and_built_in_files(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     (tmp_path / "decls.dl").write_text(".decl a(x: number)\n.input a\n")
     (tmp_path / "main.dl").write_text('.include "decls.dl"\n.decl b(x: number)\nb(x) :- a(x).\n')
     program = Program.load(tmp_path / "main.dl")
     assert list(program.predicates) == ["a", "b"]
     assert "Stop" in Program.load("rules/expert.dl").predicates
+    monkeypatch.chdir(tmp_path)
+    assert Program.load("expert").clauses == Program.load("rules/expert.dl").clauses
+    (tmp_path / "expert").write_text(".decl mine(x: number)\n")
+    assert list(Program.load("expert").predicates) == ["mine"]
+    with pytest.raises(FileNotFoundError, match="cannot read `exprt`"):
+        Program.load("exprt")
     with pytest.raises(FileNotFoundError, match="nowhere"):
         Program.load("nowhere.dl")
     with pytest.raises(OSError, match="folder"):

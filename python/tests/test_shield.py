@@ -11,7 +11,8 @@ import gymnasium
 import numpy as np
 import pytest
 from conftest import needs
-from gymnasium.error import InvalidAction
+from gymnasium.error import Error, InvalidAction
+from gymnasium.utils.env_checker import data_equivalence
 
 import logicity
 from logicity import InputError
@@ -234,6 +235,29 @@ def test_an_environment_keeps_its_shield_on_an_error(tmp_path: Path) -> None:
             logicity.shield(env, rules, mode="probabilistic")
         env.reset(seed=1)
         assert env.shield_clauses == before
+
+
+def test_only_shields_are_explained() -> None:
+    single, vector, cars = SPFEnv("easy"), SPFVectorEnv(2, "easy"), SPFParallelEnv("easy")
+    for explain in (single.explain_shield, lambda: vector.explain_shield(0), lambda: cars.explain_shield("Car_1")):
+        with pytest.raises(Error, match="the environment has no shield: add one with `logicity.shield`"):
+            explain()
+
+
+def test_a_joint_shield_of_one_ego_overrides_unsafe_actions() -> None:
+    joint, override = (logicity.shield(SPFEnv("expert"), mode=mode, query="safe") for mode in ("joint", "override"))
+    chance, changed = np.random.default_rng(1), 0
+    for seed in range(3):
+        for env in (joint, override):
+            env.reset(seed=seed)
+        ended = False
+        while not ended:
+            action = int(chance.integers(4))
+            given, expected = joint.step(action), override.step(action)
+            assert data_equivalence(given, expected, exact=True)
+            changed += given[4]["replaced_action"] >= 0
+            ended = given[2] or given[3]
+    assert changed
 
 
 def test_only_environments_have_shields() -> None:

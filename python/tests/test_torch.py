@@ -9,6 +9,7 @@ import pickle
 import random
 from typing import Any
 
+import numpy as np
 import pytest
 import yaml
 from conftest import ROOT, needs
@@ -453,7 +454,10 @@ def test_faulty_arguments_are_reported() -> None:
         ((unary[..., 1:], binary), r"unary: expected the shape \(B, N, "),
         ((unary, binary[:, :2]), r"binary: expected the shape \(2, 3, 3, "),
         ((unary, binary, unary), r"mask: expected the shape \(2, 3\)"),
-        ((unary, binary, None, [3]), "there are 3 entities"),
+        ((unary, binary, None, [3]), "egos: there are 3 entities, so 3 does not exist"),
+        ((unary, binary, None, [-4]), "egos: there are 3 entities, so -4 does not exist: expected -3 to 2"),
+        ((unary, binary, None, []), "egos: expected at least one entity"),
+        ((unary[:, :0], binary[:, :0, :0], None, [0]), "egos: there are 0 entities"),
         ((unary.bool(), binary), "unary: expected degrees of a floating-point type, not torch.bool"),
     ]:
         with pytest.raises(ValueError, match=message):
@@ -470,12 +474,87 @@ def test_faulty_arguments_are_reported() -> None:
         RuleLayer("rules/easy.dl", priority=("Stpo", "Slow"))
     with pytest.raises(ValueError, match="priority: `IsCar` is an input, not an action"):
         RuleLayer("rules/easy.dl", priority=("IsCar",))
+    for default, message in [
+        ("Norml", r"the rules declare no action `Norml`; did you mean `Normal`\?"),
+        ("IsCar", "`IsCar` is an input, not an action"),
+        ("HigherPri", "`HigherPri` is not a predicate over one entity"),
+    ]:
+        with pytest.raises(ValueError, match=f"^default: {message}"):
+            RuleLayer("rules/easy.dl", default=default)
+    assert RuleLayer("rules/easy.dl", default="Wait").actions[-1] == "Wait"
+    with pytest.raises(ValueError, match=r"no predicate `Stopp`; did you mean `Stop`\?"):
+        RuleLayer("rules/easy.dl", queries=["Stopp"])
+    with pytest.raises(ValueError, match="queries: expected a sequence of predicates, not the string 'Stop'"):
+        RuleLayer("rules/easy.dl", queries="Stop")
     with pytest.raises(ValueError, match="no predicate `Halt`"):
         RuleLayer("rules/easy.dl", queries=["Halt"])
     with pytest.raises(ValueError, match="no clause derives `IsCar`"):
         RuleLayer("rules/easy.dl", queries=["IsCar"])
     with pytest.raises(ValueError, match="depth: expected at least 1"):
         RuleLayer("rules/easy.dl", depth=0)
+
+
+def test_arguments_of_other_types_are_reported() -> None:
+    layer = RuleLayer("rules/easy.dl")
+    unary, binary = torch.zeros(2, 3, len(layer.unary)), torch.zeros(2, 3, 3, len(layer.binary))
+    for arguments, message in [
+        ((unary.numpy(), binary), "unary: expected torch.Tensor, not ndarray"),
+        ((unary, binary.tolist()), "binary: expected torch.Tensor, not list"),
+        ((unary, binary, [[1, 1, 1]] * 2), "mask: expected torch.Tensor, not list"),
+        ((unary, binary, None, 0), "egos: expected a sequence of integers, not int"),
+        ((unary, binary, None, "Car_1"), "egos: expected a sequence of integers, not str"),
+        ((unary, binary, None, ["Car_1"]), "egos: expected an integer, not str"),
+        ((unary, binary, None, [True, False, False]), "egos: expected an integer, not bool"),
+    ]:
+        with pytest.raises(TypeError, match=f"^{message}"):
+            layer(*arguments)
+    for egos in (range(1, 3), np.array([1, 2]), torch.tensor([1, 2])):
+        assert torch.equal(layer(unary, binary, egos=egos), layer(unary, binary, egos=[1, 2]))
+    with pytest.raises(TypeError, match="^unary: expected torch.Tensor, not list"):
+        layer.proofs(unary[0].tolist(), binary[0], action="Stop")
+    for name, value, message in [
+        ("rules", 5, "expected str or os.PathLike"),
+        ("priority", 5, "expected a sequence of actions, not int"),
+        ("queries", [5], "expected str, not int"),
+        ("default", None, "expected str, not NoneType"),
+        ("depth", "3", "expected an integer, not str"),
+        ("k", 1.5, "expected an integer, not float"),
+        ("nodes_max", None, "expected an integer, not NoneType"),
+    ]:
+        given: dict[str, Any] = {"rules": "rules/easy.dl", name: value}
+        with pytest.raises(TypeError, match=f"^{name}: {message}"):
+            RuleLayer(**given)
+
+
+@pytest.mark.parametrize("semantics", EXACT)
+def test_probabilities_out_of_range_are_refused(semantics: Any) -> None:
+    layer = RuleLayer("rules/easy.dl", semantics)
+    unary, binary = torch.zeros(1, 2, len(layer.unary)), torch.zeros(1, 2, 2, len(layer.binary))
+    for name, value in itertools.product(("unary", "binary"), (1.5, -0.25, math.nan, math.inf)):
+        given = {"unary": unary.clone(), "binary": binary.clone()}
+        given[name].view(-1)[-1] = value
+        with pytest.raises(ValueError, match=f"^{name}: expected probabilities from 0 to 1, not {value}$"):
+            layer(**given)
+        with pytest.raises(ValueError, match=f"^{name}: expected probabilities"):
+            layer.proofs(given["unary"][0], given["binary"][0], action="Stop")
+    with pytest.raises(ValueError, match="ego: there are 2 entities, so -3 does not exist: expected -2 to 1"):
+        layer.proofs(unary[0], binary[0], action="Stop", ego=-3)
+
+
+@pytest.mark.parametrize("semantics", [*SEMANTICS, *EXACT])
+def test_scenes_may_lack_entities_but_not_ticks(semantics: Any) -> None:
+    layer = RuleLayer("expert", semantics)
+    unary, binary = torch.zeros(2, 0, len(layer.unary)), torch.zeros(2, 0, 0, len(layer.binary))
+    assert layer(unary, binary).shape == (2, 0, 4)
+    past = RuleLayer(Program(DECLARED + ".decl Stop(x: agent)\nStop(X) :- once A(X), B(X).\n"), semantics)
+    with pytest.raises(ValueError, match="unary: expected at least one tick"):
+        past(torch.zeros(2, 0, 3, 3), torch.zeros(2, 0, 3, 3, 2))
+
+
+def test_bare_names_are_built_in_rule_files() -> None:
+    assert RuleLayer("easy").clauses == RuleLayer("rules/easy.dl").clauses
+    with pytest.raises(FileNotFoundError, match="cannot read `esay`"):
+        RuleLayer("esay")
 
 
 def uncertain_facts(seed: int, count: int, uncertain: int, ticks: tuple[int, ...] = ()) -> tuple[Any, Any]:
@@ -572,7 +651,7 @@ def test_proofs_are_the_most_probable_reasons() -> None:
             lambda given=given: layer(given[None], binary[None]),
             lambda g=given: layer.proofs(g, binary, action="Stop"),
         ):
-            with pytest.raises(ValueError, match="unary: expected probabilities from 0 to 1, found NaN or infinity"):
+            with pytest.raises(ValueError, match="unary: expected probabilities from 0 to 1, not (nan|inf)"):
                 call()
     # With one proof, what may derive Stop otherwise is not considered.
     few = RuleLayer(Program(text), "top-k", k=1)

@@ -17,7 +17,7 @@ use crate::diag::{Diagnostic, Sources, to_json};
 use crate::files::ReadFile;
 use crate::sim::{
     CONFLICT_BUDGET, Coverage, Finding, Overlap, conflict_lints, conflicts, earlier_facts, examine as examine_rules,
-    scene_json,
+    help_to_declare, scene_json,
 };
 use serde_json::json;
 use std::collections::HashSet;
@@ -122,8 +122,10 @@ fn examine(arguments: &Arguments, path: &Path, files: &dyn ReadFile, sources: &m
     };
     if let Some(city) = given.as_ref().or(report.configuration.as_ref()) {
         report.actions = city.actions();
+    } else if let (Some(trace), true) = (&arguments.coverage, arguments.rules.is_empty()) {
+        report.actions = TraceReader::open(trace)?.city(sources, None, None)?.scenario.actions;
     }
-    let Some(rules) = report.load(&path, given.is_some(), files, sources)? else {
+    let Some(rules) = report.load(&path, given.as_ref(), files, sources)? else {
         return Ok(report);
     };
     let in_city = report.lint(&rules, given.as_ref(), arguments.lints, sources);
@@ -187,7 +189,7 @@ impl Report {
     fn load(
         &mut self,
         path: &Path,
-        has_city: bool,
+        given: Option<&Checked>,
         files: &dyn ReadFile,
         sources: &mut Sources,
     ) -> Result<Option<Rules>, Failure> {
@@ -199,11 +201,14 @@ impl Report {
             }
             Err(other) => return Err(other),
         };
-        let inputs = inputs_of(&texts, has_city || self.configuration.is_some());
+        let inputs = inputs_of(&texts, given.is_some() || self.configuration.is_some());
         self.in_city = inputs == InputPolicy::Fixed;
         texts.set_inputs(inputs);
         let loaded = texts.check();
         self.found = loaded.diagnostics;
+        if let Some(city) = given.or(self.configuration.as_ref()).and_then(Checked::theory) {
+            help_to_declare(&mut self.found, sources, &city.scenario);
+        }
         if !loaded.compared.complete {
             self.unfinished.push("clauses that derive nothing new");
         }

@@ -458,12 +458,16 @@ impl Tally {
     /// Counts the last tick.
     fn add(&mut self, simulation: &mut Simulation) {
         self.ticks += 1;
+        let world = Arc::clone(simulation.world());
+        let table = world.vocabulary.actions();
         for (index, (done, agent)) in (simulation.report().agents.iter().zip(simulation.agents())).enumerate() {
             let counts = self.actions.entry(agent.kind_id).or_default();
             counts.resize(counts.len().max(done.action.index() + 1), 0);
             counts[done.action.index()] += 1;
-            if done.derived.len() > 1 {
-                let overlap = (done.derived.iter().collect(), done.action);
+            // What its kind cannot take is not in conflict.
+            let possible = || (done.derived.iter()).filter(|action| table.can_take(agent.kind_id, *action));
+            if possible().nth(1).is_some() {
+                let overlap = (possible().collect(), done.action);
                 *self.overlaps.entry(overlap).or_default() += 1;
             }
             if done.moved.from != done.moved.to {

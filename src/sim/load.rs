@@ -2,10 +2,12 @@
 // Decision: docs/decisions/city.md#d002
 
 use crate::config::{Scenario, load_scenario, rule_file};
+use crate::datalog::codes::UNKNOWN_PREDICATE;
 use crate::datalog::{Limits, Program};
 use crate::diag::{Diagnostic, SourceId, Sources, Span};
 use crate::files::{ReadError, ReadFile};
 use crate::located::Located;
+use crate::predicate::Unit;
 use crate::sim::codes;
 use crate::sim::tick::world::{TICK_LIMITS, World};
 use crate::sim::trace::{TraceHeader, hash_sources};
@@ -78,8 +80,9 @@ impl LoadedCity {
         };
         let text = text.map_err(|error| LoadError::RuleFile(path.clone(), error))?;
         let entry = sources.add(path.display().to_string(), text);
-        let (program, diagnostics) = Program::load(sources, entry, files);
+        let (program, mut diagnostics) = Program::load(sources, entry, files);
         let Some(program) = program else {
+            help_to_declare(&mut diagnostics, sources, &scenario);
             return Err(LoadError::Rules(diagnostics));
         };
         if rules.is_some() {
@@ -150,5 +153,34 @@ impl LoadedCity {
         let mut world = World::new(self.scenario, self.program)?;
         world.limits = self.limits;
         Ok(world)
+    }
+}
+
+/// Replaces the help of faults about undeclared predicates that the configuration defines.
+pub fn help_to_declare(faults: &mut [Diagnostic], sources: &Sources, scenario: &Scenario) {
+    for fault in faults.iter_mut().filter(|fault| fault.code == UNKNOWN_PREDICATE) {
+        let Some(name) = fault.primary.as_ref().map(|label| sources.slice(label.span)) else {
+            continue;
+        };
+        let mut defined = scenario.predicates.iter();
+        let Some(predicate) = defined.find(|predicate| predicate.name.value == name) else {
+            continue;
+        };
+        // Without the vocabulary of the city, to include it may be all that is missing.
+        if fault.help.iter().any(|help| help.contains("vocabulary")) {
+            continue;
+        }
+        let value = predicate.definition.unit().map(|unit| match unit {
+            Unit::Number => "n: number",
+            Unit::Float => "n: float",
+            Unit::Heading => "h: symbol",
+        });
+        let agents = ["x: agent", "y: agent"].into_iter().take(predicate.definition.arity());
+        let columns: Vec<&str> = agents.chain(value).collect();
+        fault.fixes.clear();
+        fault.help = vec![format!(
+            "the configuration defines it: declare it with `.decl {name}({})` and `.input {name}`",
+            columns.join(", ")
+        )];
     }
 }

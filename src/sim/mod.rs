@@ -13,7 +13,7 @@ mod tick;
 mod trace;
 
 pub use crate::predicate::{Entity, Progress};
-pub use load::{LoadError, LoadedCity};
+pub use load::{LoadError, LoadedCity, help_to_declare};
 pub use observe::{
     ActionConstraint, Chain, Decider, FactCounts, OBSERVED_MAX, ObservedColumn, Observer, Oracle, SensorModel, Sensors,
     Shield, ShieldState, Verdict, observed_columns,

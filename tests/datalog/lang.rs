@@ -101,6 +101,17 @@ fn habits_of_other_languages_are_reported_once_with_help() {
         ("B(x) :- A(x)", "ends with a full stop"),
         ("B(x) :- A(x)\n.decl C(x: number)", "ends with a full stop"),
         ("B(1)\nB(2).", "ends with a full stop"),
+        ("B(x) :- A(x), onec[1,10] A(x).", "did you mean `once`?"),
+        ("B(x) :- A(x), Once[1,10] A(x).", "did you mean `once`?"),
+        ("B(x) :- A(x), prev A(x).", "the temporal operator `previous`"),
+        ("B(x) :- A(x) until B(x).", "temporal operators are about the past"),
+        ("0.3 : B(x) :- A(x).", "two colons follow a probability"),
+        ("30 :: B(x) :- A(x).", "write 30 percent as `0.3`"),
+        ("1.3 :: B(x) :- A(x).", "from 0.0 to 1.0"),
+        (
+            ".type agent <: symbol\n.decl C(x: car)\n.input C",
+            "`agent`; or declare it: `.type car <: symbol`",
+        ),
     ] {
         let said = helps(&format!("{HEAD}{written}\n"));
         assert!(said.len() == 1 && said[0].contains(help), "{written}: {said:?}");

@@ -669,6 +669,56 @@ fn check_reports_coverage() {
     let idle = clause["never_mattered"].as_array().unwrap();
     assert!(idle.contains(&Value::from("Y != X")), "{idle:?}");
     assert!(!idle.contains(&Value::from("IsAtInter(X)")), "{idle:?}");
+    // Conflicts are between the actions of the configuration in the trace. What no agent of a kind can take is none.
+    let config = write(
+        folder.path(),
+        "city.yaml",
+        "base: configs/expert.yaml\nrules: own.dl\nactions:\n  define: {Wave: {cells: {Car: 0}}}\n  \
+         priority: [Stop, Wave, Slow, Fast, Normal]\npredicates:\n  define: {Waited: {quantity: waited}}\n",
+    );
+    write(
+        folder.path(),
+        "own.dl",
+        ".include \"vocabulary.dl\"\n.decl Wave(x: agent)\n.output Wave\nStop(X) :- IsAtInter(X).\n\
+         Wave(X) :- IsAtInter(X).\nNormal(X) :- IsPedestrian(X).\n",
+    );
+    let own = folder.path().join("own");
+    let own = own.to_str().unwrap();
+    let output = logicity(["run", &config, "--no-pictures", "--ticks", "60", "--out", own]);
+    assert_eq!(code(&output), 0, "{}", err(&output));
+    let summary = out(&output);
+    assert!(summary.contains("Stop won over Wave in"), "{summary}");
+    assert!(!summary.contains("Normal won over Wave"), "{summary}");
+    let own = format!("{own}/trace.jsonl");
+    let output = logicity(["check", "--json", "--coverage", &own]);
+    let line: Value = serde_json::from_str(&out(&output)).unwrap();
+    assert!(line["conflicts"].to_string().contains("\"Wave\""), "{line}");
+    let explained = |tick: u64, agent: &str| {
+        let output = logicity(["explain", &own, "--tick", &tick.to_string(), "--agent", agent]);
+        out(&output)
+    };
+    let at_entrance = (0..60).map(|tick| explained(tick, "Pedestrian_1"));
+    let mut told = at_entrance.filter(|text| text.contains("Wave"));
+    let told = told.next().expect("it passes an intersection");
+    assert!(told.contains("; pedestrians cannot take Wave"), "{told}");
+    write(
+        folder.path(),
+        "own.dl",
+        ".include \"vocabulary.dl\"\nStop(X) :- Waited(X, n), n > 3, IsCar(Y).\n",
+    );
+    for command in [
+        &["check", &config][..],
+        &["run", &config, "--no-pictures", "--out", "none"],
+    ] {
+        fails(
+            &run(command, b""),
+            1,
+            &[
+                "own.dl:2:12",
+                "declare it with `.decl Waited(x: agent, n: number)` and `.input Waited`",
+            ],
+        );
+    }
     fails(
         &logicity(["check", "--coverage", trace, "--config", "configs/hard.yaml"]),
         1,

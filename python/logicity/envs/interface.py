@@ -200,6 +200,10 @@ class BaseEnv:
                 "the environment has no action masks: make it with `action_masks=True`, or add a shield"
             )
 
+    def _check_shield(self) -> None:
+        if self.shield_clauses is None:
+            raise gymnasium.error.Error("the environment has no shield: add one with `logicity.shield`")
+
     def _check_begun(self) -> None:
         if not self._begun:
             raise ResetNeeded("no episode has started: call `reset`")
@@ -368,17 +372,22 @@ def restore_states(core: _logicity.VectorEnv, states: States, observations: Obse
     core.replay([episode for _, episode in states], observations)
 
 
-def check_options(options: Mapping[str, Any], known: tuple[str, ...]) -> None:
-    """Raise `ValueError` if an option of a reset is unknown."""
+def checked_options(options: Mapping[str, Any] | None, known: tuple[str, ...] | None = None) -> Mapping[str, Any]:
+    """Return the options of a reset. Raise `TypeError` for another type, and `ValueError` for one not in `known`."""
+    if options is None:
+        return {}
+    if not isinstance(options, Mapping):
+        raise TypeError(f"options: expected dict, not {type(options).__name__}")
     for option in options:
-        if option not in known:
+        if known is not None and option not in known:
             raise ValueError(f"unknown option `{option}`; known: {', '.join(known)}")
+    return options
 
 
 def checked_action(action: Any, names: Sequence[str]) -> int:
     """Return an action as an int. Raise `gymnasium.error.InvalidAction` if it is no index of a name."""
     try:
-        number = operator.index(action)
+        number = -1 if isinstance(action, bool) else operator.index(action)
     except TypeError:
         number = -1
     if not 0 <= number < len(names):

@@ -20,7 +20,7 @@ with extra("pettingzoo"):
 from ..errors import did_you_mean
 from ..types import EnvOptions, EpisodeStart
 from .config import EnvConfig
-from .interface import BaseEnv, checked_action, checked_seed, infos_of, parse_episode
+from .interface import BaseEnv, checked_action, checked_options, checked_seed, infos_of, parse_episode
 from .views import Observations, View
 
 if TYPE_CHECKING:
@@ -99,9 +99,10 @@ class SPFParallelEnv(BaseEnv, ParallelEnv[str, Any, "np.int64 | int"]):
         Raises:
             IndexError: If the recorded episode does not exist.
             InputError: If the mapping is not a valid episode of this environment (`invalid-episode`).
+            TypeError: If `options` is not a mapping.
             ValueError: If the option is neither a number nor a mapping.
         """
-        options = options or {}
+        options = dict(checked_options(options))
         if seed is not None or not self._seeded:
             self._core.seed(0, checked_seed(seed, np_random(seed)[0]), 0)
             self._seeded = True
@@ -190,8 +191,10 @@ class SPFParallelEnv(BaseEnv, ParallelEnv[str, Any, "np.int64 | int"]):
 
         Raises:
             ValueError: If the car is unknown.
+            gymnasium.error.Error: If the environment has no shield.
             gymnasium.error.ResetNeeded: If no episode has started.
         """
+        self._check_shield()
         self._check_begun()
         if agent not in self._index:
             raise ValueError(self._unknown(agent))

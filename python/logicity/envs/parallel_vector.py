@@ -135,7 +135,11 @@ class SPFParallelVectorEnv(BaseVectorEnv):
         return self._core.explain(self._checked_index(at), fact, self._ego(agent))
 
     def explain_shield(self, at: int, agent: str) -> str:
-        """Variant of `SPFEnv.explain_shield` for an ego of an environment, with the exceptions of `explain`."""
+        """Variant of `SPFEnv.explain_shield` for an ego of an environment.
+
+        The exceptions are those of `explain`, and `gymnasium.error.Error` if the environments have no shield.
+        """
+        self._check_shield()
         return self._core.explain_shield(self._checked_index(at), self._ego(agent))
 
     def close(self) -> None:

@@ -17,7 +17,7 @@ with extra("learn"):
     from gymnasium.vector import AutoresetMode
     from stable_baselines3.common.vec_env import VecEnv, VecMonitor
 
-from .interface import check_options
+from .interface import checked_options
 from .vector import SPFVectorEnv
 
 __all__ = ["SPFVecEnv", "make_vec_env"]
@@ -49,9 +49,7 @@ class SPFVecEnv(VecEnv):
 
     def reset(self) -> Any:
         """Start episodes, with the seeds of `seed` and the options of `set_options` if these were called before."""
-        for options in self._options:
-            check_options(options, ("episode",))
-        episodes = [options.get("episode") for options in self._options]
+        episodes = [checked_options(options, ("episode",)).get("episode") for options in self._options]
         observations, infos = self.envs.reset(seed=self._seeds, options={"episodes": episodes})
         self.reset_infos = self._dictionaries(infos)
         self._reset_seeds()

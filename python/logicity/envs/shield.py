@@ -40,7 +40,8 @@ def shield(
             actions of all egos, no clause demands a different action of any of them; so rules can read the actions of
             other egos. Among several, the first car decides first: it keeps its action if it can, and otherwise takes
             the one that the rules choose; then the second car decides, and so on. If no joint action is safe, the egos
-            take what the rules choose. `shield_mask` and `explain_shield` are then about each ego alone.
+            take what the rules choose. `shield_mask` and `explain_shield` are then about each ego alone. With one ego,
+            the mode equals `override` with the query `safe`.
         query: `appropriate` (default) or `safe`, which is the only one of the mode `joint` and its default. If no
             action is safe, the shield permits the one that the rules choose.
         threshold: The threshold of the mode `probabilistic`, 0 to 1 (default: 0.5).

@@ -21,7 +21,7 @@ with extra("gym"):
 
 from ..types import EnvOptions, Episodes, EpisodeStart
 from .config import EnvConfig
-from .interface import BaseEnv, HorizonSpec, check_options, checked_action, checked_seed, parse_episode
+from .interface import BaseEnv, HorizonSpec, checked_action, checked_options, checked_seed, parse_episode
 from .views import Observations
 
 if TYPE_CHECKING:
@@ -129,11 +129,11 @@ class SPFEnv(BaseEnv, gymnasium.Env[Any, np.int64]):
         Raises:
             IndexError: If the recorded episode does not exist.
             InputError: If the mapping is not a valid episode of this environment (`invalid-episode`).
+            TypeError: If `options` is not a mapping.
             ValueError: If an option is unknown, or its value is invalid.
         """
         super().reset(seed=seed)
-        options = options or {}
-        check_options(options, ("episode", "map", "agents"))
+        options = dict(checked_options(options, ("episode", "map", "agents")))
         if seed is not None or not self._seeded:
             self._core.seed(0, checked_seed(seed, self.np_random), 0)
             self._seeded = True
@@ -199,12 +199,13 @@ class SPFEnv(BaseEnv, gymnasium.Env[Any, np.int64]):
         """Return which actions the shield permits now, and what its rules choose.
 
         The text lists the permitted actions and the others with the clauses that they violate. A proof follows of the
-        action that the rules choose on the observed facts: with probabilities, those above 0.5. The text is empty
-        without a shield.
+        action that the rules choose on the observed facts: with probabilities, those above 0.5.
 
         Raises:
+            gymnasium.error.Error: If the environment has no shield.
             gymnasium.error.ResetNeeded: If no episode has started.
         """
+        self._check_shield()
         self._check_begun()
         return self._core.explain_shield(0)
 

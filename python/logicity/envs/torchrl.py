@@ -20,6 +20,7 @@ with extra("torchrl"):
     from torchrl.data import Binary, Bounded, Categorical, Composite, TensorSpec, Unbounded
     from torchrl.envs import EnvBase
 
+from .interface import checked_options
 from .vector import SPFVectorEnv
 
 __all__ = ["SPFTorchRLEnv"]
@@ -112,7 +113,7 @@ class SPFTorchRLEnv(EnvBase):
 
     def _reset(self, tensordict: TensorDictBase | None = None, **options: Any) -> TensorDictBase:
         """Start episodes in the environments that `_reset` selects, by default in all."""
-        given = dict(options.pop("options", None) or {})
+        given = dict(checked_options(options.pop("options", None)))
         if options:
             raise TypeError(f"reset() got an unexpected keyword argument '{next(iter(options))}'; known: options")
         mask = self._mask(tensordict, "_reset")
@@ -138,7 +139,9 @@ class SPFTorchRLEnv(EnvBase):
             raise ValueError("`_step` can skip only environments whose episode has ended")
         for at in np.flatnonzero(~mask).tolist():
             self._sources.setdefault(at, self.envs._core.source(at))
-        observations, rewards, terminated, truncated, infos = self.envs.step(np.where(mask, actions, 0))
+        observations, rewards, terminated, truncated, infos = self.envs.step(
+            np.where(mask, actions, np.zeros_like(actions))
+        )
         self._update(observations, infos, mask, rewards, terminated, truncated)
         return self._tensors(reward=True)
 

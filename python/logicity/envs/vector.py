@@ -97,10 +97,10 @@ class BaseVectorEnv(BaseEnv):
                 one per environment.
 
         Raises:
-            IndexError, InputError, ValueError: As for `SPFEnv.reset`.
+            gymnasium.error.Error: If a seed has a wrong type or is out of range.
+            IndexError, InputError, TypeError, ValueError: As for `SPFEnv.reset`.
         """
-        options = options or {}
-        interface.check_options(options, ("reset_mask", "episode", "episodes"))
+        options = dict(interface.checked_options(options, ("reset_mask", "episode", "episodes")))
         if options.get("episode") is not None and options.get("episodes") is not None:
             raise ValueError("`episode` and `episodes` are mutually exclusive: give one of them")
         mask, count = self._mask(options), self.num_envs
@@ -108,10 +108,14 @@ class BaseVectorEnv(BaseEnv):
         if isinstance(seed, (int, np.integer)):
             generator = self._generator(int(seed))
             seed = [int(seed) + at for at in range(count)]
+        if seed is not None and not _is_list(seed):
+            raise gymnasium.error.Error(f"seed: expected an integer or a list, not {type(seed).__name__}")
         seeds = [None] * count if seed is None else list(seed)
         chosen = options.get("episodes")
         if chosen is None:
             chosen = [options.get("episode")] * count
+        if not _is_list(chosen):
+            raise TypeError(f"episodes: expected a list, not {type(chosen).__name__}")
         for name, values in {"seeds": seeds, "episodes": chosen}.items():
             if len(values) != count:
                 raise ValueError(f"{len(values)} {name} for {count} environments")
@@ -380,7 +384,15 @@ class SPFVectorEnv(BaseVectorEnv, VectorEnv[Any, NDArray[np.int64], NDArray[Any]
 
     def explain_shield(self, at: int) -> str:
         """Variant of `SPFEnv.explain_shield` for an environment. The exceptions include those of `episode`."""
+        self._check_shield()
         return self._core.explain_shield(self._checked_index(at))
+
+
+def _is_list(values: object) -> bool:
+    """Return whether values are a sequence or an array with one axis, and no text."""
+    if isinstance(values, np.ndarray):
+        return values.ndim == 1
+    return isinstance(values, Sequence) and not isinstance(values, (str, bytes))
 
 
 def _autoreset_mode(mode: AutoresetMode | str) -> AutoresetMode:

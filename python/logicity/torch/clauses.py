@@ -8,6 +8,7 @@ from dataclasses import dataclass, replace
 from typing import Any
 
 from .. import _logicity
+from ..errors import did_you_mean
 from ..rules import Program
 
 __all__ = ["Atom", "Clause", "Clauses", "Past", "Stratum"]
@@ -141,7 +142,8 @@ class Clauses:
         self.derived = tuple(name for name in self._actions if self._is_derived(name))
         for name in self._queries:
             if name not in self.places:
-                raise ValueError(f"queries: the rules declare no predicate `{name}`")
+                near = did_you_mean(name, (each for each, at in self.places.items() if self._predicates[at]["derived"]))
+                raise ValueError(f"queries: the rules declare no predicate `{name}`{near}")
             if not self._predicates[self.places[name]]["derived"]:
                 raise ValueError(f"queries: no clause derives `{name}`")
         self.strata = self._needed(checked["strata"])
@@ -175,7 +177,8 @@ class Clauses:
             return False
         each = self._predicates[place]
         if each["symbols"] != [True]:
-            raise ValueError(f"priority: `{action}` is not a predicate over one entity")
+            argument = "default" if action == self._default else "priority"
+            raise ValueError(f"{argument}: `{action}` is not a predicate over one entity")
         # A fact in the source derives it, too.
         return bool(each["derived"]) or place in self._heads
 

@@ -6,7 +6,10 @@ import os
 from collections.abc import Iterable, Sequence
 from typing import Any, Literal, TypeAlias, cast, get_args
 
-from ..errors import did_you_mean, extra
+import numpy as np
+
+from .. import _logicity
+from ..errors import as_integer, checked_path, did_you_mean, extra
 from ..rules import Program
 from .clauses import Atom, Clause, Clauses, Past
 from .derivatives import once
@@ -86,18 +89,19 @@ class RuleLayer(nn.Module):
     entities; clauses that compare or count values are refused.
 
     Args:
-        rules: A rule file, which may be a built-in one such as `rules/expert.dl`, or a program.
+        rules: A rule file, which may be a built-in one such as `expert`, or a program.
         semantics: `godel`, `product`, `lukasiewicz`, `exact` or `top-k`; see the module.
         queries: Further derived predicates to compute. `degrees` returns them.
         priority: The actions in the order of `actions.priority` of a configuration: the first that is derived is
             taken. By default that of `configs/common.yaml`. The rules need not declare these four and `default`; they
             must declare any other action.
-        default: The action of an entity for which none is derived.
+        default: The action of an entity for which none is derived. A name that the rules do not declare must not
+            resemble an action.
         depth: How often the clauses of recursive predicates are applied. Atoms whose derivation needs more are 0.
         learn_weights: Whether each clause of the source that the layer uses has a weight, from 0 to 1, which is a
             conjunct of its body. `weight_logits` is its parameter, with one element for each of `clauses`.
-        k: The number of proofs that `top-k` and `proofs` keep for each atom.
-        nodes_max: The largest number of decisions in the diagram of a scene, for `exact` and `top-k`.
+        k: The number of proofs that `top-k`, and the method `proofs` of every semantics, keep for each atom.
+        nodes_max: The largest number of decisions in the diagram of a scene, for `exact`, `top-k` and `proofs`.
 
     Attributes:
         unary: The names of the U input predicates over one entity, in the order of the input.
@@ -111,8 +115,9 @@ class RuleLayer(nn.Module):
     Raises:
         InputError: If the rules are invalid.
         OSError: If the file cannot be read.
-        ValueError: If an action or a query needs a clause that has no degree, if no clause derives a query, or if the
-            rules do not declare an action of `priority`.
+        TypeError: If an argument has another type.
+        ValueError: If an action or a query needs a clause that has no degree, if no clause derives a query, if the
+            rules do not declare an action of `priority`, or if an argument is out of range.
     """
 
     weight_logits: nn.Parameter | None
@@ -134,25 +139,28 @@ class RuleLayer(nn.Module):
         super().__init__()
         if semantics not in get_args(Semantics):
             raise ValueError(f"semantics: expected one of {', '.join(get_args(Semantics))}, not {semantics!r}")
-        if depth is not None and depth < 1:
-            raise ValueError(f"depth: expected at least 1, not {depth}")
-        for name, value in (("k", k), ("nodes_max", nodes_max)):
-            if value < 1:
+        sizes = {"k": k, "nodes_max": nodes_max} | ({} if depth is None else {"depth": depth})
+        for name, value in sizes.items():
+            if as_integer(name, value) < 1:
                 raise ValueError(f"{name}: expected at least 1, not {value}")
         self.semantics, self.depth, self.k, self.nodes_max = semantics, depth, k, nodes_max
         is_exact = semantics in ("exact", "top-k")
-        if isinstance(priority, str):
-            raise ValueError(f"priority: expected a sequence of actions, not the string {priority!r}")
-        self.program = rules if isinstance(rules, Program) else Program.load(rules)
-        self.queries, self.default = tuple(dict.fromkeys(queries)), default
-        self.actions = tuple(dict.fromkeys([*priority, default]))
+        self.queries, order = _names("queries", "predicates", queries), _names("priority", "actions", priority)
+        if not isinstance(default, str):
+            raise TypeError(f"default: expected str, not {type(default).__name__}")
+        self.program = rules if isinstance(rules, Program) else Program.load(checked_path("rules", rules))
+        self.default = default
+        self.actions = tuple(dict.fromkeys([*order, default]))
         self._rules = Clauses(self.program, self.queries, self.actions, default, depth, by_engine=is_exact)
         declared = [name for name, place in self._rules.places.items() if place not in self._rules.inputs]
-        known = dict.fromkeys([*PRIORITY, default, *declared])
-        for name in priority:
+        known = dict.fromkeys([*PRIORITY, *declared])
+        if default not in known and _logicity.did_you_mean(default, [*known]) is not None:
+            raise ValueError(f"default: the rules declare no action `{default}`{did_you_mean(default, known)}")
+        for name in self.actions:
+            argument = "default" if name == default else "priority"
             if self._rules.places.get(name) in self._rules.inputs:
-                raise ValueError(f"priority: `{name}` is an input, not an action")
-            if name not in known:
+                raise ValueError(f"{argument}: `{name}` is an input, not an action")
+            if name not in known and name != default:
                 raise ValueError(f"priority: the rules declare no action `{name}`{did_you_mean(name, known)}")
         self.unary, self.binary, self.clauses = self._rules.unary, self._rules.binary, self._rules.labels
         self.temporal = bool(self._rules.pasts)
@@ -178,17 +186,20 @@ class RuleLayer(nn.Module):
         with the greatest degree is the decision. With degrees 0 and 1, exactly one action has the degree 1.
 
         Args:
-            unary: (B, N, U), the degrees of the atoms of `self.unary`; with temporal operators (B, T, N, U).
+            unary: (B, N, U), the degrees of the atoms of `self.unary`; with temporal operators (B, T, N, U). They must
+                be from 0 to 1. Only `exact` and `top-k` check it, since a check waits for the device.
             binary: (B, N, N, R), those of `self.binary`, or (B, T, N, N, R).
             mask: (B, N) or (B, T, N): 1 or true for the entities that are present; by default all are. No atom holds of
                 the others.
-            egos: The E entities that decide; by default all N.
+            egos: The E entities that decide, from 0 to N - 1; -1 is the last one. By default all N.
 
         Returns:
             (B, E, A), or (B, T, E, A) with temporal operators.
 
         Raises:
-            ValueError: If a shape is wrong, or an ego does not exist.
+            TypeError: If an argument has another type.
+            ValueError: If a shape is wrong, an ego does not exist, or `exact` or `top-k` gets a degree that is not from
+                0 to 1.
         """
         return self.degrees(unary, binary, mask, egos)[0]
 
@@ -202,13 +213,12 @@ class RuleLayer(nn.Module):
         """
         self._check(unary, binary, mask)
         count = unary.shape[-2]
-        if egos is not None and not all(-count <= ego < count for ego in egos):
-            raise ValueError(f"egos: there are {count} entities, so {list(egos)} names one that does not exist")
+        numbers = None if egos is None else _checked_egos(egos, count)
         if self._circuits is not None:
-            each = range(count) if egos is None else [ego % count for ego in egos]
+            each = range(count) if numbers is None else numbers
             found = self._exactly(self._circuits, (unary, binary, mask), each)
             return cast("tuple[Tensor, dict[str, Tensor]]", found)
-        chosen = None if egos is None else torch.tensor([ego % count for ego in egos], device=unary.device)
+        chosen = None if numbers is None else torch.tensor(numbers, device=unary.device)
         if not self.temporal:
             return self._answer(self._tick(unary, binary, mask, chosen, []), chosen)
         history: list[_Tick] = []
@@ -225,7 +235,7 @@ class RuleLayer(nn.Module):
     def _exactly(
         self, circuits: Circuits, inputs: tuple[Tensor, Tensor, Tensor | None], egos: Sequence[int]
     ) -> tuple[Tensor, dict[str, Tensor]]:
-        self._check_finite(inputs[0], inputs[1])
+        _check_probabilities(inputs[0], inputs[1])
         return circuits.degrees(inputs, egos, self.weights(), self.actions, self.default)
 
     def proofs(
@@ -240,26 +250,27 @@ class RuleLayer(nn.Module):
             unary: (N, U), or (T, N, U) with temporal operators: probabilities.
             binary: (N, N, R), or (T, N, N, R).
             mask: (N,) or (T, N).
-            ego: The entity that decides.
+            ego: The entity that decides, as in `egos` of `forward`.
             action: One of `actions`.
 
         Raises:
-            ValueError: If a shape is wrong, there is no such ego or action, or the proofs need too many steps.
+            TypeError: If an argument has another type.
+            ValueError: If a shape is wrong, a probability is not from 0 to 1, there is no such ego or action, or the
+                proofs need too many steps.
         """
+        _check_types(unary, binary, mask)
         shape = "(T, N" if self.temporal else "(N"
         if unary.ndim != (3 if self.temporal else 2):
             shape += f", {len(self.unary)})"
             raise ValueError(f"unary: proofs concern one scene: expected the shape {shape}, not {tuple(unary.shape)}")
         self._check(unary[None], binary[None], None if mask is None else mask[None])
-        count = unary.shape[-2]
-        if not -count <= ego < count:
-            raise ValueError(f"ego: there are {count} entities, so {ego} does not exist")
+        number = _checked_ego("ego", ego, unary.shape[-2])
         if action not in self.actions:
             raise ValueError(f"action: expected one of {', '.join(self.actions)}, not {action!r}")
-        self._check_finite(unary, binary)
+        _check_probabilities(unary, binary)
         if self._by_proofs is None:
             self._by_proofs = self._compiled(self.k)
-        return self._by_proofs.proofs((unary, binary, mask), ego % count, action, self.default, self.weights())
+        return self._by_proofs.proofs((unary, binary, mask), number, action, self.default, self.weights())
 
     def weights(self) -> Tensor | None:
         """Return the weights of `clauses`, (clauses,) from 0 to 1; `None` without `learn_weights`."""
@@ -267,12 +278,8 @@ class RuleLayer(nn.Module):
 
     # --- evaluation
 
-    def _check_finite(self, unary: Tensor, binary: Tensor) -> None:
-        for name, values in (("unary", unary), ("binary", binary)):
-            if not bool(torch.isfinite(values).all()):
-                raise ValueError(f"{name}: expected probabilities from 0 to 1, found NaN or infinity")
-
     def _check(self, unary: Tensor, binary: Tensor, mask: Tensor | None) -> None:
+        _check_types(unary, binary, mask)
         leading = "(B, T, N" if self.temporal else "(B, N"
         dimensions = 4 if self.temporal else 3
         if unary.ndim != dimensions or unary.shape[-1] != len(self.unary):
@@ -282,6 +289,8 @@ class RuleLayer(nn.Module):
             raise ValueError(f"binary: expected the shape {shape}, not {tuple(binary.shape)}")
         if mask is not None and mask.shape != unary.shape[:-1]:
             raise ValueError(f"mask: expected the shape {tuple(unary.shape[:-1])}, not {tuple(mask.shape)}")
+        if self.temporal and not unary.shape[1]:
+            raise ValueError(f"unary: expected at least one tick, not the shape {tuple(unary.shape)}")
         for name, values in (("unary", unary), ("binary", binary)):
             if not values.is_floating_point():
                 raise ValueError(f"{name}: expected degrees of a floating-point type, not {values.dtype}")
@@ -446,7 +455,10 @@ class RuleLayer(nn.Module):
         flat = values.flatten(values.ndim - dimensions)
         if self.semantics == "product":
             return cast(Tensor, _NoisyOr.apply(flat))
-        return flat.max(-1).values if self.semantics == "godel" else flat.sum(-1).clamp(max=1)
+        # Without entities, there is no maximum, and the sum is 0.
+        if self.semantics == "godel" and flat.shape[-1]:
+            return flat.max(-1).values
+        return flat.sum(-1).clamp(max=1)
 
 
 class _Minimum(torch.autograd.Function):
@@ -486,6 +498,55 @@ class _NoisyOr(torch.autograd.Function):
         alone = torch.where(zeros == 1, zero * rest, torch.zeros_like(others))
         derivative = torch.where(zeros == 0, product[..., None] / others.masked_fill(zero, 1), alone)
         return cast(Tensor, gradient[..., None] * derivative)
+
+
+def _names(argument: str, what: str, names: Iterable[str]) -> tuple[str, ...]:
+    """Return distinct names. Raise an exception that names the argument if they are something else."""
+    if isinstance(names, str):
+        raise ValueError(f"{argument}: expected a sequence of {what}, not the string {names!r}")
+    if not isinstance(names, Iterable):
+        raise TypeError(f"{argument}: expected a sequence of {what}, not {type(names).__name__}")
+    found = tuple(names)
+    for name in found:
+        if not isinstance(name, str):
+            raise TypeError(f"{argument}: expected str, not {type(name).__name__}")
+    return tuple(dict.fromkeys(found))
+
+
+def _checked_ego(argument: str, ego: int, count: int) -> int:
+    """Return the number of an entity, from 0."""
+    if isinstance(ego, bool):
+        raise TypeError(f"{argument}: expected an integer, not bool")
+    number = as_integer(argument, ego)
+    if not -count <= number < count:
+        known = f": expected {-count} to {count - 1}" if count else ""
+        raise ValueError(f"{argument}: there are {count} entities, so {number} does not exist{known}")
+    return number % count
+
+
+def _checked_egos(egos: Sequence[int], count: int) -> list[int]:
+    """Return the numbers of entities that decide, from 0."""
+    given = egos.tolist() if isinstance(egos, (Tensor, np.ndarray)) else egos
+    if isinstance(given, str) or not isinstance(given, Iterable):
+        raise TypeError(f"egos: expected a sequence of integers, not {type(given).__name__}")
+    numbers = [_checked_ego("egos", ego, count) for ego in given]
+    if not numbers:
+        raise ValueError("egos: expected at least one entity; `None` means all")
+    return numbers
+
+
+def _check_types(unary: Tensor, binary: Tensor, mask: Tensor | None) -> None:
+    for name, values in (("unary", unary), ("binary", binary), ("mask", mask)):
+        if not isinstance(values, Tensor) and not (name == "mask" and values is None):
+            raise TypeError(f"{name}: expected torch.Tensor, not {type(values).__name__}")
+
+
+def _check_probabilities(unary: Tensor, binary: Tensor) -> None:
+    for name, values in (("unary", unary), ("binary", binary)):
+        # NaN is not in the range either.
+        wrong = values.detach()[~((values >= 0) & (values <= 1))]
+        if len(wrong):
+            raise ValueError(f"{name}: expected probabilities from 0 to 1, not {float(wrong[0]):g}")
 
 
 def _aligned(value: Tensor, axes: Sequence[int], count: int) -> Tensor:

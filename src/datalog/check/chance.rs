@@ -116,7 +116,8 @@ fn check(clause: &Clause, faults: &mut Faults) {
             Some(constant) if !(0.0..=1.0).contains(&constant) => {
                 Diagnostic::new(codes::INVALID_PROBABILITY, "a probability is at least 0 and at most 1").help(
                     match constant {
-                        1.0..=100.0 => format!("write {constant} percent as `{}`", constant / 100.0),
+                        // Of the precision that a program has.
+                        2.0..=100.0 => format!("write {constant} percent as `{}`", (constant / 100.0) as f32),
                         _ => "write a number from 0.0 to 1.0 before the `::`".to_owned(),
                     },
                 )

@@ -830,7 +830,7 @@ impl Observer {
     ///
     /// # Errors
     /// `limit-exceeded` if the rules derive too many rows.
-    pub fn safe_actions(&mut self, city: &Simulation, actions: &[Action]) -> Result<Actions, Diagnostic> {
+    pub fn safe_actions(&mut self, city: &Simulation, actions: Actions) -> Result<Actions, Diagnostic> {
         let observed = observed(&self.atoms, &self.bodies, city);
         self.violations
             .safe_actions(&self.oracle.monitor, observed, actions, &mut self.broken)

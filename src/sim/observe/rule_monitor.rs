@@ -61,6 +61,8 @@ struct Condition {
     given: Actions,
     /// The actions that must not hold for the ego.
     refused: Actions,
+    /// The actions of which it demands another one, for an ego that has only this action.
+    wrong: Actions,
     /// Its position in the constraints; `None` for the default.
     constraint: Option<usize>,
 }
@@ -72,9 +74,11 @@ impl Condition {
         actions.bits() & (given | refused) == given
     }
 
-    /// Returns whether it demands another action of an ego that has this one.
-    fn refuses(&self, action: Action) -> bool {
-        self.action != action && self.allows([action].into_iter().collect())
+    /// Finds the actions of which it demands another one.
+    fn find_wrong(&mut self) {
+        let all = (0..Action::MAX).map(Action::at);
+        let wrong = all.filter(|action| self.action != *action && self.allows([*action].into_iter().collect()));
+        self.wrong = wrong.collect();
     }
 }
 
@@ -248,13 +252,18 @@ impl Conditions {
             match vocabulary.action_of(clause.head.predicate) {
                 // The rest of the body must bind the head variable, so it must not be empty.
                 Some(_) if body.is_empty() => return None,
-                Some(action) => clauses.push(Condition {
-                    clause: *id,
-                    action,
-                    given,
-                    refused,
-                    constraint: constraints.iter().position(|constraint| constraint.clause == *id),
-                }),
+                Some(action) => {
+                    let mut condition = Condition {
+                        clause: *id,
+                        action,
+                        given,
+                        refused,
+                        wrong: Actions::default(),
+                        constraint: constraints.iter().position(|constraint| constraint.clause == *id),
+                    };
+                    condition.find_wrong();
+                    clauses.push(condition);
+                }
                 None if given.is_empty() && refused.is_empty() => {}
                 None => return None,
             }
@@ -314,20 +323,15 @@ impl Conditions {
     /// Returns the clauses that an action violates, in any order.
     fn refusing(&self, held: &[usize], action: Action) -> impl Iterator<Item = usize> {
         let conditions = held.iter().map(|&position| &self.clauses[position]);
-        let refusing = conditions.filter(move |condition| condition.refuses(action));
+        let refusing = conditions.filter(move |condition| condition.wrong.contains(action));
         refusing.filter_map(|condition| condition.constraint)
     }
 
-    /// Returns those of some actions that violate a constraint.
-    fn refused(&self, held: &[usize], actions: &[Action]) -> Actions {
+    /// Returns the actions that violate a constraint.
+    fn wrong(&self, held: &[usize]) -> Actions {
         let conditions = held.iter().map(|&position| &self.clauses[position]);
         let constraints = conditions.filter(|condition| condition.constraint.is_some());
-        let mut refused = Actions::default();
-        for condition in constraints {
-            let by = |action: &&Action| condition.refuses(**action);
-            actions.iter().filter(by).for_each(|action| refused.insert(*action));
-        }
-        refused
+        constraints.fold(Actions::default(), |wrong, condition| wrong | condition.wrong)
     }
 }
 
@@ -774,17 +778,15 @@ impl Violations {
         &mut self,
         monitor: &RuleMonitor,
         observed: Observed<'_>,
-        actions: &[Action],
+        actions: Actions,
         broken: &mut Vec<usize>,
     ) -> Result<Actions, Diagnostic> {
         if let (Violations::Once { bit_state, held, known }, How::Once(conditions)) = (&mut *self, &monitor.how) {
             conditions.evaluate(bit_state, held, known, observed);
-            let refused = conditions.refused(held, actions);
-            let actions = actions.iter().copied();
-            return Ok(actions.filter(|action| !refused.contains(*action)).collect());
+            return Ok(actions - conditions.wrong(held));
         }
         let mut safe = Actions::default();
-        for &action in actions {
+        for action in actions.iter() {
             self.violations(monitor, observed, action, broken)?;
             if broken.is_empty() {
                 safe.insert(action);

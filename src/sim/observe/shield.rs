@@ -32,6 +32,8 @@ pub struct Shield {
     config: ShieldConfig,
     /// The actions that the ego can take, those of high priority first.
     possible: Vec<Action>,
+    /// The same as a set.
+    possible_set: Actions,
     /// By number of entities less one; empty for deterministic shields.
     circuits: Vec<OnceLock<Vec<ShieldCircuit>>>,
     /// The rules for several egos together; `None` in other modes.
@@ -96,7 +98,7 @@ impl Shield {
         let (priority, _) = world.scenario.actions.order(AgentKind::Car);
         let can_take = |action: &Action| table.can_take(AgentKind::Car, *action);
         let others = table.all().filter(|action| !priority.contains(action));
-        let possible = priority.iter().copied().chain(others).filter(can_take).collect();
+        let possible: Vec<Action> = priority.iter().copied().chain(others).filter(can_take).collect();
         let counts = if probabilistic { oracle.entities() } else { 0 };
         let joint = match config.mode {
             ShieldMode::Joint => Some(JointMonitor::new(&world.program, vocabulary, world.limits)?),
@@ -105,6 +107,7 @@ impl Shield {
         let shield = Shield {
             joint,
             circuits: std::iter::repeat_with(OnceLock::new).take(counts).collect(),
+            possible_set: possible.iter().copied().collect(),
             possible,
             oracle,
             config,
@@ -249,13 +252,13 @@ impl Shield {
     fn judge_facts(
         &self,
         derived: Actions,
-        safe: impl FnOnce(&[Action]) -> Result<Actions, Diagnostic>,
+        safe: impl FnOnce(Actions) -> Result<Actions, Diagnostic>,
     ) -> Result<Verdict, Diagnostic> {
         let vocabulary = &self.oracle.world().vocabulary;
         let chosen = vocabulary.decide(Some(AgentKind::Car.into()), derived);
         let mut permitted = match self.config.query {
             ShieldQuery::Appropriate => [chosen].into_iter().collect(),
-            ShieldQuery::Safe => safe(&self.possible)?,
+            ShieldQuery::Safe => safe(self.possible_set)?,
         };
         let probabilities = Probabilities::Certain(permitted);
         // Rules may contradict themselves, so that no action is safe.

@@ -8,6 +8,7 @@ use crate::datalog::codes;
 use crate::datalog::{BaseType, Literal, Predicate, PredicateId};
 use crate::diag::{Diagnostic, did_you_mean};
 use crate::predicate::{Definition, Quantity, Sees, Unit};
+use std::ops::{BitOr, Sub};
 
 /// A set of actions.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Hash)]
@@ -49,6 +50,22 @@ impl Actions {
     /// The inverse of [`Actions::bits`].
     pub(crate) fn from_bits(bits: u16) -> Actions {
         Actions(bits)
+    }
+}
+
+impl BitOr for Actions {
+    type Output = Actions;
+
+    fn bitor(self, other: Actions) -> Actions {
+        Actions(self.0 | other.0)
+    }
+}
+
+impl Sub for Actions {
+    type Output = Actions;
+
+    fn sub(self, other: Actions) -> Actions {
+        Actions(self.0 & !other.0)
     }
 }
 

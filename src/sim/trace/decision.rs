@@ -158,14 +158,19 @@ impl Account<'_> {
                 "the action came from outside; the rules say {}",
                 table.name(by_rules)
             );
-        } else if derived.len() > 1 {
-            let names: Vec<&str> = derived.iter().map(|action| table.name(action)).collect();
-            let _ = writeln!(
-                text,
-                "derived: {}; {} is first in the configured order",
-                names.join(", "),
-                table.name(by_rules)
-            );
+        } else if derived.len() > 1 || !derived.is_empty() && !derived.contains(by_rules) {
+            let names = |actions: Actions| actions.iter().map(|action| table.name(action)).collect::<Vec<&str>>();
+            let possible: Actions = derived.iter().filter(|action| table.can_take(*kind, *action)).collect();
+            let _ = write!(text, "derived: {}", names(*derived).join(", "));
+            if possible != *derived {
+                let kind = self.decision.world.scenario.kinds.key(*kind);
+                let _ = write!(text, "; {kind} cannot take {}", names(*derived - possible).join(" or "));
+            }
+            let _ = match possible.len() {
+                0 => writeln!(text, ", so the default was taken"),
+                1 => writeln!(text),
+                _ => writeln!(text, "; {} is first in the configured order", table.name(by_rules)),
+            };
         } else if derived.is_empty() && self.explanations.len() > 1 {
             text += "no action was derived, so the default was taken\n";
         }

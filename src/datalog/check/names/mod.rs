@@ -378,7 +378,14 @@ impl Names {
                         let title = format!("write `{}`", base.name());
                         fault.help(title.clone()).fix(title, edits)
                     }
-                    None => fault.help(format!("declare it: `.type {name} <: symbol`")),
+                    None => {
+                        let known: Vec<String> = self.types.iter().map(|ty| format!("`{}`", ty.name)).collect();
+                        let own = format!("declare it: `.type {name} <: symbol`");
+                        match known.len() {
+                            0 | 9.. => fault.help(own),
+                            _ => fault.help(format!("the types are {}; or {own}", known.join(", "))),
+                        }
+                    }
                 },
             };
             faults.push(fault);

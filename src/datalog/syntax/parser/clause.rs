@@ -494,6 +494,10 @@ impl Parser<'_> {
         let next = self.token();
         let help = match next.kind {
             _ if self.habit().is_some() => self.habit().unwrap_or_default().to_owned(),
+            Kind::Ident if self.near_operator(name).is_some() => {
+                let near = self.near_operator(name).unwrap_or_default();
+                format!("did you mean the temporal operator `{near}`?")
+            }
             Kind::Ident | Kind::Underscore => {
                 format!("put arguments in parentheses: `{text}({})`", self.slice(next))
             }

@@ -209,6 +209,15 @@ impl Parser<'_> {
         if self.is_aggregate() {
             return Ok((self.aggregate()?, 0));
         }
+        if self.ahead(1).kind == Kind::LBracket
+            && self.ahead(2).kind == Kind::Number
+            && let Some(near) = self.near_operator(start)
+        {
+            let fault = Diagnostic::new(codes::SYNTAX, format!("no temporal operator is called `{word}`"));
+            let fault = fault.at(self.span(start), "");
+            self.faults.push(fault.did_you_mean(near, &[self.span(start)]));
+            return Err(Reported);
+        }
         if word == "nil" || self.ahead(1).kind == Kind::LBracket {
             let (what, help) = if word == "nil" {
                 ("nil", NESTED)

@@ -426,6 +426,9 @@ impl<'a> Parser<'a> {
             (")" | "." | "]" | "}" | ":-", _) if self.at > 0 && self.previous().kind == Kind::Comma => {
                 Some("remove the comma, or write what should follow it")
             }
+            ("until" | "Until", Kind::Ident | Kind::LBracket) if !token.first_on_line => {
+                Some("temporal operators are about the past: `P(x) since[0,9] Q(x)`, `once[0,9] P(x)`")
+            }
             ("mod" | "MOD", _) => Some("the remainder is written `%`, as in `n % 4 = 3`"),
             _ => None,
         }
@@ -470,6 +473,9 @@ impl<'a> Parser<'a> {
                 "clauses derive what holds; negate the atom in the bodies of other clauses, or add the exception to the \
                  bodies of the clauses that derive it",
             );
+        }
+        if matches!(token.kind, Kind::Number | Kind::Float) && self.slice(self.ahead(1)) == ":" {
+            fault = fault.help("two colons follow a probability: `0.3 :: A(x) :- B(x).`");
         }
         self.faults.push(fault);
         Reported

@@ -3,7 +3,7 @@
 //! The words of the operators stay names elsewhere: `once(X)` is an atom.
 
 use crate::codes;
-use crate::diag::Diagnostic;
+use crate::diag::{Diagnostic, did_you_mean};
 use crate::syntax::ast::{Atom, Literal, Operator, Temporal};
 use crate::syntax::lexer::{Kind, Token};
 
@@ -32,6 +32,14 @@ impl Parser<'_> {
     fn operator(&self, token: Token) -> Option<Operator> {
         let mut operators = Operator::ALL.into_iter();
         operators.find(|operator| *operator != Operator::Since && operator.word() == self.slice(token))
+    }
+
+    /// Returns the operator that a misspelled word probably means.
+    pub(super) fn near_operator(&self, word: Token) -> Option<&'static str> {
+        let text = self.slice(word).to_lowercase();
+        let words = || Operator::ALL.into_iter().map(Operator::word);
+        let beginning = words().find(|word| text.len() >= 3 && word.starts_with(&text));
+        beginning.or_else(|| did_you_mean(&text, words()))
     }
 
     /// Returns whether `since` follows an atom.
