@@ -535,9 +535,8 @@ def _experiment(given: argparse.Namespace) -> int:
             print_text(f"{'finished' if finished(cell, root) else 'not run ':8}  {cell.name}  {cell.identity[:12]}")
         return 0
     options = {"--submit": given.submit, "--rehash": given.rehash, "--compare": given.compare}
-    for option, results in options.items():
-        if results is None:
-            continue
+    # At most one is given.
+    for option, results in ((option, path) for option, path in options.items() if path is not None):
         if given.quick or given.set:
             raise _UsageError(f"{option}: rows have the budgets of the experiment: remove `--quick` and `--set`")
         if not any(finished(cell, root) for cell in cells if not cell.hidden):

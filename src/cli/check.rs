@@ -122,7 +122,7 @@ fn examine(arguments: &Arguments, path: &Path, files: &dyn ReadFile, sources: &m
     };
     if let Some(city) = given.as_ref().or(report.configuration.as_ref()) {
         report.actions = city.actions();
-    } else if let (Some(trace), true) = (&arguments.coverage, arguments.rules.is_empty()) {
+    } else if let Some(trace) = &arguments.coverage {
         report.actions = TraceReader::open(trace)?.city(sources, None, None)?.scenario.actions;
     }
     let Some(rules) = report.load(&path, given.as_ref(), files, sources)? else {

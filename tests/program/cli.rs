@@ -690,9 +690,13 @@ fn check_reports_coverage() {
     assert!(summary.contains("Stop won over Wave in"), "{summary}");
     assert!(!summary.contains("Normal won over Wave"), "{summary}");
     let own = format!("{own}/trace.jsonl");
-    let output = logicity(["check", "--json", "--coverage", &own]);
-    let line: Value = serde_json::from_str(&out(&output)).unwrap();
-    assert!(line["conflicts"].to_string().contains("\"Wave\""), "{line}");
+    let rules = folder.path().join("own.dl");
+    for given in [None, rules.to_str()] {
+        let command = ["check", "--json", "--coverage", &own].into_iter().chain(given);
+        let output = run(&command.collect::<Vec<_>>(), b"");
+        let line: Value = serde_json::from_str(&out(&output)).unwrap();
+        assert!(line["conflicts"].to_string().contains("\"Wave\""), "{line}");
+    }
     let explained = |tick: u64, agent: &str| {
         let output = logicity(["explain", &own, "--tick", &tick.to_string(), "--agent", agent]);
         out(&output)

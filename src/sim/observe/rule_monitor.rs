@@ -74,11 +74,14 @@ impl Condition {
         actions.bits() & (given | refused) == given
     }
 
-    /// Finds the actions of which it demands another one.
-    fn find_wrong(&mut self) {
+    /// Returns the condition with the actions of which it demands another one.
+    fn with_wrong(self) -> Condition {
         let all = (0..Action::MAX).map(Action::at);
         let wrong = all.filter(|action| self.action != *action && self.allows([*action].into_iter().collect()));
-        self.wrong = wrong.collect();
+        Condition {
+            wrong: wrong.collect(),
+            ..self
+        }
     }
 }
 
@@ -253,7 +256,7 @@ impl Conditions {
                 // The rest of the body must bind the head variable, so it must not be empty.
                 Some(_) if body.is_empty() => return None,
                 Some(action) => {
-                    let mut condition = Condition {
+                    let condition = Condition {
                         clause: *id,
                         action,
                         given,
@@ -261,8 +264,7 @@ impl Conditions {
                         wrong: Actions::default(),
                         constraint: constraints.iter().position(|constraint| constraint.clause == *id),
                     };
-                    condition.find_wrong();
-                    clauses.push(condition);
+                    clauses.push(condition.with_wrong());
                 }
                 None if given.is_empty() && refused.is_empty() => {}
                 None => return None,
