@@ -69,6 +69,7 @@ def test_the_shipped_experiments_have_cells() -> None:
     for name, paper, rows in [
         ("vap", "vap", 9),
         ("vap-50", "vap", 9),
+        ("vap-backbone", "vap", 6),
         ("vap-continual", "vap-continual", 5),
         ("vap-steps", "vap-continual", 5),
         ("vap-concepts", "vap-concepts", 2),

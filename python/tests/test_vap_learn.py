@@ -8,6 +8,7 @@ import shutil
 import signal
 import subprocess
 import sys
+from collections.abc import Callable
 from itertools import pairwise
 from pathlib import Path
 from typing import Any, get_args
@@ -298,6 +299,93 @@ def test_the_backbone_reads_regions_where_the_boxes_are(tmp_path: Path, monkeypa
         Backbone(tmp_path / "other.pth")
     with pytest.raises(ValueError, match="device `cuda:99`"):
         Backbone(weights, "cuda:99")
+
+
+def write_keras(folder: Path, state: dict[str, torch.Tensor], epsilon: float) -> Path:
+    """Write the weights of a ResNet50 of torchvision as a model of Keras: layers and names by its own rules."""
+    arrays: dict[str, np.ndarray[Any, Any]] = {}
+    layers: list[dict[str, Any]] = []
+
+    def add(conv: str, batch: str, keras: tuple[str, str]) -> None:
+        of = {name.removeprefix(batch + "."): each.numpy() for name, each in state.items() if name.startswith(batch)}
+        bias = np.linspace(-1, 1, len(of["bias"]), dtype=np.float32)
+        kernel = state[f"{conv}.weight"].numpy()
+        if conv == "conv1":
+            # Torchvision divides by these deviations, and Keras starts from blue on a scale to 255.
+            kernel = (kernel / (255 * np.array([0.229, 0.224, 0.225], np.float32))[:, None, None])[:, ::-1]
+        arrays[f"{keras[0]}/kernel"], arrays[f"{keras[0]}/bias"] = kernel.transpose(2, 3, 1, 0), bias
+        arrays[f"{keras[1]}/gamma"], arrays[f"{keras[1]}/beta"] = of["weight"], of["bias"]
+        arrays[f"{keras[1]}/moving_mean"] = of["running_mean"] + bias
+        arrays[f"{keras[1]}/moving_variance"] = of["running_var"] + np.float32(1e-5 - epsilon)
+        layers.extend([{"name": keras[0], "config": {}}, {"name": keras[1], "config": {"epsilon": epsilon}}])
+
+    add("conv1", "bn1", ("conv1", "bn_conv1"))
+    for name in [name for name in state if re.fullmatch(r"layer\d\.\d\.(conv\d|downsample\.0)\.weight", name)]:
+        stage, block, *part = name.split(".")[:-1]
+        branch = f"{int(stage[-1]) + 1}{chr(ord('a') + int(block))}_branch"
+        branch += "1" if part[0] == "downsample" else f"2{chr(ord('a') + int(part[0][-1]) - 1)}"
+        batch = f"{stage}.{block}." + ("downsample.1" if part[0] == "downsample" else f"bn{part[0][-1]}")
+        add(name.removesuffix(".weight"), batch, (f"res{branch}", f"bn{branch}"))
+    folder.mkdir()
+    content = np.concatenate([each.ravel() for each in arrays.values()]).astype("<f4")
+    half = len(content) // 2
+    content[:half].tofile(folder / "shard1.bin")
+    content[half:].tofile(folder / "shard2.bin")
+    weights = [{"name": name, "shape": each.shape, "dtype": "float32"} for name, each in arrays.items()]
+    document = {
+        "modelTopology": {"model_config": {"config": {"layers": layers}}},
+        "weightsManifest": [{"paths": ["shard1.bin", "shard2.bin"], "weights": weights}],
+    }
+    path = folder / "model.json"
+    path.write_text(json.dumps(document))
+    return path
+
+
+def test_the_backbone_reads_the_weights_of_keras(tmp_path: Path) -> None:
+    torchvision = needs("torchvision", "vap")
+    from logicity.vap import keras_weights
+    from logicity.vap.features import Backbone, weights_file_hash
+
+    torch.manual_seed(0)
+    network = torchvision.models.resnet50(weights=None)
+    state = {name: each for name, each in network.state_dict().items() if not name.startswith("fc.")}
+    path = write_keras(tmp_path / "model", state, 2e-5)
+    read = keras_weights.read_resnet50(path)
+    assert read.keys() == {name for name in state if not name.endswith("num_batches_tracked")}
+    assert all(torch.allclose(each, state[name], atol=1e-6) for name, each in read.items())
+    # The stride of a stage is in its first convolution.
+    keras_weights.stride_first(network)
+    for number in (2, 3, 4):
+        block = network.get_submodule(f"layer{number}.0")
+        assert (block.conv1.stride, block.conv2.stride) == ((2, 2), (1, 1))
+    torch.save(state, tmp_path / "same.pth")
+    image = np.random.default_rng(0).integers(0, 256, (128, 128, 3), np.uint8)
+    boxes = np.array([[40, 40, 40, 40]], np.float32)
+    mine, other = Backbone(path), Backbone(tmp_path / "same.pth")
+    assert mine.identity != other.identity and not np.allclose(mine(image, boxes), other(image, boxes), rtol=0.05)
+    # The hash is that of all files.
+    known = weights_file_hash(path)
+    shard = (tmp_path / "model" / "shard2.bin").read_bytes()
+    (tmp_path / "model" / "shard2.bin").write_bytes(shard[:-4] + b"1234")
+    assert weights_file_hash(path) != known
+    (tmp_path / "model" / "shard2.bin").write_bytes(shard[:-4])
+    with pytest.raises(ValueError, match=r"model\.json: the files of weights end before `.*`: a file is damaged"):
+        Backbone(path)
+    document = json.loads(path.read_text())
+    changes: list[tuple[Callable[[Any], object], str]] = [
+        (lambda it: it["weightsManifest"][0]["weights"][0].update(dtype="uint8"), "not stored as float32"),
+        (lambda it: it["weightsManifest"][0].update(paths=["../shard1.bin"]), "a file in another folder"),
+        (lambda it: it["weightsManifest"][0]["weights"].pop(), "not a ResNet50 of Keras: no weight `"),
+        (lambda it: it["modelTopology"]["model_config"]["config"]["layers"].pop(), "no layer `.*` with an epsilon"),
+        (lambda it: it.pop("weightsManifest"), "is not a layers model of TensorFlow.js"),
+    ]
+    for change, message in changes:
+        damaged = json.loads(json.dumps(document))
+        change(damaged)
+        path.write_text(json.dumps(damaged))
+        (tmp_path / "model" / "shard2.bin").write_bytes(shard)
+        with pytest.raises(ValueError, match=message):
+            Backbone(path)
 
 
 # --- rules on probabilities

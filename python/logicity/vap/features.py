@@ -34,6 +34,7 @@ with extra("vap"):
     from torch.nn.utils.fusion import fuse_conv_bn_eval
 
 from .crops import CROP_SIDE, crop_boxes, has_bfloat16
+from .keras_weights import DEVIATION, model_hash, read_resnet50, stride_first
 
 __all__ = ["Backbone", "Crops", "DataSpec", "Extractor", "compute_features", "extractor", "load_features", "prepared"]
 
@@ -49,8 +50,8 @@ RECORD_KEYS = ("sha256", "data_hash", "extractor_hash")
 #: The files of weights that torchvision downloads, in the order in which they are looked up.
 WEIGHTS = ("fasterrcnn_resnet50_fpn_coco-258fb6c6.pth", "resnet50-0676ba61.pth", "resnet50-11ad3fa6.pth")
 
-#: The mean and the standard deviation of the channels of ImageNet, with which the backbones are trained.
-MEAN, DEVIATION = (0.485, 0.456, 0.406), (0.229, 0.224, 0.225)
+#: The mean of the channels of ImageNet, with which the backbones are trained.
+MEAN = (0.485, 0.456, 0.406)
 
 
 class Crops:
@@ -78,7 +79,8 @@ class Backbone:
 
     Args:
         weights: A file with the weights of torchvision's ResNet50, or of its Faster R-CNN with ResNet50 and a feature
-            pyramid. By default, one of these files in torchvision's cache. Weights of ResNet50 alone have no pyramid:
+            pyramid; or `model.json` of Keras' ResNet50 as a layers model of TensorFlow.js, with its files of weights
+            beside it. By default, one of torchvision's files in its cache. Weights of ResNet50 alone have no pyramid:
             its convolutions are then random, the same in every run.
         device: A device of PyTorch, such as `cpu` or `cuda`.
 
@@ -97,10 +99,13 @@ class Backbone:
             from torchvision.models.detection.backbone_utils import resnet_fpn_backbone
             from torchvision.ops import MultiScaleRoIAlign
         path = weights_file(weights)
-        state = _state(path)
+        is_keras = path.suffix == ".json"
+        state = read_resnet50(path) if is_keras else _state(path)
         with torch.random.fork_rng(devices=[]):
             torch.manual_seed(0)
             network = resnet_fpn_backbone(backbone_name="resnet50", weights=None)
+        if is_keras:
+            stride_first(network.body)
         pyramid = {name.removeprefix("backbone."): each for name, each in state.items() if name.startswith("backbone.")}
         module, values = (network, pyramid) if pyramid else (network.body, state)
         message = f"{path}: not the weights of ResNet50 or of Faster R-CNN with ResNet50"
@@ -120,7 +125,7 @@ class Backbone:
         except (AssertionError, RuntimeError) as error:
             raise ValueError(f"device `{device}`: {str(error).splitlines()[0]}") from None
         self._has_bfloat16 = has_bfloat16(self._device)
-        method = f"{'bfloat16' if self._has_bfloat16 else 'float32'} mean max 7"
+        method = f"{'bfloat16' if self._has_bfloat16 else 'float32'} mean max 7{' stride first' if is_keras else ''}"
         self.identity = hashlib.sha256(json.dumps(["resnet50", method, *parts]).encode()).hexdigest()
         self._align = MultiScaleRoIAlign(["0", "1", "2", "3"], output_size=7, sampling_ratio=2)
 
@@ -172,6 +177,11 @@ def weights_file(weights: str | os.PathLike[str] | None) -> Path:
         f"no weights of ResNet50 in torchvision's cache `{folder}`: name a file with `--weights` (in experiments "
         f"`weights`), or put `{first}`, `{second}` or `{third}` there"
     )
+
+
+def weights_file_hash(path: Path) -> str:
+    """Return the SHA-256 of a file of weights; that of a Keras model covers all its files."""
+    return model_hash(path) if path.suffix == ".json" else file_hash(path)
 
 
 def _state(path: Path) -> Mapping[str, Tensor]:

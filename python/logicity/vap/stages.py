@@ -26,13 +26,13 @@ with extra("vap"):
 from .. import _logicity
 from .._logicity import __version__
 from ..city import ACTIONS
-from ..files import file_hash, read_tensors
+from ..files import read_tensors
 from ..learn.settings import Seed, StrictModel
 from ..rules import Program
 from ..tasks import files_hash
 from .concepts import RELATIONS, ConceptModel, ConceptSettings
 from .data import BINARY, UNARY, symbolic_facts
-from .features import Backbone, DataSpec, Kind, prepared, weights_file
+from .features import Backbone, DataSpec, Kind, prepared, weights_file, weights_file_hash
 from .metrics import vap_metrics
 from .reasoners import make_reasoner, rule_degrees
 from .training import (
@@ -130,8 +130,8 @@ class VapSettings(StrictModel):
 
     @property
     def weights_hash(self) -> str | None:
-        """The SHA-256 of the file of the backbone's weights, or `None` without a backbone."""
-        return _weights_hash(weights_file(self.weights)) if self.kind == "resnet50" else None
+        """The SHA-256 of the backbone's weights, or `None` without a backbone."""
+        return _weights_file_hash(weights_file(self.weights)) if self.kind == "resnet50" else None
 
 
 def _fault(key: str, message: str) -> PydanticCustomError:
@@ -139,7 +139,7 @@ def _fault(key: str, message: str) -> PydanticCustomError:
     return PydanticCustomError("custom", "{message}", {"message": message, "key": key})
 
 
-_weights_hash = cache(file_hash)
+_weights_file_hash = cache(weights_file_hash)
 
 
 def rules_hash(mode: str) -> str:
