@@ -1,11 +1,13 @@
 //! The built-in rules and configurations.
 // Decision: docs/decisions/safety.md#d069
 
+use std::ffi::OsStr;
 use std::path::Path;
 
 use include_dir::{Dir, include_dir};
 
-use crate::files::{BUILTIN_FOLDER, ReadError, ReadFile, open, read_text, read_whole, to_text};
+use crate::diag::{did_you_mean, similar_file, similar_file_in};
+use crate::files::{BUILTIN_FOLDER, ReadError, ReadFile, names_in, open, read_text, read_whole, to_text};
 
 static RULES: Dir<'_> = include_dir!("$CARGO_MANIFEST_DIR/rules");
 static CONFIGS: Dir<'_> = include_dir!("$CARGO_MANIFEST_DIR/configs");
@@ -42,6 +44,31 @@ pub fn text(path: &str) -> Option<&'static str> {
     folder.get_file(inside)?.contents_utf8()
 }
 
+/// Returns the path of the file that a missing one most likely means: in the same folder, or built in.
+pub fn similar(path: &Path) -> Option<String> {
+    let written = path.to_str()?;
+    if let Some(near) = similar_file_in(names_in, Path::new(""), path, None) {
+        return Some(near);
+    }
+    let known = paths();
+    let rules = || known.iter().map(String::as_str).filter(|known| known.ends_with(".dl"));
+    let by_stem = || {
+        let stem = |known: &'_ str| Some(Path::new(known).file_stem()?.to_str()?.to_owned());
+        let stems: Vec<(String, &str)> = rules().filter_map(|known| Some((stem(known)?, known))).collect();
+        let near = did_you_mean(&stem(written)?, stems.iter().map(|(stem, _)| stem.as_str()))?;
+        stems.iter().find(|(stem, _)| stem == near).map(|(_, known)| *known)
+    };
+    let near = match path.extension().and_then(OsStr::to_str) {
+        None | Some("dl") => match path.components().count() {
+            1 => by_stem().or_else(|| similar_file(written, rules())),
+            _ => similar_file(written, rules()),
+        },
+        Some("yaml") => similar_file(written, known.iter().map(String::as_str)),
+        Some(_) => None,
+    };
+    near.map(str::to_owned)
+}
+
 /// Reads files from disk, and built-in files under [`BUILTIN_FOLDER`].
 ///
 /// Paths there may omit the folder `rules/`, so that any rule file can include `vocabulary.dl`.
@@ -68,6 +95,10 @@ impl ReadFile for BuiltinFiles {
 
     fn builtin_paths(&self) -> Vec<String> {
         paths()
+    }
+
+    fn names_in(&self, folder: &Path) -> Vec<String> {
+        names_in(folder)
     }
 }
 

@@ -64,6 +64,23 @@ pub fn read_whole(file: std::fs::File) -> Result<Vec<u8>, ReadError> {
     }
 }
 
+/// The maximum number of entries of a folder that [`names_in`] reads.
+const NAMES_MAX: usize = 10_000;
+
+/// Returns the names of the files in a folder, sorted, without hidden ones; none if the folder cannot be read. The empty
+/// path is the working directory.
+pub fn names_in(folder: &Path) -> Vec<String> {
+    let folder = match folder.as_os_str().is_empty() {
+        true => Path::new("."),
+        false => folder,
+    };
+    let entries = std::fs::read_dir(folder).into_iter().flatten().take(NAMES_MAX);
+    let names = entries.filter_map(|entry| entry.ok()?.file_name().into_string().ok());
+    let mut names: Vec<String> = names.filter(|name| !name.starts_with('.')).collect();
+    names.sort_unstable();
+    names
+}
+
 /// Opens a regular file. Fails at once for a pipe, a device or a folder.
 ///
 /// # Errors
@@ -121,7 +138,7 @@ pub fn open(path: &Path) -> Result<std::fs::File, ReadError> {
 pub fn check_readable(path: &Path) -> Result<(), ReadError> {
     let found = std::fs::metadata(path).map_err(|error| unreadable(path, &error))?;
     if found.is_dir() {
-        return Err(ReadError::Io("it is a folder, not a file".into()));
+        return Err(ReadError::Folder);
     }
     let is_empty = path == Path::new("/dev/null");
     if !found.is_file() && !is_pipe(&found) && !is_empty && descriptor(path).is_none() {

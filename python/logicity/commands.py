@@ -150,8 +150,8 @@ def _add_wandb(to: _Parser) -> None:
 
 def _add_experiment(to: _Parser) -> None:
     help = (
-        "spf, transfer, composition, observations, noise, vap, vap-50, vap-continual, vap-steps, vap-concepts, "
-        "language, or a YAML file; `logicity schema experiment` prints its keys"
+        "spf, transfer, composition, observations, noise, communication, egos, vap, vap-50, vap-backbone, "
+        "vap-continual, vap-steps, vap-concepts, language, or a YAML file; `logicity schema experiment` prints its keys"
     )
     to.add("experiment", help=help)
     exclusive = to.add_mutually_exclusive_group()
@@ -628,7 +628,7 @@ def _webdataset(given: argparse.Namespace) -> int:
     from .vap import to_webdataset
 
     shards = to_webdataset(given.folder, given.out, given.shard_size, images=not given.no_pictures)
-    print_text(f"{len(shards)} files in {given.out}")
+    print_text(f"{len(shards)} {'file' if len(shards) == 1 else 'files'} in {given.out}")
     return 0
 
 

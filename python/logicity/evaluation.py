@@ -481,7 +481,9 @@ def _actor(policy: Policy, batched: bool, evaluator: _logicity.BatchEvaluator, n
     """Return a function from all observations and the mask of running episodes to actions."""
     if isinstance(policy, str):
         if policy != "oracle":
-            raise ValueError(f"unknown policy `{policy}`: expected oracle, random, a model or a function")
+            near = _logicity.did_you_mean(policy, ["oracle", "random"])
+            help = "" if near is None else f"; did you mean `{near}`?"
+            raise ValueError(f"unknown policy `{policy}`: expected oracle, random, a model or a function{help}")
         return lambda observations, running: evaluator.oracle_actions()
     predict: Any = getattr(policy, "predict", None)
     if predict is not None:

@@ -282,7 +282,8 @@ def induce(
             raise ValueError(f"the demonstrations of {source.mode} do not fit {name}: {reason}")
     width = None if oracle is None else task.shape("groundings")[0]
     observations, actions, parts = _stacked(source.episodes, width)
-    origin = f"{len(parts)} episodes {source.title or f'for {name}'}" if parts else f"questions about scenes of {name}"
+    count = "1 episode" if len(parts) == 1 else f"{len(parts)} episodes"
+    origin = f"{count} {source.title or f'for {name}'}" if parts else f"questions about scenes of {name}"
     lines = [f"Rules learned by logicity {_logicity.__version__} from {origin}.", *source.lines]
     if rules is not None:
         lines.append(f"The configuration has the rules in {os.path.basename(checked_path('rules', rules))}.")

@@ -5,6 +5,7 @@ from __future__ import annotations
 import os
 from pathlib import Path
 
+from . import _logicity
 from .errors import checked_path, did_you_mean
 
 __all__ = ["ENVIRONMENTS", "MODES", "checked_mode"]
@@ -28,5 +29,8 @@ def checked_mode(mode: str | os.PathLike[str]) -> str:
     """Return the name of a mode or the path of a configuration file. Raise `ValueError` if it is neither."""
     name = checked_path("mode", mode)
     if name not in ENVIRONMENTS and not Path(name).suffix and not Path(name).exists():
-        raise ValueError(f"unknown mode `{name}`, and no file has this name{did_you_mean(name, ENVIRONMENTS)}")
+        files = map(str, sorted(Path(name).parent.glob("*.yaml")))
+        near = _logicity.did_you_mean(name, [*ENVIRONMENTS, *files])
+        help = did_you_mean(name, ENVIRONMENTS) if near is None else f"; did you mean `{near}`?"
+        raise ValueError(f"unknown mode `{name}`, and no file has this name{help}")
     return name

@@ -17,7 +17,7 @@ from .envs.config import EnvConfig
 from .errors import checked_path
 from .files import write_text
 from .modes import checked_mode
-from .rules import read_rules
+from .rules import rule_path
 from .types import Limits
 
 __all__ = ["RulePolicy", "rule_policies"]
@@ -43,7 +43,8 @@ class RulePolicy:
         overrides, limits: As for `Benchmark`.
 
     Raises:
-        InputError: If the rules are invalid, or use a predicate that the mode does not define.
+        InputError: If the rules are invalid, use a predicate that the mode does not define, have probabilities, or read
+            earlier ticks.
         OSError: If a file cannot be read.
         ValueError: If the mode is unknown.
     """
@@ -58,12 +59,14 @@ class RulePolicy:
     ) -> None:
         """Compile the rules."""
         self.mode = checked_mode(mode)
-        name, text = read_rules(checked_path("path", path))
+        name, text = _logicity.read_rules(rule_path("path", path))
         #: The text of the rule file.
         self.text = text
         self._task = EnvConfig(self.mode, rules=name, overrides=overrides, limits=limits).task()
         #: The number of numbers in an observation.
         self.width: int = self._task.shape("groundings")[0]
+        # Rules that observations cannot decide are an error now, not at the first decision.
+        self(np.empty((0, self.width), np.float32))
 
     @classmethod
     def from_text(

@@ -5,9 +5,7 @@ from __future__ import annotations
 import os
 import re
 from collections.abc import Iterable, Iterator, Mapping, Sequence
-from contextlib import suppress
 from dataclasses import dataclass
-from pathlib import Path
 from typing import Any, Literal, NoReturn, cast, overload
 
 import numpy.typing as npt
@@ -43,26 +41,20 @@ def check(text: str, name: str = "<text>") -> list[Diagnostic]:
 
 
 def rule_file(rules: str | os.PathLike[str] | None) -> str | None:
-    """Return the path of a rule file as a string. Raise `ValueError` if it is source text."""
+    """Return the path of a rule file as a string. Raise `ValueError` if it is source text or a configuration."""
     if isinstance(rules, str) and ("\n" in rules or ":-" in rules):
         remedy = "write it to a file (`check` accepts source text)"
         raise ValueError(f"`rules` must be the path of a rule file, not source text: {remedy}")
-    return None if rules is None else checked_path("rules", rules)
+    return None if rules is None else rule_path("rules", rules)
 
 
-def read_rules(name: str) -> tuple[str, str]:
-    """Return the path of a rule file and its text.
-
-    The file may be a built-in one. A bare name such as `hard`, if no file has it, means `rules/hard.dl`, on disk or
-    built in. Raise `OSError` if the file cannot be read.
-    """
-    try:
-        return name, _logicity.read_file(name)
-    except FileNotFoundError:
-        if len(Path(name).parts) == 1 and not Path(name).suffix:
-            with suppress(OSError):
-                return (named := f"rules/{name}.dl"), _logicity.read_file(named)
-        raise
+def rule_path(name: str, value: str | os.PathLike[str]) -> str:
+    """Return an argument that names a rule file as a string. Raise `ValueError` if it is a configuration."""
+    path = checked_path(name, value)
+    if path.endswith((".yaml", ".yml")):
+        remedy = "name the file that it has after `rules:`"
+        raise ValueError(f"{name}: `{path}` is a configuration, not a rule file; {remedy}")
+    return path
 
 
 @dataclass(frozen=True)
@@ -123,7 +115,7 @@ class Program:
             InputError: If the rules are invalid.
             OSError: If a file cannot be read (`FileNotFoundError` if it does not exist).
         """
-        name, text = read_rules(checked_path("path", path))
+        name, text = _logicity.read_rules(rule_path("path", path))
         return cls(text, name)
 
     def __getstate__(self) -> list[tuple[str, str]]:

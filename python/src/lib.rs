@@ -31,9 +31,10 @@ mod predicate;
 mod task;
 mod vap;
 
-use logicity::builtin::BuiltinFiles;
+use logicity::builtin::{self, BuiltinFiles};
 use logicity::cancel::Cancel;
 use logicity::cli::{Outcome, PYTHON_COMMANDS, run_with_python};
+use logicity::config::rule_file;
 use logicity::datalog::Limits;
 use logicity::diag::{self, Diagnostic, Limit, Sources, render, to_json};
 use logicity::files::{self, MAX_BYTES, ReadError, ReadFile as _};
@@ -142,7 +143,10 @@ fn missing_file_error(fault: &Diagnostic) -> PyErr {
 
 /// Returns the exception for an unreadable file that the caller named.
 fn read_error(py: Python<'_>, path: &Path, error: &ReadError) -> PyErr {
-    let message = format!("cannot read `{}`: {error}", path.display());
+    let mut message = format!("cannot read `{}`: {error}", path.display());
+    if let (ReadError::NotFound, Some(near)) = (error, builtin::similar(path)) {
+        message += &format!("; did you mean `{near}`?");
+    }
     match error {
         ReadError::NotFound => PyFileNotFoundError::new_err(message),
         ReadError::NotText { .. } => {
@@ -158,6 +162,16 @@ fn read_file(py: Python<'_>, path: PathBuf) -> PyResult<String> {
     BuiltinFiles
         .read_or_builtin(&path)
         .map_err(|error| read_error(py, &path, &error))
+}
+
+/// Returns the path of a rule file and its text. A bare name such as `hard`, if no file has it, means `rules/hard.dl`, on
+/// disk or built in.
+#[pyfunction]
+fn read_rules(py: Python<'_>, path: PathBuf) -> PyResult<(String, String)> {
+    let path = rule_file(&path, &BuiltinFiles);
+    let text = BuiltinFiles.read_or_builtin(&path);
+    let text = text.map_err(|error| read_error(py, &path, &error))?;
+    Ok((path.display().to_string(), text))
 }
 
 /// Checks that a file that the caller named can be read, without opening it. If it is to be read as a whole, it must
@@ -421,6 +435,7 @@ fn _logicity(module: &Bound<'_, PyModule>) -> PyResult<()> {
     module.add("ENVS_MAX", ENVS_MAX)?;
     module.add_function(wrap_pyfunction!(did_you_mean, module)?)?;
     module.add_function(wrap_pyfunction!(read_file, module)?)?;
+    module.add_function(wrap_pyfunction!(read_rules, module)?)?;
     module.add_function(wrap_pyfunction!(check_readable, module)?)?;
     module.add_function(wrap_pyfunction!(python_commands, module)?)?;
     module.add_function(wrap_pyfunction!(run_command_line, module)?)?;

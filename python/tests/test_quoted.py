@@ -175,9 +175,9 @@ QUOTES: dict[str, list[str]] = {
         f"{vap('vap-50', 'e2e-gnn', 'plain random', mode='easy')}, and `e2e-nlm` from "
         f"{vap('vap-50', 'e2e-nlm', 'random', mode='easy')} to "
         f"{vap('vap-50', 'e2e-nlm', 'plain random', mode='easy')}",
-        f"`e2e-gnn` has {vap('vap-50', 'e2e-gnn', 'fixed')} and `e2e-nlm` {vap('vap-50', 'e2e-nlm', 'fixed')}, "
-        f"and {vap('vap-50', 'e2e-gnn', 'plain fixed')} and {vap('vap-50', 'e2e-nlm', 'plain fixed')} with the paper's "
-        "heads",
+        f"`e2e-gnn` has {vap('vap-50', 'e2e-gnn', 'fixed')} and `e2e-nlm` {vap('vap-50', 'e2e-nlm', 'fixed')}. "
+        f"With the paper's heads they have {vap('vap-50', 'e2e-gnn', 'plain fixed')} and "
+        f"{vap('vap-50', 'e2e-nlm', 'plain fixed')}",
         f"It reaches {vap('vap-50', 'e2e-rules', 'random')} with random agents in training and "
         f"{vap('vap-50', 'e2e-rules', 'fixed')} with fixed ones",
         f"{recall('e2e-rules', '', 'IsBus')} of the buses with random agents, but "

@@ -16,8 +16,8 @@ use crate::datalog::{BaseType, Clause, ClauseId, Column, InputPolicy, PredicateI
 use crate::diag::{Diagnostic, Sources, to_json};
 use crate::files::ReadFile;
 use crate::sim::{
-    CONFLICT_BUDGET, Coverage, Finding, Overlap, conflict_lints, conflicts, earlier_facts, examine as examine_rules,
-    help_to_declare, scene_json,
+    CONFLICT_BUDGET, Coverage, Finding, Overlap, conflict_lints, conflicts, draws, earlier_facts,
+    examine as examine_rules, help_to_declare, scene_json,
 };
 use serde_json::json;
 use std::collections::HashSet;
@@ -113,17 +113,19 @@ struct Report {
 /// Checks one file: a rule file, a configuration with its rules, or a map.
 fn examine(arguments: &Arguments, path: &Path, files: &dyn ReadFile, sources: &mut Sources) -> Result<Report, Failure> {
     let mut report = Report::new();
-    let given = match &arguments.config {
+    let mut given = match &arguments.config {
         None => None,
         Some(config) => Some(configuration::open_run(config, sources)?),
     };
     let Some(path) = report.open(path, sources)? else {
         return Ok(report);
     };
+    if let (None, None, Some(trace)) = (&given, &report.configuration, &arguments.coverage) {
+        let city = TraceReader::open(trace)?.city(sources, None, None)?;
+        given = Some(configuration::Checked::of(city.scenario)?);
+    }
     if let Some(city) = given.as_ref().or(report.configuration.as_ref()) {
         report.actions = city.actions();
-    } else if let Some(trace) = &arguments.coverage {
-        report.actions = TraceReader::open(trace)?.city(sources, None, None)?.scenario.actions;
     }
     let Some(rules) = report.load(&path, given.as_ref(), files, sources)? else {
         return Ok(report);
@@ -413,6 +415,7 @@ fn print_overlaps(
 ) -> io::Result<()> {
     let printer = ExplanationPrinter::new(rules, &rules.symbols, sources);
     let mut printed = false;
+    let mut not_found: Vec<(_, Vec<String>)> = Vec::new();
     for overlap in overlaps {
         let Overlap { actions, finding } = overlap;
         let [first, second] = actions.map(|action| config.table.name(action));
@@ -434,18 +437,29 @@ fn print_overlaps(
                         "    if earlier ticks make these hold, which `check` does not decide: {earlier}"
                     )?;
                 }
+                let needed = draws(scene);
+                if !needed.is_empty() {
+                    writeln!(out, "    if these come out: {}", needed.join("; "))?;
+                }
                 writeln!(out, "    {first} by {a}\n    {second} by {b}")?;
                 printed = true;
             }
             Finding::NotFound(equivalence) => {
-                let searched = searched(equivalence);
-                writeln!(out, "  conflicts: none found for {first} and {second} in {searched}")?;
-                for reason in unproved(equivalence) {
-                    writeln!(out, "    not a proof: {reason}")?;
+                let key = (searched(equivalence), unproved(equivalence));
+                let pair = format!("{first} and {second}");
+                match not_found.iter_mut().find(|(known, _)| *known == key) {
+                    Some((_, pairs)) => pairs.push(pair),
+                    None => not_found.push((key, vec![pair])),
                 }
-                printed = true;
             }
         }
+    }
+    for ((searched, reasons), pairs) in &not_found {
+        writeln!(out, "  conflicts: none found in {searched} for {}", pairs.join(", "))?;
+        for reason in reasons {
+            writeln!(out, "    not a proof: {reason}")?;
+        }
+        printed = true;
     }
     if !printed && !overlaps.is_empty() {
         writeln!(out, "  conflicts: none")?;

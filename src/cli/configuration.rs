@@ -39,7 +39,7 @@ pub struct Checked {
 /// Reads a file, unless it is a rule file. A bare name without a file means a built-in configuration.
 pub fn open(path: &Path, sources: &mut Sources) -> Result<Opened, Failure> {
     let is_yaml = (path.extension()).is_some_and(|ending| ending == "yaml" || ending == "yml");
-    let is_bare = path.extension().is_none() && path.components().count() == 1 && !path.exists();
+    let is_bare = path.extension().is_none() && path.components().count() == 1 && !path.is_file();
     let named = ["configs", "configs/maps"].map(|folder| Path::new(folder).join(path).with_extension("yaml"));
     let named = named
         .iter()
@@ -103,6 +103,20 @@ fn in_words(task: &SpfConfig) -> String {
 }
 
 impl Checked {
+    /// Prepares the configuration of a trace.
+    ///
+    /// # Errors
+    /// The map cannot be generated.
+    pub fn of(scenario: Scenario) -> Result<Checked, Diagnostic> {
+        let city = CityMap::generate(&scenario.map)?;
+        Ok(Checked {
+            map: scenario.map.clone(),
+            size: [city.rows(), city.cols()],
+            theory: Some(Box::new(CityTheory::new(scenario.clone())?)),
+            scenario: Some(Box::new(scenario)),
+        })
+    }
+
     /// Returns the path of the rule file. A map has none.
     pub fn rules(&self) -> &Path {
         let scenario = self.scenario.as_ref();

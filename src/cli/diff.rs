@@ -137,7 +137,7 @@ fn load(paths: &[PathBuf; 2], city: Option<&Checked>, sources: &mut Sources) -> 
         }
     }
     report(&warnings, sources);
-    Ok([left, right].map(|program| program.rules().clone()))
+    Ok([left, right].map(|program| program.rules().with_draws_as_facts()))
 }
 
 /// Returns the rules with the constraints that hold in a city instead of the declared ones.
@@ -146,7 +146,9 @@ fn in_city(rules: Rules, theory: Option<&CityTheory>) -> Rules {
         None => rules,
         Some(theory) => Rules {
             constraints: theory.constraints(&rules).of_agents,
-            functions: theory.functions(&rules),
+            functions: (theory.functions(&rules).into_iter())
+                .chain(rules.functions.iter().cloned())
+                .collect(),
             ..rules
         },
     }

@@ -7,6 +7,7 @@ use crate::cli::inputs::Inputs;
 use crate::cli::limits::LimitOptions;
 use crate::cli::load::load_city;
 use crate::cli::outputs::{ForceOption, finish, messages, unwritable};
+use crate::cli::report::plural;
 use crate::cli::terminal;
 use crate::cli::values::{integer, one_of};
 use crate::diag::{Diagnostic, Sources};
@@ -208,7 +209,8 @@ impl Make {
         finish(out, &path)?;
         writeln!(
             messages(&[&path]),
-            "wrote {count} episodes to {}: {}",
+            "wrote {} to {}: {}",
+            plural(count as u64, "episode"),
             path.display(),
             set.hash()
         )?;

@@ -1,12 +1,11 @@
 //! The files that a command reads: those on the command line, and which of them no output may replace.
 
-use crate::builtin::BuiltinFiles;
+use crate::builtin::{self, BuiltinFiles};
 use crate::cli::failure::Failure;
 use crate::cli::memory;
-use crate::diag::{self, Diagnostic, Limit, Sources, similar_file};
+use crate::diag::{self, Diagnostic, Limit, Sources};
 use crate::files::{self, FileId, ReadError, ReadFile};
 use std::collections::BTreeSet;
-use std::ffi::OsStr;
 use std::fs::File;
 use std::path::{Path, PathBuf};
 
@@ -76,42 +75,11 @@ pub fn unreadable(path: &Path, error: &ReadError) -> Failure {
                 .into()
         }
         error => {
-            let near = (*error == ReadError::NotFound).then(|| near_file(path)).flatten();
+            let near = (*error == ReadError::NotFound)
+                .then(|| builtin::similar(path))
+                .flatten();
             let help = near.map_or_else(String::new, |near| format!("\nhelp: did you mean `{near}`?"));
             Failure::Usage(format!("cannot read `{}`: {error}{help}", path.display()))
         }
-    }
-}
-
-/// The maximum number of files of a folder among which [`near_file`] searches.
-const SIMILAR_MAX: usize = 10_000;
-
-/// Returns a file with a name like that of a missing one: in the same folder, or built in.
-fn near_file(path: &Path) -> Option<String> {
-    let written = path.to_str()?;
-    let name = path.file_name()?.to_str()?;
-    let folder = path.parent().filter(|folder| !folder.as_os_str().is_empty());
-    let entries = std::fs::read_dir(folder.unwrap_or(Path::new(".")))
-        .into_iter()
-        .flatten();
-    let mut beside: Vec<String> = entries
-        .take(SIMILAR_MAX)
-        .filter_map(|entry| entry.ok()?.file_name().into_string().ok())
-        .filter(|name| !name.starts_with('.'))
-        .collect();
-    beside.sort_unstable();
-    if let Some(near) = similar_file(name, beside.iter().map(String::as_str)) {
-        return Some(folder.map_or(near.to_owned(), |folder| folder.join(near).display().to_string()));
-    }
-    let known = BuiltinFiles.builtin_paths();
-    let rules = || known.iter().map(String::as_str).filter(|known| known.ends_with(".dl"));
-    let named = |known: &&str| Path::new(known).file_stem() == path.file_stem();
-    match path.extension().and_then(OsStr::to_str) {
-        None | Some("dl") => rules()
-            .find(|known| folder.is_none() && named(known))
-            .or_else(|| similar_file(written, rules()))
-            .map(str::to_owned),
-        Some("yaml") => similar_file(written, known.iter().map(String::as_str)).map(str::to_owned),
-        Some(_) => None,
     }
 }

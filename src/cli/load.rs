@@ -74,10 +74,24 @@ pub fn load_city(
     rules: Option<&Path>,
     limits: &LimitOptions,
 ) -> Result<LoadedCity, Failure> {
+    if let Some(rules) = rules {
+        refuse_other_kind(rules)?;
+    }
     let mut city = LoadedCity::load(sources, config, rules, &BuiltinFiles)?;
     city.limits = limits.limits(city.limits);
     report(&city.warnings, sources);
     Ok(city)
+}
+
+/// Fails if the option `--rules` names a file of another kind. A pipe, which is read once, is left to its reader.
+fn refuse_other_kind(rules: &Path) -> Result<(), Failure> {
+    let path = rule_file(rules, &BuiltinFiles);
+    let is_pipe = path.metadata().is_ok_and(|found| !found.is_file());
+    let text = (!is_pipe).then(|| BuiltinFiles.read_or_builtin(&path).ok()).flatten();
+    match text.and_then(|text| Kind::Rules.mismatch(&path, &text)) {
+        Some(fault) => Err(fault.into()),
+        None => Ok(()),
+    }
 }
 
 /// Returns what decides single scenes of a city.

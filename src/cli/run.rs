@@ -221,6 +221,7 @@ fn simulate(
     let bar = ProgressBar::new(ticks).with_style(
         ProgressStyle::with_template("{bar:30} tick {pos} of {len}, {per_sec}, {eta} left").expect("a valid template"),
     );
+    let bar = terminal::with_lines(bar, "tick");
     let mut tally = Tally {
         last_move: vec![0; simulation.agents().len()],
         waited: vec![BTreeSet::new(); simulation.agents().len()],
@@ -558,7 +559,10 @@ fn summary(simulation: &mut Simulation, tally: &Tally, sources: &Sources, writte
         if counts.is_none() && !kind.is_standard() {
             continue;
         }
-        let kind = scenario.kinds.key(kind);
+        let kind = match kind.is_standard() {
+            true => scenario.kinds.key(kind).to_owned(),
+            false => format!("{}s", scenario.kinds.name(kind)),
+        };
         let count = |action: Action| {
             counts
                 .and_then(|counts| counts.get(action.index()))

@@ -5,6 +5,8 @@ use crate::diag::neutral;
 use crate::files::Output;
 use indicatif::{ProgressBar, ProgressStyle};
 use std::io::{self, IsTerminal, Write};
+use std::thread;
+use std::time::Duration;
 
 /// Returns standard output for text that people read. It is always [`neutral`].
 pub fn out() -> Screen<io::Stdout> {
@@ -70,7 +72,34 @@ pub fn screened(output: Output) -> Output {
 /// Returns a progress bar.
 pub fn progress(what: &str, count: u64) -> ProgressBar {
     let template = format!("{{bar:30}} {what} {{pos}} of {{len}}, {{eta}} left");
-    ProgressBar::new(count).with_style(ProgressStyle::with_template(&template).expect("a valid template"))
+    let bar = ProgressBar::new(count).with_style(ProgressStyle::with_template(&template).expect("a valid template"));
+    with_lines(bar, what)
+}
+
+/// The time between two lines of progress.
+const BETWEEN_LINES: Duration = Duration::from_secs(10);
+
+/// Returns a progress bar that writes lines instead if standard error is not a terminal: `what`, the position and the
+/// length.
+pub fn with_lines(bar: ProgressBar, what: &str) -> ProgressBar {
+    if !io::stderr().is_terminal() {
+        let (watched, what) = (bar.downgrade(), what.to_owned());
+        // The end of the bar or of the process ends it.
+        thread::spawn(move || {
+            loop {
+                thread::sleep(BETWEEN_LINES);
+                let Some(bar) = watched.upgrade().filter(|bar| !bar.is_finished()) else {
+                    break;
+                };
+                let length = bar.length().filter(|length| *length > 0);
+                let of = length.map_or_else(String::new, |length| format!(" of {length}"));
+                if writeln!(err(), "{what} {}{of}", bar.position()).is_err() {
+                    break;
+                }
+            }
+        });
+    }
+    bar
 }
 
 /// A writer of text. Unless it is for data, the text is [`neutral`], and `U+FFFD` stands in place of bytes that are not

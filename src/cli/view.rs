@@ -5,6 +5,7 @@ use crate::cli::icons::IconOptions;
 use crate::cli::inputs::Inputs;
 use crate::cli::limits::LimitOptions;
 use crate::cli::outputs::{ForceOption, finish, messages, unwritable};
+use crate::cli::terminal;
 use crate::cli::trace::TraceReader;
 use crate::cli::values::integer;
 use crate::datalog::Limits;
@@ -182,6 +183,7 @@ fn load(
         ProgressStyle::with_template("{bar:30} explaining tick {msg}, {percent} %, {eta} left")
             .expect("a valid template"),
     );
+    let bar = terminal::with_lines(bar, "byte");
     let (mut shown, mut last) = (0, None);
     while shown < most
         && let Some(mut tick) = reader.tick()?

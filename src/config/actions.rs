@@ -6,9 +6,9 @@ use crate::config::model::*;
 use crate::config::predicates::{Predicates, SEES};
 use crate::diag::{self, Diagnostic};
 use crate::located::Located;
+use crate::yaml::YamlNode;
 use crate::yaml::codes;
-use crate::yaml::read::{Fields, choice, entries, integer, is_name, list};
-use crate::yaml::{Key, YamlNode};
+use crate::yaml::read::{Fields, choice, integer, is_name, list, present};
 
 /// The maximum number of ticks for which an action parks an agent.
 const MAX_PARKED: u32 = 1_000_000;
@@ -31,7 +31,8 @@ pub(super) fn actions(
     fields.close(faults);
     let table = table?;
     let known: Vec<(&str, Action)> = table.names().zip(table.all()).collect();
-    let priority = priority.and_then(|node| precedence(node, &known, faults));
+    let beside = "beside `define`";
+    let priority = priority.and_then(|node| precedence(node, &known, table.own(), beside, faults));
     let own_default = |kind: KindId| {
         kinds
             .orders
@@ -42,7 +43,8 @@ pub(super) fn actions(
     let default = default.and_then(|node| default_of(&usual, node, &known, &table, &kinds.table, faults));
     let mut of_kinds = Vec::new();
     for order in &kinds.orders {
-        let own_priority = order.priority.map(|node| precedence(node, &known, faults));
+        let beside = format!("under `kinds: {{{}: ...}}`", kinds.table.name(order.kind));
+        let own_priority = (order.priority).map(|node| precedence(node, &known, table.own(), &beside, faults));
         let own_default =
             (order.default).map(|node| default_of(&[order.kind], node, &known, &table, &kinds.table, faults));
         let own_priority = own_priority.unwrap_or_else(|| priority.clone());
@@ -84,8 +86,15 @@ fn default_of(
     None
 }
 
-/// Reads the order of precedence: each action once.
-fn precedence(node: &YamlNode, known: &[(&str, Action)], faults: &mut Vec<Diagnostic>) -> Option<Vec<Action>> {
+/// Reads the order of precedence: each action once. `own` has the definitions of the actions that are not standard ones;
+/// `place` names the place of the order in help.
+fn precedence(
+    node: &YamlNode,
+    known: &[(&str, Action)],
+    own: &[OwnAction],
+    place: &str,
+    faults: &mut Vec<Diagnostic>,
+) -> Option<Vec<Action>> {
     let what = match known.len() {
         4 => "the four actions",
         _ => "all actions",
@@ -111,10 +120,36 @@ fn precedence(node: &YamlNode, known: &[(&str, Action)], faults: &mut Vec<Diagno
         fault = fault.help(format!("remove the second `{}`", name.expect("it was read").0));
     }
     let is_missing = |(_, action): &&(&str, Action)| !action.is_standard() && !order.contains(action);
-    for (name, _) in known.iter().filter(is_missing) {
+    let missing: Vec<(&str, Action)> = known.iter().filter(is_missing).copied().collect();
+    let defined = |name: &str| own.iter().map(|own| &own.name).find(|own| own.value == name);
+    for (name, _) in &missing {
         fault = fault.help(format!(
             "add `{name}`: the first action in the list wins over those after it"
         ));
+        // The definition is in a file of the user; the order may be inherited from a built-in one.
+        fault = match defined(name).filter(|defined| defined.span.source != node.span.source) {
+            Some(defined) if fault.primary.as_ref().is_some_and(|label| label.span == node.span) => {
+                fault.at(defined.span, "the inherited `priority` lacks it")
+            }
+            Some(defined) => fault.also(defined.span, "and this"),
+            None => fault,
+        };
+    }
+    if !missing.is_empty() {
+        // The missing actions come after `Stop`, and each action once.
+        let name = |action: &Action| known.iter().find(|(_, known)| known == action).map(|(name, _)| *name);
+        let mut line: Vec<&str> = Vec::new();
+        for name in order.iter().filter_map(name) {
+            if !line.contains(&name) {
+                line.push(name);
+            }
+        }
+        let after_stop = line
+            .iter()
+            .position(|name| *name == Action::Stop.name())
+            .map_or(0, |at| at + 1);
+        line.splice(after_stop..after_stop, missing.iter().map(|(name, _)| *name));
+        fault = fault.help(format!("write {place}: `priority: [{}]`", line.join(", ")));
     }
     faults.push(fault);
     None
@@ -128,10 +163,7 @@ fn definitions(
     faults: &mut Vec<Diagnostic>,
 ) -> Option<ActionTable> {
     let before = faults.len();
-    let present: Vec<&(Key, YamlNode)> = entries(node, "definitions of actions", faults)?
-        .iter()
-        .filter(|(_, node)| !node.is_null())
-        .collect();
+    let present = present(node, "definitions of actions", "action", &[], faults)?;
     let most = Action::MAX - Action::STANDARD.len();
     if present.len() > most {
         let message = format!("{} actions are defined, the limit is {most}", present.len());
@@ -188,7 +220,11 @@ fn definition(
     let reroute = reroute_node.and_then(|node| choice(node, &[("true", true), ("false", false)], faults));
     let park_node = fields.optional("park");
     let park = park_node.and_then(|node| integer(node, 1..=MAX_PARKED, faults));
-    fields.close(faults);
+    let example = match park_node {
+        Some(_) => "write the kinds that can take it, with 0 cells: `cells: {Car: 0}`",
+        None => "write the cells per tick of each kind that can take it: `cells: {Car: 1}`",
+    };
+    fields.close_with(Some(example), faults);
     let effects: Vec<(&YamlNode, Effect)> = [
         turn_node.zip(turn.map(Effect::Turn)),
         reroute_node.zip(reroute.filter(|reroute| *reroute).map(|_| Effect::Reroute)),
@@ -268,7 +304,7 @@ fn cells(
     let fault = Diagnostic::new(codes::INVALID_VALUE, format!("no agent can take `{}`", name.value));
     let fault = fault.at(node.span, "");
     faults.push(match able.as_slice() {
-        [] => fault.help("give the cells per tick of each kind that can take it: `cells: {Car: 1}`"),
+        [] => fault.help("write the cells per tick of each kind that can take it: `cells: {Car: 1}`"),
         [kind, ..] => fault.help(format!("the configuration has no {}", kinds.name(*kind))),
     });
     None

@@ -8,18 +8,18 @@
 //!
 //! - A part is a path or is written in place.
 //! - `base: path` starts from another file. Mappings merge key by key, any other value replaces that of the base, and
-//!   null (`~`) removes it.
+//!   null (`~`) removes it. A null value of which the base has none stays; readers report it if they do not know its key.
 //! - A path is relative to the file that contains it. If it is not on disk, the composer searches the built-in files.
 //!
 //! This module does not know what the keys mean.
 
 use crate::config::codes;
 use crate::datalog::codes::INCLUDE_CYCLE;
-use crate::diag::{self, Diagnostic, SourceId, Sources, similar_file};
+use crate::diag::{self, Diagnostic, SourceId, Sources, similar_file, similar_file_in};
 use crate::files::{BUILTIN_FOLDER, ReadError, ReadFile, normalize};
 use crate::yaml;
 use crate::yaml::{Value, YamlNode};
-use std::collections::HashMap;
+use std::collections::{HashMap, HashSet};
 use std::path::{Path, PathBuf};
 
 /// The maximum depth of files that build on each other.
@@ -91,7 +91,7 @@ impl Kind {
 /// `rules/hard.dl`, on disk or built in.
 pub fn rule_file(path: &Path, read: Read<'_>) -> PathBuf {
     let named = RULES.named(path).filter(|named| read.read_or_builtin(named).is_ok());
-    let named = named.filter(|_| matches!(read.read(path), Err(ReadError::NotFound)));
+    let named = named.filter(|_| matches!(read.read(path), Err(ReadError::NotFound | ReadError::Folder)));
     named.unwrap_or_else(|| path.to_owned())
 }
 
@@ -125,8 +125,8 @@ impl<'a> Composer<'a> {
             Err(ReadError::NotFound) => self.find(path, path),
             read => read.map(|text| (path.to_owned(), text)),
         };
-        if let (Err(ReadError::NotFound), Some(named)) = (&found, kind.named(path)) {
-            found = self.find(&named, &named);
+        if let (Err(ReadError::NotFound | ReadError::Folder), Some(named)) = (&found, kind.named(path)) {
+            found = self.find(&named, &named).or(found);
         }
         match found {
             _ if path.extension().is_some_and(|ending| ending == RULES.ending) => {
@@ -175,11 +175,30 @@ impl<'a> Composer<'a> {
                     ),
                 });
             }
+            if let Some(near) = similar_file_in(
+                |folder| self.read.names_in(folder),
+                folder,
+                Path::new(written),
+                Some(kind.ending),
+            ) {
+                return did_you_mean_this(&near);
+            }
             return Some(format!("built in as {}: {}", kind.what, of(kind).join(", ")));
         }
         // Paths from another folder differ in their beginning.
         let trimmed = written.trim_start_matches(['.', '/']);
-        similar_file(trimmed, known.iter().map(String::as_str)).and_then(did_you_mean_this)
+        let near = similar_file_in(
+            |folder| self.read.names_in(folder),
+            folder,
+            Path::new(written),
+            Some(kind.ending),
+        );
+        let near = near.or_else(|| similar_file(trimmed, known.iter().map(String::as_str)).map(str::to_owned));
+        let bare = Path::new(written)
+            .file_stem()
+            .filter(|_| Path::new(written).components().count() == 1);
+        let bare = bare.and_then(|bare| similar_file(bare.to_str()?, of(kind)).map(str::to_owned));
+        near.or(bare).and_then(|near| did_you_mean_this(&near))
     }
 
     /// Returns the path of the existing rule file that a value names.
@@ -211,8 +230,9 @@ impl<'a> Composer<'a> {
         let reference = crate::yaml::read::text(node, "the path of a file", &mut self.faults)?;
         let folder = self.path_of(node).parent().unwrap_or(Path::new("")).to_owned();
         let mut found = self.find(&path, Path::new(reference));
-        if let (Err(ReadError::NotFound), Some(named)) = (&found, kind.named(Path::new(reference))) {
-            found = self.find(&normalize(&folder.join(&named)), &named);
+        if let (Err(ReadError::NotFound | ReadError::Folder), Some(named)) = (&found, kind.named(Path::new(reference)))
+        {
+            found = self.find(&normalize(&folder.join(&named)), &named).or(found);
         }
         match found {
             Ok(found) => Some(found),
@@ -357,16 +377,22 @@ fn merge(base: &mut YamlNode, over: YamlNode) {
                 .enumerate()
                 .map(|(at, (key, _))| (key.text.clone(), at))
                 .collect();
+            let mut removed = HashSet::new();
             for (key, node) in entries {
                 match index.get(&key.text) {
                     Some(&at) => {
+                        if node.is_null() && !kept[at].1.is_null() {
+                            removed.insert(at);
+                        }
                         kept[at].0 = key;
                         merge(&mut kept[at].1, node);
                     }
+                    // Also a null value, so that the reader finds misspelled keys.
                     None => kept.push((key, node)),
                 }
             }
-            kept.retain(|(_, node)| !node.is_null());
+            let mut positions = 0..;
+            kept.retain(|_| !positions.next().is_some_and(|at| removed.contains(&at)));
             // A missing key is reported in the file that overrides the others.
             base.span = over.span;
         }
@@ -378,7 +404,7 @@ fn unreadable(path: &Path, error: &ReadError) -> Diagnostic {
     let code = match error {
         ReadError::NotText { .. } => diag::codes::NOT_TEXT,
         ReadError::TooLarge(_) => diag::codes::LIMIT_EXCEEDED,
-        ReadError::NotFound | ReadError::Io(_) => codes::MISSING_FILE,
+        ReadError::NotFound | ReadError::Folder | ReadError::Io(_) => codes::MISSING_FILE,
     };
     Diagnostic::new(code, format!("cannot read `{}`: {error}", path.display()))
 }

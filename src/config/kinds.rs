@@ -5,7 +5,7 @@ use crate::diag::{self, Diagnostic, listed};
 use crate::located::Located;
 use crate::predicate::{Concept, Definition};
 use crate::yaml::codes;
-use crate::yaml::read::{Fields, choice, entries, integer};
+use crate::yaml::read::{Fields, choice, integer, present};
 use crate::yaml::{Key, Value, YamlNode};
 
 /// The maximum number of cells per tick.
@@ -32,11 +32,14 @@ pub(super) struct Order<'n> {
 /// Reads the kinds.
 pub(super) fn kinds<'n>(node: &'n YamlNode, faults: &mut Vec<Diagnostic>) -> Option<Kinds<'n>> {
     let before = faults.len();
-    let present: Vec<&(Key, YamlNode)> = entries(node, "the kinds of agents", faults)?
-        .iter()
-        .filter(|(_, node)| !node.is_null())
-        .collect();
     let is_own = |(key, _): &&(Key, YamlNode)| AgentKind::ALL.iter().all(|kind| kind.name() != key.text);
+    let present = present(
+        node,
+        "the kinds of agents",
+        "kind of agents",
+        &AgentKind::ALL.map(AgentKind::name),
+        faults,
+    )?;
     let count = present.iter().filter(|entry| is_own(entry)).count();
     if count > KindTable::OWN_MAX {
         let message = format!("{count} kinds are defined, the limit is {}", KindTable::OWN_MAX);

@@ -372,7 +372,12 @@ fn buildings(
 ) -> Option<Buildings> {
     let mut fields = Fields::open(node, "the buildings of a map", faults)?;
     let (rows, random) = (fields.optional("rows"), fields.optional("random"));
+    let before = faults.len();
     fields.close(faults);
+    // A misspelled key may stand for `rows` or `random`.
+    if faults.len() > before {
+        return None;
+    }
     match (rows, random) {
         (Some(rows), None) => {
             let node = rows;

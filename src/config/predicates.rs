@@ -8,7 +8,7 @@ use crate::located::Located;
 use crate::predicate::{Concept, Definition, Sees};
 use crate::yaml::YamlNode;
 use crate::yaml::codes;
-use crate::yaml::read::{Fields, entries, is_name, list, name};
+use crate::yaml::read::{Fields, is_name, list, name, present};
 use std::collections::HashMap;
 
 /// The maximum number of base predicates of a scenario.
@@ -30,7 +30,7 @@ pub(super) fn predicates(node: &YamlNode, kinds: &KindTable, faults: &mut Vec<Di
     let define = fields.required("define", faults);
     let selection = fields.optional("use");
     fields.close(faults);
-    let entries = entries(define?, "definitions of predicates", faults)?;
+    let entries = present(define?, "definitions of predicates", "predicate", &[], faults)?;
     if entries.len() > MAX_PREDICATES {
         let message = format!(
             "{} predicates are defined, the limit is {MAX_PREDICATES}",
@@ -40,7 +40,7 @@ pub(super) fn predicates(node: &YamlNode, kinds: &KindTable, faults: &mut Vec<Di
         return None;
     }
     let mut defined = Vec::new();
-    for (key, node) in entries.iter().filter(|(_, node)| !node.is_null()) {
+    for (key, node) in entries {
         let fault = if key.text == SEES {
             Some(format!("`{SEES}` is predefined: it is the field of view"))
         } else if Action::STANDARD.iter().any(|action| action.name() == key.text) {
@@ -59,7 +59,7 @@ pub(super) fn predicates(node: &YamlNode, kinds: &KindTable, faults: &mut Vec<Di
             value: key.text.clone(),
             span: key.span,
         };
-        let definition = of_own_kind(node, kinds, faults).unwrap_or_else(|| Definition::read(node, faults));
+        let definition = of_own_kind(node, kinds, faults).unwrap_or_else(|| definition_of(node, faults));
         defined.extend(definition.map(|definition| PredicateConfig { name, definition }));
     }
     let used = match selection {
@@ -81,6 +81,17 @@ pub(super) fn predicates(node: &YamlNode, kinds: &KindTable, faults: &mut Vec<Di
         definition: Sees.into(),
     });
     Some(Predicates { used, defined })
+}
+
+/// Reads a definition. What follows an unknown key, such as a missing one, is no second fault.
+fn definition_of(node: &YamlNode, faults: &mut Vec<Diagnostic>) -> Option<Definition> {
+    let before = faults.len();
+    let definition = Definition::read(node, faults);
+    let is_unknown = |fault: &Diagnostic| fault.code == codes::UNKNOWN_KEY;
+    if let Some(last) = faults[before..].iter().rposition(is_unknown) {
+        faults.truncate(before + last + 1);
+    }
+    definition
 }
 
 /// Returns the predicates that `use` names, in its order.

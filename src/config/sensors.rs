@@ -6,7 +6,7 @@ use crate::diag::{Diagnostic, did_you_mean, listed};
 use crate::located::Located;
 use crate::predicate::Definition;
 use crate::yaml::codes;
-use crate::yaml::read::{Fields, choice, entries, integer, list, number};
+use crate::yaml::read::{Fields, choice, integer, list, number, present};
 use crate::yaml::{Value, YamlNode};
 
 /// The maximum range in cells.
@@ -93,8 +93,7 @@ fn of_predicates(
     predicates: Option<&Predicates>,
     faults: &mut Vec<Diagnostic>,
 ) -> Option<Vec<(Located<String>, Sensor)>> {
-    let entries = entries(node, "sensors by predicate", faults)?;
-    let present = entries.iter().filter(|(_, node)| !node.is_null());
+    let present = present(node, "sensors by predicate", "sensor of the predicate", &[], faults)?;
     let entry = |(key, node): &(crate::yaml::Key, YamlNode)| {
         let known = predicates.map(|predicates| &predicates.used);
         let found = known.map(|used| used.iter().find(|known| known.name.value == key.text));
@@ -131,7 +130,7 @@ fn of_predicates(
         Some((name, sensor?))
     };
     // Reads every entry, so that one run reports all faults.
-    let sensors: Vec<Option<(Located<String>, Sensor)>> = present.map(entry).collect();
+    let sensors: Vec<Option<(Located<String>, Sensor)>> = present.into_iter().map(entry).collect();
     sensors.into_iter().collect()
 }
 

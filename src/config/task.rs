@@ -8,7 +8,7 @@ use crate::config::sensors::sensors;
 use crate::config::shield::shield;
 use crate::diag::Diagnostic;
 use crate::located::Located;
-use crate::yaml::read::{Fields, choice, entries, integer, invalid, list, number};
+use crate::yaml::read::{Fields, choice, integer, invalid, list, number, present};
 use crate::yaml::{Value, YamlNode};
 use std::sync::Arc;
 
@@ -121,8 +121,13 @@ fn reward(node: &YamlNode, table: &ActionTable, faults: &mut Vec<Diagnostic>) ->
     let per = ViolationsPer::ALL.map(|per| (per.name(), per));
     let violations_per = (fields.required("violations_per", faults)).and_then(|node| choice(node, &per, faults));
     let clauses = fields.optional("clauses").map(|node| {
-        let entries = entries(node, "rewards by labels of clauses", faults)?.iter();
-        let present = entries.filter(|(_, node)| !node.is_null());
+        let present = present(
+            node,
+            "rewards by labels of clauses",
+            "reward of the clause",
+            &[],
+            faults,
+        )?;
         let clause = |(key, node): &(crate::yaml::Key, YamlNode)| {
             let value = reward_value(node, faults)?;
             let label = Located {
@@ -131,7 +136,7 @@ fn reward(node: &YamlNode, table: &ActionTable, faults: &mut Vec<Diagnostic>) ->
             };
             Some((label, value))
         };
-        present.map(clause).collect::<Option<Vec<_>>>()
+        present.into_iter().map(clause).collect::<Option<Vec<_>>>()
     });
     let term = |fields: &mut Fields<'_>, key, faults: &mut Vec<Diagnostic>| {
         (fields.optional(key)).map_or(Some(0.0), |node| reward_value(node, faults))

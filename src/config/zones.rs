@@ -5,7 +5,7 @@ use crate::config::model::PredicateConfig;
 use crate::diag::{self, Diagnostic, MAX_FAULTS, did_you_mean, listed};
 use crate::located::Located;
 use crate::predicate::NEAR_MAX;
-use crate::yaml::read::{Fields, choice, entries, integer, invalid, is_name, list};
+use crate::yaml::read::{Fields, choice, integer, invalid, is_name, list, present};
 use crate::yaml::{YamlNode, codes};
 
 /// The maximum number of zones of a map.
@@ -21,7 +21,7 @@ const MAX_SAMPLE: u32 = 1_000_000;
 
 pub(super) fn zones(node: &YamlNode, faults: &mut Vec<Diagnostic>) -> Option<Vec<ZoneConfig>> {
     let before = faults.len();
-    let entries = entries(node, "the zones of a map", faults)?;
+    let entries = present(node, "the zones of a map", "zone", &[], faults)?;
     let limit = |count: usize, what: &str, most: usize, node: &YamlNode| {
         let message = format!("{count} {what}, the limit is {most}");
         (count > most).then(|| Diagnostic::new(diag::codes::LIMIT_EXCEEDED, message).at(node.span, ""))
@@ -31,7 +31,7 @@ pub(super) fn zones(node: &YamlNode, faults: &mut Vec<Diagnostic>) -> Option<Vec
         return None;
     }
     let mut zones = Vec::new();
-    for (key, node) in entries.iter().filter(|(_, node)| !node.is_null()) {
+    for (key, node) in entries {
         if !is_name(&key.text) {
             let message = format!(
                 "expected the name of a zone (letters, digits and `_`, no digit first), found `{}`",
@@ -137,7 +137,12 @@ fn part(node: &YamlNode, faults: &mut Vec<Diagnostic>) -> Option<ZonePart> {
     let mut span = |node: &YamlNode, what: &str| {
         let span = pair(node, what, 0..=MAX_CELL, faults)?;
         if span[0] > span[1] {
-            invalid(node, format_args!("{what} in ascending order"), faults);
+            let message = format!(
+                "expected {what} in ascending order, found {} before {}",
+                span[0], span[1]
+            );
+            let fault = Diagnostic::new(codes::INVALID_VALUE, message).at(node.span, "");
+            faults.push(fault.help(format!("write `[{}, {}]`", span[1], span[0])));
             return None;
         }
         Some(span)

@@ -3,7 +3,7 @@
 use std::fmt;
 
 use crate::check::{Column, Predicate, PredicateId, Rules};
-use crate::diag::did_you_mean;
+use crate::diag::{counted, did_you_mean};
 use crate::symbol::{Symbol, Symbols};
 use crate::syntax::functor::BaseType;
 use crate::value::Value;
@@ -471,7 +471,11 @@ impl fmt::Display for RowError {
                 predicate,
                 expected,
                 found,
-            } => write!(f, "a row of `{predicate}` has {expected} values, not {found}"),
+            } => write!(
+                f,
+                "a row of `{predicate}` has {}, not {found}",
+                counted(*expected, "value")
+            ),
             RowError::UnknownSymbol { predicate } => {
                 write!(
                     f,

@@ -7,7 +7,7 @@
 
 use crate::check::{Column, Predicate, PredicateId, RowFormat};
 use crate::codes;
-use crate::diag::{Diagnostic, Faults, SourceId, Sources, Span};
+use crate::diag::{Diagnostic, Faults, SourceId, Sources, Span, counted};
 use crate::session::Session;
 use crate::symbol::Symbol;
 use crate::syntax::ast::BaseType;
@@ -96,10 +96,11 @@ pub fn load_as(
             let message = if whole.is_empty() {
                 format!("an empty line where a row of `{}` was expected", predicate.name)
             } else if let Some(last) = last {
-                format!("a row of {found} values where value {last} is read, counted from 0")
+                let found = counted(found, "value");
+                format!("a row of {found} where value {last} is read, counted from 0")
             } else {
                 let (name, arity) = (&predicate.name, predicate.arity());
-                format!("a row of `{name}` has {arity} values, not {found}")
+                format!("a row of `{name}` has {}, not {found}", counted(arity, "value"))
             };
             let fault = Diagnostic::new(codes::INVALID_FACT, message).at(span(whole), "");
             faults.push(

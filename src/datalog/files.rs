@@ -11,6 +11,8 @@ pub const BUILTIN_FOLDER: &str = "<builtin>";
 pub enum ReadError {
     /// The file does not exist.
     NotFound,
+    /// It is a folder.
+    Folder,
     /// The file is not UTF-8.
     NotText {
         /// The line of the first byte that is not UTF-8, from 1.
@@ -28,6 +30,7 @@ impl std::fmt::Display for ReadError {
     fn fmt(&self, f: &mut std::fmt::Formatter<'_>) -> std::fmt::Result {
         match self {
             ReadError::NotFound => write!(f, "no such file"),
+            ReadError::Folder => write!(f, "it is a folder, not a file"),
             ReadError::NotText { line, column } => {
                 write!(f, "not UTF-8 text (first bad byte in line {line}, column {column})")
             }
@@ -78,6 +81,12 @@ pub trait ReadFile {
 
     /// Returns the paths of the files below [`BUILTIN_FOLDER`], for suggestions in messages.
     fn builtin_paths(&self) -> Vec<String> {
+        Vec::new()
+    }
+
+    /// Returns the names of the files in a folder, sorted, for suggestions in messages.
+    fn names_in(&self, folder: &Path) -> Vec<String> {
+        let _ = folder;
         Vec::new()
     }
 

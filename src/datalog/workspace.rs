@@ -18,7 +18,7 @@ use crate::symbol::{Symbol, Symbols};
 use crate::check::clause;
 use crate::check::witness::{renamed, renamed_term};
 use crate::check::{self as rules, Comparing, PredicateId, Rules};
-use crate::check::{InputPolicy, check, inline, names, temporal};
+use crate::check::{Elsewhere, InputPolicy, check, inline, names, temporal};
 use crate::syntax::ast::BaseType;
 use crate::syntax::ast::{Atom, Clause, ColumnDecl, Decl, Item, Literal, Mark, MarkKind, Name, Place, Term, TermKind};
 use crate::syntax::ast::{names_in, names_of};
@@ -108,6 +108,9 @@ impl Workspace {
     /// Skips files that the workspace already contains.
     pub fn add(&mut self, sources: &mut Sources, entry: SourceId, read: &dyn ReadFile) {
         include::gather(&mut self.gathered, sources, entry, read, &mut self.faults);
+        if !read.builtin_paths().is_empty() && lacks_declaration(&self.gathered) {
+            self.gathered.offered = include::offered(read);
+        }
         // The checker replaces inline predicates and temporal operators in syntax trees.
         if self.uses_inline() || self.gathered.items.iter().any(temporal::in_item) {
             self.gathered.facts.unpack(&mut self.gathered.items);
@@ -142,8 +145,11 @@ impl Workspace {
     }
 
     fn checked(&self, items: Cow<'_, [Item]>, facts: Cow<'_, FactRuns>, mut faults: Faults) -> Loaded {
-        let complete = !(self.gathered.incomplete || self.gathered.macros.may_declare);
-        let (rules, compared) = check((items, facts), complete, self.inputs, Symbols::new(), &mut faults);
+        let elsewhere = Elsewhere {
+            complete: !(self.gathered.incomplete || self.gathered.macros.may_declare),
+            offered: &self.gathered.offered,
+        };
+        let (rules, compared) = check((items, facts), elsewhere, self.inputs, Symbols::new(), &mut faults);
         Loaded {
             rules,
             diagnostics: faults.finish(),
@@ -281,7 +287,7 @@ impl Workspace {
         items.extend(file.items);
         let (rules, _) = check(
             (Cow::Owned(items), Cow::Owned(FactRuns::default())),
-            true,
+            self.elsewhere(),
             self.inputs,
             Symbols::new(),
             &mut faults,
@@ -294,6 +300,14 @@ impl Workspace {
             Some((clause.head.predicate, row?))
         };
         Ok(rules.clauses.iter().map(row).collect())
+    }
+
+    /// Returns what is known of declarations outside of a query or of facts, for which the program is complete.
+    fn elsewhere(&self) -> Elsewhere<'_> {
+        Elsewhere {
+            complete: true,
+            offered: &self.gathered.offered,
+        }
     }
 
     /// Returns the declarations of types and predicates; with `input`, all predicates are input.
@@ -385,7 +399,7 @@ impl Workspace {
         let mut faults = Faults::default();
         let (rules, compared) = check(
             (Cow::Owned(items), Cow::Owned(FactRuns::default())),
-            true,
+            self.elsewhere(),
             self.inputs,
             symbols,
             &mut faults,
@@ -402,7 +416,7 @@ impl Workspace {
         let items = self.asked(Vec::new(), clause.clone());
         let mut known = names::declare(&items, true, self.inputs, faults);
         let checked = clause::check((&items, &FactRuns::default()), &mut known, Symbols::new(), faults);
-        known.report_unknown(faults);
+        known.report_unknown(&self.gathered.offered, faults);
         let base_of = |name: &&str| {
             checked.clauses.iter().find_map(|checked| {
                 let position = checked.clause.variables.iter().position(|known| known == name)?;
@@ -426,6 +440,34 @@ impl Workspace {
         items.push(Item::Clause(clause));
         items
     }
+}
+
+/// Returns whether the items use a name that none of them declares.
+fn lacks_declaration(gathered: &Gathered) -> bool {
+    let mut declared: HashSet<&str> = BaseType::ALL.into_iter().map(BaseType::name).collect();
+    for item in &gathered.items {
+        match item {
+            Item::Decl(decl) => declared.extend(decl.names.iter().map(|name| name.text.as_str())),
+            Item::Type(decl) => _ = declared.insert(&decl.name.text),
+            _ => {}
+        }
+    }
+    let is_unknown = |name: &Name| !declared.contains(name.text.as_str());
+    let lacks = |item: &Item| match item {
+        Item::Decl(decl) => (decl.columns.iter().flatten()).any(|column| is_unknown(&column.ty)),
+        Item::Mark(mark) => mark.names.iter().any(is_unknown),
+        Item::Clause(clause) => {
+            let mut found = clause.heads.iter().any(|head| is_unknown(&head.predicate));
+            let mut see = |_: bool, atom: &Atom| found |= is_unknown(&atom.predicate);
+            inline::each_atom(&clause.body, &mut see);
+            let terms = clause.heads.iter().flat_map(|head| &head.terms);
+            terms.for_each(|term| inline::each_atom_of(term, &mut see));
+            found
+        }
+        _ => false,
+    };
+    let mut packed = gathered.facts.files().iter().flat_map(|file| file.names());
+    gathered.items.iter().any(lacks) || packed.any(|name| !declared.contains(name.as_str()))
 }
 
 fn answer_name(place: Place) -> Name {

@@ -18,6 +18,10 @@ crate::diagnostic_codes! {
     EMPTY_PREDICATE = "empty-predicate", Warning;
     /// An output of rules for a city that is no action.
     UNUSED_OUTPUT = "unused-output", Warning;
+    /// A predicate of rules for a city that is no action and that no clause reads.
+    UNREAD_PREDICATE = "unread-predicate", Warning;
+    /// An action of the configuration that no agent takes by the rules.
+    UNUSED_ACTION = "unused-action", Warning;
     /// A function that computes an external predicate is missing or fails.
     EXTERNAL_PREDICATE = "external-predicate", Error;
     /// A scene that is not JSON or does not follow the scene format.

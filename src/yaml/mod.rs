@@ -7,6 +7,7 @@
 //! This module does not know which keys there are or what they mean.
 
 pub mod codes;
+mod mistakes;
 pub(crate) mod read;
 mod tree;
 

@@ -3,19 +3,83 @@
 //! A function returns `None` after it has pushed a fault. The caller continues with the other keys, so that one run
 //! reports all faults. This module does not know the contents of configurations.
 
-use crate::diag::{Diagnostic, Span, did_you_mean};
+use crate::diag::{Diagnostic, MAX_FAULTS, Span, did_you_mean};
 use crate::yaml::codes;
+use crate::yaml::mistakes::assignment;
 use crate::yaml::{Key, Value, YamlNode};
 use std::borrow::Cow;
 use std::fmt::Display;
 use std::ops::RangeInclusive;
 
+/// The maximum number of names among which a message searches a similar one.
+const SEARCHED: usize = 1000;
+
 /// Reports that a value is not what was expected.
 pub(crate) fn invalid(node: &YamlNode, expected: impl Display, faults: &mut Vec<Diagnostic>) {
     let message = format!("expected {expected}, found {}", node.describe());
     let mut fault = Diagnostic::new(codes::INVALID_VALUE, message).at(node.span, "");
-    fault.help.extend(node.missing_space());
+    fault.help.extend(node.missing_space().or_else(|| extra_bracket(node)));
     faults.push(fault);
+}
+
+/// Returns the help for a plain text such as `40}`, which ends with a bracket that it does not open.
+fn extra_bracket(node: &YamlNode) -> Option<String> {
+    let Value::Scalar { text, plain: true } = &node.value else {
+        return None;
+    };
+    let end = text.chars().last().filter(|end| "]}".contains(*end))?;
+    (!text.contains(['[', '{'])).then(|| format!("remove the `{end}`: nothing opens it"))
+}
+
+/// [`invalid`] with further help.
+fn invalid_form(node: &YamlNode, expected: impl Display, help: Option<String>, faults: &mut Vec<Diagnostic>) {
+    invalid(node, expected, faults);
+    if let Some(fault) = faults.last_mut() {
+        fault.help.extend(help);
+    }
+}
+
+/// Returns the help for a list, or a text, where a mapping is expected.
+fn mapping_form(node: &YamlNode) -> Option<String> {
+    match &node.value {
+        Value::List(items) => Some(match items.first().map(|item| &item.value) {
+            Some(Value::Map(entries)) if !entries.is_empty() => {
+                format!(
+                    "write its keys without a dash or brackets: `{}: ...`",
+                    entries[0].0.text
+                )
+            }
+            _ => "a mapping has keys with values: `key: value`, or `{key: value}` in one line".to_owned(),
+        }),
+        Value::Scalar { text, plain: true } => {
+            let (key, value) = assignment(text.lines().next()?).filter(|_| text.contains('='))?;
+            Some(format!("write `{key}: {}`", value.split(' ').next().unwrap_or(value)))
+        }
+        _ => None,
+    }
+}
+
+/// Returns the help for a mapping, or a text, where a list is expected.
+fn list_form(node: &YamlNode) -> Option<String> {
+    match &node.value {
+        Value::Map(entries) => Some(match entries.first() {
+            Some((key, _)) => format!(
+                "write a list of mappings: `[{{{}: ...}}]`, or a dash before each",
+                key.text
+            ),
+            None => "write an empty list as `[]`".to_owned(),
+        }),
+        Value::Scalar { text, plain: true } if !node.is_null() && text.parse::<f64>().is_err() => {
+            match text.strip_prefix('-') {
+                Some(entry) => {
+                    let entry = entry.split(' ').next().unwrap_or(entry);
+                    Some(format!("put a space after each dash: `- {entry}`"))
+                }
+                None => is_name(text).then(|| format!("write a list: `[{text}]`")),
+            }
+        }
+        _ => None,
+    }
 }
 
 /// A mapping that the caller reads key by key.
@@ -76,8 +140,14 @@ impl<'n> Fields<'n> {
         self.entries.iter().find(|(given, _)| given.text == key)
     }
 
-    /// Reports missing required keys, with the help, and unknown keys.
-    pub fn close_with(self, help: Option<&str>, faults: &mut Vec<Diagnostic>) {
+    /// Reports missing required keys, with the help, and unknown keys. A missing key that an unknown one resembles is no
+    /// second fault.
+    pub fn close_with(mut self, help: Option<&str>, faults: &mut Vec<Diagnostic>) {
+        let allowed = || self.allowed.iter().map(Cow::as_ref);
+        let unknown = self.entries.iter().map(|(key, _)| key.text.as_str()).take(SEARCHED);
+        let unknown = unknown.filter(|key| allowed().all(|allowed| allowed != *key));
+        let meant: Vec<&str> = unknown.filter_map(|key| did_you_mean(key, allowed())).collect();
+        self.missing.retain(|key| !meant.contains(key));
         let quoted: Vec<_> = self.missing.iter().map(|key| format!("`{key}`")).collect();
         let quoted = quoted.join(", ");
         if !self.missing.is_empty() && !self.partial {
@@ -115,17 +185,46 @@ pub(crate) fn entries<'n>(
     match &node.value {
         Value::Map(entries) => Some(entries),
         _ => {
-            invalid(node, format_args!("{what} (a mapping)"), faults);
+            invalid_form(node, format_args!("{what} (a mapping)"), mapping_form(node), faults);
             None
         }
     }
+}
+
+/// Returns the entries of a mapping with arbitrary keys, without those that remove an entry of the base. Reports a null
+/// value (`~`) where the base has no such entry, except for the names `usual`, which exist without one. `each` names an
+/// entry in messages: `predicate`.
+pub(crate) fn present<'n>(
+    node: &'n YamlNode,
+    what: &str,
+    each: &str,
+    usual: &[&str],
+    faults: &mut Vec<Diagnostic>,
+) -> Option<Vec<&'n (Key, YamlNode)>> {
+    let (removed, present): (Vec<_>, Vec<_>) = entries(node, what, faults)?
+        .iter()
+        .partition(|(_, node)| node.is_null());
+    let is_usual = |key: &Key| usual.contains(&key.text.as_str());
+    for (key, _) in removed.into_iter().filter(|(key, _)| !node.partial && !is_usual(key)) {
+        if faults.len() > MAX_FAULTS {
+            break;
+        }
+        let message = format!("the base has no {each} `{}`", key.text);
+        let fault = Diagnostic::new(codes::UNKNOWN_KEY, message).at(key.span, "so `~` removes nothing");
+        let known = present.iter().take(SEARCHED).map(|(key, _)| key.text.as_str());
+        faults.push(match did_you_mean(&key.text, known) {
+            Some(near) => fault.did_you_mean(near, &[key.span]),
+            None => fault.help("remove it"),
+        });
+    }
+    Some(present)
 }
 
 pub(crate) fn list<'n>(node: &'n YamlNode, what: &str, faults: &mut Vec<Diagnostic>) -> Option<&'n [YamlNode]> {
     match &node.value {
         Value::List(items) => Some(items),
         _ => {
-            invalid(node, format_args!("a list of {what}"), faults);
+            invalid_form(node, format_args!("a list of {what}"), list_form(node), faults);
             None
         }
     }

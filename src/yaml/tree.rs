@@ -10,6 +10,7 @@
 
 use crate::diag::{self, Diagnostic, SourceId, Sources, Span};
 use crate::yaml::codes;
+use crate::yaml::mistakes::{Stop, dash_fault, glued, space_help};
 use serde_json::{Map, Value as Json};
 use serde_yaml::granit_parser::{ErrorKind, Event, Parser, ScalarStyle, Span as Mark, StructureStyle};
 use std::collections::HashMap;
@@ -130,24 +131,6 @@ impl YamlNode {
     }
 }
 
-/// Returns the help for a plain text that would be a key and a value with a space after its first colon.
-fn space_help(text: &str) -> Option<String> {
-    let (key, value) = glued(text)?;
-    const SHOWN: usize = 40;
-    let shown: String = value.chars().take(SHOWN).collect();
-    let more = if shown.len() < value.len() { "..." } else { "" };
-    Some(format!("put a space after the colon: `{key}: {shown}{more}`"))
-}
-
-/// Splits `view:40` into key and value. `None` if the text does not begin with a word and a colon, or if it is a URL.
-fn glued(text: &str) -> Option<(&str, &str)> {
-    let (key, value) = text.split_once(':')?;
-    let is_word = key.starts_with(|c: char| c.is_ascii_alphabetic() || c == '_')
-        && key.chars().all(|c| c.is_ascii_alphanumeric() || "_-".contains(c));
-    let is_value = value.starts_with(|c: char| !c.is_whitespace()) && !value.starts_with("//");
-    (is_word && is_value).then_some((key, value.trim_end()))
-}
-
 /// Converts a scalar without quotes.
 fn plain_to_json(text: &str) -> Json {
     match text {
@@ -211,6 +194,8 @@ struct Builder<'a> {
     open: Vec<Open>,
     anchors: HashMap<usize, Anchored>,
     root: Option<YamlNode>,
+    /// The end of the last event.
+    parsed: usize,
     nodes_left: &'a mut usize,
     faults: &'a mut Vec<Diagnostic>,
 }
@@ -235,19 +220,29 @@ pub(crate) fn parse(
         open: Vec::new(),
         anchors: HashMap::new(),
         root: None,
+        parsed: 0,
         nodes_left,
         faults,
     };
     for event in Parser::new_from_str_with_options(text, options) {
         let step = match event {
-            Ok((event, mark)) => builder.event(event, &mark),
+            Ok((event, mark)) => {
+                let step = builder.event(event, &mark);
+                let end = mark.byte_range().map_or(0, |range| range.end);
+                builder.parsed = builder.parsed.max(end);
+                step
+            }
             Err(error) => {
-                let at = error.marker().byte_offset().unwrap_or(text.len());
-                let span = builder.one_character(at);
+                let stop = Stop {
+                    source,
+                    text,
+                    at: error.marker().byte_offset().unwrap_or(text.len()),
+                    bracket: builder.bracket(),
+                    parsed: builder.parsed,
+                };
                 Err(Box::new(match error.kind() {
-                    ErrorKind::RecursionLimitExceeded => too_deep(span),
-                    kind => (builder.known_mistake(at, &kind.to_string()))
-                        .unwrap_or_else(|| Diagnostic::new(codes::YAML_SYNTAX, kind.to_string()).at(span, "")),
+                    ErrorKind::RecursionLimitExceeded => too_deep(stop.character(stop.at)),
+                    kind => stop.explain(kind),
                 }))
             }
         };
@@ -269,60 +264,10 @@ fn too_deep(span: Span) -> Diagnostic {
 }
 
 impl Builder<'_> {
-    /// The span of the character at a byte, so that a caret has a target; empty at the end of the text.
-    fn one_character(&self, byte: usize) -> Span {
-        let mut start = byte.min(self.text.len());
-        while !self.text.is_char_boundary(start) {
-            start -= 1;
-        }
-        let length = self.text[start..].chars().next().map_or(0, char::len_utf8);
-        Span::new(self.source, start..start + length)
-    }
-
-    /// Explains a syntax error at this byte: a tab that indents its line or, if the message of the parser mentions a tab,
-    /// a later line of the same scalar; or a missing space after a key there or in the line before.
-    fn known_mistake(&self, at: usize, message: &str) -> Option<Diagnostic> {
-        let text = self.text;
-        let start_of = |byte: usize| text[..byte].rfind('\n').map_or(0, |newline| newline + 1);
-        let at = self.one_character(at).range().start;
-        let start = start_of(at);
-        let line = |start: usize| text[start..].lines().next().unwrap_or_default();
-        let indent = |start: usize| line(start).len() - line(start).trim_start_matches([' ', '\t']).len();
-        // The parser reports a tab below a plain scalar at the scalar.
-        let lines = match message.contains("found a tab") {
-            true => usize::MAX,
-            false => 1,
-        };
-        let starts = text[start..].split_inclusive('\n').scan(start, |next, line| {
-            let start = *next;
-            *next += line.len();
-            Some(start)
-        });
-        let mut tabs = starts.take(lines).filter_map(|start| {
-            let tab = line(start)[..indent(start)].find('\t')?;
-            Some(start + tab)
-        });
-        if let Some(tab) = tabs.next() {
-            let fault = Diagnostic::new(codes::YAML_SYNTAX, "a tab indents this line");
-            let span = Span::new(self.source, tab..tab + 1);
-            return Some(
-                fault
-                    .at(span, "")
-                    .help("indent with spaces: YAML does not allow tabs here"),
-            );
-        }
-        let before = start.checked_sub(1).map(start_of);
-        [Some(start), before].into_iter().flatten().find_map(|start| {
-            let mut from = start + indent(start);
-            while let Some(rest) = text[from..].strip_prefix("- ") {
-                from = text.len() - rest.trim_start_matches(' ').len();
-            }
-            let written = line(from);
-            let (key, _) = glued(written)?;
-            let fault = Diagnostic::new(codes::YAML_SYNTAX, format!("expected a space after `{key}:`"));
-            let span = Span::new(self.source, from..from + written.trim_end().len());
-            Some(fault.at(span, "").help(space_help(written)?))
-        })
+    /// Returns the place of the innermost open bracket.
+    fn bracket(&self) -> Option<usize> {
+        let innermost = self.open.last().filter(|open| !open.block)?;
+        Some(innermost.node.span.range().start)
     }
 
     /// The span of an event, clipped to its first line.
@@ -408,7 +353,11 @@ impl Builder<'_> {
         } = open;
         self.spend(1, node.span)?;
         if let Value::Map(entries) = &mut node.value {
-            drop_glued(entries, self.faults);
+            if let Some(fault) = self.glued_dash(entries).filter(|_| block) {
+                return Err(Box::new(fault));
+            }
+            // The value of such a key is unknown, so its absence is no fault.
+            node.partial = drop_glued(entries, self.faults);
             drop_duplicates(entries, self.faults);
         }
         let parent_key = self.open.last().and_then(|parent| parent.key.as_ref()?.as_ref());
@@ -420,6 +369,15 @@ impl Builder<'_> {
             _ => node.span,
         };
         self.finished(node, anchor)
+    }
+
+    /// Reports a key such as `-{priority`, which is the entry of a list with a missing space.
+    fn glued_dash(&self, entries: &[(Key, YamlNode)]) -> Option<Diagnostic> {
+        entries.iter().find_map(|(key, _)| {
+            let start = key.span.range().start;
+            let line = self.text.get(start..)?.lines().next()?;
+            dash_fault(self.source, start, line)
+        })
     }
 
     /// Adds a complete value to its collection.
@@ -457,8 +415,10 @@ impl Builder<'_> {
     }
 }
 
-/// Reports keys without a value, such as `{view:40}`, that lack a space after the colon.
-fn drop_glued(entries: &mut Vec<(Key, YamlNode)>, faults: &mut Vec<Diagnostic>) {
+/// Removes and reports keys without a value, such as `{view:40}`, that lack a space after the colon. Returns whether there
+/// are any.
+fn drop_glued(entries: &mut Vec<(Key, YamlNode)>, faults: &mut Vec<Diagnostic>) -> bool {
+    let before = entries.len();
     entries.retain(|(key, value)| {
         let help = space_help(&key.text).filter(|_| value.is_null());
         let (Some(help), Some((word, _))) = (help, glued(&key.text)) else {
@@ -468,6 +428,7 @@ fn drop_glued(entries: &mut Vec<(Key, YamlNode)>, faults: &mut Vec<Diagnostic>) 
         faults.push(fault.at(key.span, "").help(help));
         false
     });
+    entries.len() < before
 }
 
 /// Reports duplicate keys and keeps the first of each.

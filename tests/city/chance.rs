@@ -257,7 +257,7 @@ fn explanations_show_draws() {
 #[test]
 fn what_draws_nothing_refuses_such_rules() {
     let (world, _) = with_rules("0.5 :: Stop(X) :- IsCar(X).\n", |_| ());
-    let fault = world.vocabulary.without_draws("questions").unwrap_err();
+    let fault = world.without_draws("questions").unwrap_err();
     assert_eq!(
         fault.message,
         "questions draw nothing, but clauses of the rules have probabilities"

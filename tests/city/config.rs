@@ -233,6 +233,165 @@ fn common_mistakes_are_explained_once() {
             (2, 31),
             vec!["unknown key `knd`", "did you mean `kind`?"],
         ),
+        (
+            "kinds: {Cyclist: {kind: Car: 4}}",
+            (2, 25),
+            vec!["in the value of `kind`", "`kind: {Car: 4}`", "`kind: \"Car: 4\"`"],
+        ),
+        (
+            "kinds:\n  Cyclist:\n    kind: Car: 4",
+            (4, 11),
+            vec!["a value in the line of its key cannot have a key itself"],
+        ),
+        (
+            "regoin: ~",
+            (2, 1),
+            vec!["unknown key `regoin`", "did you mean `region`?"],
+        ),
+        ("taskk: ~", (2, 1), vec!["unknown key `taskk`", "did you mean `task`?"]),
+        (
+            "predicates: {define: {IsTirro: ~}}",
+            (2, 23),
+            vec!["the base has no predicate `IsTirro`", "did you mean `IsTiro`?"],
+        ),
+        (
+            "map: {zones: {school: ~}}",
+            (2, 15),
+            vec!["the base has no zone `school`", "so `~` removes nothing", "remove it"],
+        ),
+        (
+            "kinds: {Cyclist: ~}",
+            (2, 9),
+            vec!["the base has no kind of agents `Cyclist`"],
+        ),
+        (
+            "actions: {define: {Unload: ~}}",
+            (2, 20),
+            vec!["the base has no action `Unload`"],
+        ),
+        (
+            "task: {reward: {clauses: {S1: ~}}}",
+            (2, 27),
+            vec!["the base has no reward of the clause `S1`"],
+        ),
+        (
+            "map: {buildings: {rndom: ~}}",
+            (2, 19),
+            vec!["unknown key `rndom`", "did you mean `random`?"],
+        ),
+        (
+            "map: {buildings: {row: ~, random: {seed: 1, weights: {House: 1}}}}",
+            (2, 19),
+            vec!["unknown key `row`", "did you mean `rows`?"],
+        ),
+        (
+            "actions: {define: {Unload: {park: 20, cells: {Car: 0}}}}",
+            (2, 20),
+            vec![
+                "exactly once",
+                "the inherited `priority` lacks it",
+                "write beside `define`: `priority: [Stop, Unload, Slow, Fast, Normal]`",
+            ],
+        ),
+        (
+            "map:\n  blocks: [1, 1]\n zones: {}",
+            (4, 2),
+            vec![
+                "no line above has the indentation of this line",
+                "indent it like `blocks` in line 3 (2 spaces), or like `map` in line 2 (0 spaces)",
+            ],
+        ),
+        (
+            "view: 3\n  ticks: 4",
+            (3, 3),
+            vec!["indent it like `view` in line 2 (0 spaces)"],
+        ),
+        (
+            "agents:\n  test:\n    cars:\n      - priority: 1\n       count: 3",
+            (6, 8),
+            vec!["indent it like `priority` in line 5 (8 spaces)"],
+        ),
+        (
+            "view: 3\n- ticks: 4",
+            (3, 1),
+            vec!["expected a key, found a list entry", "remove the dash"],
+        ),
+        (
+            "agents: {test: {cars: [{priority: 1}]}\nview: 3",
+            (3, 1),
+            vec![
+                "expected `,` or `}` before this line",
+                "opened here",
+                "close the `{` with `}`",
+            ],
+        ),
+        (
+            "agents: {test: {cars: [{priority: 1}]}",
+            (2, 9),
+            vec!["the `{` is not closed", "write `}` after its last entry"],
+        ),
+        (
+            "agents: {test: {cars: [{priority: 1}}}",
+            (2, 23),
+            vec!["a `]` is missing before a `}`", "write `]` before this"],
+        ),
+        (
+            "map: {blocks: [1, 1] zones: {}}",
+            (2, 22),
+            vec!["expected `,` or `}`", "put a comma between its entries"],
+        ),
+        (
+            "agents:\n  test:\n    cars:\n      -{priority: 1}",
+            (5, 7),
+            vec!["put a space after the dash: `- {priority: 1}`"],
+        ),
+        (
+            "agents:\n  test:\n    cars:\n      - {priority: 1}\n      -priority: 2",
+            (6, 7),
+            vec!["put a space after the dash: `- priority: 2`"],
+        ),
+        (
+            "rules: \"hard.dl\nview: 3",
+            (2, 8),
+            vec!["the quote is not closed", "in the same line"],
+        ),
+        (
+            "view 40\nticks: 3",
+            (2, 1),
+            vec!["expected `:` after `view`", "write `view: 40`"],
+        ),
+        ("view: 40}", (2, 7), vec!["remove the `}`: nothing opens it"]),
+        (
+            "map: @mine",
+            (2, 6),
+            vec!["a text without quotes cannot begin with `@`", "`\"@mine\"`"],
+        ),
+        (
+            "agents: {test: [{cars: []}]}",
+            (2, 16),
+            vec!["(a mapping), found a list", "without a dash or brackets: `cars: ...`"],
+        ),
+        (
+            "agents: {test: {cars: {priority: 3}}}",
+            (2, 23),
+            vec!["expected a list of cars, found a mapping", "`[{priority: ...}]`"],
+        ),
+        ("predicates: {use: IsCar}", (2, 19), vec!["write a list: `[IsCar]`"]),
+        (
+            "predicates: {define: {Tick: {quantity:tick}}}",
+            (2, 30),
+            vec!["expected a space after `quantity:`", "`quantity: tick`"],
+        ),
+        (
+            "predicates: {define: {IsFar: {distance: {atmost: 25}}}}",
+            (2, 42),
+            vec!["unknown key `atmost`", "did you mean `at_most`?"],
+        ),
+        (
+            "agents: {test: {cars: [{prioriti: 1}]}}",
+            (2, 25),
+            vec!["unknown key `prioriti`", "did you mean `priority`?"],
+        ),
         ("view:40", (2, 1), vec!["expected a space after `view:`", "`view: 40`"]),
         ("view:40\nticks: 3", (2, 1), vec!["expected a space after `view:`"]),
         (
@@ -311,6 +470,9 @@ fn common_mistakes_are_explained_once() {
         for word in words {
             assert!(shown.contains(word), "`{word}` is missing in:\n{shown}");
         }
+    }
+    for (text, near) in [("base: comon.yaml\n", "common"), ("base: exprt.yaml\n", "expert")] {
+        assert!(bad(&[("main.yaml", text)]).contains(&format!("did you mean `{near}`?")));
     }
     // Without any other key, the text is a scalar.
     assert!(bad(&[("main.yaml", "view:40\n")]).contains("put a space after the colon: `view: 40`"));

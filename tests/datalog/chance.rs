@@ -6,6 +6,7 @@ use crate::random_program::Batch;
 use crate::random_program::agree::{agrees, database};
 use crate::written_program::program;
 use logicity_datalog::cancel::Cancel;
+use logicity_datalog::diff::{Equivalence, Options, diff};
 use logicity_datalog::{Inexact, MarginalOptions, Marginals, PredicateId, Program, Session, Value, naive};
 use proptest::collection::vec;
 use proptest::prelude::*;
@@ -562,5 +563,56 @@ fn aggregates_over_uncertain_rows_are_estimated() {
         let found = marginals.probability("k", (count,)).unwrap();
         let (low, high) = found.interval.unwrap();
         assert!((low..=high).contains(&expected), "{count}: {found:?}");
+    }
+}
+
+/// Comparisons regard draws as facts, the same for both sides if stream and probabilities are.
+#[test]
+fn draws_are_facts_in_comparisons() {
+    const HEAD: &str = ".decl A(x: symbol)\n.input A\n.decl B(x: symbol)\n.decl C(x: symbol)\n.output B, C\n";
+    let compared = |left: &str, right: &str| {
+        let [left, right] =
+            [left, right].map(|text| Program::parse(&format!("{HEAD}{text}\n")).unwrap().rules().clone());
+        diff(&left, &right, &Options::default()).unwrap()
+    };
+    for (left, right) in [
+        ("0.01 :: B(x) :- A(x).", "0.01 :: B(y) :- A(y)."),
+        ("1.0 :: B(x) :- A(x).", "B(x) :- A(x)."),
+    ] {
+        let found = compared(left, right);
+        assert!(
+            matches!(found, Equivalence::Equivalent { .. }),
+            "{left} | {right}: {found:?}"
+        );
+    }
+    // What is never drawn, and two alternatives at once.
+    for (left, right) in [
+        ("0.0 :: B(x) :- A(x).", ""),
+        (
+            "0.3 :: B(x); 0.7 :: C(x) :- A(x).",
+            "0.3 :: B(x); 0.7 :: C(x) :- A(x).\nB(y) :- A(y), B(x), C(x).",
+        ),
+    ] {
+        let found = compared(left, right);
+        assert!(
+            !matches!(found, Equivalence::Different(_)),
+            "{left} | {right}: {found:?}"
+        );
+    }
+    for (left, right) in [
+        ("0.01 :: B(x) :- A(x).", ""),
+        ("0.99999 :: B(x) :- A(x).", "B(x) :- A(x)."),
+        ("0.8 :: B(x) :- A(x).", "0.5 :: B(x) :- A(x)."),
+        ("0.3 :: B(x); 0.7 :: C(x) :- A(x).", "0.3 :: B(x); 0.6 :: C(x) :- A(x)."),
+        (
+            "0.3 :: B(x); 0.7 :: C(x) :- A(x).",
+            "0.3 :: B(x); 0.7 :: C(x) :- A(x).\nB(x) :- C(x).",
+        ),
+    ] {
+        let Equivalence::Different(scene) = compared(left, right) else {
+            panic!("{left} | {right}: no difference found");
+        };
+        assert_ne!(scene.derived[0], scene.derived[1]);
+        assert_eq!(scene.entities.len(), 1, "{left} | {right}: {scene:?}");
     }
 }

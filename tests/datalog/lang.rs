@@ -105,6 +105,122 @@ fn habits_of_other_languages_are_reported_once_with_help() {
         ("B(x) :- A(x), Once[1,10] A(x).", "did you mean `once`?"),
         ("B(x) :- A(x), prev A(x).", "the temporal operator `previous`"),
         ("B(x) :- A(x) until B(x).", "temporal operators are about the past"),
+        ("B(x) :- A(x), once(1, 10) A(x).", "in brackets: `once[1,10] P(x)`"),
+        (
+            "B(x) :- A(x), since[1,30] A(x).",
+            "`P(x) since[1,30] Q(x)`; remove the comma before it",
+        ),
+        (
+            "B(x) :- since[1,30] A(x).",
+            "stands between two atoms: `P(x) since[1,30] Q(x)`",
+        ),
+        ("B(x) :- since A(x).", "stands between two atoms: `P(x) since Q(x)`"),
+        (
+            "B(x) :- A(x), sinc[1,30] A(x).",
+            "did you mean `since`? It stands between two atoms",
+        ),
+        (
+            "B(x) :- since(A(x), A(x)).",
+            "stands between two atoms: `P(x) since Q(x)`",
+        ),
+        ("B(x) :- A(x) since(1, 3) A(x).", "in brackets: `P(x) since[1,10] Q(x)`"),
+        (
+            "B(x) :- A(x) sinc[1,30] A(x).",
+            "did you mean the temporal operator `since`?",
+        ),
+        (
+            "B(x) :- A(x) Since A(x).",
+            "did you mean the temporal operator `since`?",
+        ),
+        (
+            "B(x) :- A(x) onec[1,30] A(x).",
+            "operator `once`? Write a comma before it",
+        ),
+        ("B(x) :- A(x) once[1,30] A(x).", "write a comma before it"),
+        ("B(x) :- always[1,8] A(x).", "did you mean `historically`?"),
+        ("B(x) :- A(x), !globally[1,8] A(x).", "did you mean `historically`?"),
+        ("B(x) :- always A(x).", "the temporal operator `historically`"),
+        ("B(x) :- eventually[1,8] A(x).", "did you mean `once`?"),
+        ("B(x) :- sometime[1,8] A(x).", "did you mean `once`?"),
+        ("B(x) :- past A(x).", "the temporal operator `once`"),
+        ("B(x) :- last[1,8] A(x).", "`previous`, which has no window"),
+        ("B(x) :- before A(x).", "the temporal operator `previous`"),
+        ("B(x) :- yesterday A(x).", "the temporal operator `previous`"),
+        ("B(x) :- A(x), next A(x).", "temporal operators are about the past"),
+        (
+            "B(x) :- A(x), xyzzy[1,8] A(x).",
+            "the temporal operators are `previous`, `once`",
+        ),
+        ("B(x) :- A(x), once(A(x)).", "stands before its atom: `once[0,5] P(x)`"),
+        (
+            "B(x) :- A(x), once[0,n] A(x).",
+            "whole numbers of ticks, such as `once[0,6]`",
+        ),
+        (
+            "B(x) :- A(x), once[n,6] A(x).",
+            "whole numbers of ticks, such as `once[0,6]`",
+        ),
+        (
+            "B(x) :- A(x), once[0,6.5] A(x).",
+            "whole numbers of ticks, such as `once[0,6]`",
+        ),
+        (
+            "B(x) :- A(x), once[0..6] A(x).",
+            "whole numbers of ticks, such as `once[0,6]`",
+        ),
+        (
+            "B(x) :- A(x), once[0,] A(x).",
+            "whole numbers of ticks, such as `once[0,6]`",
+        ),
+        ("B(x) :- A(x), for[x] A(x).", "such as `for[10]`"),
+        ("B(x) :- A(x) since[0,x] A(x).", "such as `P(x) since[0,6] Q(x)`"),
+        ("0,8 :: B(x) :- A(x).", "a decimal point, not a comma: `0.8`"),
+        (".8 :: B(x) :- A(x).", "write `0.8`"),
+        ("0.2 :: B(x); .8 :: B(x) :- A(x).", "write `0.8`"),
+        ("B(x) :- A(x), to_float(x) < .5.", "write `0.5`"),
+        (
+            "B(x) :- A(x), to_float(x) < 0,5.",
+            "a decimal point, not a comma: `0.5`",
+        ),
+        ("decl C(x: number)", "begins with a dot: `.decl`"),
+        ("output A", "begins with a dot: `.output`"),
+        (
+            "include \"vocabulary.dl\"\nStop(X) :- IsCar(X).",
+            "`.include \"vocabulary.dl\"`",
+        ),
+        (
+            "import \"vocabulary.dl\"\nStop(X) :- IsCar(X).",
+            "`.include \"vocabulary.dl\"`",
+        ),
+        ("B(x) :- A(x), x < 30.5.", "such as `30`, or convert `x`: `to_float(x)`"),
+        (
+            "B(x) :- A(x), x % 48 < \"20\".",
+            "write the number without quotes: `20`",
+        ),
+        ("B(x) :- A(x), x = \"far\".", "convert `x`: `to_string(x)`"),
+        (
+            ".decl C(s: symbol)\n.input C\nB(1) :- C(s), s < 3.",
+            "write `3` in quotes: `\"3\"`, or convert `s`: `to_number(s)`",
+        ),
+        (
+            ".decl C(s: symbol)\n.input C\nB(x) :- A(x), C(s), x = s.",
+            "convert `x`: `to_string(x)`, or convert `s`: `to_number(s)`",
+        ),
+        (
+            ".decl C(s: symbol)\n.input C\nB(s) :- C(s).",
+            "convert the value: `to_number(s)`",
+        ),
+        ("B(x) :- A(x), A(\"3\").", "write the number without quotes: `3`"),
+        (
+            ".decl C(s: symbol)\n.output C\nC(3) :- A(_).",
+            "write `3` in quotes: `\"3\"`",
+        ),
+        ("B(x) :- A(x), x = 2 * \"3\".", "write the number without quotes: `3`"),
+        (
+            ".decl C(s: symbol)\n.output C\nC(cat(x, \"m\")) :- A(x).",
+            "convert it: `to_string(x)`",
+        ),
+        ("B(x) :- A(x)).", "each `(` is closed before this `)`: remove it"),
         ("0.3 : B(x) :- A(x).", "two colons follow a probability"),
         ("30 :: B(x) :- A(x).", "write 30 percent as `0.3`"),
         ("1.3 :: B(x) :- A(x).", "from 0.0 to 1.0"),
@@ -383,11 +499,122 @@ fn parts_of_names_are_suggested() {
     );
     let said = helps(&format!("{include}Stop(X) :- Teleports(X).\n"));
     assert!(said.len() == 1 && !said[0].contains("vocabulary.dl"), "{said:?}");
-    assert!(
-        helps("Stop(X) :- Teleports(X).\n")
-            .iter()
-            .all(|help| help.contains("vocabulary.dl"))
+    // A built-in file offers exactly the names that it declares.
+    let include = "add `.include \"vocabulary.dl\"`, which declares it";
+    let own = "declare it: `.decl Teleports(...)`, or include the file that declares it";
+    assert_eq!(helps("Stop(X) :- Teleports(X).\n"), [include, own]);
+    let text = ".decl Near(x: agent)\n.output Near\nNear(X) :- IsCar(X), IsClose(X, _).\n";
+    assert_eq!(helps(text), [include; 3]);
+    let said = helps(".decl IsCars(x: symbol)\n.input IsCars\n.decl A(x: symbol)\n.output A\nA(x) :- IsCar(x).\n");
+    assert_eq!(said, ["did you mean `IsCars`?", &format!("or {include}")]);
+    // Without built-in files, the engine knows none.
+    let mut sources = Sources::new();
+    let entry = sources.add("main.dl", "Stop(X) :- IsCar(X).\n");
+    let loaded = load(&mut sources, entry, &|_: &Path| Err(ReadError::NotFound));
+    assert!(!format!("{:?}", loaded.diagnostics).contains("vocabulary"));
+}
+
+#[test]
+fn a_variable_in_the_other_case_is_suggested() {
+    let city = ".include \"vocabulary.dl\"\n.scope Sees\n";
+    const HEAD: &str =
+        ".decl A(x: symbol)\n.decl C(x: symbol, y: symbol)\n.input A, C\n.decl B(x: symbol)\n.output B\n";
+    for (head, clause, expected) in [
+        (city, "Slow(X) :- IsBus(X), IsCar(x).", vec![("x", "X")]),
+        (city, "Slow(X) :- IsClose(X, Y), IsBus(y).", vec![("y", "Y")]),
+        (city, "Slow(X) :- IsBus(X), IsCar(Y).", vec![]),
+        (HEAD, "B(X) :- A(X), C(X, x).", vec![("x", "X")]),
+        (HEAD, "B(X) :- C(X, Y), A(y).", vec![("Y", ""), ("y", "Y")]),
+        (
+            HEAD,
+            "B(Car) :- A(Car), count : { C(car, _) } > 1.",
+            vec![("car", "Car")],
+        ),
+    ] {
+        let (_, loaded) = load_text("main.dl", &format!("{head}{clause}\n"));
+        let said = loaded.diagnostics.iter().map(|fault| (&*fault.message, &fault.help));
+        let wanted = expected.into_iter().map(|(name, twin)| {
+            let plain = format!("write `_` or `_{name}` if its value does not matter");
+            let help = match twin {
+                "" => vec![plain],
+                _ => vec![format!("did you mean `{twin}`?"), format!("or {plain}")],
+            };
+            (format!("the variable `{name}` occurs only once"), help)
+        });
+        let said: Vec<(String, Vec<String>)> = said.map(|(message, help)| (message.to_owned(), help.clone())).collect();
+        assert_eq!(said, wanted.collect::<Vec<_>>(), "{clause}");
+    }
+}
+
+/// Constants of an unknown type have no value, so clauses that differ in them are not compared.
+#[test]
+fn clauses_with_unknown_types_are_not_compared() {
+    let text = ".decl A(x: symbol)\n.input A\n.decl B(x: symbol, h: string)\n.output B\n\
+                B(x, \"Up\") :- A(x).\nB(x, \"Down\") :- A(x).\nB(\"a\", \"Up\").\nB(\"a\", \"Down\").\n";
+    let (_, loaded) = load_text("main.dl", text);
+    let said: Vec<&str> = loaded.diagnostics.iter().map(|fault| fault.code.name()).collect();
+    assert_eq!(said, ["unknown-type"]);
+}
+
+/// Returns why a program does not derive a row of `P`, as text.
+fn why_not(text: &str, value: i32) -> String {
+    let (sources, loaded) = load_text("main.dl", text);
+    let rules = loaded.rules.expect("no error");
+    let id = rules.predicate("P").expect("declared");
+    let mut session = datalog::Program::new(rules.clone()).expect("no error").session();
+    session.commit().expect("few rows");
+    let pattern = [Some(datalog::Value::number(value))];
+    let found = session.explain_absence(id, &pattern).expect("few steps");
+    let printer = datalog::explain::ExplanationPrinter::new(&rules, session.symbols(), &sources);
+    printer.tree(&found.expect("no such row"))
+}
+
+#[test]
+fn a_negative_proof_states_each_equation_once() {
+    let text = ".decl A(i: number, n: number)\nA(0, 4). A(1, 5). A(2, 6).\n.decl P(n: number)\n.output P\n\
+                P(n) :- A(i, n), i % 2 = 0, A(j, m), i % 2 = 0, j = i + 1, m % 2 = n % 2.\n";
+    let tree = why_not(text, 5);
+    for part in ["i % 2 = 1", "1 = 0 fails", "0 = 1 fails"] {
+        assert_eq!(tree.matches(part).count(), 1, "{part}\n{tree}");
+    }
+}
+
+/// Values of different types are no equal values, whatever their words are.
+#[test]
+fn the_nearest_binding_has_different_values_for_different_variables() {
+    for other in [0, 2, 3, 4, 5, 6] {
+        let text = format!(
+            ".decl Near, Hit(x: number, y: number)\n.decl S(s: symbol)\n.decl P(x: number)\n.input Hit\n.output P\n\
+             P(x) :- Near(x, y), S(s), Hit(x, y).\nNear(1, 1). Near(1, {other}). S(\"a\").\n"
+        );
+        let tree = why_not(&text, 1);
+        assert!(
+            tree.contains(&format!("nearest y = {other}, s = \"a\": Hit(1, {other})")),
+            "{tree}"
+        );
+    }
+}
+
+#[test]
+fn counted_nouns_agree_with_their_numbers() {
+    assert_eq!(
+        [0, 1, 2].map(|count| diag::counted(count, "row")),
+        ["0 rows", "1 row", "2 rows"]
     );
+    let notes = |text: &str| -> Vec<String> {
+        let (_, loaded) = load_text("main.dl", text);
+        loaded.diagnostics.into_iter().flat_map(|fault| fault.notes).collect()
+    };
+    let uses = |count: usize| ".decl A(x: symbol)\n.output A\n".to_owned() + &"A(x) :- Unheard(x).\n".repeat(count);
+    assert_eq!(notes(&uses(5)), ["it is used in 1 more place"]);
+    assert_eq!(notes(&uses(6)), ["it is used in 2 more places"]);
+    let dead = |count: usize| {
+        let clause = |at: usize| format!("A(x) :- B(x), C(x, {at}).\n");
+        let clauses: String = (0..count).map(clause).collect();
+        ".decl A, B(x: symbol)\n.output A\n.decl C(x: symbol, n: number)\n.input C\n".to_owned() + &clauses
+    };
+    assert_eq!(notes(&dead(5)), ["nor does 1 other clause"]);
+    assert_eq!(notes(&dead(6)), ["nor do 2 other clauses"]);
 }
 
 #[test]

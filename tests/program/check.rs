@@ -255,6 +255,33 @@ fn absent_agents_and_unread_outputs_are_reported() {
     assert_eq!(found(folder.path(), &["taxi.yaml"]), is(&[]));
 }
 
+/// Without a task, agents take only the actions that clauses derive for their kinds.
+#[test]
+fn actions_that_no_agent_takes_are_reported() {
+    let folder = tempfile::tempdir().unwrap();
+    let actions = "actions:\n  priority: [Stop, Left, Park, Slow, Fast, Normal]\n  define:\n    Left: {cells: {Car: 1}, turn: left}\n    Park: {cells: {Car: 0}, park: 5}\n";
+    let config = format!("base: expert\nrules: turn.dl\ntask: ~\n{actions}");
+    write(folder.path(), "turn.yaml", &config);
+    let rules = ".include \"vocabulary.dl\"\n.decl Left(x: agent)\nStop(X) :- CollidingClose(X, Y).\n";
+    let rules = format!("{rules}Left(X) :- IsPedestrian(X), IsAtInter(X), Not(Stop(X)).\n");
+    write(folder.path(), "turn.dl", &rules);
+    assert_eq!(
+        found(folder.path(), &["turn.yaml"]),
+        is(&[("unused-action", 8), ("unused-action", 4)])
+    );
+    // The default is taken without a clause, and the clause is for cars, too.
+    write(
+        folder.path(),
+        "turn.yaml",
+        format!("{config}  default: Park\n").replace("{Car: 0}", "{Car: 0, Pedestrian: 0}"),
+    );
+    write(folder.path(), "turn.dl", rules.replace("IsPedestrian(X), ", ""));
+    assert_eq!(found(folder.path(), &["turn.yaml"]), is(&[]));
+    // The ego of a task may take what no clause derives.
+    write(folder.path(), "turn.yaml", config.replace("task: ~\n", ""));
+    assert_eq!(found(folder.path(), &["turn.yaml"]), is(&[]));
+}
+
 /// A clause never fires if an alternative or another predicate without rows is the reason. Long chains of such clauses
 /// take time in proportion to their length.
 #[test]

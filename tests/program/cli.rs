@@ -1165,6 +1165,9 @@ fn a_missing_file_is_reported_in_one_wording_with_a_similar_name() {
             "rules/expert.dl",
         ),
         (vec!["run", "exprt", "--no-trace"], "exprt", "expert"),
+        (vec!["check", "exprt"], "exprt", "rules/expert.dl"),
+        (vec!["diff", "hrd", "expert"], "hrd", "rules/hard.dl"),
+        (vec!["shortcuts", "hrd"], "hrd", "rules/hard.dl"),
         (
             vec!["check", "configs/exprt.yaml"],
             "configs/exprt.yaml",

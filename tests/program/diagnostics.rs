@@ -388,7 +388,13 @@ fn unknown_agents_are_reported_as_their_fixture_expects() {
 /// the same.
 #[test]
 fn faults_of_rules_in_a_city_are_reported_as_their_fixtures_expect() {
-    for (code, exit) in [("constraint-mismatch", 1), ("empty-predicate", 0), ("unused-output", 0)] {
+    for (code, exit) in [
+        ("constraint-mismatch", 1),
+        ("empty-predicate", 0),
+        ("unused-output", 0),
+        ("unread-predicate", 0),
+        ("unused-action", 0),
+    ] {
         let folder = fixtures().join(code);
         let text = fs::read_to_string(folder.join("main.dl")).unwrap();
         let lines = text.lines().zip(1..);

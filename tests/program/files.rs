@@ -1215,3 +1215,29 @@ fn pipes_are_read_only_where_the_user_names_them() {
         .unwrap();
     assert_eq!(output.status.code(), Some(0), "{}", said(&output));
 }
+
+/// A folder with the bare name of a built-in file does not hide the file.
+#[test]
+fn folders_do_not_hide_built_in_names() {
+    let folder = tempfile::tempdir().unwrap();
+    for name in ["expert", "hard", "square-5x5"] {
+        fs::create_dir(folder.path().join(name)).unwrap();
+    }
+    fs::write(
+        folder.path().join("mine.yaml"),
+        "base: expert\nrules: hard\nmap: square-5x5\n",
+    )
+    .unwrap();
+    for line in [
+        "run expert --ticks 1 --no-trace",
+        "check hard",
+        "run mine.yaml --ticks 1 --no-trace",
+    ] {
+        let output = logicity(folder.path(), line);
+        assert!(output.status.success(), "{line}: {}", said(&output));
+    }
+    fs::create_dir(folder.path().join("other")).unwrap();
+    for line in ["run other --ticks 1 --no-trace", "check other"] {
+        fails(folder.path(), line, 2, &["it is a folder, not a file"]);
+    }
+}

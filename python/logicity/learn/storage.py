@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import hashlib
 import json
+import os
 import platform
 from abc import abstractmethod
 from collections.abc import Iterator, Mapping
@@ -100,12 +101,15 @@ def policy_hash(policy: LearnedPolicy) -> tuple[str, str]:
 def processor() -> str:
     """Return the vendor of the processor and the vector instructions that PyTorch uses, such as `GenuineIntel AVX512`.
 
-    PyTorch adds numbers in an order that depends on both, so trainings on different ones have different weights.
+    PyTorch adds numbers in an order that depends on both, so trainings on different ones have different weights. It
+    also depends on the environment variable MKL_CBWR, which the name then contains.
     """
     information = Path("/proc/cpuinfo")
     lines = information.read_text(encoding="utf-8").splitlines() if information.exists() else []
     vendor = next((line.partition(":")[2].strip() for line in lines if line.startswith("vendor_id")), "")
-    return f"{vendor or platform.processor() or platform.machine()} {torch.backends.cpu.get_cpu_capability()}"
+    name = f"{vendor or platform.processor() or platform.machine()} {torch.backends.cpu.get_cpu_capability()}"
+    branch = os.environ.get("MKL_CBWR")
+    return f"{name} MKL_CBWR={branch}" if branch else name
 
 
 def weights_hash(weights: Mapping[str, Any]) -> str:

@@ -338,4 +338,8 @@ impl ReadFile for Overlay {
     fn builtin_paths(&self) -> Vec<String> {
         BuiltinFiles.builtin_paths()
     }
+
+    fn names_in(&self, folder: &Path) -> Vec<String> {
+        BuiltinFiles.names_in(folder)
+    }
 }

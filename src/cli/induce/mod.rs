@@ -296,7 +296,7 @@ fn search_bar(examples: &str) -> ProgressBar {
     let bar = ProgressBar::new(1);
     let template = format!("{{bar:30}} {{msg}} {{pos}} of {{len}} {examples}");
     bar.set_style(ProgressStyle::with_template(&template).expect("a valid template"));
-    bar
+    terminal::with_lines(bar, examples)
 }
 
 /// Shows the progress of a search.

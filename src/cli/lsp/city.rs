@@ -128,6 +128,10 @@ impl ReadFile for Recorder<'_> {
     fn builtin_paths(&self) -> Vec<String> {
         self.files.builtin_paths()
     }
+
+    fn names_in(&self, folder: &Path) -> Vec<String> {
+        self.files.names_in(folder)
+    }
 }
 
 fn state(path: &Path, open: &OpenText<'_>) -> State {

@@ -267,6 +267,10 @@ impl ReadFile for OpenDocuments<'_> {
     fn builtin_paths(&self) -> Vec<String> {
         BuiltinFiles.builtin_paths()
     }
+
+    fn names_in(&self, folder: &Path) -> Vec<String> {
+        BuiltinFiles.names_in(folder)
+    }
 }
 
 struct Server {

@@ -15,7 +15,7 @@ use crate::codes;
 use crate::diag::{self, Diagnostic, Faults};
 
 use crate::check::names::Names;
-use crate::check::rules::{PredicateId, Rules};
+use crate::check::rules::{Column, Function, Predicate, PredicateId, Rules};
 use crate::syntax::ast::{
     Atom, BaseType, Clause, ColumnDecl, Comparison, Decl, Item, Literal, Name, Place, Term, TermKind, names_in,
     names_of,
@@ -307,4 +307,109 @@ impl Rules {
             symbols: (0..values.len()).map(|at| symbols >> at & 1 == 1).collect(),
         })
     }
+
+    /// Returns the rules with a hidden input predicate in place of the draws of each clause with probabilities. Its rows
+    /// are the values of the draw with the alternative that is drawn for them, from 0; with a greater number, none is.
+    /// Draws with the same stream and probabilities have the same predicate in all rules.
+    pub fn with_draws_as_facts(&self) -> Rules {
+        let mut rules = self.clone();
+        if let Some(chance) = self.chance {
+            for at in 0..rules.clauses.len() {
+                if let Some(draw) = self.draw(&rules.clauses[at]) {
+                    rules.replace_draw(at, &draw);
+                }
+            }
+            rules.chance = None;
+            // Nothing reads it, and its words would exclude a proof.
+            rules.predicates[chance.index()].columns.clear();
+        }
+        rules
+    }
+
+    /// Replaces the literals of a draw in the clause at a position.
+    fn replace_draw(&mut self, at: usize, draw: &Draw) {
+        let clause = &self.clauses[at];
+        let span = clause.span;
+        let number = |alternative: usize| super::Term::Constant(Value::number(alternative as i32));
+        let is = |probability: f32| {
+            draw.probabilities.get(draw.alternative) == Some(&super::Term::Constant(Value::float(probability)))
+        };
+        let drawn = match (is(1.0), is(0.0)) {
+            (true, _) => None,
+            (_, true) => Some(super::Literal::Compare {
+                op: Comparison::Equal,
+                left: number(0),
+                right: number(1),
+                base: BaseType::Number,
+                span,
+            }),
+            _ => {
+                // A computed probability counts as a value.
+                let computed = draw.probabilities.iter().filter(|term| term.variable().is_some());
+                let terms: Vec<super::Term> = computed.chain(&draw.values).copied().collect();
+                let predicate = self.draw_predicate(at, draw, &terms);
+                Some(super::Literal::Positive(super::Atom {
+                    predicate,
+                    terms: terms.into_iter().chain([number(draw.alternative)]).collect(),
+                    span,
+                }))
+            }
+        };
+        let body = std::mem::take(&mut self.clauses[at].body);
+        let others = (0..)
+            .zip(body)
+            .filter(|(position, _)| !draw.literals.contains(position));
+        self.clauses[at].body = others.map(|(_, literal)| literal).chain(drawn).collect();
+    }
+
+    /// Returns the predicate with the facts of a draw about some terms, and adds it if it is new.
+    fn draw_predicate(&mut self, at: usize, draw: &Draw, terms: &[super::Term]) -> PredicateId {
+        let clause = &self.clauses[at];
+        let bases = self.bases(clause);
+        let word = &self.predicates[self.chance.expect("a clause draws").index()];
+        let column = |term: &super::Term| {
+            let atoms = clause.body.iter().filter_map(super::Literal::atom);
+            let known = atoms.chain([&clause.head]).find_map(|atom| {
+                let place = atom.terms.iter().position(|known| known == term)?;
+                self.predicates[atom.predicate.index()].columns.get(place)
+            });
+            Column {
+                name: String::new(),
+                ty: known.map_or(word.columns[0].ty, |column| column.ty),
+                base: term
+                    .variable()
+                    .map_or(BaseType::Unsigned, |variable| bases[variable.index()]),
+            }
+        };
+        let mut columns: Vec<Column> = terms.iter().map(column).collect();
+        columns.push(Column {
+            base: BaseType::Number,
+            ..word.columns[0].clone()
+        });
+        let probabilities: Vec<String> = (draw.probabilities.iter())
+            .map(|term| match term {
+                super::Term::Constant(value) => value.as_float().to_string(),
+                _ => "a computed probability".to_owned(),
+            })
+            .collect();
+        let kinds: Vec<&str> = columns.iter().map(|column| column.base.name()).collect();
+        let (probabilities, kinds) = (probabilities.join(", "), kinds.join(", "));
+        let name = format!("{DRAW}{probabilities} in the stream {:016x} over {kinds}", draw.stream);
+        if let Some(known) = self.predicate(&name) {
+            return known;
+        }
+        let predicate = PredicateId(u32::try_from(self.predicates.len()).expect("fewer than 2^32 predicates"));
+        self.predicates.push(Predicate {
+            name,
+            columns,
+            input: true,
+            ..word.clone()
+        });
+        let symbols = None;
+        self.functions.push(Function { predicate, symbols });
+        predicate
+    }
 }
+
+/// The beginning of the names of the predicates of [`Rules::with_draws_as_facts`]. The probabilities follow, then ` in`.
+pub const DRAW: &str = "draw of ";

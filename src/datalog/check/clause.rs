@@ -401,7 +401,8 @@ fn base(ty: VariableType, names: &Names) -> Option<BaseType> {
 }
 
 /// Warns of equations that are always true, and of other variables that occur once. A guarded variable means "some
-/// agent in view" and needs no second occurrence, nor does a variable of an aggregate under a scope.
+/// agent in view" and needs no second occurrence, unless another variable differs from it in case only. Nor does a
+/// variable of an aggregate under a scope.
 fn lone_variables<'c>(
     clause: &'c ast::Clause,
     body: &[&'c ast::Literal],
@@ -435,7 +436,11 @@ struct LoneVariables<'c, 'f> {
 impl<'c> LoneVariables<'c, '_> {
     /// Whether a variable occurs once. One that occurs once in this alternative may occur in others.
     fn is_lone(&self, name: &str) -> bool {
-        let counts = self.counts.get_or_init(|| {
+        self.counts().get(name) == Some(&1)
+    }
+
+    fn counts(&self) -> &HashMap<&'c str, usize> {
+        self.counts.get_or_init(|| {
             let mut counts: HashMap<&str, usize> = HashMap::new();
             let mut count = |name| *counts.entry(name).or_default() += 1;
             for term in self.clause.heads.iter().flat_map(|head| &head.terms) {
@@ -445,8 +450,35 @@ impl<'c> LoneVariables<'c, '_> {
                 names_in(literal, true, &mut count);
             }
             counts
-        });
-        counts.get(name) == Some(&1)
+        })
+    }
+
+    /// Returns the variable that differs from `name` in case only. Of two that occur once, the later one is at fault.
+    fn twin(&self, name: &str) -> Option<&'c str> {
+        let is_twin = |other: &&str| *other != name && other.eq_ignore_ascii_case(name);
+        let twin = self.counts().keys().copied().filter(is_twin).min()?;
+        let comes_first = || {
+            let mut order = Vec::new();
+            for literal in &self.clause.body {
+                names_in(literal, true, &mut |other| order.push(other));
+            }
+            order.iter().find(|other| [twin, name].contains(other)) == Some(&twin)
+        };
+        (self.counts()[twin] > 1 || comes_first()).then_some(twin)
+    }
+
+    /// Returns the warning of a variable that occurs once.
+    fn singleton(&self, name: &str, place: Span) -> Diagnostic {
+        let message = format!("the variable `{name}` occurs only once");
+        let fault = Diagnostic::new(codes::SINGLETON_VARIABLE, message).at(place, "");
+        let (fault, or) = match self.twin(name) {
+            Some(twin) => (fault.did_you_mean(twin, &[place]), "or "),
+            None => (fault, ""),
+        };
+        fault
+            .help(format!("{or}write `_` or `_{name}` if its value does not matter"))
+            .fix("replace it with `_`", [(place, "_".to_owned())])
+            .fix(format!("rename it to `_{name}`"), [(place, format!("_{name}"))])
     }
 
     fn report(&mut self, name: &'c str, fault: Diagnostic) {
@@ -476,7 +508,8 @@ impl<'c> LoneVariables<'c, '_> {
             };
             if let Some((name, term)) = result {
                 if is_explicit(name) && self.is_lone(name) && !self.reported.contains(&name.as_str()) {
-                    self.report(name, singleton(name, term.place.0));
+                    let fault = self.singleton(name, term.place.0);
+                    self.report(name, fault);
                 }
                 continue;
             }
@@ -502,10 +535,13 @@ impl<'c> LoneVariables<'c, '_> {
         for (variable, guarded) in variables.iter().zip(guarded) {
             let name = variable.name.as_str();
             let once = variable.count == 1 && !variable.hidden && is_explicit(name);
-            if *guarded || !once || self.reported.contains(&name) || !self.is_lone(name) {
+            if !once || self.reported.contains(&name) || !self.is_lone(name) {
                 continue;
             }
-            let mut fault = singleton(name, variable.first);
+            if *guarded && self.twin(name).is_none() {
+                continue;
+            }
+            let mut fault = self.singleton(name, variable.first);
             let is_symbol = base(variable.ty, names) == Some(BaseType::Symbol);
             if is_symbol && name.len() > 1 && name.starts_with(|first: char| first.is_ascii_uppercase()) {
                 fault = fault.help(format!(
@@ -536,7 +572,7 @@ impl<'c> LoneVariables<'c, '_> {
             if !is_once || !is_explicit(written) || self.reported.contains(&name) {
                 continue;
             }
-            let fault = singleton(written, span);
+            let fault = self.singleton(written, span);
             let fault = match witness::is_shadow(name) {
                 true => fault.note(format!(
                     "the `{written}` outside of this aggregate is another variable: it gets its value from the result"
@@ -580,17 +616,6 @@ fn vacuous_equation(
     fault.help(format!(
         "if you mean the symbol `{symbol}`, write it in quotes: `{one} = {other}`"
     ))
-}
-
-fn singleton(name: &str, place: Span) -> Diagnostic {
-    Diagnostic::new(
-        codes::SINGLETON_VARIABLE,
-        format!("the variable `{name}` occurs only once"),
-    )
-    .at(place, "")
-    .help(format!("write `_` or `_{name}` if its value does not matter"))
-    .fix("replace it with `_`", [(place, "_".to_owned())])
-    .fix(format!("rename it to `_{name}`"), [(place, format!("_{name}"))])
 }
 
 /// Calls `each` with the variables in the aggregates of a term except their targets, and with all if the term itself is

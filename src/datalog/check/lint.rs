@@ -74,7 +74,10 @@ pub(crate) fn dead(all: &Clauses, names: &Names, faults: &mut Faults) {
             fault = fault.also(*place, "nor does this one");
         }
         if places.len() > MAX_DEAD_SHOWN {
-            fault = fault.note(format!("nor do {} other clauses", places.len() - MAX_DEAD_SHOWN));
+            fault = fault.note(match places.len() - MAX_DEAD_SHOWN {
+                1 => "nor does 1 other clause".to_owned(),
+                more => format!("nor do {more} other clauses"),
+            });
         }
         fault = fault.also(names.predicate(predicate).span, format!("`{name}` is declared here"));
         fault = if has_clause[predicate.index()] {

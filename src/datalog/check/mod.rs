@@ -37,10 +37,11 @@ pub(crate) mod witness;
 use crate::diag::Faults;
 use crate::symbol::Symbols;
 use crate::syntax::ast;
+use crate::syntax::include::Offered;
 use crate::syntax::packed::FactRuns;
 use std::borrow::Cow;
 
-pub use chance::Draw;
+pub use chance::{DRAW, Draw};
 pub(crate) use rules::bind_all;
 pub use rules::{
     Atom, Clause, ClauseId, Column, Constraint, DeclaredConstraint, Directive, Function, Literal, Past, PastOperator,
@@ -68,11 +69,20 @@ pub enum InputPolicy {
     Extensible,
 }
 
+/// What is known of declarations outside of the checked items.
+#[derive(Clone, Copy)]
+pub(crate) struct Elsewhere<'a> {
+    /// Whether there are none. If not, the checker reports no unknown names.
+    pub complete: bool,
+    /// The names that built-in files declare, for suggestions.
+    pub offered: &'a Offered,
+}
+
 /// Checks all items and interns their constants in `symbols`. The rules are `None` if there is an error. Owned items
 /// and facts are dropped as soon as they are checked. If a predicate is inline, there must be no packed facts.
 pub(crate) fn check(
     (written, facts): (Cow<'_, [ast::Item]>, Cow<'_, FactRuns>),
-    complete: bool,
+    elsewhere: Elsewhere<'_>,
     inputs: InputPolicy,
     symbols: Symbols,
     faults: &mut Faults,
@@ -84,7 +94,7 @@ pub(crate) fn check(
     let replaced = inline::replace(without_time, faults);
     let syntax_is_good = !faults.failed();
     let items = replaced.as_deref().unwrap_or(without_time);
-    let mut names = names::declare(items, complete, inputs, faults);
+    let mut names = names::declare(items, elsewhere.complete, inputs, faults);
     if let Some(lowered) = &lowered {
         lowered.hide(&mut names);
     }
@@ -93,7 +103,7 @@ pub(crate) fn check(
     let constraints = constraints::check(items, &mut names, faults);
     let pasts = lowered.as_ref().map_or_else(Vec::new, |lowered| lowered.pasts(&names));
     drop((replaced, lowered, drawn, written, facts));
-    names.report_unknown(faults);
+    names.report_unknown(elsewhere.offered, faults);
     strata::check(&checked.edges, &names, faults);
     let mut compared = Comparing::default();
     // A clause that did not parse could make a dead clause live.

@@ -587,12 +587,9 @@ impl Rules {
         false
     }
 
-    /// Returns the rules of a single tick: what they read of earlier ticks and of chance is input.
+    /// Returns the rules of a single tick: what they read of earlier ticks is input, and so are draws.
     pub fn of_one_tick(&self) -> Rules {
-        let mut rules = self.clone();
-        if let Some(chance) = rules.chance {
-            rules.predicates[chance.index()].input = true;
-        }
+        let mut rules = self.with_draws_as_facts();
         for past in rules.pasts.drain(..) {
             rules.predicates[past.predicate.index()].input = true;
         }

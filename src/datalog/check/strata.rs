@@ -5,7 +5,7 @@ use std::cmp::Reverse;
 use std::collections::{BinaryHeap, VecDeque};
 
 use crate::codes;
-use crate::diag::{Diagnostic, Faults};
+use crate::diag::{Diagnostic, Faults, counted};
 
 use crate::check::clauses::{Edge, EdgeKind};
 use crate::check::names::Names;
@@ -73,10 +73,10 @@ pub(crate) fn check(edges: &[Edge], names: &Names, faults: &mut Faults) {
             fault = fault.also(edges[at].span, step(&edges[at]));
         }
         if back.len() > SHOWN_MAX {
-            fault = fault.note(format!(
-                "{} further steps of the cycle are not shown",
-                back.len() - SHOWN_MAX
-            ));
+            fault = fault.note(match back.len() - SHOWN_MAX {
+                1 => "1 further step of the cycle is not shown".to_owned(),
+                more => format!("{more} further steps of the cycle are not shown"),
+            });
         }
         let help = match edge.kind {
             EdgeKind::Aggregates => format!(
@@ -109,7 +109,7 @@ fn through(edge: &Edge, back: &[usize], edges: &[Edge], names: &Names) -> String
     let shown = between.iter().take(SHOWN_MAX);
     let mut shown: Vec<String> = shown.map(|&id| format!("`{}`", names.predicate(id).name)).collect();
     if between.len() > SHOWN_MAX {
-        shown.push(format!("{} others", between.len() - SHOWN_MAX));
+        shown.push(counted(between.len() - SHOWN_MAX, "other"));
     }
     shown.join(" and ")
 }

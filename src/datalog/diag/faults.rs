@@ -129,8 +129,10 @@ impl Faults {
         if self.hidden_warnings > 0
             && let Some(last) = list.last_mut()
         {
-            last.notes
-                .push(format!("{} more warnings are not shown", self.hidden_warnings));
+            last.notes.push(match self.hidden_warnings {
+                1 => "1 more warning is not shown".to_owned(),
+                more => format!("{more} more warnings are not shown"),
+            });
         }
         list
     }

@@ -181,6 +181,13 @@ impl Diagnostic {
     }
 }
 
+/// Returns a number with its noun, whose plural ends in `s`: `1 row`, `2 rows`.
+pub fn counted(count: impl std::fmt::Display, noun: &str) -> String {
+    let count = count.to_string();
+    let plural = if count == "1" { "" } else { "s" };
+    format!("{count} {noun}{plural}")
+}
+
 /// Lists names for a message: the first 20, and the number of the others.
 pub fn listed<S: Borrow<str>>(names: &[S]) -> String {
     const SHOWN: usize = 20;
@@ -239,6 +246,23 @@ pub fn similar_file<'a>(written: &str, candidates: impl IntoIterator<Item = &'a 
     let near = candidates().map(stem).find(|stem| *stem == written);
     let near = near.or_else(|| did_you_mean(written, candidates().map(stem)))?;
     candidates().find(|candidate| stem(candidate) == near)
+}
+
+/// Returns the path of an existing file that a missing one most likely means: one in the same folder with a similar name
+/// and, if it is given, this ending. `written` is relative to `folder`, and so is the result; `names_in` returns the
+/// names of the files in a folder.
+pub fn similar_file_in(
+    names_in: impl Fn(&Path) -> Vec<String>,
+    folder: &Path,
+    written: &Path,
+    ending: Option<&str>,
+) -> Option<String> {
+    let parent = written.parent().unwrap_or(Path::new(""));
+    let names = names_in(&folder.join(parent));
+    let fits = |name: &&str| ending.is_none_or(|ending| Path::new(name).extension().is_some_and(|own| own == ending));
+    let fitting = names.iter().map(String::as_str).filter(fits);
+    let near = similar_file(written.file_name()?.to_str()?, fitting)?;
+    Some(parent.join(near).display().to_string())
 }
 
 /// The shortest part of a name that suggests the whole, in bytes.

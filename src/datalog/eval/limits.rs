@@ -3,7 +3,7 @@
 
 use crate::check::{Clause, ClauseId, Literal, Rules, Term, VarId};
 use crate::diag::codes;
-use crate::diag::{Diagnostic, Limit, Span};
+use crate::diag::{Diagnostic, Limit, Span, counted};
 use crate::eval::growth;
 use crate::syntax::ast::Comparison;
 use std::collections::BTreeSet;
@@ -132,8 +132,12 @@ impl EvalError {
 impl fmt::Display for EvalError {
     fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
         match self {
-            EvalError::TooManyRows { limit, .. } => write!(f, "the rules derive more than {limit} rows"),
-            EvalError::TooManySteps { limit, .. } => write!(f, "the rules scan more than {limit} rows"),
+            EvalError::TooManyRows { limit, .. } => {
+                write!(f, "the rules derive more than {}", counted(limit, "row"))
+            }
+            EvalError::TooManySteps { limit, .. } => {
+                write!(f, "the rules scan more than {}", counted(limit, "row"))
+            }
             EvalError::TooManyInputs { limit } => write!(f, "the inserted rows take more than {}", size(*limit)),
             EvalError::TooMuchMemory { limit, .. } => {
                 write!(f, "rows, indexes and symbols take more than {}", size(*limit))

@@ -6,13 +6,14 @@ use crate::check::{
 };
 use crate::diag::Sources;
 use crate::explain::{
-    Absence, AbsenceReason, Explanation, Fact, FailureKind, Miss, Node, NodeId, Obstacle, Origin, Premise,
+    Absence, AbsenceReason, Explanation, Fact, Failure, FailureKind, Miss, Node, NodeId, Obstacle, Origin, Premise,
 };
 use crate::symbol::{Symbol, Symbols};
 use crate::syntax::ast::{BaseType, Comparison};
 use crate::syntax::functor::Functor;
 use crate::syntax::quoted;
 use crate::value::Value;
+use indexmap::IndexSet;
 use serde_json::{Map, json};
 use std::collections::{BTreeMap, HashSet};
 
@@ -782,14 +783,21 @@ impl Drawing<'_> {
             Obstacle::Head { .. } => return self.other_heads(&[miss]),
             Obstacle::Body { binding, failures } => (binding, failures),
         };
+        // An expression that occurs twice fails twice.
+        let (mut known, open) = (HashSet::new(), vec![None; binding.len()]);
+        let written = |failure: &Failure| self.printer.literal(clause, &clause.body[failure.literal], &open);
+        let failures: Vec<&Failure> = (failures.iter())
+            .filter(|failure| known.insert(written(failure)))
+            .collect();
         let in_head = |name: &str| {
             (clause.head.terms.iter())
                 .any(|term| matches!(term, Term::Variable(variable) if clause.variables[variable.index()] == name))
         };
-        let nearest: Vec<String> = (self.printer.named(clause, binding))
+        let nearest: IndexSet<String> = (self.printer.named(clause, binding))
             .filter(|(name, ..)| !in_head(name))
             .map(|(name, value, base)| format!("{name} = {}", self.printer.value(value, base)))
             .collect();
+        let nearest: Vec<String> = nearest.into_iter().collect();
         let nearest = if nearest.is_empty() {
             String::new()
         } else {

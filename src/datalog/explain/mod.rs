@@ -31,7 +31,7 @@ pub use explanation_printer::ExplanationPrinter;
 use crate::cancel::Cancel;
 use crate::check::{ClauseId, Literal, PredicateId};
 use crate::diag::codes;
-use crate::diag::{Diagnostic, Limit};
+use crate::diag::{Diagnostic, Limit, counted};
 use crate::eval::limits::size;
 use crate::session::Session;
 use crate::value::Value;
@@ -187,9 +187,9 @@ pub enum Obstacle {
         ///
         /// If literals over the head's variables alone fail, these are the failures, and nothing else is bound.
         /// Otherwise the nearest binding minimizes the number of failing literals. Ties go to the binding with the
-        /// fewest pairs of variables of equal value, then to one with fewer failing guards, then to one whose first
-        /// failure comes later, then to the smallest words. If that search takes too many steps, the binding instead
-        /// satisfies as many literals from the front as possible.
+        /// fewest pairs of variables of one type and equal value, then to one with fewer failing guards, then to one
+        /// whose first failure comes later, then to the smallest words. If that search takes too many steps, the
+        /// binding instead satisfies as many literals from the front as possible.
         binding: Pattern,
         /// The literals that fail under the binding; at least one.
         failures: Vec<Failure>,
@@ -252,7 +252,8 @@ impl fmt::Display for ExplainError {
         match self {
             ExplainError::TooMuchWork { limit } => write!(
                 f,
-                "no explanation found within {limit} steps; there are too many facts for this search"
+                "no explanation found within {}; there are too many facts for this search",
+                counted(limit, "step")
             ),
             ExplainError::TooMuchMemory { limit } => {
                 write!(f, "the search for an explanation takes more than {}", size(*limit))

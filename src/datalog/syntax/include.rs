@@ -4,7 +4,7 @@ use std::collections::{HashMap, HashSet};
 use std::path::{Path, PathBuf};
 
 use crate::codes;
-use crate::diag::{self, Diagnostic, Faults, SourceId, Sources, Span, similar_file};
+use crate::diag::{self, Diagnostic, Faults, SourceId, Sources, Span, similar_file, similar_file_in};
 use crate::files::{BUILTIN_FOLDER, ReadError, ReadFile, normalize};
 
 use crate::syntax::ast::{File, Include, Item};
@@ -18,11 +18,17 @@ const MAX_TEXT_BYTES: usize = 64 << 20;
 /// The extension of rule files.
 const ENDING: &str = "dl";
 
+/// The folder of the built-in rule files, which includes omit.
+const BUILTIN_RULES: &str = "rules/";
+
 /// Maximum length of a chain of includes.
 const MAX_DEPTH: usize = 64;
 
 /// Maximum number of files of a program. Symbolic links give one file any number of names.
 const MAX_FILES: usize = 10_000;
+
+/// The built-in files that declare predicates and types, by these names, as an `.include` writes them.
+pub(crate) type Offered = HashMap<String, String>;
 
 /// The items of all files of a program.
 #[derive(Clone, Debug, Default)]
@@ -35,6 +41,8 @@ pub(crate) struct Gathered {
     pub incomplete: bool,
     /// The macros of all files.
     pub macros: Macros,
+    /// The names that built-in files declare, if the items lack a declaration.
+    pub offered: Offered,
     /// The normalized paths of all files so far. Only for lookup, never iterated.
     seen: HashSet<PathBuf>,
 }
@@ -72,6 +80,37 @@ pub(crate) fn gather(
         walk.gathered.seen.retain(|key| !included.contains_key(key));
         walk.source(entry);
     }
+}
+
+/// Returns the names that built-in files declare, without those that include others: these are programs.
+pub(crate) fn offered(read: &dyn ReadFile) -> Offered {
+    let mut offered = Offered::new();
+    for path in read.builtin_paths() {
+        let written = path.strip_prefix(BUILTIN_RULES).unwrap_or(&path);
+        if Path::new(written).extension().is_none_or(|ending| ending != ENDING) {
+            continue;
+        }
+        let Ok(text) = read.read(&Path::new(BUILTIN_FOLDER).join(written)) else {
+            continue;
+        };
+        let mut sources = Sources::new();
+        let id = sources.add(written, text);
+        let items = parse_one(&sources, id, &mut Faults::default()).items;
+        if items.iter().any(|item| matches!(item, Item::Include(_))) {
+            continue;
+        }
+        for item in items {
+            let names = match item {
+                Item::Decl(decl) => decl.names,
+                Item::Type(decl) => vec![decl.name],
+                _ => continue,
+            };
+            for name in names {
+                offered.entry(name.text).or_insert_with(|| written.to_owned());
+            }
+        }
+    }
+    offered
 }
 
 pub(crate) fn parse_one(sources: &Sources, id: SourceId, faults: &mut Faults) -> File {
@@ -195,8 +234,10 @@ impl Walk<'_> {
             ReadError::TooLarge(_) => {
                 Diagnostic::new(diag::codes::LIMIT_EXCEEDED, format!("`{path}` is {error}")).at(span, "included here")
             }
-            ReadError::Io(_) => Diagnostic::new(codes::MISSING_INCLUDE, format!("cannot read `{path}`: {error}"))
-                .at(span, "included here"),
+            ReadError::Folder | ReadError::Io(_) => {
+                Diagnostic::new(codes::MISSING_INCLUDE, format!("cannot read `{path}`: {error}"))
+                    .at(span, "included here")
+            }
         };
         self.faults.push(fault);
     }
@@ -214,8 +255,16 @@ impl Walk<'_> {
         let ended = format!("{path}.{ENDING}");
         let beside = self.read.read(&folder.join(&ended)).is_ok().then_some(ended.as_str());
         let known = self.read.builtin_paths();
-        let builtin = known.iter().filter_map(|known| known.strip_prefix("rules/"));
-        similar_file(path, beside.into_iter().chain(builtin)).map(str::to_owned)
+        let builtin = known.iter().filter_map(|known| known.strip_prefix(BUILTIN_RULES));
+        let near = similar_file(path, beside.into_iter().chain(builtin)).map(str::to_owned);
+        near.or_else(|| {
+            similar_file_in(
+                |folder| self.read.names_in(folder),
+                folder,
+                Path::new(path),
+                Some(ENDING),
+            )
+        })
     }
 
     fn open(&mut self, id: SourceId, key: PathBuf, span: Span) {

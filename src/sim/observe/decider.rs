@@ -26,7 +26,7 @@ impl Decider {
     /// `rule-mismatch` if the rules draw or read earlier ticks, which observations do not contain.
     pub fn new(oracle: Arc<Oracle>) -> Result<Decider, Diagnostic> {
         let world = oracle.world();
-        world.vocabulary.without_draws("observations")?;
+        world.without_draws("observations")?;
         world.without_time("observations")?;
         Ok(Decider {
             atoms: oracle.no_atoms(),

@@ -24,7 +24,7 @@ pub(super) struct Atoms {
     /// The sets of entities, see [`AtomLayout`].
     pub words: Vec<u64>,
     /// For each quantity of the vocabulary, its values for the entities, or for each pair of them,
-    /// [`AtomLayout::entities`] to a row, or for the city; empty for other predicates.
+    /// [`AtomLayout::entities`] to a row, or for the city; empty for other predicates, and without quantities.
     pub values: Vec<Vec<Option<Value>>>,
     pub layout: AtomLayout,
 }
@@ -69,12 +69,13 @@ impl Atoms {
     /// Copies the facts of others with the same layout.
     pub fn copy_from(&mut self, other: &Atoms) {
         self.words.copy_from_slice(&other.words);
-        for (to, from) in self
-            .values
-            .iter_mut()
-            .zip(&other.values)
-            .filter(|(_, from)| !from.is_empty())
-        {
+        self.copy_values(other);
+    }
+
+    /// Copies the values of others with the same layout.
+    pub fn copy_values(&mut self, other: &Atoms) {
+        let pairs = self.values.iter_mut().zip(&other.values);
+        for (to, from) in pairs.filter(|(_, from)| !from.is_empty()) {
             to.clone_from(from);
         }
     }
@@ -97,7 +98,7 @@ impl Atoms {
         let place = entities
             .iter()
             .fold(0, |place, entity| place * self.layout.entities + entity);
-        self.values[predicate].get(place).copied().flatten()
+        self.values.get(predicate)?.get(place).copied().flatten()
     }
 
     /// Returns the rows of a predicate over two agents.

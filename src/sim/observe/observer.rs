@@ -145,14 +145,17 @@ impl Oracle {
 
     /// Returns the facts of an observation without facts.
     pub(super) fn no_atoms(&self) -> Atoms {
+        let values = |how: &How| match how {
+            How::Quantity(quantity) => vec![None; places(self.entities, quantity.agents())],
+            _ => Vec::new(),
+        };
+        let mut values: Vec<Vec<_>> = self.how.iter().map(values).collect();
+        if values.iter().all(Vec::is_empty) {
+            values.clear();
+        }
         Atoms {
             words: vec![0; self.layout.len()],
-            values: (self.how.iter())
-                .map(|how| match how {
-                    How::Quantity(quantity) => vec![None; places(self.entities, quantity.agents())],
-                    _ => Vec::new(),
-                })
-                .collect(),
+            values,
             layout: self.layout,
         }
     }

@@ -41,6 +41,10 @@ pub struct Sensors {
     correlated: bool,
     /// Whether observations follow from the readings and beliefs of this tick alone: no delay, sharing or exact ego.
     current: bool,
+    /// Whether readings and observations follow from the facts of this tick and its noise alone.
+    is_stateless: bool,
+    /// The sets that no sensor reads.
+    unsensed: Vec<usize>,
     /// The predicates whose facts never change.
     fixed: Vec<bool>,
 }
@@ -159,7 +163,12 @@ impl Sensors {
             });
         }
         let sensors = || groups.iter().map(|group| &group.sensor);
+        let simple = config.share.is_none() && groups.iter().all(|group| group.is_simple);
         Sensors {
+            is_stateless: simple && config.output != SensorOutput::Belief,
+            unsensed: (0..layout.len())
+                .filter(|set| observed.iter().all(|(known, _)| known != set))
+                .collect(),
             delay: sensors().map(|sensor| sensor.delay as usize).max().unwrap_or(0),
             correlated: sensors().any(|sensor| sensor.correlation > 0.0),
             current: !config.exact_ego && config.share.is_none() && sensors().all(|sensor| sensor.delay == 0),
@@ -291,7 +300,9 @@ pub(super) struct Sensing {
 /// The readings of an ego in an episode.
 #[derive(Debug)]
 struct Readings {
-    /// The observed agents, by their positions in the list.
+    /// The number of observed agents.
+    count: usize,
+    /// The observed agents, by their positions in the list; empty with stateless sensors.
     agents: Vec<u32>,
     /// For each of them, the number of ticks since it was first observed.
     ages: Vec<u32>,
@@ -320,6 +331,7 @@ impl Sensing {
         let believes = sensors.config.output == SensorOutput::Belief;
         let numbers = if believes { sensors.width } else { 0 };
         let readings = Readings {
+            count: 0,
             agents: Vec::with_capacity(sensors.layout.entities),
             ages: Vec::with_capacity(sensors.layout.entities),
             atoms: no_atoms,
@@ -360,6 +372,7 @@ impl Sensing {
 
     /// Begins an episode.
     pub fn begin(&mut self) {
+        self.readings.count = 0;
         self.readings.agents.clear();
         self.readings.frames.clear();
         self.readings.belief.fill(0.0);
@@ -372,6 +385,9 @@ impl Sensing {
 
     /// Reads the facts of a tick. `bodies` are the observed entities, the ego first.
     pub fn sense(&mut self, truth: &Atoms, bodies: &[AgentState], city: (&CityMap, &[Agent]), now: (Seed, u64)) {
+        if self.sensors.is_stateless {
+            return self.readings.sense_now(&self.sensors, truth, bodies, city, now);
+        }
         self.readings.told.fill(0);
         let origins = self.readings.sense(&self.sensors, truth, bodies, city, now);
         if self.sensors.config.output == SensorOutput::Belief {
@@ -444,7 +460,7 @@ impl Sensing {
     /// Calls `take` with each fact that the ego may observe, as an entity of a set, and its probability.
     fn probabilities(&self, mut take: impl FnMut(SensedSet, usize, f32)) {
         let (sensors, readings) = (&self.sensors, &self.readings);
-        let present = all_of(readings.agents.len());
+        let present = all_of(readings.count);
         let Some(model) = &self.model else { return };
         for group in &sensors.groups {
             for &set in &group.sets {
@@ -509,6 +525,28 @@ impl Readings {
         Reading::of(bit(&self.read), bit(&self.atoms.words))
     }
 
+    /// Reads the facts of a tick with stateless sensors, as [`Readings::sense`] does.
+    fn sense_now(
+        &mut self,
+        sensors: &Sensors,
+        truth: &Atoms,
+        bodies: &[AgentState],
+        (map, agents): (&CityMap, &[Agent]),
+        (seed, tick): (Seed, u64),
+    ) {
+        self.count = bodies.len();
+        self.atoms.copy_values(truth);
+        for &set in &sensors.unsensed {
+            self.atoms.words[set] = truth.words[set];
+        }
+        let (present, ego) = (all_of(bodies.len()), (bodies[0].agent, bodies[0].at));
+        let mut random = seed.words(Purpose::SENSORS, u64::from(ego.0), tick);
+        for group in &sensors.groups {
+            let seen = sensors.views[group.view].visible(map, ego, bodies, agents);
+            self.read_simply(group, &truth.words, (present, seen), &mut random);
+        }
+    }
+
     /// Reads the facts of a tick. Returns the places that the observed entities had in the tick before.
     fn sense(
         &mut self,
@@ -527,6 +565,7 @@ impl Readings {
         if !origins.same {
             self.move_state(sensors, &origins);
         }
+        self.count = now.len();
         self.agents.clear();
         self.agents.extend_from_slice(now);
         if sensors.delay > 0 {
@@ -606,7 +645,7 @@ impl Readings {
         let (mut detected, mut alarmed, mut left) = (0, 0, 0);
         for &set in &group.sets {
             if set.row_set & !present != 0 {
-                self.read[set.set] = 0;
+                (self.read[set.set], self.atoms.words[set.set]) = (0, 0);
                 continue;
             }
             if left == 0 {
@@ -624,8 +663,8 @@ impl Readings {
     /// Writes the probability of each fact given its reading.
     fn write_probabilities(&self, sensors: &Sensors, model: &SensorModel, out: &mut [f32]) {
         // Most readings are negative.
-        out.copy_from_slice(&model.negative[self.agents.len()]);
-        let present = all_of(self.agents.len());
+        out.copy_from_slice(&model.negative[self.count]);
+        let present = all_of(self.count);
         for &set in sensors.groups.iter().flat_map(|group| &group.sets) {
             let (read, positive) = (self.read[set.set], self.atoms.words[set.set]);
             let models = set.models(model);

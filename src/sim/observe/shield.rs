@@ -87,7 +87,7 @@ impl Shield {
     pub fn new(oracle: Arc<Oracle>, config: ShieldConfig) -> Result<Shield, Diagnostic> {
         let world = oracle.world();
         let vocabulary = &world.vocabulary;
-        vocabulary.without_draws("shields")?;
+        world.without_draws("shields")?;
         world.without_time("shields")?;
         let probabilistic = config.mode == ShieldMode::Probabilistic;
         if probabilistic {

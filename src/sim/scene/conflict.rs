@@ -9,11 +9,11 @@
 use crate::city::{Action, ActionTable};
 use crate::config::SEES;
 use crate::datalog::diff::{Difference, Equivalence, Options, diff, unsat_core};
-use crate::datalog::naive;
 use crate::datalog::{
     Atom, BaseType, Clause, ClauseId, Column, DeclaredConstraint, Literal, Predicate, PredicateId, Rules, Stratum,
     Term, Value, VarId, parse_value,
 };
+use crate::datalog::{DRAW, naive};
 use crate::diag::Diagnostic;
 use serde_json::{Map, json};
 
@@ -260,15 +260,31 @@ pub fn scene_json(scene: &Difference, rules: &[&Rules]) -> serde_json::Value {
     json!({ "entities": scene.entities, "ego": scene.entities.first(), "facts": facts })
 }
 
+/// Returns which draws the scene needs, in words.
+pub fn draws(scene: &Difference) -> Vec<String> {
+    let drawn = scene.facts.iter().filter_map(|(name, rows)| {
+        let (probabilities, _) = name.strip_prefix(DRAW)?.split_once(" in ")?;
+        let count = probabilities.split(", ").count();
+        Some(rows.iter().filter_map(move |row| {
+            let (alternative, values) = row.split_last()?;
+            let alternative: usize = alternative.parse().ok().filter(|at| *at < count)?;
+            let what = match count {
+                1 => format!("the draw of {probabilities}"),
+                _ => format!("the draw of alternative {} of {probabilities}", alternative + 1),
+            };
+            Some(match values {
+                [] => what,
+                _ => format!("{what} for {}", values.join(", ")),
+            })
+        }))
+    });
+    drawn.flatten().collect()
+}
+
 /// Returns what the scene takes from earlier ticks, as atoms.
 pub fn earlier_facts(scene: &Difference, rules: &Rules) -> Vec<String> {
-    let chance = rules
-        .chance
-        .map(|chance| rules.predicates[chance.index()].name.as_str());
-    let facts = scene.facts.iter().filter(|(name, _)| {
-        let hidden = declared(&[rules], name).is_some_and(|declared| declared.hidden);
-        hidden && chance != Some(name.as_str())
-    });
+    let hidden = |name: &str| declared(&[rules], name).is_some_and(|declared| declared.hidden);
+    let facts = (scene.facts.iter()).filter(|(name, _)| hidden(name) && !name.starts_with(DRAW));
     let atoms = facts.flat_map(|(name, rows)| rows.iter().map(move |row| format!("{name}({})", row.join(", "))));
     atoms.collect()
 }

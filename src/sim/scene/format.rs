@@ -242,6 +242,27 @@ pub fn parse_scenes(sources: &Sources, source: SourceId, terms: &Terms<'_>) -> R
 /// A parsed value, or all errors in it.
 type Read<T> = Result<T, Vec<Diagnostic>>;
 
+/// The agents or entities of a scene.
+struct Names<'n> {
+    index: NameIndex<'n>,
+    /// For suggestions.
+    list: Vec<&'n str>,
+}
+
+impl Names<'_> {
+    /// Adds a similar name, or the names, as help.
+    fn suggest(&self, fault: Diagnostic, name: &str) -> Diagnostic {
+        match did_you_mean(name, self.list.iter().copied().take(SEARCHED)) {
+            Some(near) => fault.help(format!("did you mean `{near}`?")),
+            None if self.list.is_empty() => fault,
+            None => fault.help(format!("the scene has: {}", listed(&self.list))),
+        }
+    }
+}
+
+/// The maximum number of names among which a message searches a similar one.
+const SEARCHED: usize = 1000;
+
 /// Collects all values, or the errors of all of them.
 fn all<T>(results: impl Iterator<Item = Read<T>>) -> Read<Vec<T>> {
     let mut faults = Vec::new();
@@ -298,20 +319,44 @@ impl<'a> Reader<'a> {
         }
         let Entries(keys) = self.value(whole)?;
         if keys.contains_key("entities") {
-            self.symbolic(self.value(whole)?).map(Scene::Symbolic)
+            let raw = self.keyed(whole, "a scene of entities", &SYMBOLIC_KEYS)?;
+            self.symbolic(raw).map(Scene::Symbolic)
         } else if keys.contains_key("agents") || keys.contains_key("map") {
             self.geometric(whole).map(Scene::Geometric)
         } else {
-            Err(vec![self.fault(
-                whole,
-                "a scene without agents or entities".into(),
-                FORMS,
-            )])
+            let known = |key: &str| SYMBOLIC_KEYS.contains(&key) || GEOMETRIC_KEYS.contains(&key);
+            let misspelled = keys.iter().filter(|(key, _)| !known(key)).find_map(|(key, raw)| {
+                let near = did_you_mean(key, ["entities", "agents", "map"])?;
+                let fault = Diagnostic::new(codes::INVALID_SCENE, format!("unknown key `{key}` in a scene"));
+                Some(fault.at(self.key_span(raw), "").help(format!("did you mean `{near}`?")))
+            });
+            let none = || self.fault(whole, "a scene without agents or entities".into(), FORMS);
+            Err(vec![misspelled.unwrap_or_else(none)])
         }
     }
 
+    /// Parses an object with these keys. Reports all others instead of the first.
+    fn keyed<T: Deserialize<'a>>(&self, raw: &'a RawValue, what: &str, keys: &[&str]) -> Read<T> {
+        self.value(raw).map_err(|faults| {
+            let Ok(Entries(entries)) = self.value(raw) else {
+                return faults;
+            };
+            let unknown = entries.iter().filter(|(key, _)| !keys.contains(&key.as_str()));
+            let unknown = unknown.take(diag::MAX_FAULTS + 1).map(|(key, raw)| {
+                let message = format!("unknown key `{key}` in {what}");
+                let fault = Diagnostic::new(codes::INVALID_SCENE, message).at(self.key_span(raw), "");
+                match did_you_mean(key, keys.iter().copied()) {
+                    Some(near) => fault.help(format!("did you mean `{near}`?")),
+                    None => fault.note(format!("allowed keys: {}", keys.join(", "))),
+                }
+            });
+            let unknown: Vec<Diagnostic> = unknown.collect();
+            if unknown.is_empty() { faults } else { unknown }
+        })
+    }
+
     fn geometric(&self, whole: &'a RawValue) -> Read<GeometricScene> {
-        let raw: RawGeometric<'a> = self.value(whole)?;
+        let raw: RawGeometric<'a> = self.keyed(whole, "a scene of agents", &GEOMETRIC_KEYS)?;
         self.bounded(&raw.agents, "agents")?;
         let mut faults = Vec::new();
         let map = keep(&mut faults, self.map(raw.map));
@@ -341,7 +386,7 @@ impl<'a> Reader<'a> {
     }
 
     /// Returns the positions of the agents that are egos.
-    fn egos(&self, written: &[&'a RawValue], names: &NameIndex<'_>) -> Read<Vec<usize>> {
+    fn egos(&self, written: &[&'a RawValue], names: &Names<'_>) -> Read<Vec<usize>> {
         let egos = all(written.iter().map(|ego| self.named(ego, names, "agent")))?;
         let mut first: HashMap<usize, &RawValue> = HashMap::new();
         for (ego, raw) in egos.iter().zip(written) {
@@ -374,7 +419,7 @@ impl<'a> Reader<'a> {
     }
 
     fn agent(&self, raw: &'a RawValue) -> Read<SceneAgent> {
-        let agent: RawAgent<'a> = self.value(raw)?;
+        let agent: RawAgent<'a> = self.keyed(raw, "an agent", &AGENT_KEYS)?;
         let mut faults = Vec::new();
         let named = keep(&mut faults, self.kind(agent.kind));
         let kind = named.map(|kind| self.terms.kinds.base(kind));
@@ -432,7 +477,8 @@ impl<'a> Reader<'a> {
             let message = format!("`{name}` is not a type of agent");
             let names: Vec<String> = kinds.all().map(|kind| format!("\"{}\"", kinds.name(kind))).collect();
             let (last, first) = names.split_last().expect("the standard kinds");
-            vec![self.fault(raw, message, &format!("expected {} or {last}", first.join(", ")))]
+            let fault = self.fault(raw, message, &format!("expected {} or {last}", first.join(", ")));
+            vec![suggest(fault, &name, kinds.all().map(|kind| kinds.name(kind)))]
         })
     }
 
@@ -442,7 +488,10 @@ impl<'a> Reader<'a> {
         let heading = Heading::ALL
             .into_iter()
             .find(|heading| heading.name().eq_ignore_ascii_case(&name));
-        heading.ok_or_else(|| vec![self.fault(raw, format!("`{name}` is not a heading"), expected)])
+        heading.ok_or_else(|| {
+            let fault = self.fault(raw, format!("`{name}` is not a heading"), expected);
+            vec![suggest(fault, &name, Heading::ALL.map(Heading::name))]
+        })
     }
 
     fn concept(&self, raw: &'a RawValue, kind: AgentKind) -> Read<String> {
@@ -483,6 +532,9 @@ impl<'a> Reader<'a> {
 
     /// Completes a scene that was parsed in one pass.
     fn plain(&self, plain: PlainScene<'a>) -> Read<SymbolicScene> {
+        // The caller ignores the messages, so nothing is suggested.
+        let (index, list) = (plain.names, Vec::new());
+        let names = Names { index, list };
         let facts = plain.facts.into_iter().map(|(predicate, facts)| match facts {
             PlainFacts::Rows((rows, uncertain)) => Ok(GivenPredicate {
                 predicate,
@@ -490,7 +542,7 @@ impl<'a> Reader<'a> {
                 values: Vec::new(),
                 uncertain,
             }),
-            PlainFacts::Quantity(raw) => self.checked_rows(raw, predicate, &plain.names, "entity"),
+            PlainFacts::Quantity(raw) => self.checked_rows(raw, predicate, &names, "entity"),
         });
         Ok(SymbolicScene {
             facts: all(facts)?,
@@ -512,48 +564,52 @@ impl<'a> Reader<'a> {
     }
 
     /// Returns the positions by name.
-    fn names<'n>(&self, list: impl Iterator<Item = (&'n str, Span)>) -> Read<NameIndex<'n>> {
-        let mut names = NameIndex::default();
+    fn names<'n>(&self, named: impl Iterator<Item = (&'n str, Span)>) -> Read<Names<'n>> {
+        let (mut index, mut list) = (NameIndex::default(), Vec::new());
         let mut spans = Vec::new();
         let mut faults = Vec::new();
-        for (name, span) in list {
-            if let Some(first) = names.add(name) {
+        for (name, span) in named {
+            list.push(name);
+            if let Some(first) = index.add(name) {
                 let fault = Diagnostic::new(codes::INVALID_SCENE, format!("the name `{name}` is given twice"));
                 faults.push(fault.at(span, "again here").also(spans[first], "first here"));
             }
             spans.push(span);
         }
-        if faults.is_empty() { Ok(names) } else { Err(faults) }
+        match faults.is_empty() {
+            true => Ok(Names { index, list }),
+            false => Err(faults),
+        }
     }
 
     /// Returns the position of the agent or entity (`what`) that a JSON string names.
-    fn named(&self, raw: &'a RawValue, names: &NameIndex<'_>, what: &str) -> Read<usize> {
+    fn named(&self, raw: &'a RawValue, names: &Names<'_>, what: &str) -> Read<usize> {
         let name: String = self.value(raw)?;
-        let position = names.get(&name);
-        position.ok_or_else(|| vec![self.fault(raw, format!("the scene has no {what} `{name}`"), "unknown name")])
+        names.index.get(&name).ok_or_else(|| {
+            let fault = self.fault(raw, format!("the scene has no {what} `{name}`"), "unknown name");
+            vec![names.suggest(fault, &name)]
+        })
     }
 
     /// Parses labels: the name of an action for each agent or entity (`what`).
-    fn actions(&self, Entries(entries): Entries<'a>, names: &NameIndex<'_>, what: &str) -> Read<Vec<(usize, Action)>> {
+    fn actions(&self, Entries(entries): Entries<'a>, names: &Names<'_>, what: &str) -> Read<Vec<(usize, Action)>> {
         all(entries.into_iter().map(|(name, raw)| {
-            let position = names.get(&name).ok_or_else(|| {
+            let position = names.index.get(&name).ok_or_else(|| {
                 let fault = Diagnostic::new(codes::INVALID_SCENE, format!("the scene has no {what} `{name}`"));
-                vec![fault.at(self.key_span(raw), "unknown name")]
+                vec![names.suggest(fault.at(self.key_span(raw), "unknown name"), &name)]
             })?;
             let named: String = self.value(raw)?;
             let action = Action::standard_ignoring_case(&named).ok_or_else(|| {
-                let names: Vec<&str> = Action::STANDARD.iter().map(|action| action.name()).collect();
-                vec![self.fault(
-                    raw,
-                    format!("`{named}` is not an action"),
-                    &format!("expected one of {}", names.join(", ")),
-                )]
+                let names = Action::STANDARD.map(Action::name);
+                let label = format!("expected one of {}", names.join(", "));
+                let fault = self.fault(raw, format!("`{named}` is not an action"), &label);
+                vec![suggest(fault, &named, names)]
             })?;
             Ok((position, action))
         }))
     }
 
-    fn rows(&self, Entries(entries): Entries<'a>, names: &NameIndex<'_>, what: &str) -> Read<Vec<GivenPredicate>> {
+    fn rows(&self, Entries(entries): Entries<'a>, names: &Names<'_>, what: &str) -> Read<Vec<GivenPredicate>> {
         all(entries.into_iter().map(|(name, raw)| {
             let known = self.terms.predicates.iter().position(|(known, ..)| *known == name);
             let Some((predicate, &(_, arity, unit))) = known.map(|at| (at, &self.terms.predicates[at])) else {
@@ -565,7 +621,7 @@ impl<'a> Reader<'a> {
                     None => fault.help(format!("base predicates are: {}", listed(&known.collect::<Vec<_>>()))),
                 }]);
             };
-            if let (None, Some((rows, uncertain))) = (unit, plain_rows(raw, arity, names)) {
+            if let (None, Some((rows, uncertain))) = (unit, plain_rows(raw, arity, &names.index)) {
                 return Ok(GivenPredicate {
                     predicate,
                     rows,
@@ -578,15 +634,21 @@ impl<'a> Reader<'a> {
     }
 
     /// Parses the rows of a predicate, and finds the places of faults in them.
-    fn checked_rows(
-        &self,
-        raw: &'a RawValue,
-        predicate: usize,
-        names: &NameIndex<'_>,
-        what: &str,
-    ) -> Read<GivenPredicate> {
+    fn checked_rows(&self, raw: &'a RawValue, predicate: usize, names: &Names<'_>, what: &str) -> Read<GivenPredicate> {
         let (name, arity, unit) = self.terms.predicates[predicate];
         let written: Vec<&RawValue> = self.value(raw)?;
+        // One row without the brackets of the list of rows.
+        let length = arity + usize::from(unit.is_some());
+        if length > 1 && written.len() == length && written.iter().all(|raw| !raw.get().starts_with(['[', '{'])) {
+            let message = format!("expected a list of rows of `{name}`, found one row");
+            let row: Vec<&str> = written.iter().map(|raw| raw.get()).collect();
+            let row = row.join(", ");
+            let fault = self.fault(raw, message, "");
+            return Err(vec![match row.len() {
+                ..ROW_SHOWN => fault.help(format!("write `[[{row}]]`")),
+                _ => fault.help("put brackets around each row, too"),
+            }]);
+        }
         let mut uncertain = Vec::new();
         let mut rows = all(written.iter().map(|raw| {
             let (row, probability) = self.uncertain(raw, unit)?;
@@ -630,15 +692,30 @@ impl<'a> Reader<'a> {
         if !raw.get().starts_with('{') {
             return Ok((raw, None));
         }
-        let RawUncertain { row, probability } = self.value(raw)?;
+        let RawUncertain { row, probability } = self.keyed(raw, "a row", &["row", "probability"])?;
         if unit.is_some() {
             let message = "the value of a quantity has no probability".to_owned();
             return Err(vec![self.fault(raw, message, "expected a row")]);
         }
-        match self.value::<f64>(probability)? {
-            1.0 => Ok((row, None)),
-            found if found > 0.0 && found < 1.0 => Ok((row, Some(found))),
-            _ => {
+        match self.value::<f64>(probability).ok() {
+            Some(1.0) => Ok((row, None)),
+            Some(found) if found > 0.0 && found < 1.0 => Ok((row, Some(found))),
+            None => {
+                let fault = self.fault(
+                    probability,
+                    "not a probability".to_owned(),
+                    "expected a number from 0 to 1",
+                );
+                let number = probability.get().trim_matches('"');
+                let percent = number.strip_suffix('%').map_or((number, 1.0), |number| (number, 100.0));
+                let number = percent.0.trim().parse::<f64>().map(|number| number / percent.1);
+                let number = number.ok().filter(|number| *number > 0.0 && *number <= 1.0);
+                Err(vec![match number {
+                    Some(number) => fault.help(format!("write {number}")),
+                    None => fault,
+                }])
+            }
+            Some(_) => {
                 let label = "expected a number above 0 and at most 1; leave out a row that cannot hold";
                 Err(vec![self.fault(probability, "not a probability".to_owned(), label)])
             }
@@ -650,7 +727,7 @@ impl<'a> Reader<'a> {
         &self,
         raw: &'a RawValue,
         (arity, unit): (usize, Option<Unit>),
-        names: &NameIndex<'_>,
+        names: &Names<'_>,
         what: &str,
     ) -> Read<([u32; 2], Value)> {
         let terms = if raw.get().starts_with('[') {
@@ -660,10 +737,22 @@ impl<'a> Reader<'a> {
         };
         if terms.len() != arity + usize::from(unit.is_some()) {
             let message = match unit {
+                None if terms.len() == 1 => format!("a row of 1 name; the predicate takes {arity}"),
                 None => format!("a row of {} names; the predicate takes {arity}", terms.len()),
                 Some(_) => format!("a row of {}; the quantity takes {arity} names and a value", terms.len()),
             };
-            return Err(vec![self.fault(raw, message, "wrong length")]);
+            let fault = self.fault(raw, message, "wrong length");
+            return Err(vec![
+                fault.help(format!("write `{}`", row_like(&terms, arity, unit, names))),
+            ]);
+        }
+        // The value comes last.
+        if unit.is_some() && terms[..arity].iter().any(|term| !term.get().starts_with('"')) {
+            let message = "expected the names of a row before its value".to_owned();
+            let fault = self.fault(raw, message, "");
+            return Err(vec![
+                fault.help(format!("write `{}`", row_like(&terms, arity, unit, names))),
+            ]);
         }
         let mut row = [0; 2];
         for (position, term) in row.iter_mut().zip(&terms[..arity]) {
@@ -732,8 +821,68 @@ impl<'a> Reader<'a> {
     }
 }
 
+/// Adds a similar word as help.
+fn suggest<'w>(fault: Diagnostic, written: &str, words: impl IntoIterator<Item = &'w str>) -> Diagnostic {
+    match did_you_mean(written, words) {
+        Some(near) => fault.help(format!("did you mean `{near}`?")),
+        None => fault,
+    }
+}
+
+/// Returns a row of the right form, with the names and the value of a wrong one where it has them.
+fn row_like(terms: &[&RawValue], arity: usize, unit: Option<Unit>, names: &Names<'_>) -> String {
+    let (example, is_value): (&str, fn(&str) -> bool) = match unit {
+        None => ("", |_| false),
+        Some(Unit::Number) => ("3", |term| term.parse::<i32>().is_ok()),
+        Some(Unit::Float) => ("3.5", |term| term.parse::<f32>().is_ok()),
+        Some(Unit::Heading) => ("\"Up\"", |term| {
+            Heading::ALL
+                .iter()
+                .any(|heading| heading.name().eq_ignore_ascii_case(term.trim_matches('"')))
+        }),
+    };
+    let written = || {
+        terms
+            .iter()
+            .map(|term| term.get())
+            .filter(|term| term.len() < ROW_SHOWN)
+    };
+    let is_name = |term: &&str| term.starts_with('"') && !is_value(term);
+    let mut row: Vec<String> = written().filter(is_name).take(arity).map(str::to_owned).collect();
+    let others = names.list.iter().map(|name| format!("\"{name}\"")).take(SEARCHED);
+    for name in others {
+        if row.len() < arity && !row.contains(&name) {
+            row.push(name);
+        }
+    }
+    row.resize(arity, "..".to_owned());
+    if unit.is_some() {
+        row.push(written().find(|term| is_value(term)).unwrap_or(example).to_owned());
+    }
+    format!("[{}]", row.join(", "))
+}
+
+/// The length from which on a message does not repeat a row.
+const ROW_SHOWN: usize = 100;
+
+/// The keys of a scene of agents, of one of its agents, and of a scene of entities.
+const GEOMETRIC_KEYS: [&str; 6] = ["map", "agents", "egos", "given", "tick", "actions"];
+const AGENT_KEYS: [&str; 9] = [
+    "id",
+    "type",
+    "at",
+    "heading",
+    "concepts",
+    "priority",
+    "speed",
+    "waited",
+    "remaining",
+];
+const SYMBOLIC_KEYS: [&str; 5] = ["entities", "ego", "facts", "actions", "reason"];
+
 const FORMS: &str = "expected {\"map\": .., \"agents\": [..]} or {\"entities\": [..], \"ego\": .., \"facts\": {..}}";
-const HELP: &str = "docs/reference/scenes.md describes the two forms of a scene";
+const HELP: &str = "a scene is {\"map\": .., \"agents\": [{\"id\": .., \"type\": .., \"at\": [..]}]} or {\"entities\": [..], \
+                    \"ego\": .., \"facts\": {..}}; `logicity new FOLDER` writes examples";
 
 impl GeometricScene {
     /// Checks that every agent is on the map.
@@ -778,6 +927,91 @@ mod tests {
             let mut sources = Sources::new();
             let source = sources.add("scene", text);
             assert_eq!(parse_scenes(&sources, source, &terms).is_ok(), is_scene, "{text}");
+        }
+    }
+
+    #[test]
+    fn mistakes_in_scenes_are_explained() {
+        let kinds = KindTable::default();
+        let terms = Terms {
+            predicates: vec![("NextTo", 2, None), ("Waited", 1, Some(Unit::Number))],
+            concepts: Vec::new(),
+            kinds: &kinds,
+        };
+        let facts = |facts: &str| format!(r#"{{"entities": ["me", "you"], "ego": "me", "facts": {{{facts}}}}}"#);
+        let car = |keys: &str| format!(r#"{{"map": "square-5x5", "agents": [{{"id": "a", "at": [1, 2], {keys}}}]}}"#);
+        for (text, words) in [
+            (
+                r#"{"entites": ["me"], "ego": "me"}"#.to_owned(),
+                vec!["unknown key `entites`", "did you mean `entities`?"],
+            ),
+            (
+                r#"{"entities": ["me"], "ego": "me", "fact": {}}"#.to_owned(),
+                vec!["unknown key `fact` in a scene of entities", "did you mean `facts`?"],
+            ),
+            (
+                r#"{"entities": ["me"], "ego": "mee"}"#.to_owned(),
+                vec!["the scene has no entity `mee`", "did you mean `me`?"],
+            ),
+            (
+                r#"{"entities": ["me"], "ego": "me", "actions": {"me": "Stpo"}}"#.to_owned(),
+                vec!["`Stpo` is not an action", "did you mean `Stop`?"],
+            ),
+            (
+                r#"{"entities": 3, "ego": "me"}"#.to_owned(),
+                vec!["expected a list", "`logicity new FOLDER` writes examples"],
+            ),
+            (
+                facts(r#""NextTo": ["me","you"]"#),
+                vec!["found one row", r#"write `[["me", "you"]]`"#],
+            ),
+            (
+                facts(r#""NextTo": [["you"]]"#),
+                vec!["a row of 1 name; the predicate takes 2", r#"write `["you", "me"]`"#],
+            ),
+            (
+                facts(r#""NextTo": [["me", "yuo"]]"#),
+                vec!["no entity `yuo`", "did you mean `you`?"],
+            ),
+            (
+                facts(r#""NextTo": [{"row": ["me", "you"], "probability": "40%"}]"#),
+                vec!["expected a number from 0 to 1", "write 0.4"],
+            ),
+            (
+                facts(r#""NextTo": [{"row": ["me", "you"], "probabilty": 0.4}]"#),
+                vec!["unknown key `probabilty`", "did you mean `probability`?"],
+            ),
+            (
+                facts(r#""Waited": [[3, "me"]]"#),
+                vec!["the names of a row before its value", r#"write `["me", 3]`"#],
+            ),
+            (
+                facts(r#""Waited": ["you"]"#),
+                vec!["the quantity takes 1 names and a value", r#"write `["you", 3]`"#],
+            ),
+            (
+                facts(r#""Waited": ["me", 5]"#),
+                vec!["found one row", r#"write `[["me", 5]]`"#],
+            ),
+            (
+                car(r#""type": "Carr""#),
+                vec!["`Carr` is not a type of agent", "did you mean `Car`?"],
+            ),
+            (
+                car(r#""type": "Car", "headin": "Up""#),
+                vec!["unknown key `headin` in an agent", "did you mean `heading`?"],
+            ),
+        ] {
+            let mut sources = Sources::new();
+            let source = sources.add("scene", text.as_str());
+            let faults = parse_scenes(&sources, source, &terms).expect_err(&text);
+            assert_eq!(faults.len(), 1, "{text}: {faults:?}");
+            let fault = &faults[0];
+            let label = fault.primary.as_ref().expect("a place");
+            let said = format!("{}\n{}\n{}", fault.message, label.message, fault.help.join("\n"));
+            for word in words {
+                assert!(said.contains(word), "{text}: `{word}` is missing in:\n{said}");
+            }
         }
     }
 
@@ -889,9 +1123,12 @@ mod tests {
             r#"{"row":["a"],"probability":0.5 }"#,
         ];
         let mut counts = [0; 2];
-        let mut names = NameIndex::default();
+        let mut names = Names {
+            index: NameIndex::default(),
+            list: vec!["a", "b"],
+        };
         for name in ["a", "b"] {
-            assert_eq!(names.add(name), None);
+            assert_eq!(names.index.add(name), None);
         }
         let kinds = KindTable::default();
         for case in 0..4000 {
@@ -915,7 +1152,7 @@ mod tests {
                 terms: &terms,
             };
             let raw: &RawValue = serde_json::from_str(reader.text).expect("it is JSON");
-            let found = plain_rows(raw, arity, &names);
+            let found = plain_rows(raw, arity, &names.index);
             let checked = reader.checked_rows(raw, 0, &names, "entity");
             let checked = checked.ok().map(|checked| (checked.rows, checked.uncertain));
             assert_eq!(found, checked, "{}", reader.text);

@@ -1,7 +1,7 @@
 //! Warnings of rules that mean something else in the city than they seem to.
 
 use crate::city::{Action, ActionTable, AgentKind, AgentSet, KindId};
-use crate::config::ActionsConfig;
+use crate::config::{ActionsConfig, Scenario};
 use crate::datalog::diff::Difference;
 use crate::datalog::optimize::{self, Lints};
 use crate::datalog::{
@@ -9,6 +9,7 @@ use crate::datalog::{
     Term, TypeId, Value, VarId,
 };
 use crate::diag::{Diagnostic, Faults, MAX_FAULTS, Sources, Span, did_you_mean, listed};
+use crate::predicate::{Definition, Static};
 use crate::sim::codes;
 use crate::sim::scene::conflict::{Finding, Overlap, earlier_facts};
 use crate::sim::scene::empty::empty_predicates;
@@ -42,7 +43,8 @@ pub struct Examined {
 /// - constants that name no agent ([`agent_lints`]), variables with the names of agents, and missing clauses against
 ///   collisions, for rules that decide actions;
 /// - predicates that no agent has, with the clauses that never fire for this reason;
-/// - outputs that are no action and that no clause reads.
+/// - predicates that are no action and that no clause reads;
+/// - actions of the configuration that no agent takes by the rules.
 ///
 /// Without a configuration, the declared constraints count, collisions are announced by the predicate of the shipped
 /// vocabulary, and only the rules alone are judged.
@@ -89,7 +91,8 @@ pub fn examine(rules: &Rules, city: Option<&CityTheory>, sources: &Sources) -> E
     diagnostics.extend(scenario.into_iter().flat_map(|scenario| {
         let mut found = agent_lints(rules, scenario.splits.iter().map(|(_, set)| set));
         found.extend(empty_predicates(rules, scenario, &empty));
-        found.extend(unused_outputs(rules, &scenario.actions.table));
+        found.extend(unread_predicates(rules, scenario));
+        found.extend(unused_actions(rules, scenario));
         found
     }));
     let standard = ActionTable::default();
@@ -140,39 +143,137 @@ fn unknown_values(rules: &Rules, functions: &[Function]) -> Vec<Diagnostic> {
     literals.filter_map(lint).collect()
 }
 
-/// Warns of outputs that are no action and that no clause reads: a city does not write them.
-fn unused_outputs(rules: &Rules, table: &ActionTable) -> Vec<Diagnostic> {
-    let atoms = rules
+/// Warns of predicates that are no action and that no clause reads: outputs, which a city does not write, and others
+/// with clauses.
+fn unread_predicates(rules: &Rules, scenario: &Scenario) -> Vec<Diagnostic> {
+    let atoms = |clause: &'_ Clause| {
+        clause
+            .body
+            .iter()
+            .filter_map(Literal::atom)
+            .map(|atom| atom.predicate)
+            .collect()
+    };
+    let read: BTreeSet<PredicateId> = rules
         .clauses
         .iter()
-        .flat_map(|clause| clause.body.iter().filter_map(Literal::atom));
-    let read: BTreeSet<PredicateId> = atoms.map(|atom| atom.predicate).collect();
-    let actions = || table.names();
-    let predicates = rules.predicates.iter().zip((0..).map(PredicateId));
-    let unused = predicates.filter(|(predicate, id)| {
-        predicate.output && !predicate.hidden && !read.contains(id) && actions().all(|action| action != predicate.name)
-    });
-    let warn = |(predicate, _): (&Predicate, _)| {
+        .flat_map(|clause| -> Vec<_> { atoms(clause) })
+        .collect();
+    let derived: BTreeSet<PredicateId> = rules.clauses.iter().map(|clause| clause.head.predicate).collect();
+    let table = &scenario.actions.table;
+    let warn = |(predicate, id): (&Predicate, PredicateId)| {
         let name = &predicate.name;
-        let message = format!("`.output {name}` has no effect in a city: it is not an action, and no clause reads it");
-        let fault = Diagnostic::new(codes::UNUSED_OUTPUT, message).at(predicate.span, "declared here");
-        match did_you_mean(name, actions()) {
-            Some(near) => fault.help(format!("did you mean `{near}`?")),
-            None => {
-                let names: Vec<String> = actions().map(|action| format!("`{action}`")).collect();
-                let (last, first) = names.split_last().expect("the standard actions");
-                let message = format!(
-                    "the actions are {} and {last}; `logicity query` prints other outputs",
-                    first.join(", ")
-                );
-                fault.help(message).help(format!(
-                    "if agents take `{name}`, define it: `actions: {{define: {{{name}: {{cells: {{Car: 1}}}}}}}}` in the \
-                     configuration"
-                ))
+        let is_unread = !predicate.hidden && !predicate.input && !read.contains(&id) && table.find(name).is_none();
+        let (code, message) = match (predicate.output, derived.contains(&id)) {
+            (true, _) if is_unread => (
+                codes::UNUSED_OUTPUT,
+                format!("`.output {name}` has no effect in a city: it is not an action, and no clause reads it"),
+            ),
+            (false, true) if is_unread => (
+                codes::UNREAD_PREDICATE,
+                format!("`{name}` has no effect in a city: it is not an action, and no clause reads it"),
+            ),
+            _ => return None,
+        };
+        let fault = Diagnostic::new(code, message).at(predicate.span, "declared here");
+        if let Some(near) = did_you_mean(name, table.names()) {
+            return Some(fault.help(format!("did you mean `{near}`?")));
+        }
+        let names: Vec<String> = table.names().map(|action| format!("`{action}`")).collect();
+        let (last, first) = names.split_last().expect("the standard actions");
+        let mut actions = format!("the actions are {} and {last}", first.join(", "));
+        if predicate.output {
+            actions += "; `logicity query` prints other outputs";
+        }
+        let fault = fault.help(actions);
+        Some(match predicate.columns.len() {
+            1 => fault.help(format!(
+                "if agents take `{name}`, define it: `actions: {{define: {{{name}: {{cells: {{Car: 1}}}}}}}}` in the \
+                 configuration"
+            )),
+            _ => fault,
+        })
+    };
+    rules
+        .predicates
+        .iter()
+        .zip((0..).map(PredicateId))
+        .filter_map(warn)
+        .collect()
+}
+
+/// Warns of actions of the configuration that no agent takes by the rules: without a clause, or with clauses only for
+/// agents of kinds that cannot take them. In a task, egos may take them.
+fn unused_actions(rules: &Rules, scenario: &Scenario) -> Vec<Diagnostic> {
+    let table = &scenario.actions.table;
+    let own = || table.all().skip(Action::STANDARD.len()).zip(table.own());
+    let clauses_of = |name: &str| {
+        let predicate = rules.predicate(name);
+        rules
+            .clauses
+            .iter()
+            .filter(move |clause| Some(clause.head.predicate) == predicate)
+    };
+    let is_default = |action| {
+        let orders = scenario.actions.of_kinds.iter().map(|own| own.default);
+        orders
+            .chain([scenario.actions.default])
+            .any(|default| default == action)
+    };
+    let mut faults = Vec::new();
+    for (action, own) in own().filter(|_| scenario.task.is_none()) {
+        let name = &own.name.value;
+        if !is_default(action) && clauses_of(name).next().is_none() {
+            let message = format!("no clause derives the action `{name}`, so no agent takes it");
+            let fault = Diagnostic::new(codes::UNUSED_ACTION, message).at(own.name.span, "defined here");
+            faults.push(fault.help(format!("add a clause for it, for example `{name}(X) :- IsAtInter(X).`")));
+        }
+    }
+    for (action, own) in own() {
+        for clause in clauses_of(&own.name.value) {
+            let kinds = kinds_of(clause, rules, scenario);
+            if kinds.is_empty() || kinds.iter().any(|kind| table.can_take(*kind, action)) {
+                continue;
             }
+            let kinds: Vec<&str> = kinds.iter().map(|kind| scenario.kinds.name(*kind)).collect();
+            let (name, kinds) = (&own.name.value, listed(&kinds));
+            let message = format!("this clause derives `{name}` only for agents that cannot take it");
+            faults.push(
+                Diagnostic::new(codes::UNUSED_ACTION, message)
+                    .at(clause.span, format!("holds only for {kinds}"))
+                    .also(own.name.span, "its `cells` has none of these kinds")
+                    .help("add the kind to `cells` of the action in the configuration"),
+            );
+        }
+    }
+    faults
+}
+
+/// Returns the kinds of the agents for which the concepts and kinds that the body of a clause asks for hold.
+fn kinds_of(clause: &Clause, rules: &Rules, scenario: &Scenario) -> BTreeSet<KindId> {
+    let definition = |atom: &Atom| {
+        let name = rules.predicates[atom.predicate.index()].name.as_str();
+        let config = scenario.predicates.iter().find(|config| config.name.value == name)?;
+        match &config.definition {
+            Definition::Static(definition) if atom.terms == clause.head.terms => Some(definition),
+            _ => None,
         }
     };
-    unused.map(warn).collect()
+    let (mut asked, mut refused) = (Vec::new(), Vec::new());
+    for literal in &clause.body {
+        match literal {
+            Literal::Positive(atom) => asked.extend(definition(atom)),
+            Literal::Negative(atom) => refused.extend(definition(atom)),
+            _ => {}
+        }
+    }
+    let sets = scenario.splits.iter().flat_map(|(_, set)| set.kinds());
+    let groups = sets.flat_map(|(name, groups)| groups.iter().map(move |group| (name, group)));
+    let fitting = groups.filter(|(name, group)| {
+        let holds = |definition: &&Static| definition.holds(name.kind, &group.concepts);
+        asked.iter().all(holds) && !refused.iter().any(holds)
+    });
+    fitting.map(|(name, _)| name.kind_id()).collect()
 }
 
 /// Returns one warning for each constant that stands for an agent, but names none of these agent sets.

@@ -1038,7 +1038,8 @@ fn agent_set(scenario: &Scenario, split: Split) -> Result<&AgentSet, Diagnostic>
     scenario.agent_set(split).ok_or_else(|| {
         let message = format!("the configuration `{}` has no split `{}`", scenario.name, split.name());
         let known: Vec<&str> = scenario.splits.iter().map(|(split, _)| split.name()).collect();
-        Diagnostic::new(codes::UNKNOWN_SPLIT, message).help(format!("it has: {}", known.join(", ")))
+        Diagnostic::new(codes::UNKNOWN_SPLIT, message)
+            .help(format!("it has: {}; name one of these as the split", known.join(", ")))
     })
 }
 

@@ -225,18 +225,6 @@ impl Vocabulary {
         self.predicates[predicate].id.is_some()
     }
 
-    /// Checks that the rules draw nothing. `what` is known without draws, in the plural.
-    ///
-    /// # Errors
-    /// `rule-mismatch` if they do.
-    pub fn without_draws(&self, what: &str) -> Result<(), Diagnostic> {
-        if !self.draws {
-            return Ok(());
-        }
-        let message = format!("{what} draw nothing, but clauses of the rules have probabilities");
-        Err(Diagnostic::new(codes::RULE_MISMATCH, message).help("use rules without probabilities here"))
-    }
-
     /// Checks that the rules read no quantities. `what` holds facts without values, in the plural.
     ///
     /// # Errors
@@ -410,10 +398,27 @@ fn unremembered(program: &Program) -> Vec<Diagnostic> {
     let unfit = hidden
         .filter(|hidden| hidden.arity() > 2 || (hidden.columns.iter()).any(|column| column.base != BaseType::Symbol));
     let fault = |hidden: &Predicate| {
-        let message = "in a city, a temporal operator relates at most two agents";
+        let has_values = hidden.columns.iter().any(|column| column.base != BaseType::Symbol);
+        let (message, help) = match has_values {
+            true => (
+                "in a city, a temporal operator looks back at atoms about at most two agents, not at values",
+                "derive a predicate without the value first, for example `Long(X) :- Waited(X, n), n > 5.`, and apply \
+                 the operator to that",
+            ),
+            false => (
+                "in a city, a temporal operator relates at most two agents",
+                "define a predicate over one or two agents with this body, and apply the operator to that",
+            ),
+        };
+        let types = hidden
+            .columns
+            .iter()
+            .map(|column| rules.types[column.ty.0 as usize].name.as_str());
+        let types: Vec<&str> = types.collect();
         let fault = Diagnostic::new(codes::RULE_MISMATCH, message);
-        let fault = fault.at(hidden.span, format!("it relates {}", describe(hidden)));
-        fault.help("define a predicate over one or two agents with this body, and apply the operator to that")
+        fault
+            .at(hidden.span, format!("it relates ({})", types.join(", ")))
+            .help(help)
     };
     unfit.map(fault).collect()
 }

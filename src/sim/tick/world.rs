@@ -3,9 +3,9 @@
 use crate::city::{Action, AgentKind, AgentSet, Split};
 use crate::city::{CityMap, Places, Router};
 use crate::config::Scenario;
-use crate::datalog::ClauseId;
 use crate::datalog::codes;
 use crate::datalog::dense::TrackFirings;
+use crate::datalog::{Clause, ClauseId, Literal};
 use crate::datalog::{Limits, Program};
 use crate::diag::Diagnostic;
 use crate::sim::tick::executor::{DenseRules, compile, compile_divided};
@@ -164,6 +164,23 @@ impl World {
         })
     }
 
+    /// Checks that the rules draw nothing. `what` is known without draws, in the plural.
+    ///
+    /// # Errors
+    /// `rule-mismatch` if they do.
+    pub fn without_draws(&self, what: &str) -> Result<(), Diagnostic> {
+        let rules = self.program.rules();
+        let Some(chance) = rules.chance else { return Ok(()) };
+        let message = format!("{what} draw nothing, but clauses of the rules have probabilities");
+        let fault = Diagnostic::new(codes::RULE_MISMATCH, message).help("use rules without probabilities here");
+        let reads =
+            |clause: &&Clause| (clause.body.iter().filter_map(Literal::atom)).any(|atom| atom.predicate == chance);
+        Err(match rules.clauses.iter().find(reads) {
+            Some(clause) => fault.at(clause.span, "this draws"),
+            None => fault,
+        })
+    }
+
     /// Checks that nothing goes beyond the published city: the rules read neither quantities, nor earlier ticks, nor
     /// facts that a function computes, and draw nothing; actions and kinds of agents are the standard ones. `what`
     /// knows only these, in the plural.
@@ -171,7 +188,7 @@ impl World {
     /// # Errors
     /// `rule-mismatch` if something does.
     pub fn only_standard(&self, what: &str) -> Result<(), Diagnostic> {
-        self.vocabulary.without_draws(what)?;
+        self.without_draws(what)?;
         self.vocabulary.without_quantities(what)?;
         self.vocabulary.without_externals(what)?;
         self.vocabulary.only_standard_actions(what)?;

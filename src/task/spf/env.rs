@@ -404,12 +404,13 @@ impl Env {
         }
         let mut executed: SmallVec<[Action; 4]> = SmallVec::from_slice(proposed);
         for (car, action) in self.controlled_cars.iter_mut().zip(&mut executed) {
+            let can_choose = car.running && self.city.agents()[car.agent()].parked == 0;
             let Some(shielded) = car.shielded.as_deref_mut() else {
                 continue;
             };
             shielded.replaced = None;
             let forbidding = (shielded.verdict.as_ref()).filter(|verdict| !verdict.permitted.contains(*action));
-            let Some(verdict) = forbidding.filter(|_| car.running) else {
+            let Some(verdict) = forbidding.filter(|_| can_choose) else {
                 continue;
             };
             if shield.config().mode == ShieldMode::Mask {
@@ -579,9 +580,10 @@ impl Env {
             controlled_car.derived = controlled_car.observer.derived(&self.city)?;
             if self.judges {
                 let mut allowed = Actions::default();
+                let is_parked = self.city.agents()[controlled_car.agent()].parked > 0;
                 for action in self.task.possible_actions() {
                     let action = *action;
-                    if controlled_car.observer.violations(&self.city, action)?.is_empty() {
+                    if is_parked || controlled_car.observer.violations(&self.city, action)?.is_empty() {
                         allowed.insert(action);
                     }
                 }
@@ -628,7 +630,12 @@ impl Env {
         self.controls.clear();
         for (controlled_car, &action) in self.controlled_cars.iter_mut().zip(actions) {
             if controlled_car.running {
-                let broken = controlled_car.observer.violations(&self.city, action)?;
+                // A parked car has no choice, so its action violates no clause.
+                let agent = &self.city.agents()[controlled_car.agent()];
+                let (action, broken) = match agent.parked {
+                    0 => (action, controlled_car.observer.violations(&self.city, action)?),
+                    _ => (agent.parked_by, &[][..]),
+                };
                 controlled_car.last.broken.clear();
                 controlled_car.last.broken.extend_from_slice(broken);
                 controlled_car.last.reward = self.task.reward(action, broken, controlled_car.cells);

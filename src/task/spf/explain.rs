@@ -37,7 +37,7 @@ pub fn describe(env: &Env, controlled_car: usize) -> String {
         env.controlled_cars()[controlled_car].cells(),
         entities.join("\n"),
         atoms.collect::<Vec<_>>().join(" "),
-        env.oracle_action(controlled_car).name(),
+        vocabulary.actions().name(env.oracle_action(controlled_car)),
     )
 }
 

@@ -106,7 +106,13 @@ fn observed(env: &Env, ego: usize) -> Driven {
     let entities = env.controlled_cars()[ego].observer().entities();
     Driven {
         observes: entities.map(|agent| agents[agent].name().to_string()).collect(),
-        wanted: env.oracle_action(ego).name().to_owned(),
+        wanted: env
+            .task()
+            .world()
+            .vocabulary
+            .actions()
+            .name(env.oracle_action(ego))
+            .to_owned(),
         broken: Vec::new(),
     }
 }

@@ -154,6 +154,9 @@ pub fn diff(left: &Rules, right: &Rules, options: &Options) -> Result<Equivalenc
     if !faults.is_empty() {
         return Err(faults);
     }
+    if left.chance.is_some() || right.chance.is_some() {
+        return diff(&left.with_draws_as_facts(), &right.with_draws_as_facts(), options);
+    }
     let pair = Pair::new(left, right, options)?;
     let mut budget = Remaining::new(options);
     let same = Equivalence::Equivalent { entities: None };

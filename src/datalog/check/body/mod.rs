@@ -551,6 +551,9 @@ impl<'c> Check<'_, 'c> {
             }
             return None;
         };
+        // Constants of an unknown type have no value, so no lint may compare the clause.
+        let columns = self.names.signatures[predicate.index()].columns.iter().flatten();
+        self.sound &= columns.into_iter().all(Option::is_some);
         Some(Atom {
             predicate,
             terms,
@@ -593,7 +596,8 @@ impl<'c> Check<'_, 'c> {
             .at(term.place.0, found)
             .also(self.names.predicate(predicate).span, "declared here")
             .note(format!("the declaration is `{}`", self.names.signature_text(predicate)));
-        self.fault(fault);
+        let rewritten = self.rewritten(operand, wanted);
+        self.fault(rewritten.into_iter().fold(fault, Diagnostic::help));
         Term::Constant(Value(0))
     }
 

@@ -5,6 +5,7 @@ use crate::check::names::Names;
 use crate::check::rules::{Atom, Term, VarId};
 use crate::codes;
 use crate::diag::{Diagnostic, Span};
+use crate::symbol::Symbol;
 use crate::syntax::ast;
 use crate::syntax::ast::{BaseType, Comparison};
 use crate::syntax::functor::{AggregateOp, Functor, Shape};
@@ -320,7 +321,13 @@ impl<'c> Check<'_, 'c> {
             self.incomparable([(first, base.name()), (other.0, other.1.name())], tie.span);
             return;
         }
-        if let Some((operand, found)) = known.iter().find(|(_, found)| !tie.allowed.contains(found)) {
+        let wrong = || known.iter().filter(|(_, found)| !tie.allowed.contains(found));
+        // An operand whose type comes from elsewhere explains more than a result.
+        let from_elsewhere = wrong().find(|(operand, _)| match operand.kind {
+            OperandKind::Variable(id) => self.origin(id).is_some_and(|origin| origin != operand.span),
+            _ => false,
+        });
+        if let Some((operand, found)) = from_elsewhere.or_else(|| wrong().next()) {
             let wanted: Vec<String> = tie.allowed.iter().map(|base| format!("`{}`", base.name())).collect();
             let what = match tie.kind {
                 TieKind::Compare => "this takes values".to_owned(),
@@ -330,10 +337,16 @@ impl<'c> Check<'_, 'c> {
             let message = format!("{what} of type {}, not `{}`", wanted.join(" or "), found.name());
             let mut fault =
                 Diagnostic::new(codes::TYPE_MISMATCH, message).at(operand.span, format!("`{}`", found.name()));
+            let operand = *operand;
             if let TieKind::Probability = tie.kind {
                 fault = fault.help("convert it: `to_float(n) / 100.0`");
+            } else if (*found == BaseType::Symbol) != (tie.allowed[0] == BaseType::Symbol) {
+                let mend = self.rewritten(operand, tie.allowed[0]).or_else(|| {
+                    let id = self.variable_of(operand)?;
+                    Some(format!("convert it: `{}`", self.converted(id, tie.allowed[0])))
+                });
+                fault = mend.into_iter().fold(fault, Diagnostic::help);
             }
-            let operand = *operand;
             self.report_with_origin(fault, operand);
         } else if let Some((operand, found)) = other {
             let name = match tie.kind {
@@ -374,7 +387,100 @@ impl<'c> Check<'_, 'c> {
                 fault = fault.also(origin, format!("`{}` is a `{ty}` here", self.name(id)));
             }
         }
+        let sides = sides.map(|(operand, _)| operand);
+        if let Some(help) = self.comparable(sides) {
+            fault = fault.help(help);
+        }
         self.fault(fault);
+    }
+
+    /// Returns how to make two operands comparable.
+    fn comparable(&self, sides: [Operand; 2]) -> Option<String> {
+        let base = |operand: Operand| match operand.kind {
+            OperandKind::Whole(_) => Some(BaseType::Number),
+            _ => self.base_of(operand),
+        };
+        let bases = [base(sides[0])?, base(sides[1])?];
+        if bases[0] == bases[1] {
+            // Two types of one base type.
+            let OperandKind::Variable(id) = sides[0].kind else {
+                return None;
+            };
+            let VariableType::Type(ty) = self.type_of(self.variable_of(sides[1])?) else {
+                return None;
+            };
+            let (name, ty) = (self.name(id), self.names.type_name(ty));
+            return Some(format!(
+                "declare both columns with one type, or convert a value: `as({name}, {ty})`"
+            ));
+        }
+        let mut mends: Vec<String> = Vec::new();
+        for (one, other) in [(0, 1), (1, 0)] {
+            mends.extend(self.rewritten(sides[one], bases[other]));
+        }
+        let rewrites = !mends.is_empty();
+        for (one, other) in [(0, 1), (1, 0)] {
+            // A conversion loses the fraction of a `float`, and the order of numbers.
+            let loses = match bases[other] {
+                BaseType::Symbol => rewrites,
+                _ => bases[one] == BaseType::Float,
+            };
+            if let Some(id) = self.variable_of(sides[one]).filter(|_| !loses) {
+                mends.push(format!(
+                    "convert `{}`: `{}`",
+                    self.name(id),
+                    self.converted(id, bases[other])
+                ));
+            }
+        }
+        match mends.is_empty() {
+            true => None,
+            false => Some(mends.join(", or ")),
+        }
+    }
+
+    fn variable_of(&self, operand: Operand) -> Option<VarId> {
+        match operand.kind {
+            OperandKind::Variable(id) => Some(id),
+            _ => None,
+        }
+    }
+
+    /// Returns a variable with a conversion to a base type, as a rule writes it.
+    fn converted(&self, id: VarId, base: BaseType) -> String {
+        let ty = match base {
+            BaseType::Symbol => "string",
+            _ => base.name(),
+        };
+        format!("to_{ty}({})", self.name(id))
+    }
+
+    /// Returns how to write a constant with another base type; `None` if that is not its value.
+    pub(super) fn rewritten(&self, operand: Operand, base: BaseType) -> Option<String> {
+        match (operand.kind, base) {
+            (OperandKind::Whole(number), BaseType::Symbol) => {
+                Some(format!("write `{number}` in quotes: `\"{number}\"`"))
+            }
+            (OperandKind::Constant(value, BaseType::Symbol), _) => {
+                let text = self.symbols.resolve(Symbol(value.0))?;
+                let fits = match base {
+                    BaseType::Symbol => false,
+                    BaseType::Number => text.parse::<i32>().is_ok(),
+                    BaseType::Unsigned => text.parse::<u32>().is_ok(),
+                    BaseType::Float => text.parse::<f32>().is_ok_and(f32::is_finite),
+                };
+                fits.then(|| format!("write the number without quotes: `{text}`"))
+            }
+            (OperandKind::Constant(value, BaseType::Float), BaseType::Number | BaseType::Unsigned) => {
+                let number = value.as_float();
+                let in_range = match base {
+                    BaseType::Number => number.abs() < 1e9,
+                    _ => (0.0..1e9).contains(&number),
+                };
+                in_range.then(|| format!("write a whole number, such as `{}`", number.trunc() as i64))
+            }
+            _ => None,
+        }
     }
 
     /// Checks that variables in the head and in negated atoms fit their columns.
@@ -445,6 +551,11 @@ impl<'c> Check<'_, 'c> {
         {
             fault = fault.help(format!(
                 "declare both columns with one type, or convert the value: `as({name}, {wanted})`"
+            ));
+        } else {
+            let converted = self.converted(id, self.names.base(wanted_type));
+            fault = fault.help(format!(
+                "convert the value: `{converted}`, or declare the columns with one type"
             ));
         }
         let group = self.group(id.index());

@@ -5,12 +5,13 @@ mod types;
 use std::collections::{HashMap, HashSet};
 
 use crate::codes;
-use crate::diag::{self, Diagnostic, Faults, Span, did_you_mean};
+use crate::diag::{self, Diagnostic, Faults, Span, counted, did_you_mean};
 
 use crate::check::InputPolicy;
 use crate::check::rules::{Column, Directive, Predicate, PredicateId, RowFormat, RowPlace, Type, TypeId};
 use crate::syntax::ast::BaseType;
 use crate::syntax::ast::{Decl, Item, Mark, MarkKind, Name, Pragma};
+use crate::syntax::include::Offered;
 
 /// Maximum number of columns of a predicate.
 const MAX_COLUMNS: usize = 64;
@@ -339,7 +340,8 @@ impl Names {
                 && chosen != columns
                 && chosen > 0
             {
-                let message = format!("`columns` names {chosen} columns, `{}` has {columns}", predicate.name);
+                let chosen = counted(chosen, "column");
+                let message = format!("`columns` names {chosen}, `{}` has {columns}", predicate.name);
                 let fault = Diagnostic::new(codes::ARITY_MISMATCH, message).at(option.place.0, "");
                 faults.push(fault.also(predicate.span, "declared here"));
             }
@@ -353,12 +355,16 @@ impl Names {
 
     // --- unknown names
 
-    /// Reports each unknown name once, with the places of its uses.
-    pub fn report_unknown(&mut self, faults: &mut Faults) {
+    /// Reports each unknown name once, with the places of its uses. `offered` names built-in files that declare some.
+    pub fn report_unknown(&mut self, offered: &Offered, faults: &mut Faults) {
         let unknown = std::mem::take(&mut self.unknown);
         if !self.complete {
             return;
         }
+        let include = |name: &String| {
+            let file = offered.get(name)?;
+            Some(format!("add `.include \"{file}\"`, which declares it"))
+        };
         for (index, (name, uses)) in unknown.types.iter().enumerate() {
             let fault = Diagnostic::new(codes::UNKNOWN_TYPE, format!("no type `{name}` is declared"));
             let mut fault = with_uses(fault, uses);
@@ -370,8 +376,12 @@ impl Names {
                     if let Some(span) = id.and_then(|id| self.type_spans[id]) {
                         fault = fault.also(span, format!("`{near}` is declared here"));
                     }
-                    fault.did_you_mean(near, uses)
+                    let fault = fault.did_you_mean(near, uses);
+                    include(name)
+                        .into_iter()
+                        .fold(fault, |fault, include| fault.help(format!("or {include}")))
                 }
+                None if offered.contains_key(name) => fault.help(include(name).unwrap_or_default()),
                 None => match BaseType::of_other_languages(name) {
                     Some(base) => {
                         let edits = uses.iter().map(|&place| (place, base.name().to_owned()));
@@ -402,16 +412,14 @@ impl Names {
                     if let Some(span) = span {
                         fault = fault.also(span, format!("`{near}` is declared here"));
                     }
-                    fault.did_you_mean(near, uses)
+                    let fault = fault.did_you_mean(near, uses);
+                    include(name)
+                        .into_iter()
+                        .fold(fault, |fault, include| fault.help(format!("or {include}")))
                 }
-                // The vocabulary declares `Sees`.
-                None if self.predicate_by_name.contains_key("Sees") => fault.help(format!(
-                    "declare it: `.decl {name}(...)`, or include the file that declares it"
-                )),
-                None => fault.help(format!(
-                    "declare it: `.decl {name}(...)`, or include the file that declares it; `.include \"vocabulary.dl\"` \
-                     declares the predicates of the city"
-                )),
+                None => fault.help(include(name).unwrap_or_else(|| {
+                    format!("declare it: `.decl {name}(...)`, or include the file that declares it")
+                })),
             };
             faults.push(fault);
         }
@@ -575,7 +583,8 @@ fn with_uses(mut fault: Diagnostic, uses: &[Span]) -> Diagnostic {
         };
     }
     if uses.len() > MAX_USES_SHOWN {
-        fault = fault.note(format!("it is used in {} more places", uses.len() - MAX_USES_SHOWN));
+        let more = counted(uses.len() - MAX_USES_SHOWN, "more place");
+        fault = fault.note(format!("it is used in {more}"));
     }
     fault
 }

@@ -12,6 +12,7 @@ use crate::explain::{ExplainError, Pattern};
 use crate::session::Session;
 use crate::symbol::Symbol;
 use crate::syntax::ast::{BaseType, Comparison};
+use crate::syntax::lexer::is_name;
 use crate::value::{Patterns, Value};
 use std::cell::{Cell, OnceCell, RefCell};
 use std::cmp::Reverse;
@@ -28,6 +29,9 @@ type Index = HashMap<Vec<Value>, Rc<[u32]>>;
 /// Limits of the search for the nearest binding: failing literals, and steps for each clause.
 const FAILURES_MAX: usize = 3;
 const NEAREST_STEPS: u64 = 200_000;
+
+/// Maximum number of bindings that the search for the longest prefix compares.
+const PREFIX_BINDINGS: usize = 100;
 
 /// The rows of a predicate, with indexes on bound columns that are built on first use.
 struct Table<'s> {
@@ -617,6 +621,7 @@ impl<'s> ProofSearch<'s> {
         binding: &Binding,
     ) -> Result<Option<(Binding, Vec<usize>)>, ExplainError> {
         let all = vec![true; clause.body.len()];
+        let named = self.named(clause);
         for failures in 1..=FAILURES_MAX.min(clause.body.len()) {
             let mut best = None;
             self.solve(clause, &all, binding.clone(), failures, &mut |solution| {
@@ -625,7 +630,7 @@ impl<'s> ProofSearch<'s> {
                     .iter()
                     .filter(|&&literal| matches!(clause.body[literal], Literal::Guard(_)));
                 let key = (
-                    coincidences(solution.binding),
+                    coincidences(&named, solution.binding),
                     guards.count(),
                     Reverse(failing.first().copied()),
                     solution.binding.to_vec(),
@@ -642,20 +647,35 @@ impl<'s> ProofSearch<'s> {
         Ok(None)
     }
 
+    /// Returns the base type of each variable that the source names; `None` for the values of expressions.
+    fn named(&self, clause: &Clause) -> Vec<Option<BaseType>> {
+        let bases = self.rules().bases(clause);
+        let names = clause.variables.iter().zip(bases);
+        names
+            .map(|(name, base)| (name == "_" || is_name(name)).then_some(base))
+            .collect()
+    }
+
     /// Returns a binding for the longest prefix of literals that can hold together, and the literal after it. Literals
     /// come in source order, but one that binds nothing waits for its variables.
     fn longest_prefix(&self, clause: &Clause, binding: Binding) -> Result<(Binding, Vec<usize>), ExplainError> {
+        let named = self.named(clause);
         let mut satisfied = binding.clone();
         let mut pending = vec![false; clause.body.len()];
         for literal in in_order(clause, &binding) {
             pending[literal] = true;
-            let mut found = None;
+            let mut found: Option<(usize, Binding)> = None;
+            let mut seen = 0;
             self.solve(clause, &pending, binding.clone(), 0, &mut |solution| {
-                found = Some(solution.binding.to_vec());
-                false
+                let pairs = coincidences(&named, solution.binding);
+                if found.as_ref().is_none_or(|(fewest, _)| pairs < *fewest) {
+                    found = Some((pairs, solution.binding.to_vec()));
+                }
+                seen += 1;
+                pairs > 0 && seen < PREFIX_BINDINGS
             })?;
             match found {
-                Some(binding) => satisfied = binding,
+                Some((_, binding)) => satisfied = binding,
                 None => return Ok((satisfied, vec![literal])),
             }
         }
@@ -663,9 +683,11 @@ impl<'s> ProofSearch<'s> {
     }
 }
 
-/// Returns the number of pairs of variables with equal values.
-fn coincidences(binding: &[Option<Value>]) -> usize {
-    let bound: Vec<Value> = binding.iter().flatten().copied().collect();
+/// Returns the number of pairs of variables with equal values. `named` gives the base types of those that count.
+fn coincidences(named: &[Option<BaseType>], binding: &[Option<Value>]) -> usize {
+    let bound: Vec<(BaseType, Value)> = (named.iter().zip(binding))
+        .filter_map(|(base, value)| Some(((*base)?, (*value)?)))
+        .collect();
     let pairs = bound.iter().enumerate();
     pairs
         .map(|(at, value)| bound[..at].iter().filter(|other| *other == value).count())

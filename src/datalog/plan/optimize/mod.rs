@@ -22,7 +22,7 @@ use crate::check::{
     Atom, Budget, Clause, ClauseId, Comparing, Constraint, DeclaredConstraint, Literal, PredicateId, Rules, Term, VarId,
 };
 use crate::codes;
-use crate::diag::{Diagnostic, Sources, Span};
+use crate::diag::{Diagnostic, Sources, Span, counted};
 use crate::symbol::Symbol;
 use crate::syntax::ast::{BaseType, Comparison};
 use crate::syntax::quoted;
@@ -237,7 +237,7 @@ fn worth_a_name(rules: &Rules, uses: &[repeated::Use]) -> Option<Diagnostic> {
     let lint = others.fold(lint, |lint, &span| lint.also(span, "repeated here"));
     let lint = match spans.len().saturating_sub(1 + USES_SHOWN) {
         0 => lint,
-        more => lint.note(format!("repeated in {more} more clauses")),
+        more => lint.note(format!("repeated in {}", counted(more, "more clause"))),
     };
     Some(lint.help(format!(
         "define a predicate for it and use that: `Name({}) :- {body}.`",

@@ -7,7 +7,7 @@ use crate::syntax::ast::{Atom, Clause, Literal, Operator, Place, Term, TermKind}
 use crate::syntax::functor::{AggregateOp, Functor};
 use crate::syntax::lexer::{CONJUNCTION, DISJUNCTION, IMPLICATION, Kind, NEGATION, Token};
 
-use crate::syntax::parser::{DIRECTIVES, FULL_STOP, MAX_NESTING, Parse, Parser, Reported};
+use crate::syntax::parser::{DIRECTIVES, FULL_STOP, MAX_NESTING, PAST, Parse, Parser, Reported};
 
 impl Parser<'_> {
     /// Returns whether the current tokens are `?-`.
@@ -106,11 +106,20 @@ impl Parser<'_> {
     fn alternatives(&mut self) -> Parse<(Vec<Atom>, Vec<Term>)> {
         let (mut heads, mut probabilities) = (Vec::new(), Vec::new());
         loop {
+            if self.is_bare_fraction() {
+                return Err(self.bare_fraction());
+            }
             if !self.is_drawn() {
                 return Err(self.expected_with("a probability and `::`", Some(EACH_HEAD)));
             }
             probabilities.push(self.term()?);
             if !self.eat(Kind::DoubleColon) {
+                let [comma, fraction, colons] = [0, 1, 2].map(|count| self.ahead(count));
+                if [self.previous().kind, comma.kind, fraction.kind, colons.kind]
+                    == [Kind::Number, Kind::Comma, Kind::Number, Kind::DoubleColon]
+                {
+                    return Err(self.decimal_comma("`::`", self.previous(), fraction));
+                }
                 return Err(self.expected_with("`::`", Some(EACH_HEAD)));
             }
             heads.push(self.atom("the arguments of the head: `(`")?);
@@ -136,7 +145,12 @@ impl Parser<'_> {
         if self.eat(Kind::Dot) {
             return Ok(());
         }
-        Err(self.expected(what))
+        let help = match token.kind {
+            Kind::RParen => Some(SURPLUS),
+            Kind::Ident if self.follows_operator() => Some(WINDOW),
+            _ => self.habit(),
+        };
+        Err(self.expected_with(what, help))
     }
 
     pub(super) fn atom(&mut self, open: &str) -> Parse<Atom> {
@@ -280,6 +294,9 @@ impl Parser<'_> {
         if let Some(operator) = self.operator_ahead() {
             return Ok(vec![self.temporal(start, operator, None)?]);
         }
+        if self.is_misplaced_operator() {
+            return Err(self.misplaced_operator());
+        }
         if start.kind == Kind::Ident && next.kind == Kind::LParen && !self.is_term_with_parentheses() {
             return match self.atom_or_symbol_test()? {
                 Literal::Atom { atom, .. } if self.since_ahead() => {
@@ -370,13 +387,25 @@ impl Parser<'_> {
             start.kind,
             Kind::Dollar | Kind::At | Kind::LBracket | Kind::Faulty | Kind::OpenString | Kind::Hash
         );
+        if self.is_bare_fraction() {
+            return Err(self.bare_fraction());
+        }
         if !begins && !self.begins_operand(start) && start.kind != Kind::Ident {
             return Err(self.expected("a literal"));
         }
         let left = self.term()?;
         let Some(op) = comparison(self.kind()) else {
-            return Err(match left.kind {
-                TermKind::Variable(_) => self.lonely_name(start),
+            let before = |count: usize| self.at.checked_sub(count).map(|at| self.tokens[at]);
+            return Err(match (left.kind, before(3), before(2)) {
+                // `x < 0,8`
+                (TermKind::Number(_), Some(whole), Some(comma))
+                    if (whole.kind, comma.kind) == (Kind::Number, Kind::Comma)
+                        && whole.end == comma.start
+                        && comma.end == start.start =>
+                {
+                    self.decimal_comma("a comparison operator", whole, start)
+                }
+                (TermKind::Variable(_), ..) => self.lonely_name(start),
                 _ => self.expected("a comparison operator"),
             });
         };
@@ -498,6 +527,7 @@ impl Parser<'_> {
                 let near = self.near_operator(name).unwrap_or_default();
                 format!("did you mean the temporal operator `{near}`?")
             }
+            Kind::Ident if matches!(text, "next" | "future") => PAST.to_owned(),
             Kind::Ident | Kind::Underscore => {
                 format!("put arguments in parentheses: `{text}({})`", self.slice(next))
             }
@@ -510,6 +540,12 @@ impl Parser<'_> {
         Reported
     }
 }
+
+/// Help for a parenthesis that closes nothing.
+const SURPLUS: &str = "each `(` is closed before this `)`: remove it";
+
+/// Help for a window in parentheses.
+const WINDOW: &str = "the window of a temporal operator is in brackets: `once[1,10] P(x)`";
 
 /// Help for clauses in which only some heads have a probability.
 const EACH_HEAD: &str = "each head of such a clause has a probability: `0.3 :: A(x); 0.7 :: B(x) :- C(x).`";

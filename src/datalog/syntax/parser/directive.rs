@@ -41,8 +41,43 @@ fn mark_of(qualifier: &str) -> Option<MarkKind> {
 impl Parser<'_> {
     pub(super) fn directive(&mut self, name: &str, doc: String) -> Parse<Option<Item>> {
         let dot = self.bump();
-        let word = self.bump();
-        let span = self.span(dot).to(self.span(word));
+        self.bump();
+        self.rest_of_directive(name, dot, doc)
+    }
+
+    /// Reports a directive without its dot at the current token: `decl A(x: symbol)`, `import "a.dl"`. Returns its name.
+    pub(super) fn directive_without_dot(&mut self) -> Option<&'static str> {
+        let (word, next) = (self.token(), self.ahead(1));
+        // A name before another name or a string begins no clause.
+        if !matches!(next.kind, Kind::Ident | Kind::String) || next.first_on_line || !word.first_on_line {
+            return None;
+        }
+        let text = self.slice(word).to_lowercase();
+        let name = match next.kind {
+            Kind::String if matches!(text.as_str(), "include" | "import" | "load" | "use") => "include",
+            Kind::Ident if !matches!(text.as_str(), "include" | "once" | "plan" | "pragma") => {
+                DIRECTIVES.iter().copied().find(|directive| *directive == text)?
+            }
+            _ => return None,
+        };
+        if matches!(self.slice(next), "if" | "If" | "IF") {
+            return None;
+        }
+        let written = match next.kind {
+            Kind::String => format!(".{name} {}", self.slice(next)),
+            _ => format!(".{name}"),
+        };
+        let span = self.span(word);
+        let fault = Diagnostic::new(codes::SYNTAX, format!("`{}` without a dot", self.slice(word))).at(span, "");
+        let fault = fault.help(format!("a directive begins with a dot: `{written}`"));
+        self.faults
+            .push(fault.fix(format!("write `.{name}`"), [(span, format!(".{name}"))]));
+        Some(name)
+    }
+
+    /// Parses a directive after its name. `dot` is its first token.
+    pub(super) fn rest_of_directive(&mut self, name: &str, dot: Token, doc: String) -> Parse<Option<Item>> {
+        let span = self.span(dot).to(self.span(self.previous()));
         match name {
             "decl" => self.decl(doc).map(|decl| Some(Item::Decl(decl))),
             "type" => self.type_decl(doc, None).map(|decl| Some(Item::Type(decl))),

@@ -209,15 +209,6 @@ impl Parser<'_> {
         if self.is_aggregate() {
             return Ok((self.aggregate()?, 0));
         }
-        if self.ahead(1).kind == Kind::LBracket
-            && self.ahead(2).kind == Kind::Number
-            && let Some(near) = self.near_operator(start)
-        {
-            let fault = Diagnostic::new(codes::SYNTAX, format!("no temporal operator is called `{word}`"));
-            let fault = fault.at(self.span(start), "");
-            self.faults.push(fault.did_you_mean(near, &[self.span(start)]));
-            return Err(Reported);
-        }
         if word == "nil" || self.ahead(1).kind == Kind::LBracket {
             let (what, help) = if word == "nil" {
                 ("nil", NESTED)
@@ -342,6 +333,7 @@ impl Parser<'_> {
             Kind::String => TermKind::Symbol(self.unescape(token)),
             // The lexer has reported it.
             Kind::Faulty | Kind::OpenString => return Err(Reported),
+            Kind::Dot if self.is_bare_fraction() => return Err(self.bare_fraction()),
             _ => return Err(self.expected("an argument: a variable, a constant, `_` or an expression")),
         };
         self.bump();
@@ -447,6 +439,32 @@ impl Parser<'_> {
         };
         self.nesting = outside;
         Ok(TermKind::Aggregate(Box::new(Aggregate { op, target, body })))
+    }
+
+    /// Returns whether a fraction without its first digit begins at the current token: `.8`.
+    pub(super) fn is_bare_fraction(&self) -> bool {
+        let (dot, digits) = (self.token(), self.ahead(1));
+        dot.kind == Kind::Dot && digits.kind == Kind::Number && dot.end == digits.start
+    }
+
+    /// Reports a fraction without its first digit, and skips it.
+    pub(super) fn bare_fraction(&mut self) -> Reported {
+        let dot = self.bump();
+        let digits = self.bump();
+        let span = self.span(dot).to(self.span(digits));
+        let number = format!("0.{}", self.slice(digits));
+        let fault = Diagnostic::new(codes::SYNTAX, "a number begins with a digit").at(span, "");
+        let fault = fault.help(format!("write `{number}`"));
+        self.faults
+            .push(fault.fix(format!("write `{number}`"), [(span, number)]));
+        Reported
+    }
+
+    /// Reports that `what` is missing at a comma within a number, `0,8`, whose first token is `whole`.
+    pub(super) fn decimal_comma(&mut self, what: &str, whole: Token, fraction: Token) -> Reported {
+        let number = format!("{}.{}", self.slice(whole), self.slice(fraction));
+        let help = format!("a number has a decimal point, not a comma: `{number}`");
+        self.expected_with(what, Some(&help))
     }
 
     /// Returns the value of a number. A value outside the range of every type counts as 0, after a report.

@@ -98,6 +98,9 @@ fn ends_literal(kind: Kind) -> bool {
     )
 }
 
+/// Help for temporal operators that look ahead.
+const PAST: &str = "temporal operators are about the past: `P(x) since[0,9] Q(x)`, `once[0,9] P(x)`";
+
 /// Help where only the full stop of a clause is missing.
 pub const FULL_STOP: &str = "a clause ends with a full stop";
 
@@ -426,11 +429,9 @@ impl<'a> Parser<'a> {
             (")" | "." | "]" | "}" | ":-", _) if self.at > 0 && self.previous().kind == Kind::Comma => {
                 Some("remove the comma, or write what should follow it")
             }
-            ("until" | "Until", Kind::Ident | Kind::LBracket) if !token.first_on_line => {
-                Some("temporal operators are about the past: `P(x) since[0,9] Q(x)`, `once[0,9] P(x)`")
-            }
+            ("until" | "Until", Kind::Ident | Kind::LBracket) if !token.first_on_line => Some(PAST),
             ("mod" | "MOD", _) => Some("the remainder is written `%`, as in `n % 4 = 3`"),
-            _ => None,
+            _ => self.operator_between_atoms(),
         }
     }
 
@@ -594,6 +595,7 @@ impl<'a> Parser<'a> {
         match token.kind {
             Kind::Dot => match self.directive_ahead() {
                 Some(name) => self.directive(name, doc),
+                None if self.is_bare_fraction() && self.ahead(2).kind == Kind::DoubleColon => Err(self.bare_fraction()),
                 None => {
                     self.bump();
                     let fault = Diagnostic::new(codes::SYNTAX, "full stop without a clause")
@@ -603,7 +605,13 @@ impl<'a> Parser<'a> {
                     Ok(None)
                 }
             },
-            Kind::Ident => self.clause(doc).map(|clause| Some(Item::Clause(clause))),
+            Kind::Ident => match self.directive_without_dot() {
+                Some(name) => {
+                    let word = self.bump();
+                    self.rest_of_directive(name, word, doc)
+                }
+                None => self.clause(doc).map(|clause| Some(Item::Clause(clause))),
+            },
             Kind::Bang => Err(self.expected_item(" (a head cannot be negated)")),
             Kind::Hash if self.slice(self.ahead(1)) == "include" && self.ahead(2).kind == Kind::String => {
                 self.bump();
