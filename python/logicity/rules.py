@@ -52,7 +52,7 @@ def rule_path(name: str, value: str | os.PathLike[str]) -> str:
     """Return an argument that names a rule file as a string. Raise `ValueError` if it is a configuration."""
     path = checked_path(name, value)
     if path.endswith((".yaml", ".yml")):
-        remedy = "name the file that it has after `rules:`"
+        remedy = "pass the rule file that its key `rules` names"
         raise ValueError(f"{name}: `{path}` is a configuration, not a rule file; {remedy}")
     return path
 

@@ -164,8 +164,8 @@ fn read_file(py: Python<'_>, path: PathBuf) -> PyResult<String> {
         .map_err(|error| read_error(py, &path, &error))
 }
 
-/// Returns the path of a rule file and its text. A bare name such as `hard`, if no file has it, means `rules/hard.dl`, on
-/// disk or built in.
+/// Returns the path of a rule file and its text. A bare name such as `hard`, if no file has it, means `rules/hard.dl`,
+/// on disk or built in.
 #[pyfunction]
 fn read_rules(py: Python<'_>, path: PathBuf) -> PyResult<(String, String)> {
     let path = rule_file(&path, &BuiltinFiles);

@@ -16,8 +16,8 @@ use crate::datalog::{BaseType, Clause, ClauseId, Column, InputPolicy, PredicateI
 use crate::diag::{Diagnostic, Sources, to_json};
 use crate::files::ReadFile;
 use crate::sim::{
-    CONFLICT_BUDGET, Coverage, Finding, Overlap, conflict_lints, conflicts, draws, earlier_facts,
-    examine as examine_rules, help_to_declare, scene_json,
+    CONFLICT_BUDGET, Coverage, Finding, Overlap, conflict_lints, conflicts, earlier_facts, examine as examine_rules,
+    help_to_declare, needed_draws, scene_json,
 };
 use serde_json::json;
 use std::collections::HashSet;
@@ -122,7 +122,7 @@ fn examine(arguments: &Arguments, path: &Path, files: &dyn ReadFile, sources: &m
     };
     if let (None, None, Some(trace)) = (&given, &report.configuration, &arguments.coverage) {
         let city = TraceReader::open(trace)?.city(sources, None, None)?;
-        given = Some(configuration::Checked::of(city.scenario)?);
+        given = Some(configuration::Checked::from_scenario(city.scenario)?);
     }
     if let Some(city) = given.as_ref().or(report.configuration.as_ref()) {
         report.actions = city.actions();
@@ -437,9 +437,9 @@ fn print_overlaps(
                         "    if earlier ticks make these hold, which `check` does not decide: {earlier}"
                     )?;
                 }
-                let needed = draws(scene);
+                let needed = needed_draws(scene);
                 if !needed.is_empty() {
-                    writeln!(out, "    if these come out: {}", needed.join("; "))?;
+                    writeln!(out, "    if these draws succeed: {}", needed.join("; "))?;
                 }
                 writeln!(out, "    {first} by {a}\n    {second} by {b}")?;
                 printed = true;

@@ -103,11 +103,11 @@ fn in_words(task: &SpfConfig) -> String {
 }
 
 impl Checked {
-    /// Prepares the configuration of a trace.
+    /// Prepares a scenario to judge rules.
     ///
     /// # Errors
     /// The map cannot be generated.
-    pub fn of(scenario: Scenario) -> Result<Checked, Diagnostic> {
+    pub fn from_scenario(scenario: Scenario) -> Result<Checked, Diagnostic> {
         let city = CityMap::generate(&scenario.map)?;
         Ok(Checked {
             map: scenario.map.clone(),

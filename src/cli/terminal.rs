@@ -84,7 +84,7 @@ const BETWEEN_LINES: Duration = Duration::from_secs(10);
 pub fn with_lines(bar: ProgressBar, what: &str) -> ProgressBar {
     if !io::stderr().is_terminal() {
         let (watched, what) = (bar.downgrade(), what.to_owned());
-        // The end of the bar or of the process ends it.
+        // The thread ends with the bar or the process.
         thread::spawn(move || {
             loop {
                 thread::sleep(BETWEEN_LINES);

@@ -183,7 +183,7 @@ fn load(
         ProgressStyle::with_template("{bar:30} explaining tick {msg}, {percent} %, {eta} left")
             .expect("a valid template"),
     );
-    let bar = terminal::with_lines(bar, "byte");
+    let bar = terminal::with_lines(bar, "explaining, byte");
     let (mut shown, mut last) = (0, None);
     while shown < most
         && let Some(mut tick) = reader.tick()?

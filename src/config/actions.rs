@@ -86,8 +86,8 @@ fn default_of(
     None
 }
 
-/// Reads the order of precedence: each action once. `own` has the definitions of the actions that are not standard ones;
-/// `place` names the place of the order in help.
+/// Reads the order of precedence: each action once. `own` has the definitions of the actions that are not standard
+/// ones; `place` names the place of the order in help.
 fn precedence(
     node: &YamlNode,
     known: &[(&str, Action)],
@@ -119,7 +119,7 @@ fn precedence(
         fault = fault.also(item.span, "a second time");
         fault = fault.help(format!("remove the second `{}`", name.expect("it was read").0));
     }
-    let is_missing = |(_, action): &&(&str, Action)| !action.is_standard() && !order.contains(action);
+    let is_missing = |(_, action): &&(&str, Action)| !order.contains(action);
     let missing: Vec<(&str, Action)> = known.iter().filter(is_missing).copied().collect();
     let defined = |name: &str| own.iter().map(|own| &own.name).find(|own| own.value == name);
     for (name, _) in &missing {
@@ -272,8 +272,8 @@ fn definition(
     })
 }
 
-/// Reads the cells per tick of the kinds that can take an action. A kind of the configuration has those of the kind that
-/// it derives from, unless it is given its own.
+/// Reads the cells per tick of the kinds that can take an action. A kind of the configuration has those of the kind
+/// that it derives from, unless it is given its own.
 fn cells(
     name: &Located<String>,
     node: &YamlNode,

@@ -8,7 +8,8 @@
 //!
 //! - A part is a path or is written in place.
 //! - `base: path` starts from another file. Mappings merge key by key, any other value replaces that of the base, and
-//!   null (`~`) removes it. A null value of which the base has none stays; readers report it if they do not know its key.
+//!   null (`~`) removes it. If the base has no such key, the null value stays, so that readers can report a misspelled
+//!   key.
 //! - A path is relative to the file that contains it. If it is not on disk, the composer searches the built-in files.
 //!
 //! This module does not know what the keys mean.

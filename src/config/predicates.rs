@@ -83,7 +83,7 @@ pub(super) fn predicates(node: &YamlNode, kinds: &KindTable, faults: &mut Vec<Di
     Some(Predicates { used, defined })
 }
 
-/// Reads a definition. What follows an unknown key, such as a missing one, is no second fault.
+/// Reads a definition. Drops the faults after the last unknown key, which it may have caused.
 fn definition_of(node: &YamlNode, faults: &mut Vec<Diagnostic>) -> Option<Definition> {
     let before = faults.len();
     let definition = Definition::read(node, faults);

@@ -84,7 +84,7 @@ pub trait ReadFile {
         Vec::new()
     }
 
-    /// Returns the names of the files in a folder, sorted, for suggestions in messages.
+    /// Returns the names of the entries of a folder, sorted, for suggestions in messages.
     fn names_in(&self, folder: &Path) -> Vec<String> {
         let _ = folder;
         Vec::new()

@@ -18,9 +18,9 @@ crate::diagnostic_codes! {
     EMPTY_PREDICATE = "empty-predicate", Warning;
     /// An output of rules for a city that is no action.
     UNUSED_OUTPUT = "unused-output", Warning;
-    /// A predicate of rules for a city that is no action and that no clause reads.
+    /// A predicate of rules for a city that is not an action and that no clause reads.
     UNREAD_PREDICATE = "unread-predicate", Warning;
-    /// An action of the configuration that no agent takes by the rules.
+    /// An action of the configuration that no clause derives, or a clause that derives it for other kinds of agents.
     UNUSED_ACTION = "unused-action", Warning;
     /// A function that computes an external predicate is missing or fails.
     EXTERNAL_PREDICATE = "external-predicate", Error;

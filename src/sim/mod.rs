@@ -20,8 +20,8 @@ pub use observe::{
 };
 pub use scene::{
     Answer, CONFLICT_BUDGET, CityConstraints, CityTheory, EgoAnswer, Examined, Explained, Finding, Inference,
-    MarginalAnswer, MarginalEgo, Overlap, SceneFacts, agent_lints, conflict_lints, conflicts, draws, earlier_facts,
-    examine, scene_json,
+    MarginalAnswer, MarginalEgo, Overlap, SceneFacts, agent_lints, conflict_lints, conflicts, earlier_facts, examine,
+    needed_draws, scene_json,
 };
 pub use tick::asked::{AskedFact, FactAccount};
 pub use tick::batch::Batch;

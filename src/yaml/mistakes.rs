@@ -197,7 +197,7 @@ impl Stop<'_> {
         None
     }
 
-    /// Reports a dash without a space after it, at the begin of the line or of the line before.
+    /// Reports a dash without a space after it, at the start of the line or of the line before.
     fn glued_dash(&self) -> Option<Diagnostic> {
         self.lines_near().find_map(|start| {
             let from = start + self.indent(start);
@@ -285,8 +285,8 @@ impl Stop<'_> {
         })
     }
 
-    /// Returns where the keys, or the entries of lists, begin to which a line could belong: the column, the key, and the
-    /// number of the line.
+    /// Returns where the keys, or the entries of lists, begin to which a line could belong: the column, the key, and
+    /// the number of the line.
     fn begins_above(&self, start: usize, entries: bool) -> Vec<(usize, &str, usize)> {
         let mut found = Vec::new();
         let mut least = usize::MAX;
@@ -327,7 +327,16 @@ impl Stop<'_> {
                 let found = fault(format!("expected `:` after `{key}`")).at(span, "");
                 Some(found.help(format!("write `{key}: {}`", shown(value))))
             }
-            ErrorKind::UnexpectedCharacter { .. } | ErrorKind::UnknownAnchor => {
+            ErrorKind::UnknownAnchor => {
+                let name = written.strip_prefix('*')?.split([',', '}', ']', '#', ' ']).next()?;
+                let span = Span::new(self.source, self.at..self.at + 1 + name.len());
+                let found = fault(format!("no anchor `&{}` comes before this alias", shown(name))).at(span, "");
+                Some(found.help(format!(
+                    "define it earlier, or write the text in quotes: `\"*{}\"`",
+                    shown(name)
+                )))
+            }
+            ErrorKind::UnexpectedCharacter { .. } => {
                 let first = written.chars().next()?;
                 let value = written.split([',', '}', ']', '#']).next()?.trim_end();
                 if value.is_empty() {
@@ -371,7 +380,7 @@ pub(super) fn assignment(text: &str) -> Option<(&str, &str)> {
     (is_word(key) && !value.is_empty()).then_some((key, value))
 }
 
-/// Reports a dash at the begin of a line, or of a key, that a space must follow; it is at byte `from`.
+/// Reports a dash at the start of a line, or of a key, that a space must follow; it is at byte `from`.
 pub(super) fn dash_fault(source: SourceId, from: usize, line: &str) -> Option<Diagnostic> {
     let line = line.trim_end();
     let entry = line.strip_prefix('-')?;

@@ -140,8 +140,8 @@ impl<'n> Fields<'n> {
         self.entries.iter().find(|(given, _)| given.text == key)
     }
 
-    /// Reports missing required keys, with the help, and unknown keys. A missing key that an unknown one resembles is no
-    /// second fault.
+    /// Reports missing required keys, with the help, and unknown keys. A missing key that an unknown one resembles is
+    /// no second fault.
     pub fn close_with(mut self, help: Option<&str>, faults: &mut Vec<Diagnostic>) {
         let allowed = || self.allowed.iter().map(Cow::as_ref);
         let unknown = self.entries.iter().map(|(key, _)| key.text.as_str()).take(SEARCHED);

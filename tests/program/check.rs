@@ -255,6 +255,24 @@ fn absent_agents_and_unread_outputs_are_reported() {
     assert_eq!(found(folder.path(), &["taxi.yaml"]), is(&[]));
 }
 
+/// Names of agents are those of all kinds of the configuration, also in comparisons.
+#[test]
+fn names_of_agents_of_own_kinds_are_known() {
+    let folder = tempfile::tempdir().unwrap();
+    let config = "base: expert\nrules: kinds.dl\nkinds: {Cyclist: {of: Car}}\n\
+                  agents: {test: {cars: [{count: 2, priority: 1}], Cyclist: [{count: 1, priority: 1}]}}\n";
+    write(folder.path(), "kinds.yaml", config);
+    let rules = ".include \"vocabulary.dl\"\nStop(X) :- CollidingClose(X, Y).\n\
+                 Slow(X) :- IsBus(Cyclist_1), NextTo(X, Cyclist_1), Not(Stop(X)).\n\
+                 Slow(X) :- NextTo(X, Y), Y = \"Car_99\", Not(Stop(X)).\n\
+                 Slow(X) :- NextTo(X, Y), Y != \"Cyclist_1\", Not(Stop(X)).\n";
+    write(folder.path(), "kinds.dl", rules);
+    let found: Vec<(String, u64)> = (found(folder.path(), &["kinds.yaml"]).into_iter())
+        .filter(|(code, _)| code.ends_with("-agent"))
+        .collect();
+    assert_eq!(found, is(&[("unquoted-agent", 3), ("unknown-agent", 4)]));
+}
+
 /// Without a task, agents take only the actions that clauses derive for their kinds.
 #[test]
 fn actions_that_no_agent_takes_are_reported() {

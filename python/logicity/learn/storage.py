@@ -101,8 +101,8 @@ def policy_hash(policy: LearnedPolicy) -> tuple[str, str]:
 def processor() -> str:
     """Return the vendor of the processor and the vector instructions that PyTorch uses, such as `GenuineIntel AVX512`.
 
-    PyTorch adds numbers in an order that depends on both, so trainings on different ones have different weights. It
-    also depends on the environment variable MKL_CBWR, which the name then contains.
+    PyTorch adds numbers in an order that depends on both, so trainings on different ones have different weights. The
+    order also depends on the environment variable MKL_CBWR; if it is set, the result ends with it.
     """
     information = Path("/proc/cpuinfo")
     lines = information.read_text(encoding="utf-8").splitlines() if information.exists() else []

@@ -1,9 +1,10 @@
 """Read the ResNet50 of Keras from a layers model of TensorFlow.js, with the names and the scale of torchvision.
 
 Such a model is a file `model.json`, which names the files beside it that contain the weights. The network of Keras
-differs from that of torchvision in four points:
+differs from that of torchvision in four ways:
 
-- Its channels are blue, green and red, minus their means on a scale to 255, without a division.
+- Its channels are blue, green and red, in the range 0 to 255 minus their means, and are not divided by a standard
+  deviation.
 - Its convolutions have biases. A bias moves into the mean of the normalization that follows.
 - Its normalizations add another epsilon to the variances. The difference moves into the variances.
 - The stride of a stage lies in its first convolution (1 x 1), as in the network of He et al. (2016), while
@@ -110,7 +111,7 @@ class _Weights:
                     raise ValueError(f"{path}: `{name}` is not stored as float32: use a model that is not quantized")
                 begin, end = end, end + int(np.prod(shape))
                 if end > len(content):
-                    raise ValueError(f"{path}: the files of weights end before `{name}`: a file is damaged")
+                    raise ValueError(f"{path}: the files of weights end before `{name}`: extract the model again")
                 self._values[name] = content[begin:end].reshape(shape)
 
     def take(self, name: str, dimensions: int) -> NDArray[np.float64]:

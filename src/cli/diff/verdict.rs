@@ -3,7 +3,7 @@
 use crate::city::Action;
 use crate::datalog::diff::{Cut, Difference, Equivalence};
 use crate::datalog::{BaseType, DRAW, Rules, quoted};
-use crate::sim::{draws, scene_json};
+use crate::sim::{needed_draws, scene_json};
 use serde_json::{Value, json};
 use std::io::{self, Write};
 
@@ -108,9 +108,9 @@ fn show_difference(difference: &Difference, names: &[String; 2], rules: &[Rules;
         scene_json(difference, &rules.each_ref())
     );
     let has_draws = |rules: &Rules| rules.predicates.iter().any(|known| known.name.starts_with(DRAW));
-    match draws(difference) {
-        needed if !needed.is_empty() => text += &format!("if only these come out: {}\n", needed.join("; ")),
-        _ if rules.iter().any(has_draws) => text += "if no draw comes out\n",
+    match needed_draws(difference) {
+        needed if !needed.is_empty() => text += &format!("if only these draws succeed: {}\n", needed.join("; ")),
+        _ if rules.iter().any(has_draws) => text += "if every draw fails\n",
         _ => {}
     }
     for scope in &difference.everybody_sees {

@@ -1,8 +1,10 @@
 //! Probabilities of heads: replaces them by literals that draw, before name resolution.
 //!
 //! ```text
-//! 0.3 :: A(x); 0.7 :: B(x) :- C(x, y).    becomes    A(x) :- C(x, y), chance(h, l), choose(h, l, .., 0.3, 0.7, x, y) = 0.
-//!                                                    B(x) :- C(x, y), chance(h, l), choose(h, l, .., 0.3, 0.7, x, y) = 1.
+//! 0.3 :: A(x); 0.7 :: B(x) :- C(x, y).    becomes    A(x) :- C(x, y), chance(h, l), choose(h, l, .., 0.3, 0.7, x, y) =
+//! 0.
+//!                                                    B(x) :- C(x, y), chance(h, l), choose(h, l, .., 0.3, 0.7, x, y) =
+//!                                                    1.
 //! ```
 //!
 //! The hidden predicate has one row, the word of the tick. [`crate::chance`] describes the draw. A variable that does
@@ -308,9 +310,10 @@ impl Rules {
         })
     }
 
-    /// Returns the rules with a hidden input predicate in place of the draws of each clause with probabilities. Its rows
-    /// are the values of the draw with the alternative that is drawn for them, from 0; with a greater number, none is.
-    /// Draws with the same stream and probabilities have the same predicate in all rules.
+    /// Returns the rules with a hidden input predicate in place of the draws of each clause with probabilities. Each
+    /// row has the values of a draw and then the drawn alternative, counted from 0. A number beyond the last
+    /// alternative means that none is drawn. Draws with the same stream and probabilities have the same predicate in
+    /// all rules.
     pub fn with_draws_as_facts(&self) -> Rules {
         let mut rules = self.clone();
         if let Some(chance) = self.chance {
@@ -411,5 +414,6 @@ impl Rules {
     }
 }
 
-/// The beginning of the names of the predicates of [`Rules::with_draws_as_facts`]. The probabilities follow, then ` in`.
+/// The beginning of the names of the predicates of [`Rules::with_draws_as_facts`]. The probabilities follow, then `
+/// in`.
 pub const DRAW: &str = "draw of ";

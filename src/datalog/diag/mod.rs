@@ -248,9 +248,9 @@ pub fn similar_file<'a>(written: &str, candidates: impl IntoIterator<Item = &'a 
     candidates().find(|candidate| stem(candidate) == near)
 }
 
-/// Returns the path of an existing file that a missing one most likely means: one in the same folder with a similar name
-/// and, if it is given, this ending. `written` is relative to `folder`, and so is the result; `names_in` returns the
-/// names of the files in a folder.
+/// Returns the path of an existing file that a missing one most likely means: one in the same folder with a similar
+/// name and, if it is given, this ending. `written` is relative to `folder`, and so is the result; `names_in` returns
+/// the names of the files in a folder.
 pub fn similar_file_in(
     names_in: impl Fn(&Path) -> Vec<String>,
     folder: &Path,

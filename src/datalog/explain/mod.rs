@@ -189,7 +189,8 @@ pub enum Obstacle {
         /// Otherwise the nearest binding minimizes the number of failing literals. Ties go to the binding with the
         /// fewest pairs of variables of one type and equal value, then to one with fewer failing guards, then to one
         /// whose first failure comes later, then to the smallest words. If that search takes too many steps, the
-        /// binding instead satisfies as many literals from the front as possible.
+        /// binding instead satisfies as many literals from the front as possible; among up to 100 such bindings, it is
+        /// one with the fewest pairs of variables of one type and equal value.
         binding: Pattern,
         /// The literals that fail under the binding; at least one.
         failures: Vec<Failure>,

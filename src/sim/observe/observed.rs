@@ -24,7 +24,8 @@ pub(super) struct Atoms {
     /// The sets of entities, see [`AtomLayout`].
     pub words: Vec<u64>,
     /// For each quantity of the vocabulary, its values for the entities, or for each pair of them,
-    /// [`AtomLayout::entities`] to a row, or for the city; empty for other predicates, and without quantities.
+    /// [`AtomLayout::entities`] to a row, or for the city; empty for other predicates; no entries at all if
+    /// the vocabulary has no quantities.
     pub values: Vec<Vec<Option<Value>>>,
     pub layout: AtomLayout,
 }

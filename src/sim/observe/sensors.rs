@@ -41,7 +41,7 @@ pub struct Sensors {
     correlated: bool,
     /// Whether observations follow from the readings and beliefs of this tick alone: no delay, sharing or exact ego.
     current: bool,
-    /// Whether readings and observations follow from the facts of this tick and its noise alone.
+    /// Whether readings and observations depend only on the facts and the noise of this tick.
     is_stateless: bool,
     /// The sets that no sensor reads.
     unsensed: Vec<usize>,
@@ -525,7 +525,7 @@ impl Readings {
         Reading::of(bit(&self.read), bit(&self.atoms.words))
     }
 
-    /// Reads the facts of a tick with stateless sensors, as [`Readings::sense`] does.
+    /// Fast path of [`Readings::sense`] for stateless sensors, with equal results.
     fn sense_now(
         &mut self,
         sensors: &Sensors,
@@ -751,8 +751,8 @@ impl Readings {
         }
     }
 
-    /// Variant of [`Readings::filter`] for a group without delay and correlation. Sets beliefs of facts that do not exist
-    /// to 0.
+    /// Variant of [`Readings::filter`] for a group without delay and correlation. Sets beliefs of facts that do not
+    /// exist to 0.
     fn filter_simply(&mut self, group: &Group, model: &SensorModel, present: u64, origins: &Origins) {
         let entities = self.atoms.layout.entities;
         for &set in &group.sets {

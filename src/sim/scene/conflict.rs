@@ -260,8 +260,8 @@ pub fn scene_json(scene: &Difference, rules: &[&Rules]) -> serde_json::Value {
     json!({ "entities": scene.entities, "ego": scene.entities.first(), "facts": facts })
 }
 
-/// Returns which draws the scene needs, in words.
-pub fn draws(scene: &Difference) -> Vec<String> {
+/// Describes the draws that must succeed in the scene.
+pub fn needed_draws(scene: &Difference) -> Vec<String> {
     let drawn = scene.facts.iter().filter_map(|(name, rows)| {
         let (probabilities, _) = name.strip_prefix(DRAW)?.split_once(" in ")?;
         let count = probabilities.split(", ").count();
@@ -269,8 +269,8 @@ pub fn draws(scene: &Difference) -> Vec<String> {
             let (alternative, values) = row.split_last()?;
             let alternative: usize = alternative.parse().ok().filter(|at| *at < count)?;
             let what = match count {
-                1 => format!("the draw of {probabilities}"),
-                _ => format!("the draw of alternative {} of {probabilities}", alternative + 1),
+                1 => probabilities.to_owned(),
+                _ => format!("alternative {} of {probabilities}", alternative + 1),
             };
             Some(match values {
                 [] => what,

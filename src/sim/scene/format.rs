@@ -711,7 +711,7 @@ impl<'a> Reader<'a> {
                 let number = percent.0.trim().parse::<f64>().map(|number| number / percent.1);
                 let number = number.ok().filter(|number| *number > 0.0 && *number <= 1.0);
                 Err(vec![match number {
-                    Some(number) => fault.help(format!("write {number}")),
+                    Some(number) => fault.help(format!("write `{number}`")),
                     None => fault,
                 }])
             }

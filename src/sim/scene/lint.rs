@@ -43,8 +43,8 @@ pub struct Examined {
 /// - constants that name no agent ([`agent_lints`]), variables with the names of agents, and missing clauses against
 ///   collisions, for rules that decide actions;
 /// - predicates that no agent has, with the clauses that never fire for this reason;
-/// - predicates that are no action and that no clause reads;
-/// - actions of the configuration that no agent takes by the rules.
+/// - predicates that are not actions and that no clause reads;
+/// - actions that no clause derives, and clauses that derive actions of other kinds of agents.
 ///
 /// Without a configuration, the declared constraints count, collisions are announced by the predicate of the shipped
 /// vocabulary, and only the rules alone are judged.
@@ -106,7 +106,13 @@ pub fn examine(rules: &Rules, city: Option<&CityTheory>, sources: &Sources) -> E
                 .collect(),
             None => vec![SHIPPED_COLLISION],
         };
-        diagnostics.extend(unquoted_agents(rules));
+        let kinds: Vec<String> = match scenario {
+            Some(scenario) => (scenario.kinds.all())
+                .map(|kind| scenario.kinds.name(kind).to_owned())
+                .collect(),
+            None => AgentKind::ALL.map(|kind| kind.name().to_owned()).into(),
+        };
+        diagnostics.extend(unquoted_agents(rules, &kinds));
         diagnostics.extend(no_collision_clause(rules, &collisions, &actions));
     }
     Examined {
@@ -143,22 +149,11 @@ fn unknown_values(rules: &Rules, functions: &[Function]) -> Vec<Diagnostic> {
     literals.filter_map(lint).collect()
 }
 
-/// Warns of predicates that are no action and that no clause reads: outputs, which a city does not write, and others
+/// Warns of predicates that are not actions and that no clause reads: outputs, which a city does not write, and others
 /// with clauses.
 fn unread_predicates(rules: &Rules, scenario: &Scenario) -> Vec<Diagnostic> {
-    let atoms = |clause: &'_ Clause| {
-        clause
-            .body
-            .iter()
-            .filter_map(Literal::atom)
-            .map(|atom| atom.predicate)
-            .collect()
-    };
-    let read: BTreeSet<PredicateId> = rules
-        .clauses
-        .iter()
-        .flat_map(|clause| -> Vec<_> { atoms(clause) })
-        .collect();
+    let atoms = (rules.clauses.iter()).flat_map(|clause| clause.body.iter().filter_map(Literal::atom));
+    let read: BTreeSet<PredicateId> = atoms.map(|atom| atom.predicate).collect();
     let derived: BTreeSet<PredicateId> = rules.clauses.iter().map(|clause| clause.head.predicate).collect();
     let table = &scenario.actions.table;
     let warn = |(predicate, id): (&Predicate, PredicateId)| {
@@ -202,8 +197,8 @@ fn unread_predicates(rules: &Rules, scenario: &Scenario) -> Vec<Diagnostic> {
         .collect()
 }
 
-/// Warns of actions of the configuration that no agent takes by the rules: without a clause, or with clauses only for
-/// agents of kinds that cannot take them. In a task, egos may take them.
+/// Warns of actions that no clause derives, unless there is a task, whose egos may take them, and of clauses that
+/// derive an action only for kinds of agents that cannot take it.
 fn unused_actions(rules: &Rules, scenario: &Scenario) -> Vec<Diagnostic> {
     let table = &scenario.actions.table;
     let own = || table.all().skip(Action::STANDARD.len()).zip(table.own());
@@ -226,7 +221,14 @@ fn unused_actions(rules: &Rules, scenario: &Scenario) -> Vec<Diagnostic> {
         if !is_default(action) && clauses_of(name).next().is_none() {
             let message = format!("no clause derives the action `{name}`, so no agent takes it");
             let fault = Diagnostic::new(codes::UNUSED_ACTION, message).at(own.name.span, "defined here");
-            faults.push(fault.help(format!("add a clause for it, for example `{name}(X) :- IsAtInter(X).`")));
+            let mut heads = rules
+                .clauses
+                .iter()
+                .map(|clause| &rules.predicates[clause.head.predicate.index()].name);
+            faults.push(match heads.find(|head| head.eq_ignore_ascii_case(name)) {
+                Some(head) => fault.help(format!("the rules derive `{head}`: write the same name in both files")),
+                None => fault.help(format!("add a clause for it, for example `{name}(X) :- IsAtInter(X).`")),
+            });
         }
     }
     for (action, own) in own() {
@@ -249,7 +251,7 @@ fn unused_actions(rules: &Rules, scenario: &Scenario) -> Vec<Diagnostic> {
     faults
 }
 
-/// Returns the kinds of the agents for which the concepts and kinds that the body of a clause asks for hold.
+/// Returns the kinds of agents that can satisfy the body of a clause, judged by its atoms about kinds and concepts.
 fn kinds_of(clause: &Clause, rules: &Rules, scenario: &Scenario) -> BTreeSet<KindId> {
     let definition = |atom: &Atom| {
         let name = rules.predicates[atom.predicate.index()].name.as_str();
@@ -365,21 +367,32 @@ impl Agents {
     }
 }
 
-/// Returns the constants of a clause in columns of this type, with the places of their atoms.
-fn agent_constants<'r>(
-    rules: &'r Rules,
-    clause: &'r Clause,
-    agent: TypeId,
-) -> impl Iterator<Item = (Span, Value)> + 'r {
+/// Returns the constants of a clause in columns of this type, and those that it compares with variables in such
+/// columns, with the places of their literals.
+fn agent_constants(rules: &Rules, clause: &Clause, agent: TypeId) -> Vec<(Span, Value)> {
     let atoms = clause.body.iter().filter_map(Literal::atom);
-    std::iter::once(&clause.head).chain(atoms).flat_map(move |atom| {
-        let columns = &rules.predicates[atom.predicate.index()].columns;
-        let terms = atom.terms.iter().zip(columns);
-        terms.filter_map(move |(term, column)| match term {
-            Term::Constant(value) if column.ty == agent => Some((atom.span, *value)),
-            _ => None,
+    let of_agents: Vec<(Span, Term)> = std::iter::once(&clause.head)
+        .chain(atoms)
+        .flat_map(|atom| {
+            let columns = &rules.predicates[atom.predicate.index()].columns;
+            let terms = atom.terms.iter().zip(columns).filter(|(_, column)| column.ty == agent);
+            terms.map(|(term, _)| (atom.span, *term))
         })
-    })
+        .collect();
+    let is_agent = |term: &Term| of_agents.iter().any(|(_, known)| known == term);
+    let compared = clause.body.iter().filter_map(|literal| match literal {
+        Literal::Compare { left, right, span, .. } => match (left, right) {
+            (Term::Variable(_), Term::Constant(value)) if is_agent(left) => Some((*span, *value)),
+            (Term::Constant(value), Term::Variable(_)) if is_agent(right) => Some((*span, *value)),
+            _ => None,
+        },
+        _ => None,
+    });
+    let constants = of_agents.iter().filter_map(|(span, term)| match term {
+        Term::Constant(value) => Some((*span, *value)),
+        _ => None,
+    });
+    constants.chain(compared).collect()
 }
 
 /// Returns one warning for each pair of actions that can be derived together. The order of precedence decides which
@@ -484,7 +497,7 @@ fn no_collision_clause(rules: &Rules, collisions: &[&str], actions: &[PredicateI
 }
 
 /// Warns of variables whose names are those of agents: `Car_2` without quotes.
-fn unquoted_agents(rules: &Rules) -> Vec<Diagnostic> {
+fn unquoted_agents(rules: &Rules, kinds: &[String]) -> Vec<Diagnostic> {
     let mut found: BTreeMap<Span, Diagnostic> = BTreeMap::new();
     for clause in &rules.clauses {
         let variables = clause.variables.iter().zip(&clause.variable_spans);
@@ -492,7 +505,7 @@ fn unquoted_agents(rules: &Rules) -> Vec<Diagnostic> {
             let uses = |literal: &&Literal| {
                 !matches!(literal, Literal::Guard(_)) && literal.terms().any(|term| *term == Term::Variable(id))
             };
-            if !is_agent(name) {
+            if !is_agent(name, kinds) {
                 continue;
             }
             let literals: Vec<&Literal> = clause.body.iter().filter(uses).collect();
@@ -513,8 +526,8 @@ fn unquoted_agents(rules: &Rules) -> Vec<Diagnostic> {
     found.into_values().collect()
 }
 
-/// Returns whether a name is that of a car or a pedestrian: `Car_1`, `Pedestrian_12`.
-fn is_agent(name: &str) -> bool {
-    let number = (AgentKind::ALL.iter()).find_map(|kind| name.strip_prefix(kind.name())?.strip_prefix('_'));
+/// Returns whether a name is that of an agent of one of these kinds: `Car_1`, `Pedestrian_12`.
+fn is_agent(name: &str, kinds: &[String]) -> bool {
+    let number = (kinds.iter()).find_map(|kind| name.strip_prefix(kind.as_str())?.strip_prefix('_'));
     number.is_some_and(|number| !number.is_empty() && number.bytes().all(|byte| byte.is_ascii_digit()))
 }

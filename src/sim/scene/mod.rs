@@ -13,7 +13,7 @@ mod plain;
 mod theory;
 
 pub use answer::{Answer, EgoAnswer, SceneFacts};
-pub use conflict::{CONFLICT_BUDGET, Finding, Overlap, conflicts, draws, earlier_facts, scene_json};
+pub use conflict::{CONFLICT_BUDGET, Finding, Overlap, conflicts, earlier_facts, needed_draws, scene_json};
 pub use constraints::CityConstraints;
 pub use infer::{Explained, Inference};
 pub use lint::{Examined, agent_lints, conflict_lints, examine};

@@ -359,9 +359,9 @@ fn undefined(scenario: &Scenario, unknown: &[&Predicate], predicates: &[BasePred
         fault = fault.also(declared.span, "and here");
     }
     fault = fault.also(scenario.rules.span, "these rules");
-    let known = || predicates.iter().map(|predicate| predicate.name.as_str());
     for declared in unknown {
-        if let Some(near) = did_you_mean(&declared.name, known()) {
+        let alike = predicates.iter().filter(|known| known.columns() == declared.arity());
+        if let Some(near) = did_you_mean(&declared.name, alike.map(|known| known.name.as_str())) {
             fault = fault.help(format!("did you mean `{near}` by `{}`?", declared.name));
         }
     }

@@ -231,8 +231,11 @@ impl Wanted {
             *wanted = count / kinds + usize::from(kind < count % kinds);
         }
         let constraints = task.oracle().constraints();
-        let asked: [bool; Action::MAX] =
-            std::array::from_fn(|action| constraints.iter().any(|constraint| constraint.action.index() == action));
+        let possible = |action: Action| task.possible_actions().contains(&action);
+        let asked: [bool; Action::MAX] = std::array::from_fn(|action| {
+            let requires = |action: Action| constraints.iter().any(|constraint| constraint.action == action);
+            possible(Action::at(action)) && requires(Action::at(action))
+        });
         // 1 / (2k) of the episodes for k actions, because the rules may derive some actions for few egos only.
         let share = count.div_ceil(2 * asked.iter().filter(|asked| **asked).count().max(1));
         Wanted {
@@ -331,7 +334,7 @@ impl Wanted {
         });
         let actions = (table.names().zip(self.actions))
             .filter(|(_, wanted)| *wanted > 0)
-            .map(|(action, wanted)| format!("{wanted} in which the rules derive {action}"));
+            .map(|(action, wanted)| format!("{wanted} in which the rules derive {action} for the ego"));
         let mut lacking: Vec<String> = concepts.chain(actions).collect();
         if lacking.is_empty() {
             lacking.push("episodes that the oracle solves with a constrained step".to_owned());

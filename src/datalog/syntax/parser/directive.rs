@@ -45,7 +45,8 @@ impl Parser<'_> {
         self.rest_of_directive(name, dot, doc)
     }
 
-    /// Reports a directive without its dot at the current token: `decl A(x: symbol)`, `import "a.dl"`. Returns its name.
+    /// Reports a directive without its dot at the current token: `decl A(x: symbol)`, `import "a.dl"`. Returns its
+    /// name.
     pub(super) fn directive_without_dot(&mut self) -> Option<&'static str> {
         let (word, next) = (self.token(), self.ahead(1));
         // A name before another name or a string begins no clause.
