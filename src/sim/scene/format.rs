@@ -975,7 +975,7 @@ mod tests {
             ),
             (
                 facts(r#""NextTo": [{"row": ["me", "you"], "probability": "40%"}]"#),
-                vec!["expected a number from 0 to 1", "write 0.4"],
+                vec!["expected a number from 0 to 1", "write `0.4`"],
             ),
             (
                 facts(r#""NextTo": [{"row": ["me", "you"], "probabilty": 0.4}]"#),

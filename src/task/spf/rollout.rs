@@ -359,7 +359,8 @@ mod tests {
         actions[Action::Stop.index()] = 3;
         let message = message(vec![(bus, 2), (Arc::new([]), 1)], actions);
         assert!(
-            message.starts_with("missing: 2 with bus, 1 with no concept, 3 in which the rules derive Stop;"),
+            message
+                .starts_with("missing: 2 with bus, 1 with no concept, 3 in which the rules derive Stop for the ego;"),
             "{message}"
         );
     }
