@@ -5,8 +5,8 @@ use crate::config::{ActionsConfig, Scenario};
 use crate::datalog::diff::Difference;
 use crate::datalog::optimize::{self, Lints};
 use crate::datalog::{
-    self, Atom, Clause, ClauseId, Constraint, DeclaredConstraint, Function, Literal, Predicate, PredicateId, Rules,
-    Term, TypeId, Value, VarId,
+    self, Atom, Clause, ClauseId, Comparison, Constraint, DeclaredConstraint, Function, Literal, Predicate,
+    PredicateId, Rules, Term, TypeId, Value, VarId,
 };
 use crate::diag::{Diagnostic, Faults, MAX_FAULTS, Sources, Span, did_you_mean, listed};
 use crate::predicate::{Definition, Static};
@@ -367,7 +367,7 @@ impl Agents {
     }
 }
 
-/// Returns the constants of a clause in columns of this type, and those that it compares with variables in such
+/// Returns the constants of a clause in columns of this type, and those that it equates with variables in such
 /// columns, with the places of their literals.
 fn agent_constants(rules: &Rules, clause: &Clause, agent: TypeId) -> Vec<(Span, Value)> {
     let atoms = clause.body.iter().filter_map(Literal::atom);
@@ -381,7 +381,13 @@ fn agent_constants(rules: &Rules, clause: &Clause, agent: TypeId) -> Vec<(Span, 
         .collect();
     let is_agent = |term: &Term| of_agents.iter().any(|(_, known)| known == term);
     let compared = clause.body.iter().filter_map(|literal| match literal {
-        Literal::Compare { left, right, span, .. } => match (left, right) {
+        Literal::Compare {
+            op: Comparison::Equal,
+            left,
+            right,
+            span,
+            ..
+        } => match (left, right) {
             (Term::Variable(_), Term::Constant(value)) if is_agent(left) => Some((*span, *value)),
             (Term::Constant(value), Term::Variable(_)) if is_agent(right) => Some((*span, *value)),
             _ => None,
