@@ -33,6 +33,7 @@ __all__ = [
     "python_commands",
     "RandomBaseline",
     "read_file",
+    "read_rules",
     "read_picture",
     "read_steps",
     "read_world",
