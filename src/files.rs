@@ -25,8 +25,8 @@ pub const MAX_BYTES: u64 = 1 << 30;
 /// The maximum size that applies now.
 static LIMIT: AtomicU64 = AtomicU64::new(MAX_BYTES);
 
-/// Sets the maximum size of the files that this process reads as a whole, at most [`MAX_BYTES`]. Nothing notices in
-/// time that a file of any size takes too much memory.
+/// Sets the maximum size of the files that this process reads as a whole, at most [`MAX_BYTES`]. Nothing notices in time
+/// that a file of any size takes too much memory.
 pub fn limit_reads(bytes: u64) {
     LIMIT.store(bytes.min(MAX_BYTES), Ordering::Relaxed);
 }
@@ -130,8 +130,8 @@ pub fn open(path: &Path) -> Result<std::fs::File, ReadError> {
     std::fs::File::open(path).map_err(|error| unreadable(path, &error))
 }
 
-/// Checks without opening it that a file can be read: a regular file, a pipe, `/dev/null`, or an open descriptor such
-/// as `/dev/stdin`, but no folder, no other device and no file below `/proc` or `/sys`.
+/// Checks without opening it that a file can be read: a regular file, a pipe, `/dev/null`, or an open descriptor such as
+/// `/dev/stdin`, but no folder, no other device and no file below `/proc` or `/sys`.
 ///
 /// # Errors
 /// Why the file cannot be read.

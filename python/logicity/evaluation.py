@@ -22,7 +22,7 @@ from . import _logicity
 from .city import ACTIONS
 from .envs.config import EnvConfig, array_kind, checked_kind
 from .envs.views import Actions, Observations, View, views_of
-from .errors import InputError, checked_path
+from .errors import InputError, checked_path, did_you_mean
 from .files import check_writable
 from .modes import checked_mode
 from .predicates import PythonPredicate
@@ -481,9 +481,8 @@ def _actor(policy: Policy, batched: bool, evaluator: _logicity.BatchEvaluator, n
     """Return a function from all observations and the mask of running episodes to actions."""
     if isinstance(policy, str):
         if policy != "oracle":
-            near = _logicity.did_you_mean(policy, ["oracle", "random"])
-            help = "" if near is None else f"; did you mean `{near}`?"
-            raise ValueError(f"unknown policy `{policy}`: expected oracle, random, a model or a function{help}")
+            expected = f"expected a name, a model or a function{did_you_mean(policy, ('oracle', 'random'))}"
+            raise ValueError(f"unknown policy `{policy}`: {expected}")
         return lambda observations, running: evaluator.oracle_actions()
     predict: Any = getattr(policy, "predict", None)
     if predict is not None:

@@ -107,6 +107,11 @@ impl Agent {
         }
     }
 
+    /// Returns whether an earlier action parked the agent, so that it has no choice in the next tick.
+    pub fn is_parked(&self) -> bool {
+        self.parked > 0
+    }
+
     /// Moves the agent to the start of a new route and clears its heading.
     pub fn set_out(&mut self, route: Route) {
         self.cell = route.start();

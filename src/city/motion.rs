@@ -93,7 +93,7 @@ pub fn advance(agent: &mut Agent, index: usize, decided: Action, surroundings: &
         replanned: false,
         rerouted: false,
     };
-    if agent.parked > 0 {
+    if agent.is_parked() {
         agent.parked -= 1;
         agent.record(0);
         return Moved {
@@ -116,7 +116,7 @@ pub fn advance(agent: &mut Agent, index: usize, decided: Action, surroundings: &
     let mut rerouted = false;
     if !decided.is_standard() {
         rerouted = affect(agent, decided, surroundings);
-        if agent.parked > 0 {
+        if agent.is_parked() {
             agent.parked -= 1;
             agent.record(0);
             return Moved {

@@ -5,7 +5,7 @@ use crate::cli::configuration::{self, Checked, Opened};
 use crate::cli::failure::Failure;
 use crate::cli::limits::LimitOptions;
 use crate::cli::load::{inputs_of, load_workspace_from};
-use crate::cli::report::{plural, report};
+use crate::cli::report::report;
 use crate::cli::terminal;
 use crate::cli::trace::TraceReader;
 use crate::config::ActionsConfig;
@@ -13,7 +13,7 @@ use crate::datalog::dense::{self, Unsupported};
 use crate::datalog::diff::{Cut, Equivalence};
 use crate::datalog::explain::ExplanationPrinter;
 use crate::datalog::{BaseType, Clause, ClauseId, Column, InputPolicy, PredicateId, Program, Rules, Stratum};
-use crate::diag::{Diagnostic, Sources, to_json};
+use crate::diag::{Diagnostic, Sources, counted, to_json};
 use crate::files::ReadFile;
 use crate::sim::{
     CONFLICT_BUDGET, Coverage, Finding, Overlap, conflict_lints, conflicts, earlier_facts, examine as examine_rules,
@@ -270,7 +270,7 @@ impl Report {
         let strata: Vec<String> = strata(rules).iter().map(|names| names.join(", ")).collect();
         let is_written = |clause: &&Clause| !rules.predicates[clause.head.predicate.index()].hidden;
         let clauses = rules.clauses.iter().filter(is_written).count();
-        writeln!(out, "{}: {}", path.display(), plural(clauses, "clause"))?;
+        writeln!(out, "{}: {}", path.display(), counted(clauses, "clause"))?;
         writeln!(out, "  strata: {}", strata.join(" < "))?;
         if self.in_city {
             print_executors(out, rules, sources)?;
@@ -587,7 +587,7 @@ fn print_coverage(
     writeln!(
         out,
         "  coverage: {} of {}",
-        plural(coverage.states, "tick"),
+        counted(coverage.states, "tick"),
         trace.display()
     )?;
     writeln!(out, "{:>10}{:>8}  clause", "fired", "ticks")?;

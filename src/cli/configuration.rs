@@ -4,10 +4,10 @@ use crate::builtin::BuiltinFiles;
 use crate::city::{CityMap, MapConfig};
 use crate::cli::failure::Failure;
 use crate::cli::load::missing_is_usage;
-use crate::cli::report::{agents_in_words, plural};
+use crate::cli::report::agents_in_words;
 use crate::config::{ActionsConfig, Loaded, Scenario, SpfConfig, load_any, missing_file};
 use crate::datalog::Program;
-use crate::diag::{Diagnostic, Sources, Span};
+use crate::diag::{Diagnostic, Sources, Span, counted};
 use crate::files::ReadFile as _;
 use crate::located::Located;
 use crate::rng::Seed;
@@ -88,12 +88,12 @@ pub fn open_run(path: &Path, sources: &mut Sources) -> Result<Checked, Failure> 
 fn in_words(task: &SpfConfig) -> String {
     let mut text = "Safe Path Following".to_owned();
     if let Some(egos) = task.egos {
-        text += &format!(", {}", plural(egos.value, "ego"));
+        text += &format!(", {}", counted(egos.value, "ego"));
     }
     if let Some(sensors) = &task.sensors {
         text += &format!(", sensors ({})", sensors.output.name());
         if let Some(share) = sensors.share {
-            text += &format!(", up to {} by {}", plural(share.facts, "told fact"), share.by.name());
+            text += &format!(", up to {} by {}", counted(share.facts, "told fact"), share.by.name());
         }
     }
     if let Some(shield) = &task.shield {

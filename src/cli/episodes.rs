@@ -7,10 +7,9 @@ use crate::cli::inputs::Inputs;
 use crate::cli::limits::LimitOptions;
 use crate::cli::load::load_city;
 use crate::cli::outputs::{ForceOption, finish, messages, unwritable};
-use crate::cli::report::plural;
 use crate::cli::terminal;
 use crate::cli::values::{integer, one_of};
-use crate::diag::{Diagnostic, Sources};
+use crate::diag::{Diagnostic, Sources, counted};
 use crate::files;
 use crate::task::spf::codes;
 use crate::task::spf::{
@@ -210,7 +209,7 @@ impl Make {
         writeln!(
             messages(&[&path]),
             "wrote {} to {}: {}",
-            plural(count as u64, "episode"),
+            counted(count, "episode"),
             path.display(),
             set.hash()
         )?;

@@ -5,7 +5,7 @@ use crate::cli::failure::Failure;
 use crate::cli::limits::advised;
 use crate::cli::{signals, terminal};
 use crate::config;
-use crate::diag::{Diagnostic, Sources, render};
+use crate::diag::{Diagnostic, Sources, counted, render};
 use std::io::Write;
 
 /// Prints a failure and returns its exit code.
@@ -46,19 +46,13 @@ pub fn report(diagnostics: &[Diagnostic], sources: &Sources) {
     }
 }
 
-/// Formats a count, for example `1 clause` or `2 clauses`.
-pub fn plural(count: impl TryInto<u64>, word: &str) -> String {
-    let count: u64 = count.try_into().unwrap_or(u64::MAX);
-    format!("{count} {word}{}", if count == 1 { "" } else { "s" })
-}
-
 /// Formats the numbers of agents of each kind, for example `7 cars and 4 pedestrians`. Omits kinds of the configuration
 /// without agents.
 pub fn agents_in_words(kinds: &KindTable, count: impl Fn(KindId) -> usize) -> String {
     let counted = kinds.all().filter_map(|kind| match (count(kind), kind.is_standard()) {
         (0, false) => None,
-        (count, true) => Some(plural(count, &kinds.name(kind).to_lowercase())),
-        (count, false) => Some(plural(count, kinds.name(kind))),
+        (count, true) => Some(counted(count, &kinds.name(kind).to_lowercase())),
+        (count, false) => Some(counted(count, kinds.name(kind))),
     });
     let counted: Vec<String> = counted.collect();
     let (last, first) = counted.split_last().expect("the standard kinds");
@@ -68,8 +62,8 @@ pub fn agents_in_words(kinds: &KindTable, count: impl Fn(KindId) -> usize) -> St
 /// Formats counts, for example `2 errors, 1 warning`.
 pub fn count(errors: usize, warnings: usize) -> String {
     match (errors, warnings) {
-        (errors, 0) => plural(errors, "error"),
-        (0, warnings) => plural(warnings, "warning"),
-        (errors, warnings) => format!("{}, {}", plural(errors, "error"), plural(warnings, "warning")),
+        (errors, 0) => counted(errors, "error"),
+        (0, warnings) => counted(warnings, "warning"),
+        (errors, warnings) => format!("{}, {}", counted(errors, "error"), counted(warnings, "warning")),
     }
 }

@@ -9,13 +9,13 @@ use crate::cli::inputs::Inputs;
 use crate::cli::limits::LimitOptions;
 use crate::cli::load::load_city;
 use crate::cli::outputs::{ForceOption, finish, is_stdout, refuse_stdout_as_folder, unwritable};
-use crate::cli::report::{agents_in_words, plural, report};
+use crate::cli::report::{agents_in_words, report};
 use crate::cli::values::{integer, one_of, threads};
 use crate::cli::{signals, terminal};
 use crate::datalog::constraints;
 use crate::datalog::explain::ExplanationPrinter;
 use crate::datalog::{Clause, ClauseId};
-use crate::diag::{self, Diagnostic, SourceId, Sources};
+use crate::diag::{self, Diagnostic, SourceId, Sources, counted};
 use crate::files::{Output, make_folder};
 use crate::page::DECISIONS_MAX;
 use crate::render::{Animation, Extent, Facing, Icons, Overview, Scale, Sprite, write_png};
@@ -546,9 +546,9 @@ fn summary(simulation: &mut Simulation, tally: &Tally, sources: &Sources, writte
     let _ = writeln!(
         text,
         "{}, {}, {rate:.0} decisions per second, {} reached",
-        plural(tally.ticks, "tick"),
-        plural(decisions, "decision"),
-        plural(tally.goals, "goal")
+        counted(tally.ticks, "tick"),
+        counted(decisions, "decision"),
+        counted(tally.goals, "goal")
     );
     let table = simulation.world().vocabulary.actions();
     let column = |name: &str| format!("{name:>width$}", width = name.len().max(8) + 2);
@@ -582,7 +582,7 @@ fn summary(simulation: &mut Simulation, tally: &Tally, sources: &Sources, writte
             "conflicts: {} won over {} in {}",
             table.name(*chosen),
             others.join(" and "),
-            plural(*count, "decision")
+            counted(*count, "decision")
         );
     }
     firings(simulation, tally, sources, &mut text);

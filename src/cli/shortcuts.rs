@@ -5,7 +5,7 @@ use crate::cli::configuration::{Checked, Opened, open, open_run};
 use crate::cli::failure::Failure;
 use crate::cli::limits::MemoryOption;
 use crate::cli::load::{inputs_of, load_workspace};
-use crate::cli::report::{plural, report};
+use crate::cli::report::report;
 use crate::cli::terminal;
 use crate::cli::values::{integer, one_of};
 use crate::config::{ActionsConfig, SEES, rule_file};
@@ -14,7 +14,7 @@ use crate::datalog::diff::shortcuts::{
     ConceptMap, ConceptMaps, Image, ShortcutOptions, Shortcuts, Stopped, Witness, identity, remedy, shortcuts, witness,
 };
 use crate::datalog::{Atom, Clause, InputPolicy, Literal, Past, PredicateId, Rules, Term};
-use crate::diag::{Diagnostic, Sources, listed};
+use crate::diag::{Diagnostic, Sources, counted, listed};
 use crate::sim::{earlier_facts, examine, scene_json};
 use serde_json::{Value, json};
 use std::collections::BTreeSet;
@@ -270,7 +270,7 @@ impl Answer<'_> {
 
     fn print(&self, out: &mut impl Write) -> Result<(), Failure> {
         let names: Vec<&str> = self.found.concepts.iter().map(|id| self.name(*id)).collect();
-        let (count, names) = (plural(names.len(), "concept"), names.join(", "));
+        let (count, names) = (counted(names.len(), "concept"), names.join(", "));
         match self.options.concepts.is_empty() {
             true => writeln!(out, "the decisions depend on {count}: {names}")?,
             false => writeln!(out, "perception may confuse {count}: {names}")?,
@@ -297,8 +297,8 @@ impl Answer<'_> {
             writeln!(
                 out,
                 "{most}{} {verb} no decision in scenes of {entities}: {same} with the same meaning, {}",
-                plural(all, "map"),
-                plural(count, "shortcut"),
+                counted(all, "map"),
+                counted(count, "shortcut"),
             )?;
         }
         match self.found.stopped {

@@ -77,7 +77,7 @@ pub fn progress(what: &str, count: u64) -> ProgressBar {
 }
 
 /// The time between two lines of progress.
-const BETWEEN_LINES: Duration = Duration::from_secs(10);
+const BETWEEN_LINES: Duration = Duration::from_secs(30);
 
 /// Returns a progress bar that writes lines instead if standard error is not a terminal: `what`, the position and the
 /// length.

@@ -272,8 +272,8 @@ fn definition(
     })
 }
 
-/// Reads the cells per tick of the kinds that can take an action. A kind of the configuration has those of the kind
-/// that it derives from, unless it is given its own.
+/// Reads the cells per tick of the kinds that can take an action. A kind of the configuration has those of the kind that
+/// it derives from, unless it is given its own.
 fn cells(
     name: &Located<String>,
     node: &YamlNode,

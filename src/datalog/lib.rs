@@ -152,9 +152,9 @@ mod workspace;
 
 pub use analysis::{constraints, diff};
 pub use check::{
-    Atom, Clause, ClauseId, Column, Comparing, Constraint, DRAW, DeclaredConstraint, Directive, Draw, Function,
-    InputPolicy, Literal, Past, PastOperator, Predicate, PredicateId, RowFormat, RowPlace, Rules, Stratum, Term, Type,
-    TypeId, VarId,
+    Atom, Clause, ClauseId, Column, Comparing, Constraint, DeclaredConstraint, Directive, Draw, Function, InputPolicy,
+    Literal, Past, PastOperator, Predicate, PredicateId, RowFormat, RowPlace, Rules, Stratum, Term, Type, TypeId,
+    VarId, drawn_probabilities,
 };
 pub use convert::{AsPredicate, FromRow, FromValue, IntoRow, RowError, ToValue};
 pub use eval::delta::{Delta, PredicateChange, Rows};

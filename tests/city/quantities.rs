@@ -374,7 +374,7 @@ Fast(X) :- Distance(X, Y, d), d < 3.5, Remaining(Y, 7).
         (r#"{"Waited": [["e0", 1], ["e0", 2]]}"#, "a second value of `Waited`"),
         (
             r#"{"Waited": ["e0"]}"#,
-            "a row of 1; the quantity takes 1 names and a value",
+            "a row of 1 term; the quantity takes 1 name and a value",
         ),
         (r#"{"Waited": [["e0", 1.5]]}"#, "not a scene"),
         (r#"{"Heading": [["e0", "North"]]}"#, "`North` is not a heading"),

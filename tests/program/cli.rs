@@ -1315,12 +1315,10 @@ fn new_creates_files_whose_next_commands_work() {
         );
         for command in &commands {
             let output = shell(command);
-            assert_eq!(
-                (code(&output), err(&output).as_str()),
-                (0, ""),
-                "{command}\n{}",
-                out(&output)
-            );
+            // A slow machine writes lines of progress.
+            let said = err(&output);
+            let messages: Vec<&str> = said.lines().filter(|line| !line.starts_with("tick ")).collect();
+            assert_eq!((code(&output), messages), (0, vec![]), "{command}\n{}", out(&output));
             if command.contains(" check ") {
                 assert!(out(&output).contains("conflicts: none"), "{}", out(&output));
             }

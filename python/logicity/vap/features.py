@@ -34,7 +34,7 @@ with extra("vap"):
     from torch.nn.utils.fusion import fuse_conv_bn_eval
 
 from .crops import CROP_SIDE, crop_boxes, has_bfloat16
-from .keras_weights import DEVIATION, model_hash, read_resnet50, stride_first
+from .keras_weights import DEVIATION, MEAN, model_hash, read_resnet50, stride_first
 
 __all__ = ["Backbone", "Crops", "DataSpec", "Extractor", "compute_features", "extractor", "load_features", "prepared"]
 
@@ -49,9 +49,6 @@ RECORD_KEYS = ("sha256", "data_hash", "extractor_hash")
 
 #: The files of weights that torchvision downloads, in the order in which they are looked up.
 WEIGHTS = ("fasterrcnn_resnet50_fpn_coco-258fb6c6.pth", "resnet50-0676ba61.pth", "resnet50-11ad3fa6.pth")
-
-#: The mean of the channels of ImageNet, with which the backbones are trained.
-MEAN = (0.485, 0.456, 0.406)
 
 
 class Crops:

@@ -37,7 +37,9 @@ BLOCKS: Final = (3, 4, 6, 3)
 #: The epsilon of torchvision's normalizations.
 EPSILON: Final = 1e-5
 
-#: The standard deviation of ImageNet's channels, by which torchvision divides them on a scale to 1.
+#: The mean and the standard deviation of the channels of ImageNet in the range 0 to 1, with which torchvision's
+#: networks are trained.
+MEAN: Final = (0.485, 0.456, 0.406)
 DEVIATION: Final = (0.229, 0.224, 0.225)
 
 

@@ -2,7 +2,7 @@
 
 use crate::city::Action;
 use crate::datalog::diff::{Cut, Difference, Equivalence};
-use crate::datalog::{BaseType, DRAW, Rules, quoted};
+use crate::datalog::{BaseType, Rules, drawn_probabilities, quoted};
 use crate::sim::{needed_draws, scene_json};
 use serde_json::{Value, json};
 use std::io::{self, Write};
@@ -107,7 +107,7 @@ fn show_difference(difference: &Difference, names: &[String; 2], rules: &[Rules;
         "different; {size} that shows it, ready for `logicity infer`:\n{}\n",
         scene_json(difference, &rules.each_ref())
     );
-    let has_draws = |rules: &Rules| rules.predicates.iter().any(|known| known.name.starts_with(DRAW));
+    let has_draws = |rules: &Rules| (rules.predicates.iter()).any(|known| drawn_probabilities(&known.name).is_some());
     match needed_draws(difference) {
         needed if !needed.is_empty() => text += &format!("if only these draws succeed: {}\n", needed.join("; ")),
         _ if rules.iter().any(has_draws) => text += "if every draw fails\n",

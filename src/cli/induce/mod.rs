@@ -11,11 +11,10 @@ use crate::cli::inputs::Inputs;
 use crate::cli::limits::LimitOptions;
 use crate::cli::load::load_city;
 use crate::cli::outputs::{ForceOption, finish, is_stdout, messages, print_others, refuse_mixing, unwritable};
-use crate::cli::report::plural;
 use crate::cli::values::{integer, one_of, threads};
 use crate::cli::view;
 use crate::cli::{signals, terminal};
-use crate::diag::Sources;
+use crate::diag::{Sources, counted};
 use crate::files;
 use crate::induce::{Examples, LearnedRules, NOISE_MAX, Noise, Progress, Settings, VARIABLES_MAX, learn_with, support};
 use crate::sim::LoadedCity;
@@ -279,7 +278,7 @@ fn print_summary(
         writeln!(
             out,
             "{whole} {} to {}",
-            plural(clauses, "clause"),
+            counted(clauses, "clause"),
             arguments.output.display()
         )?;
     }
@@ -333,7 +332,7 @@ fn described(arguments: &Arguments, city: &LoadedCity) -> String {
     if arguments.data.is_empty() {
         let episodes = match arguments.episodes {
             None => "the recorded episodes".to_owned(),
-            Some(count) => plural(count, "recorded episode"),
+            Some(count) => counted(count, "recorded episode"),
         };
         return format!("{episodes} of {} ({})", city.scenario.name, arguments.split.name());
     }

@@ -5,9 +5,9 @@ use crate::cli::induce::ask::ASK_OPTIONS;
 use crate::cli::induce::{Arguments, search_bar, show};
 use crate::cli::inputs::{Inputs, unreadable};
 use crate::cli::outputs::{finish, is_stdout, messages, print_others, unwritable};
-use crate::cli::report::{plural, report};
+use crate::cli::report::report;
 use crate::cli::signals;
-use crate::diag::{SourceId, Sources};
+use crate::diag::{SourceId, Sources, counted};
 use crate::files;
 use crate::induce::{Noise, Progress, Settings};
 use crate::popper::{Files, Options, read};
@@ -102,7 +102,7 @@ pub fn run(arguments: &Arguments, folder: &Path, sources: &mut Sources) -> Resul
         writeln!(
             messages(&written),
             "wrote {} to {} in {:.2} s\n{}",
-            plural(rules.clauses(), "clause"),
+            counted(rules.clauses(), "clause"),
             path.display(),
             read_seconds + learn_seconds,
             rules.outcome()
@@ -155,7 +155,7 @@ fn origin(folder: &Path, settings: &Settings, options: &PopperOptions) -> [Strin
         format!(
             "At most {} variables, {} per search, seed {}{}{}{}.",
             settings.variables,
-            plural(settings.nodes as usize, "step"),
+            counted(settings.nodes as usize, "step"),
             settings.seed,
             if options.negation { ", negated literals" } else { "" },
             if options.closed_world { ", closed world" } else { "" },

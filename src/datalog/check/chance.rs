@@ -1,10 +1,8 @@
 //! Probabilities of heads: replaces them by literals that draw, before name resolution.
 //!
 //! ```text
-//! 0.3 :: A(x); 0.7 :: B(x) :- C(x, y).    becomes    A(x) :- C(x, y), chance(h, l), choose(h, l, .., 0.3, 0.7, x, y) =
-//! 0.
-//!                                                    B(x) :- C(x, y), chance(h, l), choose(h, l, .., 0.3, 0.7, x, y) =
-//!                                                    1.
+//! 0.3 :: A(x); 0.7 :: B(x) :- C(x, y).    becomes    A(x) :- C(x, y), chance(h, l), choose(h, l, .., 0.3, 0.7, x, y) = 0.
+//!                                                    B(x) :- C(x, y), chance(h, l), choose(h, l, .., 0.3, 0.7, x, y) = 1.
 //! ```
 //!
 //! The hidden predicate has one row, the word of the tick. [`crate::chance`] describes the draw. A variable that does
@@ -397,7 +395,8 @@ impl Rules {
             .collect();
         let kinds: Vec<&str> = columns.iter().map(|column| column.base.name()).collect();
         let (probabilities, kinds) = (probabilities.join(", "), kinds.join(", "));
-        let name = format!("{DRAW}{probabilities} in the stream {:016x} over {kinds}", draw.stream);
+        let [before, after] = AROUND_PROBABILITIES;
+        let name = format!("{before}{probabilities}{after}{:016x} over {kinds}", draw.stream);
         if let Some(known) = self.predicate(&name) {
             return known;
         }
@@ -414,6 +413,12 @@ impl Rules {
     }
 }
 
-/// The beginning of the names of the predicates of [`Rules::with_draws_as_facts`]. The probabilities follow, then `
-/// in`.
-pub const DRAW: &str = "draw of ";
+/// The words before and after the probabilities in the names of predicates of [`Rules::with_draws_as_facts`].
+const AROUND_PROBABILITIES: [&str; 2] = ["draw of ", " in the stream "];
+
+/// Returns the probabilities of the alternatives, with `, ` between them, if a name is that of a predicate of
+/// [`Rules::with_draws_as_facts`].
+pub fn drawn_probabilities(name: &str) -> Option<&str> {
+    let [before, after] = AROUND_PROBABILITIES;
+    Some(name.strip_prefix(before)?.split_once(after)?.0)
+}

@@ -41,7 +41,7 @@ use crate::syntax::include::Offered;
 use crate::syntax::packed::FactRuns;
 use std::borrow::Cow;
 
-pub use chance::{DRAW, Draw};
+pub use chance::{Draw, drawn_probabilities};
 pub(crate) use rules::bind_all;
 pub use rules::{
     Atom, Clause, ClauseId, Column, Constraint, DeclaredConstraint, Directive, Function, Literal, Past, PastOperator,

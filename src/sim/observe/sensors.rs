@@ -17,6 +17,7 @@ use crate::sim::observe::share::Fact;
 use crate::sim::observe::visibility::Visibility;
 use crate::sim::tick::agent_state::AgentState;
 use crate::sim::tick::vocabulary::BasePredicate;
+use smallvec::SmallVec;
 use std::collections::VecDeque;
 use std::sync::Arc;
 
@@ -540,10 +541,11 @@ impl Readings {
             self.atoms.words[set] = truth.words[set];
         }
         let (present, ego) = (all_of(bodies.len()), (bodies[0].agent, bodies[0].at));
+        let views = sensors.views.iter();
+        let seen: SmallVec<[u64; 4]> = views.map(|view| view.visible(map, ego, bodies, agents)).collect();
         let mut random = seed.words(Purpose::SENSORS, u64::from(ego.0), tick);
         for group in &sensors.groups {
-            let seen = sensors.views[group.view].visible(map, ego, bodies, agents);
-            self.read_simply(group, &truth.words, (present, seen), &mut random);
+            self.read_simply(group, &truth.words, (present, seen[group.view]), &mut random);
         }
     }
 
@@ -751,8 +753,8 @@ impl Readings {
         }
     }
 
-    /// Variant of [`Readings::filter`] for a group without delay and correlation. Sets beliefs of facts that do not
-    /// exist to 0.
+    /// Variant of [`Readings::filter`] for a group without delay and correlation. Sets beliefs of facts that do not exist
+    /// to 0.
     fn filter_simply(&mut self, group: &Group, model: &SensorModel, present: u64, origins: &Origins) {
         let entities = self.atoms.layout.entities;
         for &set in &group.sets {

@@ -13,7 +13,7 @@ use crate::datalog::{
     Atom, BaseType, Clause, ClauseId, Column, DeclaredConstraint, Literal, Predicate, PredicateId, Rules, Stratum,
     Term, Value, VarId, parse_value,
 };
-use crate::datalog::{DRAW, naive};
+use crate::datalog::{drawn_probabilities, naive};
 use crate::diag::Diagnostic;
 use serde_json::{Map, json};
 
@@ -263,7 +263,7 @@ pub fn scene_json(scene: &Difference, rules: &[&Rules]) -> serde_json::Value {
 /// Describes the draws that must succeed in the scene.
 pub fn needed_draws(scene: &Difference) -> Vec<String> {
     let drawn = scene.facts.iter().filter_map(|(name, rows)| {
-        let (probabilities, _) = name.strip_prefix(DRAW)?.split_once(" in ")?;
+        let probabilities = drawn_probabilities(name)?;
         let count = probabilities.split(", ").count();
         Some(rows.iter().filter_map(move |row| {
             let (alternative, values) = row.split_last()?;
@@ -284,7 +284,7 @@ pub fn needed_draws(scene: &Difference) -> Vec<String> {
 /// Returns what the scene takes from earlier ticks, as atoms.
 pub fn earlier_facts(scene: &Difference, rules: &Rules) -> Vec<String> {
     let hidden = |name: &str| declared(&[rules], name).is_some_and(|declared| declared.hidden);
-    let facts = (scene.facts.iter()).filter(|(name, _)| hidden(name) && !name.starts_with(DRAW));
+    let facts = (scene.facts.iter()).filter(|(name, _)| hidden(name) && drawn_probabilities(name).is_none());
     let atoms = facts.flat_map(|(name, rows)| rows.iter().map(move |row| format!("{name}({})", row.join(", "))));
     atoms.collect()
 }

@@ -4,7 +4,7 @@
 use crate::city::{Action, AgentKind, KindId, KindTable};
 use crate::city::{Cell, CityMap, Heading};
 use crate::datalog::Value;
-use crate::diag::{self, Diagnostic, Faults, SourceId, Sources, Span, did_you_mean, json_error, listed};
+use crate::diag::{self, Diagnostic, Faults, SourceId, Sources, Span, counted, did_you_mean, json_error, listed};
 use crate::predicate::{Progress, Unit};
 use crate::sim::codes;
 use crate::sim::scene::plain::{NameIndex, PlainFacts, PlainScene, plain_rows, plain_scene};
@@ -242,25 +242,7 @@ pub fn parse_scenes(sources: &Sources, source: SourceId, terms: &Terms<'_>) -> R
 /// A parsed value, or all errors in it.
 type Read<T> = Result<T, Vec<Diagnostic>>;
 
-/// The agents or entities of a scene.
-struct Names<'n> {
-    index: NameIndex<'n>,
-    /// For suggestions.
-    list: Vec<&'n str>,
-}
-
-impl Names<'_> {
-    /// Adds a similar name, or the names, as help.
-    fn suggest(&self, fault: Diagnostic, name: &str) -> Diagnostic {
-        match did_you_mean(name, self.list.iter().copied().take(SEARCHED)) {
-            Some(near) => fault.help(format!("did you mean `{near}`?")),
-            None if self.list.is_empty() => fault,
-            None => fault.help(format!("the scene has: {}", listed(&self.list))),
-        }
-    }
-}
-
-/// The maximum number of names among which a message searches a similar one.
+/// The maximum number of names that a suggestion searches.
 const SEARCHED: usize = 1000;
 
 /// Collects all values, or the errors of all of them.
@@ -386,7 +368,7 @@ impl<'a> Reader<'a> {
     }
 
     /// Returns the positions of the agents that are egos.
-    fn egos(&self, written: &[&'a RawValue], names: &Names<'_>) -> Read<Vec<usize>> {
+    fn egos(&self, written: &[&'a RawValue], names: &NameIndex<'_>) -> Read<Vec<usize>> {
         let egos = all(written.iter().map(|ego| self.named(ego, names, "agent")))?;
         let mut first: HashMap<usize, &RawValue> = HashMap::new();
         for (ego, raw) in egos.iter().zip(written) {
@@ -532,9 +514,6 @@ impl<'a> Reader<'a> {
 
     /// Completes a scene that was parsed in one pass.
     fn plain(&self, plain: PlainScene<'a>) -> Read<SymbolicScene> {
-        // The caller ignores the messages, so nothing is suggested.
-        let (index, list) = (plain.names, Vec::new());
-        let names = Names { index, list };
         let facts = plain.facts.into_iter().map(|(predicate, facts)| match facts {
             PlainFacts::Rows((rows, uncertain)) => Ok(GivenPredicate {
                 predicate,
@@ -542,7 +521,7 @@ impl<'a> Reader<'a> {
                 values: Vec::new(),
                 uncertain,
             }),
-            PlainFacts::Quantity(raw) => self.checked_rows(raw, predicate, &names, "entity"),
+            PlainFacts::Quantity(raw) => self.checked_rows(raw, predicate, &plain.names, "entity"),
         });
         Ok(SymbolicScene {
             facts: all(facts)?,
@@ -564,39 +543,35 @@ impl<'a> Reader<'a> {
     }
 
     /// Returns the positions by name.
-    fn names<'n>(&self, named: impl Iterator<Item = (&'n str, Span)>) -> Read<Names<'n>> {
-        let (mut index, mut list) = (NameIndex::default(), Vec::new());
+    fn names<'n>(&self, list: impl Iterator<Item = (&'n str, Span)>) -> Read<NameIndex<'n>> {
+        let mut names = NameIndex::default();
         let mut spans = Vec::new();
         let mut faults = Vec::new();
-        for (name, span) in named {
-            list.push(name);
-            if let Some(first) = index.add(name) {
+        for (name, span) in list {
+            if let Some(first) = names.add(name) {
                 let fault = Diagnostic::new(codes::INVALID_SCENE, format!("the name `{name}` is given twice"));
                 faults.push(fault.at(span, "again here").also(spans[first], "first here"));
             }
             spans.push(span);
         }
-        match faults.is_empty() {
-            true => Ok(Names { index, list }),
-            false => Err(faults),
-        }
+        if faults.is_empty() { Ok(names) } else { Err(faults) }
     }
 
     /// Returns the position of the agent or entity (`what`) that a JSON string names.
-    fn named(&self, raw: &'a RawValue, names: &Names<'_>, what: &str) -> Read<usize> {
+    fn named(&self, raw: &'a RawValue, names: &NameIndex<'_>, what: &str) -> Read<usize> {
         let name: String = self.value(raw)?;
-        names.index.get(&name).ok_or_else(|| {
+        names.get(&name).ok_or_else(|| {
             let fault = self.fault(raw, format!("the scene has no {what} `{name}`"), "unknown name");
-            vec![names.suggest(fault, &name)]
+            vec![suggest_name(fault, &name, names)]
         })
     }
 
     /// Parses labels: the name of an action for each agent or entity (`what`).
-    fn actions(&self, Entries(entries): Entries<'a>, names: &Names<'_>, what: &str) -> Read<Vec<(usize, Action)>> {
+    fn actions(&self, Entries(entries): Entries<'a>, names: &NameIndex<'_>, what: &str) -> Read<Vec<(usize, Action)>> {
         all(entries.into_iter().map(|(name, raw)| {
-            let position = names.index.get(&name).ok_or_else(|| {
+            let position = names.get(&name).ok_or_else(|| {
                 let fault = Diagnostic::new(codes::INVALID_SCENE, format!("the scene has no {what} `{name}`"));
-                vec![names.suggest(fault.at(self.key_span(raw), "unknown name"), &name)]
+                vec![suggest_name(fault.at(self.key_span(raw), "unknown name"), &name, names)]
             })?;
             let named: String = self.value(raw)?;
             let action = Action::standard_ignoring_case(&named).ok_or_else(|| {
@@ -609,7 +584,7 @@ impl<'a> Reader<'a> {
         }))
     }
 
-    fn rows(&self, Entries(entries): Entries<'a>, names: &Names<'_>, what: &str) -> Read<Vec<GivenPredicate>> {
+    fn rows(&self, Entries(entries): Entries<'a>, names: &NameIndex<'_>, what: &str) -> Read<Vec<GivenPredicate>> {
         all(entries.into_iter().map(|(name, raw)| {
             let known = self.terms.predicates.iter().position(|(known, ..)| *known == name);
             let Some((predicate, &(_, arity, unit))) = known.map(|at| (at, &self.terms.predicates[at])) else {
@@ -621,7 +596,7 @@ impl<'a> Reader<'a> {
                     None => fault.help(format!("base predicates are: {}", listed(&known.collect::<Vec<_>>()))),
                 }]);
             };
-            if let (None, Some((rows, uncertain))) = (unit, plain_rows(raw, arity, &names.index)) {
+            if let (None, Some((rows, uncertain))) = (unit, plain_rows(raw, arity, names)) {
                 return Ok(GivenPredicate {
                     predicate,
                     rows,
@@ -634,7 +609,13 @@ impl<'a> Reader<'a> {
     }
 
     /// Parses the rows of a predicate, and finds the places of faults in them.
-    fn checked_rows(&self, raw: &'a RawValue, predicate: usize, names: &Names<'_>, what: &str) -> Read<GivenPredicate> {
+    fn checked_rows(
+        &self,
+        raw: &'a RawValue,
+        predicate: usize,
+        names: &NameIndex<'_>,
+        what: &str,
+    ) -> Read<GivenPredicate> {
         let (name, arity, unit) = self.terms.predicates[predicate];
         let written: Vec<&RawValue> = self.value(raw)?;
         // One row without the brackets of the list of rows.
@@ -692,7 +673,7 @@ impl<'a> Reader<'a> {
         if !raw.get().starts_with('{') {
             return Ok((raw, None));
         }
-        let RawUncertain { row, probability } = self.keyed(raw, "a row", &["row", "probability"])?;
+        let RawUncertain { row, probability } = self.keyed(raw, "a row", &ROW_KEYS)?;
         if unit.is_some() {
             let message = "the value of a quantity has no probability".to_owned();
             return Err(vec![self.fault(raw, message, "expected a row")]);
@@ -707,11 +688,10 @@ impl<'a> Reader<'a> {
                     "expected a number from 0 to 1",
                 );
                 let number = probability.get().trim_matches('"');
-                let percent = number.strip_suffix('%').map_or((number, 1.0), |number| (number, 100.0));
-                let number = percent.0.trim().parse::<f64>().map(|number| number / percent.1);
-                let number = number.ok().filter(|number| *number > 0.0 && *number <= 1.0);
-                Err(vec![match number {
-                    Some(number) => fault.help(format!("write `{number}`")),
+                let (digits, divisor) = number.strip_suffix('%').map_or((number, 1.0), |digits| (digits, 100.0));
+                let meant = digits.trim().parse::<f64>().map(|value| value / divisor);
+                Err(vec![match meant.ok().filter(|meant| *meant > 0.0 && *meant <= 1.0) {
+                    Some(meant) => fault.help(format!("write `{meant}`")),
                     None => fault,
                 }])
             }
@@ -727,7 +707,7 @@ impl<'a> Reader<'a> {
         &self,
         raw: &'a RawValue,
         (arity, unit): (usize, Option<Unit>),
-        names: &Names<'_>,
+        names: &NameIndex<'_>,
         what: &str,
     ) -> Read<([u32; 2], Value)> {
         let terms = if raw.get().starts_with('[') {
@@ -737,9 +717,12 @@ impl<'a> Reader<'a> {
         };
         if terms.len() != arity + usize::from(unit.is_some()) {
             let message = match unit {
-                None if terms.len() == 1 => format!("a row of 1 name; the predicate takes {arity}"),
-                None => format!("a row of {} names; the predicate takes {arity}", terms.len()),
-                Some(_) => format!("a row of {}; the quantity takes {arity} names and a value", terms.len()),
+                None => format!("a row of {}; the predicate takes {arity}", counted(terms.len(), "name")),
+                Some(_) => format!(
+                    "a row of {}; the quantity takes {} and a value",
+                    counted(terms.len(), "term"),
+                    counted(arity, "name")
+                ),
             };
             let fault = self.fault(raw, message, "wrong length");
             return Err(vec![
@@ -829,8 +812,17 @@ fn suggest<'w>(fault: Diagnostic, written: &str, words: impl IntoIterator<Item =
     }
 }
 
+/// Adds a similar name of an agent or entity, or all of them, as help.
+fn suggest_name(fault: Diagnostic, written: &str, names: &NameIndex<'_>) -> Diagnostic {
+    match did_you_mean(written, names.list().iter().copied().take(SEARCHED)) {
+        Some(near) => fault.help(format!("did you mean `{near}`?")),
+        None if names.list().is_empty() => fault,
+        None => fault.help(format!("the scene has: {}", listed(names.list()))),
+    }
+}
+
 /// Returns a row of the right form, with the names and the value of a wrong one where it has them.
-fn row_like(terms: &[&RawValue], arity: usize, unit: Option<Unit>, names: &Names<'_>) -> String {
+fn row_like(terms: &[&RawValue], arity: usize, unit: Option<Unit>, names: &NameIndex<'_>) -> String {
     let (example, is_value): (&str, fn(&str) -> bool) = match unit {
         None => ("", |_| false),
         Some(Unit::Number) => ("3", |term| term.parse::<i32>().is_ok()),
@@ -849,7 +841,7 @@ fn row_like(terms: &[&RawValue], arity: usize, unit: Option<Unit>, names: &Names
     };
     let is_name = |term: &&str| term.starts_with('"') && !is_value(term);
     let mut row: Vec<String> = written().filter(is_name).take(arity).map(str::to_owned).collect();
-    let others = names.list.iter().map(|name| format!("\"{name}\"")).take(SEARCHED);
+    let others = names.list().iter().map(|name| format!("\"{name}\"")).take(SEARCHED);
     for name in others {
         if row.len() < arity && !row.contains(&name) {
             row.push(name);
@@ -865,8 +857,9 @@ fn row_like(terms: &[&RawValue], arity: usize, unit: Option<Unit>, names: &Names
 /// The length from which on a message does not repeat a row.
 const ROW_SHOWN: usize = 100;
 
-/// The keys of a scene of agents, of one of its agents, and of a scene of entities.
+/// The keys of a scene of agents.
 const GEOMETRIC_KEYS: [&str; 6] = ["map", "agents", "egos", "given", "tick", "actions"];
+/// The keys of an agent.
 const AGENT_KEYS: [&str; 9] = [
     "id",
     "type",
@@ -878,6 +871,9 @@ const AGENT_KEYS: [&str; 9] = [
     "waited",
     "remaining",
 ];
+/// The keys of a row with a probability.
+const ROW_KEYS: [&str; 2] = ["row", "probability"];
+/// The keys of a scene of entities.
 const SYMBOLIC_KEYS: [&str; 5] = ["entities", "ego", "facts", "actions", "reason"];
 
 const FORMS: &str = "expected {\"map\": .., \"agents\": [..]} or {\"entities\": [..], \"ego\": .., \"facts\": {..}}";
@@ -908,6 +904,7 @@ impl GeometricScene {
 mod tests {
     use super::*;
     use crate::rng::{Purpose, RngExt, Seed};
+    use std::collections::BTreeSet;
 
     /// A list is no scene, even if its elements would fill the fields of one.
     #[test]
@@ -928,6 +925,23 @@ mod tests {
             let source = sources.add("scene", text);
             assert_eq!(parse_scenes(&sources, source, &terms).is_ok(), is_scene, "{text}");
         }
+    }
+
+    #[test]
+    fn the_lists_of_keys_are_those_of_the_types() {
+        fn keys_of<'a, T: Deserialize<'a>>() -> BTreeSet<String> {
+            let error = serde_json::from_str::<T>(r#"{"?": 0}"#)
+                .err()
+                .expect("no such key")
+                .to_string();
+            let (_, known) = error.split_once("expected").expect("a list of keys");
+            known.split('`').skip(1).step_by(2).map(str::to_owned).collect()
+        }
+        let listed = |keys: &[&str]| keys.iter().map(|key| (*key).to_owned()).collect::<BTreeSet<_>>();
+        assert_eq!(keys_of::<RawGeometric<'_>>(), listed(&GEOMETRIC_KEYS));
+        assert_eq!(keys_of::<RawAgent<'_>>(), listed(&AGENT_KEYS));
+        assert_eq!(keys_of::<RawSymbolic<'_>>(), listed(&SYMBOLIC_KEYS));
+        assert_eq!(keys_of::<RawUncertain<'_>>(), listed(&ROW_KEYS));
     }
 
     #[test]
@@ -987,7 +1001,7 @@ mod tests {
             ),
             (
                 facts(r#""Waited": ["you"]"#),
-                vec!["the quantity takes 1 names and a value", r#"write `["you", 3]`"#],
+                vec!["the quantity takes 1 name and a value", r#"write `["you", 3]`"#],
             ),
             (
                 facts(r#""Waited": ["me", 5]"#),
@@ -1123,12 +1137,9 @@ mod tests {
             r#"{"row":["a"],"probability":0.5 }"#,
         ];
         let mut counts = [0; 2];
-        let mut names = Names {
-            index: NameIndex::default(),
-            list: vec!["a", "b"],
-        };
+        let mut names = NameIndex::default();
         for name in ["a", "b"] {
-            assert_eq!(names.index.add(name), None);
+            assert_eq!(names.add(name), None);
         }
         let kinds = KindTable::default();
         for case in 0..4000 {
@@ -1152,7 +1163,7 @@ mod tests {
                 terms: &terms,
             };
             let raw: &RawValue = serde_json::from_str(reader.text).expect("it is JSON");
-            let found = plain_rows(raw, arity, &names.index);
+            let found = plain_rows(raw, arity, &names);
             let checked = reader.checked_rows(raw, 0, &names, "entity");
             let checked = checked.ok().map(|checked| (checked.rows, checked.uncertain));
             assert_eq!(found, checked, "{}", reader.text);

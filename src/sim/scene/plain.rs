@@ -38,6 +38,11 @@ impl<'n> NameIndex<'n> {
         known
     }
 
+    /// Returns the names in the order in which they were added.
+    pub fn list(&self) -> &[&'n str] {
+        &self.list
+    }
+
     /// Returns the position of a name.
     pub fn get(&self, name: &str) -> Option<usize> {
         if self.list.len() >= Self::MANY {

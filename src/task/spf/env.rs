@@ -404,7 +404,7 @@ impl Env {
         }
         let mut executed: SmallVec<[Action; 4]> = SmallVec::from_slice(proposed);
         for (car, action) in self.controlled_cars.iter_mut().zip(&mut executed) {
-            let can_choose = car.running && self.city.agents()[car.agent()].parked == 0;
+            let can_choose = car.running && !self.city.agents()[car.agent()].is_parked();
             let Some(shielded) = car.shielded.as_deref_mut() else {
                 continue;
             };
@@ -580,7 +580,7 @@ impl Env {
             controlled_car.derived = controlled_car.observer.derived(&self.city)?;
             if self.judges {
                 let mut allowed = Actions::default();
-                let is_parked = self.city.agents()[controlled_car.agent()].parked > 0;
+                let is_parked = self.city.agents()[controlled_car.agent()].is_parked();
                 for action in self.task.possible_actions() {
                     let action = *action;
                     if is_parked || controlled_car.observer.violations(&self.city, action)?.is_empty() {
@@ -632,9 +632,9 @@ impl Env {
             if controlled_car.running {
                 // A parked car has no choice, so its action violates no clause.
                 let agent = &self.city.agents()[controlled_car.agent()];
-                let (action, broken) = match agent.parked {
-                    0 => (action, controlled_car.observer.violations(&self.city, action)?),
-                    _ => (agent.parked_by, &[][..]),
+                let (action, broken) = match agent.is_parked() {
+                    true => (agent.parked_by, &[][..]),
+                    false => (action, controlled_car.observer.violations(&self.city, action)?),
                 };
                 controlled_car.last.broken.clear();
                 controlled_car.last.broken.extend_from_slice(broken);
