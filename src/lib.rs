@@ -65,6 +65,8 @@ pub mod predicate;
 pub mod render;
 pub mod rng;
 pub mod sim;
+#[cfg(feature = "cli")]
+pub mod sumo;
 pub mod task;
 pub mod yaml;
 

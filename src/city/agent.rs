@@ -3,6 +3,7 @@
 
 use crate::cancel::Cancel;
 use crate::city::codes;
+use crate::city::route::Piece;
 use crate::city::{Action, AgentConfig, AgentKind, AgentName, AgentSet, KindId, KindName};
 use crate::city::{Cell, CityMap, Heading, NoRoute, Places, Route, Router, TripEnds};
 use crate::diag::Diagnostic;
@@ -45,6 +46,8 @@ pub struct Agent {
     pub parked_by: Action,
     /// The direction of the next step; at the goal, of the last one.
     ahead: Heading,
+    /// The direction that it faces on the current piece of the route.
+    facing: Heading,
     /// Steps to the end of the current piece of the route; 0 only at the goal.
     left: u32,
     /// The index of the next piece.
@@ -88,6 +91,7 @@ impl Agent {
             parked: 0,
             parked_by: Action::Stop,
             ahead: Heading::Left,
+            facing: Heading::Left,
             left: 0,
             next: 0,
             position: 0,
@@ -140,16 +144,19 @@ impl Agent {
             .map_while(|index| self.route.piece(index))
             .map(|piece| (piece, piece.steps()));
         let mut at = self.cell;
-        first.into_iter().chain(rest).map(move |(piece, steps)| {
+        let ends = first.into_iter().chain(rest).map(move |(piece, steps)| {
             at = at.ahead(piece.heading(), steps.cast_signed());
-            (at, piece.ends_at_node())
-        })
+            (at, piece)
+        });
+        ends.filter(|(_, piece)| !piece.is_passed())
+            .map(|(at, piece)| (at, piece.ends_at_node()))
     }
 
     /// Advances to the next piece of the route, if there is one.
     fn next_piece(&mut self) {
         if let Some(piece) = self.route.piece(self.next) {
             self.ahead = piece.heading();
+            self.facing = piece.facing();
             self.left = piece.steps();
             self.next += 1;
         }
@@ -185,9 +192,37 @@ impl Agent {
         self.left == 0
     }
 
-    /// Steps to the next corner, to the next node of the road graph, or to the goal.
-    pub(super) fn straight_ahead(&self) -> usize {
-        self.left as usize
+    /// Steps to the next place where a move must end: a corner, a node of the road graph, or the goal. On a road network
+    /// it counts only as far as it needs to for `most` steps.
+    #[inline]
+    pub(super) fn free_ahead(&self, most: usize) -> usize {
+        match self.is_passing() {
+            false => self.left as usize,
+            true => self.passed_ahead(most),
+        }
+    }
+
+    /// Whether a move may go on behind the current piece of the route.
+    #[inline]
+    fn is_passing(&self) -> bool {
+        self.route.has_passed_corners() && self.current().is_some_and(Piece::is_passed)
+    }
+
+    #[inline(never)]
+    fn passed_ahead(&self, most: usize) -> usize {
+        let mut ahead = self.left as usize;
+        let mut pieces = (self.next..).map_while(|index| self.route.piece(index));
+        let mut is_passed = true;
+        while let Some(piece) = pieces.next().filter(|_| is_passed && ahead < most) {
+            ahead += piece.steps() as usize;
+            is_passed = piece.is_passed();
+        }
+        ahead
+    }
+
+    /// The current piece of the route; `None` at a goal that is the start.
+    fn current(&self) -> Option<Piece> {
+        self.route.piece(self.next.checked_sub(1)?)
     }
 
     /// Returns the number of steps to the goal.
@@ -205,14 +240,24 @@ impl Agent {
         self.waited = if speed == 0 { self.waited.saturating_add(1) } else { 0 };
     }
 
-    /// Moves along the route by at most [`Agent::straight_ahead`] steps.
+    /// Moves along the route by at most [`Agent::free_ahead`] steps.
     pub(super) fn step(&mut self, cells: usize) {
-        let cells = u32::try_from(cells).unwrap_or(u32::MAX).min(self.left);
+        let mut cells = u32::try_from(cells).unwrap_or(u32::MAX);
+        while cells > self.left && self.is_passing() {
+            cells -= self.left;
+            self.walk(self.left);
+        }
+        self.walk(cells.min(self.left));
+    }
+
+    /// Moves along the current piece of the route by at most its rest.
+    #[inline]
+    fn walk(&mut self, cells: u32) {
         if cells == 0 {
             return;
         }
         self.cell = self.cell.ahead(self.ahead, cells.cast_signed());
-        self.heading = Some(self.ahead);
+        self.heading = Some(self.facing);
         self.position += cells;
         self.left -= cells;
         if self.left == 0 {

@@ -4,8 +4,9 @@
 //! edges of the world. Two streets meet at an intersection, except at the four corners of the world.
 
 use crate::city::codes;
+use crate::city::network::RoadMap;
 use crate::city::zone;
-use crate::city::{Building, Buildings, MapConfig, Widths};
+use crate::city::{Blocks, Building, Buildings, MapConfig, Network, Terrain, Widths};
 use crate::city::{CityMap, Layout};
 use crate::diag::{self, Diagnostic};
 use crate::located::Located;
@@ -29,9 +30,21 @@ impl CityMap {
     /// it allocates memory. `invalid-map` for widths that leave no room, a table of buildings of the wrong shape,
     /// unusable weights, or zones that the map has no place for.
     pub fn generate(config: &MapConfig) -> Result<CityMap, Diagnostic> {
-        let layout = check_layout(&config.blocks, &config.widths)?;
-        let buildings = choose_buildings(&config.buildings, &config.blocks)?;
-        let map = CityMap::new(config.name.clone(), layout, buildings);
+        let map = match &config.terrain {
+            Terrain::Blocks(Blocks {
+                blocks,
+                widths,
+                buildings,
+            }) => {
+                let layout = check_layout(blocks, widths)?;
+                let buildings = choose_buildings(buildings, blocks)?;
+                CityMap::of_blocks(config.name.clone(), layout, buildings)
+            }
+            Terrain::Roads { roads } => {
+                let map = RoadMap::new(Network::clone(&roads.value));
+                CityMap::of_roads(config.name.clone(), map)
+            }
+        };
         let zones = zone::locate(config, &map)?;
         Ok(map.with_zones(zones))
     }
@@ -189,9 +202,11 @@ pub(super) mod tests {
     fn generate(blocks: [u32; 2], widths: Widths, buildings: Buildings) -> Result<CityMap, diag::Code> {
         let config = MapConfig {
             name: "test".into(),
-            blocks: located(blocks),
-            widths: located(widths),
-            buildings: located(buildings),
+            terrain: Terrain::Blocks(Blocks {
+                blocks: located(blocks),
+                widths: located(widths),
+                buildings: located(buildings),
+            }),
             zones: Vec::new(),
         };
         CityMap::generate(&config).map_err(|diagnostic| diagnostic.code)

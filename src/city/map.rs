@@ -1,6 +1,7 @@
 //! The static map.
 // Decision: docs/decisions/city.md#d057
 
+use crate::city::network::{LaneUse, Network, RoadMap, Sign};
 use crate::city::{AgentKind, Building, Widths};
 use crate::city::{Area, Rectangle};
 use crate::city::{Cell, Heading};
@@ -302,17 +303,39 @@ impl Layout {
 
 /// The content of a cell as its two strips determine it: a [`Ground`] in the lower two bits, and flags.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
-struct Square(u8);
+pub(super) struct Square(u8);
 
-const CAR_AT: u8 = 1 << 2;
-const PEDESTRIAN_AT: u8 = 1 << 3;
-const INSIDE: u8 = 1 << 4;
+pub(super) const CAR_AT: u8 = 1 << 2;
+pub(super) const PEDESTRIAN_AT: u8 = 1 << 3;
+pub(super) const INSIDE: u8 = 1 << 4;
 /// Below the three flags of a [`Junction`].
 const JUNCTION_SHIFT: u8 = 2;
-const MID_LINE: u8 = 1 << 5;
+pub(super) const MID_LINE: u8 = 1 << 5;
 const BUILDING: u8 = 1 << 6;
+/// A lane of a road network starts or ends here.
+pub(super) const NODE: u8 = 1 << 7;
 
 impl Square {
+    /// Returns a cell with this ground and without flags.
+    pub(super) const fn of_ground(ground: Ground) -> Square {
+        Square(ground as u8)
+    }
+
+    /// Sets flags.
+    pub(super) fn set(&mut self, flags: u8) {
+        self.0 |= flags;
+    }
+
+    /// Clears flags.
+    pub(super) fn clear(&mut self, flags: u8) {
+        self.0 &= !flags;
+    }
+
+    /// Returns whether one of these flags is set.
+    pub(super) const fn has(self, flags: u8) -> bool {
+        self.0 & flags != 0
+    }
+
     /// Returns the content of a cell with these strips. The flags say whether the nearest streets run along an edge of
     /// the world.
     fn of((row, row_at_edge): (Strip, bool), (col, col_at_edge): (Strip, bool)) -> Square {
@@ -372,7 +395,7 @@ impl Square {
         table
     }
 
-    fn ground(self) -> Ground {
+    pub(super) fn ground(self) -> Ground {
         [Ground::Other, Ground::Walking, Ground::Traffic, Ground::Crossing][usize::from(self.0 & 3)]
     }
 }
@@ -423,58 +446,37 @@ impl Junction {
     }
 }
 
-/// A generated map. It stores nothing per cell: the content of a cell follows from its row, its column, and the
-/// buildings of its block.
+/// A generated map.
 #[derive(Clone, Debug)]
 pub struct CityMap {
     /// The name of the map.
     pub name: String,
+    terrain: Terrain,
+    /// The names and the cells of the zones.
+    zones: Vec<(String, Arc<Area>)>,
+}
+
+/// The cells of a map.
+#[derive(Clone, Debug)]
+enum Terrain {
+    Blocks(Blocks),
+    Roads(Arc<RoadMap>),
+}
+
+/// A map of equal blocks. It stores nothing per cell: the content of a cell follows from its row, its column, and the
+/// buildings of its block.
+#[derive(Clone, Debug)]
+struct Blocks {
     /// The positions of streets, blocks and intersections.
-    pub layout: Layout,
+    layout: Layout,
     rows: Box<[CoordinateClass]>,
     cols: Box<[CoordinateClass]>,
     squares: Box<[Square; 1 << 10]>,
     /// The four buildings of each block, row by row; the blocks are in row order too.
     buildings: Vec<[Building; 4]>,
-    /// The names and the cells of the zones.
-    zones: Vec<(String, Arc<Area>)>,
 }
 
-impl CityMap {
-    /// Creates the map of a layout with four buildings for each block, row by row; the blocks are in row order too.
-    pub(super) fn new(name: String, layout: Layout, buildings: Vec<[Building; 4]>) -> Self {
-        let [block_rows, block_cols] = layout.blocks();
-        CityMap {
-            name,
-            layout,
-            rows: layout.parts(block_rows),
-            cols: layout.parts(block_cols),
-            squares: Square::table(),
-            buildings,
-            zones: Vec::new(),
-        }
-    }
-
-    /// Adds zones.
-    pub(super) fn with_zones(self, zones: Vec<(String, Arc<Area>)>) -> CityMap {
-        CityMap { zones, ..self }
-    }
-
-    /// Returns the number of rows of cells.
-    pub fn rows(&self) -> i32 {
-        self.layout.rows()
-    }
-
-    /// Returns the number of columns of cells.
-    pub fn cols(&self) -> i32 {
-        self.layout.cols()
-    }
-
-    /// Returns whether the cell is on the map.
-    pub fn contains(&self, cell: Cell) -> bool {
-        (0..self.rows()).contains(&cell.row) && (0..self.cols()).contains(&cell.col)
-    }
-
+impl Blocks {
     /// The classes of a cell's row and column; `None` off the map.
     fn parts(&self, cell: Cell) -> Option<(CoordinateClass, CoordinateClass)> {
         let row = self.rows.get(usize::try_from(cell.row).ok()?)?;
@@ -486,6 +488,135 @@ impl CityMap {
         let (row, col) = self.parts(cell)?;
         let index = |part: CoordinateClass| usize::from(part.0 & STRIP_AND_EDGE);
         Some(self.squares[index(row) << 5 | index(col)])
+    }
+
+    fn lane_at(&self, cell: Cell) -> Option<Heading> {
+        self.square(cell)?;
+        let [row, col] = [cell.row, cell.col].map(|at| self.layout.strip(at).0);
+        let is_along = |strip: Strip| strip.in_block() || strip.on_line();
+        // Cars keep right.
+        match [row, col] {
+            [Strip::StreetBefore, along] if is_along(along) => Some(Heading::Left),
+            [Strip::StreetAfter, along] if is_along(along) => Some(Heading::Right),
+            [along, Strip::StreetBefore] if is_along(along) => Some(Heading::Down),
+            [along, Strip::StreetAfter] if is_along(along) => Some(Heading::Up),
+            _ => None,
+        }
+    }
+
+    fn is_lane_node(&self, cell: Cell) -> bool {
+        let is_line = |part: CoordinateClass| {
+            let strip = part.0 & 0xf;
+            strip == Strip::LineBefore as u8 || strip == Strip::LineAfter as u8
+        };
+        let across = |across: CoordinateClass, along: CoordinateClass| across.0 & ON_LANE != 0 && is_line(along);
+        (self.parts(cell)).is_some_and(|(row, col)| across(row, col) || across(col, row))
+    }
+
+    fn building_at(&self, cell: Cell) -> Option<Building> {
+        if !self.square(cell)?.has(BUILDING) {
+            return None;
+        }
+        let layout = &self.layout;
+        let block = |at: i32| at.div_euclid(layout.period());
+        let second = |at: i32| usize::from(at >= layout.building_span(block(at), 1).start);
+        let number = block(cell.row) * layout.blocks()[1] + block(cell.col);
+        Some(self.buildings[number as usize][2 * second(cell.row) + second(cell.col)])
+    }
+
+    /// The number of the nearest intersection, from 1, row by row, without the corners of the world.
+    fn intersection_near(&self, cell: Cell) -> u32 {
+        let [row, col] = [cell.row, cell.col].map(|at| self.layout.strip(at).1);
+        let [block_rows, block_cols] = self.layout.blocks();
+        let place = row * (block_cols + 1) + col;
+        let corners = [0, block_cols, block_rows * (block_cols + 1)];
+        let before = corners.into_iter().filter(|&corner| corner < place).count();
+        place.unsigned_abs() + 1 - u32::try_from(before).expect("at most three corners")
+    }
+}
+
+impl CityMap {
+    /// Creates the map of a layout with four buildings for each block, row by row; the blocks are in row order too.
+    pub(super) fn of_blocks(name: String, layout: Layout, buildings: Vec<[Building; 4]>) -> Self {
+        let [block_rows, block_cols] = layout.blocks();
+        let blocks = Blocks {
+            layout,
+            rows: layout.parts(block_rows),
+            cols: layout.parts(block_cols),
+            squares: Square::table(),
+            buildings,
+        };
+        CityMap {
+            name,
+            terrain: Terrain::Blocks(blocks),
+            zones: Vec::new(),
+        }
+    }
+
+    /// Creates the map of a road network.
+    pub(super) fn of_roads(name: String, roads: RoadMap) -> Self {
+        CityMap {
+            name,
+            terrain: Terrain::Roads(Arc::new(roads)),
+            zones: Vec::new(),
+        }
+    }
+
+    /// Adds zones.
+    pub(super) fn with_zones(self, zones: Vec<(String, Arc<Area>)>) -> CityMap {
+        CityMap { zones, ..self }
+    }
+
+    /// Returns the positions of streets, blocks and intersections; `None` for a road network.
+    pub fn layout(&self) -> Option<&Layout> {
+        match &self.terrain {
+            Terrain::Blocks(blocks) => Some(&blocks.layout),
+            Terrain::Roads(_) => None,
+        }
+    }
+
+    /// Returns the raster of a road network; `None` for a map of blocks.
+    pub(crate) fn roads(&self) -> Option<&RoadMap> {
+        match &self.terrain {
+            Terrain::Blocks(_) => None,
+            Terrain::Roads(roads) => Some(roads),
+        }
+    }
+
+    /// Returns the road network; `None` for a map of blocks.
+    pub fn network(&self) -> Option<&Network> {
+        self.roads().map(RoadMap::network)
+    }
+
+    /// Returns the number of rows of cells.
+    #[inline]
+    pub fn rows(&self) -> i32 {
+        match &self.terrain {
+            Terrain::Blocks(blocks) => blocks.layout.rows(),
+            Terrain::Roads(roads) => roads.rows(),
+        }
+    }
+
+    /// Returns the number of columns of cells.
+    #[inline]
+    pub fn cols(&self) -> i32 {
+        match &self.terrain {
+            Terrain::Blocks(blocks) => blocks.layout.cols(),
+            Terrain::Roads(roads) => roads.cols(),
+        }
+    }
+
+    /// Returns whether the cell is on the map.
+    pub fn contains(&self, cell: Cell) -> bool {
+        (0..self.rows()).contains(&cell.row) && (0..self.cols()).contains(&cell.col)
+    }
+
+    #[inline]
+    fn square(&self, cell: Cell) -> Option<Square> {
+        match &self.terrain {
+            Terrain::Blocks(blocks) => blocks.square(cell),
+            Terrain::Roads(roads) => roads.square(cell),
+        }
     }
 
     /// Returns the ground of a cell; `None` off the map.
@@ -511,24 +642,23 @@ impl CityMap {
     /// Returns the heading of cars on the lane that contains a cell: a side of a street between two intersections, with
     /// the lines where lanes begin and end. `None` on the mid line, inside an intersection and off the street.
     pub fn lane_at(&self, cell: Cell) -> Option<Heading> {
-        if !self.contains(cell) {
-            return None;
-        }
-        let [row, col] = [cell.row, cell.col].map(|at| self.layout.strip(at).0);
-        let is_along = |strip: Strip| strip.in_block() || strip.on_line();
-        // Cars keep right.
-        match [row, col] {
-            [Strip::StreetBefore, along] if is_along(along) => Some(Heading::Left),
-            [Strip::StreetAfter, along] if is_along(along) => Some(Heading::Right),
-            [along, Strip::StreetBefore] if is_along(along) => Some(Heading::Down),
-            [along, Strip::StreetAfter] if is_along(along) => Some(Heading::Up),
-            _ => None,
+        match &self.terrain {
+            Terrain::Blocks(blocks) => blocks.lane_at(cell),
+            Terrain::Roads(roads) => roads.lane_heading(cell),
         }
     }
 
-    /// Returns the cells for which `holds` is true. It must be equal for all cells with the same strips and edges.
+    /// Returns the cells for which `holds` is true. On a map of blocks it must be equal for all cells with the same
+    /// strips and edges.
     pub(crate) fn area_of(&self, holds: impl Fn(Cell) -> bool) -> Area {
-        let axes = [&self.rows, &self.cols].map(|parts| {
+        let Terrain::Blocks(blocks) = &self.terrain else {
+            let counts = [self.rows(), self.cols()].map(i32::unsigned_abs);
+            let axes = counts.map(|count| (0..count).collect());
+            return Area::of_classes(axes, counts, |row, col| {
+                holds(Cell::new(row.cast_signed(), col.cast_signed()))
+            });
+        };
+        let axes = [&blocks.rows, &blocks.cols].map(|parts| {
             let mut firsts: Vec<(CoordinateClass, i32)> = Vec::new();
             let classes = parts.iter().zip(0..).map(|(part, at)| {
                 let known = firsts.iter().position(|(known, _)| known == part);
@@ -551,42 +681,68 @@ impl CityMap {
 
     /// Returns whether a lane starts or ends here, so that the cell is a node of the road graph.
     pub fn is_lane_node(&self, cell: Cell) -> bool {
-        let is_line = |part: CoordinateClass| {
-            let strip = part.0 & 0xf;
-            strip == Strip::LineBefore as u8 || strip == Strip::LineAfter as u8
-        };
-        let across = |across: CoordinateClass, along: CoordinateClass| across.0 & ON_LANE != 0 && is_line(along);
-        (self.parts(cell)).is_some_and(|(row, col)| across(row, col) || across(col, row))
+        match &self.terrain {
+            Terrain::Blocks(blocks) => blocks.is_lane_node(cell),
+            Terrain::Roads(roads) => roads.square(cell).is_some_and(|square| square.has(NODE)),
+        }
     }
 
     /// Returns the building on this cell, if any. [`Layout::block_at`] returns its block.
     pub fn building_at(&self, cell: Cell) -> Option<Building> {
-        if self.square(cell)?.0 & BUILDING == 0 {
-            return None;
+        match &self.terrain {
+            Terrain::Blocks(blocks) => blocks.building_at(cell),
+            Terrain::Roads(_) => None,
         }
-        let layout = &self.layout;
-        let block = |at: i32| at.div_euclid(layout.period());
-        let second = |at: i32| usize::from(at >= layout.building_span(block(at), 1).start);
-        let number = block(cell.row) * layout.blocks()[1] + block(cell.col);
-        Some(self.buildings[number as usize][2 * second(cell.row) + second(cell.col)])
     }
 
-    /// Returns the four buildings of each block, row by row; the blocks are in row order too.
+    /// Returns the four buildings of each block, row by row; the blocks are in row order too. A road network has none.
     pub fn buildings(&self) -> &[[Building; 4]] {
-        &self.buildings
+        match &self.terrain {
+            Terrain::Blocks(blocks) => &blocks.buildings,
+            Terrain::Roads(_) => &[],
+        }
+    }
+
+    /// Returns the number, the kind and the cells of each building of the blocks that a rectangle touches, row by row of
+    /// blocks. The buildings of a block have four consecutive numbers.
+    pub(crate) fn sites<'m>(&'m self, near: &Rectangle) -> impl Iterator<Item = (u32, Building, Rectangle)> + use<'m> {
+        let blocks = self.layout().map(|layout| {
+            let [rows, cols] = layout.blocks();
+            let touched = |span: &Range<i32>, blocks: i32| {
+                let block = |at: i32| at.div_euclid(layout.period()).clamp(0, blocks);
+                block(span.start)..(block(span.end - 1) + 1).min(blocks)
+            };
+            (layout, touched(&near.rows, rows), touched(&near.cols, cols))
+        });
+        blocks.into_iter().flat_map(move |(layout, rows, cols)| {
+            let places = rows.flat_map(move |row| cols.clone().map(move |col| (row, col)));
+            places.flat_map(move |(row, col)| {
+                let block = row * layout.blocks()[1] + col;
+                (0..).zip(&self.buildings()[block as usize]).map(move |(at, building)| {
+                    let cells = Rectangle {
+                        rows: layout.building_span(row, at / 2),
+                        cols: layout.building_span(col, at % 2),
+                    };
+                    ((4 * block + at).cast_unsigned(), *building, cells)
+                })
+            })
+        })
+    }
+
+    /// Returns all cells as a rectangle.
+    pub(crate) fn whole(&self) -> Rectangle {
+        Rectangle {
+            rows: 0..self.rows(),
+            cols: 0..self.cols(),
+        }
     }
 
     /// Returns the cells of the buildings of a kind, row by row of blocks.
     pub(crate) fn buildings_of(&self, kind: Building) -> impl Iterator<Item = Rectangle> {
-        let cols = self.layout.blocks()[1];
-        let all = self.buildings.iter().zip(0..).flat_map(move |(block, number)| {
-            let places = block.iter().zip(0..).filter(move |(building, _)| **building == kind);
-            places.map(move |(_, at)| [number / cols, number % cols, at / 2, at % 2])
-        });
-        all.map(|[block_row, block_col, row, col]| Rectangle {
-            rows: self.layout.building_span(block_row, row),
-            cols: self.layout.building_span(block_col, col),
-        })
+        let of_kind = self
+            .sites(&self.whole())
+            .filter(move |(_, building, _)| *building == kind);
+        of_kind.map(|(.., cells)| cells)
     }
 
     /// Returns the names of the zones, in the order of the configuration.
@@ -618,8 +774,9 @@ impl CityMap {
     /// `limit-exceeded` for more than [`SEMANTIC_MAX`] values.
     pub fn semantic(&self, agents: &[Cell]) -> Result<Array3<f32>, Diagnostic> {
         let statics = STATIC_LAYERS.len();
-        let shape = (self.rows.len(), self.cols.len(), statics + agents.len());
-        let cells = self.rows.len().checked_mul(self.cols.len());
+        let [rows, cols] = [self.rows(), self.cols()].map(|count| count as usize);
+        let shape = (rows, cols, statics + agents.len());
+        let cells = rows.checked_mul(cols);
         let values = cells.and_then(|cells| cells.checked_mul(shape.2));
         if values.is_none_or(|values| values > SEMANTIC_MAX) {
             let (rows, cols, layers) = shape;
@@ -665,8 +822,7 @@ impl CityMap {
     /// membership in these areas, which are at most 64. `None` if that takes too long.
     pub(crate) fn distinct_cells(&self, kind: AgentKind, areas: &[Arc<Area>]) -> Option<Vec<Cell>> {
         // Cells of equal classes are alike.
-        let firsts = |parts: &[CoordinateClass], axis: usize| {
-            let mut ids: Vec<u32> = parts.iter().map(|part| part.0.into()).collect();
+        let firsts = |mut ids: Vec<u32>, axis: usize| {
             for area in areas {
                 let mut known = BTreeMap::new();
                 for (id, class) in ids.iter_mut().zip(area.classes()[axis]) {
@@ -680,7 +836,13 @@ impl CityMap {
             }
             firsts.into_values().collect::<Vec<i32>>()
         };
-        let (rows, cols) = (firsts(&self.rows, 0), firsts(&self.cols, 1));
+        let [rows, cols] = match &self.terrain {
+            Terrain::Blocks(blocks) => {
+                [&blocks.rows, &blocks.cols].map(|parts| parts.iter().map(|part| part.0.into()).collect())
+            }
+            Terrain::Roads(_) => [self.rows(), self.cols()].map(|count| (0..count.unsigned_abs()).collect()),
+        };
+        let (rows, cols) = (firsts(rows, 0), firsts(cols, 1));
         if rows.len().saturating_mul(cols.len()) > DISTINCT_MAX || areas.len() > 64 {
             return None;
         }
@@ -719,17 +881,81 @@ impl CityMap {
 
     /// Returns the number of intersections, 0 on a map of one block.
     pub fn intersections(&self) -> u32 {
-        let [rows, cols] = self.layout.blocks().map(|blocks| blocks.unsigned_abs() + 1);
-        rows * cols - 4
+        match &self.terrain {
+            Terrain::Blocks(blocks) => {
+                let [rows, cols] = blocks.layout.blocks().map(|blocks| blocks.unsigned_abs() + 1);
+                rows * cols - 4
+            }
+            Terrain::Roads(roads) => roads.intersections(),
+        }
     }
 
-    /// The number of the nearest intersection, from 1, row by row, without the corners of the world.
+    /// Returns the cells of a lane of the road network, by its position there; none for a lane that is not for cars.
+    pub fn lane_cells(&self, lane: usize) -> &[Cell] {
+        let lane = u32::try_from(lane).ok();
+        lane.and_then(|lane| Some(self.roads()?.path(lane))).unwrap_or_default()
+    }
+
+    /// Returns the cells of a connection of the road network between its two lanes, by its position there.
+    pub fn connection_cells(&self, connection: usize) -> &[Cell] {
+        let connection = u32::try_from(connection).ok();
+        connection
+            .and_then(|connection| Some(self.roads()?.link(connection)))
+            .unwrap_or_default()
+    }
+
+    /// Returns the number of the lane for cars that contains a cell, and the steps along it from its start.
+    pub(crate) fn place_on_lane(&self, cell: Cell) -> Option<(u32, u32)> {
+        match &self.terrain {
+            Terrain::Blocks(blocks) => blocks.layout.place_on_lane(cell),
+            Terrain::Roads(roads) => roads.spot(cell).map(|spot| (spot.lane, spot.at)),
+        }
+    }
+
+    /// Returns the most cells across a lane.
+    pub(crate) fn lane_width(&self) -> i32 {
+        match &self.terrain {
+            Terrain::Blocks(blocks) => blocks.layout.street_span(0).end,
+            Terrain::Roads(roads) => roads.lane_width(),
+        }
+    }
+
+    /// Returns what regulates the right of way at the end of the lane of a cell, except for ways back.
+    pub fn signs_ahead(&self, cell: Cell) -> impl Iterator<Item = Sign> {
+        self.roads().into_iter().flat_map(move |roads| roads.signs_ahead(cell))
+    }
+
+    /// Returns whether a connection that leaves the lane of the first cell, and is no way back, must yield to one that
+    /// leaves the lane of the second.
+    pub fn must_yield(&self, cell: Cell, other: Cell) -> bool {
+        self.roads().is_some_and(|roads| roads.must_yield(cell, other))
+    }
+
+    /// Returns whether pedestrians cross streets somewhere.
+    pub(crate) fn has_crossings(&self) -> bool {
+        match &self.terrain {
+            Terrain::Blocks(blocks) => blocks.layout.has_inner_streets(),
+            Terrain::Roads(roads) => (roads.network().lanes.iter()).any(|lane| lane.usage == LaneUse::Crossing),
+        }
+    }
+
+    /// Returns the most rows or columns between two cells at or inside one intersection.
+    pub(crate) fn intersection_extent(&self) -> i32 {
+        match &self.terrain {
+            Terrain::Blocks(blocks) => {
+                let span = blocks.layout.intersection_span(0);
+                span.end - span.start - 1
+            }
+            Terrain::Roads(roads) => roads.extent(),
+        }
+    }
+
+    /// The number of the intersection of a cell at or inside one, from 1. On a map of blocks row by row, without the
+    /// corners of the world; on a road network in the order of the junctions.
     fn intersection_near(&self, cell: Cell) -> u32 {
-        let [row, col] = [cell.row, cell.col].map(|at| self.layout.strip(at).1);
-        let [block_rows, block_cols] = self.layout.blocks();
-        let place = row * (block_cols + 1) + col;
-        let corners = [0, block_cols, block_rows * (block_cols + 1)];
-        let before = corners.into_iter().filter(|&corner| corner < place).count();
-        place.unsigned_abs() + 1 - u32::try_from(before).expect("at most three corners")
+        match &self.terrain {
+            Terrain::Blocks(blocks) => blocks.intersection_near(cell),
+            Terrain::Roads(roads) => roads.intersection_near(cell),
+        }
     }
 }

@@ -11,12 +11,14 @@ mod action_table;
 mod agent;
 mod area;
 pub mod codes;
+mod drive;
 mod generate;
 mod grid;
 mod kind;
 mod map;
 mod model;
 mod motion;
+mod network;
 mod places;
 mod roads;
 mod route;
@@ -33,10 +35,11 @@ pub use grid::{Cell, Heading};
 pub use kind::{AgentKind, AgentName, KindId, KindName, KindTable, OwnKind, PICTURES, speed_cells};
 pub use map::{CityMap, Ground, Junction, Layout, SEMANTIC_MAX, STATIC_LAYERS};
 pub use model::{
-    AgentConfig, AgentGroup, AgentSet, Building, Buildings, Landmarks, MapConfig, OwnGroups, Routing, Sample, Split,
-    TripEnds, Widths, ZoneConfig, ZonePart,
+    AgentConfig, AgentGroup, AgentSet, Blocks, Building, Buildings, Landmarks, MapConfig, OwnGroups, Routing, Sample,
+    Split, Terrain, TripEnds, Widths, ZoneConfig, ZonePart,
 };
 pub use motion::{MoveReason, Moved, Surroundings, advance, possible_cells};
+pub use network::{Connection, Direction, LaneUse, Network, Point, RoadJunction, RoadLane, Sign};
 pub use places::Places;
 pub use roads::{Lane, Router};
 pub use route::{NoRoute, Route, corners};

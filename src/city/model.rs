@@ -2,7 +2,7 @@
 //!
 //! The serialized form omits file names and places, so that equal content has equal hashes.
 
-use crate::city::{AgentKind, AgentName, KindId, KindName};
+use crate::city::{AgentKind, AgentName, KindId, KindName, Network};
 use crate::diag::Span;
 use crate::located::Located;
 use serde::ser::SerializeStruct;
@@ -52,15 +52,46 @@ pub struct MapConfig {
     /// The name of the file without its extension.
     #[serde(skip)]
     pub name: String,
+    /// The streets.
+    #[serde(flatten)]
+    pub terrain: Terrain,
+    /// The zones. The serialized form omits an empty list, so that hashes of maps without zones do not depend on it.
+    #[serde(skip_serializing_if = "Vec::is_empty")]
+    pub zones: Vec<ZoneConfig>,
+}
+
+/// The streets of a map.
+#[derive(Clone, Debug, Serialize)]
+#[serde(untagged)]
+pub enum Terrain {
+    /// Equal blocks with streets between them.
+    Blocks(Blocks),
+    /// A road network.
+    Roads {
+        /// The network.
+        roads: Located<Arc<Network>>,
+    },
+}
+
+/// A map of equal blocks.
+#[derive(Clone, Debug, Serialize)]
+pub struct Blocks {
     /// Rows and columns of blocks, each 1 to 1000.
     pub blocks: Located<[u32; 2]>,
     /// Widths in cells.
     pub widths: Located<Widths>,
     /// The buildings.
     pub buildings: Located<Buildings>,
-    /// The zones. The serialized form omits an empty list, so that hashes of maps without zones do not depend on it.
-    #[serde(skip_serializing_if = "Vec::is_empty")]
-    pub zones: Vec<ZoneConfig>,
+}
+
+impl MapConfig {
+    /// Returns the blocks; `None` for a road network.
+    pub fn blocks(&self) -> Option<&Blocks> {
+        match &self.terrain {
+            Terrain::Blocks(blocks) => Some(blocks),
+            Terrain::Roads { .. } => None,
+        }
+    }
 }
 
 /// A zone of a map: the union of its parts.

@@ -15,10 +15,11 @@ impl Purpose {
 /// Returns the maximum number of cells that an agent can move with these actions; all smaller positive numbers are
 /// possible, too.
 ///
-/// A move is straight and jumps over no node of the road graph, so that cars always land on the lines where
-/// intersections begin and end. 0 at the goal.
+/// A move is straight, or follows a lane of a road network, and jumps over no node of the road graph, so that cars always
+/// land on the lines where intersections begin and end. 0 at the goal.
 pub fn possible_cells(agent: &Agent, actions: &ActionTable) -> usize {
-    agent.straight_ahead().min(actions.reach(agent.kind_id))
+    let most = actions.reach(agent.kind_id);
+    agent.free_ahead(most).min(most)
 }
 
 /// The reason for an agent's move.
@@ -53,7 +54,7 @@ pub struct Moved {
 }
 
 impl Moved {
-    /// Returns the number of cells of the move, which is straight.
+    /// Returns the number of cells of the move, which never turns back.
     pub fn cells(&self) -> u32 {
         self.from.row.abs_diff(self.to.row) + self.from.col.abs_diff(self.to.col)
     }

@@ -4,7 +4,8 @@
 //! consists of bands of equal rows. The number of places in each band of each row of blocks determines the place with a
 //! given number.
 
-use crate::city::{AgentKind, Building};
+use crate::city::network::RoadMap;
+use crate::city::{AgentKind, Building, Ground};
 use crate::city::{Cell, CityMap, Layout, NoRoute, Rectangle, Route, Router, TripEnds};
 use crate::rng::{Rng, RngExt};
 use std::ops::Range;
@@ -15,19 +16,35 @@ const GOAL_DRAWS: usize = 16;
 
 /// The cells where agents start and arrive in a region of the map, numbered from 0 row by row.
 ///
-/// Pedestrians: cells of the walking street that touch a house or an office, corners included. Cars: cells of a traffic
-/// street straight across the sidewalk from a gas station, garage or store, on the lines of [`TripEnds`].
+/// On a map of blocks, pedestrians: cells of the walking street that touch a house or an office, corners included. Cars:
+/// cells of a traffic street straight across the sidewalk from a gas station, garage or store, on the lines of
+/// [`TripEnds`]. On a road network, pedestrians: the walkable cells that are not at or inside an intersection. Cars: the
+/// cells in the middle of lanes, except for three at each end.
 #[derive(Clone, Debug)]
 pub struct Places {
-    map: Arc<CityMap>,
+    ends: TripEnds,
+    /// The maximum distance of a goal in rows and columns.
+    trip: Option<i32>,
+    terrain: Terrain,
+}
+
+/// The places of a map.
+#[derive(Clone, Debug)]
+enum Terrain {
+    Blocks(BlockPlaces),
+    /// For each kind of agent the places on a road network, row by row.
+    Roads([Box<[Cell]>; 2]),
+}
+
+/// The places of a map of blocks.
+#[derive(Clone, Debug)]
+struct BlockPlaces {
+    layout: Layout,
     patterns: [Pattern; 2],
     /// For each kind and each block: the bit set of the buildings where agents start.
     starts: [Box<[u8]>; 2],
     /// The places in the region, by kind.
     all: [Numbering; 2],
-    /// The maximum distance of a goal in rows and columns.
-    trip: Option<i32>,
-    ends: TripEnds,
 }
 
 /// The places of a block by its buildings, in cells from its first row and column. Cars stop outside of the block.
@@ -205,7 +222,7 @@ fn blocks_near(layout: &Layout, reach: &Range<i32>, cells: &Range<i32>, blocks: 
 #[derive(Clone, Copy)]
 struct OfKind<'p> {
     kind: AgentKind,
-    map: &'p CityMap,
+    layout: &'p Layout,
     starts: &'p [u8],
     pattern: &'p Pattern,
 }
@@ -219,7 +236,7 @@ struct Selection<'p> {
 
 impl Numbering {
     fn new(of: OfKind<'_>, extent: Rectangle) -> Self {
-        let layout = &of.map.layout;
+        let layout = of.layout;
         let near = blocks_near(layout, &of.pattern.reach, &extent.cols, layout.blocks()[1]);
         let mut numbering = Numbering {
             bands: Vec::new(),
@@ -259,21 +276,21 @@ impl Numbering {
 impl Selection<'_> {
     /// The columns of each row of a band of a block, from the block's first, and their number. Ignores the extent.
     fn cols(&self, block_row: i32, block_col: i32, band: usize) -> &(Vec<Range<i32>>, usize) {
-        let block = block_row * self.of.map.layout.blocks()[1] + block_col;
+        let block = block_row * self.of.layout.blocks()[1] + block_col;
         let set = usize::from(self.of.starts[block as usize]);
         &self.of.pattern.cols[set * self.of.pattern.bands.len() + band]
     }
 
     /// The columns on the map of the places in the extent.
     fn runs(&self, block_row: i32, block_col: i32, band: usize) -> impl Iterator<Item = Range<i32>> {
-        let first = self.of.map.layout.block_start(block_col);
+        let first = self.of.layout.block_start(block_col);
         (self.cols(block_row, block_col, band).0.iter())
             .map(move |cols| overlap(&(first + cols.start..first + cols.end), &self.numbering.extent.cols))
     }
 
     /// The number of places in the extent, per row of a band of a block.
     fn in_block(&self, block_row: i32, block_col: i32, band: usize) -> usize {
-        let (first, reach) = (self.of.map.layout.block_start(block_col), &self.of.pattern.reach);
+        let (first, reach) = (self.of.layout.block_start(block_col), &self.of.pattern.reach);
         let extent = &self.numbering.extent.cols;
         if extent.start <= first + reach.start && first + reach.end <= extent.end {
             return self.cols(block_row, block_col, band).1;
@@ -283,10 +300,10 @@ impl Selection<'_> {
 
     fn blocks_across(&self) -> Range<i32> {
         blocks_near(
-            &self.of.map.layout,
+            self.of.layout,
             &self.of.pattern.reach,
             &self.numbering.extent.cols,
-            self.of.map.layout.blocks()[1],
+            self.of.layout.blocks()[1],
         )
     }
 
@@ -322,7 +339,7 @@ impl Selection<'_> {
         }
         let mut number = band.before + (cell.row - band.rows.start) as usize * band.in_row;
         for block_col in self.blocks_across() {
-            if cell.col >= self.of.map.layout.block_start(block_col) + self.of.pattern.reach.end {
+            if cell.col >= self.of.layout.block_start(block_col) + self.of.pattern.reach.end {
                 number += self.in_block(band.block_row, block_col, band.band);
                 continue;
             }
@@ -341,7 +358,7 @@ impl Selection<'_> {
     fn goals(&self, start: Cell) -> Option<Goals<'_>> {
         let home = match self.of.kind {
             AgentKind::Car => None,
-            AgentKind::Pedestrian => self.of.map.layout.block_place(start),
+            AgentKind::Pedestrian => self.of.layout.block_place(start),
         };
         let (without, own) = match home {
             None => {
@@ -416,25 +433,14 @@ impl Goals<'_> {
     }
 }
 
-impl Places {
-    /// Returns the places within the first `region` rows and columns; `None` for the whole map. Goals are at most
-    /// `trip` rows and columns away; `None` for no limit. Trips of cars start and end at `ends`.
-    pub fn new(router: &Router, ends: TripEnds, region: Option<u32>, trip: Option<u32>) -> Self {
-        let map = router.map();
-        let cells = |cells: u32| i32::try_from(cells).unwrap_or(i32::MAX);
-        let limit = region.map_or(i32::MAX, cells);
-        let extent = Rectangle {
-            rows: 0..map.rows().min(limit),
-            cols: 0..map.cols().min(limit),
-        };
+impl BlockPlaces {
+    fn new(map: &Arc<CityMap>, layout: Layout, ends: TripEnds, extent: &Rectangle) -> Self {
         let starts = AgentKind::ALL.map(|kind| map.buildings().iter().map(|&block| starts(kind, block)).collect());
-        let mut places = Places {
-            patterns: AgentKind::ALL.map(|kind| Pattern::new(&map.layout, ends, kind)),
+        let mut places = BlockPlaces {
+            patterns: AgentKind::ALL.map(|kind| Pattern::new(&layout, ends, kind)),
             starts,
             all: [Numbering::default(), Numbering::default()],
-            trip: trip.map(cells),
-            ends,
-            map: Arc::clone(map),
+            layout,
         };
         places.all = AgentKind::ALL.map(|kind| Numbering::new(places.of(kind), extent.clone()));
         places
@@ -443,14 +449,10 @@ impl Places {
     fn of(&self, kind: AgentKind) -> OfKind<'_> {
         OfKind {
             kind,
-            map: &self.map,
+            layout: &self.layout,
             starts: &self.starts[kind as usize],
             pattern: &self.patterns[kind as usize],
         }
-    }
-
-    fn all(&self, kind: AgentKind) -> Selection<'_> {
-        self.selection(kind, None)
     }
 
     /// The places in `near`, or in the whole region.
@@ -461,29 +463,100 @@ impl Places {
         }
     }
 
-    /// Returns where trips of cars start and end.
+    /// The places at most `trip` rows and columns away.
+    fn near(&self, kind: AgentKind, start: Cell, trip: i32) -> Numbering {
+        let around = |at: i32| at.saturating_sub(trip)..at.saturating_add(trip).saturating_add(1);
+        let all = &self.all[kind as usize].extent;
+        let extent = Rectangle {
+            rows: overlap(&around(start.row), &all.rows),
+            cols: overlap(&around(start.col), &all.cols),
+        };
+        Numbering::new(self.of(kind), extent)
+    }
+}
+
+/// The cells of a lane at each of its ends where cars neither start nor arrive.
+const LANE_ENDS: usize = 3;
+
+/// Returns the places of a kind on a road network, row by row.
+fn on_roads(map: &CityMap, roads: &RoadMap, kind: AgentKind, extent: &Rectangle) -> Box<[Cell]> {
+    let mut cells: Vec<Cell> = match kind {
+        AgentKind::Car => {
+            let lanes = 0..roads.network().lanes.len();
+            let middles = lanes.flat_map(|lane| {
+                let path = roads.path(u32::try_from(lane).expect("a map has fewer than 2^32 lanes"));
+                let end = path.len().saturating_sub(LANE_ENDS);
+                &path[LANE_ENDS.min(end)..end]
+            });
+            // Where lanes meet, the nearest one counts.
+            middles.copied().filter(|&cell| roads.spot(cell).is_some()).collect()
+        }
+        AgentKind::Pedestrian => roads.cells(|cell| {
+            map.ground_at(cell) == Some(Ground::Walking) && map.intersection(AgentKind::Pedestrian, cell).is_none()
+        }),
+    };
+    cells.retain(|&cell| extent.contains(cell));
+    cells.sort_unstable();
+    cells.dedup();
+    cells.into()
+}
+
+impl Places {
+    /// Returns the places within the first `region` rows and columns; `None` for the whole map. Goals are at most
+    /// `trip` rows and columns away; `None` for no limit. Trips of cars start and end at `ends` on a map of blocks.
+    pub fn new(router: &Router, ends: TripEnds, region: Option<u32>, trip: Option<u32>) -> Self {
+        let map = router.map();
+        let cells = |cells: u32| i32::try_from(cells).unwrap_or(i32::MAX);
+        let limit = region.map_or(i32::MAX, cells);
+        let extent = Rectangle {
+            rows: 0..map.rows().min(limit),
+            cols: 0..map.cols().min(limit),
+        };
+        let terrain = match (map.layout(), map.roads()) {
+            (Some(layout), _) => Terrain::Blocks(BlockPlaces::new(map, *layout, ends, &extent)),
+            (None, Some(roads)) => Terrain::Roads(AgentKind::ALL.map(|kind| on_roads(map, roads, kind, &extent))),
+            (None, None) => Terrain::Roads(Default::default()),
+        };
+        Places {
+            ends,
+            trip: trip.map(cells),
+            terrain,
+        }
+    }
+
+    /// Returns where trips of cars start and end on a map of blocks.
     pub fn trip_ends(&self) -> TripEnds {
         self.ends
     }
 
     /// Returns the number of places for agents of a kind.
     pub fn count(&self, kind: AgentKind) -> usize {
-        self.all[kind as usize].count
+        match &self.terrain {
+            Terrain::Blocks(blocks) => blocks.all[kind as usize].count,
+            Terrain::Roads(places) => places[kind as usize].len(),
+        }
     }
 
     /// Returns the place with this number for agents of a kind, or `None` if the number is too large.
     pub fn nth(&self, kind: AgentKind, number: usize) -> Option<Cell> {
-        (number < self.count(kind)).then(|| self.all(kind).nth(number))?
+        match &self.terrain {
+            Terrain::Blocks(blocks) => (number < self.count(kind)).then(|| blocks.selection(kind, None).nth(number))?,
+            Terrain::Roads(places) => places[kind as usize].get(number).copied(),
+        }
     }
 
     /// Returns whether agents of a kind start and arrive here.
     pub fn contains(&self, kind: AgentKind, cell: Cell) -> bool {
-        self.all(kind).number(cell).is_some()
+        match &self.terrain {
+            Terrain::Blocks(blocks) => blocks.selection(kind, None).number(cell).is_some(),
+            Terrain::Roads(places) => places[kind as usize].binary_search(&cell).is_ok(),
+        }
     }
 
     /// Draws a goal for an agent at `start` and plans a route to it. The goal of a car is any place but the start. The
-    /// goal of a pedestrian is in another block, so it is more than 3 cells away from the buildings of its own block.
-    /// If a goal cannot be reached, it draws again, up to 16 times in all.
+    /// goal of a pedestrian is in another block, so it is more than 3 cells away from the buildings of its own block;
+    /// on a road network it is any place but the start. If a goal cannot be reached, it draws again, up to 16 times in
+    /// all.
     ///
     /// # Errors
     /// If there is no such place, or none of those drawn can be reached.
@@ -494,40 +567,59 @@ impl Places {
         start: Cell,
         stream: &mut impl Rng,
     ) -> Result<Route, NoRoute> {
-        let near = self.near(kind, start);
-        let selection = self.selection(kind, near.as_ref());
-        let goals = selection.goals(start).ok_or(NoRoute::Goal)?;
-        let mut failure = NoRoute::Unconnected;
-        for _ in 0..GOAL_DRAWS {
-            let goal = goals.nth(stream.random_range(0..goals.count)).ok_or(NoRoute::Goal)?;
-            match router.plan(kind, start, goal) {
-                Ok(route) => return Ok(route),
-                Err(fault @ (NoRoute::Start | NoRoute::TooFar)) => return Err(fault),
-                Err(other) => failure = other,
+        self.with_goals(kind, start, |count, nth| {
+            if count == 0 {
+                return Err(NoRoute::Goal);
             }
-        }
-        Err(failure)
+            let mut failure = NoRoute::Unconnected;
+            for _ in 0..GOAL_DRAWS {
+                let goal = nth(stream.random_range(0..count)).ok_or(NoRoute::Goal)?;
+                match router.plan(kind, start, goal) {
+                    Ok(route) => return Ok(route),
+                    Err(fault @ (NoRoute::Start | NoRoute::TooFar)) => return Err(fault),
+                    Err(other) => failure = other,
+                }
+            }
+            Err(failure)
+        })
     }
 
-    /// The places within a trip's distance, if trips are limited.
-    fn near(&self, kind: AgentKind, start: Cell) -> Option<Numbering> {
-        let trip = self.trip?;
-        let around = |at: i32| at.saturating_sub(trip)..at.saturating_add(trip).saturating_add(1);
-        let all = &self.all[kind as usize].extent;
-        let extent = Rectangle {
-            rows: overlap(&around(start.row), &all.rows),
-            cols: overlap(&around(start.col), &all.cols),
-        };
-        Some(Numbering::new(self.of(kind), extent))
+    /// Calls a function with the number of possible goals of an agent at `start`, and with the goal of each number.
+    fn with_goals<T>(
+        &self,
+        kind: AgentKind,
+        start: Cell,
+        work: impl FnOnce(usize, &dyn Fn(usize) -> Option<Cell>) -> T,
+    ) -> T {
+        match &self.terrain {
+            Terrain::Blocks(blocks) => {
+                let near = self.trip.map(|trip| blocks.near(kind, start, trip));
+                match blocks.selection(kind, near.as_ref()).goals(start) {
+                    Some(goals) => work(goals.count, &|number| goals.nth(number)),
+                    None => work(0, &|_| None),
+                }
+            }
+            Terrain::Roads(places) => {
+                let all = &places[kind as usize];
+                let near: Option<Vec<Cell>> = self.trip.map(|trip| {
+                    let low = all.partition_point(|cell| cell.row < start.row.saturating_sub(trip));
+                    let high = all.partition_point(|cell| cell.row <= start.row.saturating_add(trip));
+                    let is_near = |cell: &&Cell| (cell.col - start.col).abs() <= trip;
+                    all[low..high].iter().filter(is_near).copied().collect()
+                });
+                let all = near.as_deref().unwrap_or(all);
+                let own = all.binary_search(&start).ok();
+                let nth = |number: usize| {
+                    all.get(number + usize::from(own.is_some_and(|own| own <= number)))
+                        .copied()
+                };
+                work(all.len() - usize::from(own.is_some()), &nth)
+            }
+        }
     }
 
     /// Returns the goals from which [`Places::draw_route`] draws, row by row.
     pub fn goals(&self, kind: AgentKind, start: Cell) -> Vec<Cell> {
-        let near = self.near(kind, start);
-        let selection = self.selection(kind, near.as_ref());
-        let goals = selection.goals(start);
-        goals.map_or_else(Vec::new, |goals| {
-            (0..goals.count).filter_map(|number| goals.nth(number)).collect()
-        })
+        self.with_goals(kind, start, |count, nth| (0..count).filter_map(nth).collect())
     }
 }

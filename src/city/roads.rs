@@ -1,4 +1,4 @@
-//! The road graph, routes of cars, and the [`Router`].
+//! The road graph of a map of blocks, routes of cars on it, and the [`Router`].
 //!
 //! Cars drive on a graph of lanes. Each side of each street between two intersections is a lane with a start node and
 //! an end node. At an intersection, each lane that ends there is connected to each lane that starts there: straight on,
@@ -11,6 +11,7 @@
 //! equal, so the route found between two lanes of one part is cached for all.
 // Decision: docs/decisions/city.md#d058
 
+use crate::city::drive::Driving;
 use crate::city::map::Strip;
 use crate::city::route::{NoRoute, Way, steps};
 use crate::city::walk::{search, walk};
@@ -24,7 +25,7 @@ use std::sync::Arc;
 use std::sync::atomic::{AtomicU64, Ordering};
 
 /// The cost of a turn or U-turn in addition to its length, in cells.
-const TURN_COST: u32 = 30;
+pub(super) const TURN_COST: u32 = 30;
 /// Rows and columns of blocks of the part in which routes are cached. A smaller map is one part.
 const PART: i32 = 8;
 
@@ -104,6 +105,32 @@ impl LanePlace {
     fn extent(self) -> [Range<i32>; 2] {
         let ends = [self.start(), self.end()];
         [0, 1].map(|axis| ends[0][axis].min(ends[1][axis])..ends[0][axis].max(ends[1][axis]))
+    }
+
+    /// The lane on the side of the street where the cell is.
+    fn beside(layout: &Layout, cell: Cell) -> Option<LanePlace> {
+        if !(0..layout.rows()).contains(&cell.row) || !(0..layout.cols()).contains(&cell.col) {
+            return None;
+        }
+        let place = |street: (Strip, i32), block: (Strip, i32), before, after| {
+            let side = match street.0 {
+                Strip::StreetBefore => before,
+                Strip::StreetAfter => after,
+                _ => return None,
+            };
+            let block = match block.0 {
+                Strip::LineBefore => block.1 - 1,
+                strip if strip.in_block() || strip == Strip::LineAfter => block.1,
+                _ => return None,
+            };
+            Some(LanePlace {
+                heading: side,
+                street: street.1,
+                block,
+            })
+        };
+        let (row, col) = (layout.strip(cell.row), layout.strip(cell.col));
+        place(row, col, Heading::Left, Heading::Right).or_else(|| place(col, row, Heading::Down, Heading::Up))
     }
 
     fn moved(self, [rows, cols]: [i32; 2]) -> LanePlace {
@@ -381,6 +408,14 @@ impl Turns {
 pub struct Router {
     map: Arc<CityMap>,
     routing: Routing,
+    /// The streets between blocks; `None` on a road network.
+    streets: Option<Streets>,
+}
+
+/// The streets of a map of blocks.
+#[derive(Debug)]
+struct Streets {
+    routing: Routing,
     /// The roads of the whole map.
     roads: Roads,
     /// The roads of a part.
@@ -393,15 +428,9 @@ pub struct Router {
 impl Router {
     /// Creates a router for a map. It takes at most 0.7 MB for any map.
     pub fn new(map: Arc<CityMap>, routing: Routing) -> Self {
-        let layout = map.layout;
-        let roads = |blocks| Roads { layout, blocks };
-        let part = roads(layout.blocks().map(|blocks| blocks.min(PART)));
-        let lanes = part.lanes() as usize;
         Router {
+            streets: map.layout().map(|layout| Streets::new(*layout, routing)),
             routing,
-            roads: roads(layout.blocks()),
-            part,
-            known: (0..lanes * lanes).map(|_| AtomicU64::new(0)).collect(),
             map,
         }
     }
@@ -416,15 +445,20 @@ impl Router {
         self.routing
     }
 
-    /// Returns the lanes: street by street, horizontal streets first, then block by block, the left-going or down-going
-    /// lane first.
+    /// Returns the lanes between blocks: street by street, horizontal streets first, then block by block, the
+    /// left-going or down-going lane first. [`CityMap::network`] has those of a road network.
     pub fn lanes(&self) -> impl ExactSizeIterator<Item = Lane> {
-        (0..self.roads.lanes()).map(|number| self.roads.lane(number))
+        let count = self.streets.as_ref().map_or(0, |streets| streets.roads.lanes());
+        (0..count).map(|number| self.streets.as_ref().expect("it has lanes").roads.lane(number))
     }
 
-    /// Returns the connections between lanes: the pairs of lane numbers whose end node and start node are connected.
+    /// Returns the connections between these lanes: the pairs of lane numbers whose end node and start node are
+    /// connected.
     pub fn connectors(&self) -> impl Iterator<Item = (usize, usize)> {
-        (0..self.roads.lanes()).flat_map(|from| self.roads.next(from).map(move |to| (from as usize, to as usize)))
+        self.streets.iter().flat_map(|streets| {
+            let roads = &streets.roads;
+            (0..roads.lanes()).flat_map(|from| roads.next(from).map(move |to| (from as usize, to as usize)))
+        })
     }
 
     /// Plans a route; equal arguments give equal routes. If the agent is at its goal, the route is that cell.
@@ -436,22 +470,29 @@ impl Router {
     /// If the agent cannot be at the start or at the goal, or cannot get from one to the other.
     pub fn plan(&self, kind: AgentKind, start: Cell, goal: Cell) -> Result<Route, NoRoute> {
         let mut way = Way::new(&self.map, kind, start);
-        match kind {
-            AgentKind::Car => self.drive(&mut way, goal)?,
-            AgentKind::Pedestrian => {
+        match (kind, &self.streets) {
+            (AgentKind::Car, Some(streets)) => streets.drive(&mut way, goal)?,
+            (AgentKind::Car, None) => self.network().drive(&mut way, goal)?,
+            (AgentKind::Pedestrian, streets) => {
                 if !self.map.is_walkable(start) {
                     return Err(NoRoute::Start);
                 }
                 if !self.map.is_walkable(goal) {
                     return Err(NoRoute::Goal);
                 }
-                match self.routing {
-                    Routing::Weighted => walk(&self.map.layout, goal, &mut way),
-                    Routing::Hops => search(&self.map, goal, &mut way)?,
+                match (self.routing, streets) {
+                    (Routing::Weighted, Some(streets)) => walk(&streets.roads.layout, goal, &mut way),
+                    (Routing::Weighted, None) | (Routing::Hops, _) => search(&self.map, goal, &mut way)?,
                 }
             }
         }
         Ok(way.finish())
+    }
+
+    /// The road network with the algorithm; only for maps that are not of blocks.
+    fn network(&self) -> Driving<'_> {
+        let roads = self.map.roads().expect("a map is of blocks or of roads");
+        Driving::new(roads, self.routing)
     }
 
     /// Returns given cells as a route, without consecutive repetitions. `None` if there are none, one is off the map,
@@ -469,9 +510,54 @@ impl Router {
         Some(way.finish())
     }
 
+    /// Returns the route to the car's goal that takes a direction at its next intersection; `None` if no street leads
+    /// there.
+    pub(super) fn turn(&self, agent: &Agent, turn: Turn) -> Option<Route> {
+        if agent.kind != AgentKind::Car {
+            return None;
+        }
+        let mut way = Way::new(&self.map, agent.kind, agent.cell);
+        match &self.streets {
+            Some(streets) => streets.turn(&mut way, agent, turn)?,
+            None => self.network().turn(&mut way, agent, turn)?,
+        }
+        Some(way.finish())
+    }
+
+    /// Returns the best route to the car's goal that leaves its next intersection in another direction than its route;
+    /// `None` if its route ends before, or there is no other street.
+    pub(super) fn reroute(&self, agent: &Agent) -> Option<Route> {
+        if agent.kind != AgentKind::Car {
+            return None;
+        }
+        let way = || Way::new(&self.map, agent.kind, agent.cell);
+        match &self.streets {
+            Some(streets) => streets.reroute(way, agent),
+            None => self.network().reroute(way, agent),
+        }
+    }
+}
+
+impl Streets {
+    fn new(layout: Layout, routing: Routing) -> Streets {
+        let roads = |blocks| Roads { layout, blocks };
+        let part = roads(layout.blocks().map(|blocks| blocks.min(PART)));
+        let lanes = part.lanes() as usize;
+        Streets {
+            routing,
+            roads: roads(layout.blocks()),
+            part,
+            known: (0..lanes * lanes).map(|_| AtomicU64::new(0)).collect(),
+        }
+    }
+
+    fn layout(&self) -> &Layout {
+        &self.roads.layout
+    }
+
     /// Plans the route of a car.
     fn drive(&self, way: &mut Way<'_>, goal: Cell) -> Result<(), NoRoute> {
-        let layout = &self.map.layout;
+        let layout = self.layout();
         let start = way.at();
         let first = self.lane_beside(start).ok_or(NoRoute::Start)?;
         let last = self.lane_beside(goal).ok_or(NoRoute::Goal)?;
@@ -490,7 +576,7 @@ impl Router {
 
     /// Continues a way from the end of a lane to the start of the last of the lanes that it enters after it.
     fn enter(&self, way: &mut Way<'_>, mut at: LanePlace, headings: impl Iterator<Item = Heading>) {
-        let layout = &self.map.layout;
+        let layout = self.layout();
         for (count, heading) in headings.enumerate() {
             if count > 0 {
                 way.straight(at.lane(layout).end);
@@ -501,23 +587,23 @@ impl Router {
         }
     }
 
-    /// Returns the route to the car's goal that takes a direction at its next intersection; `None` if no street leads
+    /// Continues a way to the car's goal that takes a direction at its next intersection; `None` if no street leads
     /// there.
-    pub(super) fn turn(&self, agent: &Agent, turn: Turn) -> Option<Route> {
+    fn turn(&self, way: &mut Way<'_>, agent: &Agent, turn: Turn) -> Option<()> {
         let lane = self.lane_ahead(agent)?;
         let heading = match turn {
             Turn::Straight => lane.heading,
             Turn::Right => lane.heading.clockwise(),
             Turn::Left => lane.heading.clockwise().opposite(),
         };
-        Some(self.turned(agent, lane, heading)?.0)
+        self.turned(way, agent, lane, heading).map(|_| ())
     }
 
     /// Returns the best route to the car's goal that leaves its next intersection in another direction than its route;
-    /// `None` if its route ends before, or there is no other street.
-    pub(super) fn reroute(&self, agent: &Agent) -> Option<Route> {
+    /// `None` if its route ends before, or there is no other street. `way` begins a way at the car.
+    fn reroute<'m>(&self, way: impl Fn() -> Way<'m>, agent: &Agent) -> Option<Route> {
         let lane = self.lane_ahead(agent)?;
-        let end = lane.lane(&self.map.layout).end;
+        let end = lane.lane(self.layout()).end;
         let mut nodes = std::iter::once((agent.cell, true))
             .chain(agent.stops_ahead())
             .filter(|(_, is_node)| *is_node)
@@ -525,24 +611,30 @@ impl Router {
         nodes.find(|&node| node == end)?;
         let planned = nodes.next()?;
         let is_other =
-            |&heading: &Heading| LanePlace::starting(lane.end(), heading).lane(&self.map.layout).start != planned;
+            |&heading: &Heading| LanePlace::starting(lane.end(), heading).lane(self.layout()).start != planned;
         let others = Heading::ALL.into_iter().filter(is_other);
-        let routes = others.filter_map(|heading| self.turned(agent, lane, heading));
+        let routes = others.filter_map(|heading| {
+            let mut way = way();
+            let (lanes, turns) = self.turned(&mut way, agent, lane, heading)?;
+            let route = way.finish();
+            let cost = match self.routing {
+                Routing::Hops => lanes,
+                Routing::Weighted => route.steps() + TURN_COST as usize * turns,
+            };
+            Some((route, cost))
+        });
         routes.min_by_key(|(_, cost)| *cost).map(|(route, _)| route)
     }
 
     /// The lane whose end is the car's next intersection: that beside it or, in an intersection, the next of its route.
     fn lane_ahead(&self, agent: &Agent) -> Option<LanePlace> {
-        if agent.kind != AgentKind::Car {
-            return None;
-        }
         let next = || agent.stops_ahead().find(|(_, is_node)| *is_node);
         (self.lane_beside(agent.cell)).or_else(|| self.lane_beside(next()?.0))
     }
 
-    /// The best route that continues from the end of a lane with a heading, with its cost; `None` if no lane starts
-    /// there.
-    fn turned(&self, agent: &Agent, lane: LanePlace, heading: Heading) -> Option<(Route, u32)> {
+    /// Continues a way by the best one that leaves the end of a lane with a heading. Returns the numbers of its lanes
+    /// and of its turns; `None` if no lane starts there.
+    fn turned(&self, way: &mut Way<'_>, agent: &Agent, lane: LanePlace, heading: Heading) -> Option<(usize, usize)> {
         let next = LanePlace::starting(lane.end(), heading);
         self.roads.number(next)?;
         let goal = agent.goal();
@@ -554,7 +646,6 @@ impl Router {
                 Found::Long(more) => headings.extend(more),
             }
         }
-        let mut way = Way::new(&self.map, agent.kind, agent.cell);
         if self.lane_beside(agent.cell).is_none() {
             // It crosses the intersection as planned.
             for (cell, is_node) in agent.stops_ahead() {
@@ -564,19 +655,14 @@ impl Router {
                 }
             }
         }
-        let end = lane.lane(&self.map.layout).end;
+        let end = lane.lane(self.layout()).end;
         way.bend(end, rows_first_out(way.at(), end));
         let all = std::iter::once(lane.heading).chain(headings.iter().copied());
         let turns = all.zip(&headings).filter(|(from, to)| from != *to).count();
         let lanes = headings.len();
-        self.enter(&mut way, lane, headings.into_iter());
+        self.enter(way, lane, headings.into_iter());
         way.bend(goal, !rows_first_out(goal, way.at()));
-        let route = way.finish();
-        let cost = match self.routing {
-            Routing::Hops => lanes,
-            Routing::Weighted => route.steps() + TURN_COST as usize * turns,
-        };
-        Some((route, u32::try_from(cost).unwrap_or(u32::MAX)))
+        Some((lanes, turns))
     }
 
     /// The headings of the lanes that a best route between two lanes enters after the first.
@@ -620,29 +706,7 @@ impl Router {
 
     /// The lane on the side of the street where the cell is.
     fn lane_beside(&self, cell: Cell) -> Option<LanePlace> {
-        if !self.map.contains(cell) {
-            return None;
-        }
-        let layout = &self.map.layout;
-        let place = |street: (Strip, i32), block: (Strip, i32), before, after| {
-            let side = match street.0 {
-                Strip::StreetBefore => before,
-                Strip::StreetAfter => after,
-                _ => return None,
-            };
-            let block = match block.0 {
-                Strip::LineBefore => block.1 - 1,
-                strip if strip.in_block() || strip == Strip::LineAfter => block.1,
-                _ => return None,
-            };
-            Some(LanePlace {
-                heading: side,
-                street: street.1,
-                block,
-            })
-        };
-        let (row, col) = (layout.strip(cell.row), layout.strip(cell.col));
-        place(row, col, Heading::Left, Heading::Right).or_else(|| place(col, row, Heading::Down, Heading::Up))
+        LanePlace::beside(self.layout(), cell)
     }
 }
 
@@ -659,6 +723,21 @@ fn rows_first_out(place: Cell, node: Cell) -> bool {
 }
 
 impl Layout {
+    /// Returns a number of the lane on the side of the street where the cell is, and the steps along it.
+    pub(super) fn place_on_lane(&self, cell: Cell) -> Option<(u32, u32)> {
+        let place = LanePlace::beside(self, cell)?;
+        let roads = Roads {
+            layout: *self,
+            blocks: self.blocks(),
+        };
+        let start = place.lane(self).start;
+        let steps = match place.is_horizontal() {
+            true => cell.col.abs_diff(start.col),
+            false => cell.row.abs_diff(start.row),
+        };
+        Some((roads.number(place)?, steps))
+    }
+
     /// Returns the first and last cell of the lanes along a block: the outlines of the two intersections.
     pub fn lane_ends(&self, block: i32) -> (i32, i32) {
         let built = self.built_span(block);

@@ -21,8 +21,9 @@ pub enum NoRoute {
 
 /// A route from a start to a goal.
 ///
-/// It is split into straight pieces where a move must end: at corners and at nodes of the road graph. So an agent needs
-/// only the heading and the length of its current piece.
+/// It is split into straight pieces. A move ends at the end of a piece: at a corner or at a node of the road graph. So an
+/// agent needs only the heading and the length of its current piece. On a road network, whose lanes run in any
+/// direction, a move may pass corners within a lane, and an agent faces the direction in which the lane runs.
 #[derive(Clone, Debug, PartialEq, Eq)]
 pub struct Route {
     start: Cell,
@@ -31,6 +32,8 @@ pub struct Route {
     /// Steps from the start to the goal.
     steps: u32,
     starts_at_node: bool,
+    /// Whether a move may go on behind some piece.
+    has_passed_corners: bool,
 }
 
 /// A straight piece: at least one step in one direction.
@@ -39,21 +42,67 @@ pub(super) struct Piece(u32);
 
 impl Piece {
     fn new(heading: Heading, steps: u32, ends_at_node: bool) -> Self {
-        Piece(steps << 3 | u32::from(ends_at_node) << 2 | heading as u32)
+        Piece(steps << 6 | (heading as u32) << 4 | u32::from(ends_at_node) << 2 | heading as u32)
+    }
+
+    /// A piece on which agents face another direction than that of their steps.
+    fn facing_to(self, facing: Heading) -> Piece {
+        Piece(self.0 & !(3 << 4) | (facing as u32) << 4)
+    }
+
+    /// A piece that moves pass.
+    fn passed(self) -> Piece {
+        Piece(self.0 | 1 << 3)
     }
 
     pub(super) fn heading(self) -> Heading {
         Heading::ALL[(self.0 & 3) as usize]
     }
 
+    /// The direction that agents face on it.
+    pub(super) fn facing(self) -> Heading {
+        Heading::ALL[(self.0 >> 4 & 3) as usize]
+    }
+
     /// The number of steps.
     pub(super) fn steps(self) -> u32 {
-        self.0 >> 3
+        self.0 >> 6
     }
 
     pub(super) fn ends_at_node(self) -> bool {
         self.0 & 4 != 0
     }
+
+    /// Whether a move may go on to the next piece.
+    pub(super) fn is_passed(self) -> bool {
+        self.0 & 8 != 0
+    }
+}
+
+/// The steps before and behind a step that determine the direction of a path there.
+const AROUND_STEP: usize = 4;
+
+/// Returns the direction in which a path of cells runs at each of its cells: the one that most steps around it have;
+/// among equally many, that of the cell before.
+pub(super) fn facings(cells: &[Cell]) -> Vec<Heading> {
+    let steps: Vec<Heading> = (cells.windows(2))
+        .filter_map(|pair| Heading::between(pair[0], pair[1]))
+        .collect();
+    let mut facing = steps.first().copied();
+    let mut facings: Vec<Heading> = Vec::with_capacity(cells.len());
+    for (at, step) in steps.iter().enumerate() {
+        let around = &steps[at.saturating_sub(AROUND_STEP)..(at + AROUND_STEP + 1).min(steps.len())];
+        let count = |heading: Heading| around.iter().filter(|&&other| other == heading).count();
+        let before = facing.unwrap_or(*step);
+        let best = Heading::ALL
+            .into_iter()
+            .max_by_key(|&heading| (count(heading), heading == before, heading == *step));
+        facing = best;
+        facings.push(best.unwrap_or(*step));
+    }
+    // A path of one cell runs nowhere.
+    facings.extend(facing.or((cells.len() == 1).then_some(Heading::Left)));
+    facings
 }
 
 impl Route {
@@ -98,6 +147,12 @@ impl Route {
         self.starts_at_node.then_some(self.start).into_iter().chain(ends)
     }
 
+    /// Whether a move may go on behind some piece.
+    #[inline]
+    pub(super) fn has_passed_corners(&self) -> bool {
+        self.has_passed_corners
+    }
+
     /// The piece with this index.
     pub(super) fn piece(&self, index: u32) -> Option<Piece> {
         self.pieces.get(index as usize).copied()
@@ -108,6 +163,56 @@ impl Route {
         std::mem::size_of_val(&*self.pieces)
     }
 }
+
+impl Route {
+    /// Splits the pieces where the direction of the path changes, and lets moves pass the corners within a lane. A move
+    /// never passes a node, and never comes back toward where it began, so that it is as long as the distance between
+    /// its ends.
+    fn smooth(&mut self) {
+        let cells: Vec<Cell> = self.cells().collect();
+        let facings = facings(&cells);
+        let mut pieces: Vec<Piece> = Vec::with_capacity(self.pieces.len());
+        let mut at = 0;
+        for piece in &self.pieces {
+            let end = at + piece.steps() as usize;
+            while at < end {
+                let same = facings[at..end]
+                    .iter()
+                    .take_while(|&&facing| facing == facings[at])
+                    .count();
+                let is_last = at + same == end;
+                let steps = u32::try_from(same).expect("a piece has 26 bits of steps");
+                let part = Piece::new(piece.heading(), steps, is_last && piece.ends_at_node());
+                pieces.push(part.facing_to(facings[at]));
+                at += same;
+            }
+        }
+        for at in 1..pieces.len() {
+            let (last, next) = (pieces[at - 1], pieces[at]);
+            let mut before = pieces[..at].iter().rev();
+            let mut steps = 0;
+            let turns_back = loop {
+                match before.next() {
+                    Some(piece) if steps < MOVE_MAX => {
+                        if piece.heading() == next.heading().opposite() {
+                            break true;
+                        }
+                        steps += piece.steps();
+                    }
+                    _ => break false,
+                }
+            };
+            if !last.ends_at_node() && !turns_back {
+                pieces[at - 1] = last.passed();
+            }
+        }
+        self.has_passed_corners = pieces.iter().any(|piece| piece.is_passed());
+        self.pieces = pieces.into();
+    }
+}
+
+/// The steps of a move within which a route must not turn back, if the move is to pass the corner.
+const MOVE_MAX: u32 = 3;
 
 /// Returns the first and last of these cells of a route, and the cells between them where it turns.
 pub fn corners(cells: impl Iterator<Item = Cell>) -> Vec<[i32; 2]> {
@@ -229,13 +334,18 @@ impl<'m> Way<'m> {
     }
 
     pub(super) fn finish(self) -> Route {
-        Route {
+        let mut route = Route {
             starts_at_node: self.is_node(self.start),
             start: self.start,
             goal: self.at,
             steps: self.steps,
             pieces: self.pieces.as_slice().into(),
+            has_passed_corners: false,
+        };
+        if self.map.network().is_some() {
+            route.smooth();
         }
+        route
     }
 }
 

@@ -1,7 +1,8 @@
 //! Finds the cells of zones.
 
 use crate::city::codes;
-use crate::city::{Area, Building, Buildings, CityMap, Landmarks, MapConfig, Rectangle, Sample, ZoneConfig, ZonePart};
+use crate::city::{Area, Building, Buildings, CityMap, Landmarks, Layout, MapConfig, Rectangle};
+use crate::city::{Sample, ZoneConfig, ZonePart};
 use crate::diag::{self, Diagnostic};
 use crate::located::Located;
 use crate::rng::{Purpose, RngExt, Seed};
@@ -60,25 +61,32 @@ fn cells(zone: &ZoneConfig, config: &MapConfig, map: &CityMap, room: &mut usize)
         name.value,
         missing.join(" and no ")
     );
-    Err(Diagnostic::new(codes::INVALID_MAP, message)
-        .at(name.span, "this zone")
-        .also(config.buildings.span, "the buildings")
-        .help("add such a building to the map, choose another kind, or remove the zone"))
+    let fault = Diagnostic::new(codes::INVALID_MAP, message).at(name.span, "this zone");
+    let fault = match config.blocks() {
+        Some(blocks) => fault.also(blocks.buildings.span, "the buildings"),
+        None => fault,
+    };
+    Err(fault.help("add such a building to the map, choose another kind, or remove the zone"))
 }
 
 /// Returns the landmarks of a part.
 fn landmarks(part: &Located<ZonePart>, config: &MapConfig, map: &CityMap) -> Result<Vec<Rectangle>, Diagnostic> {
-    let layout = &map.layout;
-    let ([rows, cols], blocks) = ([map.rows(), map.cols()], layout.blocks());
+    let [rows, cols] = [map.rows(), map.cols()];
     let invalid = |message: String, help: String| {
         let fault = Diagnostic::new(codes::INVALID_MAP, message).at(part.span, "this part of the zone");
         fault.help(help)
     };
-    let block = |[row, col]: [i32; 2]| Rectangle {
+    let layout = map.layout().ok_or_else(|| {
+        invalid(
+            "the map is a road network, which has no blocks, streets with numbers or buildings".into(),
+            "give the cells of the zone, for example `{rows: [41, 61], cols: [41, 61]}`".into(),
+        )
+    });
+    let block = |layout: &Layout, [row, col]: [i32; 2]| Rectangle {
         rows: layout.block_start(row)..layout.block_start(row) + layout.block_side(),
         cols: layout.block_start(col)..layout.block_start(col) + layout.block_side(),
     };
-    let street = |number: u32, blocks: i32, direction: &str, edge: &str| {
+    let street = |layout: &Layout, number: u32, blocks: i32, direction: &str, edge: &str| {
         let streets = blocks.unsigned_abs() + 1;
         match (1..=streets).contains(&number) {
             true => Ok(layout.street_span(number.cast_signed() - 1)),
@@ -110,24 +118,35 @@ fn landmarks(part: &Located<ZonePart>, config: &MapConfig, map: &CityMap) -> Res
             }]
         }
         Landmarks::Block([row, col]) => {
-            let [block_rows, block_cols] = blocks.map(i32::unsigned_abs);
+            let layout = layout?;
+            let [block_rows, block_cols] = layout.blocks().map(i32::unsigned_abs);
             if !(1..=block_rows).contains(&row) || !(1..=block_cols).contains(&col) {
                 let message = format!("the map has no block [{row}, {col}]");
                 let help = format!("its blocks are [1, 1] to [{block_rows}, {block_cols}]: row and column of blocks");
                 return Err(invalid(message, help));
             }
-            vec![block([row, col].map(|number| number.cast_signed() - 1))]
+            vec![block(layout, [row, col].map(|number| number.cast_signed() - 1))]
         }
-        Landmarks::HorizontalStreet(number) => vec![Rectangle {
-            rows: street(number, blocks[0], "horizontal", "upper")?,
-            cols: 0..cols,
-        }],
-        Landmarks::VerticalStreet(number) => vec![Rectangle {
-            rows: 0..rows,
-            cols: street(number, blocks[1], "vertical", "left")?,
-        }],
-        Landmarks::Buildings(kind) => map.buildings_of(kind).collect(),
+        Landmarks::HorizontalStreet(number) => {
+            let layout = layout?;
+            vec![Rectangle {
+                rows: street(layout, number, layout.blocks()[0], "horizontal", "upper")?,
+                cols: 0..cols,
+            }]
+        }
+        Landmarks::VerticalStreet(number) => {
+            let layout = layout?;
+            vec![Rectangle {
+                rows: 0..rows,
+                cols: street(layout, number, layout.blocks()[1], "vertical", "left")?,
+            }]
+        }
+        Landmarks::Buildings(kind) => {
+            layout?;
+            map.buildings_of(kind).collect()
+        }
         Landmarks::SomeBuildings(kind, sample) => {
+            layout?;
             let all = map.buildings_of(kind).collect();
             let index = Building::ALL.iter().zip(1..).find(|(known, _)| **known == kind);
             drawn(all, sample, config, index.map_or(0, |(_, index)| index)).map_err(|count| {
@@ -143,8 +162,10 @@ fn landmarks(part: &Located<ZonePart>, config: &MapConfig, map: &CityMap) -> Res
             })?
         }
         Landmarks::SomeBlocks(sample) => {
+            let layout = layout?;
+            let blocks = layout.blocks();
             let all = (0..blocks[0]).flat_map(|row| (0..blocks[1]).map(move |col| [row, col]));
-            drawn(all.map(block).collect(), sample, config, 0).map_err(|count| {
+            drawn(all.map(|place| block(layout, place)).collect(), sample, config, 0).map_err(|count| {
                 let message = format!("cannot draw {} blocks: the map has {count}", sample.count);
                 invalid(message, "use a smaller `sample_blocks`".into())
             })?
@@ -158,10 +179,12 @@ fn drawn(mut all: Vec<Rectangle>, sample: Sample, config: &MapConfig, index: u64
     if count > available {
         return Err(available);
     }
-    let seed = sample.seed.unwrap_or(match config.buildings.value {
-        Buildings::Random { seed, .. } => seed,
-        Buildings::Fixed(_) => 0,
-    });
+    let seed = sample
+        .seed
+        .unwrap_or(match config.blocks().map(|blocks| &blocks.buildings.value) {
+            Some(Buildings::Random { seed, .. }) => *seed,
+            Some(Buildings::Fixed(_)) | None => 0,
+        });
     let mut stream = Seed(seed).stream(Purpose::ZONES, index, 0);
     for at in 0..count {
         all.swap(at, stream.random_range(at..available));

@@ -1,7 +1,7 @@
 //! `logicity bench`: measures how fast this machine evaluates rules, simulates cities and draws pictures.
 
 use crate::cancel::Cancel;
-use crate::city::{Action, AgentSet, Building, Buildings, MapConfig, Split};
+use crate::city::{Action, Blocks, Building, Buildings, Split, Terrain};
 use crate::city::{Agent, Cell};
 use crate::cli::failure::Failure;
 use crate::cli::limits::LimitOptions;
@@ -793,37 +793,37 @@ fn print(mut result: Value, arguments: &Arguments) -> Result<(), Failure> {
     Ok(())
 }
 
-/// Repeats the agent list of a split until it has `agents` agents. Resizes the map so that the density stays the same:
-/// in the region of starts and goals if the split has one, else on the whole map.
+/// Repeats the agent list of a split until it has `agents` agents. Resizes a map of blocks so that the density stays the
+/// same: in the region of starts and goals if the split has one, else on the whole map.
 fn grow(scenario: &mut Scenario, split: Split, agents: u32) {
-    let period = {
-        let widths = scenario.map.widths.value;
-        widths.street + 2 * widths.sidewalk + 2 * widths.building + widths.inner_sidewalk
-    };
     let Some((_, set)) = scenario.splits.iter_mut().find(|(known, _)| *known == split) else {
         // Placing the agents reports the error.
         return;
     };
+    let before = set.repeat.max(1);
+    let once = (set.len() / before as usize).max(1);
+    set.repeat = u32::try_from((agents as usize).div_ceil(once)).expect("at most a million agents");
+    let Terrain::Blocks(Blocks {
+        blocks: size,
+        widths,
+        buildings,
+    }) = &mut scenario.map.terrain
+    else {
+        return;
+    };
+    let widths = widths.value;
+    let period = widths.street + 2 * widths.sidewalk + 2 * widths.building + widths.inner_sidewalk;
     let side = set.region.map_or_else(
-        || f64::from(scenario.map.blocks.value[0].min(scenario.map.blocks.value[1]) * period),
+        || f64::from(size.value[0].min(size.value[1]) * period),
         |region| f64::from(region.value),
     );
-    let once = (set.len() / set.repeat.max(1) as usize).max(1);
-    let repeat = u32::try_from((agents as usize).div_ceil(once)).expect("at most a million agents");
-    let blocks = side * (f64::from(repeat) / f64::from(set.repeat.max(1))).sqrt() / f64::from(period);
+    let blocks = side * (f64::from(set.repeat) / f64::from(before)).sqrt() / f64::from(period);
     #[allow(clippy::cast_possible_truncation, clippy::cast_sign_loss)] // at most a million agents
     let blocks = (blocks.ceil() as u32).clamp(2, 1000);
-    let AgentSet {
-        repeat: times,
-        region,
-        trip,
-        ..
-    } = set;
-    *times = repeat;
-    if trip.is_none() {
-        *trip = *region;
+    if set.trip.is_none() {
+        set.trip = set.region;
     }
-    *region = None;
+    set.region = None;
     let weights = [
         (Building::House, 0.2),
         (Building::Office, 0.2),
@@ -831,13 +831,7 @@ fn grow(scenario: &mut Scenario, split: Split, agents: u32) {
         (Building::Garage, 0.15),
         (Building::Store, 0.4),
     ];
-    let MapConfig {
-        name,
-        blocks: size,
-        buildings,
-        ..
-    } = &mut scenario.map;
-    *name = format!("{blocks}x{blocks}");
+    scenario.map.name = format!("{blocks}x{blocks}");
     size.value = [blocks; 2];
     buildings.value = Buildings::Random {
         seed: 1,

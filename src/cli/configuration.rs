@@ -1,7 +1,7 @@
 //! Checks a configuration for `logicity check`: its files, and whether rules, map and agents fit together.
 
 use crate::builtin::BuiltinFiles;
-use crate::city::{CityMap, MapConfig};
+use crate::city::{CityMap, MapConfig, Terrain};
 use crate::cli::failure::Failure;
 use crate::cli::load::missing_is_usage;
 use crate::cli::report::agents_in_words;
@@ -173,8 +173,17 @@ impl Checked {
     }
 
     pub fn json(&self) -> Value {
-        let [rows, cols] = self.map.blocks.value;
-        let map = json!({ "name": self.map.name, "blocks": [rows, cols], "cells": self.size });
+        let mut map = json!({ "name": self.map.name });
+        match &self.map.terrain {
+            Terrain::Blocks(blocks) => map["blocks"] = json!(blocks.blocks.value),
+            Terrain::Roads { roads } => {
+                let roads = &roads.value;
+                map["lanes"] = json!(roads.lanes.len());
+                map["junctions"] = json!(roads.junctions.len());
+                map["connections"] = json!(roads.connections.len());
+            }
+        }
+        map["cells"] = json!(self.size);
         let Some(scenario) = &self.scenario else {
             return json!({ "map": map });
         };
@@ -196,8 +205,20 @@ impl Checked {
     }
 
     pub fn print(&self, out: &mut impl Write, path: &Path) -> io::Result<()> {
-        let ([block_rows, block_cols], [rows, cols]) = (self.map.blocks.value, self.size);
-        let map = format!("{block_rows} x {block_cols} blocks, {rows} x {cols} cells");
+        let streets = match &self.map.terrain {
+            Terrain::Blocks(blocks) => {
+                let [rows, cols] = blocks.blocks.value;
+                format!("{rows} x {cols} blocks")
+            }
+            Terrain::Roads { roads } => {
+                let roads = &roads.value;
+                let [lanes, junctions] = [(roads.lanes.len(), "lane"), (roads.junctions.len(), "junction")]
+                    .map(|(count, what)| counted(count, what));
+                format!("{lanes}, {junctions}")
+            }
+        };
+        let [rows, cols] = self.size;
+        let map = format!("{streets}, {rows} x {cols} cells");
         let Some(scenario) = &self.scenario else {
             return writeln!(out, "{}: a map of {map}", path.display());
         };

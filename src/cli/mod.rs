@@ -24,6 +24,7 @@ mod limits;
 mod load;
 #[cfg(feature = "lsp")]
 mod lsp;
+mod map;
 mod memory;
 mod new;
 mod outputs;
@@ -100,6 +101,8 @@ enum Command {
     Questions(questions::Arguments),
     /// Generate or check data sets of Visual Action Prediction: pictures, boxes, facts and labels
     Vap(vap::Arguments),
+    /// Import road networks as maps
+    Map(map::Arguments),
     /// Plan one route and print its cells
     Route(route::Arguments),
     /// Draw sheets of the icons in pictures
@@ -250,6 +253,7 @@ fn run(mut command: clap::Command, arguments: &[OsString]) -> u8 {
         #[cfg(feature = "lsp")]
         Command::Lsp(arguments) => lsp::run(&arguments),
         Command::Icons(arguments) => icons::run(&arguments),
+        Command::Map(arguments) => map::run(&arguments, &mut sources),
         Command::Route(arguments) => route::run(&arguments, &mut sources),
         Command::Bench(arguments) => bench::run(&arguments, &mut sources),
         Command::Codes(arguments) => codes::run(&arguments),

@@ -98,6 +98,14 @@ where
     }
 }
 
+/// Parses a decimal number within a range.
+pub fn decimal(range: RangeInclusive<f64>) -> impl Fn(&str) -> Result<f64, String> + Clone + Send + Sync + 'static {
+    move |text: &str| {
+        let number = text.parse().ok().filter(|number| range.contains(number));
+        number.ok_or_else(|| format!("expected a number from {} to {}", range.start(), range.end()))
+    }
+}
+
 /// The maximum number of threads: each needs memory, and systems refuse to start several thousand.
 const THREADS_MAX: usize = 1024;
 

@@ -4,15 +4,17 @@
 //! for example whether a street has room for its lanes.
 
 use crate::city::{
-    ActionTable, AgentGroup, AgentKind, AgentSet, Building, Buildings, KindName, KindTable, MapConfig, OwnGroups,
+    ActionTable, AgentGroup, AgentKind, AgentSet, Blocks, Building, Buildings, KindName, KindTable, MapConfig,
+    OwnGroups,
 };
-use crate::city::{Routing, Split, TripEnds, Widths};
+use crate::city::{Routing, Split, Terrain, TripEnds, Widths};
 use crate::config::actions::actions;
 use crate::config::codes;
 use crate::config::compose::{AGENTS, Composer, Kind, MAP, PREDICATES, RUN, Read, TASK};
 use crate::config::kinds::{Kinds, kinds, kinds_help};
 use crate::config::model::*;
 use crate::config::predicates::{Concepts, Predicates, carried, check_kinds, predicates};
+use crate::config::roads;
 use crate::config::task;
 use crate::config::zones::{unknown_zones, zones};
 use crate::diag::{self, Diagnostic, Faults, MAX_FAULTS, Sources, Span};
@@ -124,7 +126,7 @@ const PARTS_OF_RUN: [(&str, Kind); 4] = [
 
 /// The keys of the parts of a run configuration, what each part is, and the keys that only such a part has.
 const PARTS: [(&str, &str, &[&str]); 4] = [
-    ("map", "a map", &["blocks", "widths", "buildings", "zones"]),
+    ("map", "a map", &["blocks", "widths", "buildings", "roads", "zones"]),
     ("agents", "agent sets", &["train", "val", "test"]),
     ("predicates", "predicates", &["define", "use"]),
     (
@@ -267,6 +269,36 @@ fn hash(scenario: &Scenario) -> String {
 fn map(map: &YamlNode, name: String, faults: &mut Vec<Diagnostic>) -> Option<MapConfig> {
     let mut fields = Fields::open(map, "a map", faults)?;
     fields.optional("base");
+    let roads = fields.optional("roads");
+    let terrain = match roads {
+        Some(node) => {
+            let of_blocks = ["blocks", "widths", "buildings"].map(|key| fields.optional(key));
+            if let Some(other) = of_blocks.into_iter().flatten().next() {
+                let message = "a map has either blocks or `roads`";
+                let fault = Diagnostic::new(yaml::codes::INVALID_VALUE, message).at(other.span, "beside `roads`");
+                faults.push(fault.also(node.span, "the roads").help("remove one of the two"));
+            }
+            roads::network(node, faults).map(|network| Terrain::Roads {
+                roads: Located {
+                    value: Arc::new(network),
+                    span: node.span,
+                },
+            })
+        }
+        None => map_of_blocks(map, &mut fields, faults).map(Terrain::Blocks),
+    };
+    let zones = fields
+        .optional("zones")
+        .map_or(Some(Vec::new()), |node| zones(node, faults));
+    fields.close(faults);
+    Some(MapConfig {
+        name,
+        terrain: terrain?,
+        zones: zones?,
+    })
+}
+
+fn map_of_blocks(map: &YamlNode, fields: &mut Fields<'_>, faults: &mut Vec<Diagnostic>) -> Option<Blocks> {
     let blocks = fields.required("blocks", faults).and_then(|node| {
         let [rows, cols] = list(node, "two numbers: rows and columns of blocks", faults)? else {
             invalid(node, "two numbers: rows and columns of blocks", faults);
@@ -286,16 +318,10 @@ fn map(map: &YamlNode, name: String, faults: &mut Vec<Diagnostic>) -> Option<Map
         let value = buildings(map, node, blocks, faults)?;
         Some(Located { value, span: node.span })
     });
-    let zones = fields
-        .optional("zones")
-        .map_or(Some(Vec::new()), |node| zones(node, faults));
-    fields.close(faults);
-    Some(MapConfig {
-        name,
+    Some(Blocks {
         blocks: blocks?,
         widths: widths?,
         buildings: buildings?,
-        zones: zones?,
     })
 }
 

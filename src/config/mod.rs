@@ -16,6 +16,7 @@ mod kinds;
 mod load;
 mod model;
 mod predicates;
+mod roads;
 mod sensors;
 mod shield;
 mod task;

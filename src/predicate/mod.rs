@@ -22,6 +22,7 @@
 //! the refinement. Property tests compare the fast forms with the definitions.
 // Decision: docs/decisions/city.md#d004
 
+mod ahead;
 mod colliding;
 mod concept;
 mod distance;
@@ -35,7 +36,9 @@ mod quantity;
 mod same;
 mod sees;
 mod side;
+mod sign;
 mod situation;
+mod yields;
 mod zone;
 
 use crate::city::{AgentKind, Area, Cell, CityMap, FieldOfView, Heading, Junction};
@@ -46,6 +49,7 @@ use crate::yaml::{Value, YamlNode};
 use serde::{Serialize, Serializer};
 use std::sync::Arc;
 
+pub use ahead::Ahead;
 pub use colliding::Colliding;
 pub use concept::Concept;
 pub use distance::Distance;
@@ -61,7 +65,9 @@ pub use same::SameIntersection;
 pub use sees::Sees;
 pub(crate) use sees::Views;
 pub use side::{LeftOf, RightOf};
+pub use sign::OnLaneWithSign;
 pub use situation::{Situations, Together};
+pub use yields::Yields;
 pub use zone::Zone;
 
 /// The state of an agent that predicates can see.
@@ -530,6 +536,8 @@ kinds! { $
         Near,
         /// The agent is on a lane for cars, on a sidewalk or on a crossing.
         OnLane,
+        /// The agent is on a lane with a sign at its end.
+        OnLaneWithSign,
     }
     Pair {
         /// The Euclidean distance is within bounds.
@@ -544,6 +552,10 @@ kinds! { $
         Colliding,
         /// Both are at or in the same intersection.
         SameIntersection,
+        /// The second is ahead of the first on its lane.
+        Ahead,
+        /// The lane of the first must yield to that of the second.
+        Yields,
         /// The second is in the field of view of the first.
         Sees,
     }

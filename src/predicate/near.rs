@@ -57,13 +57,13 @@ impl PredicateKind for Near {
 
 impl PlaceKind for Near {
     fn holds(&self, map: &CityMap, at: Cell) -> bool {
+        let Some(layout) = map.layout() else { return false };
         // The blocks that are near enough, whatever their buildings.
         let blocks = |at: i32, blocks: i32| {
-            let [first, last] =
-                [-1, 1].map(|sign| (at + sign * self.within.cast_signed()).div_euclid(map.layout.period()));
+            let [first, last] = [-1, 1].map(|sign| (at + sign * self.within.cast_signed()).div_euclid(layout.period()));
             (first - 1).max(0)..(last + 1).min(blocks)
         };
-        let [rows, cols] = map.layout.blocks();
+        let [rows, cols] = layout.blocks();
         blocks(at.row, rows).any(|block_row| {
             blocks(at.col, cols).any(|block_col| {
                 let number = block_row * cols + block_col;
@@ -72,8 +72,8 @@ impl PlaceKind for Near {
                     .filter(|(building, _)| **building == self.near)
                     .any(|(_, place)| {
                         let cells = Rectangle {
-                            rows: map.layout.building_span(block_row, place / 2),
-                            cols: map.layout.building_span(block_col, place % 2),
+                            rows: layout.building_span(block_row, place / 2),
+                            cols: layout.building_span(block_col, place % 2),
                         };
                         cells.grown(self.within).contains(at)
                     })

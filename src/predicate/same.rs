@@ -41,9 +41,8 @@ impl PairKind for SameIntersection {
     }
 
     fn relation(&self, map: &Arc<CityMap>) -> Junctions {
-        let span = map.layout.intersection_span(0);
         Junctions {
-            reach: (span.end - span.start - 1).min(Reach::FARTHEST),
+            reach: map.intersection_extent().min(Reach::FARTHEST),
             map: Arc::clone(map),
         }
     }

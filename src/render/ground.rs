@@ -2,7 +2,7 @@
 //!
 //! A pixel of the ground depends only on its place on the map, not on the part of the map in view.
 
-use crate::city::Building;
+use crate::city::{Building, Rectangle};
 use crate::city::{Cell, CityMap, Ground, Heading};
 use crate::render::class::{Class, Facing};
 use crate::render::clutter;
@@ -11,7 +11,6 @@ use crate::render::lattice::Lattice;
 use crate::render::picture::{Picture, Rgb};
 use crate::render::view::{Scale, Viewport};
 use crate::rng::{Purpose, RngExt, Seed};
-use std::ops::Range;
 
 impl Purpose {
     /// The texture of the ground.
@@ -258,15 +257,12 @@ pub(super) fn draw(map: &CityMap, icons: &Icons, view: &Viewport, look: Look) ->
     }
     if scale.cells == 1 {
         clutter::draw(map, view, look.seed, icons.difficulty().share(), &mut picture);
-        let layout = map.layout;
-        let [block_rows, block_cols] = layout.blocks();
-        let shown = |from: i32, cells: i32, blocks: i32| {
-            let block = |at: i32| at.div_euclid(layout.period()).clamp(0, blocks);
-            block(from)..(block(from + (cells - 1)) + 1).min(blocks)
+        let corner = view.corner;
+        let shown = Rectangle {
+            rows: corner.row..corner.row + view.rows,
+            cols: corner.col..corner.col + view.cols,
         };
-        let rows = shown(view.corner.row, view.rows, block_rows);
-        let cols = shown(view.corner.col, view.cols, block_cols);
-        for site in sites(map, look.first_building, rows, cols) {
+        for site in sites(map, look.first_building, &shown) {
             let size = (i64::from(site.side) * i64::from(scale.pixels)) as u32;
             let stamp = icons.stamp(&Class::building(site.building), site.instance, Facing::Up, size);
             let along = |start: i32, corner: i32| {
@@ -294,27 +290,13 @@ pub struct Site {
     pub side: i32,
 }
 
-/// Returns the buildings in a range of blocks.
-fn sites(map: &CityMap, first: u32, rows: Range<i32>, cols: Range<i32>) -> impl Iterator<Item = Site> + '_ {
-    let layout = map.layout;
-    let [_, block_cols] = layout.blocks();
-    let blocks = rows.flat_map(move |row| cols.clone().map(move |col| (row, col)));
-    blocks.flat_map(move |(row, col)| {
-        let number = row * block_cols + col;
-        (0..)
-            .zip(&map.buildings()[number as usize])
-            .map(move |(which, &building)| {
-                let (rows, cols) = (
-                    layout.building_span(row, which / 2),
-                    layout.building_span(col, which % 2),
-                );
-                Site {
-                    building,
-                    instance: first.wrapping_add((4 * number + which).cast_unsigned()),
-                    corner: Cell::new(rows.start, cols.start),
-                    side: rows.end - rows.start,
-                }
-            })
+/// Returns the buildings of the blocks that a rectangle touches.
+fn sites<'m>(map: &'m CityMap, first: u32, near: &Rectangle) -> impl Iterator<Item = Site> + use<'m> {
+    map.sites(near).map(move |(number, building, cells)| Site {
+        building,
+        instance: first.wrapping_add(number),
+        corner: Cell::new(cells.rows.start, cells.cols.start),
+        side: cells.rows.end - cells.rows.start,
     })
 }
 
@@ -366,7 +348,6 @@ impl GroundPlan {
                 _ => bands.push((1, runs)),
             }
         }
-        let [block_rows, block_cols] = map.layout.blocks();
         GroundPlan {
             colors: [
                 texture.meadow,
@@ -377,7 +358,7 @@ impl GroundPlan {
                 MID_LINE,
             ],
             bands,
-            sites: sites(map, look.first_building, 0..block_rows, 0..block_cols).collect(),
+            sites: sites(map, look.first_building, &map.whole()).collect(),
         }
     }
 }

@@ -1,7 +1,7 @@
 //! The legend beside the map and the status line above it.
 
-use crate::city::CityMap;
 use crate::city::{Action, ActionTable, AgentKind, Building};
+use crate::city::{CityMap, Layout};
 use crate::render::class::{Class, Facing};
 use crate::render::ground::{MID_LINE, PAINT, Texture, roof};
 use crate::render::icon::Icons;
@@ -185,7 +185,7 @@ pub(super) fn draw_static(
         tile(picture, x, y, ground.curb, ground.sidewalk)
     });
     let street = |picture: &mut Picture, x, y| tile(picture, x, y, ground.asphalt, ground.asphalt);
-    if map.layout.has_inner_streets() {
+    if map.has_crossings() {
         column.row("Crossing", None, |picture, x, y| {
             street(picture, x, y);
             for stripe in [-8, 0, 8] {
@@ -199,7 +199,7 @@ pub(super) fn draw_static(
             picture.fill(around(x + dash, y, 3, 0), MID_LINE);
         }
     });
-    if map.layout.has_inner_streets() {
+    if map.layout().is_some_and(Layout::has_inner_streets) {
         column.row("Stop line", None, |picture, x, y| {
             street(picture, x, y);
             picture.fill(around(x + 5, y, 1, 8), PAINT);

@@ -356,7 +356,7 @@ impl Renderer {
 mod tests {
     use super::*;
     use crate::city::Cell;
-    use crate::city::{Building, Buildings, MapConfig, Split, Widths};
+    use crate::city::{Blocks, Building, Buildings, MapConfig, Split, Terrain, Widths};
     use crate::diag::{Sources, Span};
     use crate::located::Located;
     use crate::render::{Difficulty, DrawingVersion, Facing, Scale};
@@ -373,15 +373,17 @@ mod tests {
         };
         let config = MapConfig {
             name: "test".into(),
-            blocks: Located { value: [2, 2], span },
-            widths: Located { value: widths, span },
-            buildings: Located {
-                value: Buildings::Random {
-                    seed: 4,
-                    weights: Building::ALL.map(|building| (building, 1.0)).to_vec(),
+            terrain: Terrain::Blocks(Blocks {
+                blocks: Located { value: [2, 2], span },
+                widths: Located { value: widths, span },
+                buildings: Located {
+                    value: Buildings::Random {
+                        seed: 4,
+                        weights: Building::ALL.map(|building| (building, 1.0)).to_vec(),
+                    },
+                    span,
                 },
-                span,
-            },
+            }),
             zones: Vec::new(),
         };
         CityMap::generate(&config).unwrap_or_else(|fault| panic!("{fault:?}"))

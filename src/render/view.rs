@@ -115,10 +115,12 @@ impl Extent {
             return Extent::whole(map);
         };
         let margin = i32::try_from(margin).unwrap_or(i32::MAX);
-        let layout = &map.layout;
         let rounded = |(first, last): (i32, i32), end: i32| {
             let (first, last) = (first.saturating_sub(margin), last.saturating_add(margin));
             let (first, last) = (first.max(0), last.min(end - 1));
+            let Some(layout) = map.layout() else {
+                return (first, last + 1 - first);
+            };
             let block = |at: i32| at.div_euclid(layout.period());
             let mut start = layout
                 .strip_edges(block(first))

@@ -3,7 +3,7 @@
 use crate::cases::cases;
 use crate::pages::{blocks, pages};
 use logicity::builtin::{self, BuiltinFiles, ReadWith};
-use logicity::city::{Action, AgentConfig, AgentKind, Buildings, Routing, Split, TripEnds};
+use logicity::city::{Action, AgentConfig, AgentKind, Buildings, MapConfig, Routing, Split, TripEnds};
 use logicity::config::{Scenario, load_map, load_scenario};
 use logicity::diag::{Diagnostic, MAX_FAULTS, Sources, render, to_json};
 use logicity::files::{BUILTIN_FOLDER, ReadError, ReadFile, read_text};
@@ -58,6 +58,15 @@ pub fn load_memory(files: &[(&str, &str)]) -> (Sources, Result<Scenario, Vec<Dia
     // With the built-in paths, for suggestions.
     let result = load_scenario(&mut sources, Path::new("main.yaml"), &ReadWith(read));
     (sources, result)
+}
+
+/// Loads a map from memory.
+pub fn load_memory_map(text: &str) -> Result<MapConfig, Vec<Diagnostic>> {
+    let read = |path: &Path| match path == Path::new("town.yaml") {
+        true => Ok(text.to_owned()),
+        false => builtin_only(path),
+    };
+    load_map(&mut Sources::new(), Path::new("town.yaml"), &ReadWith(read))
 }
 
 fn good(files: &[(&str, &str)]) -> Scenario {
@@ -516,7 +525,7 @@ fn bare_names_are_built_in_files() {
     let (long, short) = (good(&[("main.yaml", long)]), good(&[("main.yaml", short)]));
     assert_eq!((long.hash, long.rules.value), (short.hash, short.rules.value));
     let part = good(&[("main.yaml", "base: expert\nmap: {base: random-8x8, blocks: [9, 9]}\n")]);
-    assert_eq!(part.map.blocks.value, [9, 9]);
+    assert_eq!(part.map.blocks().unwrap().blocks.value, [9, 9]);
     // A file beside the configuration comes first.
     let own = "base: configs/expert.yaml\nview: 7\n";
     let text = "base: expert\nmap: square-5x5\n";
@@ -636,7 +645,7 @@ fn values_are_those_of_the_reference() {
     );
     assert_eq!(expert.actions.priority, Action::SAFEST_FIRST);
     assert_eq!(load(Path::new("vap-hard")).actions.priority, Action::STANDARD);
-    let Buildings::Fixed(rows) = &expert.map.buildings.value else {
+    let Buildings::Fixed(rows) = &expert.map.blocks().unwrap().buildings.value else {
         panic!("the paper's map has fixed buildings")
     };
     assert_eq!((rows.len(), rows[0].len()), (10, 10));
@@ -819,7 +828,10 @@ fn maps_are_found_by_path_and_by_name() {
     for name in ["square-5x5", "configs/maps/square-5x5.yaml"] {
         let mut sources = Sources::new();
         let map = load_map(&mut sources, Path::new(name), &builtin_only).expect("built in");
-        assert_eq!((map.name.as_str(), map.blocks.value), ("square-5x5", [5, 5]));
+        assert_eq!(
+            (map.name.as_str(), map.blocks().unwrap().blocks.value),
+            ("square-5x5", [5, 5])
+        );
     }
     let mut sources = Sources::new();
     let faults = load_map(&mut sources, Path::new("sqare-5x5"), &BuiltinFiles).expect_err("no such map");

@@ -3,7 +3,7 @@
 use crate::agreement::{go_the_same_way, multiply, simulation};
 use crate::shipped_world::{MODES, world};
 use logicity::cancel::Cancel;
-use logicity::city::{Action, AgentKind, Building, Buildings, Split, TripEnds};
+use logicity::city::{Action, AgentKind, Building, Buildings, Split, Terrain, TripEnds};
 use logicity::diag::codes;
 use logicity::rng::Seed;
 use logicity::sim::{Batch, Executor, Settings, Simulation, WINDOW_MAX, World};
@@ -260,8 +260,11 @@ fn slow_crowds_have_a_limit() {
         (set.region, set.repeat, set.cars) = (None, 300, Vec::new());
         set.pedestrians.truncate(1);
         set.pedestrians[0].count = 15;
-        scenario.map.blocks.value = [6, 6];
-        scenario.map.buildings.value = Buildings::Random {
+        let Terrain::Blocks(map) = &mut scenario.map.terrain else {
+            panic!("a map of blocks")
+        };
+        map.blocks.value = [6, 6];
+        map.buildings.value = Buildings::Random {
             seed: 1,
             weights: vec![(Building::House, 1.0)],
         };

@@ -29,6 +29,7 @@ mod proofs;
 mod properties;
 mod quantities;
 mod recorded;
+mod roads;
 #[path = "../root.rs"]
 mod root;
 mod schema;

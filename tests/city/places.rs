@@ -52,8 +52,8 @@ fn zones_have_the_cells_that_the_documents_name() {
     for at in cells(&map) {
         let expected = [
             (41..=61).contains(&at.row) && (7..=9).contains(&at.col),
-            map.layout.block_at(at) == Some(10),
-            is_around(&map, at, 4, |cell| map.layout.block_at(cell) == Some(10)),
+            map.layout().unwrap().block_at(at) == Some(10),
+            is_around(&map, at, 4, |cell| map.layout().unwrap().block_at(cell) == Some(10)),
             at.row < 11 || at.col >= 241 - 11 - 2,
             is_around(&map, at, 5, is_gas),
         ];
@@ -108,8 +108,8 @@ fn lanes_reach_from_node_to_node_of_the_road_graph() {
         let mut headings = BTreeMap::new();
         // The side of a street, from the mid line, and the place of the lane's nodes on it.
         let (side, offset) = (
-            map.layout.mid_line(0) - map.layout.street_start(0),
-            map.layout.lane_offset(),
+            map.layout().unwrap().mid_line(0) - map.layout().unwrap().street_start(0),
+            map.layout().unwrap().lane_offset(),
         );
         for lane in router.lanes() {
             for across in 1 - offset..=side - offset {
@@ -138,7 +138,7 @@ fn intersections_are_numbered_row_by_row() {
     let map = map("square-5x5", "    all: [{block: [1, 1]}]\n");
     let mut number = 0;
     for (row, col) in (0..6).flat_map(|row| (0..6).map(move |col| (row, col))) {
-        let cell = Cell::new(map.layout.mid_line(row), map.layout.mid_line(col));
+        let cell = Cell::new(map.layout().unwrap().mid_line(row), map.layout().unwrap().mid_line(col));
         let is_corner = [0, 5].contains(&row) && [0, 5].contains(&col);
         number += u32::from(!is_corner);
         for kind in AgentKind::ALL {

@@ -5,7 +5,8 @@ use crate::cases::cases;
 use logicity::builtin::BuiltinFiles;
 use logicity::city::codes;
 use logicity::city::{
-    Action, ActionTable, AgentGroup, AgentKind, AgentSet, Building, Buildings, MapConfig, Routing, Split,
+    Action, ActionTable, AgentGroup, AgentKind, AgentSet, Blocks, Building, Buildings, MapConfig, Routing, Split,
+    Terrain,
 };
 use logicity::city::{
     Agent, Cell, CityMap, Ground, Heading, Junction, Lane, Layout, MoveReason, NoRoute, Places, Route, Router,
@@ -41,9 +42,11 @@ fn located<T>(value: T) -> Located<T> {
 fn config(blocks: [u32; 2], widths: Widths, buildings: Buildings) -> MapConfig {
     MapConfig {
         name: "test".into(),
-        blocks: located(blocks),
-        widths: located(widths),
-        buildings: located(buildings),
+        terrain: Terrain::Blocks(Blocks {
+            blocks: located(blocks),
+            widths: located(widths),
+            buildings: located(buildings),
+        }),
         zones: Vec::new(),
     }
 }
@@ -137,8 +140,8 @@ impl Painted {
             outline: Array2::zeros(shape),
             inside: Array2::zeros(shape),
         };
-        painted.lay_blocks(&map.layout);
-        painted.lay_intersections(&map.layout);
+        painted.lay_blocks(map.layout().unwrap());
+        painted.lay_intersections(map.layout().unwrap());
         painted
     }
 
@@ -297,8 +300,8 @@ fn is_beside(map: &CityMap, lane: Lane, cell: Cell) -> bool {
     let (down, right) = (cell.row - lane.start.row, cell.col - lane.start.col);
     let along = rows * down + cols * right;
     // To the right of a heading (rows, cols) is (cols, -rows).
-    let right_of_mid_line = cols * down - rows * right + map.layout.lane_offset();
-    let half_street = map.layout.street_span(0).end / 2;
+    let right_of_mid_line = cols * down - rows * right + map.layout().unwrap().lane_offset();
+    let half_street = map.layout().unwrap().street_span(0).end / 2;
     (0..=lane.length().cast_signed()).contains(&along) && (1..=half_street).contains(&right_of_mid_line)
 }
 
@@ -436,8 +439,8 @@ proptest! {
             prop_assert_eq!(map.ground_at(cell), Some(painted.ground[place]));
             prop_assert_eq!(map.is_mid_line(cell), painted.mid_line[place]);
             prop_assert_eq!(map.building_at(cell).is_some(), painted.block[place] > 0);
-            prop_assert!(map.building_at(cell).is_none() || map.layout.block_at(cell) == number(&painted.block));
-            prop_assert_eq!(map.layout.block_at(cell).is_none(), map.is_drivable(cell));
+            prop_assert!(map.building_at(cell).is_none() || map.layout().unwrap().block_at(cell) == number(&painted.block));
+            prop_assert_eq!(map.layout().unwrap().block_at(cell).is_none(), map.is_drivable(cell));
             prop_assert_eq!(map.at_intersection(AgentKind::Car, cell), number(&painted.entrance));
             prop_assert_eq!(map.at_intersection(AgentKind::Pedestrian, cell), number(&painted.outline));
             prop_assert_eq!(map.in_intersection(cell), number(&painted.inside));
@@ -468,9 +471,9 @@ proptest! {
     ) {
         let building = |cell: Cell| map.building_at(cell);
         let router = Router::new(map.clone(), Routing::Weighted);
-        let reach = map.layout.sidewalk() + 1 + match ends {
+        let reach = map.layout().unwrap().sidewalk() + 1 + match ends {
             TripEnds::Curb => 0,
-            TripEnds::Lane => map.layout.mid_line(0) - map.layout.lane_offset(),
+            TripEnds::Lane => map.layout().unwrap().mid_line(0) - map.layout().unwrap().lane_offset(),
         };
         let on_line = |cell: Cell| match ends {
             TripEnds::Curb => map.ground_at(cell) == Some(Ground::Traffic),
@@ -511,7 +514,7 @@ proptest! {
                 let is_goal = |goal: &Cell| match kind {
                     AgentKind::Car => *goal != start,
                     AgentKind::Pedestrian => {
-                        let [from, to] = [start, *goal].map(|cell| map.layout.block_at(cell));
+                        let [from, to] = [start, *goal].map(|cell| map.layout().unwrap().block_at(cell));
                         *goal != start && (from.is_none() || from != to)
                     }
                 };
@@ -556,7 +559,7 @@ proptest! {
         for routing in [Routing::Weighted, Routing::Hops] {
             let router = Router::new(map.clone(), routing);
             let places = Places::new(&router, TripEnds::Curb, None, None);
-            let trips = Places::new(&router, TripEnds::Curb, None, Some(3 * map.layout.period().unsigned_abs()));
+            let trips = Places::new(&router, TripEnds::Curb, None, Some(3 * map.layout().unwrap().period().unsigned_abs()));
             prop_assume!(places.count(AgentKind::Car) > 0);
             let count = places.count(AgentKind::Car);
             let [start, far] = pick.map(|pick| places.nth(AgentKind::Car, pick.index(count)).unwrap());

@@ -63,7 +63,12 @@ impl Place {
         for (at, step) in self.path.iter().enumerate().rev() {
             let parent = &self.path[..at];
             value = match step {
-                Step::Item if parent.last() == Some(&Step::Key("blocks".into())) => json!([value, 1]),
+                Step::Item
+                    if [Some(&Step::Key("blocks".into())), Some(&Step::Key("size".into()))]
+                        .contains(&parent.last()) =>
+                {
+                    json!([value, 1])
+                }
                 Step::Item
                     if RANGES
                         .iter()

@@ -3,7 +3,7 @@
 
 use crate::cases::cases;
 use logicity::city::{
-    Action, AgentKind, Building, Buildings, Landmarks, MapConfig, Split, Widths, ZoneConfig, ZonePart,
+    Action, AgentKind, Blocks, Building, Buildings, Landmarks, MapConfig, Split, Terrain, Widths, ZoneConfig, ZonePart,
 };
 use logicity::city::{Cell, CityMap};
 use logicity::diag::{Sources, Span};
@@ -38,15 +38,17 @@ fn zoned(name: &str, block_cols: u32, widths: Widths, zones: &[Vec<[[u32; 2]; 2]
     };
     let config = MapConfig {
         name: name.into(),
-        blocks: Located {
-            value: [1, block_cols],
-            span,
-        },
-        widths: Located { value: widths, span },
-        buildings: Located {
-            value: Buildings::Fixed(vec![row(0), row(3)]),
-            span,
-        },
+        terrain: Terrain::Blocks(Blocks {
+            blocks: Located {
+                value: [1, block_cols],
+                span,
+            },
+            widths: Located { value: widths, span },
+            buildings: Located {
+                value: Buildings::Fixed(vec![row(0), row(3)]),
+                span,
+            },
+        }),
         zones: zones
             .iter()
             .enumerate()

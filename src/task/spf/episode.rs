@@ -96,14 +96,18 @@ pub struct OracleRun {
 impl MapIdentity {
     /// Returns the identity of a map.
     pub fn of(map: &CityMap) -> MapIdentity {
-        let layout = &map.layout;
-        let [rows, cols] = layout.blocks();
-        let (street, sidewalk) = (layout.street_span(0).len(), layout.sidewalk());
-        let (building, inner) = (layout.building_span(0, 0).len(), layout.inner_span(0).len());
         let mut hash = Sha256::new();
-        hash.update(format!("{rows} {cols} {street} {sidewalk} {building} {inner}"));
+        if let Some(layout) = map.layout() {
+            let [rows, cols] = layout.blocks();
+            let (street, sidewalk) = (layout.street_span(0).len(), layout.sidewalk());
+            let (building, inner) = (layout.building_span(0, 0).len(), layout.inner_span(0).len());
+            hash.update(format!("{rows} {cols} {street} {sidewalk} {building} {inner}"));
+        }
         for building in map.buildings().iter().flatten() {
             hash.update(format!(" {building:?}"));
+        }
+        if let Some(network) = map.network() {
+            hash.update(serde_json::to_vec(network).expect("a network has only finite numbers"));
         }
         MapIdentity {
             name: map.name.clone(),

@@ -44,7 +44,7 @@ fn every_layer_of_the_map_equals_the_recorded_one() {
     assert_eq!(layer(&map, |cell| map.building_at(cell)), building);
     let block_of_building = |cell| {
         map.building_at(cell)
-            .and_then(|_| map.layout.block_at(cell))
+            .and_then(|_| map.layout().unwrap().block_at(cell))
             .unwrap_or(0)
     };
     assert_eq!(layer(&map, block_of_building), block.mapv(|number| number as u32));

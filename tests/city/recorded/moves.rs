@@ -42,7 +42,7 @@ fn routes_equal_the_recorded_ones() {
                 AgentKind::Car => cars += 1,
                 AgentKind::Pedestrian => {
                     pedestrians += 1;
-                    let block = |cell| router.map().layout.block_at(cell).unwrap();
+                    let block = |cell| router.map().layout().unwrap().block_at(cell).unwrap();
                     assert_ne!(block(start), block(goal));
                     assert_eq!(route.steps(), other.steps(), "{start:?} to {goal:?}");
                 }

@@ -1,0 +1,507 @@
+//! Road networks of SUMO (`.net.xml`) as map files.
+//!
+//! The reader takes what the city has: lanes for cars and for pedestrians, junctions with their shapes, and connections
+//! with their direction, their right of way, and what they must yield to. The format is that of SUMO's network files:
+//! an edge has lanes, a junction has the list of its links (`intLanes`), and `request` says for each link which others
+//! have the right of way over it (`response`, a text of bits from the last link to the first).
+
+use crate::city::{Connection, Direction, LaneUse, Network, Point, RoadJunction, RoadLane, Sign, codes};
+use crate::diag::{Diagnostic, SourceId, Sources, Span};
+use roxmltree::{Document, Node, ParsingOptions};
+use std::collections::HashMap;
+use std::fmt::Write;
+
+/// The cells around the outermost point of a network.
+const MARGIN: f64 = 2.0;
+/// The width of a lane without one, in meters: SUMO's default.
+const WIDTH: f64 = 3.2;
+/// The distance within which the points of a shape are left out, in cells.
+const TOLERANCE: f64 = 0.25;
+/// The maximum number of elements and attributes of a file.
+const NODES_MAX: u32 = 20_000_000;
+
+/// Reads a network. A cell has sides of `cell` meters.
+///
+/// # Errors
+/// `invalid-map` with the place for a text that is no XML, that is no network, or that refers to what it does not have.
+pub fn import(sources: &Sources, source: SourceId, cell: f64) -> Result<Network, Diagnostic> {
+    let text = sources.text(source);
+    let options = ParsingOptions {
+        allow_dtd: false,
+        nodes_limit: NODES_MAX,
+        ..ParsingOptions::default()
+    };
+    let document = Document::parse_with_options(text, options).map_err(|error| {
+        let position = error.pos();
+        let at = offset(text, position.row, position.col);
+        let end = text[at..].chars().next().map_or(at, |first| at + first.len_utf8());
+        // The message of the parser ends with the place, which the diagnostic has.
+        let message = error.to_string();
+        let message = message.split(" at ").next().unwrap_or(&message).to_owned();
+        Diagnostic::new(
+            codes::INVALID_MAP,
+            format!("the file is not well-formed XML: {message}"),
+        )
+        .at(Span::new(source, at..end), "")
+        .help("export the network again, or repair this place")
+    })?;
+    let root = document.root_element();
+    let reader = Reader { source, cell };
+    if root.tag_name().name() != "net" {
+        let message = format!(
+            "the file is no network of SUMO: its root is `{}`, not `net`",
+            root.tag_name().name()
+        );
+        let help = match root.tag_name().name() {
+            "osm" => "name the file `….osm`, so that it is converted first",
+            _ => "give a file that netconvert or netgenerate has written, such as `town.net.xml`",
+        };
+        return Err(reader.fault(root, message).help(help));
+    }
+    reader.network(root)
+}
+
+/// Returns the offset of a place, whose row and column count from 1.
+fn offset(text: &str, row: u32, col: u32) -> usize {
+    let line_start = match row {
+        0 | 1 => 0,
+        _ => text
+            .match_indices('\n')
+            .nth(row as usize - 2)
+            .map_or(text.len(), |(at, _)| at + 1),
+    };
+    let in_line = text[line_start..].char_indices().nth(col.saturating_sub(1) as usize);
+    in_line.map_or(text.len(), |(at, _)| line_start + at)
+}
+
+struct Reader {
+    source: SourceId,
+    cell: f64,
+}
+
+/// A lane for cars or pedestrians, with what connections need.
+struct FoundLane<'x> {
+    lane: RoadLane,
+    edge: &'x str,
+    index: &'x str,
+}
+
+impl Reader {
+    fn fault(&self, node: Node<'_, '_>, message: String) -> Diagnostic {
+        // The start tag of a node says enough.
+        let range = node.range();
+        let text = &node.document().input_text()[range.clone()];
+        let end = text.find('>').map_or(range.end, |end| range.start + end + 1);
+        Diagnostic::new(codes::INVALID_MAP, message).at(Span::new(self.source, range.start..end), "")
+    }
+
+    fn attribute<'x>(&self, node: Node<'x, '_>, name: &str) -> Result<&'x str, Diagnostic> {
+        node.attribute(name).ok_or_else(|| {
+            let message = format!("the element `{}` has no attribute `{name}`", node.tag_name().name());
+            self.fault(node, message).help("export the network again, or add it")
+        })
+    }
+
+    /// Returns the name of an element, which lines of a map file hold as a word.
+    fn name<'x>(&self, node: Node<'x, '_>) -> Result<&'x str, Diagnostic> {
+        let name = self.attribute(node, "id")?;
+        if name.is_empty() || name.contains(|letter: char| letter.is_whitespace() || letter.is_control()) {
+            return Err(self
+                .fault(node, format!("the name `{name}` is empty or has a space"))
+                .help("rename it"));
+        }
+        Ok(name)
+    }
+
+    fn number(&self, node: Node<'_, '_>, name: &str, text: &str) -> Result<f64, Diagnostic> {
+        let value = text.parse().ok().filter(|value: &f64| value.is_finite());
+        value.ok_or_else(|| {
+            self.fault(node, format!("the attribute `{name}` is no number: `{text}`"))
+                .help("write for example `12.5`")
+        })
+    }
+
+    /// Reads the points of a shape in meters; y grows upwards.
+    fn shape(&self, node: Node<'_, '_>, text: &str) -> Result<Vec<Point>, Diagnostic> {
+        let points = text.split_ascii_whitespace().map(|word| {
+            let mut parts = word.split(',');
+            let (Some(x), Some(y)) = (parts.next(), parts.next()) else {
+                let message = format!("the attribute `shape` has no point at `{word}`");
+                return Err(self
+                    .fault(node, message)
+                    .help("a point is two or three numbers with commas: `12.5,3`"));
+            };
+            Ok(Point {
+                x: self.number(node, "shape", x)?,
+                y: self.number(node, "shape", y)?,
+            })
+        });
+        points.collect()
+    }
+
+    fn network(&self, root: Node<'_, '_>) -> Result<Network, Diagnostic> {
+        let elements = |name: &'static str| root.children().filter(move |node| node.has_tag_name(name));
+        let mut junctions = Vec::new();
+        let mut junction_numbers: HashMap<&str, u32> = HashMap::new();
+        // For each lane inside a junction, the junction and its number among the links.
+        let mut links: HashMap<&str, (usize, usize)> = HashMap::new();
+        let mut requests: Vec<Vec<&str>> = Vec::new();
+        for node in elements("junction").filter(|node| node.attribute("type") != Some("internal")) {
+            let name = self.name(node)?;
+            let number = junctions.len();
+            for (link, lane) in node
+                .attribute("intLanes")
+                .unwrap_or("")
+                .split_ascii_whitespace()
+                .enumerate()
+            {
+                links.insert(lane, (number, link));
+            }
+            let mut responses = Vec::new();
+            for request in node.children().filter(|node| node.has_tag_name("request")) {
+                let index: usize = self.attribute(request, "index")?.parse().unwrap_or(usize::MAX);
+                if index != responses.len() {
+                    let message = format!("expected the request with the index {}", responses.len());
+                    return Err(self
+                        .fault(request, message)
+                        .help("requests come in the order of their links"));
+                }
+                responses.push(self.attribute(request, "response")?);
+            }
+            requests.push(responses);
+            junction_numbers.insert(name, u32::try_from(number).expect("a file has few junctions"));
+            let shape = self.shape(node, node.attribute("shape").unwrap_or(""))?;
+            junctions.push(RoadJunction {
+                name: name.to_owned(),
+                shape,
+            });
+        }
+        let mut inner: HashMap<&str, Vec<Point>> = HashMap::new();
+        let mut found: Vec<FoundLane<'_>> = Vec::new();
+        for edge in elements("edge") {
+            self.edge(edge, &junction_numbers, &mut inner, &mut found)?;
+        }
+        let of_edge: HashMap<(&str, &str), u32> = (found.iter().zip(0..))
+            .map(|(found, number)| ((found.edge, found.index), number))
+            .collect();
+        // The lane behind each lane inside a junction: cars may wait between the two.
+        let mut behind: HashMap<String, &str> = HashMap::new();
+        for node in elements("connection").filter(|node| is_inner(node.attribute("from"))) {
+            if let (Some(from), Some(index), Some(via)) = (
+                node.attribute("from"),
+                node.attribute("fromLane"),
+                node.attribute("via"),
+            ) {
+                behind.insert(format!("{from}_{index}"), via);
+            }
+        }
+        let mut connections: Vec<(Connection, Option<(usize, usize)>)> = Vec::new();
+        for node in elements("connection").filter(|node| !is_inner(node.attribute("from"))) {
+            connections.extend(self.connection(node, &of_edge, &found, &inner, &behind, &links)?);
+        }
+        let of_link: HashMap<(usize, usize), u32> = (connections.iter().zip(0..))
+            .filter_map(|((_, link), number)| Some(((*link)?, number)))
+            .collect();
+        for (connection, link) in &mut connections {
+            let Some((junction, link)) = *link else { continue };
+            let Some(response) = requests[junction].get(link) else {
+                continue;
+            };
+            let foes = response.bytes().rev().enumerate().filter(|(_, bit)| *bit == b'1');
+            connection.yields_to = foes
+                .filter_map(|(foe, _)| of_link.get(&(junction, foe)).copied())
+                .collect();
+        }
+        let mut network = Network {
+            cell: self.cell,
+            size: [1, 1],
+            junctions,
+            lanes: found.into_iter().map(|found| found.lane).collect(),
+            connections: connections.into_iter().map(|(connection, _)| connection).collect(),
+        };
+        if network.lanes.iter().all(|lane| lane.usage != LaneUse::Drive) {
+            return Err(self
+                .fault(root, "the network has no lane for passenger cars".to_owned())
+                .help("the city needs at least one; export the network with streets for cars"));
+        }
+        scale(&mut network);
+        Ok(network)
+    }
+
+    /// Adds the lanes of an edge.
+    fn edge<'x>(
+        &self,
+        edge: Node<'x, '_>,
+        junctions: &HashMap<&str, u32>,
+        inner: &mut HashMap<&'x str, Vec<Point>>,
+        found: &mut Vec<FoundLane<'x>>,
+    ) -> Result<(), Diagnostic> {
+        let name = self.attribute(edge, "id")?;
+        let function = edge.attribute("function").unwrap_or("normal");
+        let junction = |name: &str| junctions.get(name).copied();
+        let to = match function {
+            "normal" => match junction(self.attribute(edge, "to")?) {
+                Some(junction) => Some(junction),
+                None => {
+                    let message = format!("the edge `{name}` leads to a junction that the network does not have");
+                    return Err(self.fault(edge, message).help("export the network again"));
+                }
+            },
+            // Its name is that of its junction with a number: `:J1_c0`.
+            _ => (name.strip_prefix(':'))
+                .and_then(|name| name.rsplit_once('_'))
+                .and_then(|(name, _)| junction(name)),
+        };
+        let first = found.len();
+        for lane in edge.children().filter(|node| node.has_tag_name("lane")) {
+            let id = self.name(lane)?;
+            let shape = self.shape(lane, self.attribute(lane, "shape")?)?;
+            let usage = match function {
+                "internal" => {
+                    inner.insert(id, shape);
+                    continue;
+                }
+                "crossing" => LaneUse::Crossing,
+                "walkingarea" => LaneUse::Place,
+                "connector" => continue,
+                _ if allows(lane, "passenger") => LaneUse::Drive,
+                _ if allows(lane, "pedestrian") => LaneUse::Walk,
+                _ => continue,
+            };
+            let least = if usage == LaneUse::Place { 3 } else { 2 };
+            if shape.len() < least {
+                // netconvert writes such places for junctions without room.
+                if usage != LaneUse::Drive {
+                    continue;
+                }
+                let message = format!("the lane `{id}` has {} points, expected at least {least}", shape.len());
+                return Err(self.fault(lane, message).help("export the network again"));
+            }
+            let width = lane
+                .attribute("width")
+                .map_or(Ok(WIDTH), |text| self.number(lane, "width", text))?;
+            let number = u32::try_from(found.len()).expect("a file has few lanes");
+            let beside = found[first..]
+                .iter_mut()
+                .last()
+                .filter(|beside| usage == LaneUse::Drive && beside.lane.usage == LaneUse::Drive && allows_change(lane));
+            if let Some(right) = beside {
+                right.lane.left = Some(number);
+            }
+            found.push(FoundLane {
+                lane: RoadLane {
+                    name: id.to_owned(),
+                    usage,
+                    to: if usage == LaneUse::Walk { None } else { to },
+                    left: None,
+                    shape,
+                    width: (width / self.cell * 100.0).round() / 100.0,
+                },
+                edge: name,
+                index: self.attribute(lane, "index")?,
+            });
+        }
+        Ok(())
+    }
+
+    /// Reads a connection between two lanes for cars, with the number of its link; `None` for other lanes.
+    #[allow(clippy::type_complexity)] // the junction and the number of the link
+    fn connection(
+        &self,
+        node: Node<'_, '_>,
+        of_edge: &HashMap<(&str, &str), u32>,
+        found: &[FoundLane<'_>],
+        inner: &HashMap<&str, Vec<Point>>,
+        behind: &HashMap<String, &str>,
+        links: &HashMap<&str, (usize, usize)>,
+    ) -> Result<Option<(Connection, Option<(usize, usize)>)>, Diagnostic> {
+        let lane = |edge: &str, index: &str| -> Result<Option<u32>, Diagnostic> {
+            let (edge, index) = (self.attribute(node, edge)?, self.attribute(node, index)?);
+            Ok(of_edge.get(&(edge, index)).copied())
+        };
+        let (Some(from), Some(to)) = (lane("from", "fromLane")?, lane("to", "toLane")?) else {
+            return Ok(None);
+        };
+        if [from, to]
+            .iter()
+            .any(|&lane| found[lane as usize].lane.usage != LaneUse::Drive)
+        {
+            return Ok(None);
+        }
+        let direction = match node.attribute("dir").unwrap_or("s") {
+            "l" | "L" => Direction::Left,
+            "r" | "R" => Direction::Right,
+            "t" => Direction::Around,
+            _ => Direction::Straight,
+        };
+        let sign = match (node.attribute("tl"), node.attribute("state").unwrap_or("M")) {
+            (Some(_), _) => Sign::Signal,
+            (None, "=") => Sign::Right,
+            (None, "s") => Sign::Stop,
+            (None, "w") => Sign::AllWayStop,
+            (None, "m") => Sign::Yield,
+            (None, _) => Sign::Priority,
+        };
+        let mut shape = Vec::new();
+        let mut link = None;
+        let mut via = node.attribute("via");
+        while let Some(lane) = via {
+            let Some(points) = inner.get(lane) else {
+                let message = format!("the connection goes over a lane `{lane}` that the network does not have");
+                return Err(self.fault(node, message).help("export the network again"));
+            };
+            shape.extend(points);
+            link = links.get(lane).copied().or(link);
+            via = behind.get(lane).copied().filter(|_| shape.len() < 1000);
+        }
+        let connection = Connection {
+            from,
+            to,
+            direction,
+            sign,
+            shape,
+            yields_to: Vec::new(),
+        };
+        Ok(Some((connection, link)))
+    }
+}
+
+fn is_inner(edge: Option<&str>) -> bool {
+    edge.is_some_and(|edge| edge.starts_with(':'))
+}
+
+/// Returns whether a lane is open to a class of traffic.
+fn allows(lane: Node<'_, '_>, class: &str) -> bool {
+    let has = |list: &str| list.split_ascii_whitespace().any(|word| word == class || word == "all");
+    match (lane.attribute("allow"), lane.attribute("disallow")) {
+        (Some(allowed), _) => has(allowed),
+        (None, Some(closed)) => !has(closed),
+        (None, None) => true,
+    }
+}
+
+/// Returns whether cars may change into a lane from the lane to its right.
+fn allows_change(lane: Node<'_, '_>) -> bool {
+    lane.attribute("changeRight").is_none_or(|classes| {
+        classes
+            .split_ascii_whitespace()
+            .any(|word| word == "passenger" || word == "all")
+    })
+}
+
+/// Turns positions in meters, whose y grows upwards, into cells, whose rows grow downwards.
+fn scale(network: &mut Network) {
+    let cell = network.cell;
+    let [mut low, mut high] = [[f64::INFINITY; 2], [f64::NEG_INFINITY; 2]];
+    let mut all: Vec<&mut Vec<Point>> = Vec::new();
+    all.extend(network.junctions.iter_mut().map(|junction| &mut junction.shape));
+    all.extend(network.lanes.iter_mut().map(|lane| &mut lane.shape));
+    all.extend(network.connections.iter_mut().map(|connection| &mut connection.shape));
+    for point in all.iter().flat_map(|shape| shape.iter()) {
+        for (axis, value) in [point.x, point.y].into_iter().enumerate() {
+            (low[axis], high[axis]) = (low[axis].min(value), high[axis].max(value));
+        }
+    }
+    for shape in all {
+        for point in shape.iter_mut() {
+            let round = |value: f64| (value * 100.0).round() / 100.0;
+            *point = Point {
+                x: round((point.x - low[0]) / cell + MARGIN),
+                y: round((high[1] - point.y) / cell + MARGIN),
+            };
+        }
+        simplify(shape);
+    }
+    #[allow(clippy::cast_possible_truncation, clippy::cast_sign_loss)] // the reader of maps limits sizes
+    let side = |axis: usize| ((high[axis] - low[axis]) / cell + 2.0 * MARGIN).ceil() as u32 + 1;
+    network.size = [side(1), side(0)];
+}
+
+/// Leaves out the points of a shape that are near the line through those around them (Douglas and Peucker, 1973).
+fn simplify(shape: &mut Vec<Point>) {
+    if shape.len() < 3 {
+        return;
+    }
+    let mut kept = vec![false; shape.len()];
+    (kept[0], kept[shape.len() - 1]) = (true, true);
+    let mut open = vec![(0, shape.len() - 1)];
+    while let Some((first, last)) = open.pop() {
+        let distances = (first + 1..last).map(|at| (at, distance(shape[at], shape[first], shape[last])));
+        let farthest = distances.max_by(|(_, one), (_, other)| one.total_cmp(other));
+        if let Some((at, _)) = farthest.filter(|(_, distance)| *distance > TOLERANCE) {
+            kept[at] = true;
+            open.extend([(first, at), (at, last)]);
+        }
+    }
+    let mut kept = kept.into_iter();
+    shape.retain(|_| kept.next().unwrap_or(true));
+}
+
+/// Returns the distance of a point from the segment between two others.
+fn distance(point: Point, from: Point, to: Point) -> f64 {
+    let (x, y) = (to.x - from.x, to.y - from.y);
+    let length = x * x + y * y;
+    let along = if length > 0.0 {
+        (((point.x - from.x) * x + (point.y - from.y) * y) / length).clamp(0.0, 1.0)
+    } else {
+        0.0
+    };
+    (point.x - from.x - along * x).hypot(point.y - from.y - along * y)
+}
+
+/// Returns a network as the text of a map file.
+pub fn map_file(network: &Network) -> String {
+    let mut text = String::new();
+    let points = |text: &mut String, shape: &[Point]| {
+        for point in shape {
+            let _ = write!(text, " {},{}", point.x, point.y);
+        }
+    };
+    let [rows, cols] = network.size;
+    let _ = writeln!(
+        text,
+        "roads:\n  cell: {}\n  size: [{rows}, {cols}]\n  junctions:",
+        network.cell
+    );
+    for junction in &network.junctions {
+        let _ = write!(text, "    - \"{}", escaped(&junction.name));
+        points(&mut text, &junction.shape);
+        text.push_str("\"\n");
+    }
+    text.push_str("  lanes:\n");
+    for lane in &network.lanes {
+        let _ = write!(text, "    - \"{} {}", escaped(&lane.name), lane.usage.name());
+        if let Some(to) = lane.to {
+            let _ = write!(text, " to={}", escaped(&network.junctions[to as usize].name));
+        }
+        if let Some(left) = lane.left {
+            let _ = write!(text, " left={}", escaped(&network.lanes[left as usize].name));
+        }
+        let _ = write!(text, " width={}", lane.width);
+        points(&mut text, &lane.shape);
+        text.push_str("\"\n");
+    }
+    let name = |lane: u32| escaped(&network.lanes[lane as usize].name);
+    text.push_str("  connections:\n");
+    for connection in &network.connections {
+        let (direction, sign) = (connection.direction.name(), connection.sign.name());
+        let _ = write!(
+            text,
+            "    - \"{} {} {direction} {sign}",
+            name(connection.from),
+            name(connection.to)
+        );
+        for &other in &connection.yields_to {
+            let other = &network.connections[other as usize];
+            let _ = write!(text, " yields={}>{}", name(other.from), name(other.to));
+        }
+        points(&mut text, &connection.shape);
+        text.push_str("\"\n");
+    }
+    text
+}
+
+/// Returns a name for a text in double quotes.
+fn escaped(name: &str) -> String {
+    name.replace('\\', "\\\\").replace('"', "\\\"")
+}

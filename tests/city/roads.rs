@@ -1,0 +1,430 @@
+//! Road networks: their import from SUMO, their raster, routes on them, and agents that follow these.
+//!
+//! The files in `tests/fixtures/networks` were made by netgenerate and netconvert 1.28 (PyPI `eclipse-sumo`): grids of
+//! each type of junction, spiders, random networks, and three networks with nodes and edges of our own (t-junction,
+//! five-arms, roundabout).
+
+use crate::cases::cases;
+use crate::config::load_memory_map;
+use logicity::city::{Action, ActionTable};
+use logicity::city::{
+    Agent, AgentConfig, AgentKind, AgentName, Cell, CityMap, Direction, Ground, LaneUse, MapConfig, Network, NoRoute,
+    Places, Router, Routing, Sign, Surroundings, Terrain, TripEnds, advance, possible_cells,
+};
+use logicity::diag::{Diagnostic, Sources};
+use logicity::rng::{Purpose, RngExt, Seed};
+use logicity::sumo;
+use std::collections::BTreeMap;
+use std::fs;
+use std::path::Path;
+use std::sync::Arc;
+
+const NETWORKS: [&str; 13] = [
+    "five-arms",
+    "grid-all-way-stop",
+    "grid-priority",
+    "grid-right",
+    "grid-signals",
+    "grid-walks",
+    "random-3",
+    "random-4",
+    "random-5",
+    "roundabout",
+    "spider-3",
+    "spider-5",
+    "t-junction",
+];
+
+fn text_of(name: &str) -> String {
+    let path = Path::new(env!("CARGO_MANIFEST_DIR")).join(format!("tests/fixtures/networks/{name}.net.xml"));
+    fs::read_to_string(path).unwrap()
+}
+
+fn import(text: &str, cell: f64) -> Result<Network, Diagnostic> {
+    let mut sources = Sources::new();
+    let source = sources.add("town.net.xml", text);
+    sumo::import(&sources, source, cell)
+}
+
+/// The map of a network, by way of its map file.
+fn map_of(name: &str, cell: f64) -> (Arc<CityMap>, Network) {
+    let network = import(&text_of(name), cell).unwrap();
+    let config = load_memory_map(&sumo::map_file(&network)).unwrap_or_else(|faults| panic!("{name}: {faults:?}"));
+    (Arc::new(CityMap::generate(&config).unwrap()), network)
+}
+
+fn number_of(network: &Network, lane: &str) -> usize {
+    network
+        .lanes
+        .iter()
+        .position(|known| known.name == lane)
+        .unwrap_or_else(|| panic!("no lane {lane}"))
+}
+
+#[test]
+fn a_map_file_holds_the_whole_network() {
+    for name in NETWORKS {
+        let network = import(&text_of(name), 1.0).unwrap();
+        let config: MapConfig = load_memory_map(&sumo::map_file(&network)).unwrap();
+        let Terrain::Roads { roads } = &config.terrain else {
+            panic!("no roads")
+        };
+        let json = |network: &Network| serde_json::to_string(network).unwrap();
+        assert_eq!(json(&roads.value), json(&network), "{name}");
+    }
+}
+
+#[test]
+fn each_lane_and_each_connection_is_on_the_ground() {
+    let mut counts = [0; 4];
+    for name in NETWORKS {
+        for cell in [0.8, 1.0, 2.5] {
+            let (map, network) = map_of(name, cell);
+            for lane in &network.lanes {
+                for point in &lane.shape {
+                    let at = Cell::new(point.y as i32, point.x as i32);
+                    let ground = map.ground_at(at).unwrap();
+                    match lane.usage {
+                        LaneUse::Drive => assert!(map.is_drivable(at), "{name} {} {at:?} {ground:?}", lane.name),
+                        LaneUse::Walk => assert!(map.is_walkable(at), "{name} {} {at:?} {ground:?}", lane.name),
+                        LaneUse::Crossing | LaneUse::Place => {}
+                    }
+                    counts[ground as usize] += 1;
+                }
+            }
+        }
+    }
+    assert!(
+        counts[Ground::Traffic as usize] > 1000 && counts[Ground::Walking as usize] > 50,
+        "{counts:?}"
+    );
+}
+
+#[test]
+fn routes_of_cars_lead_along_lanes_and_connections() {
+    let (mut planned, mut unconnected) = (0, 0);
+    for name in NETWORKS {
+        for routing in Routing::ALL {
+            let (map, _) = map_of(name, 1.0);
+            let router = Router::new(Arc::clone(&map), routing);
+            let places = Places::new(&router, TripEnds::Curb, None, None);
+            let count = places.count(AgentKind::Car);
+            assert!(count > 50, "{name}: {count} places");
+            let mut random = Seed(1).stream(Purpose::TEST, 0, 0);
+            for _ in 0..60 {
+                let [start, goal] =
+                    [(); 2].map(|()| places.nth(AgentKind::Car, random.random_range(0..count)).unwrap());
+                let route = match router.plan(AgentKind::Car, start, goal) {
+                    Ok(route) => route,
+                    Err(reason) => {
+                        assert_eq!(reason, NoRoute::Unconnected);
+                        unconnected += 1;
+                        continue;
+                    }
+                };
+                let cells: Vec<Cell> = route.cells().collect();
+                assert_eq!((cells[0], *cells.last().unwrap()), (start, goal));
+                for pair in cells.windows(2) {
+                    assert_eq!(pair[0].row.abs_diff(pair[1].row) + pair[0].col.abs_diff(pair[1].col), 1);
+                }
+                assert!(cells.iter().all(|&cell| map.is_drivable(cell)), "{name}");
+                assert_eq!(router.follow(AgentKind::Car, cells.iter().copied()), Some(route));
+                planned += 1;
+            }
+        }
+    }
+    assert!(planned > 1000 && unconnected < planned / 4, "{planned} {unconnected}");
+}
+
+/// The cost of a turn in cells, as `docs/decisions/city.md` gives it.
+const TURN_COST: usize = 30;
+
+/// The places of each cell on lanes for cars.
+fn places_on_lanes(map: &CityMap, network: &Network) -> BTreeMap<Cell, Vec<(usize, usize)>> {
+    let mut places: BTreeMap<Cell, Vec<(usize, usize)>> = BTreeMap::new();
+    for lane in 0..network.lanes.len() {
+        for (at, &cell) in map.lane_cells(lane).iter().enumerate() {
+            places.entry(cell).or_default().push((lane, at));
+        }
+    }
+    places
+}
+
+/// The least cost from one place on a lane to another, by relaxing all connections until nothing changes. For networks
+/// without lanes side by side.
+fn least_cost(map: &CityMap, network: &Network, from: (usize, usize), to: (usize, usize)) -> Option<usize> {
+    let mut at_start = vec![None; network.lanes.len()];
+    loop {
+        let mut changed = false;
+        for (number, connection) in network.connections.iter().enumerate() {
+            let [lane, next] = [connection.from, connection.to].map(|lane| lane as usize);
+            let last = map.lane_cells(lane).len() - 1;
+            let here = (lane == from.0).then(|| last - from.1);
+            let behind = at_start[lane].map(|cost: usize| cost + last);
+            let Some(at_end) = here.into_iter().chain(behind).min() else {
+                continue;
+            };
+            let turn = if connection.direction == Direction::Straight {
+                0
+            } else {
+                TURN_COST
+            };
+            let cost = at_end + map.connection_cells(number).len() + 1 + turn;
+            if at_start[next].is_none_or(|known| cost < known) {
+                at_start[next] = Some(cost);
+                changed = true;
+            }
+        }
+        if !changed {
+            break;
+        }
+    }
+    let direct = (from.0 == to.0 && from.1 <= to.1).then(|| to.1 - from.1);
+    direct.into_iter().chain(at_start[to.0].map(|cost| cost + to.1)).min()
+}
+
+/// The cost of a route: its steps and its turns, which its connections show.
+fn cost_of(map: &CityMap, network: &Network, cells: &[Cell], from: (usize, usize)) -> usize {
+    let (mut lane, mut at, mut place) = (from.0, 0, from.1);
+    let mut turns = 0;
+    loop {
+        let path = &map.lane_cells(lane)[place..];
+        if cells.len() - at <= path.len() && path.starts_with(&cells[at..]) {
+            return cells.len() - 1 + TURN_COST * turns;
+        }
+        assert!(cells[at..].starts_with(path), "the route leaves a lane before its end");
+        at += path.len();
+        let taken = (network.connections.iter().enumerate()).filter(|(_, connection)| connection.from as usize == lane);
+        let next = taken.filter(|(number, connection)| {
+            let start = &map.lane_cells(connection.to as usize)[..1];
+            let link: Vec<Cell> = map.connection_cells(*number).iter().chain(start).copied().collect();
+            cells[at..].starts_with(&link)
+        });
+        // Of several with the same cells, the cheapest.
+        let (number, connection) = next
+            .min_by_key(|(_, connection)| connection.direction != Direction::Straight)
+            .unwrap();
+        turns += usize::from(connection.direction != Direction::Straight);
+        at += map.connection_cells(number).len();
+        (lane, place) = (connection.to as usize, 0);
+    }
+}
+
+#[test]
+fn routes_have_the_least_cost() {
+    let mut compared = 0;
+    for name in NETWORKS {
+        let (map, network) = map_of(name, 1.0);
+        if network.lanes.iter().any(|lane| lane.left.is_some()) {
+            continue;
+        }
+        let router = Router::new(Arc::clone(&map), Routing::Weighted);
+        let places = Places::new(&router, TripEnds::Curb, None, None);
+        let on_lanes = places_on_lanes(&map, &network);
+        let mut random = Seed(2).stream(Purpose::TEST, 0, 0);
+        let count = places.count(AgentKind::Car);
+        for _ in 0..cases(40).cases {
+            let ends = [(); 2].map(|()| places.nth(AgentKind::Car, random.random_range(0..count)).unwrap());
+            let [start, goal] = ends;
+            // A cell may be on the paths of two lanes, and belongs to one.
+            let ([from], [to]) = (&on_lanes[&start][..], &on_lanes[&goal][..]) else {
+                continue;
+            };
+            let (from, to) = (*from, *to);
+            if start == goal {
+                continue;
+            }
+            let found = router.plan(AgentKind::Car, start, goal);
+            match least_cost(&map, &network, from, to) {
+                None => assert_eq!(found, Err(NoRoute::Unconnected), "{name}"),
+                Some(least) => {
+                    let cells: Vec<Cell> = found.unwrap().cells().collect();
+                    assert_eq!(
+                        cost_of(&map, &network, &cells, from),
+                        least,
+                        "{name} {start:?} {goal:?}"
+                    );
+                    compared += 1;
+                }
+            }
+        }
+    }
+    assert!(compared > 200, "{compared}");
+}
+
+#[test]
+fn pedestrians_reach_all_sides_of_a_junction_over_crossings() {
+    for name in ["five-arms", "grid-walks", "roundabout", "t-junction"] {
+        let (map, network) = map_of(name, 1.0);
+        let router = Router::new(Arc::clone(&map), Routing::Weighted);
+        let places = Places::new(&router, TripEnds::Curb, None, None);
+        let count = places.count(AgentKind::Pedestrian);
+        assert!(count > 100, "{name}: {count}");
+        let mut random = Seed(3).stream(Purpose::TEST, 0, 0);
+        let (mut reached, mut crossed) = (0, 0);
+        for _ in 0..40 {
+            let [start, goal] = [(); 2].map(|()| {
+                places
+                    .nth(AgentKind::Pedestrian, random.random_range(0..count))
+                    .unwrap()
+            });
+            let Ok(route) = router.plan(AgentKind::Pedestrian, start, goal) else {
+                continue;
+            };
+            reached += 1;
+            assert!(route.cells().all(|cell| map.is_walkable(cell)));
+            crossed += usize::from(route.cells().any(|cell| map.ground_at(cell) == Some(Ground::Crossing)));
+        }
+        assert!(network.lanes.iter().any(|lane| lane.usage == LaneUse::Crossing));
+        assert!(
+            reached >= 30 && crossed >= 8,
+            "{name}: {reached} reached, {crossed} over a crossing"
+        );
+    }
+}
+
+#[test]
+fn intersections_are_where_ways_meet() {
+    let counts: Vec<(&str, u32)> = NETWORKS
+        .iter()
+        .map(|name| (*name, map_of(name, 1.0).0.intersections()))
+        .collect();
+    let of = |wanted: &str| counts.iter().find(|(name, _)| *name == wanted).unwrap().1;
+    assert_eq!(of("t-junction"), 1);
+    assert_eq!(of("five-arms"), 1);
+    assert_eq!(of("roundabout"), 4);
+    assert_eq!(of("grid-right"), 4);
+    for name in NETWORKS {
+        let (map, network) = map_of(name, 1.0);
+        let mut at = 0;
+        for (number, lane) in network.lanes.iter().enumerate() {
+            let Some(&end) = map.lane_cells(number).last() else {
+                continue;
+            };
+            let intersection = map.at_intersection(AgentKind::Car, end);
+            assert_eq!(map.in_intersection(end), None, "{name} {}", lane.name);
+            at += usize::from(intersection.is_some());
+        }
+        assert!(at > 1, "{name}: {at} lanes end at an intersection");
+    }
+}
+
+#[test]
+fn lanes_yield_as_their_signs_say() {
+    let (map, network) = map_of("t-junction", 1.0);
+    let end = |lane: &str| *map.lane_cells(number_of(&network, lane)).last().unwrap();
+    let drive = |edge: &str| {
+        let lane = network
+            .lanes
+            .iter()
+            .find(|lane| lane.usage == LaneUse::Drive && lane.name.starts_with(edge));
+        end(&lane.unwrap().name)
+    };
+    let [west, east, south] = ["in_west", "in_east", "in_south"].map(drive);
+    assert!(map.must_yield(south, west) && map.must_yield(south, east));
+    assert!(!map.must_yield(west, south) && !map.must_yield(east, south));
+    assert!(map.signs_ahead(south).all(|sign| sign == Sign::Yield));
+    assert!(map.signs_ahead(west).any(|sign| sign == Sign::Priority));
+}
+
+/// An agent on a route.
+fn agent(router: &Router, places: &Places, kind: AgentKind, seed: u64) -> Option<Agent> {
+    let mut random = Seed(seed).stream(Purpose::TEST, 1, 0);
+    let start = places.nth(kind, random.random_range(0..places.count(kind)))?;
+    let route = places.draw_route(router, kind, start, &mut random).ok()?;
+    let config = AgentConfig {
+        name: AgentName::standard(kind, 1),
+        concepts: Arc::default(),
+        priority: 1,
+    };
+    Some(Agent::new(&config, route))
+}
+
+#[test]
+fn moves_follow_lanes_and_end_on_nodes() {
+    let (mut moves, mut fast, mut bent) = (0, 0, 0);
+    for name in NETWORKS {
+        let (map, _) = map_of(name, 1.0);
+        let router = Router::new(Arc::clone(&map), Routing::Weighted);
+        let places = Places::new(&router, TripEnds::Curb, None, None);
+        let actions = ActionTable::default();
+        for seed in 0..6 {
+            let Some(mut agent) = agent(&router, &places, AgentKind::Car, seed) else {
+                continue;
+            };
+            for tick in 0..200 {
+                let before = (agent.position(), agent.route().clone());
+                let most = possible_cells(&agent, &actions);
+                let surroundings = Surroundings {
+                    router: &router,
+                    places: &places,
+                    actions: &actions,
+                    seed: Seed(seed),
+                    tick,
+                };
+                let action = [Action::Fast, Action::Normal, Action::Slow][tick as usize % 3];
+                let moved = advance(&mut agent, 0, action, &surroundings);
+                if moved.replanned || moved.cells() == 0 {
+                    continue;
+                }
+                let (position, route) = before;
+                let way: Vec<Cell> = route.cells().skip(position).take(moved.cells() as usize + 1).collect();
+                assert_eq!((way[0], *way.last().unwrap()), (moved.from, moved.to), "{name}");
+                assert!(moved.cells() as usize <= most.max(1));
+                let inner = &way[1..way.len() - 1];
+                assert!(
+                    inner.iter().all(|&cell| !map.is_lane_node(cell)),
+                    "{name}: a move jumps over a node"
+                );
+                moves += 1;
+                fast += usize::from(moved.cells() == 3);
+                bent += usize::from(moved.from.row != moved.to.row && moved.from.col != moved.to.col);
+            }
+        }
+    }
+    assert!(moves > 5_000 && fast > 1_000 && bent > 100, "{moves} {fast} {bent}");
+}
+
+#[test]
+fn broken_networks_are_refused_with_their_place() {
+    let town = text_of("t-junction");
+    let line_of = |text: &str, fault: &Diagnostic| {
+        let mut sources = Sources::new();
+        let source = sources.add("town.net.xml", text);
+        let _ = source;
+        let label = fault.primary.as_ref().expect("a place");
+        sources.position(label.span).line
+    };
+    let refused = |change: &dyn Fn(&str) -> String, expected: &str, at: &str| {
+        let text = change(&town);
+        let fault = import(&text, 1.0).expect_err(expected);
+        assert!(fault.message.contains(expected), "{}", fault.message);
+        let line = text.lines().position(|line| line.contains(at)).map(|line| line + 1);
+        assert_eq!(Some(line_of(&text, &fault)), line, "{expected}");
+        assert!(!fault.help.is_empty());
+    };
+    let replaced = |from: &'static str, to: &'static str| move |text: &str| text.replacen(from, to, 1);
+    refused(&replaced("</net>", ""), "not well-formed XML", "<?xml");
+    refused(&replaced("<net ", "<road "), "not well-formed XML", "</net>");
+    refused(
+        &|text| text.replace("<net ", "<osm ").replace("</net>", "</osm>"),
+        "no network of SUMO",
+        "<osm ",
+    );
+    refused(
+        &replaced("to=\"middle\"", "to=\"nowhere\""),
+        "a junction that the network does not have",
+        "nowhere",
+    );
+    refused(&replaced("shape=\"", "shape=\"oops "), "no point at `oops`", "oops");
+    refused(&replaced("via=\":middle_0_0\"", "via=\":gone\""), "`:gone`", ":gone");
+    refused(
+        &replaced("<lane id=\"in_west_0\"", "<lane name=\"in_west_0\""),
+        "no attribute `id`",
+        "<lane name=",
+    );
+    // No cut makes it panic.
+    for end in (0..town.len()).step_by(211) {
+        let _ = import(&town[..end], 1.0).is_err();
+    }
+}
