@@ -5,7 +5,7 @@
 //! an edge has lanes, a junction has the list of its links (`intLanes`), and `request` says for each link which others
 //! have the right of way over it (`response`, a text of bits from the last link to the first).
 
-use crate::city::{Connection, Direction, LaneUse, Network, Point, RoadJunction, RoadLane, Sign, codes};
+use crate::city::{Connection, Direction, LaneUse, Network, Point, RoadJunction, RoadLane, Sign, codes, distance};
 use crate::diag::{Diagnostic, SourceId, Sources, Span};
 use roxmltree::{Document, Node, ParsingOptions};
 use std::collections::HashMap;
@@ -435,18 +435,6 @@ fn simplify(shape: &mut Vec<Point>) {
     }
     let mut kept = kept.into_iter();
     shape.retain(|_| kept.next().unwrap_or(true));
-}
-
-/// Returns the distance of a point from the segment between two others.
-fn distance(point: Point, from: Point, to: Point) -> f64 {
-    let (x, y) = (to.x - from.x, to.y - from.y);
-    let length = x * x + y * y;
-    let along = if length > 0.0 {
-        (((point.x - from.x) * x + (point.y - from.y) * y) / length).clamp(0.0, 1.0)
-    } else {
-        0.0
-    };
-    (point.x - from.x - along * x).hypot(point.y - from.y - along * y)
 }
 
 /// Returns a network as the text of a map file.

@@ -345,7 +345,13 @@ fn check_room(set: &AgentSet, map: &CityMap, places: &Places, kind: AgentKind) -
     if wanted <= available {
         return Ok(());
     }
+    let on_roads = map.network().is_some();
     let (plural, rule) = match kind {
+        AgentKind::Car if on_roads => ("cars", "cars start on lanes, at least three cells from their ends"),
+        AgentKind::Pedestrian if on_roads => (
+            "pedestrians",
+            "pedestrians start on sidewalks, which a network has if its lanes are for pedestrians, too",
+        ),
         AgentKind::Car => match places.trip_ends() {
             TripEnds::Curb => (
                 "cars",
@@ -366,6 +372,7 @@ fn check_room(set: &AgentSet, map: &CityMap, places: &Places, kind: AgentKind) -
     let span = region.map_or(set.span, |region| region.span);
     let larger = match region {
         Some(_) => "use a larger region or map",
+        None if on_roads => "use a map with more such lanes",
         None => "add such buildings to the map, use a larger map",
     };
     let fewer = match set.repeat {
@@ -388,6 +395,14 @@ fn nowhere(
     reason: NoRoute,
 ) -> Diagnostic {
     let (goal, other) = match (name.kind, places.trip_ends()) {
+        (AgentKind::Car, _) if map.network().is_some() => (
+            "a car needs a cell of a lane that connections lead to as its goal",
+            "connections",
+        ),
+        (AgentKind::Pedestrian, _) if map.network().is_some() => (
+            "a pedestrian needs a sidewalk that it can walk to as its goal",
+            "sidewalks or crossings",
+        ),
         (AgentKind::Car, TripEnds::Curb) => (
             "a car needs another curb cell as its goal",
             "another gas station, garage or store",

@@ -39,6 +39,8 @@ pub use model::{
     Split, Terrain, TripEnds, Widths, ZoneConfig, ZonePart,
 };
 pub use motion::{MoveReason, Moved, Surroundings, advance, possible_cells};
+#[cfg(feature = "cli")]
+pub(crate) use network::distance;
 pub use network::{Connection, Direction, LaneUse, Network, Point, RoadJunction, RoadLane, Sign};
 pub use places::Places;
 pub use roads::{Lane, Router};

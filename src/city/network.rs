@@ -372,13 +372,19 @@ impl RoadMap {
                 self.set_ground(cell, Ground::Traffic);
             }
         }
-        let driving = network.lanes.iter().zip(0_u32..);
-        for (lane, number) in driving.filter(|(lane, _)| lane.usage == LaneUse::Drive) {
-            for at in self.firsts[number as usize]..self.firsts[number as usize + 1] {
-                for (cell, distance) in disc(self.paths[at as usize], lane.width / 2.0) {
+        let drives = |lane: &RoadLane| lane.usage == LaneUse::Drive;
+        for lane in network.lanes.iter().filter(|lane| drives(lane)) {
+            for cell in stroke(&lane.shape, lane.width / 2.0) {
+                self.set_ground(cell, Ground::Traffic);
+            }
+        }
+        for (lane, number) in network.lanes.iter().zip(0..).filter(|(lane, _)| drives(lane)) {
+            for at in self.firsts[number]..self.firsts[number + 1] {
+                let middle = self.paths[at as usize];
+                self.set_ground(middle, Ground::Traffic);
+                for (cell, distance) in disc(middle, lane.width / 2.0 + 1.0) {
                     let Some(place) = self.place(cell) else { continue };
-                    self.set_ground(cell, Ground::Traffic);
-                    if distance < nearest[place] {
+                    if self.squares[place].ground() == Ground::Traffic && distance < nearest[place] {
                         (nearest[place], self.marks[place]) = (distance, at + 1);
                     }
                 }
@@ -725,6 +731,54 @@ fn trace(points: &[Point]) -> Vec<Cell> {
 fn off_line(from: Point, to: Point, cell: Cell) -> f64 {
     let (x, y) = (f64::from(cell.col) + 0.5 - from.x, f64::from(cell.row) + 0.5 - from.y);
     ((to.x - from.x) * y - (to.y - from.y) * x).abs()
+}
+
+/// The longest part of a line that [`stroke`] fills at once, in cells.
+const STROKE: f64 = 8.0;
+
+/// Returns the cells whose centers are at most `half` cells away from a line; some of them several times.
+fn stroke(points: &[Point], half: f64) -> impl Iterator<Item = Cell> {
+    points.windows(2).flat_map(move |pair| {
+        let (from, to) = (pair[0], pair[1]);
+        #[allow(clippy::cast_possible_truncation, clippy::cast_sign_loss)] // points are on a map
+        let parts = ((to.x - from.x).hypot(to.y - from.y) / STROKE).ceil().max(1.0) as u32;
+        let between = move |part: u32| {
+            let share = f64::from(part) / f64::from(parts);
+            Point {
+                x: from.x + share * (to.x - from.x),
+                y: from.y + share * (to.y - from.y),
+            }
+        };
+        (0..parts).flat_map(move |part| {
+            let (from, to) = (between(part), between(part + 1));
+            #[allow(clippy::cast_possible_truncation)]
+            let span =
+                |one: f64, other: f64| (one.min(other) - half).floor() as i32..=(one.max(other) + half).floor() as i32;
+            let cols = span(from.x, to.x);
+            span(from.y, to.y).flat_map(move |row| {
+                let near = cols.clone().filter(move |&col| {
+                    let center = Point {
+                        x: f64::from(col) + 0.5,
+                        y: f64::from(row) + 0.5,
+                    };
+                    distance(center, from, to) <= half
+                });
+                near.map(move |col| Cell::new(row, col))
+            })
+        })
+    })
+}
+
+/// Returns the distance of a point from the segment between two others.
+pub(crate) fn distance(point: Point, from: Point, to: Point) -> f64 {
+    let (x, y) = (to.x - from.x, to.y - from.y);
+    let length = x * x + y * y;
+    let along = if length > 0.0 {
+        (((point.x - from.x) * x + (point.y - from.y) * y) / length).clamp(0.0, 1.0)
+    } else {
+        0.0
+    };
+    (point.x - from.x - along * x).hypot(point.y - from.y - along * y)
 }
 
 /// Returns the cells whose centers are at most `radius` cells away from that of a cell, with the distance.
