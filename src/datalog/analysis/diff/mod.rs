@@ -4,7 +4,7 @@
 //! scenes of a fixed size this is a question of propositional logic: `ground` translates both programs into one circuit
 //! over the possible base facts, and `sat` searches it exhaustively. `bound` computes how large a scene a difference
 //! may need. If there is no difference up to that size, this *proves* the two rule sets equivalent. Before `diff`
-//! reports a scene, [`crate::naive`] evaluates it on both sides.
+//! reports a scene, [`crate::naive`] evaluates it on both sides, and `naming` gives its entities names of entities.
 //!
 //! Rules with expressions, aggregates, floats or unsigned numbers have no such circuit. For them `canonical` compares
 //! the clauses. Unless these are the same on both sides, `trial` evaluates one scene after another within a bound, first
@@ -19,6 +19,7 @@ mod bound;
 mod canonical;
 mod confusion;
 mod ground;
+mod naming;
 mod pair;
 mod sat;
 pub mod shortcuts;
@@ -177,7 +178,11 @@ pub fn diff(left: &Rules, right: &Rules, options: &Options) -> Result<Equivalenc
         let mut share = budget.take(views);
         for entities in 0..=last {
             match search(&pair, entities, view, options.minimize, &mut share) {
-                Ok(Some(model)) => return Ok(Equivalence::Different(describe(&pair, view, &model))),
+                Ok(Some(model)) => {
+                    let scene = describe(&pair, view, &model);
+                    let scene = naming::settle(scene, [left, right], &pair.outputs);
+                    return Ok(Equivalence::Different(scene));
+                }
                 Ok(None) => {}
                 Err(why) => {
                     cut.insert(why);
@@ -416,13 +421,10 @@ fn individuals(sides: [&Side<'_>; 2], entities: usize, functions: &Functions) ->
         constants.extend(near.into_iter().map(Individual::Number));
         constants.extend((0..entities as i32).map(Individual::Number));
     }
-    let mut prefix = "e".to_owned();
-    while constants
-        .iter()
-        .any(|constant| matches!(constant, Individual::Symbol(text) if text.starts_with(&prefix)))
-    {
-        prefix.push('_');
-    }
+    let prefix = naming::prefix(constants.iter().filter_map(|constant| match constant {
+        Individual::Symbol(text) => Some(text.as_str()),
+        Individual::Number(_) => None,
+    }));
     let entities = (0..entities).map(|number| Individual::Symbol(format!("{prefix}{number}")));
     entities.chain(constants).collect()
 }

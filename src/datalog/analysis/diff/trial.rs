@@ -6,6 +6,7 @@
 //! scenes at random and shrinks one that shows a difference. All limits are counts, so the result is reproducible.
 
 use crate::analysis::constraints;
+use crate::analysis::diff::naming;
 use crate::analysis::diff::pair::{Base, Functions, Output, Pair, relevant};
 use crate::analysis::diff::{Difference, Equivalence, Model, Options};
 use crate::check::{Constraint, DeclaredConstraint, Literal, PredicateId, Rules, Term};
@@ -41,7 +42,7 @@ const FACTS_MAX: usize = 20_000;
 const RANDOM_MAX: (usize, usize) = (4, 12);
 
 /// The limits of evaluating one scene. A scene that exceeds them is skipped.
-const LIMITS: Limits = Limits {
+pub(super) const LIMITS: Limits = Limits {
     rows: 20_000,
     steps: 10_000_000,
     bytes: 1 << 28,
@@ -124,7 +125,7 @@ pub(super) fn search(
         let facts: Vec<Fact> = facts.collect();
         if trial.differs(&facts, model.entities) {
             let facts = trial.shrink(facts, model.entities);
-            return Ok(Equivalence::Different(trial.describe(rules, model.entities, &facts)));
+            return Ok(trial.found(rules, model.entities, &facts));
         }
     }
     let scenes = options.conflicts_max / SCENE_COST;
@@ -135,7 +136,7 @@ pub(super) fn search(
         let entities_max = options.entities_max.min(trial.entities(size));
         for entities in 0..=entities_max {
             match trial.level(size, entities, every) {
-                Level::Found(facts) => return Ok(Equivalence::Different(trial.describe(rules, entities, &facts))),
+                Level::Found(facts) => return Ok(trial.found(rules, entities, &facts)),
                 Level::Nothing => {}
                 Level::TooMany => break 'sizes,
             }
@@ -164,7 +165,7 @@ pub(super) fn search(
         number += 1;
         if trial.differs(&facts, entities) {
             let facts = trial.shrink(facts, entities);
-            return Ok(Equivalence::Different(trial.describe(rules, entities, &facts)));
+            return Ok(trial.found(rules, entities, &facts));
         }
     }
     Ok(Equivalence::NoneTried {
@@ -239,12 +240,9 @@ impl<'a> Trial<'a> {
         facts * most + usize::from(!self.scopes.is_empty())
     }
 
-    /// Returns the names of the entities, whose prefix no constant has.
+    /// Returns the names of the entities, which no constant has.
     fn names(&self, entities: usize) -> Vec<String> {
-        let mut prefix = "e".to_owned();
-        while self.constants.iter().any(|(_, text)| text.starts_with(&prefix)) {
-            prefix.push('_');
-        }
+        let prefix = naming::prefix(self.constants.iter().map(|(_, text)| text.as_str()));
         (0..entities).map(|number| format!("{prefix}{number}")).collect()
     }
 
@@ -470,6 +468,12 @@ impl<'a> Trial<'a> {
         matches!(answers.as_slice(), [Some(left), Some(right)] if left != right)
     }
 
+    /// Returns the scene as the result of a search.
+    fn found(&self, rules: [&Rules; 2], entities: usize, facts: &[Fact]) -> Equivalence {
+        let scene = self.describe(rules, entities, facts);
+        Equivalence::Different(naming::settle(scene, rules, self.outputs))
+    }
+
     /// Describes the scene, with the rows that naive evaluation derives on each side.
     fn describe(&self, rules: [&Rules; 2], entities: usize, facts: &[Fact]) -> Difference {
         let all = self.complete(facts, entities);
@@ -557,7 +561,7 @@ fn in_order<'a>(facts: impl Iterator<Item = &'a Fact>, names: &[String]) -> bool
     true
 }
 
-fn words(session: &mut Session, columns: &[BaseType], row: &[String]) -> Vec<Value> {
+pub(super) fn words(session: &mut Session, columns: &[BaseType], row: &[String]) -> Vec<Value> {
     let columns = columns.iter().zip(row);
     columns
         .map(|(base, text)| match base {
@@ -567,7 +571,7 @@ fn words(session: &mut Session, columns: &[BaseType], row: &[String]) -> Vec<Val
         .collect()
 }
 
-fn print(base: BaseType, value: Value) -> String {
+pub(super) fn print(base: BaseType, value: Value) -> String {
     match base {
         BaseType::Unsigned => value.0.to_string(),
         BaseType::Float => print_float(value.as_float()),
@@ -585,7 +589,7 @@ fn answer(session: &Session, outputs: &[Output]) -> Vec<BTreeSet<String>> {
 }
 
 /// Collects the constants of the rules, the neighbors of numbers, and a few small numbers.
-fn named(rules: &Rules, constants: &mut BTreeSet<(BaseType, String)>) {
+pub(super) fn named(rules: &Rules, constants: &mut BTreeSet<(BaseType, String)>) {
     let mut add = |base: BaseType, term: &Term| {
         let Term::Constant(value) = *term else { return };
         match base {
