@@ -209,7 +209,10 @@ impl Report {
         let loaded = texts.check();
         self.found = loaded.diagnostics;
         if let Some(city) = given.or(self.configuration.as_ref()).and_then(Checked::theory) {
-            help_to_declare(&mut self.found, sources, &city.scenario);
+            // The program and the configuration are compared as a whole otherwise.
+            if loaded.rules.is_none() {
+                help_to_declare(&mut self.found, sources, (&texts.declared(), &city.scenario));
+            }
         }
         if !loaded.compared.complete {
             self.unfinished.push("clauses that derive nothing new");

@@ -8,7 +8,7 @@
 //! clause of the program, and its body may use everything that a clause body may use.
 
 use std::borrow::Cow;
-use std::collections::HashSet;
+use std::collections::{HashMap, HashSet};
 
 use crate::codes;
 use crate::diag::{Diagnostic, Faults, SourceId, Sources, Span};
@@ -19,8 +19,8 @@ use crate::check::clause;
 use crate::check::witness::{renamed, renamed_term};
 use crate::check::{self as rules, Comparing, PredicateId, Rules};
 use crate::check::{Elsewhere, InputPolicy, check, inline, names, temporal};
-use crate::syntax::ast::BaseType;
 use crate::syntax::ast::{Atom, Clause, ColumnDecl, Decl, Item, Literal, Mark, MarkKind, Name, Place, Term, TermKind};
+use crate::syntax::ast::{BaseType, TypeDefinition};
 use crate::syntax::ast::{names_in, names_of};
 use crate::syntax::include;
 use crate::syntax::include::Gathered;
@@ -69,6 +69,19 @@ pub fn load_with(sources: &mut Sources, entry: SourceId, read: &dyn ReadFile, in
     let mut workspace = Workspace::new(inputs);
     workspace.add(sources, entry, read);
     workspace.into_checked()
+}
+
+/// A declared predicate; see [`Workspace::declared`].
+#[derive(Clone, Debug, PartialEq, Eq)]
+pub struct Declaration {
+    /// The name.
+    pub name: String,
+    /// The place of the name.
+    pub span: Span,
+    /// The base types of the columns; `None` for an unknown type.
+    pub columns: Vec<Option<BaseType>>,
+    /// Whether it is input.
+    pub input: bool,
 }
 
 /// The parsed sources of a program, which can grow and shrink between checks.
@@ -126,6 +139,53 @@ impl Workspace {
     pub fn declares(&self, name: &str) -> bool {
         let mut items = self.gathered.items.iter();
         items.any(|item| matches!(item, Item::Decl(decl) if decl.names.iter().any(|found| found.text == name)))
+    }
+
+    /// Returns the declarations of predicates, also of a program with faults.
+    pub fn declared(&self) -> Vec<Declaration> {
+        let items = &self.gathered.items;
+        let mut types: HashMap<&str, &TypeDefinition> = HashMap::new();
+        for item in items {
+            if let Item::Type(decl) = item {
+                types.insert(&decl.name.text, &decl.definition);
+            }
+        }
+        let base = |ty: &Name| {
+            let mut name = ty.text.as_str();
+            // A cycle of types has no base type.
+            for _ in 0..=types.len() {
+                if let Some(base) = BaseType::ALL.into_iter().find(|base| base.name() == name) {
+                    return Some(base);
+                }
+                name = match types.get(name)? {
+                    TypeDefinition::Subtype(parent) | TypeDefinition::Alias(parent) => &parent.text,
+                    TypeDefinition::Union(members) => &members.first()?.text,
+                    TypeDefinition::Faulty => return None,
+                };
+            }
+            None
+        };
+        let inputs: HashSet<&str> = (items.iter())
+            .filter_map(|item| match item {
+                Item::Mark(mark) if mark.kind == MarkKind::Input => Some(&mark.names),
+                _ => None,
+            })
+            .flatten()
+            .map(|name| name.text.as_str())
+            .collect();
+        let declarations = items.iter().filter_map(|item| match item {
+            Item::Decl(decl) => Some((&decl.names, decl.columns.as_ref()?)),
+            _ => None,
+        });
+        let all = declarations.flat_map(|(names, columns)| {
+            names.iter().map(|name| Declaration {
+                name: name.text.clone(),
+                span: name.place.0,
+                columns: columns.iter().map(|column| base(&column.ty)).collect(),
+                input: inputs.contains(name.text.as_str()),
+            })
+        });
+        all.collect()
     }
 
     /// Checks the program as a whole. `rules` is `None` if any diagnostic is an error.

@@ -3,12 +3,12 @@
 
 use crate::config::{Scenario, load_scenario, rule_file};
 use crate::datalog::codes::UNKNOWN_PREDICATE;
-use crate::datalog::{Limits, Program};
+use crate::datalog::{Declaration, InputPolicy, Limits, Program, Workspace};
 use crate::diag::{Diagnostic, SourceId, Sources, Span};
 use crate::files::{ReadError, ReadFile};
 use crate::located::Located;
-use crate::predicate::Unit;
 use crate::sim::codes;
+use crate::sim::tick::vocabulary::{base_of, declaration, other_declarations};
 use crate::sim::tick::world::{TICK_LIMITS, World};
 use crate::sim::trace::{TraceHeader, hash_sources};
 use std::path::{Path, PathBuf};
@@ -80,9 +80,17 @@ impl LoadedCity {
         };
         let text = text.map_err(|error| LoadError::RuleFile(path.clone(), error))?;
         let entry = sources.add(path.display().to_string(), text);
-        let (program, mut diagnostics) = Program::load(sources, entry, files);
-        let Some(program) = program else {
-            help_to_declare(&mut diagnostics, sources, &scenario);
+        let mut workspace = Workspace::new(InputPolicy::Fixed);
+        workspace.add(sources, entry, files);
+        let declared = workspace.declared();
+        let loaded = workspace.into_checked();
+        let mut diagnostics = loaded.diagnostics;
+        let program = loaded.rules.map(Program::new).transpose();
+        let Some(program) = program.unwrap_or_else(|fault| {
+            diagnostics.push(fault);
+            None
+        }) else {
+            help_to_declare(&mut diagnostics, sources, (&declared, &scenario));
             return Err(LoadError::Rules(diagnostics));
         };
         if rules.is_some() {
@@ -156,8 +164,15 @@ impl LoadedCity {
     }
 }
 
-/// Replaces the help of faults about undeclared predicates that the configuration defines.
-pub fn help_to_declare(faults: &mut [Diagnostic], sources: &Sources, scenario: &Scenario) {
+/// Explains faults of rules by the configuration: adds one for each declaration that does not fit it, and replaces the
+/// help of those about undeclared predicates that it defines. `declared` are the declarations of the rules.
+pub fn help_to_declare(
+    faults: &mut Vec<Diagnostic>,
+    sources: &Sources,
+    (declared, scenario): (&[Declaration], &Scenario),
+) {
+    // Faults at the uses follow from those of the declarations.
+    faults.splice(0..0, other_declarations(declared, scenario));
     for fault in faults.iter_mut().filter(|fault| fault.code == UNKNOWN_PREDICATE) {
         let Some(name) = fault.primary.as_ref().map(|label| sources.slice(label.span)) else {
             continue;
@@ -170,17 +185,11 @@ pub fn help_to_declare(faults: &mut [Diagnostic], sources: &Sources, scenario: &
         if fault.help.iter().any(|help| help.contains("vocabulary")) {
             continue;
         }
-        let value = predicate.definition.unit().map(|unit| match unit {
-            Unit::Number => "n: number",
-            Unit::Float => "n: float",
-            Unit::Heading => "h: symbol",
-        });
-        let agents = ["x: agent", "y: agent"].into_iter().take(predicate.definition.arity());
-        let columns: Vec<&str> = agents.chain(value).collect();
+        let definition = &predicate.definition;
+        let declaration = declaration(name, definition.arity(), definition.unit().map(base_of));
         fault.fixes.clear();
         fault.help = vec![format!(
-            "the configuration defines it: declare it with `.decl {name}({})` and `.input {name}`",
-            columns.join(", ")
+            "the configuration defines it: declare it with `{declaration}` and `.input {name}`"
         )];
     }
 }

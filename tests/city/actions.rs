@@ -138,7 +138,7 @@ fn a_parked_agent_stands_whatever_the_rules_decide() {
         assert_eq!(done.action, if tick < 4 { park } else { Action::Normal });
         let account = city.decision(0).unwrap().account(None, &Cancel::never()).unwrap();
         let text = account.text(&sources);
-        let says = text.contains("it is parked since an earlier tick; the rules say Normal");
+        let says = text.contains("it is parked since tick 0; the rules say Normal");
         assert_eq!(says, tick < 4, "{text}");
     }
 }
@@ -368,6 +368,43 @@ fn environments_have_own_actions() {
         let named = |episode: &Episode| episode.oracle.as_ref().unwrap().constrained.contains_key("TurnRight");
         assert!(set.episodes.iter().all(named));
     }
+}
+
+/// The default clause of the vocabulary does not know the actions of a configuration. Beside one of these, the default
+/// is no demand: neither in reports nor in environments. A clause that does not only negate actions demands it.
+#[test]
+fn the_default_counts_only_if_no_action_is_derived() {
+    let config = CONFIG.replace("task: ~\n", "");
+    let rules = format!("{DECLARED}/// R1: turn\nTurnRight(X) :- IsCar(X), IsAtInter(X).\n");
+    let (world, sources) = configured(&config, &rules, |_| ());
+    let turn = world.scenario.actions.table.find("TurnRight").unwrap();
+    let mut city = simulation(&world, Executor::Auto, 1);
+    let mut turned = 0;
+    for _ in 0..60 {
+        for done in &city.tick(&[]).unwrap().agents {
+            assert!(!done.derived.contains(Action::Normal), "{:?}", done.derived);
+            turned += usize::from(done.derived.contains(turn));
+        }
+    }
+    assert!(turned > 10, "{turned}");
+    let task = Arc::new(SpfTask::new(Arc::clone(&world), &sources).unwrap_or_else(|faults| panic!("{faults:?}")));
+    let mut env = Env::new(task, Split::Test, ControlMode::First).unwrap();
+    let mut steps = [0; Action::MAX];
+    for seed in 0..8 {
+        env.reset(seed).unwrap();
+        let done = rollout(&mut env, Policy::Oracle).unwrap();
+        for (sum, count) in steps.iter_mut().zip(done.constrained) {
+            *sum += count;
+        }
+    }
+    assert!(steps[turn.index()] > 0, "{steps:?}");
+    assert_eq!(steps[Action::Normal.index()], 0, "{steps:?}");
+
+    let demanded = format!("{DECLARED}Stop(X) :- IsCar(X).\nNormal(X) :- IsCar(X), IsBus(X).\n");
+    let (world, _) = configured(CONFIG, &demanded, |_| ());
+    let mut city = simulation(&world, Executor::Auto, 1);
+    let both = |derived: &logicity::sim::Actions| derived.contains(Action::Stop) && derived.contains(Action::Normal);
+    assert!(city.tick(&[]).unwrap().agents.iter().any(|done| both(&done.derived)));
 }
 
 /// A definition changes the hash, and none leaves it.

@@ -814,7 +814,7 @@ impl Observer {
                 self.violations.derived(&oracle.monitor, vocabulary, observed)?
             }
         };
-        Ok(vocabulary.before_default(derived))
+        Ok(vocabulary.before_default(Some(AgentKind::Car.into()), derived))
     }
 
     /// Returns the clauses that an action of the ego violates, as positions in [`Oracle::constraints`]. An action

@@ -190,26 +190,13 @@ pub(super) fn safety_rules(rules: &Rules, vocabulary: &Vocabulary) -> (Rules, Ve
 /// Returns the clauses that demand an action. It excludes the default: a clause of the default action that reads only
 /// the other actions and the ego itself.
 fn constraints(rules: &Rules, vocabulary: &Vocabulary) -> Vec<ActionConstraint> {
-    let sees = vocabulary.predicates[vocabulary.sees].id;
-    let is_default = |clause: &datalog::Clause| {
-        clause.body.iter().all(|literal| match literal {
-            Literal::Negative(atom) => {
-                vocabulary.action_of(atom.predicate).is_some() && atom.terms == clause.head.terms
-            }
-            Literal::Positive(atom) | Literal::Guard(atom) => {
-                Some(atom.predicate) == sees && atom.terms.iter().all(|term| Some(term) == clause.head.terms.first())
-            }
-            _ => false,
-        })
-    };
     let constraint = |(position, clause): (u32, &datalog::Clause)| {
         let action = vocabulary.action_of(clause.head.predicate)?;
         // An ego is a car, so it cannot violate clauses of other actions.
         if !vocabulary.actions().can_take(AgentKind::Car, action) {
             return None;
         }
-        let default = action == vocabulary.default_action() && is_default(clause);
-        (!clause.body.is_empty() && !default).then_some(ActionConstraint {
+        (!clause.body.is_empty() && !vocabulary.is_default_clause(clause)).then_some(ActionConstraint {
             clause: ClauseId(position),
             action,
         })

@@ -244,8 +244,9 @@ impl Shield {
         let mut state = ShieldState::new(self);
         let derived = state.derive(self, observer, city)?;
         let vocabulary = &self.oracle.world().vocabulary;
-        let chosen = vocabulary.decide(Some(AgentKind::Car.into()), derived);
-        Ok((vocabulary.before_default(derived), chosen))
+        let kind = Some(AgentKind::Car.into());
+        let chosen = vocabulary.decide(kind, derived);
+        Ok((vocabulary.before_default(kind, derived), chosen))
     }
 
     /// Returns the verdict without probabilities, given the derived actions. `safe` returns which ones are safe.

@@ -70,6 +70,10 @@ impl Answer<'_> {
         self.vocabulary.decide(self.scene.kinds.get(ego).copied(), derived)
     }
 
+    fn before_default(&self, ego: usize, derived: Actions) -> Actions {
+        (self.vocabulary).before_default(self.scene.kinds.get(ego).copied(), derived)
+    }
+
     /// Returns the actions of the configuration.
     pub fn table(&self) -> &ActionTable {
         self.vocabulary.actions()
@@ -95,7 +99,7 @@ impl Answer<'_> {
                 atoms: atoms.collect(),
                 sees: view.entities.iter().map(name).collect(),
                 action: self.decide(ego, derived),
-                derived: self.vocabulary.before_default(derived),
+                derived: self.before_default(ego, derived),
             }
         })
     }
@@ -124,7 +128,7 @@ impl Answer<'_> {
                 write!(out, "{}{}:", comma(position), quoted(&predicate.name))?;
                 write_list(out, &rows, |out, row| row.write(out, &names))?;
             }
-            let actions = self.vocabulary.before_default(derived);
+            let actions = self.before_default(ego, derived);
             let table = self.table();
             let actions: Vec<&str> = actions.iter().map(|action| table.name(action)).collect();
             let action = table.name(self.decide(ego, derived));

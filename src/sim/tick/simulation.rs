@@ -1002,7 +1002,7 @@ impl Moving<'_> {
             speed: agent.speed,
             waited: agent.waited,
             remaining: agent.remaining(),
-            derived: self.vocabulary.before_default(derived),
+            derived: self.vocabulary.before_default(Some(agent.kind_id), derived),
             action,
             moved: advance(agent, index, action, &self.surroundings),
         };

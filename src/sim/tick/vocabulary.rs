@@ -3,9 +3,9 @@
 
 use crate::city::{Action, ActionTable, KindId};
 use crate::config::{ActionsConfig, PredicateConfig, Scenario};
-use crate::datalog::Program;
 use crate::datalog::codes;
-use crate::datalog::{BaseType, Literal, Predicate, PredicateId};
+use crate::datalog::{BaseType, Clause, Literal, Predicate, PredicateId, Rules};
+use crate::datalog::{Declaration, Program};
 use crate::diag::{Diagnostic, did_you_mean};
 use crate::predicate::{Definition, Quantity, Sees, Unit};
 use std::ops::{BitOr, Sub};
@@ -108,7 +108,7 @@ impl BasePredicate {
 }
 
 /// Returns the base type of a column of values.
-fn base_of(unit: Unit) -> BaseType {
+pub fn base_of(unit: Unit) -> BaseType {
     match unit {
         Unit::Number => BaseType::Number,
         Unit::Float => BaseType::Float,
@@ -134,6 +134,8 @@ pub struct Vocabulary {
     /// Those of an entity whose kind is unknown.
     unknown: Box<[Action]>,
     default: Action,
+    /// For each default clause, the actions that it negates.
+    default_clauses: Box<[Actions]>,
 }
 
 impl Vocabulary {
@@ -152,14 +154,8 @@ impl Vocabulary {
                 let declared = &rules.predicates[id.index()];
                 declared.input
                     && fits(declared, arity, value, &mut faults, || {
-                        Diagnostic::new(
-                            codes::RULE_MISMATCH,
-                            format!(
-                                "the declaration of `{}` does not match its definition in the configuration",
-                                name.value
-                            ),
-                        )
-                        .also(name.span, "defined here")
+                        Diagnostic::new(codes::RULE_MISMATCH, mismatch(&name.value, true))
+                            .also(name.span, "defined here")
                     })
             });
             predicates.push(BasePredicate {
@@ -183,10 +179,7 @@ impl Vocabulary {
         let bound = |name| {
             program.predicate(name).filter(|&id| {
                 fits(&rules.predicates[id.index()], 1, None, &mut faults, || {
-                    Diagnostic::new(
-                        codes::RULE_MISMATCH,
-                        format!("the action `{name}` must be a predicate over one agent"),
-                    )
+                    Diagnostic::new(codes::RULE_MISMATCH, mismatch(name, false))
                 })
             })
         };
@@ -201,7 +194,7 @@ impl Vocabulary {
             );
         }
         if faults.is_empty() {
-            Ok(Vocabulary {
+            let mut vocabulary = Vocabulary {
                 predicates,
                 sees,
                 draws: rules.chance.is_some(),
@@ -214,7 +207,10 @@ impl Vocabulary {
                 .collect(),
                 unknown: decisions(&scenario.actions, None),
                 default: scenario.actions.default,
-            })
+                default_clauses: Box::default(),
+            };
+            vocabulary.default_clauses = vocabulary.negated_by_default(rules);
+            Ok(vocabulary)
         } else {
             Err(faults)
         }
@@ -288,12 +284,53 @@ impl Vocabulary {
         self.default
     }
 
-    /// Removes the default action if it is the only one: then the default rule derived it.
-    pub fn before_default(&self, derived: Actions) -> Actions {
-        match derived == [self.default].into_iter().collect() {
-            true => Actions::default(),
+    /// Returns the derived actions of an agent without the default, if a default clause derived that: it is the only
+    /// action, or all others are unknown to the clause. It stays if it precedes them, because the agent then takes it.
+    #[inline]
+    pub fn before_default(&self, kind: Option<KindId>, derived: Actions) -> Actions {
+        let default: Actions = [self.default].into_iter().collect();
+        if derived == default {
+            return Actions::default();
+        }
+        if self.table.own().is_empty() || !derived.contains(self.default) {
+            return derived;
+        }
+        let others = derived - default;
+        let fires = |negated: &Actions| *negated - others == *negated;
+        let by_default = self.default_clauses.iter().any(fires);
+        match by_default && self.decide(kind, others) == self.decide(kind, derived) {
+            true => others,
             false => derived,
         }
+    }
+
+    /// Returns whether a clause derives the default action as the default: it has a body, which reads only other
+    /// actions, negated, and the agent itself.
+    pub fn is_default_clause(&self, clause: &Clause) -> bool {
+        let sees = self.predicates[self.sees].id;
+        self.action_of(clause.head.predicate) == Some(self.default)
+            && !clause.body.is_empty()
+            && clause.body.iter().all(|literal| match literal {
+                Literal::Negative(atom) => self.action_of(atom.predicate).is_some() && atom.terms == clause.head.terms,
+                Literal::Positive(atom) | Literal::Guard(atom) => {
+                    Some(atom.predicate) == sees
+                        && atom.terms.iter().all(|term| Some(term) == clause.head.terms.first())
+                }
+                _ => false,
+            })
+    }
+
+    /// Returns the actions that each default clause negates.
+    fn negated_by_default(&self, rules: &Rules) -> Box<[Actions]> {
+        let clauses = rules.clauses.iter().filter(|clause| self.is_default_clause(clause));
+        let negated = clauses.map(|clause| {
+            let negated = clause.body.iter().filter_map(|literal| match literal {
+                Literal::Negative(atom) => self.action_of(atom.predicate),
+                _ => None,
+            });
+            negated.collect()
+        });
+        negated.collect()
     }
 }
 
@@ -323,21 +360,72 @@ fn fits(
     if predicate.columns.iter().map(|column| column.base).eq(expected()) {
         return true;
     }
-    let plural = if arity == 1 { "column" } else { "columns" };
-    let help = match (arity, value) {
-        (_, None) => format!("declare it with {arity} {plural} of type agent"),
-        (0, Some(value)) => format!("declare it with one column of type {}", value.name()),
-        (_, Some(value)) => format!(
-            "declare it with {arity} {plural} of type agent, then one of type {}",
-            value.name()
-        ),
-    };
     faults.push(
         fault()
             .at(predicate.span, format!("declared with {} here", describe(predicate)))
-            .help(help),
+            .help(format!(
+                "declare it with `{}`",
+                declaration(&predicate.name, arity, value)
+            )),
     );
     false
+}
+
+/// Returns the declaration of a predicate with `arity` columns for agents, and then one of the type `value`, if there
+/// is one.
+pub fn declaration(name: &str, arity: usize, value: Option<BaseType>) -> String {
+    let agents = ["x: agent", "y: agent"].into_iter().take(arity).map(str::to_owned);
+    let value = value.map(|value| match value {
+        BaseType::Symbol => "h: symbol".to_owned(),
+        value => format!("n: {}", value.name()),
+    });
+    let columns: Vec<String> = agents.chain(value).collect();
+    format!(".decl {name}({})", columns.join(", "))
+}
+
+/// Returns a fault for each predicate that rules declare with other columns than the configuration or its actions give
+/// it. For rules that do not check: [`Vocabulary::bind`] reports those of checked ones.
+pub fn other_declarations(declared: &[Declaration], scenario: &Scenario) -> Vec<Diagnostic> {
+    let defined = scenario.predicates.iter().map(|known| {
+        let definition = &known.definition;
+        let value = definition.unit().map(base_of);
+        (
+            known.name.value.as_str(),
+            definition.arity(),
+            value,
+            Some(known.name.span),
+        )
+    });
+    let actions = scenario.actions.table.names().map(|name| (name, 1, None, None));
+    let known: Vec<_> = defined.chain(actions).collect();
+    let fault = |one: &Declaration| {
+        let found = known.iter().find(|(name, ..)| *name == one.name);
+        // Rules may derive a predicate of their own with the name of one of the configuration.
+        let &(name, arity, value, defined) = found.filter(|(.., defined)| one.input || defined.is_none())?;
+        let expected = std::iter::repeat_n(BaseType::Symbol, arity).chain(value);
+        // A type without a definition has a message of its own.
+        let columns: Vec<BaseType> = one.columns.iter().copied().collect::<Option<_>>()?;
+        if columns.iter().copied().eq(expected) {
+            return None;
+        }
+        let names: Vec<&str> = columns.iter().map(|column| column.name()).collect();
+        let fault = Diagnostic::new(codes::RULE_MISMATCH, mismatch(name, defined.is_some()))
+            .at(one.span, format!("declared with ({}) here", names.join(", ")));
+        let fault = match defined {
+            Some(span) => fault.also(span, "defined here"),
+            None => fault,
+        };
+        Some(fault.help(format!("declare it with `{}`", declaration(name, arity, value))))
+    };
+    declared.iter().filter_map(fault).collect()
+}
+
+/// Returns the message about a declaration that does not fit.
+fn mismatch(name: &str, is_defined: bool) -> String {
+    match is_defined {
+        true => format!("the declaration of `{name}` does not match its definition in the configuration"),
+        false => format!("the action `{name}` must be a predicate over one agent"),
+    }
 }
 
 fn describe(predicate: &Predicate) -> String {

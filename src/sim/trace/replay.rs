@@ -333,7 +333,10 @@ impl Replay {
         let table = self.world.vocabulary.actions();
         for (position, (agent, state)) in self.agents.iter().zip(&tick.agents).enumerate() {
             let derived = self.derived(position);
-            if derived.iter().map(|action| table.name(action)).eq(state.derived.iter()) {
+            let recorded: Option<Actions> = state.derived.iter().map(|name| table.find(name)).collect();
+            // Traces of earlier versions may list the default beside an action of the configuration.
+            let kind = Some(self.kind_id(position));
+            if recorded.is_some_and(|recorded| self.world.vocabulary.before_default(kind, recorded) == derived) {
                 continue;
             }
             let found: Vec<&str> = derived.iter().map(|action| table.name(action)).collect();
@@ -447,7 +450,8 @@ impl Replay {
     /// Returns the derived actions of an agent, without the default.
     pub fn derived(&self, position: usize) -> Actions {
         let vocabulary = &self.world.vocabulary;
-        vocabulary.before_default(self.state.derived(vocabulary, position))
+        let kind = Some(self.kind_id(position));
+        vocabulary.before_default(kind, self.state.derived(vocabulary, position))
     }
 }
 
