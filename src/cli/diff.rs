@@ -69,7 +69,8 @@ pub fn run(arguments: &Arguments, sources: &mut Sources) -> Result<u8, Failure> 
     };
     let theory = city.as_ref().and_then(Checked::theory);
     let paths = [&arguments.left, &arguments.right].map(|path| rule_file(path, &BuiltinFiles));
-    let mut sides = load(&paths, city.as_ref(), sources)?.map(|rules| in_city(rules, theory));
+    let (sides, warnings) = load(&paths, city.as_ref(), sources)?;
+    let mut sides = sides.map(|rules| in_city(rules, theory));
     let mut predicates = arguments.predicates.clone();
     if let Some(condition) = &arguments.given {
         (sides, predicates) = given::restrict(sources, &paths, sides, &predicates, condition, theory)?;
@@ -108,14 +109,20 @@ pub fn run(arguments: &Arguments, sources: &mut Sources) -> Result<u8, Failure> 
         let names = [&arguments.left, &arguments.right].map(|path| path.display().to_string());
         verdict.print(&mut out, &names, &sides)?;
     }
+    out.flush()?;
+    report(&warnings, sources);
     Ok(match equivalence {
         Equivalence::Different(_) => 1,
         _ => 0,
     })
 }
 
-/// Loads both rule sets, compares them with the configuration if there is one, and prints the warnings.
-fn load(paths: &[PathBuf; 2], city: Option<&Checked>, sources: &mut Sources) -> Result<[Rules; 2], Failure> {
+/// Loads both rule sets, and compares them with the configuration if there is one. Also returns the warnings.
+fn load(
+    paths: &[PathBuf; 2],
+    city: Option<&Checked>,
+    sources: &mut Sources,
+) -> Result<([Rules; 2], Vec<Diagnostic>), Failure> {
     let mut load = |path| {
         let mut texts = load_workspace(sources, path, InputPolicy::Fixed)?;
         texts.set_inputs(inputs_of(&texts, city.is_some()));
@@ -136,8 +143,8 @@ fn load(paths: &[PathBuf; 2], city: Option<&Checked>, sources: &mut Sources) -> 
             return Err(Failure::Input(warnings));
         }
     }
-    report(&warnings, sources);
-    Ok([left, right].map(|program| program.rules().with_draws_as_facts()))
+    let sides = [left, right].map(|program| program.rules().with_draws_as_facts());
+    Ok((sides, warnings))
 }
 
 /// Returns the rules with the constraints that hold in a city instead of the declared ones.

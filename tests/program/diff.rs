@@ -172,7 +172,7 @@ fn faults_of_a_condition_show_it_as_typed() {
     ] {
         let output = logicity(["diff", "rules/easy.dl", "rules/medium.dl", "--given", condition]);
         let said = String::from_utf8(output.stderr).unwrap();
-        assert_eq!(output.status.code(), Some(1), "{said}");
+        assert_eq!(output.status.code(), Some(2), "{said}");
         assert!(
             said.contains(part) && said.contains(&format!("--> --given:1:{column}\n")),
             "{said}"
@@ -183,4 +183,85 @@ fn faults_of_a_condition_show_it_as_typed() {
             "{said}"
         );
     }
+}
+
+/// A faulty value of an option is wrong usage, whichever option it is: exit code 1 means that the rules differ. The
+/// message stands alone, and the warnings of the rules follow an answer.
+#[test]
+fn faulty_options_are_wrong_usage() {
+    let folder = tempfile::tempdir().unwrap();
+    let rules = folder.path().join("warned.dl");
+    let text = ".include \"vocabulary.dl\"\nStop(X) :- IsCar(X), IsCar(Unused).\n";
+    std::fs::write(&rules, text).unwrap();
+    let rules = rules.to_str().unwrap();
+    for (option, value, part) in [
+        ("--predicates", "Stp", "did you mean `Stop`?"),
+        ("--given", "IsCr(X)", "did you mean `IsCar`?"),
+    ] {
+        let output = logicity(["diff", rules, "rules/easy.dl", option, value]);
+        let said = String::from_utf8(output.stderr).unwrap();
+        assert_eq!(output.status.code(), Some(2), "{said}");
+        assert!(said.contains(part) && !said.contains("warning"), "{option}: {said}");
+    }
+    let output = logicity(["diff", rules, rules]);
+    let said = String::from_utf8(output.stderr).unwrap();
+    assert_eq!(output.status.code(), Some(0), "{said}");
+    assert!(said.contains("warning[unused-variable]"), "{said}");
+}
+
+/// A scene names agents as scenes do, and after constants of other columns only if such a name matters.
+#[test]
+fn scenes_name_agents_as_scenes_do() {
+    let folder = tempfile::tempdir().unwrap();
+    let write = |name: &str, clauses: &str| {
+        let text = format!(
+            ".include \"vocabulary.dl\"\n.decl Heading(x: agent, h: symbol)\n.decl Waited(x: agent, n: number)\n.input \
+             Heading, Waited\nStop(X) :- CollidingClose(X, Y).\n{clauses}\n"
+        );
+        let file = folder.path().join(name);
+        std::fs::write(&file, text).unwrap();
+        file.to_str().unwrap().to_owned()
+    };
+    let scene = |left: &str, right: &str| -> serde_json::Value {
+        let files = [write("left.dl", left), write("right.dl", right)];
+        let output = logicity(["diff", &files[0], &files[1], "--scene"]);
+        assert_eq!(output.status.code(), Some(1));
+        serde_json::from_slice(&output.stdout).unwrap()
+    };
+    for (left, right, entities) in [
+        (
+            "Slow(X) :- Heading(X, \"east\"), Not(Stop(X)).",
+            "Slow(X) :- Heading(X, \"north\"), Not(Stop(X)).",
+            vec!["e0"],
+        ),
+        // Rules with numbers have another search.
+        (
+            "Slow(X) :- Waited(X, n), n > 3, Heading(X, \"Left\"), Not(Stop(X)).",
+            "Slow(X) :- Waited(X, n), n > 4, Heading(X, \"Left\"), Not(Stop(X)).",
+            vec!["e0"],
+        ),
+        // The name of the agent matters.
+        (
+            "Slow(X) :- IsBus(\"Car_1\"), IsCar(X), Not(Stop(X)).",
+            "Slow(X) :- IsBus(Y), IsBus(\"Car_1\"), IsTiro(Y), IsCar(X), Not(Stop(X)).",
+            vec!["Car_1"],
+        ),
+    ] {
+        let found = scene(left, right);
+        assert_eq!(found["entities"], serde_json::json!(entities), "{found}");
+    }
+    // Conflicts have the same scenes.
+    let file = write(
+        "both.dl",
+        "Slow(X) :- Heading(X, \"east\"), Not(Stop(X)).\nFast(X) :- IsBus(X), Not(Stop(X)).",
+    );
+    let output = logicity(["check", &file, "--json"]);
+    let answer: serde_json::Value = serde_json::from_slice(&output.stdout).unwrap();
+    let conflicts = answer["conflicts"].as_array().unwrap();
+    let scenes: Vec<_> = conflicts.iter().filter(|one| one["finding"] == "together").collect();
+    assert_eq!(scenes.len(), 1);
+    assert_eq!(
+        scenes[0]["scene"]["facts"]["Heading"],
+        serde_json::json!([["e0", "east"]])
+    );
 }

@@ -202,7 +202,7 @@ fn restricted(
     };
     let loaded = workspace.check();
     let Some(checked) = loaded.rules else {
-        return Err(place.faults(loaded.diagnostics).into());
+        return Err(Failure::option(place.faults(loaded.diagnostics)));
     };
     for name in predicates {
         let restricted = checked.predicate(&format!("{name}{GIVEN}"));
