@@ -17,7 +17,7 @@ mod record;
 pub use folder::{FileError, Folder, make_folder};
 pub use journal::Journal;
 pub use logicity_datalog::files::{BUILTIN_FOLDER, ReadError, ReadFile, normalize, to_text};
-pub use output::{Output, Overwrite, end, without_temporaries};
+pub use output::{Output, Overwrite, end, remove_own, without_temporaries};
 
 /// The maximum size of an input file that is read as a whole: 1 GiB. [`limit_reads`] can lower it.
 pub const MAX_BYTES: u64 = 1 << 30;

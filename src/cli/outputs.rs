@@ -98,3 +98,11 @@ pub fn unwritable(path: &Path, error: &io::Error) -> Failure {
     };
     Failure::Usage(format!("cannot write `{}`: {error}{help}", path.display()))
 }
+
+/// Reports a file of an earlier run that cannot be removed.
+pub fn unremovable(path: &Path, error: &io::Error) -> Failure {
+    Failure::Usage(format!(
+        "cannot remove `{}`, which an earlier run wrote: {error}\nhelp: remove it, or choose another folder",
+        path.display()
+    ))
+}

@@ -8,7 +8,7 @@ use crate::cli::icons::IconOptions;
 use crate::cli::inputs::Inputs;
 use crate::cli::limits::LimitOptions;
 use crate::cli::load::load_city;
-use crate::cli::outputs::{ForceOption, finish, is_stdout, refuse_stdout_as_folder, unwritable};
+use crate::cli::outputs::{ForceOption, finish, is_stdout, refuse_stdout_as_folder, unremovable, unwritable};
 use crate::cli::report::{agents_in_words, report};
 use crate::cli::values::{integer, one_of, threads};
 use crate::cli::{signals, terminal};
@@ -16,7 +16,7 @@ use crate::datalog::constraints;
 use crate::datalog::explain::ExplanationPrinter;
 use crate::datalog::{Clause, ClauseId};
 use crate::diag::{self, Diagnostic, SourceId, Sources, counted};
-use crate::files::{Output, make_folder};
+use crate::files::{Output, make_folder, remove_own};
 use crate::page::DECISIONS_MAX;
 use crate::render::{Animation, Extent, Facing, Icons, Overview, Scale, Sprite, write_png};
 use crate::rng::Seed;
@@ -73,7 +73,7 @@ pub struct Arguments {
     /// Also write an interactive HTML page of the run to FILE
     #[arg(long, value_name = "FILE", conflicts_with = "no_trace")]
     html: Option<PathBuf>,
-    /// Write the trace but no pictures
+    /// Write the trace but no pictures; removes the pictures of an earlier run in the folder, which would not fit it
     #[arg(long, conflicts_with_all = ["pack", "difficulty", "drawing_version", "crop", "scale"])]
     no_pictures: bool,
     /// Show only the part of the map that agents visit in this run. Pictures are drawn when the run has ended
@@ -450,6 +450,11 @@ impl Record {
             write_png(&picture, &mut out).map_err(|error| fault("last.png", error))?;
             finish(out, &path("last.png"))?;
             written.extend([path("city.gif"), path("last.png")]);
+        } else {
+            // Pictures of an earlier run would not fit the trace.
+            let pictures = [path("city.gif"), path("last.png")];
+            let removed = remove_own(&pictures.each_ref().map(PathBuf::as_path), "run");
+            removed.map_err(|(position, error)| unremovable(&pictures[position], &error))?;
         }
         Ok(written)
     }

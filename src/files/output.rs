@@ -232,6 +232,41 @@ impl Output {
     }
 }
 
+/// Removes those of these files that the command `by` wrote and that have not changed since. Other files stay.
+///
+/// # Errors
+/// Errors of the system; `ResourceBusy` if another process writes one of the files.
+pub fn remove_own(paths: &[&Path], by: &str) -> Result<(), Failed> {
+    let targets = paths.iter().zip(0..).map(|(path, position)| match follow_links(path) {
+        Ok(target) => Ok((target, position)),
+        Err(error) => Err((position, error)),
+    });
+    for (folder, targets) in by_folder(targets.collect::<Result<_, _>>()?) {
+        let failed = |error| (targets[0].1, error);
+        let _lock = lock(&folder).map_err(failed)?;
+        let busy = remove_leftovers(&folder).map_err(failed)?;
+        let record = Record::read(&folder).map_err(failed)?;
+        let removed = targets.iter().try_for_each(|(target, position)| {
+            let remove = || {
+                let name = name_of(target)?;
+                match existing(target)? {
+                    Some(found) if record.writer(&name, &found) == Some(by) => {}
+                    _ => return Ok(()),
+                }
+                match busy.get(&short(&name)) {
+                    Some(who) => Err(io::Error::new(io::ErrorKind::ResourceBusy, who.clone())),
+                    None => fs::remove_file(target),
+                }
+            };
+            remove().map_err(|error| (*position, error))
+        });
+        // The record of a folder lists no files that are gone.
+        let recorded = record.write(&folder).map_err(failed);
+        removed.and(recorded)?;
+    }
+    Ok(())
+}
+
 /// Returns the result for the only one of several outputs.
 fn only(outputs: Result<Vec<Output>, Failed>) -> io::Result<Output> {
     let outputs = outputs.map_err(|(_, error)| error)?;

@@ -402,6 +402,27 @@ fn no_command_replaces_a_file_of_another_command() {
     );
 }
 
+/// Pictures of an earlier run would not fit the new trace: `run` removes those that it made, and no other file.
+#[test]
+fn a_run_without_pictures_removes_its_earlier_ones() {
+    let folder = tempfile::tempdir().unwrap();
+    let folder = folder.path();
+    succeeds(folder, "run easy --ticks 2 --scale 1 --out out");
+    fs::write(folder.join("out/last.png"), "mine").unwrap();
+    fs::write(folder.join("out/notes.txt"), "mine").unwrap();
+    assert!(folder.join("out/city.gif").exists());
+    succeeds(folder, "run easy --ticks 1 --seed 3 --no-pictures --out out");
+    assert!(!folder.join("out/city.gif").exists());
+    assert_eq!(fs::read_to_string(folder.join("out/last.png")).unwrap(), "mine");
+    assert!(folder.join("out/notes.txt").exists() && folder.join("out/trace.jsonl").exists());
+    // The record forgets what is gone.
+    let record = fs::read_to_string(folder.join("out/.logicity.json")).unwrap();
+    assert!(
+        record.contains("trace.jsonl") && !record.contains("city.gif"),
+        "{record}"
+    );
+}
+
 /// The exit code is 128 plus the number of the signal, whether a command polls or not. Outputs are complete or absent.
 #[test]
 fn commands_end_with_the_code_of_their_signal() {
