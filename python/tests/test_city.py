@@ -297,7 +297,7 @@ def test_explanations_of_facts() -> None:
     assert city.explain(first, "NextTo").holds
     walks = city.why_not("Car_1", "IsPedestrian")
     assert isinstance(walks, logicity.Explanation)
-    assert not walks.holds and walks.text.startswith('IsPedestrian("Car_1") does not hold, because:')
+    assert not walks.holds and walks.text.startswith('IsPedestrian("Car_1") does not hold: it is a base fact, ')
     assert walks.nodes[0]["because"] == "not-a-fact"
     for fact, said in [
         ("Fly", "no predicate `Fly` is declared"),

@@ -156,7 +156,7 @@ def test_explain_and_render_show_the_current_state() -> None:
     name = ["Slow", "Normal", "Fast", "Stop"][info["oracle_action"]]
     first, *proof = env.explain().splitlines()
     assert first.startswith("tick 0: Car_1 at [") and first.endswith(f": {name}") and proof
-    assert env.explain("IsCar").startswith('IsCar("Car_1") holds, because:')
+    assert env.explain("IsCar").startswith('IsCar("Car_1") holds: it is a base fact, ')
     with pytest.raises(logicity.InputError, match="did you mean `IsBus`"):
         env.explain("IsBuss")
     before = env.render()

@@ -1,8 +1,7 @@
 //! `logicity explain`: explains a decision in a trace.
 
 use crate::cancel::Cancel;
-use crate::city::Action;
-use crate::city::Cell;
+use crate::city::{Action, Cell, Effect};
 use crate::cli::failure::Failure;
 use crate::cli::limits::LimitOptions;
 use crate::cli::terminal;
@@ -11,8 +10,9 @@ use crate::cli::values::integer;
 use crate::datalog::explain::{Explainer, ExplanationPrinter};
 use crate::diag::{Diagnostic, SourceId, Sources, did_you_mean, listed};
 use crate::sim::codes;
-use crate::sim::{AskedFact, Decision, Driven, Replay, TraceTick, World};
+use crate::sim::{AskedFact, AskedTemporal, Decision, Driven, Replay, TraceTick, World};
 use serde_json::json;
+use std::fmt;
 use std::io::Write;
 use std::path::PathBuf;
 
@@ -27,15 +27,17 @@ pub struct Arguments {
     #[arg(long, required_unless_present_any = ["why", "why_not"])]
     agent: Option<String>,
     /// Explain why this fact holds, instead of why the agent acted as it did: the name of any predicate, about the
-    /// agent, or a fact such as `IsClose(Car_1, Car_2)`; `_` matches any value
+    /// agent, or a fact such as `IsClose(Car_1, Car_2)`; `_` matches any value. A temporal operator asks about earlier
+    /// ticks: `once[0,5] IsAtInter(Car_1)`
     #[arg(long, value_name = "FACT", conflicts_with = "why_not")]
     why: Option<String>,
     /// Explain why this fact does not hold, for example the action `Fast`
     #[arg(long, value_name = "FACT")]
     why_not: Option<String>,
     /// Print JSON with the keys `tick`, `agent`, `at`, `heading`, `derived`, `action` and `explanations`, plus `driven`
-    /// for a controlled agent; for a fact that is not an action of the agent, with the keys `tick`, `fact`, `holds` and
-    /// `nodes`
+    /// for a controlled agent and `parked_since` and `parked` for one that stands parked; for a fact that is not an action
+    /// of the agent, with the keys `tick`, `fact`, `holds` and `nodes`, plus `base` for a base fact; for a temporal
+    /// literal with `because` and `witness` instead of `nodes`
     #[arg(long)]
     json: bool,
     /// Configuration to use instead of the one in the trace; must have the same content
@@ -75,16 +77,140 @@ pub fn run(arguments: &Arguments, sources: &mut Sources) -> Result<(), Failure> 
         _ => None,
     };
     let tick = find(&mut trace, arguments.tick)?;
-    let set = replay.set(&tick).and_then(|()| replay.verify(&tick));
-    set.map_err(|fault| trace.placed(fault))?;
+    load(&mut replay, &tick, &trace)?;
     if let Some(question) = fact {
-        return print_fact(arguments, &replay, (&tick, question), &names, sources);
+        let known = (&replay.world().scenario, replay.session());
+        let ego = arguments.agent.as_deref();
+        let temporal = AskedTemporal::read(sources, question, known, &names, ego).map_err(Failure::option)?;
+        return match temporal {
+            Some(asked) => print_temporal(arguments, &mut replay, (&tick, &asked), sources),
+            None => print_fact(arguments, &replay, (&tick, question), &names, sources),
+        };
     }
     let Some(position) = position else {
         return Err(Failure::Usage("name an agent with --agent".to_owned()));
     };
 
-    print(arguments, &replay, &tick, (position, why_not), sources)
+    let since = match why_not {
+        None => parked_since(arguments, replay.world(), (&tick, position))?,
+        Some(_) => None,
+    };
+    let mut out = terminal::results(arguments.json);
+    let mut account = account(arguments, &replay, (&tick, since), (position, why_not), sources)?;
+    let Some(since) = since else {
+        write!(out, "{account}")?;
+        return Ok(());
+    };
+    // The tick of the decision explains why the agent stands.
+    let mut trace = TraceReader::open(&arguments.trace)?;
+    let parking = find(&mut trace, Some(since))?;
+    load(&mut replay, &parking, &trace)?;
+    let before = self::account(arguments, &replay, (&parking, None), (position, None), sources)?;
+    match (&mut account, before) {
+        (Shown::Json(line), Shown::Json(before)) => line["parked"] = before,
+        (Shown::Text(text), Shown::Text(before)) => *text += &format!("\n{before}"),
+        _ => unreachable!("both have the form that the user chose"),
+    }
+    write!(out, "{account}")?;
+    Ok(())
+}
+
+/// Sets the replay to a tick of the trace.
+fn load(replay: &mut Replay, tick: &TraceTick, trace: &TraceReader) -> Result<(), Failure> {
+    let set = replay.set(tick).and_then(|()| replay.verify(tick));
+    set.map_err(|fault| trace.placed(fault))
+}
+
+/// Returns the earlier tick whose decision parked an agent until this tick, if one did. A decision to park holds for a
+/// number of ticks, then the agent decides anew.
+fn parked_since(
+    arguments: &Arguments,
+    world: &World,
+    (tick, position): (&TraceTick, usize),
+) -> Result<Option<u64>, Failure> {
+    let table = world.vocabulary.actions();
+    let state = &tick.agents[position];
+    let Some(Effect::Park(ticks)) = table.effect(state.action(table)?) else {
+        return Ok(None);
+    };
+    if !arguments.trace.is_file() {
+        return Ok(None);
+    }
+    let mut trace = TraceReader::open(&arguments.trace)?;
+    let mut first = tick.tick;
+    let mut before: Option<String> = None;
+    while let Some(earlier) = trace.tick()?.filter(|earlier| earlier.tick < tick.tick) {
+        let action = &earlier.agents[position].action;
+        if *action == state.action && before.as_ref() != Some(action) {
+            first = earlier.tick;
+        }
+        before = Some(action.clone());
+    }
+    if before.as_ref() != Some(&state.action) {
+        first = tick.tick;
+    }
+    let passed = (tick.tick - first) % u64::from(ticks.max(1));
+    Ok((passed > 0).then(|| tick.tick - passed))
+}
+
+/// Prints whether a temporal literal holds in a tick, and the proof, or absence, that decides.
+fn print_temporal(
+    arguments: &Arguments,
+    replay: &mut Replay,
+    (tick, asked): (&TraceTick, &AskedTemporal),
+    sources: &Sources,
+) -> Result<(), Failure> {
+    if !arguments.trace.is_file() {
+        let message = "a question about earlier ticks reads the trace twice, which a pipe does not allow";
+        return Err(Failure::Usage(format!("{message}\nhelp: write the trace to a file")));
+    }
+    let literal = asked.literal(replay.session(), sources);
+    let shown = asked.shown(replay.session(), sources);
+    let mut trace = TraceReader::open(&arguments.trace)?;
+    let (mut facts, mut first) = (Vec::new(), tick.tick);
+    while let Some(earlier) = trace.tick()? {
+        if earlier.tick >= asked.first_tick(tick.tick) {
+            load(replay, &earlier, &trace)?;
+            if facts.is_empty() {
+                first = earlier.tick;
+            }
+            facts.push(asked.facts(replay.session()));
+        }
+        if earlier.tick == tick.tick {
+            break;
+        }
+    }
+    let verdict = asked.judge((first, tick.tick), &facts, shown.each_ref().map(String::as_str));
+    let proof = match verdict.witness {
+        None => None,
+        Some((number, fact)) => {
+            let mut trace = TraceReader::open(&arguments.trace)?;
+            let witness = find(&mut trace, Some(number))?;
+            load(replay, &witness, &trace)?;
+            let account = fact
+                .explain(&mut Explainer::new(replay.session()))
+                .map_err(Diagnostic::from)?;
+            Some((number, account))
+        }
+    };
+    let mut out = terminal::results(arguments.json);
+    if arguments.json {
+        let mut line = json!({
+            "tick": tick.tick, "fact": literal, "holds": verdict.holds, "because": verdict.because,
+        });
+        if let Some((number, account)) = proof {
+            line["witness"] = account.json(replay.session(), sources);
+            line["witness"]["tick"] = json!(number);
+        }
+        writeln!(out, "{line}")?;
+        return Ok(());
+    }
+    let holds = if verdict.holds { "holds" } else { "does not hold" };
+    writeln!(out, "tick {}: {literal} {holds}, {}", tick.tick, verdict.because)?;
+    if let Some((number, account)) = proof {
+        write!(out, "tick {number}: {}", account.text(replay.session(), sources))?;
+    }
+    Ok(())
 }
 
 /// Returns the tick with this number, or the last tick.
@@ -124,6 +250,9 @@ fn print_fact(
     if arguments.json {
         let mut line = account.json(session, sources);
         line["tick"] = json!(tick.tick);
+        if let Some(computed) = account.computed() {
+            line["base"] = json!(computed);
+        }
         writeln!(out, "{line}")?;
     } else {
         write!(out, "tick {}: {}", tick.tick, account.text(session, sources))?;
@@ -131,13 +260,29 @@ fn print_fact(
     Ok(())
 }
 
-fn print(
+/// An explanation as the user wants it.
+enum Shown {
+    Json(serde_json::Value),
+    Text(String),
+}
+
+impl fmt::Display for Shown {
+    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        match self {
+            Shown::Json(line) => writeln!(f, "{line}"),
+            Shown::Text(text) => f.write_str(text),
+        }
+    }
+}
+
+/// Explains the decision of an agent in a tick to which the replay is set.
+fn account(
     arguments: &Arguments,
     replay: &Replay,
-    tick: &TraceTick,
+    (tick, parked_since): (&TraceTick, Option<u64>),
     (position, why_not): (usize, Option<Action>),
     sources: &Sources,
-) -> Result<(), Failure> {
+) -> Result<Shown, Failure> {
     let state = &tick.agents[position];
     let [row, col] = state.at;
     let decision = Decision {
@@ -151,22 +296,26 @@ fn print(
         heading: state.heading()?,
         derived: replay.derived(position),
         action: state.action(replay.world().vocabulary.actions())?,
+        parked_since,
     };
     let account = (decision.account(why_not, &Cancel::never())).map_err(Diagnostic::from)?;
-    let mut out = terminal::results(arguments.json);
-    if arguments.json {
-        let mut line = account.json(sources);
-        if let Some(driven) = &state.driven {
-            line["driven"] = json!(driven);
+    Ok(match arguments.json {
+        true => {
+            let mut line = account.json(sources);
+            if let Some(driven) = &state.driven {
+                line["driven"] = json!(driven);
+            }
+            Shown::Json(line)
         }
-        writeln!(out, "{line}")?;
-    } else {
-        if let Some(driven) = &state.driven {
-            writeln!(out, "{}", steering(driven, replay.world(), sources)?)?;
+        false => {
+            let driven = state
+                .driven
+                .as_ref()
+                .map(|driven| steering(driven, replay.world(), sources));
+            let driven = driven.transpose()?.map(|line| line + "\n");
+            Shown::Text(driven.unwrap_or_default() + &account.text(sources))
         }
-        write!(out, "{}", account.text(sources))?;
-    }
-    Ok(())
+    })
 }
 
 /// Describes what a controlled agent observed, and which clauses its action violated.

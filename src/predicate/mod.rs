@@ -600,6 +600,27 @@ impl Definition {
         }
     }
 
+    /// Returns the values from which the predicate is computed, in words.
+    pub fn inputs(&self) -> &'static str {
+        match self {
+            Definition::Static(_) => "the kind and the concepts of the agent",
+            Definition::Local(_) => "the kind and the cell of the agent",
+            Definition::Place(_) => "the cell of the agent",
+            Definition::Pair(Pair::HigherPriority(_)) => "the priorities of both agents",
+            Definition::Pair(Pair::Sees(_)) => "the cells of both agents and the field of view",
+            Definition::Pair(_) if self.is_drawn() => {
+                "the cells and headings of both agents, and a random draw of the tick"
+            }
+            Definition::Pair(_) => "the cells and headings of both agents",
+            Definition::Quantity(quantity) => match quantity.agents() {
+                0 => "the state of the city",
+                1 => "the state of the agent",
+                _ => "the state of both agents",
+            },
+            Definition::External(_) => "the state of the city by a function of the caller",
+        }
+    }
+
     /// Returns whether a trace must record the predicate, since cells, headings and priorities do not determine it.
     pub(crate) fn is_recorded(&self) -> bool {
         match self {
@@ -617,6 +638,15 @@ impl Definition {
     /// Returns whether the predicate relates every agent to itself.
     pub(crate) fn is_reflexive(&self) -> bool {
         matches!(self, Definition::Pair(pair) if pair.is_reflexive())
+    }
+
+    /// Returns whether the predicate holds for agents of a kind with these concepts, wherever they are; `None` if that
+    /// depends on more.
+    pub(crate) fn holds_always(&self, kind: AgentKind, concepts: &[String]) -> Option<bool> {
+        match self {
+            Definition::Static(predicate) => Some(predicate.holds(kind, concepts)),
+            _ => None,
+        }
     }
 
     /// Returns whether the predicate depends only on kind and concepts, not on positions.

@@ -23,7 +23,7 @@ pub use scene::{
     MarginalAnswer, MarginalEgo, Overlap, SceneFacts, agent_lints, conflict_lints, conflicts, earlier_facts, examine,
     needed_draws, scene_json,
 };
-pub use tick::asked::{AskedFact, FactAccount};
+pub use tick::asked::{AskedFact, AskedTemporal, FactAccount, TemporalVerdict};
 pub use tick::batch::Batch;
 pub use tick::chance::Chance;
 pub use tick::executor::{DenseRules, Executor};

@@ -1,7 +1,7 @@
 //! Explains the decision of an agent in a tick.
 
 use crate::cancel::Cancel;
-use crate::city::{Action, Cell, Effect, Heading, KindId};
+use crate::city::{Action, Cell, Effect, Heading, KindId, MoveReason};
 use crate::datalog::Session;
 use crate::datalog::Value;
 use crate::datalog::explain::{ExplainError, Explainer, Explanation, ExplanationPrinter};
@@ -35,6 +35,8 @@ pub struct Decision<'a> {
     pub derived: Actions,
     /// The action in effect: decided by the rules, imposed by the caller, or that which parked the agent.
     pub action: Action,
+    /// The earlier tick in which the action parked the agent; `None` for an agent that is free to act.
+    pub parked_since: Option<u64>,
 }
 
 /// The explanation of a [`Decision`].
@@ -60,12 +62,21 @@ impl Simulation {
         let kind = self.agents()[agent].kind_id;
         let (tick, mut done) = (report.tick, report.agents[agent]);
         let is_before_first_tick = self.now() == 0;
+        let parked = self.agents()[agent].parked;
         let snapshot = self.snapshot()?;
         if is_before_first_tick {
             let vocabulary = &snapshot.world().vocabulary;
             done.derived = snapshot.state.derived(vocabulary, agent);
             done.action = vocabulary.decide(Some(kind), done.derived);
         }
+        let parked_since = match snapshot.world().vocabulary.actions().effect(done.action) {
+            // The tick of the decision is the first of those for which it parks.
+            Some(Effect::Park(ticks)) if done.moved.reason == MoveReason::Parked => {
+                let passed = u64::from(ticks.saturating_sub(1).saturating_sub(parked));
+                (passed > 0).then(|| tick.saturating_sub(passed))
+            }
+            _ => None,
+        };
         Ok(Decision {
             world: snapshot.world(),
             session: snapshot.session(),
@@ -77,6 +88,7 @@ impl Simulation {
             heading: done.heading,
             derived: done.derived,
             action: done.action,
+            parked_since,
         })
     }
 }
@@ -133,6 +145,7 @@ impl Account<'_> {
             kind,
             derived,
             action,
+            parked_since,
             ..
         } = &self.decision;
         let table = self.decision.world.vocabulary.actions();
@@ -148,10 +161,9 @@ impl Account<'_> {
             table.name(*action)
         );
         let by_rules = self.decision.world.vocabulary.decide(Some(*kind), *derived);
-        let parks = matches!(table.effect(*action), Some(Effect::Park(_)));
-        if *action != by_rules && parks && !derived.contains(*action) {
+        if let Some(since) = parked_since {
             let by_rules = table.name(by_rules);
-            let _ = writeln!(text, "it is parked since an earlier tick; the rules say {by_rules}");
+            let _ = writeln!(text, "it is parked since tick {since}; the rules say {by_rules}");
         } else if *action != by_rules {
             let _ = writeln!(
                 text,
@@ -187,7 +199,8 @@ impl Account<'_> {
         text
     }
 
-    /// Returns the explanation as JSON: `tick`, `agent`, `at`, `heading`, `derived`, `action` and `explanations`.
+    /// Returns the explanation as JSON: `tick`, `agent`, `at`, `heading`, `derived`, `action` and `explanations`, plus
+    /// `parked_since` for an agent that an earlier tick parked.
     ///
     /// Each explanation has its `action` and, if the rules declare it, the `nodes` of [`ExplanationPrinter::json`].
     pub fn json(&self, sources: &Sources) -> serde_json::Value {
@@ -203,7 +216,7 @@ impl Account<'_> {
             })
             .collect();
         let decision = &self.decision;
-        json!({
+        let mut account = json!({
             "tick": decision.tick,
             "agent": decision.agent,
             "at": [decision.at.row, decision.at.col],
@@ -211,6 +224,10 @@ impl Account<'_> {
             "derived": decision.derived.iter().map(|action| table.name(action)).collect::<Vec<_>>(),
             "action": table.name(decision.action),
             "explanations": explanations,
-        })
+        });
+        if let Some(since) = decision.parked_since {
+            account["parked_since"] = json!(since);
+        }
+        account
     }
 }

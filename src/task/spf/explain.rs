@@ -161,6 +161,7 @@ fn decision_text(
         heading: agent.heading,
         derived,
         action,
+        parked_since: None,
     };
     let account = decision.account(None, env.city().cancel());
     let account = account.map_err(|error| (vec![error.into()], sources.clone()))?;
