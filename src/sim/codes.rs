@@ -22,6 +22,10 @@ crate::diagnostic_codes! {
     UNREAD_PREDICATE = "unread-predicate", Warning;
     /// An action of the configuration that no clause derives, or a clause that derives it for other kinds of agents.
     UNUSED_ACTION = "unused-action", Warning;
+    /// A kind of the configuration that no agent has.
+    UNUSED_KIND = "unused-kind", Warning;
+    /// A zone of the configuration that no predicate tests.
+    UNUSED_ZONE = "unused-zone", Warning;
     /// A function that computes an external predicate is missing or fails.
     EXTERNAL_PREDICATE = "external-predicate", Error;
     /// A scene that is not JSON or does not follow the scene format.

@@ -384,6 +384,32 @@ fn unknown_agents_are_reported_as_their_fixture_expects() {
     assert!(!String::from_utf8(output.stderr).unwrap().contains("unknown-agent"));
 }
 
+/// `check` warns of parts of a configuration that nothing uses, on the lines that the fixtures mark. Those of a base, or
+/// of a map with a file of its own, may serve others.
+#[test]
+fn unused_parts_of_configurations_are_reported() {
+    for code in ["unused-kind", "unused-zone"] {
+        let path = fixtures().join(code).with_extension("yaml");
+        let text = fs::read_to_string(&path).unwrap();
+        let marked = text.lines().position(|line| line.contains("# warning[")).unwrap() + 1;
+        let found = |path: &std::path::Path| -> Vec<(String, u64)> {
+            let output = logicity(&["check", "--json", path.to_str().unwrap()]);
+            assert_eq!(output.status.code(), Some(0));
+            let answer: Value = serde_json::from_slice(&output.stdout).unwrap();
+            let faults = answer["diagnostics"].as_array().unwrap().iter();
+            let place = |fault: &Value| fault["labels"][0]["line"].as_u64().unwrap();
+            faults
+                .map(|fault| (fault["code"].as_str().unwrap().to_owned(), place(fault)))
+                .collect()
+        };
+        assert_eq!(found(&path), [(code.to_owned(), marked as u64)]);
+        let folder = tempfile::tempdir().unwrap();
+        let other = folder.path().join("other.yaml");
+        fs::write(&other, format!("base: {}\n", path.display())).unwrap();
+        assert_eq!(found(&other), []);
+    }
+}
+
 /// `check` of a configuration reports what does not fit it, on the lines that the fixtures mark, and `check --config`
 /// the same.
 #[test]

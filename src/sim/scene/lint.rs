@@ -1,6 +1,6 @@
 //! Warnings of rules that mean something else in the city than they seem to.
 
-use crate::city::{Action, ActionTable, AgentKind, AgentSet, KindId};
+use crate::city::{Action, ActionTable, AgentKind, AgentSet, KindId, OwnKind};
 use crate::config::{ActionsConfig, Scenario};
 use crate::datalog::diff::Difference;
 use crate::datalog::optimize::{self, Lints};
@@ -9,6 +9,7 @@ use crate::datalog::{
     PredicateId, Rules, Term, TypeId, Value, VarId,
 };
 use crate::diag::{Diagnostic, Faults, MAX_FAULTS, Sources, Span, did_you_mean, listed};
+use crate::located::Located;
 use crate::predicate::{Definition, Static};
 use crate::sim::codes;
 use crate::sim::scene::conflict::{Finding, Overlap, earlier_facts};
@@ -16,6 +17,7 @@ use crate::sim::scene::empty::empty_predicates;
 use crate::sim::scene::theory::CityTheory;
 use crate::symbol::Symbol;
 use std::collections::{BTreeMap, BTreeSet, HashMap, HashSet};
+use std::path::Path;
 
 /// The predicate of the shipped vocabulary that announces collisions.
 const SHIPPED_COLLISION: &str = "CollidingClose";
@@ -44,7 +46,8 @@ pub struct Examined {
 ///   collisions, for rules that decide actions;
 /// - predicates that no agent has, with the clauses that never fire for this reason;
 /// - predicates that are not actions and that no clause reads;
-/// - actions that no clause derives, and clauses that derive actions of other kinds of agents.
+/// - actions that no clause derives, and clauses that derive actions of other kinds of agents;
+/// - kinds that no agent has, and zones that no predicate tests.
 ///
 /// Without a configuration, the declared constraints count, collisions are announced by the predicate of the shipped
 /// vocabulary, and only the rules alone are judged.
@@ -93,6 +96,8 @@ pub fn examine(rules: &Rules, city: Option<&CityTheory>, sources: &Sources) -> E
         found.extend(empty_predicates(rules, scenario, &empty));
         found.extend(unread_predicates(rules, scenario));
         found.extend(unused_actions(rules, scenario));
+        found.extend(unused_kinds(scenario, sources));
+        found.extend(unused_zones(scenario));
         found
     }));
     let standard = ActionTable::default();
@@ -249,6 +254,58 @@ fn unused_actions(rules: &Rules, scenario: &Scenario) -> Vec<Diagnostic> {
         }
     }
     faults
+}
+
+/// Warns of kinds that the configuration itself, not its base, defines, and that no agent has.
+fn unused_kinds(scenario: &Scenario, sources: &Sources) -> Vec<Diagnostic> {
+    let is_here = |span: Span| {
+        let stem = Path::new(sources.name(span.source)).file_stem();
+        stem.is_some_and(|stem| stem.to_string_lossy() == scenario.name.as_str())
+    };
+    let unused = scenario.kinds.own_with_ids().filter(|(kind, own)| {
+        let has_agents = scenario.splits.iter().any(|(_, set)| set.count_of(*kind) > 0);
+        is_here(own.name.span) && !has_agents
+    });
+    let warn = |(_, own): (KindId, &OwnKind)| {
+        let name = own.name.value.as_str();
+        let message = format!("no agent of `{}` is a {name}", scenario.name);
+        let fault = Diagnostic::new(codes::UNUSED_KIND, message).at(own.name.span, "defined here");
+        fault.help(format!(
+            "add agents to a split: `{name}: [{{count: 1, priority: 1}}]`, or remove the kind"
+        ))
+    };
+    unused.map(warn).collect()
+}
+
+/// Warns of zones that no predicate tests, unless the map has a file of its own.
+fn unused_zones(scenario: &Scenario) -> Vec<Diagnostic> {
+    if scenario.map.name != scenario.name {
+        return Vec::new();
+    }
+    let tested = scenario.predicates.iter().filter_map(|known| known.definition.zone());
+    let tested: BTreeSet<&str> = tested.map(|zone| zone.value.as_str()).collect();
+    let zones = scenario.map.zones.iter().map(|zone| &zone.name);
+    let warn = |zone: &Located<String>| {
+        let name = &zone.value;
+        let message = format!("no predicate tests the zone `{name}`, so it has no effect on the rules");
+        let fault = Diagnostic::new(codes::UNUSED_ZONE, message).at(zone.span, "defined here");
+        fault.help(format!(
+            "define one: `predicates: {{define: {{In{}: {{zone: {name}}}}}}}`",
+            capitalized(name)
+        ))
+    };
+    zones
+        .filter(|zone| !tested.contains(zone.value.as_str()))
+        .map(warn)
+        .collect()
+}
+
+/// Returns a name with a capital letter first, as names of predicates are.
+fn capitalized(name: &str) -> String {
+    let mut letters = name.chars();
+    letters
+        .next()
+        .map_or_else(String::new, |first| first.to_uppercase().chain(letters).collect())
 }
 
 /// Returns the kinds of agents that can satisfy the body of a clause, judged by its atoms about kinds and concepts.
