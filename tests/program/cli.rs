@@ -1816,6 +1816,19 @@ fn a_scene_names_the_map_of_a_configuration() {
     // The road of one block ends before this cell.
     let off = scene(&town).replace("[25, 8]", "[25, 90]");
     fails(&with_input(["infer"], off.as_bytes()), 1, &["is not on the map"]);
+    // Nor can an agent be in a building.
+    for (kind, street) in [("Car", "a street"), ("Pedestrian", "a sidewalk")] {
+        let inside = format!(
+            "{{\"map\": \"square-5x5\", \"agents\": [{{\"id\": \"A\", \"type\": \"{kind}\", \"at\": [20, 20]}}]}}"
+        );
+        let words = [
+            "`A` is in a building of the map `square-5x5`",
+            "[20, 20]",
+            "the nearest cell on ",
+            street,
+        ];
+        fails(&with_input(["infer"], inside.as_bytes()), 1, &words);
+    }
 }
 
 /// Constraints are not rules: commands report violations only with `--check-constraints`.

@@ -881,23 +881,55 @@ const HELP: &str = "a scene is {\"map\": .., \"agents\": [{\"id\": .., \"type\":
                     \"ego\": .., \"facts\": {..}}; `logicity new FOLDER` writes examples";
 
 impl GeometricScene {
-    /// Checks that every agent is on the map.
+    /// Checks that every agent is on the map and outside its buildings.
     ///
     /// # Errors
-    /// `invalid-scene` for each agent outside the map.
+    /// `invalid-scene` for each agent outside the map or in a building.
     pub fn check_cells(&self, map: &CityMap) -> Result<(), Vec<Diagnostic>> {
-        let outside = self.agents.iter().filter(|agent| !map.contains(agent.at));
-        let faults: Faults = outside
-            .map(|agent| {
-                let message = format!("`{}` is not on the map `{}`", agent.id, map.name);
+        let check = |agent: &SceneAgent| {
+            let Cell { row, col } = agent.at;
+            let fault = |message: String| {
+                Diagnostic::new(codes::INVALID_SCENE, message).at(agent.span, format!("at [{row}, {col}]"))
+            };
+            if !map.contains(agent.at) {
                 let (rows, cols) = (map.rows() - 1, map.cols() - 1);
-                Diagnostic::new(codes::INVALID_SCENE, message)
-                    .at(agent.span, format!("at [{}, {}]", agent.at.row, agent.at.col))
-                    .help(format!("rows are 0 to {rows}, columns 0 to {cols}"))
+                return Some(
+                    fault(format!("`{}` is not on the map `{}`", agent.id, map.name))
+                        .help(format!("rows are 0 to {rows}, columns 0 to {cols}")),
+                );
+            }
+            let building = map.building_at(agent.at)?;
+            let message = format!("`{}` is in a building of the map `{}`", agent.id, map.name);
+            let fault = fault(message).note(format!(
+                "the cell [{row}, {col}] belongs to a building ({})",
+                building.name()
+            ));
+            let (what, may) = match agent.kind {
+                AgentKind::Car => ("street", CityMap::is_drivable as fn(&CityMap, Cell) -> bool),
+                AgentKind::Pedestrian => ("sidewalk", CityMap::is_walkable as fn(&CityMap, Cell) -> bool),
+            };
+            Some(match nearest(map, agent.at, may) {
+                Some(Cell { row, col }) => fault.help(format!("the nearest cell on a {what} is [{row}, {col}]")),
+                None => fault.help(format!("choose a cell on a {what}")),
             })
-            .collect();
+        };
+        let faults: Faults = self.agents.iter().filter_map(check).collect();
         if faults.failed() { Err(faults.finish()) } else { Ok(()) }
     }
+}
+
+/// Returns the nearest cell, by rows and columns, on which agents of a kind may be.
+fn nearest(map: &CityMap, to: Cell, may: fn(&CityMap, Cell) -> bool) -> Option<Cell> {
+    let rings = 1..=map.rows().max(map.cols());
+    let mut found = rings.filter_map(|away| {
+        let ring = (-away..=away).flat_map(|along| {
+            let across = away - along.abs();
+            [(along, across), (along, -across)]
+        });
+        let mut cells = ring.map(|(row, col)| Cell::new(to.row + row, to.col + col));
+        cells.find(|cell| may(map, *cell))
+    });
+    found.next()
 }
 
 #[cfg(test)]
