@@ -1,12 +1,14 @@
 //! Whole episodes under simple policies, and episode sets generated with them.
 
-use crate::city::{Action, ActionTable, Split};
+use crate::city::{Action, ActionTable, AgentKind, Split};
+use crate::datalog::{ClauseId, Literal};
 use crate::diag::Diagnostic;
 use crate::diag::codes;
 use crate::rng::{Purpose, RngExt, Seed};
 use crate::sim::Actions;
 use crate::task::spf::episode::episode_seed;
 use crate::task::spf::{ControlMode, Env, Episode, EpisodeSet, MapIdentity, OracleRun, SpfTask};
+use crate::yaml::codes::INVALID_VALUE;
 use std::collections::BTreeMap;
 use std::sync::Arc;
 
@@ -244,6 +246,60 @@ impl Wanted {
         }
     }
 
+    /// Checks that egos can have the concepts for which the rules derive the actions.
+    ///
+    /// # Errors
+    /// `invalid-value` if they cannot, and too few episodes have the other actions.
+    fn check(&self, env: &Env, split: Split, count: usize) -> Result<(), Diagnostic> {
+        let task = env.task();
+        let cars = env
+            .controlled_cars()
+            .iter()
+            .map(|car| &env.city().agents()[car.agent()].concepts);
+        let egos: Vec<Arc<[String]>> = match &task.config().ego {
+            Some(_) => self.concepts.iter().map(|(concepts, _)| Arc::clone(concepts)).collect(),
+            None => cars.cloned().collect(),
+        };
+        let clauses = |action: usize| {
+            let constraints = task.oracle().constraints().iter();
+            constraints
+                .filter(move |one| one.action == Action::at(action))
+                .map(|one| one.clause)
+        };
+        let lacks = |action: &usize| {
+            let is_possible = |clause| egos.iter().any(|ego| unsuitable(task, clause, ego).is_none());
+            self.actions[*action] > 0 && !clauses(*action).any(is_possible)
+        };
+        let (lacking, others): (Vec<usize>, Vec<usize>) = (0..Action::MAX).partition(lacks);
+        // The search accepts only episodes with an action that is still missing.
+        let most: usize = others.iter().map(|&action| self.actions[action]).sum();
+        let Some(&action) = lacking.first().filter(|_| most < count) else {
+            return Ok(());
+        };
+        let mut reasons = clauses(action).filter_map(|clause| Some((clause, unsuitable(task, clause, egos.first()?)?)));
+        let Some((clause, Unsuitable { label, concept })) = reasons.next() else {
+            return Ok(());
+        };
+        let name = task.world().vocabulary.actions().name(Action::at(action));
+        let message = format!(
+            "no ego of the split `{}` can satisfy a clause of `{name}`, which a set of episodes needs",
+            split.name()
+        );
+        let fault = Diagnostic::new(INVALID_VALUE, message)
+            .at(task.world().program.rules().clauses[clause.index()].span, label)
+            .also(task.config().span, "of this task");
+        let carry = concept.map_or("[...]".to_owned(), |concept| format!("[{concept}]"));
+        Err(match &task.config().ego {
+            Some(_) => fault.help(format!(
+                "add a variant of the ego to the task: `{{weight: 1, concepts: {carry}}}`"
+            )),
+            None => fault.help(format!(
+                "the ego is the first car of `agents: {}`: give it `concepts: {carry}`, or let the task draw an `ego`",
+                split.name()
+            )),
+        })
+    }
+
     /// Accepts an episode if it meets an open requirement.
     fn take(&mut self, concepts: &[String], done: &Rollout) -> bool {
         let asks = |action: usize| done.constrained[action] > 0;
@@ -268,12 +324,58 @@ impl Wanted {
     }
 }
 
+/// Why an ego never satisfies a clause.
+struct Unsuitable {
+    label: String,
+    /// The concept that the ego would need.
+    concept: Option<String>,
+}
+
+/// Returns why a car with these concepts never satisfies the body of a clause, judged by its atoms about kinds and
+/// concepts.
+fn unsuitable(task: &SpfTask, clause: ClauseId, concepts: &[String]) -> Option<Unsuitable> {
+    let (rules, scenario) = (task.world().program.rules(), &task.world().scenario);
+    let clause = &rules.clauses[clause.index()];
+    let reason = |literal: &Literal| {
+        let (atom, wanted) = match literal {
+            Literal::Positive(atom) => (atom, true),
+            Literal::Negative(atom) => (atom, false),
+            _ => return None,
+        };
+        let name = rules.predicates[atom.predicate.index()].name.as_str();
+        let known = scenario.predicates.iter().find(|known| known.name.value == name)?;
+        if atom.terms != clause.head.terms || known.definition.holds_always(AgentKind::Car, concepts)? == wanted {
+            return None;
+        }
+        let concept = known
+            .definition
+            .concept()
+            .filter(|concept| wanted && concept.of == AgentKind::Car);
+        Some(match concept {
+            Some(concept) => Unsuitable {
+                label: format!("no ego has the concept `{}`", concept.concept),
+                concept: Some(concept.concept.clone()),
+            },
+            None if wanted => Unsuitable {
+                label: format!("`{name}` holds for no ego"),
+                concept: None,
+            },
+            None => Unsuitable {
+                label: format!("`{name}` holds for every ego"),
+                concept: None,
+            },
+        })
+    };
+    clause.body.iter().find_map(reason)
+}
+
 /// Generates a set of random episodes in which the oracle reaches the goal and at least one step is constrained. The
 /// set is balanced over the kinds of egos in the configuration. If the rules can derive k actions, each of them occurs
 /// in at least 1 / (2k) of the episodes. Calls `watch` with the number of episodes after each new one.
 ///
 /// # Errors
-/// As [`Env::new`] and [`Env::reset`]; `limit-exceeded` if the search finds too few episodes.
+/// As [`Env::new`] and [`Env::reset`]; `invalid-value` if no ego can have the concepts for which the rules derive an
+/// action that the set needs; `limit-exceeded` if the search finds too few episodes.
 pub fn make_episodes(
     task: &Arc<SpfTask>,
     split: Split,
@@ -283,6 +385,7 @@ pub fn make_episodes(
 ) -> Result<EpisodeSet, Diagnostic> {
     let mut env = Env::new(Arc::clone(task), split, ControlMode::First)?;
     let mut wanted = Wanted::new(task, count);
+    wanted.check(&env, split, count)?;
     let mut episodes: Vec<Episode> = Vec::new();
     let draws = DRAWS.saturating_mul(count as u64);
     for draw in 0..draws {
