@@ -1,5 +1,6 @@
 //! The reasons why a command fails.
 
+use crate::datalog::codes;
 use crate::diag::Diagnostic;
 use crate::files::FileError;
 use std::io;
@@ -56,8 +57,25 @@ impl Failure {
         Failure::Usage(format!("cannot {doing} `{}`: {error}", path.display()))
     }
 
+    /// Adds help to the faults of rules that do not fit a configuration.
+    pub fn advise(self, help: Option<&str>) -> Failure {
+        let advise = |fault: Diagnostic| match help.filter(|_| fault.code == codes::RULE_MISMATCH) {
+            Some(help) => fault.help(help),
+            None => fault,
+        };
+        match self {
+            Failure::Input(faults) => Failure::Input(faults.into_iter().map(advise).collect()),
+            other => other,
+        }
+    }
+
     /// Returns the failure of an option whose value does not fit the input.
     pub fn option(faults: impl Into<Vec<Diagnostic>>) -> Failure {
         Failure::Option(faults.into())
     }
+}
+
+/// Returns the help about the configuration that a command takes without its option `--config`.
+pub fn assumed(config: &str) -> String {
+    format!("without `--config`, this is about `{config}`; choose another configuration with `--config FILE`")
 }

@@ -204,8 +204,15 @@ fn run(mut command: clap::Command, arguments: &[OsString]) -> u8 {
     let name = OsString::from("logicity");
     let parsed = command
         .try_get_matches_from_mut(iter::once(&name).chain(arguments))
-        .and_then(|mut matches| Ok((memory_limit(&matches), Arguments::from_arg_matches_mut(&mut matches)?)));
-    let (limit, arguments) = match parsed {
+        .and_then(|mut matches| {
+            let assumed = assumed_config(&command, &matches);
+            Ok((
+                memory_limit(&matches),
+                assumed,
+                Arguments::from_arg_matches_mut(&mut matches)?,
+            ))
+        });
+    let (limit, assumed, arguments) = match parsed {
         Ok(parsed) => parsed,
         Err(error) => {
             let error = error.format(&mut command);
@@ -272,6 +279,21 @@ fn run(mut command: clap::Command, arguments: &[OsString]) -> u8 {
     // The end of the process would ignore that the last line cannot be written.
     match result.and_then(|()| io::stdout().flush().map_err(Failure::from)) {
         Ok(()) => code,
-        Err(failure) => exit(failure, &sources),
+        Err(failure) => exit(failure.advise(assumed.as_deref()), &sources),
     }
+}
+
+/// Returns the help about the configuration that a command takes by default, if the user chose none.
+fn assumed_config(command: &clap::Command, matches: &clap::ArgMatches) -> Option<String> {
+    if let Some((name, inner)) = matches.subcommand() {
+        return assumed_config(command.find_subcommand(name)?, inner);
+    }
+    let argument = command.get_arguments().find(|argument| argument.get_id() == "config")?;
+    let chosen = matches.value_source("config") != Some(clap::parser::ValueSource::DefaultValue);
+    let assumed = argument.get_default_values().first().filter(|_| !chosen)?;
+    let assumed = assumed.to_string_lossy();
+    Some(match argument.get_long() {
+        Some(_) => failure::assumed(&assumed),
+        None => format!("this is about `{assumed}`, the default; name another configuration as the argument `CONFIG`"),
+    })
 }

@@ -538,3 +538,99 @@ fn many_predicates_with_probabilities_are_checked_in_seconds() {
     assert_eq!(found(folder.path(), &["city.yaml"]), is(&[("constraint-mismatch", 4)]));
     assert!(begin.elapsed() < Duration::from_secs(60), "{:?}", begin.elapsed());
 }
+
+/// A declaration that does not fit the configuration is reported where it stands, with the expected one, also if the
+/// rules have other faults because of it.
+#[test]
+fn declarations_are_compared_with_the_configuration() {
+    let folder = tempfile::tempdir().unwrap();
+    let folder = folder.path();
+    let config = write(
+        folder,
+        "main.yaml",
+        "base: expert\nrules: main.dl\ntask: ~\npredicates: {define: {Tick: {quantity: tick}, Waited: {quantity: waited}}}\n",
+    );
+    let rules = ".include \"vocabulary.dl\"\n.decl Tick(t: float)\n.decl Waited(x: agent, n: number)\n.input Tick, \
+                 Waited\nStop(X) :- CollidingClose(X, Y).\nSlow(X) :- Waited(X, n), Tick(t), n > t, Not(Stop(X)).\n";
+    let file = write(folder, "main.dl", rules);
+    for arguments in [
+        vec!["check", &config],
+        vec!["check", &file, "--config", &config],
+        vec!["run", &config, "--ticks", "1", "--no-trace"],
+    ] {
+        let output = run(&arguments, b"");
+        let words = [
+            "the declaration of `Tick` does not match its definition in the configuration",
+            "main.dl:2:7",
+            "declare it with `.decl Tick(n: number)`",
+            "error[type-mismatch]",
+        ];
+        fails(&output, 1, &words);
+        let said = err(&output);
+        assert!(!said.contains("declaration of `Waited`"), "{said}");
+        assert_eq!(said.matches("declaration of `Tick`").count(), 1, "{said}");
+    }
+}
+
+/// A message about rules that do not fit a configuration names the one that a command takes by default.
+#[test]
+fn default_configurations_are_named() {
+    let folder = tempfile::tempdir().unwrap();
+    let folder = folder.path();
+    let rules =
+        ".include \"vocabulary.dl\"\n.decl Tick(t: number)\n.input Tick\nStop(X) :- CollidingClose(X, Y), Tick(3).\n";
+    let file = write(folder, "alone.dl", rules);
+    let help =
+        "without `--config`, this is about `configs/expert.yaml`; choose another configuration with `--config FILE`";
+    let output = run(&["infer", "--rules", &file], b"");
+    fails(&output, 1, &["error[rule-mismatch]", help]);
+    let output = run(&["induce", "--rules", &file, "-"], b"");
+    fails(&output, 1, &["error[rule-mismatch]", help]);
+    let output = run(&["infer", "--rules", &file, "--config", "easy"], b"");
+    assert!(err(&output).contains("rule-mismatch") && !err(&output).contains("without `--config`"));
+    let episodes = folder.join("episodes.jsonl");
+    let output = run(
+        &["episodes", "make", "--rules", &file, "-o", episodes.to_str().unwrap()],
+        b"",
+    );
+    fails(
+        &output,
+        1,
+        &["this is about `configs/expert.yaml`, the default", "argument `CONFIG`"],
+    );
+}
+
+/// `episodes make` says before its search that no ego can satisfy the clauses of an action.
+#[test]
+fn episodes_need_egos_that_can_satisfy_the_rules() {
+    let folder = tempfile::tempdir().unwrap();
+    let folder = folder.path();
+    write(
+        folder,
+        "main.dl",
+        ".include \"vocabulary.dl\"\nStop(X) :- CollidingClose(X, Y).\nSlow(X) :- IsTiro(X), IsAtInter(X), Not(Stop(X)).\n",
+    );
+    let make = |task: &str, agents: &str| {
+        let text = format!("base: expert\nrules: main.dl\ntask: {{{task}}}\nagents: {{test: {{{agents}}}}}\n");
+        let config = write(folder, "main.yaml", &text);
+        let to = folder.join("episodes.jsonl");
+        run(
+            &["episodes", "make", &config, "--count", "10", "-o", to.to_str().unwrap()],
+            b"",
+        )
+    };
+    let said = "no ego of the split `test` can satisfy a clause of `Slow`";
+    let one = "ego: {priority: {train: 3, val: 3, test: 3}, concepts: [{weight: 1, concepts: [bus]}]}";
+    let help = "add a variant of the ego to the task: `{weight: 1, concepts: [tiro]}`";
+    let words = [said, "main.dl:3:1", "no ego has the concept `tiro`", help];
+    fails(&make(one, "repeat: 1"), 1, &words);
+    let first = "cars: [{concepts: [bus], priority: 1}, {concepts: [tiro], priority: 2}]";
+    fails(
+        &make("ego: ~", first),
+        1,
+        &[
+            said,
+            "the ego is the first car of `agents: test`: give it `concepts: [tiro]`",
+        ],
+    );
+}

@@ -6,7 +6,7 @@ mod popper;
 
 use crate::cancel::Cancel;
 use crate::city::{Action, Split};
-use crate::cli::failure::Failure;
+use crate::cli::failure::{Failure, assumed};
 use crate::cli::inputs::Inputs;
 use crate::cli::limits::LimitOptions;
 use crate::cli::load::load_city;
@@ -161,6 +161,14 @@ fn load(arguments: &Arguments, sources: &mut Sources) -> Result<(LoadedCity, usi
 }
 
 pub fn run(arguments: &Arguments, sources: &mut Sources) -> Result<(), Failure> {
+    // Without rules of its own, the configuration fits them, or is that of the traces.
+    induce(arguments, sources).map_err(|failure| match (&arguments.config, &arguments.rules) {
+        (None, Some(_)) => failure.advise(Some(&assumed(CONFIG))),
+        _ => failure,
+    })
+}
+
+fn induce(arguments: &Arguments, sources: &mut Sources) -> Result<(), Failure> {
     let paths: Vec<&Path> = arguments.outputs().into_iter().map(|(_, path)| path).collect();
     refuse_mixing(arguments.outputs())?;
     if let Some(folder) = &arguments.popper.popper {
