@@ -35,9 +35,9 @@ pub struct Arguments {
     #[arg(long, value_name = "FACT")]
     why_not: Option<String>,
     /// Print JSON with the keys `tick`, `agent`, `at`, `heading`, `derived`, `action` and `explanations`, plus `driven`
-    /// for a controlled agent and `parked_since` and `parked` for one that stands parked; for a fact that is not an action
-    /// of the agent, with the keys `tick`, `fact`, `holds` and `nodes`, plus `base` for a base fact; for a temporal
-    /// literal with `because` and `witness` instead of `nodes`
+    /// for a controlled agent, and `parked_since` and `parked` for one that stands parked; for a fact that is not an
+    /// action of the agent, with the keys `tick`, `fact`, `holds` and `nodes`, plus `base` for a base fact; for a
+    /// temporal literal with `because` and `witness` instead of `nodes`
     #[arg(long)]
     json: bool,
     /// Configuration to use instead of the one in the trace; must have the same content
@@ -206,7 +206,11 @@ fn print_temporal(
         return Ok(());
     }
     let holds = if verdict.holds { "holds" } else { "does not hold" };
-    writeln!(out, "tick {}: {literal} {holds}, {}", tick.tick, verdict.because)?;
+    writeln!(
+        out,
+        "tick {}: {literal} {holds}, because {}",
+        tick.tick, verdict.because
+    )?;
     if let Some((number, account)) = proof {
         write!(out, "tick {number}: {}", account.text(replay.session(), sources))?;
     }

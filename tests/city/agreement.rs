@@ -130,7 +130,7 @@ pub fn observers_derive_as_sessions_do(oracle: &Arc<Oracle>, world: &Arc<World>,
             let (session, ego) = observer.session(&city).unwrap();
             let holds = |action: &Action| session.contains(world.vocabulary.action(*action).unwrap(), [ego]);
             let expected = Action::STANDARD.into_iter().filter(holds).collect();
-            assert_eq!(found, world.vocabulary.before_default(expected));
+            assert_eq!(found, world.vocabulary.before_default(None, expected));
             derived += found.len();
         }
         city.tick(&[]).unwrap();

@@ -166,7 +166,7 @@ fn replays_draw_as_the_run_did() {
             for (agent, derived) in decided.iter().enumerate() {
                 assert_eq!(
                     replay.derived(agent),
-                    world.vocabulary.before_default(*derived),
+                    world.vocabulary.before_default(None, *derived),
                     "tick {tick}"
                 );
                 drawn += derived.len();

@@ -247,7 +247,7 @@ fn rules_decide_on_observed_quantities() {
                 assert_eq!(
                     world
                         .vocabulary
-                        .before_default(Action::STANDARD.into_iter().filter(holds).collect()),
+                        .before_default(None, Action::STANDARD.into_iter().filter(holds).collect()),
                     derived
                 );
                 decided[expected.index()] += 1;

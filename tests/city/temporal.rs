@@ -127,7 +127,7 @@ fn cities_agree_with_the_whole_history() {
                     predicate.is_some_and(|predicate| model[predicate.index()].contains(&vec![names[agent]]))
                 };
                 let expected = Action::STANDARD.into_iter().filter(holds).collect();
-                let expected = world.vocabulary.before_default(expected);
+                let expected = world.vocabulary.before_default(None, expected);
                 assert_eq!(*found, expected, "agent {agent} in tick {tick} under\n{rules}");
                 derived += found.len();
             }

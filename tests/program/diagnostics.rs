@@ -384,8 +384,8 @@ fn unknown_agents_are_reported_as_their_fixture_expects() {
     assert!(!String::from_utf8(output.stderr).unwrap().contains("unknown-agent"));
 }
 
-/// `check` warns of parts of a configuration that nothing uses, on the lines that the fixtures mark. Those of a base, or
-/// of a map with a file of its own, may serve others.
+/// `check` warns of parts of a configuration that nothing uses, on the lines that the fixtures mark. Those of a base,
+/// or of a map with a file of its own, may serve others.
 #[test]
 fn unused_parts_of_configurations_are_reported() {
     for code in ["unused-kind", "unused-zone"] {

@@ -302,7 +302,7 @@ fn explain_takes_temporal_literals() {
         serde_json::from_slice(&output.stdout).unwrap()
     };
     let mut held = [0; 3];
-    for tick in (0..40).step_by(3) {
+    for tick in (0..40_usize).step_by(3) {
         let window = |first: usize, last: usize| (first..=last).filter_map(move |back| tick.checked_sub(back));
         let complete = |last: usize| tick >= last;
         for (kind, question, expected) in [
@@ -317,7 +317,7 @@ fn explain_takes_temporal_literals() {
                 let nearest = window(1, 3).find(|&at| parks(at)).unwrap();
                 assert_eq!(answer["witness"]["tick"], nearest, "{answer}");
                 assert_eq!(answer["witness"]["nodes"][0]["by"], "clause", "{answer}");
-                let because = format!("because Park(\"Car_1\") held in tick {nearest}");
+                let because = format!("Park(\"Car_1\") held in tick {nearest}");
                 assert_eq!(answer["because"], because);
             }
         }

@@ -383,7 +383,7 @@ struct WrittenTemporal {
     whole: Span,
 }
 
-/// What a temporal operator asks of the ticks of its window.
+/// What a temporal operator needs in the ticks of its window.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 enum TemporalOperator {
     /// `previous`, `once`
@@ -568,7 +568,7 @@ impl AskedTemporal {
         let Some(end) = now.checked_sub(nearest.into()).filter(|end| *end >= first) else {
             return TemporalVerdict {
                 holds: false,
-                because: format!("because the window ends before the first tick, {first}, and nothing held then"),
+                because: format!("the window ends before the first tick, {first}, and nothing held then"),
                 witness: None,
             };
         };
@@ -580,7 +580,7 @@ impl AskedTemporal {
         let mut held_at = (from..=end).rev().filter(|tick| at(*tick)[0]);
         let verdict = |holds, because: String, tick, fact: &AskedFact| TemporalVerdict {
             holds,
-            because: format!("because {because}"),
+            because,
             witness: Some((tick, fact.clone())),
         };
         let never = || match from == end {

@@ -25,6 +25,7 @@ mod sat;
 pub mod shortcuts;
 mod trial;
 mod unsat_core;
+mod values;
 
 use crate::check::subsumption::within_theory;
 use crate::check::{Literal, PredicateId, Rules, Term};

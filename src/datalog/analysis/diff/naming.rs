@@ -7,7 +7,7 @@
 use crate::analysis::constraints;
 use crate::analysis::diff::Difference;
 use crate::analysis::diff::pair::Output;
-use crate::analysis::diff::trial::{LIMITS, named, print, words};
+use crate::analysis::diff::values::{LIMITS, named, print, words};
 use crate::check::{Column, Literal, PredicateId, Rules, TypeId};
 use crate::naive;
 use crate::program::Program;

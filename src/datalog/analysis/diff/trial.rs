@@ -8,15 +8,14 @@
 use crate::analysis::constraints;
 use crate::analysis::diff::naming;
 use crate::analysis::diff::pair::{Base, Functions, Output, Pair, relevant};
+use crate::analysis::diff::values::{LIMITS, named, print, words};
 use crate::analysis::diff::{Difference, Equivalence, Model, Options};
-use crate::check::{Constraint, DeclaredConstraint, Literal, PredicateId, Rules, Term};
+use crate::check::{Constraint, DeclaredConstraint, Literal, PredicateId, Rules};
 use crate::diag::Diagnostic;
-use crate::eval::limits::Limits;
 use crate::program::Program;
 use crate::session::Session;
 use crate::symbol::Symbol;
 use crate::syntax::ast::{BaseType, Comparison};
-use crate::syntax::functor::Functor;
 use crate::value::{Value, parse as parse_value, print_float};
 use crate::{facts, naive};
 use rand::{Rng, RngExt, SeedableRng};
@@ -40,13 +39,6 @@ const FACTS_MAX: usize = 20_000;
 
 /// Maximum numbers of entities and facts in a random scene.
 const RANDOM_MAX: (usize, usize) = (4, 12);
-
-/// The limits of evaluating one scene. A scene that exceeds them is skipped.
-pub(super) const LIMITS: Limits = Limits {
-    rows: 20_000,
-    steps: 10_000_000,
-    bytes: 1 << 28,
-};
 
 /// A base fact: the position of its predicate, and its values as text.
 type Fact = (usize, Vec<String>);
@@ -561,24 +553,6 @@ fn in_order<'a>(facts: impl Iterator<Item = &'a Fact>, names: &[String]) -> bool
     true
 }
 
-pub(super) fn words(session: &mut Session, columns: &[BaseType], row: &[String]) -> Vec<Value> {
-    let columns = columns.iter().zip(row);
-    columns
-        .map(|(base, text)| match base {
-            BaseType::Symbol => session.intern(text),
-            base => parse_value(*base, text).unwrap_or_default(),
-        })
-        .collect()
-}
-
-pub(super) fn print(base: BaseType, value: Value) -> String {
-    match base {
-        BaseType::Unsigned => value.0.to_string(),
-        BaseType::Float => print_float(value.as_float()),
-        BaseType::Number | BaseType::Symbol => value.as_number().to_string(),
-    }
-}
-
 /// Returns the rows of the outputs as text, because the two sides number their symbols differently.
 fn answer(session: &Session, outputs: &[Output]) -> Vec<BTreeSet<String>> {
     let rows = |output: &Output| {
@@ -586,67 +560,6 @@ fn answer(session: &Session, outputs: &[Output]) -> Vec<BTreeSet<String>> {
         Some(facts::print(session, predicate).lines().map(str::to_owned).collect())
     };
     outputs.iter().map(|output| rows(output).unwrap_or_default()).collect()
-}
-
-/// Collects the constants of the rules, the neighbors of numbers, and a few small numbers.
-pub(super) fn named(rules: &Rules, constants: &mut BTreeSet<(BaseType, String)>) {
-    let mut add = |base: BaseType, term: &Term| {
-        let Term::Constant(value) = *term else { return };
-        match base {
-            BaseType::Symbol => {
-                let text = rules.symbols.resolve(Symbol(value.0)).unwrap_or_default();
-                constants.insert((base, text.to_owned()));
-            }
-            BaseType::Number => {
-                let number = value.as_number();
-                let near = [number.wrapping_sub(1), number, number.wrapping_add(1)];
-                constants.extend(near.map(|number| (base, number.to_string())));
-            }
-            BaseType::Unsigned => {
-                let near = [value.0.wrapping_sub(1), value.0, value.0.wrapping_add(1)];
-                constants.extend(near.map(|number| (base, number.to_string())));
-            }
-            BaseType::Float => {
-                let near = [value.as_float() - 1.0, value.as_float(), value.as_float() + 1.0];
-                constants.extend(near.map(|number| (base, print_float(number))));
-            }
-        }
-    };
-    let one = Term::Constant(Value::number(1));
-    add(BaseType::Number, &one);
-    add(BaseType::Unsigned, &one);
-    add(BaseType::Float, &Term::Constant(Value::float(0.0)));
-    for clause in &rules.clauses {
-        let atoms = clause.body.iter().filter_map(Literal::atom).chain([&clause.head]);
-        for atom in atoms {
-            let columns = &rules.predicates[atom.predicate.index()].columns;
-            columns
-                .iter()
-                .zip(&atom.terms)
-                .for_each(|(column, term)| add(column.base, term));
-        }
-        for literal in &clause.body {
-            match literal {
-                Literal::Compare { left, right, base, .. } => {
-                    add(*base, left);
-                    add(*base, right);
-                }
-                Literal::Compute {
-                    functor,
-                    base,
-                    arguments,
-                    ..
-                } => {
-                    for (argument, position) in arguments.iter().zip(0..) {
-                        // Only the first argument of `substr` is a string.
-                        let number = *functor == Functor::Substring && position > 0;
-                        add(if number { BaseType::Number } else { *base }, argument);
-                    }
-                }
-                _ => {}
-            }
-        }
-    }
 }
 
 /// Adds what the constraints of one side require of facts; see [`Trial`].
