@@ -136,15 +136,19 @@ fn load(
             warnings.extend(examine(program.rules(), city.theory(), sources).diagnostics);
             warnings.extend(city.bind(program, Some(path), sources));
         }
-        // Both sides may include the file with the fault.
-        let mut known = HashSet::new();
-        warnings.retain(|fault| known.insert(to_json(std::slice::from_ref(fault), sources).to_string()));
-        if warnings.iter().any(Diagnostic::is_error) {
-            return Err(Failure::Input(warnings));
-        }
+    }
+    once(&mut warnings, sources);
+    if warnings.iter().any(Diagnostic::is_error) {
+        return Err(Failure::Input(warnings));
     }
     let sides = [left, right].map(|program| program.rules().with_draws_as_facts());
     Ok((sides, warnings))
+}
+
+/// Keeps each of several equal faults once: both sides may include the file with the fault.
+fn once(faults: &mut Vec<Diagnostic>, sources: &Sources) {
+    let mut known = HashSet::new();
+    faults.retain(|fault| known.insert(to_json(std::slice::from_ref(fault), sources).to_string()));
 }
 
 /// Returns the rules with the constraints that hold in a city instead of the declared ones.
