@@ -28,6 +28,7 @@ mod map;
 mod memory;
 mod new;
 mod outputs;
+mod pddl;
 mod python;
 mod query;
 mod questions;
@@ -97,6 +98,8 @@ enum Command {
     View(view::Arguments),
     /// Generate, check or print recorded episodes of Safe Path Following
     Episodes(episodes::Arguments),
+    /// Write the task of an ego as a planning problem in PDDL, or drive a plan in the city
+    Pddl(pddl::Arguments),
     /// Generate multiple-choice questions about the decisions of cars, with solved examples
     Questions(questions::Arguments),
     /// Generate or check data sets of Visual Action Prediction: pictures, boxes, facts and labels
@@ -255,6 +258,7 @@ fn run(mut command: clap::Command, arguments: &[OsString]) -> u8 {
         Command::Explain(arguments) => explain::run(&arguments, &mut sources),
         Command::View(arguments) => view::run(&arguments, &mut sources),
         Command::Episodes(arguments) => episodes::run(&arguments, &mut sources),
+        Command::Pddl(arguments) => pddl::run(&arguments, &mut sources),
         Command::Questions(arguments) => questions::run(&arguments, &mut sources),
         Command::Vap(arguments) => vap::run(&arguments, &mut sources),
         #[cfg(feature = "lsp")]

@@ -748,9 +748,13 @@ impl Observer {
     /// positions in the list.
     pub fn atoms(&self) -> impl Iterator<Item = (usize, Vec<usize>)> {
         let sees = self.oracle.world.vocabulary.sees;
+        self.all_atoms().filter(move |(predicate, _)| *predicate != sees)
+    }
+
+    /// Variant of [`Observer::atoms`] with `Sees`.
+    pub fn all_atoms(&self) -> impl Iterator<Item = (usize, Vec<usize>)> {
         let agent = |entity: usize| self.bodies[entity].agent as usize;
-        let predicates = (0..self.oracle.how.len()).filter(move |predicate| *predicate != sees);
-        predicates.flat_map(move |predicate| {
+        (0..self.oracle.how.len()).flat_map(move |predicate| {
             let alone = members(&[self.atoms.unary(predicate)]).map(move |entity| vec![agent(entity)]);
             let pairs = (0..self.bodies.len())
                 .flat_map(move |x| members(&[self.atoms.row(predicate, x)]).map(move |y| vec![agent(x), agent(y)]));

@@ -345,6 +345,21 @@ impl Simulation {
         self.begin_run(seed);
     }
 
+    /// Continues this run at tick `tick` with these agents, which have the names of the present ones. Later ticks equal
+    /// those of a run that had these agents before that tick. The previous agents are swapped into `agents`.
+    ///
+    /// # Errors
+    /// `rule-mismatch` if the rules have temporal operators, since what they remember is unknown.
+    ///
+    /// # Panics
+    /// As [`Simulation::restart`].
+    pub fn place(&mut self, tick: u64, agents: &mut Vec<Agent>) -> Result<(), Diagnostic> {
+        self.world.without_time("simulations that begin in a later tick")?;
+        self.restart(self.seed, agents);
+        (self.tick, self.report.tick) = (tick, tick);
+        Ok(())
+    }
+
     /// Returns whether the agents have the names of all agents of the split, in list order.
     pub fn has_all_agents(&self) -> bool {
         let set = self.world.scenario.agent_set(self.split);
@@ -746,6 +761,16 @@ impl Simulation {
         for &(position, _) in controls {
             given[position] = None;
         }
+    }
+
+    /// Returns whether a predicate with a probability holds at a tick of this run for two agents. The predicate is given
+    /// by its position in the vocabulary, the agents by theirs in the list.
+    pub(crate) fn happens(&self, tick: u64, predicate: usize, agents: [usize; 2], probability: f64) -> bool {
+        let draws = Draws {
+            seed: self.seed,
+            time: tick,
+        };
+        draws.happens(predicate, agents[0], agents[1], probability)
     }
 
     /// Returns what draws of clauses read in the present tick.

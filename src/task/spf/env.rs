@@ -513,6 +513,22 @@ impl Env {
         Ok(())
     }
 
+    /// Continues the episode after `steps` steps with these agents, in states that they could have then. The previous
+    /// agents are swapped into `agents`. [`Env::taken`] lacks the actions of the steps before.
+    ///
+    /// # Errors
+    /// As [`Simulation::place`]; `limit-exceeded` if the rules derive too many rows.
+    pub(super) fn place(&mut self, steps: u32, agents: &mut Vec<Agent>) -> Result<(), Diagnostic> {
+        self.city.place(steps.into(), agents)?;
+        self.steps = steps;
+        self.taken.clear();
+        for controlled_car in &mut self.controlled_cars {
+            controlled_car.running = true;
+            controlled_car.last = Transition::default();
+        }
+        self.look()
+    }
+
     /// Sets the horizon of the running episode, at least 1 step.
     pub fn set_horizon(&mut self, steps: u32) {
         self.horizon = steps.max(1);
