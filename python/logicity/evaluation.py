@@ -484,6 +484,10 @@ def _actor(policy: Policy, batched: bool, evaluator: _logicity.BatchEvaluator, n
             expected = f"expected a name, a model or a function{did_you_mean(policy, ('oracle', 'random'))}"
             raise ValueError(f"unknown policy `{policy}`: {expected}")
         return lambda observations, running: evaluator.oracle_actions()
+    plan: Any = getattr(policy, "plan", None)
+    if plan is not None:
+        # It decides on the states of the episodes.
+        return lambda observations, running: plan(evaluator)
     predict: Any = getattr(policy, "predict", None)
     if predict is not None:
         # A recurrent model has a state.

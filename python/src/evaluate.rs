@@ -5,8 +5,8 @@ use crate::task::{PyTask, read_action, split_named, table_of};
 use crate::{Signals, slice_of, to_python};
 use logicity::city::{Action, Split};
 use logicity::task::spf::{
-    Baseline, BatchEvaluator, Env, EpisodeSet, ObservationKind, RANDOM_RUNS, Rollout, SpfTask, Summary,
-    steps_by_action, summarize,
+    Baseline, BatchEvaluator, Env, EpisodeSet, ObservationKind, Planner, RANDOM_RUNS, Rollout, SearchBounds, SpfTask,
+    Summary, steps_by_action, summarize,
 };
 use numpy::{IntoPyArray, PyArray1, PyReadonlyArray1, PyReadwriteArray1, PyReadwriteArrayDyn};
 use pyo3::exceptions::{PyIndexError, PyValueError};
@@ -90,6 +90,8 @@ struct PyBatchEvaluator {
     evaluator: BatchEvaluator,
     view: ObservationKind,
     actions: Vec<Action>,
+    /// The planners of the episodes, made on demand.
+    planners: Vec<Planner>,
     signals: Arc<Signals>,
 }
 
@@ -111,6 +113,7 @@ impl PyBatchEvaluator {
         Ok(PyBatchEvaluator {
             evaluator: evaluator.map_err(|fault| task.get().error(py, fault))?,
             actions: Vec::with_capacity(set.episodes.len()),
+            planners: Vec::new(),
             task,
             view,
             signals,
@@ -160,6 +163,48 @@ impl PyBatchEvaluator {
         let actions = (self.evaluator.envs().iter())
             .flat_map(|env| (0..egos).map(move |ego| env.oracle_action(ego).index() as i64));
         actions.collect::<Vec<i64>>().into_pyarray(py)
+    }
+
+    /// Searches for the action of the ego in each running episode, `horizon` steps ahead and with at most `expansions`
+    /// states. Returns the actions, one per episode, and the number of states that the searches expanded.
+    fn planned_actions<'py>(
+        &mut self,
+        py: Python<'py>,
+        horizon: u32,
+        expansions: usize,
+    ) -> PyResult<(Bound<'py, PyArray1<i64>>, usize)> {
+        if self.evaluator.egos() != 1 {
+            return Err(PyValueError::new_err(
+                "the planner drives one ego: set `task.egos` to 1",
+            ));
+        }
+        let bounds = SearchBounds {
+            horizon: horizon.max(1),
+            expansions: expansions.max(1),
+        };
+        let count = self.evaluator.envs().len();
+        if self.planners.first().map(Planner::bounds) != Some(bounds) {
+            self.planners = (0..count).map(|_| Planner::new(bounds)).collect();
+        }
+        let (evaluator, planners) = (&self.evaluator, &mut self.planners);
+        let planned = self.signals.detach(py, || {
+            let plan = |(env, planner): (&Env, &mut Planner)| match env.is_running() {
+                true => planner
+                    .plan(env)
+                    .map(|planned| (planned.action.index() as i64, planned.expanded)),
+                false => Ok((0, 0)),
+            };
+            evaluator
+                .envs()
+                .iter()
+                .zip(planners)
+                .map(plan)
+                .collect::<Result<Vec<(i64, usize)>, _>>()
+        })?;
+        let planned = planned.map_err(|fault| self.task.get().error(py, fault))?;
+        let expanded = planned.iter().map(|(_, expanded)| expanded).sum();
+        let actions: Vec<i64> = planned.into_iter().map(|(action, _)| action).collect();
+        Ok((actions.into_pyarray(py), expanded))
     }
 
     /// Returns the actions that the cars have taken in an episode, which shields may have replaced, one byte per step

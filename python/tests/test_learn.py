@@ -57,6 +57,7 @@ TINY: dict[str, dict[str, Any]] = {
     "maxsynth": {"settings": {"timeout": 5.0}, **ONE_UPDATE},
     "foldrm": ONE_UPDATE,
     "induce": ONE_UPDATE,
+    "planner": {"settings": {"horizon": 2}, "steps": 1, "validate_every": 1},
 }
 #: The keys of a tiny run of every learner in environments.
 IN_ENVIRONMENTS = {"steps": 512, "envs": 2, "validate_every": 200, "overrides": {"task": {"reward": {"overtime": -6}}}}

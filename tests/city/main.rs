@@ -21,6 +21,7 @@ mod kinds;
 mod near_files;
 #[path = "../datalog/pages.rs"]
 mod pages;
+mod pddl;
 mod places;
 mod popper;
 mod popper_tasks;

@@ -293,6 +293,34 @@ fn episodes_fail_as_their_fixture_expects() {
 }
 
 #[test]
+fn planning_problems_and_plans_fail_as_their_fixtures_expect() {
+    let path = |name: &str| fixtures().join(name).to_str().unwrap().to_owned();
+    let out = tempfile::tempdir().unwrap();
+    let out = out.path().to_str().unwrap();
+    let (config, plan) = (path("pddl-unsupported/main.yaml"), path("invalid-plan.txt"));
+    for (arguments, parts) in [
+        (
+            ["pddl", &config, "--out", out],
+            ["error[pddl-unsupported]: PDDL cannot state aggregates", "main.dl:3:1"],
+        ),
+        (
+            ["pddl", "easy", "--replay", &plan],
+            [
+                "error[invalid-plan]: `(go-north t0 t1 p0 p2)` is no action",
+                "invalid-plan.txt:2:1",
+            ],
+        ),
+    ] {
+        let output = logicity(&arguments);
+        let said = String::from_utf8(output.stderr).unwrap();
+        assert_eq!(output.status.code(), Some(1), "{said}");
+        for part in parts {
+            assert!(said.contains(part), "{part} is missing in:\n{said}");
+        }
+    }
+}
+
+#[test]
 fn facts_that_violate_constraints_are_errors() {
     let folder = fixtures().join("constraint-violation");
     let folder = folder.to_str().unwrap();

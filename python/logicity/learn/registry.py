@@ -25,6 +25,7 @@ LEARNERS: dict[str, str] = {
     "maxsynth": "popper:MaxSynthLearner",
     "foldrm": "fold_rm:FoldRMLearner",
     "induce": "symbolic:InduceLearner",
+    "planner": "planner:PlannerLearner",
 }
 """The module and the class of each learner, keyed by its name in training files."""
 

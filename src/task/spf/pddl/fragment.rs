@@ -455,6 +455,10 @@ fn check(rules: &Rules, clause: &Clause) -> Result<(), Diagnostic> {
     if clause.head.terms.iter().any(is_constant) || clause.body.iter().flat_map(Literal::terms).any(is_constant) {
         return fault("constants: its objects are those of the problem");
     }
+    let has_aggregate = |literal: &Literal| matches!(literal, Literal::Aggregate { .. });
+    if clause.body.iter().any(has_aggregate) {
+        return fault("aggregates");
+    }
     for literal in &clause.body {
         match literal {
             Literal::Aggregate { .. } => return fault("aggregates"),
