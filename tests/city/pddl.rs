@@ -442,7 +442,12 @@ fn one_agent_problems_state_what_the_city_does() {
                             .find(|&&action| *name == format!("go-{}", deed(&task, action)));
                         env.step(&[*taken.unwrap()]).unwrap();
                     }
-                    assert!(state.after("arrive", &[&state.only("at")[0]]).is_some(), "{plan}");
+                    assert!(
+                        state
+                            .after("arrive", &[&state.only("now")[0], &state.only("at")[0]])
+                            .is_some(),
+                        "{plan}"
+                    );
                     let mut sources = Sources::new();
                     let source = sources.add("plan", plan);
                     let mut env = begun(&task, &set, episode, 0);

@@ -13,7 +13,8 @@
 //!
 //! [`rollouts`] runs a built-in policy on an episode; a [`BatchEvaluator`] runs an external one on a whole set;
 //! [`Baseline`] has the results of the random policy. [`summarize`] computes the paper's rates and score over many
-//! episodes. A [`VectorEnv`] steps many environments together. [`explain`] explains what the rules want, and [`record`]
+//! episodes. A [`VectorEnv`] steps many environments together. [`pddl`] writes the task for planners, and a [`Planner`]
+//! searches the city itself. [`explain`] explains what the rules want, and [`record`]
 //! writes the trace of an episode.
 
 pub mod codes;

@@ -26,8 +26,8 @@ pub(super) struct Fragment<'a> {
     relevant: Vec<bool>,
     /// The relevant derived predicates that read actions, without the actions themselves.
     reads_actions: Vec<bool>,
-    /// The name of each predicate in PDDL.
-    names: Vec<String>,
+    /// The name of each predicate in PDDL, in the decided and in the judged form.
+    names: Vec<[String; 2]>,
     /// The name of `Sees`, which tells what the ego observes, also if the rules do not read it.
     sees: String,
     /// The name of each action as a constant, in the order of the action table.
@@ -132,16 +132,33 @@ impl<'a> Fragment<'a> {
                 break;
             }
         }
-        let deeds = table.names().map(|name| names.unique(name)).collect();
+        let deeds: Vec<String> = table.names().map(|name| names.unique(name)).collect();
+        // Actions come first, so that their names have no number.
+        let of_action = |action: Action| ["wants", "demands"].map(|form| format!("{form}-{}", deeds[action.index()]));
+        let of_actions: Vec<[String; 2]> = table
+            .all()
+            .map(|action| of_action(action).map(|name| names.unique(&name)))
+            .collect();
         let predicates = rules.predicates.iter().enumerate();
-        let named = predicates.map(|(at, predicate)| match relevant[at] {
-            true => names.unique(if predicate.hidden { "part" } else { &predicate.name }),
-            false => String::new(),
+        let named = predicates.map(|(at, predicate)| {
+            let id = PredicateId(u32::try_from(at).expect("fewer than 2^32 predicates"));
+            if !relevant[at] {
+                return [const { String::new() }; 2];
+            }
+            if let Some(action) = vocabulary.action_of(id) {
+                return of_actions[action.index()].clone();
+            }
+            let decided = names.unique(if predicate.hidden { "part" } else { &predicate.name });
+            let judged = match predicate.input {
+                true => decided.clone(),
+                false => names.unique(&format!("observed-{decided}")),
+            };
+            [decided, judged]
         });
-        let named: Vec<String> = named.collect();
+        let named: Vec<[String; 2]> = named.collect();
         let sees = vocabulary.predicates[vocabulary.sees]
             .id
-            .map(|id| named[id.index()].clone());
+            .map(|id| named[id.index()][0].clone());
         let sees = sees.filter(|name| !name.is_empty());
         Ok(Fragment {
             sees: sees.unwrap_or_else(|| names.unique("Sees")),
@@ -160,7 +177,7 @@ impl<'a> Fragment<'a> {
     }
 
     /// Returns the predicate that the rules derive for an action, if they declare it, as a name in PDDL.
-    pub fn wants(&self, action: Action) -> Option<String> {
+    pub fn wants(&self, action: Action) -> Option<&str> {
         self.world
             .vocabulary
             .action(action)
@@ -187,7 +204,7 @@ impl<'a> Fragment<'a> {
             return &self.sees;
         }
         let id = self.world.vocabulary.predicates[predicate].id.expect("a rule reads it");
-        &self.names[id.index()]
+        self.decided(id)
     }
 
     /// Returns whether the rules about an agent read only what it sees: every clause is about one agent and binds
@@ -249,23 +266,14 @@ impl<'a> Fragment<'a> {
         lines
     }
 
-    /// Returns the name of a predicate in the decided form. An action is `wants-` and its name.
-    fn decided(&self, predicate: PredicateId) -> String {
-        let name = &self.names[predicate.index()];
-        match self.world.vocabulary.action_of(predicate) {
-            Some(_) => format!("wants-{name}"),
-            None => name.clone(),
-        }
+    /// Returns the name of a predicate in the decided form.
+    fn decided(&self, predicate: PredicateId) -> &str {
+        &self.names[predicate.index()][0]
     }
 
     /// Returns the name of a predicate in the judged form.
-    fn judged(&self, predicate: PredicateId) -> String {
-        let name = &self.names[predicate.index()];
-        match self.world.vocabulary.action_of(predicate) {
-            Some(_) => format!("demands-{name}"),
-            None if self.world.program.rules().predicates[predicate.index()].input => name.clone(),
-            None => format!("observed-{name}"),
-        }
+    fn judged(&self, predicate: PredicateId) -> &str {
+        &self.names[predicate.index()][1]
     }
 
     /// Returns whether the judged form of a predicate depends on the action of the ego.

@@ -236,9 +236,10 @@ fn facts(
             }
         }
     }
-    for (agent, name) in &places[ego].agents {
-        if agent.position() >= course.target {
-            add(format!("(target {name})"));
+    for (tick, layer) in places[ego].layers.iter().enumerate().skip(1) {
+        let places = layer.iter().map(|place| &places[ego].agents[*place]);
+        for (_, name) in places.filter(|(agent, _)| course.is_end(tick, agent.position())) {
+            add(format!("(end t{} {name})", first + tick));
         }
     }
     let observed = env.task().oracle().entities();
@@ -431,7 +432,7 @@ impl Tables {
                  chosen\n    (now ?t - tick)\n    (at ?x - agent ?p - place)\n    (moving)\n    (chosen ?a - deed)\n    \
                  (arrived)\n    ; facts of the problem; draws are moves that depend on the tick\n    \
                  (next ?t ?u - tick)\n    (moves ?x - agent ?a - deed ?p ?q - place)\n    \
-                 (draws ?x - agent ?a - deed ?t - tick ?p ?q - place)\n    (target ?p - place)\n    (ego ?x - agent)\n    \
+                 (draws ?x - agent ?a - deed ?t - tick ?p ?q - place)\n    (end ?t - tick ?p - place)\n    (ego ?x - agent)\n    \
                  ; the list of agents, of which the ego observes only the first that it sees\n    (first ?x - agent)\n    \
                  (follows ?y ?x - agent)\n    (none ?k - count)\n    (next-count ?k ?l - count)\n";
         for kind in &self.kinds {
@@ -481,7 +482,7 @@ impl Tables {
                  (when (and (moves ?x ?a ?p ?q) (at ?x ?p) (does ?x ?a)) (and (not (at ?x ?p)) (at ?x ?q))))\n      \
                  (forall (?x - agent ?a - deed ?p ?q - place)\n        \
                  (when (and (draws ?x ?a ?t ?p ?q) (at ?x ?p) (does ?x ?a)) (and (not (at ?x ?p)) (at ?x ?q))))))\n\n";
-        let arrive = ARRIVE.replace("(?p - place)", "(?x - agent ?p - place)");
+        let arrive = ARRIVE.replace("(?t - tick ?p - place)", "(?t - tick ?x - agent ?p - place)");
         text + &arrive.replace("(at ?p)", "(not (moving)) (ego ?x) (at ?x ?p)") + ")\n"
     }
 

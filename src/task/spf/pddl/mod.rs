@@ -85,8 +85,8 @@ pub struct PddlTask {
     pub horizon: u32,
     /// The costs of actions.
     pub costs: Costs,
-    /// Whether a plan reaches the goal of the trip. Otherwise it reaches the place to which the rules drive the ego in
-    /// as many steps.
+    /// Whether the rules reach the goal of the trip within the horizon, so that a plan must. Otherwise a plan may also
+    /// end at the horizon, at least as far on the route as the rules come.
     pub reaches_goal: bool,
     /// The cost of the cheapest plan by a search in the environment; `None` without a plan, and in the multi-agent
     /// encoding.
@@ -173,8 +173,11 @@ struct Course {
     lookahead: Lookahead,
     /// The states from the start to the horizon. After its arrival, the ego stays at its goal.
     states: Vec<CityState>,
-    /// The place on the route that a plan must reach.
-    target: usize,
+    /// The place to which the rules drive the ego until the horizon.
+    reached: usize,
+    /// The last place of its route.
+    goal: usize,
+    /// Whether both are the same.
     reaches_goal: bool,
     /// The name of the problem.
     name: String,
@@ -263,13 +266,20 @@ impl Course {
         let seed = env.episode().seed;
         let scenario = &env.task().world().scenario.name;
         Ok(Course {
-            target: last.agents[ego].position(),
+            reached: last.agents[ego].position(),
+            goal: last.agents[ego].route().steps(),
             name: format!("{scenario}-{seed}-{}", options.start),
             lookahead,
             states,
             reaches_goal,
             options: *options,
         })
+    }
+
+    /// Returns whether a plan may end at a place of the ego after some steps: at the goal, or at the horizon as far on
+    /// the route as the rules come.
+    fn is_end(&self, steps: usize, place: usize) -> bool {
+        place == self.goal || !self.reaches_goal && steps + 1 == self.states.len() && place >= self.reached
     }
 
     /// Returns the number of steps of a plan.
@@ -283,7 +293,7 @@ impl Course {
         let ego = &self.states[0].agents[self.lookahead.ego()];
         let reached = match self.reaches_goal {
             true => "its goal",
-            false => "the place to which the rules drive it in as many steps",
+            false => "its goal, or for so many steps as far as the rules do",
         };
         let mut text = format!(
             "; {} after {} steps of the episode with the seed {}, for at most {} steps\n\

@@ -24,7 +24,7 @@ const TAKEN: [&str; 26] = [
     "violated",
     "moves",
     "draws",
-    "target",
+    "end",
     "arrived",
     "chosen",
     "does",

@@ -1,7 +1,7 @@
 //! The encoding with one agent: the others follow a course that is known.
 //!
 //! A state of the ego is a tick and a place on its route. The problem has those states that the ego can reach without a
-//! violation, from which it can reach the target, and in which every other agent acts as in the course that the rules
+//! violation, from which a plan can end, and in which every other agent acts as in the course that the rules
 //! drive. So a plan has the same outcome in the city, although the others could react to the ego.
 
 use crate::city::{Action, Agent};
@@ -55,8 +55,8 @@ pub(super) fn encode(mut course: Course, costs: Costs, axioms: bool) -> Result<P
     let start = course.states[0].agents[course.lookahead.ego()].position();
     let mut init = course.ticks();
     writeln!(init, "    (at p{start})").expect("strings take all text");
-    for place in places.iter().filter(|place| **place >= course.target) {
-        writeln!(init, "    (target p{place})").expect("strings take all text");
+    for (tick, place) in kept.iter().filter(|(tick, place)| course.is_end(*tick, *place)) {
+        writeln!(init, "    (end t{} p{place})", first as usize + tick).expect("strings take all text");
     }
     let deeds = deeds(&task);
     for state in &kept {
@@ -107,12 +107,8 @@ fn deeds(task: &SpfTask) -> Vec<String> {
 
 /// Explores the states that the ego can reach without a violation while the others follow the course.
 fn explore(course: &mut Course, axioms: bool) -> Result<BTreeMap<State, Node>, Diagnostic> {
-    let Course {
-        lookahead,
-        states,
-        target,
-        ..
-    } = course;
+    let goal = course.goal;
+    let Course { lookahead, states, .. } = course;
     let ego = lookahead.ego();
     let possible = lookahead.env().task().possible_actions().to_vec();
     let mut nodes = BTreeMap::new();
@@ -121,7 +117,7 @@ fn explore(course: &mut Course, axioms: bool) -> Result<BTreeMap<State, Node>, D
     for (tick, pair) in states.windows(2).enumerate() {
         let mut next: BTreeMap<usize, Agent> = BTreeMap::new();
         for (place, agent) in std::mem::take(&mut layer) {
-            if place >= *target {
+            if place == goal {
                 continue;
             }
             if lookahead.env().city().cancel().requested() {
@@ -179,14 +175,14 @@ fn explore(course: &mut Course, axioms: bool) -> Result<BTreeMap<State, Node>, D
     Ok(nodes)
 }
 
-/// Returns the states on a way to the target, that of each arrival included, and the cost of the cheapest way.
+/// Returns the states on a way to an end, ends included, and the cost of the cheapest way.
 fn useful(course: &Course, nodes: &BTreeMap<State, Node>, costs: &Costs) -> (BTreeSet<State>, Option<u64>) {
     let mut cheapest: BTreeMap<State, u64> = BTreeMap::new();
     // Later ticks come first.
     for (&(tick, place), node) in nodes.iter().rev() {
         for (action, to) in node.moves.iter().filter(|(action, _)| node.permitted.contains(action)) {
             let then = (tick + 1, *to);
-            if *to >= course.target {
+            if course.is_end(tick + 1, *to) {
                 cheapest.insert(then, 0);
             }
             if let Some(rest) = cheapest.get(&then) {
@@ -280,7 +276,7 @@ impl Tables {
         let names = course.agent_names();
         let ego = course.lookahead.ego();
         let first = course.states[0].steps as usize;
-        // The states at the target have no node: nothing is decided there.
+        // Nothing is decided at an end, so it has no node.
         let known: Vec<(&State, &Node)> = kept
             .iter()
             .filter_map(|state| Some((state, nodes.get(state)?)))
@@ -351,7 +347,7 @@ impl Tables {
         writeln!(text, "  (:constants {} - deed)", deeds.join(" ")).expect("strings take all text");
         text += "  (:predicates\n    ; the state: the tick, and the place of the ego on its route\n    (now ?t - tick)\n    \
                  (at ?p - place)\n    (arrived)\n    ; facts of the problem\n    (next ?t ?u - tick)\n    \
-                 (moves ?a - deed ?t - tick ?p ?q - place)\n    (target ?p - place)\n    (ego ?x - agent)\n    \
+                 (moves ?a - deed ?t - tick ?p ?q - place)\n    (end ?t - tick ?p - place)\n    (ego ?x - agent)\n    \
                  ; tables: atoms that hold always, at a tick, at a place of the ego, or at both\n";
         for table in &self.0 {
             let of = parameters(table.arity);
@@ -411,8 +407,11 @@ impl Tables {
 }
 
 /// The action that ends a plan.
-pub(super) const ARRIVE: &str = "  (:action arrive\n    :parameters (?p - place)\n    :precondition (and (at ?p) (target ?p))\n    \
-                                 :effect (arrived))\n";
+pub(super) const ARRIVE: &str = "  (:action arrive
+    :parameters (?t - tick ?p - place)
+    :precondition (and (now ?t) (at ?p) (end ?t ?p))
+    :effect (arrived))
+";
 
 /// Returns the parameters of a predicate over agents.
 pub(super) fn parameters(arity: usize) -> String {
@@ -445,8 +444,8 @@ fn strips_domain(task: &SpfTask) -> String {
         text,
         "(define (domain logicity)\n  (:requirements :strips :typing)\n  (:types tick place deed)\n  (:constants {} - \
          deed)\n  (:predicates\n    (now ?t - tick)\n    (at ?p - place)\n    (arrived)\n    (next ?t ?u - tick)\n    \
-         (moves ?a - deed ?t - tick ?p ?q - place)\n    (permitted ?a - deed ?t - tick ?p - place)\n    (target ?p - \
-         place))",
+         (moves ?a - deed ?t - tick ?p ?q - place)\n    (permitted ?a - deed ?t - tick ?p - place)\n    (end ?t - tick \
+         ?p - place))",
         deeds.join(" ")
     )
     .expect("strings take all text");
