@@ -459,10 +459,6 @@ fn check(rules: &Rules, clause: &Clause) -> Result<(), Diagnostic> {
             .iter()
             .all(|column| column.base == BaseType::Symbol)
     };
-    let is_constant = |term: &Term| matches!(term, Term::Constant(_));
-    if clause.head.terms.iter().any(is_constant) || clause.body.iter().flat_map(Literal::terms).any(is_constant) {
-        return fault("constants: its objects are those of the problem");
-    }
     let has_aggregate = |literal: &Literal| matches!(literal, Literal::Aggregate { .. });
     if clause.body.iter().any(has_aggregate) {
         return fault("aggregates");
@@ -489,12 +485,20 @@ fn check(rules: &Rules, clause: &Clause) -> Result<(), Diagnostic> {
             }
         }
     }
-    match is_of_agents(&clause.head) {
-        true => Ok(()),
-        false => fault(&format!(
+    if !is_of_agents(&clause.head) {
+        return fault(&format!(
             "columns of numbers, as `{}` has",
             declared(&clause.head).title()
-        )),
+        ));
+    }
+    let mut terms = clause
+        .head
+        .terms
+        .iter()
+        .chain(clause.body.iter().flat_map(Literal::terms));
+    match terms.any(|term| matches!(term, Term::Constant(_))) {
+        true => fault("constants: its objects are those of the problem"),
+        false => Ok(()),
     }
 }
 
