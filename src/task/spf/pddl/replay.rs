@@ -118,7 +118,7 @@ pub fn read_plan(env: &Env, source: SourceId, sources: &Sources) -> Result<Vec<P
 }
 
 /// Drives a plan in an episode that has just begun, after `start` steps that the rules drive. The environment judges
-/// every action.
+/// every action. A violation ends the replay.
 ///
 /// # Errors
 /// `invalid-plan` if the episode ends before the plan, or the plan names a tick or a place that is not the ego's;
@@ -169,6 +169,10 @@ pub fn replay(env: &mut Env, start: u32, plan: &[PlanStep]) -> Result<Replay, Di
                 places[0], places[1], before.1, before.0
             );
             return fault(message, "this action does not fit");
+        }
+        // A violation ends the episode, so what follows in the plan does not matter.
+        if !env.controlled_cars()[0].last().broken.is_empty() {
+            break;
         }
     }
     Ok(done)
