@@ -24,6 +24,7 @@ __all__ = [
     "induce",
     "Inference",
     "layout",
+    "lanes",
     "LearnedRules",
     "make_dataset",
     "OutputFile",
@@ -166,6 +167,16 @@ class Rows:
     def tuples(self, start: int, stop: int) -> list[tuple[Any, ...]]: ...
     def columns(self) -> dict[str, npt.NDArray[Any]]: ...
 
+def lanes(
+    path: _Path,
+) -> tuple[
+    str,
+    tuple[int, int],
+    tuple[int, int],
+    int,
+    list[tuple[Any, int, int, tuple[int, int], tuple[int, int], list[str]]],
+]: ...
+
 @final
 class Inference:
     def __new__(
@@ -178,6 +189,8 @@ class Inference:
         files: dict[Any, str] | None,
     ) -> Inference: ...
     def answer(self, scene: str) -> dict[str, Any]: ...
+    def rows(self, scene: str, predicates: list[str]) -> list[list[list[str]]]: ...
+    def agent_predicates(self) -> list[tuple[str, int, bool]]: ...
     def marginals(self, scene: str, samples: int, seed: int) -> dict[str, Any]: ...
     def files(self) -> dict[Any, str]: ...
 

@@ -253,6 +253,64 @@ def _add_features(to: _Parser) -> None:
     to.add("--ray", nargs="?", const="local", metavar="ADDRESS", help=f"compute the worlds on the Ray cluster {where}")
 
 
+def _add_distill(to: _Parser) -> None:
+    help = "SUMO's FCD output (.xml) or CSV with the columns t, id, kind, x, y, heading and speed; also compressed (.gz)"
+    to.add("trajectories", nargs="+", help=help)
+    help = "the folder of the city to write"
+    to.add("-o", "--out", type=Path, required=True, metavar="FOLDER", help=help)
+    to.add("--map", metavar="MAP", help="map file, or the name of a built-in map; default: the map of the configuration")
+    help = (
+        "configuration that defines the predicates, and whose rules define the words of learned clauses; default: "
+        "right-of-way"
+    )
+    to.add("--config", default="right-of-way", help=help)
+    to.add("--columns", type=Path, metavar="FILE", help="YAML file with the columns, units and classes of CSV files")
+    to.add("--cell", type=_positive_float, metavar="METERS", help="side of a cell of the map; default: 1")
+    help = "position of the upper left corner of the map; default: 0,0"
+    to.add("--origin", type=_position, metavar="X,Y", help=help)
+    to.add("--y", choices=("up", "down"), help="where y grows: up, as on road maps, or down; default: up")
+    to.add("--tick", type=_positive_float, default=1.0, metavar="SECONDS", help="length of a tick; default: 1")
+    to.add("--begin", type=_nonnegative_float, default=0.0, metavar="SECONDS", help="leave out earlier samples")
+    to.add("--end", type=_positive_float, default=math.inf, metavar="SECONDS", help="leave out later samples")
+    help = "an agent whose mean speed in a tick is less takes Stop; default: 0.5"
+    to.add("--stop", type=_positive_float, default=0.5, metavar="M/S", help=help)
+    help = "a moving one whose mean speed is less takes Slow; by default none does"
+    to.add("--slow", type=_positive_float, metavar="M/S", help=help)
+    help = "one whose mean speed is greater takes Fast; by default none does"
+    to.add("--fast", type=_positive_float, metavar="M/S", help=help)
+    help = "a car that stands at most this far before the end of its lane is on the line; default: 6"
+    to.add("--line", type=_positive_float, default=6.0, metavar="METERS", help=help)
+    to.add("--length", type=_nonnegative_float, default=5.0, metavar="METERS", help="length of a car; default: 5")
+    help = "positions are those of the centers of cars, not of their fronts as in SUMO"
+    to.add("--centers", action="store_true", help=help)
+    help = "predicates that clauses may use, separated by commas; default: those that the rules derive, those about one"
+    to.add("--use", type=_names, metavar="NAMES", help=f"{help} agent, and SameInter")
+    help = "learn from cars that decide at the line of an intersection, or from all cars in all ticks; default: junctions"
+    to.add("--moments", choices=("junctions", "all"), default="junctions", help=help)
+    help = "leave out the ticks at a line before a start, in which the driver may have been free already; default: 1"
+    to.add("--reaction", type=partial(_whole, least=0), default=1, metavar="TICKS", help=help)
+    to.add("--test", type=_share, default=0.3, metavar="SHARE", help="share of the recording to hold out; default: 0.3")
+    help = "hold out the last part of the time, or agents drawn by the seed; default: time"
+    to.add("--split", choices=("time", "agents"), default="time", help=help)
+    help = "share of moments with a wrong action, from 0 to 0.4, or auto to estimate it; default: auto"
+    to.add("--noise", type=_noise, default="auto", metavar="RATE", help=help)
+    to.add("--variables", type=partial(_whole, least=2, most=7), default=2, metavar="N", help="of a clause; default: 2")
+    to.add("--seed", type=_seed, default=0, help="of the learner, and of the split by agents; default: 0")
+    _add_force(to)
+
+
+def _add_map_export(to: _Parser) -> None:
+    to.add("map", help="map file, configuration, or the name of a built-in map or configuration")
+    to.add("-o", "--out", type=Path, required=True, metavar="NAME.net.xml", help="the network; others lie beside it")
+    help = "right of way at intersections; default: right_before_left"
+    kinds = ("right_before_left", "priority", "allway_stop", "traffic_light")
+    to.add("--junctions", choices=kinds, default="right_before_left", help=help)
+    to.add("--main", metavar="ZONE", help="with `--junctions priority`: the zone of the streets that have right of way")
+    to.add("--cell", type=_positive_float, default=1.0, metavar="METERS", help="side of a cell of the map; default: 1")
+    to.add("--speed", type=_positive_float, default=30.0, metavar="KM/H", help="speed limit; default: 30")
+    _add_force(to)
+
+
 def _add_force(to: _Parser) -> None:
     help = "replace output files that this command did not write, or that have changed since"
     to.add("--force", action="store_true", help=help)
@@ -428,6 +486,93 @@ def _object(text: str) -> dict[str, object]:
     if not isinstance(value, dict):
         raise argparse.ArgumentTypeError("not a JSON object")
     return value
+
+
+def _nonnegative_float(text: str) -> float:
+    return 0.0 if text in ("0", "0.0") else _positive_float(text)
+
+
+def _share(text: str) -> float:
+    with suppress(ValueError):
+        if 0 < (value := float(text)) < 1:
+            return value
+    raise argparse.ArgumentTypeError(f"expected a number between 0 and 1, found `{text}`")
+
+
+def _noise(text: str) -> Any:
+    if text == "auto":
+        return text
+    with suppress(ValueError):
+        if 0 <= (value := float(text)) <= _logicity.NOISE_MAX:
+            return value
+    raise argparse.ArgumentTypeError(f"expected auto or a number from 0 to {_logicity.NOISE_MAX}, found `{text}`")
+
+
+def _position(text: str) -> tuple[float, float]:
+    with suppress(ValueError):
+        x, y = map(float, text.split(","))
+        if math.isfinite(x) and math.isfinite(y):
+            return x, y
+    raise argparse.ArgumentTypeError(f"expected X,Y in meters, found `{text}`")
+
+
+def _names(text: str) -> tuple[str, ...]:
+    names = tuple(name.strip() for name in text.split(","))
+    if not all(names):
+        raise argparse.ArgumentTypeError(f"expected names separated by commas, found `{text}`")
+    return names
+
+
+def _distill(given: argparse.Namespace) -> int:
+    from .distill import Settings, distill
+    from .placement import Grid, Thresholds
+    from .trajectories import read_columns, read_trajectories
+
+    _check_folder("--out", given.out)
+    columns, where = read_columns(given.columns) if given.columns is not None else (None, {})
+    cell = where.get("cell", 1.0) if given.cell is None else given.cell
+    origin = given.origin or tuple(map(float, where.get("origin", (0.0, 0.0))))
+    y_up = (where.get("y", "up") if given.y is None else given.y) == "up"
+    grid = Grid.load(given.config if given.map is None else given.map, cell, origin, y_up)
+    thresholds = Thresholds(given.stop, given.slow, given.fast, given.line, given.length, not given.centers)
+    settings = Settings(
+        **{name: getattr(given, name) for name in ("config", "map", "use", "moments", "reaction", "test", "split")},
+        **{name: getattr(given, name) for name in ("noise", "variables", "seed")},
+        thresholds=thresholds,
+    )
+    print_message(f"reading {', '.join(given.trajectories)}")
+    recording = read_trajectories(given.trajectories, columns, tick=given.tick, begin=given.begin, end=given.end)
+    source = ", ".join(Path(path).name for path in given.trajectories)
+    done = distill(
+        recording, grid, given.out, settings, overwrite=given.force, source=source, progress=print_message
+    )
+    for clause in done.clauses:
+        print_text(clause)
+    for part, words in {"all": "all", "line": "at lines", "free": "at lines of free intersections"}.items():
+        row = done.report["test"][part]
+        if row["moments"]:
+            print_text(f"held-out moments, {words}: {row['explained']:.1%} of {row['moments']} explained")
+    print_message(f"wrote {given.out}")
+    return 0
+
+
+def _map_export(given: argparse.Namespace) -> int:
+    from .placement import Grid
+    from .sumo import export_network, find_program
+
+    if not str(given.out).endswith(".net.xml"):
+        raise _UsageError(f"--out: expected a name that ends in .net.xml, not `{given.out}`")
+    if given.junctions == "priority" and given.main is None:
+        raise _UsageError("--junctions priority: name the zone of the main streets with `--main ZONE`")
+    grid = Grid.load(given.map, given.cell)
+    paths = export_network(
+        grid, given.out, given.junctions, speed=given.speed, main=given.main, overwrite=given.force
+    )
+    for path in paths:
+        print_message(f"wrote {path}")
+    if find_program("netconvert") is None:
+        print_message("netconvert is not installed: the extra `sumo` has it, pip install './python[sumo]'")
+    return 0
 
 
 def _evaluate(given: argparse.Namespace) -> int:
@@ -680,6 +825,8 @@ _COMMANDS: dict[tuple[str, ...], tuple[Callable[[_Parser], None], Callable[[argp
     ("evaluate",): (_add_evaluate, _evaluate),
     ("train",): (_add_train, _train),
     ("experiment",): (_add_experiment, _experiment),
+    ("distill",): (_add_distill, _distill),
+    ("map", "export"): (_add_map_export, _map_export),
     ("ask",): (_add_ask, _ask),
     ("grade",): (_add_grade, _grade),
     ("describe",): (lambda to: None, _describe),

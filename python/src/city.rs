@@ -8,8 +8,8 @@ use crate::{
 use logicity::builtin::{BuiltinFiles, ReadWith};
 use logicity::cancel::Cancel;
 use logicity::city::{Action, Split};
-use logicity::city::{Agent, Cell, Heading, MoveReason};
-use logicity::config::missing_file;
+use logicity::city::{Agent, Cell, CityMap, Heading, Lane, MoveReason};
+use logicity::config::{Loaded as AnyFile, load_any, missing_file};
 use logicity::datalog::MarginalOptions;
 use logicity::datalog::explain::{Explainer, ExplanationPrinter};
 use logicity::diag::codes;
@@ -33,6 +33,7 @@ pub fn register(module: &Bound<'_, PyModule>) -> PyResult<()> {
     module.add("ACTIONS", Action::STANDARD.map(Action::name))?;
     module.add("HEADINGS", Heading::ALL.map(Heading::name))?;
     module.add("REASONS", REASONS.map(|(_, name)| name))?;
+    module.add_function(wrap_pyfunction!(lanes, module)?)?;
     module.add_class::<PyInference>()?;
     module.add_class::<PySimulation>()
 }
@@ -182,6 +183,22 @@ impl PyInference {
         }
     }
 
+    /// Returns the rows over entities of some predicates, base or derived, in a scene in JSON.
+    fn rows(&self, py: Python<'_>, scene: &str, predicates: Vec<String>) -> PyResult<Vec<Vec<Vec<String>>>> {
+        let mut sources = Sources::new();
+        let source = sources.add("<scene>", scene);
+        let rows = (self.inference).detached(py, |inference, cancel| {
+            inference.rows((&sources, source), &predicates, cancel)
+        })?;
+        rows.map_err(|faults| input_error(py, &faults, &sources))
+    }
+
+    /// Returns the predicates of the rules about agents alone: the name, the number of columns, and whether clauses derive
+    /// it.
+    fn agent_predicates(&self) -> PyResult<Vec<(String, usize, bool)>> {
+        self.inference.with(|inference| Ok(inference.agent_predicates()))
+    }
+
     /// Returns the probabilities of the actions in a scene in JSON.
     fn marginals<'py>(&self, py: Python<'py>, scene: &str, samples: u32, seed: u64) -> PyResult<Bound<'py, PyAny>> {
         let mut sources = Sources::new();
@@ -205,6 +222,50 @@ impl PyInference {
     fn files(&self) -> Files {
         self.files.clone()
     }
+}
+
+/// A lane: its heading, the numbers of its street and its block, its first and last cell, and the zones that contain the
+/// middle between them.
+type LaneInfo = (&'static str, i32, i32, (i32, i32), (i32, i32), Vec<String>);
+
+/// Returns the geometry of the map in a map file or a configuration: its name, the numbers of rows and columns of cells
+/// and of blocks, the cells from a lane to the mid line of its street, and all lanes.
+#[pyfunction]
+fn lanes(py: Python<'_>, path: PathBuf) -> PyResult<(String, [i32; 2], [i32; 2], i32, Vec<LaneInfo>)> {
+    let mut sources = Sources::new();
+    let made = load_any(&mut sources, &path, &BuiltinFiles).and_then(|loaded| {
+        let config = match loaded {
+            AnyFile::Scenario(scenario) => scenario.map,
+            AnyFile::Map(map) => map,
+        };
+        CityMap::generate(&config).map_err(|fault| vec![fault])
+    });
+    let map = made.map_err(|faults| match missing_file(&faults) {
+        Some(fault) => missing_file_error(fault),
+        None => input_error(py, &faults, &sources),
+    })?;
+    let lane = |(street, block, lane): (i32, i32, Lane)| {
+        let middle = Cell::new((lane.start.row + lane.end.row) / 2, (lane.start.col + lane.end.col) / 2);
+        let zones = map.zones().filter(|zone| map.in_zone(zone, middle)).map(str::to_owned);
+        let cell = |cell: Cell| (cell.row, cell.col);
+        (
+            lane.heading.name(),
+            street,
+            block,
+            cell(lane.start),
+            cell(lane.end),
+            zones.collect(),
+        )
+    };
+    let layout = &map.layout;
+    let lanes = layout.lanes().map(lane).collect();
+    Ok((
+        map.name.clone(),
+        [map.rows(), map.cols()],
+        layout.blocks(),
+        layout.lane_offset(),
+        lanes,
+    ))
 }
 
 /// A running city.

@@ -152,6 +152,23 @@ impl Agent {
             .map(|(at, piece)| (at, piece.ends_at_node()))
     }
 
+    /// Returns the direction in which its route leaves the intersection at or in which it is, or else its next one;
+    /// `None` if the route ends before.
+    pub fn exit(&self, map: &CityMap) -> Option<Heading> {
+        let rest = (self.next.saturating_sub(1)..).map_while(|index| self.route.piece(index));
+        let mut at = self.cell;
+        rest.enumerate()
+            .map(|(index, piece)| {
+                let steps = if index == 0 { self.left } else { piece.steps() };
+                at = at.ahead(piece.heading(), steps.cast_signed());
+                (at, piece)
+            })
+            .find(|(end, piece)| {
+                *end != self.cell && piece.ends_at_node() && map.layout.starts_lane(*end, piece.heading())
+            })
+            .map(|(_, piece)| piece.heading())
+    }
+
     /// Advances to the next piece of the route, if there is one.
     fn next_piece(&mut self) {
         if let Some(piece) = self.route.piece(self.next) {

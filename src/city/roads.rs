@@ -743,4 +743,29 @@ impl Layout {
         let built = self.built_span(block);
         (built.start - 1, built.end)
     }
+
+    /// Returns all lanes, in the order in which searches visit them, each with the numbers of its street and of the block
+    /// along which it runs.
+    pub fn lanes(&self) -> impl Iterator<Item = (i32, i32, Lane)> {
+        let roads = Roads {
+            layout: *self,
+            blocks: self.blocks(),
+        };
+        (0..roads.lanes()).map(move |number| {
+            let place = roads.place(number);
+            (place.street, place.block, place.lane(&roads.layout))
+        })
+    }
+
+    /// Returns whether a car that comes with a heading to a node of the road graph is at the start of a lane: behind an
+    /// intersection, not before one.
+    pub(super) fn starts_lane(&self, node: Cell, heading: Heading) -> bool {
+        let (along, behind) = match heading {
+            Heading::Left => (node.col, Strip::LineBefore),
+            Heading::Right => (node.col, Strip::LineAfter),
+            Heading::Up => (node.row, Strip::LineBefore),
+            Heading::Down => (node.row, Strip::LineAfter),
+        };
+        self.strip(along).0 == behind
+    }
 }

@@ -3,7 +3,7 @@
 use std::ffi::OsString;
 
 /// The commands that the Python package implements, as words of the command line, and their summaries.
-pub const PYTHON_COMMANDS: [(&[&str], &str); 10] = [
+pub const PYTHON_COMMANDS: [(&[&str], &str); 12] = [
     (
         &["evaluate"],
         "Measure a policy on recorded episodes with the metrics of the paper",
@@ -16,6 +16,11 @@ pub const PYTHON_COMMANDS: [(&[&str], &str); 10] = [
         &["experiment"],
         "Train and evaluate the learners of an experiment, or resume it, and print a table beside the paper's",
     ),
+    (
+        &["distill"],
+        "Learn the rules that recorded traffic follows, and report how much they explain",
+    ),
+    (&["map", "export"], "Write a map as a road network for SUMO"),
     (
         &["ask"],
         "Send the questions of `logicity questions` to a chat endpoint, or resume a run",
@@ -43,6 +48,9 @@ pub const PYTHON_COMMANDS: [(&[&str], &str); 10] = [
     ),
 ];
 
+/// The groups of commands that the Rust program lacks, and their summaries.
+const GROUPS: [(&str, &str); 1] = [("map", "Maps for other programs")];
+
 /// Returns the Python command at the start of the arguments, and the arguments after it.
 pub fn python_command(arguments: &[OsString]) -> Option<(&'static [&'static str], Vec<OsString>)> {
     let begins = |words: &[&str]| arguments.len() >= words.len() && words.iter().zip(arguments).all(|(a, b)| b == a);
@@ -63,6 +71,22 @@ pub fn add_subcommand(command: clap::Command, words: &'static [&'static str], su
                     .value_hint(clap::ValueHint::AnyPath),
             ),
         ),
-        [name, rest @ ..] => command.mut_subcommand(*name, |inner| add_subcommand(inner, rest, summary)),
+        [name, rest @ ..] => {
+            let command = match command.find_subcommand(name) {
+                Some(_) => command,
+                // A group whose commands are all Python's.
+                None => command.subcommand(
+                    clap::Command::new(*name)
+                        .about(
+                            GROUPS
+                                .iter()
+                                .find(|(known, _)| known == name)
+                                .map_or("", |(_, about)| about),
+                        )
+                        .subcommand_required(true),
+                ),
+            };
+            command.mut_subcommand(*name, |inner| add_subcommand(inner, rest, summary))
+        }
     }
 }

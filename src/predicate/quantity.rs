@@ -24,6 +24,9 @@ pub enum Quantity {
     Remaining,
     /// The number of the intersection at or in which the agent is, from 1, row by row; no value elsewhere.
     Intersection,
+    /// The direction in which the agent's route leaves the intersection at or in which it is, or else its next one; no
+    /// value if the route ends before.
+    Exit,
     /// The Euclidean distance of two different agents in cells.
     Distance,
     /// The number of the tick, from 0.
@@ -58,28 +61,40 @@ pub struct Progress {
     pub waited: u32,
     /// See [`Quantity::Remaining`].
     pub remaining: u32,
+    /// See [`Quantity::Exit`].
+    pub exit: Option<Heading>,
 }
 
 impl Progress {
     /// Returns the progress of an agent.
-    pub(crate) fn of(agent: &Agent) -> Progress {
+    pub(crate) fn of(agent: &Agent, map: &CityMap) -> Progress {
+        Progress {
+            exit: agent.exit(map),
+            ..Progress::without_exit(agent)
+        }
+    }
+
+    /// Variant of [`Progress::of`] that does not look along the route.
+    pub(crate) fn without_exit(agent: &Agent) -> Progress {
         Progress {
             speed: agent.speed.into(),
             waited: agent.waited,
             remaining: agent.remaining(),
+            exit: None,
         }
     }
 }
 
 impl Quantity {
     /// All quantities.
-    pub const ALL: [Quantity; 8] = [
+    pub const ALL: [Quantity; 9] = [
         Quantity::Speed,
         Quantity::Heading,
         Quantity::Priority,
         Quantity::Waited,
         Quantity::Remaining,
         Quantity::Intersection,
+        Quantity::Exit,
         Quantity::Distance,
         Quantity::Tick,
     ];
@@ -93,6 +108,7 @@ impl Quantity {
             Quantity::Waited => "waited",
             Quantity::Remaining => "remaining",
             Quantity::Intersection => "intersection",
+            Quantity::Exit => "exit",
             Quantity::Distance => "distance",
             Quantity::Tick => "tick",
         }
@@ -111,14 +127,17 @@ impl Quantity {
     pub const fn unit(self) -> Unit {
         match self {
             Quantity::Distance => Unit::Float,
-            Quantity::Heading => Unit::Heading,
+            Quantity::Heading | Quantity::Exit => Unit::Heading,
             _ => Unit::Number,
         }
     }
 
     /// Returns whether the value follows from the cells, headings and priorities of agents and the number of the tick.
     pub(crate) const fn is_visible(self) -> bool {
-        !matches!(self, Quantity::Speed | Quantity::Waited | Quantity::Remaining)
+        !matches!(
+            self,
+            Quantity::Speed | Quantity::Waited | Quantity::Remaining | Quantity::Exit
+        )
     }
 
     /// Returns the value for these agents on a map, as many as [`agents`](Quantity::agents).
@@ -132,6 +151,7 @@ impl Quantity {
             (Quantity::Priority, [x, ..]) => Some(Measure::Number(x.subject.priority)),
             (Quantity::Intersection, [x, ..]) => map.intersection(x.subject.kind, x.subject.at).and_then(count),
             (Quantity::Heading, [x, ..]) => x.subject.heading.map(Measure::Heading),
+            (Quantity::Exit, [x, ..]) => x.progress.exit.map(Measure::Heading),
             #[allow(clippy::cast_possible_truncation)] // a column of type float has single precision
             (Quantity::Distance, [x, y]) => Some(Measure::Float(x.subject.at.distance(y.subject.at) as f32)),
             _ => None,
@@ -166,6 +186,7 @@ impl PredicateKind for Quantity {
             Quantity::Waited => "has not moved for this number of ticks:",
             Quantity::Remaining => "has this number of cells before it:",
             Quantity::Intersection => "is at or inside the intersection with this number:",
+            Quantity::Exit => "leaves its next intersection in the direction",
             Quantity::Distance => "has this distance in cells from",
             Quantity::Tick => "The tick is",
         })

@@ -312,6 +312,7 @@ fn observations_have_the_values_of_quantities() {
                     ("Remaining", Some(agent)) => i64::from(agent.remaining()),
                     ("Priority", Some(agent)) => i64::from(agent.priority),
                     ("Tick", Some(_)) => i64::try_from(city.now()).unwrap(),
+                    ("Exit", Some(agent)) => i64::from(agent.exit(map).is_some_and(|exit| exit.name() == heading)),
                     ("Heading", Some(agent)) => i64::from(agent.heading.is_some_and(|now| now.name() == heading)),
                     ("Intersection", Some(agent)) => map.intersection(agent.kind, agent.cell).unwrap_or(0).into(),
                     ("Distance", _) => match [seen.get(place / 4), seen.get(place % 4)] {

@@ -181,7 +181,7 @@ pub(super) fn greatest_priority(scenario: &Scenario) -> f32 {
 #[allow(clippy::cast_precision_loss)] // a scale
 fn scale(quantity: Quantity, scenario: &Scenario, map: &CityMap) -> f32 {
     match quantity {
-        Quantity::Heading => 1.0,
+        Quantity::Heading | Quantity::Exit => 1.0,
         Quantity::Priority => greatest_priority(scenario),
         Quantity::Speed => {
             let most = scenario.kinds.all().map(|kind| scenario.actions.table.reach(kind));

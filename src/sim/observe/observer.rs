@@ -596,7 +596,7 @@ impl Observer {
                 How::Local(table) => holding(bodies.iter().map(|body| table.holds(body.junction, body.kind))),
                 How::Place(area) => holding(bodies.iter().map(|body| area.contains(body.at))),
                 How::Quantity(quantity) => {
-                    let bodies: Vec<Measured> = bodies.iter().map(|body| measured(body, agents)).collect();
+                    let bodies: Vec<Measured> = bodies.iter().map(|body| measured(oracle, body, agents)).collect();
                     let values = &mut self.atoms.values[predicate];
                     for (place, known) in values.iter_mut().enumerate() {
                         let value = measure(oracle, *quantity, chance.tick(), &bodies, place);
@@ -722,7 +722,7 @@ impl Observer {
             if numbers.is_empty() {
                 return;
             }
-            let measured = measured(body, city.agents());
+            let measured = measured(oracle, body, city.agents());
             let value = |quantity: Quantity| quantity.measure(oracle.world.map(), city.now(), &[&measured]);
             oracle
                 .numbers
@@ -873,10 +873,10 @@ fn observed<'a>(atoms: &'a Atoms, bodies: &'a [AgentState], city: &'a Simulation
 }
 
 /// Returns what quantities read of an entity.
-fn measured(body: &AgentState, agents: &[Agent]) -> Measured {
+fn measured(oracle: &Oracle, body: &AgentState, agents: &[Agent]) -> Measured {
     Measured {
         subject: body.subject(),
-        progress: Progress::of(&agents[body.agent as usize]),
+        progress: Progress::of(&agents[body.agent as usize], oracle.world.map()),
     }
 }
 

@@ -157,6 +157,8 @@ struct RawAgent<'a> {
     waited: Option<&'a RawValue>,
     #[serde(borrow)]
     remaining: Option<&'a RawValue>,
+    #[serde(borrow)]
+    exit: Option<&'a RawValue>,
 }
 
 #[derive(Deserialize)]
@@ -414,7 +416,8 @@ impl<'a> Reader<'a> {
         let own = named.and_then(as_concept);
         let others = &agent.concepts[usize::from(own.is_some())..];
         let named = own.or(named);
-        let heading = keep(&mut faults, agent.heading.map(|raw| self.heading(raw)).transpose());
+        let [heading, exit] =
+            [agent.heading, agent.exit].map(|raw| keep(&mut faults, raw.map(|raw| self.heading(raw)).transpose()));
         let at = keep(&mut faults, self.value::<[i32; 2]>(agent.at));
         let priority = keep(&mut faults, agent.priority.map_or(Ok(0), |raw| self.value(raw)));
         let mut count = |raw: Option<&'a RawValue>| keep(&mut faults, raw.map_or(Ok(0), |raw| self.value::<u32>(raw)));
@@ -430,10 +433,12 @@ impl<'a> Reader<'a> {
         let progress = speed
             .zip(waited)
             .zip(remaining)
-            .map(|((speed, waited), remaining)| Progress {
+            .zip(exit)
+            .map(|(((speed, waited), remaining), exit)| Progress {
                 speed,
                 waited,
                 remaining,
+                exit,
             });
         match (kind, heading, at, priority.zip(progress), concepts) {
             (Some(kind), Some(heading), Some([row, col]), Some((priority, progress)), Some(concepts)) => {
@@ -860,7 +865,7 @@ const ROW_SHOWN: usize = 100;
 /// The keys of a scene of agents.
 const GEOMETRIC_KEYS: [&str; 6] = ["map", "agents", "egos", "given", "tick", "actions"];
 /// The keys of an agent.
-const AGENT_KEYS: [&str; 9] = [
+const AGENT_KEYS: [&str; 10] = [
     "id",
     "type",
     "at",
@@ -870,6 +875,7 @@ const AGENT_KEYS: [&str; 9] = [
     "speed",
     "waited",
     "remaining",
+    "exit",
 ];
 /// The keys of a row with a probability.
 const ROW_KEYS: [&str; 2] = ["row", "probability"];

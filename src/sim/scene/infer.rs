@@ -104,6 +104,51 @@ impl Inference {
             .map_err(|fault| of_rules(fault, self.scenario.rules.span))
     }
 
+    /// Returns the rows over entities of predicates in the scene in `source`, as names of entities: of base predicates
+    /// that the rules declare, and of derived ones. Rows with other values are left out.
+    ///
+    /// # Errors
+    /// As [`Inference::answer_with`]; `rule-mismatch` for a predicate that the rules do not declare.
+    pub fn rows(
+        &mut self,
+        (sources, source): (&Sources, SourceId),
+        predicates: &[String],
+        cancel: &Cancel,
+    ) -> Result<Vec<Vec<Vec<String>>>, Vec<Diagnostic>> {
+        let scene = self.ground_with(sources, source, cancel)?;
+        let whole = Span::new(source, 0..sources.text(source).len());
+        let state = (self.evaluated(&scene, cancel)).map_err(|fault| vec![fault.at(whole, "in this scene")])?;
+        let rows = |name: &String| {
+            let declared = self.program.predicate(name).ok_or_else(|| {
+                let message = format!("the rules do not declare the predicate `{name}`");
+                vec![Diagnostic::new(datalog::codes::RULE_MISMATCH, message)]
+            })?;
+            let entity = |word: &datalog::Value| Some(scene.names[state.entity(*word)?].clone());
+            let rows = state.session().encoded_rows(declared);
+            let mut rows: Vec<Vec<String>> = rows.filter_map(|row| row.iter().map(entity).collect()).collect();
+            rows.sort_unstable();
+            Ok(rows)
+        };
+        predicates.iter().map(rows).collect()
+    }
+
+    /// Returns the predicates of the rules whose columns are agents, without `Sees`, actions and inline ones: the name, the number
+    /// of columns, and whether clauses derive rows.
+    pub fn agent_predicates(&self) -> Vec<(String, usize, bool)> {
+        let rules = self.program.rules();
+        let sees = &self.vocabulary.predicates[self.vocabulary.sees];
+        let Some(agents) = sees.id.map(|sees| rules.predicates[sees.index()].columns[0].ty) else {
+            return Vec::new();
+        };
+        let actions: Vec<&str> = self.vocabulary.actions().names().collect();
+        let named = |name: &str| *name != sees.name && !actions.contains(&name);
+        (rules.predicates.iter())
+            .filter(|known| !known.hidden && !known.inline && !known.columns.is_empty() && named(&known.name))
+            .filter(|known| known.columns.iter().all(|column| column.ty == agents))
+            .map(|known| (known.name.clone(), known.columns.len(), known.derived))
+            .collect()
+    }
+
     /// Makes later calls reject scenes whose facts violate a constraint. The relational executor then decides, because
     /// the check needs a session. Answers do not depend on constraints either way.
     pub fn check_constraints(&mut self) {

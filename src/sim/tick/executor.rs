@@ -379,7 +379,7 @@ impl<V: Fn(usize, Quantity, &[usize]) -> Option<Value>> ConditionValues for Give
         let &(_, position, quantity) = quantities.find(|(id, ..)| *id == predicate)?;
         let value = (self.value)(position, quantity, places)?;
         Some(match quantity {
-            Quantity::Heading => self.conditions.headings[value.0 as usize],
+            Quantity::Heading | Quantity::Exit => self.conditions.headings[value.0 as usize],
             _ => value,
         })
     }

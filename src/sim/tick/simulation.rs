@@ -2,7 +2,7 @@
 
 use crate::cancel::Cancel;
 use crate::city::{Action, AgentSet, Split};
-use crate::city::{Agent, Cell, Heading, MoveReason, Moved, Places, Surroundings, advance, place_agents_into};
+use crate::city::{Agent, Cell, CityMap, Heading, MoveReason, Moved, Places, Surroundings, advance, place_agents_into};
 use crate::config::Scenario;
 use crate::config::codes;
 use crate::datalog::Session;
@@ -121,6 +121,8 @@ pub struct AgentTick {
     pub waited: u32,
     /// The number of steps to the goal before the move.
     pub remaining: u32,
+    /// The direction in which the route left the next intersection before the move, if a predicate says so.
+    pub exit: Option<Heading>,
     /// The derived actions, without the default.
     pub derived: Actions,
     /// The action in effect: decided by the rules, imposed by the caller, or that which parked the agent.
@@ -291,7 +293,9 @@ impl Simulation {
             .map_err(|fault| of_rules(fault, scenario.rules.span))?;
         let report = TickReport {
             tick: 0,
-            agents: agents.iter().map(AgentTick::resting).collect(),
+            agents: (agents.iter())
+                .map(|agent| AgentTick::resting(agent, world.map()))
+                .collect(),
         };
         Ok(Simulation {
             split,
@@ -403,7 +407,7 @@ impl Simulation {
         self.next_external.take();
         self.report.tick = 0;
         for (done, agent) in self.report.agents.iter_mut().zip(&self.agents) {
-            *done = AgentTick::resting(agent);
+            *done = AgentTick::resting(agent, self.world.map());
         }
     }
 
@@ -794,7 +798,11 @@ impl Simulation {
         reads_past: impl Fn(usize) -> bool,
     ) -> Result<Facts, Diagnostic> {
         let world = &*self.world;
-        let entities: Vec<Entity<'_>> = self.agents.iter().map(entity).collect();
+        let entities = self.agents.iter().map(|agent| Entity {
+            progress: Progress::of(agent, world.map()),
+            ..entity(agent)
+        });
+        let entities: Vec<Entity<'_>> = entities.collect();
         let (vocabulary, view) = (&world.vocabulary, world.scenario.view);
         let unread = |index: usize| !is_read(index);
         let bounds = (world.limits.bytes, &self.cancel);
@@ -999,6 +1007,7 @@ fn decided<'a>((agent, done): (&'a Agent, &AgentTick)) -> Entity<'a> {
             speed: done.speed.into(),
             waited: done.waited,
             remaining: done.remaining,
+            exit: done.exit,
         },
         ..entity(agent)
     }
@@ -1027,6 +1036,10 @@ impl Moving<'_> {
             speed: agent.speed,
             waited: agent.waited,
             remaining: agent.remaining(),
+            exit: match self.vocabulary.has_exits {
+                true => agent.exit(self.surroundings.router.map()),
+                false => None,
+            },
             derived: self.vocabulary.before_default(Some(agent.kind_id), derived),
             action,
             moved: advance(agent, index, action, &self.surroundings),
@@ -1036,12 +1049,13 @@ impl Moving<'_> {
 
 impl AgentTick {
     /// The report of an agent before the first tick.
-    fn resting(agent: &Agent) -> AgentTick {
+    fn resting(agent: &Agent, map: &CityMap) -> AgentTick {
         AgentTick {
             heading: agent.heading,
             speed: agent.speed,
             waited: agent.waited,
             remaining: agent.remaining(),
+            exit: agent.exit(map),
             derived: Actions::default(),
             action: Action::Stop,
             moved: Moved {
@@ -1081,6 +1095,6 @@ fn entity(agent: &Agent) -> Entity<'_> {
         priority: agent.priority,
         at: agent.cell,
         heading: agent.heading,
-        progress: Progress::of(agent),
+        progress: Progress::without_exit(agent),
     }
 }

@@ -125,6 +125,8 @@ pub struct Vocabulary {
     pub sees: usize,
     /// Whether clauses of the rules have probabilities.
     pub draws: bool,
+    /// Whether a predicate says where routes leave intersections.
+    pub has_exits: bool,
     /// The actions of the scenario.
     table: ActionTable,
     /// The predicate of each action, in the order of the table; `None` if the rules do not declare it.
@@ -198,6 +200,7 @@ impl Vocabulary {
                 predicates,
                 sees,
                 draws: rules.chance.is_some(),
+                has_exits: (scenario.predicates.iter()).any(|predicate| predicate.definition == Quantity::Exit.into()),
                 table: table.clone(),
                 actions,
                 decisions: (scenario

@@ -1,0 +1,169 @@
+"""Learning from trajectories: of our own city, whose rules are known, and of SUMO."""
+
+from __future__ import annotations
+
+import json
+import os
+import subprocess
+import sys
+from pathlib import Path
+
+import pytest
+from conftest import needs
+
+import logicity
+from logicity.distill import FILES
+from logicity.placement import Grid
+from logicity.sumo import export_network, find_program, network
+
+#: Right before left among cars that wait at lines, and who is inside goes first.
+RIGHT_BEFORE_LEFT = """
+.include "right-of-way.dl"
+
+/// R1: give way to the right
+Stop(X) :- IsAtInter(X), FromRight(Y, X), IsAtInter(Y), Not(TurnsRight(X)).
+
+/// R2: wait for who is inside
+Stop(X) :- IsAtInter(X), IsInInter(Y), SameInter(X, Y).
+"""
+
+CITY = "base: right-of-way\nrules: rules.dl\n"
+
+
+def recorded(folder: Path, ticks: int = 400) -> Path:
+    """Write the positions of cars in a city with known rules as a table."""
+    (folder / "rules.dl").write_text(RIGHT_BEFORE_LEFT, encoding="utf-8")
+    (folder / "own.yaml").write_text(CITY, encoding="utf-8")
+    city = logicity.Simulation(str(folder / "own.yaml"), seed=3)
+    lines = ["t,id,kind,x,y,heading,speed"]
+    # Angles grow clockwise from north, as in SUMO.
+    angles = {0: 270, 1: 90, 2: 0, 3: 180}
+    for t in range(ticks):
+        tick = city.tick()
+        for agent, (row, column), heading in zip(city.agents, tick.at, tick.heading, strict=True):
+            if heading >= 0:
+                lines.append(f"{t},{agent.name},Car,{column + 0.5},{-row - 0.5},{angles[int(heading)]},0")
+    path = folder / "traffic.csv"
+    path.write_text("\n".join(lines) + "\n", encoding="utf-8")
+    return path
+
+
+#: The options with which trajectories of our own city are read: a cell is a meter, and cars have no length.
+OWN = ["--cell", "1", "--length", "0", "--line", "1"]
+
+
+def command(*arguments: str) -> subprocess.CompletedProcess[str]:
+    return subprocess.run(
+        [sys.executable, "-m", "logicity", *arguments], capture_output=True, text=True, check=False, env=os.environ
+    )
+
+
+def test_the_rules_of_our_own_city_are_recovered(tmp_path: Path) -> None:
+    traffic = recorded(tmp_path)
+    out = tmp_path / "learned"
+    done = command("distill", str(traffic), "--map", "square-5x5", "-o", str(out), *OWN)
+    assert done.returncode == 0, done.stderr
+    report = json.loads((out / "report.json").read_text())
+    assert report["test"]["line"]["moments"] > 100
+    assert report["test"]["line"]["explained"] >= 0.99
+    rules = [clause["rule"] for clause in report["clauses"]]
+    assert any("FromRight(Y, X)" in rule and "Not(TurnsRight(X))" in rule for rule in rules), rules
+    assert any("IsInInter(Y)" in rule and "SameInter" in rule for rule in rules), rules
+    assert {path.name for path in out.iterdir() if path.name[0] != "."} <= set(FILES)
+    # The city runs.
+    city = logicity.Simulation(str(out / "city.yaml"))
+    city.run(20)
+    # The same bytes again, also over the own files, but never over those of others.
+    texts = {path.name: path.read_bytes() for path in out.iterdir() if path.name in FILES}
+    assert command("distill", str(traffic), "--map", "square-5x5", "-o", str(out), *OWN).returncode == 0
+    assert texts == {path.name: path.read_bytes() for path in out.iterdir() if path.name in FILES}
+    (out / "report.md").write_text("mine")
+    refused = command("distill", str(traffic), "--map", "square-5x5", "-o", str(out), *OWN)
+    assert refused.returncode == 2 and "report.md" in refused.stderr
+    assert (out / "report.md").read_text() == "mine"
+
+
+def test_wrong_moments_are_scenes_that_other_commands_accept(tmp_path: Path) -> None:
+    traffic = recorded(tmp_path, 200)
+    out = tmp_path / "learned"
+    # Without the words of right of way, the rules must get some moments wrong.
+    words = ["--use", "IsAtInter,TurnsLeft", "--noise", "0.2"]
+    assert command("distill", str(traffic), "--map", "square-5x5", "-o", str(out), *OWN, *words).returncode == 0
+    report = json.loads((out / "report.json").read_text())
+    assert report["wrong_count"] > 0 and report["wrong"][0]["driver"] != report["wrong"][0]["rules"]
+    answers = command("infer", str(out / "wrong.jsonl"), "--config", str(out / "city.yaml"))
+    assert answers.returncode == 0, answers.stderr
+    scenes = [json.loads(line) for line in (out / "wrong.jsonl").read_text().splitlines()]
+    for scene, answer in zip(scenes, map(json.loads, answers.stdout.splitlines()), strict=True):
+        for id, action in scene["actions"].items():
+            assert answer["egos"][id]["action"] != action
+
+
+def test_a_recording_elsewhere_is_refused(tmp_path: Path) -> None:
+    (tmp_path / "far.csv").write_text("t,id,x,y\n0,a,9000,9000\n1,a,9001,9000\n2,a,9002,9000\n")
+    done = command("distill", str(tmp_path / "far.csv"), "--map", "square-5x5", "-o", str(tmp_path / "out"))
+    assert done.returncode == 1 and "no moment to learn from" in done.stderr and "origin" in done.stderr
+    assert not (tmp_path / "out").exists()
+
+
+@pytest.mark.parametrize(
+    ("arguments", "code", "message"),
+    [
+        (["distill", "no-such.csv", "-o", "out"], 2, "no-such.csv"),
+        (["distill", "a.csv", "-o", "out", "--origin", "1"], 2, "expected X,Y in meters"),
+        (["distill", "a.csv", "-o", "out", "--test", "1"], 2, "expected a number between 0 and 1"),
+        (["map", "export", "square-5x5", "-o", "town.xml"], 2, "expected a name that ends in .net.xml"),
+        (["map", "export", "square-5x5", "-o", "t.net.xml", "--junctions", "priority"], 2, "--main ZONE"),
+    ],
+)
+def test_options_are_checked(arguments: list[str], code: int, message: str) -> None:
+    done = command(*arguments)
+    assert (done.returncode, message in done.stderr) == (code, True), done.stderr
+
+
+#: A town of 4 x 4 blocks of 27 cells.
+TOWN = """
+blocks: [4, 4]
+widths: {street: 5, sidewalk: 1, building: 12, inner_sidewalk: 1}
+buildings: {random: {seed: 1, weights: {House: 1, Store: 1}}}
+zones: {main: [{horizontal_street: 2}, {horizontal_street: 3}, {horizontal_street: 4}]}
+"""
+
+
+def town(tmp_path: Path) -> Grid:
+    (tmp_path / "town.yaml").write_text(TOWN)
+    return Grid.load(tmp_path / "town.yaml", 3.0)
+
+
+def test_networks_have_an_edge_per_lane_and_no_turning_back(tmp_path: Path) -> None:
+    grid = town(tmp_path)
+    files = network(grid, "priority", main="main")
+    assert set(files) == {".nod.xml", ".edg.xml", ".con.xml"}
+    assert files[".edg.xml"].count("<edge ") == len(grid.lanes) == 80
+    assert files[".nod.xml"].count("<node ") == 25 and files[".nod.xml"].count('type="priority"') == 25
+    assert files[".edg.xml"].count('priority="2"') == 3 * 4 * 2
+    # Nine inner intersections of 12 ways, twelve at the edges of 6, four corners of 2.
+    assert files[".con.xml"].count("<connection ") == 9 * 12 + 12 * 6 + 4 * 2
+    lights = network(grid, "traffic_light")[".tll.xml"]
+    assert lights.count("<tlLogic ") == 21 and lights.count("<phase ") == 21 * 6
+    with pytest.raises(ValueError, match="it has main"):
+        network(grid, "priority", main="mian")
+
+
+def driven(tmp_path: Path, junctions: str, period: str) -> Path:
+    """Return the trajectories of random trips that SUMO drives for 2 hours."""
+    sumo = needs("sumo", "sumo")
+    home = Path(sumo.__file__).parent
+    environment = os.environ | {"SUMO_HOME": str(home)}
+    net, trips, routes, traffic = (tmp_path / f"town.{end}" for end in ("net.xml", "trips.xml", "rou.xml", "fcd.xml"))
+    main = "main" if junctions == "priority" else None
+    assert export_network(town(tmp_path), net, junctions, main=main)[-1] == net  # type: ignore[arg-type]
+    script = [sys.executable, str(home / "tools" / "randomTrips.py")]
+    programs = {name: str(find_program(name)) for name in ("duarouter", "sumo")}
+    for line in (
+        [*script, "-n", net, "-o", trips, "-e", "7200", "-p", period, "--seed", "5", "--min-distance", "150"],
+        [programs["duarouter"], "-n", net, "--route-files", trips, "-o", routes, "--ignore-errors", "--seed", "5"],
+        [programs["sumo"], "-n", net, "-r", routes, "--fcd-output", traffic, "--seed", "5", "--end", "7200"],
+    ):
+        subprocess.run([str(part) for part in line], check=True, capture_output=True, env=environment)
+    return traffic
