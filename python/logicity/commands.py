@@ -254,11 +254,15 @@ def _add_features(to: _Parser) -> None:
 
 
 def _add_distill(to: _Parser) -> None:
-    help = "SUMO's FCD output (.xml) or CSV with the columns t, id, kind, x, y, heading and speed; also compressed (.gz)"
+    help = (
+        "SUMO's FCD output (.xml) or CSV with the columns t, id, kind, x, y, heading and speed; also compressed (.gz)"
+    )
     to.add("trajectories", nargs="+", help=help)
     help = "the folder of the city to write"
     to.add("-o", "--out", type=Path, required=True, metavar="FOLDER", help=help)
-    to.add("--map", metavar="MAP", help="map file, or the name of a built-in map; default: the map of the configuration")
+    to.add(
+        "--map", metavar="MAP", help="map file, or the name of a built-in map; default: the map of the configuration"
+    )
     help = (
         "configuration that defines the predicates, and whose rules define the words of learned clauses; default: "
         "right-of-way"
@@ -285,7 +289,9 @@ def _add_distill(to: _Parser) -> None:
     to.add("--centers", action="store_true", help=help)
     help = "predicates that clauses may use, separated by commas; default: those that the rules derive, those about one"
     to.add("--use", type=_names, metavar="NAMES", help=f"{help} agent, and SameInter")
-    help = "learn from cars that decide at the line of an intersection, or from all cars in all ticks; default: junctions"
+    help = (
+        "learn from cars that decide at the line of an intersection, or from all cars in all ticks; default: junctions"
+    )
     to.add("--moments", choices=("junctions", "all"), default="junctions", help=help)
     help = "leave out the ticks at a line before a start, in which the driver may have been free already; default: 1"
     to.add("--reaction", type=partial(_whole, least=0), default=1, metavar="TICKS", help=help)
@@ -543,9 +549,7 @@ def _distill(given: argparse.Namespace) -> int:
     print_message(f"reading {', '.join(given.trajectories)}")
     recording = read_trajectories(given.trajectories, columns, tick=given.tick, begin=given.begin, end=given.end)
     source = ", ".join(Path(path).name for path in given.trajectories)
-    done = distill(
-        recording, grid, given.out, settings, overwrite=given.force, source=source, progress=print_message
-    )
+    done = distill(recording, grid, given.out, settings, overwrite=given.force, source=source, progress=print_message)
     for clause in done.clauses:
         print_text(clause)
     for part, words in {"all": "all", "line": "at lines", "free": "at lines of free intersections"}.items():
@@ -565,9 +569,7 @@ def _map_export(given: argparse.Namespace) -> int:
     if given.junctions == "priority" and given.main is None:
         raise _UsageError("--junctions priority: name the zone of the main streets with `--main ZONE`")
     grid = Grid.load(given.map, given.cell)
-    paths = export_network(
-        grid, given.out, given.junctions, speed=given.speed, main=given.main, overwrite=given.force
-    )
+    paths = export_network(grid, given.out, given.junctions, speed=given.speed, main=given.main, overwrite=given.force)
     for path in paths:
         print_message(f"wrote {path}")
     if find_program("netconvert") is None:

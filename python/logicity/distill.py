@@ -1,7 +1,7 @@
 """Rules that recorded traffic follows: from trajectories to a city with learned rules and a report.
 
-The engine computes all facts from the cells of agents, and all decisions of the learned rules. This module says what the
-moments and their actions are, and counts.
+The engine computes all facts from the cells of agents, and all decisions of the learned rules. This module says what
+the moments and their actions are, and counts.
 """
 
 from __future__ import annotations
@@ -14,7 +14,7 @@ import subprocess
 import sys
 import tempfile
 from collections.abc import Callable, Iterator, Sequence
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any, Literal
 
@@ -23,7 +23,7 @@ from .errors import did_you_mean
 from .files import check_writable, json_text, write_text
 from .placement import Grid, Moment, Placement, Thresholds, place
 from .terminal import neutral
-from .trajectories import Columns, Recording
+from .trajectories import Recording
 
 __all__ = ["Distilled", "Settings", "distill"]
 
@@ -409,18 +409,22 @@ def _city(words: _Words, settings: Settings, learned: dict[str, Any], folder: Pa
         lines.append(f"map: {json.dumps(map)}")
     lines.append("rules: rules.dl")
     files["city.yaml"] = "\n".join(lines) + "\n"
-    file = _logicity.ConfigFile(config, "configs")
-    rules = file.value()["rules"]
-    beside = _beside(file.file_of(["rules"]), rules)
-    if os.path.isfile(beside):
-        files["words.dl"] = Path(beside).read_text(encoding="utf-8")
-    files["rules.dl"] = "\n".join([_include(files, rules), *_clauses(learned), ""])
+    included, own = _rules_of(config)
+    if own is not None:
+        files["words.dl"] = own.read_text(encoding="utf-8")
+    files["rules.dl"] = "\n".join([f'.include "{included}"', *_clauses(learned), ""])
     return files
 
 
-def _include(files: dict[str, str], rules: str) -> str:
-    name = "words.dl" if "words.dl" in files else Path(rules).with_suffix(".dl").name
-    return f'.include "{name}"'
+def _rules_of(config: str) -> tuple[str, Path | None]:
+    """Return the name by which the city includes the rules of a configuration, and their file if it is on disk."""
+    file = _logicity.ConfigFile(config, "configs")
+    rules = str(file.value()["rules"])
+    by = file.file_of(["rules"]) or ""
+    beside = Path(by).parent / rules
+    if not by.startswith("<builtin>") and beside.is_file():
+        return "words.dl", beside
+    return Path(rules).with_suffix(".dl").name, None
 
 
 class _Measured:
@@ -441,7 +445,7 @@ class _Measured:
         #: The rules with a predicate for each clause.
         text = (city / "rules.dl").read_text(encoding="utf-8")
         for number, clause in enumerate(clauses):
-            text += f".decl Clause{number}(x: agent)\nClause{number}{clause[clause.index('('):]}\n"
+            text += f".decl Clause{number}(x: agent)\nClause{number}{clause[clause.index('(') :]}\n"
         (city / "counted.dl").write_text(text, encoding="utf-8")
         limits = (None, None, None)
         config = settings.config
@@ -480,10 +484,10 @@ class _Measured:
                     self.tallies[part]["line"].add(driver, rules_)
                 if example.is_free:
                     self.tallies[part]["free"].add(driver, rules_)
-                for clause, rows in enumerate(holds):
+                for at, rows in enumerate(holds):
                     if moment.id in rows:
-                        self.fired[clause][part][0] += 1
-                        self.fired[clause][part][1] += driver == learned["clauses"][clause]["action"]
+                        self.fired[at][part][0] += 1
+                        self.fired[at][part][1] += driver == learned["clauses"][at]["action"]
                 if example.is_test and driver != rules_:
                     wrong.append(moment)
                     self.wrong.append(
@@ -509,9 +513,7 @@ def _percent(share: float | None) -> str:
     return "-" if share is None else f"{100 * share:.1f} %"
 
 
-def _rules(
-    words: _Words, learned: dict[str, Any], measured: _Measured, settings: Settings, source: str
-) -> str:
+def _rules(words: _Words, learned: dict[str, Any], measured: _Measured, settings: Settings, source: str) -> str:
     """Return the rule file with the coverage of each clause."""
     test = measured.tallies["test"]
     about = f" from {source}" if source else ""
@@ -520,10 +522,7 @@ def _rules(
         f"// They explain {_percent(test['line'].share)} of {test['line'].total} held-out moments at lines,",
         f"// and {_percent(test['free'].share)} of the {test['free'].total} of them in which the intersection is free.",
     ]
-    file = _logicity.ConfigFile(settings.config, "configs")
-    rules = file.value()["rules"]
-    is_own = os.path.isfile(_beside(file.file_of(["rules"]), rules))
-    lines.append('.include "words.dl"' if is_own else f'.include "{Path(rules).with_suffix(".dl").name}"')
+    lines.append(f'.include "{_rules_of(settings.config)[0]}"')
     for clause, text, fired in zip(learned["clauses"], _clauses(learned), measured.fired, strict=True):
         (holds, right), (holds_test, right_test) = fired["train"], fired["test"]
         lines += [

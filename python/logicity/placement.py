@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import math
 import os
+from contextlib import suppress
 from dataclasses import dataclass, field
 
 from . import _logicity
@@ -27,7 +28,7 @@ class Lane:
         heading: The direction of travel.
         street: The number of its street, from 0.
         block: The number of the block along which it runs, from 0.
-        start, end: Row and column of its first and last cell. Where cars wait at an intersection, they wait on the last.
+        start, end: Row and column of its first and last cell. Cars wait on the last one.
         zones: The zones that contain its middle.
         has_line: Whether cars on its last cell are at an intersection. On through roads at the edges they are not.
     """
@@ -74,22 +75,25 @@ class Grid:
         origin: tuple[float, float] = (0.0, 0.0),
         y_up: bool = True,
     ) -> Grid:
-        """Return the map in a map file or a configuration.
+        """Return the map in a map file or a configuration. A bare name is a built-in one, first of all a map.
 
         Raises:
             InputError: If the file is invalid.
             OSError: If it cannot be read.
         """
-        name, (rows, columns), blocks, offset, lanes = _logicity.lanes(os.fspath(path))
+        file = os.fspath(path)
+        if not os.path.exists(file) and os.path.basename(file) == file and "." not in file:
+            with suppress(FileNotFoundError):
+                _logicity.read_file(map_file := f"configs/maps/{file}.yaml")
+                file = map_file
+        name, (rows, columns), blocks, offset, lanes = _logicity.lanes(file)
         last = {"Left": blocks[0], "Right": blocks[0], "Up": blocks[1], "Down": blocks[1]}
 
         def made(lane: tuple[Heading, int, int, tuple[int, int], tuple[int, int], list[str]]) -> Lane:
             heading, street, block, start, end, zones = lane
             return Lane(heading, street, block, start, end, tuple(zones), 0 < street < last[heading])
 
-        return cls(
-            name, rows, columns, (blocks[0], blocks[1]), offset, tuple(map(made, lanes)), cell, origin, y_up
-        )
+        return cls(name, rows, columns, (blocks[0], blocks[1]), offset, tuple(map(made, lanes)), cell, origin, y_up)
 
     def position(self, row: float, column: float) -> tuple[float, float]:
         """Return the position in meters of a point on the map; a cell has its number as its first edge."""
@@ -192,8 +196,8 @@ class _State:
 def place(recording: Recording, grid: Grid, thresholds: Thresholds | None = None) -> Placement:
     """Place the tracks of a recording on a map.
 
-    A car on a street drives on the lane of its direction, wherever it is across. It is on the line of an intersection if
-    it stands there as the first of its lane, or drives across in this tick.
+    A car on a street drives on the lane of its direction, wherever it is across. It is on the line of an intersection
+    if it stands there as the first of its lane, or drives across in this tick.
     """
     chosen = thresholds or Thresholds()
     found = Placement()
@@ -365,8 +369,14 @@ def _moments(
             has_started = False
         if lane is not None and cell is not None:
             cell, is_decision, has_started = _on_lane(
-                lane, state, along[at + 1] if at + 1 < len(along) else None, grid, thresholds,
-                first[tick, state.lane] == state.left if state.lane is not None else False, speed, has_started,
+                lane,
+                state,
+                along[at + 1] if at + 1 < len(along) else None,
+                grid,
+                thresholds,
+                first[tick, state.lane] == state.left if state.lane is not None else False,
+                speed,
+                has_started,
             )
         if before is not None:
             moved = round(math.hypot(track.x[at] - track.x[at - 1], track.y[at] - track.y[at - 1]) / grid.cell)
@@ -377,7 +387,14 @@ def _moments(
         else:
             action = None if speed is None else thresholds.action(speed)
             moment = Moment(
-                name, track.kind, cell, state.heading, exits[at], waited, moved, action,
+                name,
+                track.kind,
+                cell,
+                state.heading,
+                exits[at],
+                waited,
+                moved,
+                action,
                 is_decision and action is not None,
             )
             found.moments.setdefault(tick, []).append(moment)
@@ -402,7 +419,7 @@ def _on_lane(
         back = min(max(back, -1), length)
         return lane.end[0] - rows * back, lane.end[1] - columns * back
 
-    back = math.floor(state.left / grid.cell)
+    back = math.ceil(state.left / grid.cell - 1e-9) - 1
     if not lane.has_line:
         return cell(back), False, False
     crosses = following is not None and following.lane != state.lane

@@ -31,8 +31,8 @@ CYCLE: tuple[tuple[int, str, str], ...] = (
 def network(grid: Grid, junctions: Junctions, *, speed: float = 30.0, main: str | None = None) -> dict[str, str]:
     """Return the files of a road network by their endings, such as `.nod.xml`.
 
-    Cars keep right, as in the city. The ends of lanes lie on the lines where cars of the city wait. An edge has the name
-    of its lane: heading, street and block, such as `right2/0`.
+    Cars keep right, as in the city. The ends of lanes lie on the lines where cars of the city wait. An edge has the
+    name of its lane: heading, street and block, such as `right2/0`.
 
     Args:
         grid: The map, with the side of a cell and the origin.
@@ -73,8 +73,11 @@ def export_network(
     """Write a road network: `NAME.nod.xml` and others beside `out`, and with `netconvert` also `out`.
 
     Args:
-        grid, junctions, speed, main: As for `network`.
+        grid: The map, with the side of a cell and the origin.
         out: The name of the network, which ends in `.net.xml`.
+        junctions: The right of way at intersections.
+        speed: The speed limit in km/h.
+        main: As for `network`.
         overwrite: Whether to replace files that this function did not write.
 
     Returns:
@@ -184,7 +187,11 @@ def _edges(grid: Grid, speed: float, main: str | None) -> Iterator[str]:
     for lane in grid.lanes:
         shape = []
         for row, column in (lane.start, lane.end):
-            at = (horizontal[lane.street], column + 0.5) if lane.heading in ("Left", "Right") else (row + 0.5, vertical[lane.street])
+            at = (
+                (horizontal[lane.street], column + 0.5)
+                if lane.heading in ("Left", "Right")
+                else (row + 0.5, vertical[lane.street])
+            )
             x, y = grid.position(*at)
             shape.append(f"{x:.2f},{y:.2f}")
         yield _element(

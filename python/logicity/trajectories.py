@@ -12,7 +12,7 @@ import os
 from collections.abc import Iterator
 from contextlib import suppress
 from dataclasses import dataclass, field
-from typing import IO, Any, Literal, NoReturn
+from typing import IO, Any, Literal, NoReturn, cast
 from xml.etree import ElementTree
 
 from . import _logicity
@@ -231,7 +231,8 @@ def read_trajectories(
         columns: How to read CSV files and which kinds of agents classes are; by default, the columns have the names of
             `COLUMNS`.
         tick: The length of a tick in seconds.
-        begin, end: Samples before and after these times, in seconds, are left out.
+        begin: Samples before this time, in seconds, are left out.
+        end: Samples after this time, in seconds, are left out.
 
     Raises:
         OSError: If a file cannot be read.
@@ -251,7 +252,7 @@ def read_trajectories(
 
 def _open(path: str) -> IO[bytes]:
     _logicity.check_readable(path, False)
-    return gzip.open(path, "rb") if path.endswith(".gz") else open(path, "rb")
+    return cast("IO[bytes]", gzip.open(path, "rb")) if path.endswith(".gz") else open(path, "rb")
 
 
 def _fail(path: str, line: int | None, column: str | None, message: str, help: str = "") -> NoReturn:

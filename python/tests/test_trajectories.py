@@ -45,7 +45,7 @@ def test_fcd_output_is_resampled_to_ticks(tmp_path: Path) -> None:
     # The sample at 1.0 s is between those at 0.5 s and 1.5 s.
     assert first.x == [0.0, 1.0, 2.5, 4.0] and first.speed == [2.0, 4.0, 4.0, 4.0]
     assert first.angle == pytest.approx([0, 0, math.pi / 2, math.pi / 2])
-    assert (person.id, person.kind, person.angle) == ("p", "Pedestrian", [pytest.approx(-math.pi / 2)])
+    assert (person.id, person.kind) == ("p", "Pedestrian") and person.angle == pytest.approx([-math.pi / 2])
     # After a gap of several seconds it is another track.
     assert (later.id, later.first, len(later)) == ("a", 18, 1)
 
@@ -58,7 +58,8 @@ def test_compressed_files_and_parts_of_the_time(tmp_path: Path) -> None:
 
 
 MAPPING = """
-columns: {frame: frame, id: trackId, kind: class, x: xCenter, y: yCenter, heading: heading, vx: xVelocity, vy: yVelocity}
+columns:
+  {frame: frame, id: trackId, kind: class, x: xCenter, y: yCenter, heading: heading, vx: xVelocity, vy: yVelocity}
 frame_rate: 25
 delimiter: ";"
 kinds: {truck_bus: Car, pedestrian: Pedestrian, bicycle: ~}
@@ -171,7 +172,8 @@ def test_a_car_stops_at_the_line_and_turns_left(tmp_path: Path, grid: Grid) -> N
     assert [moment.is_decision for moment in moments] == [False] * 3 + [True] * 3 + [False] * 5
     # On the line while it stands, and inside until its rear has left the intersection.
     assert [moment.at for moment in moments[3:6]] == [(35, 31)] * 3
-    assert moments[6].at == (35, 32) and moments[8].at[0] > 29 and moments[9].at == (26, 35)
+    assert all(32 <= cell <= 36 for moment in moments[6:9] for cell in moment.at)
+    assert moments[8].at == (32, 35) and moments[9].at == (26, 35)
     assert [moment.exit for moment in moments[:7]] == ["Up"] * 7 and moments[-1].exit is None
     assert [moment.heading for moment in moments[:6]] == ["Right"] * 6 and moments[-1].heading == "Up"
     assert [moment.waited for moment in moments[3:7]] == [0, 1, 2, 0]
@@ -180,7 +182,7 @@ def test_a_car_stops_at_the_line_and_turns_left(tmp_path: Path, grid: Grid) -> N
 def test_a_car_in_a_queue_is_not_on_the_line(tmp_path: Path, grid: Grid) -> None:
     lines = ["t,id,x,y"]
     for t in range(3):
-        for id, column in (("first", 31.5), ("second", 29.0)):
+        for id, column in (("first", 31.5), ("second", 29.2)):
             x, y = grid.position(35.5, column)
             lines.append(f"{t},{id},{x},{y}")
     recording = read_trajectories([written(tmp_path / "queue.csv", "\n".join(lines) + "\n")])

@@ -153,7 +153,7 @@ impl Agent {
     }
 
     /// Returns the direction in which its route leaves the intersection at or in which it is, or else its next one;
-    /// `None` if the route ends before.
+    /// `None` if the route ends before. The corners of the map count as intersections.
     pub fn exit(&self, map: &CityMap) -> Option<Heading> {
         let rest = (self.next.saturating_sub(1)..).map_while(|index| self.route.piece(index));
         let mut at = self.cell;

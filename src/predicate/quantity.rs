@@ -25,7 +25,7 @@ pub enum Quantity {
     /// The number of the intersection at or in which the agent is, from 1, row by row; no value elsewhere.
     Intersection,
     /// The direction in which the agent's route leaves the intersection at or in which it is, or else its next one; no
-    /// value if the route ends before.
+    /// value if the route ends before. The corners of the map count as intersections here.
     Exit,
     /// The Euclidean distance of two different agents in cells.
     Distance,

@@ -10,15 +10,16 @@ use logicity::diag::Sources;
 use logicity::predicate::Quantity;
 use logicity::rng::{Purpose, RngExt, Seed};
 use logicity::sim::{Decider, Executor, Observer, Oracle, TraceTick, World};
+use std::collections::BTreeMap;
 use std::sync::Arc;
 
 /// The declarations of all quantities.
 const DECLARED: &str = ".include \"vocabulary.dl\"
 .decl Speed, Priority, Waited, Remaining, Intersection(x: agent, n: number)
-.decl Heading(x: agent, h: symbol)
+.decl Heading, Exit(x: agent, h: symbol)
 .decl Distance(x: agent, y: agent, d: float)
 .decl Tick(t: number)
-.input Speed, Priority, Waited, Remaining, Intersection, Heading, Distance, Tick
+.input Speed, Priority, Waited, Remaining, Intersection, Heading, Exit, Distance, Tick
 ";
 
 /// Expert mode with all quantities, these rules, and the changes of `edit`.
@@ -33,7 +34,7 @@ fn with_quantities(rules: &str, edit: impl FnOnce(&mut Scenario)) -> (Arc<World>
 
 /// Random rules: clauses of actions with conditions on the quantities of one agent or two.
 fn random_rules(random: &mut impl RngExt) -> String {
-    const FACTS: [&str; 26] = [
+    const FACTS: [&str; 29] = [
         "Waited(X, n), n > 2",
         "Waited(X, n), n >= 1, n < 6",
         "Speed(X, 2)",
@@ -60,6 +61,9 @@ fn random_rules(random: &mut impl RngExt) -> String {
         "Sees(X, Y), Intersection(Y, n), n % 3 = 1",
         "IsClose(X, Y)",
         "Sees(X, Y), Not(IsAtInter(Y))",
+        "Exit(X, \"Up\")",
+        "Exit(X, h), Heading(Y, h)",
+        "Heading(X, h), Not(Exit(X, h))",
     ];
     let mut clauses = String::new();
     for head in ["Stop", "Slow", "Fast"] {
@@ -117,7 +121,7 @@ fn quantities_count_what_the_reports_of_the_ticks_show() {
     };
     let agents = city.agents().len();
     let (mut waited, mut speed) = (vec![0; agents], vec![0; agents]);
-    let (mut longest, mut at_intersections) = (0, 0);
+    let (mut longest, mut at_intersections, mut exits_seen) = (0, 0, 0);
     for tick in 0..400 {
         let before: Vec<_> = city.agents().to_vec();
         let moved: Vec<_> = city.tick(&[]).unwrap().agents.iter().map(|done| done.moved).collect();
@@ -161,6 +165,29 @@ fn quantities_count_what_the_reports_of_the_ticks_show() {
         for ([agent, _], value) in values(Quantity::Heading) {
             assert_eq!(before[agent].heading.unwrap() as u32, value.0);
         }
+        let exits: BTreeMap<usize, u32> = values(Quantity::Exit)
+            .map(|([agent, _], value)| (agent, value.0))
+            .collect();
+        for (at, agent) in before.iter().enumerate() {
+            // The route leaves a lane, or the intersection in which the agent is, and comes to another lane.
+            let mut lanes = (agent.route().cells().skip(agent.position())).map(|cell| world.map().lane_at(cell));
+            let lane = world.map().lane_at(agent.cell);
+            let is_inside = lane.is_none() && world.map().in_intersection(agent.cell).is_some();
+            let on_street = agent.kind == AgentKind::Car && (is_inside || lane.is_some());
+            let expected = (on_street && (is_inside || lanes.any(|lane| lane.is_none())))
+                .then(|| lanes.flatten().next())
+                .flatten();
+            if on_street {
+                assert_eq!(
+                    exits.get(&at).copied(),
+                    expected.map(|heading| heading as u32),
+                    "{at} in {tick}"
+                );
+                exits_seen += usize::from(expected.is_some());
+            } else if agent.kind == AgentKind::Pedestrian {
+                assert!(!exits.contains_key(&at));
+            }
+        }
         for ([x, y], value) in values(Quantity::Distance) {
             let (dx, dy) = (
                 before[x].cell.row - before[y].cell.row,
@@ -177,6 +204,7 @@ fn quantities_count_what_the_reports_of_the_ticks_show() {
         }
     }
     assert!(longest > 5 && at_intersections > 100, "{longest} {at_intersections}");
+    assert!(exits_seen > 500, "{exits_seen}");
 }
 
 /// A trace records the quantities that the states of the agents do not determine, and its replay has all values.
@@ -343,7 +371,8 @@ Fast(X) :- Distance(X, Y, d), d < 3.5, Remaining(Y, 7).
 ";
     let agents = r#"{"map": "square-5x5", "tick": 5, "agents": [
         {"id": "Car_1", "type": "Car", "at": [102, 20], "heading": "Up", "waited": 1},
-        {"id": "Car_2", "type": "Car", "at": [102, 23], "speed": 2, "waited": 3, "remaining": 7}]}"#;
+        {"id": "Car_2", "type": "Car", "at": [102, 23], "speed": 2, "waited": 3, "remaining": 7,
+         "exit": "Left"}]}"#;
     let symbols = r#"{"entities": ["e0", "e1"], "ego": "e0", "facts": {
         "Waited": [["e0", 1], ["e1", 3]], "Heading": [["e0", "Up"]], "Tick": [5], "Distance": [["e0", "e1", 3.5]]}}"#;
     for executor in [Executor::Dense, Executor::Relational] {
@@ -360,6 +389,7 @@ Fast(X) :- Distance(X, Y, d), d < 3.5, Remaining(Y, 7).
             serde_json::json!([["Car_2", "Car_1", 3.0], ["Car_1", "Car_2", 3.0]])
         );
         assert_eq!(known["Heading"], serde_json::json!([["Car_1", "Up"]]));
+        assert_eq!(known["Exit"], serde_json::json!([["Car_2", "Left"]]));
         let found = answer(RULES, executor, symbols).unwrap();
         assert_eq!(found["egos"]["e0"]["derived"], serde_json::json!(["Slow", "Stop"]));
         assert_eq!(
