@@ -351,9 +351,16 @@ def _learn(train: Sequence[_Example], words: _Words, settings: Settings) -> dict
     more = [f".decl {name}({_columns(words.columns[name])})" for name in words.names if name not in declared]
     inputs = [name for name in words.names if name not in declared]
     rules = ['.include "vocabulary.dl"', *more, *([f".input {', '.join(inputs)}"] if inputs else []), ""]
-    define = {name: {"external": "agent" if words.columns[name] == 1 else "pair"} for name in words.derived}
-    base = os.path.abspath(settings.config) if os.path.exists(settings.config) else _builtin_config(settings.config)
-    config = {"base": base, "rules": "words.dl", "predicates": {"use": words.names, "define": define}}
+    # The scenes state all facts, so only the names and the numbers of columns matter.
+    standard = _logicity.ConfigFile("standard", "configs/predicates").value()["define"]
+    own = [name for name in words.names if name not in standard]
+    define = {name: {"external": "agent" if words.columns[name] == 1 else "pair"} for name in own}
+    config = {
+        "base": "configs/common.yaml",
+        "rules": "words.dl",
+        "predicates": {"use": words.names, "define": define},
+        "agents": {"test": {"cars": [{"priority": 1}]}},
+    }
     with tempfile.TemporaryDirectory() as folder:
         Path(folder, "words.dl").write_text("\n".join(rules), encoding="utf-8")
         Path(folder, "words.yaml").write_text(json.dumps(config), encoding="utf-8")

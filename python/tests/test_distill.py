@@ -186,3 +186,22 @@ def driven(tmp_path: Path, junctions: str, period: str) -> Path:
     ):
         subprocess.run([str(part) for part in line], check=True, capture_output=True, env=environment)
     return traffic
+
+
+@pytest.mark.parametrize("junctions", ["right_before_left", "priority", "allway_stop", "traffic_light"])
+def test_rules_of_traffic_that_sumo_drives(tmp_path: Path, junctions: str) -> None:
+    traffic = driven(tmp_path, junctions, "4")
+    config = {"priority": STREETS, "traffic_light": LIGHTS}.get(junctions)
+    arguments = ["distill", str(traffic), "--map", str(tmp_path / "town.yaml"), "--cell", "3"]
+    if config is not None:
+        for name, text in config.items():
+            (tmp_path / name).write_text(text)
+        arguments += ["--config", str(tmp_path / next(iter(config)))]
+    done = command(*arguments, "-o", str(tmp_path / "city"))
+    assert done.returncode == 0, done.stderr
+    report = json.loads((tmp_path / "city" / "report.json").read_text())
+    least, words = EXPECTED[junctions]
+    free = report["test"]["free"]
+    assert free["moments"] > 500 and free["explained"] >= least, free
+    rules = " ".join(clause["rule"] for clause in report["clauses"])
+    assert all(word in rules for word in words), rules
