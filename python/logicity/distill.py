@@ -177,7 +177,8 @@ def distill(
     count = sum(map(len, placement.moments.values()))
     progress(f"{len(recording.tracks)} tracks, {count} states on the map, {placement.outside} off it")
     words = _Words(chosen)
-    examples = list(_examples(placement, words, chosen, grid, progress))
+    left_out = _without_reaction(placement, chosen)
+    examples = list(_examples(placement, left_out, words, chosen, progress))
     train = [example for example in examples if not example.is_test]
     test = [example for example in examples if example.is_test]
     if not train or not test:
@@ -193,7 +194,7 @@ def distill(
             Path(place_of, name).write_text(text, encoding="utf-8")
         measured = _Measured(words, chosen, learned, placement, examples, Path(place_of), folder, progress)
     rules = _rules(words, learned, measured, chosen, source)
-    report = _report(words, chosen, learned, measured, placement, recording, grid, source)
+    report = _report(words, chosen, learned, measured, placement, left_out, recording, grid, source)
     files |= {
         "rules.dl": rules,
         "report.json": json_text(report),
@@ -221,49 +222,18 @@ class _Words:
                     raise ValueError(f"`{settings.config}` has no predicate `{name}`{did_you_mean(name, known)}")
             self.names = list(dict.fromkeys(settings.use))
         elif own:
-            self.names = [*base, *(["SameInter"] if "SameInter" in known else []), *own]
+            self.names = [*base, *({"SameInter"} & known.keys()), *own]
         else:
             self.names = list(known)
-        unused = self._undefined()
-        self.names = [name for name in self.names if name not in unused]
         self.columns = {name: known[name][0] for name in self.names}
         self.derived = [name for name in self.names if known[name][1]]
         #: Whether the words can say that an intersection is free.
-        self.sees_intersections = {"IsInInter", "SameInter"} <= known.keys() - unused
+        self.sees_intersections = {"IsInInter", "SameInter"} <= known.keys()
         self.asked = list(dict.fromkeys([*self.names, "Sees", *(["IsInInter", "SameInter"] * self.sees_intersections)]))
-
-    def _undefined(self) -> set[str]:
-        """Return the predicates that the rules declare and the configuration does not define."""
-        config = _predicates(self.config)
-        return {name for name, _, derived in self.inference.agent_predicates() if not derived and name not in config}
 
     def rows(self, scene: str) -> dict[str, list[list[str]]]:
         """Return the rows of the words in a scene."""
         return dict(zip(self.asked, self.inference.rows(scene, self.asked), strict=True))
-
-
-def _predicates(config: str) -> set[str]:
-    """Return the names of the base predicates that a configuration uses."""
-    # The scene answers with all atoms of its configuration, so that a scene of one agent cannot tell. The file can.
-    file = _logicity.ConfigFile(config, "configs")
-    part = file.value().get("predicates", {})
-    if isinstance(part, str):
-        part = _logicity.ConfigFile(_beside(file.file_of(["predicates"]), part), "predicates").value()
-    while isinstance(part, dict) and isinstance(part.get("base"), str):
-        base = _logicity.ConfigFile(_beside(file.file_of(["predicates", "base"]), part["base"]), "predicates").value()
-        define = {**base.get("define", {}), **part.get("define", {})}
-        part = {**base, **part, "define": define}
-        part.pop("base")
-    used = part.get("use")
-    return set(part.get("define", {}) if used is None else used)
-
-
-def _beside(file: str | None, path: str) -> str:
-    """Return a path in a file: relative to this file, or a built-in one."""
-    if file is None or file.startswith("<builtin>"):
-        return os.path.normpath(os.path.join("configs", path)) if os.sep in path or "." in path else path
-    beside = os.path.join(os.path.dirname(file), path)
-    return beside if os.path.exists(beside) else path
 
 
 def _map_of(settings: Settings) -> Any:
@@ -305,9 +275,12 @@ def _without_reaction(placement: Placement, settings: Settings) -> set[tuple[int
 
 
 def _examples(
-    placement: Placement, words: _Words, settings: Settings, grid: Grid, progress: Callable[[str], object]
+    placement: Placement,
+    left_out: set[tuple[int, str]],
+    words: _Words,
+    settings: Settings,
+    progress: Callable[[str], object],
 ) -> Iterator[_Example]:
-    left_out = _without_reaction(placement, settings)
     ticks = list(placement.moments)
     begin_test = ticks[0] + (1 - settings.test) * (ticks[-1] + 1 - ticks[0]) if ticks else 0
     for number, tick in enumerate(ticks):
@@ -549,6 +522,7 @@ def _report(
     learned: dict[str, Any],
     measured: _Measured,
     placement: Placement,
+    left_out: set[tuple[int, str]],
     recording: Recording,
     grid: Grid,
     source: str,
@@ -576,6 +550,7 @@ def _report(
             "left_out": recording.left_out,
             "states": sum(map(len, placement.moments.values())),
             "off_map": placement.outside,
+            "left_out_before_starts": len(left_out),
         },
         "settings": {
             "config": settings.config,
@@ -623,6 +598,7 @@ def _markdown(report: dict[str, Any]) -> str:
         "",
         f"{recording['tracks']} tracks with {recording['states']} states on the map, one every "
         f"{settings['tick_seconds']:g} s.",
+        f"{recording['left_out_before_starts']} moments just before a start are left out.",
         "",
         "| held-out moments | number | explained by the rules | by the most frequent action |",
         "|---|---|---|---|",

@@ -188,6 +188,72 @@ def driven(tmp_path: Path, junctions: str, period: str) -> Path:
     return traffic
 
 
+#: Words for main streets, a zone of the map.
+STREETS = {
+    "streets.yaml": """
+base: right-of-way
+rules: streets.dl
+predicates:
+  use: [IsPedestrian, IsCar, IsAtInter, IsInInter, LeftOf, RightOf, SameInter, IsNear, Heading, Exit, Waited, OnMain]
+  define:
+    OnMain: {zone: main}
+map: town.yaml
+""",
+    "streets.dl": """
+.include "right-of-way.dl"
+.decl OnMain(x: agent)
+.input OnMain
+.scope
+
+/// x drives along the main street.
+.decl IsOnMain(x: agent)
+IsOnMain(X) :- OnMain(X), Heading(X, "Left").
+IsOnMain(X) :- OnMain(X), Heading(X, "Right").
+
+.scope Sees
+""",
+}
+
+#: Words for the lights of `map export`.
+LIGHTS = {
+    "lights.yaml": """
+base: right-of-way
+rules: lights.dl
+predicates:
+  use: [IsPedestrian, IsCar, IsAtInter, IsInInter, LeftOf, RightOf, SameInter, IsNear, Heading, Exit, Waited, Tick]
+  define:
+    Tick: {quantity: tick}
+map: town.yaml
+""",
+    "lights.dl": """
+.include "right-of-way.dl"
+.decl Tick(t: number)
+.input Tick
+.scope
+
+/// The light of x is red or yellow.
+.decl IsRed(x: agent)
+IsRed(X) :- Heading(X, "Up"), Tick(t), t % 60 < 30.
+IsRed(X) :- Heading(X, "Up"), Tick(t), t % 60 >= 53.
+IsRed(X) :- Heading(X, "Down"), Tick(t), t % 60 < 30.
+IsRed(X) :- Heading(X, "Down"), Tick(t), t % 60 >= 53.
+IsRed(X) :- Heading(X, "Left"), Tick(t), t % 60 >= 23.
+IsRed(X) :- Heading(X, "Right"), Tick(t), t % 60 >= 23.
+
+.scope Sees
+""",
+}
+
+#: By right of way: the least share of held-out moments at lines of free intersections that the rules explain, and words
+#: of the rules.
+EXPECTED = {
+    "right_before_left": (0.97, ["FromRight(Y, X)", "Not(TurnsRight(X))", "Oncoming", "TurnsLeft(X)"]),
+    "priority": (0.97, ["IsOnMain(Y)", "Not(IsOnMain(X))"]),
+    "allway_stop": (0.9, ["Not(HasHalted(X))"]),
+    "traffic_light": (0.97, ["IsRed(X)"]),
+}
+
+
 @pytest.mark.parametrize("junctions", ["right_before_left", "priority", "allway_stop", "traffic_light"])
 def test_rules_of_traffic_that_sumo_drives(tmp_path: Path, junctions: str) -> None:
     traffic = driven(tmp_path, junctions, "4")

@@ -132,18 +132,21 @@ impl Inference {
         predicates.iter().map(rows).collect()
     }
 
-    /// Returns the predicates of the rules whose columns are agents, without `Sees`, actions and inline ones: the name, the number
-    /// of columns, and whether clauses derive rows.
+    /// Returns the predicates of the rules whose columns are agents: the name, the number of columns, and whether clauses
+    /// derive rows. `Sees`, actions, inline predicates, and inputs that the configuration does not define are left out.
     pub fn agent_predicates(&self) -> Vec<(String, usize, bool)> {
         let rules = self.program.rules();
-        let sees = &self.vocabulary.predicates[self.vocabulary.sees];
+        let base = &self.vocabulary.predicates;
+        let sees = &base[self.vocabulary.sees];
         let Some(agents) = sees.id.map(|sees| rules.predicates[sees.index()].columns[0].ty) else {
             return Vec::new();
         };
         let actions: Vec<&str> = self.vocabulary.actions().names().collect();
-        let named = |name: &str| *name != sees.name && !actions.contains(&name);
+        let is_word = |name: &str| name != sees.name && !actions.contains(&name);
+        let has_rows = |known: &datalog::Predicate| known.derived || base.iter().any(|base| base.name == known.name);
         (rules.predicates.iter())
-            .filter(|known| !known.hidden && !known.inline && !known.columns.is_empty() && named(&known.name))
+            .filter(|known| !known.hidden && !known.inline && !known.columns.is_empty())
+            .filter(|known| is_word(&known.name) && has_rows(known))
             .filter(|known| known.columns.iter().all(|column| column.ty == agents))
             .map(|known| (known.name.clone(), known.columns.len(), known.derived))
             .collect()
