@@ -293,8 +293,8 @@ def _add_distill(to: _Parser) -> None:
         "learn from cars that decide at the line of an intersection, or from all cars in all ticks; default: junctions"
     )
     to.add("--moments", choices=("junctions", "all"), default="junctions", help=help)
-    help = "leave out the ticks at a line before a start, in which the driver may have been free already; default: 1"
-    to.add("--reaction", type=partial(_whole, least=0), default=1, metavar="TICKS", help=help)
+    help = "leave out the ticks at a line before a start, in which the driver may have been free already; default: 2"
+    to.add("--reaction", type=partial(_whole, least=0), default=2, metavar="TICKS", help=help)
     to.add("--test", type=_share, default=0.3, metavar="SHARE", help="share of the recording to hold out; default: 0.3")
     help = "hold out the last part of the time, or agents drawn by the seed; default: time"
     to.add("--split", choices=("time", "agents"), default="time", help=help)

@@ -10,6 +10,7 @@ import hashlib
 import json
 import math
 import os
+import re
 import subprocess
 import sys
 import tempfile
@@ -57,7 +58,7 @@ class Settings:
     map: str | None = None
     use: tuple[str, ...] | None = None
     moments: Literal["junctions", "all"] = "junctions"
-    reaction: int = 1
+    reaction: int = 2
     test: float = 0.3
     split: Literal["time", "agents"] = "time"
     noise: float | Literal["auto"] = "auto"
@@ -391,9 +392,23 @@ def _city(words: _Words, settings: Settings, learned: dict[str, Any], folder: Pa
     files["city.yaml"] = "\n".join(lines) + "\n"
     included, own = _rules_of(config)
     if own is not None:
-        files["words.dl"] = own.read_text(encoding="utf-8")
+        files["words.dl"] = _inlined(own, set())
     files["rules.dl"] = "\n".join([f'.include "{included}"', *_clauses(learned), ""])
     return files
+
+
+def _inlined(path: Path, seen: set[Path]) -> str:
+    """Return a rule file with the text of the files on disk that it includes. Built-in ones stay included."""
+    seen.add(path.resolve())
+    lines = []
+    for line in path.read_text(encoding="utf-8").splitlines():
+        found = re.match(r'\s*\.include\s+"([^"]+)"\s*(//.*)?$', line)
+        included = None if found is None else path.parent / found[1]
+        if included is None or not included.is_file():
+            lines.append(line)
+        elif included.resolve() not in seen:
+            lines.append(_inlined(included, seen))
+    return "\n".join(lines) + "\n"
 
 
 def _rules_of(config: str) -> tuple[str, Path | None]:
