@@ -204,14 +204,6 @@ map: town.yaml
 .include "right-of-way.dl"
 .decl OnMain(x: agent)
 .input OnMain
-.scope
-
-/// x drives along the main street.
-.decl IsOnMain(x: agent)
-IsOnMain(X) :- OnMain(X), Heading(X, "Left").
-IsOnMain(X) :- OnMain(X), Heading(X, "Right").
-
-.scope Sees
 """,
 }
 
@@ -249,8 +241,8 @@ IsRed(X) :- Heading(X, "Right"), Tick(t), t % 60 >= 23.
 #: of the rules.
 EXPECTED = {
     "right_before_left": (0.97, ["FromRight(Y, X)", "Not(TurnsRight(X))", "Oncoming", "TurnsLeft(X)"]),
-    "priority": (0.97, ["IsOnMain(Y)", "Not(IsOnMain(X))"]),
-    "allway_stop": (0.9, ["Not(HasHalted(X))"]),
+    "priority": (0.97, ["FromLeft(Y, X)", "FromRight(Y, X)", "Not(OnMain(X))"]),
+    "allway_stop": (0.94, ["Not(Waits(X))", "WaitsLonger(Y, X)"]),
     "traffic_light": (0.97, ["IsRed(X)"]),
 }
 
