@@ -181,7 +181,9 @@ fn quantities_count_what_the_reports_of_the_ticks_show() {
                 assert_eq!(
                     exits.get(&at).copied(),
                     expected.map(|heading| heading as u32),
-                    "{at} in {tick}"
+                    "{at} in {tick}: {:?}, {:?}",
+                    agent.cell,
+                    logicity::city::corners(agent.route().cells().skip(agent.position()))
                 );
                 exits_seen += usize::from(expected.is_some());
             } else if agent.kind == AgentKind::Pedestrian {
@@ -283,7 +285,7 @@ fn rules_decide_on_observed_quantities() {
             city.tick(&[]).unwrap();
         }
     }
-    assert!(decided.iter().all(|&count| count > 100), "{decided:?}");
+    assert!(decided.iter().all(|&count| count > 50), "{decided:?}");
 }
 
 /// Observed numbers are the values of the quantities, divided by the scales of their columns.
@@ -296,15 +298,20 @@ fn observations_have_the_values_of_quantities() {
     let scales: Vec<(&str, Option<f32>)> = columns
         .iter()
         .rev()
-        .take(11)
+        .take(15)
         .map(|column| (column.name.as_str(), column.scale))
         .collect();
-    let headings = ["Down", "Up", "Right", "Left"].map(|heading| format!("Heading={heading}"));
+    let named = |name: &str| ["Down", "Up", "Right", "Left"].map(|heading| format!("{name}={heading}"));
+    let (headings, exits) = (named("Heading"), named("Exit"));
     let map = world.map();
     #[allow(clippy::cast_precision_loss)]
     let expected = [
         ("Tick", Some(world.scenario.task.as_ref().unwrap().horizon as f32)),
         ("Distance", Some(32.0)),
+        (&exits[0], None),
+        (&exits[1], None),
+        (&exits[2], None),
+        (&exits[3], None),
         ("Intersection", Some(map.intersections() as f32)),
         ("Remaining", Some((map.rows() + map.cols()) as f32)),
         ("Waited", Some(world.scenario.task.as_ref().unwrap().horizon as f32)),

@@ -3,6 +3,7 @@
 
 use crate::city::{Heading, Moved};
 use crate::diag::{SourceId, Sources};
+use crate::sim::tick::ground::json_value;
 use crate::sim::tick::simulation::Simulation;
 use crate::sim::trace::archive::{Archive, hash_sources};
 use serde::{Deserialize, Serialize};
@@ -151,8 +152,10 @@ impl<W: Write> TraceWriter<W> {
         let pasts = rules.pasts.iter();
         let given: Map<String, Value> = (self.recorded.iter())
             .map(|&index| {
-                let values = facts.values[index].iter().map(|value| json!(value.as_number()));
-                let values = values.map(Some).chain(std::iter::repeat(None));
+                let unit = predicates[index].definition.unit();
+                let values = facts.values[index].iter();
+                let values = values.map(|value| unit.map(|unit| json_value(*value, unit)));
+                let values = values.chain(std::iter::repeat(None));
                 let rows = facts.rows[index].iter().zip(values).map(|(row, value)| {
                     let names = row[..predicates[index].arity].iter().map(|agent| json!(name(*agent)));
                     names.chain(value).collect::<Value>()
