@@ -228,10 +228,13 @@ impl PyInference {
 /// middle between them.
 type LaneInfo = (&'static str, i32, i32, (i32, i32), (i32, i32), Vec<String>);
 
+/// The geometry of a map, as [`lanes`] returns it.
+type GridInfo = (String, [i32; 2], [i32; 2], i32, Vec<LaneInfo>);
+
 /// Returns the geometry of the map in a map file or a configuration: its name, the numbers of rows and columns of cells
 /// and of blocks, the cells from a lane to the mid line of its street, and all lanes.
 #[pyfunction]
-fn lanes(py: Python<'_>, path: PathBuf) -> PyResult<(String, [i32; 2], [i32; 2], i32, Vec<LaneInfo>)> {
+fn lanes(py: Python<'_>, path: PathBuf) -> PyResult<GridInfo> {
     let mut sources = Sources::new();
     let made = load_any(&mut sources, &path, &BuiltinFiles).and_then(|loaded| {
         let config = match loaded {
@@ -257,7 +260,10 @@ fn lanes(py: Python<'_>, path: PathBuf) -> PyResult<(String, [i32; 2], [i32; 2],
             zones.collect(),
         )
     };
-    let layout = &map.layout;
+    let layout = map.layout().ok_or_else(|| {
+        let name = &map.name;
+        PyValueError::new_err(format!("the map `{name}` is a road network; a map of blocks is needed here"))
+    })?;
     let lanes = layout.lanes().map(lane).collect();
     Ok((
         map.name.clone(),

@@ -163,10 +163,8 @@ impl Agent {
                 at = at.ahead(piece.heading(), steps.cast_signed());
                 (at, piece)
             })
-            .find(|(end, piece)| {
-                *end != self.cell && piece.ends_at_node() && map.layout.starts_lane(*end, piece.heading())
-            })
-            .map(|(_, piece)| piece.heading())
+            .filter(|(end, piece)| *end != self.cell && piece.ends_at_node())
+            .find_map(|(end, piece)| map.lane_entered(end, piece.heading()))
     }
 
     /// Advances to the next piece of the route, if there is one.

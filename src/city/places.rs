@@ -31,7 +31,7 @@ pub struct Places {
 /// The places of a map.
 #[derive(Clone, Debug)]
 enum Terrain {
-    Blocks(BlockPlaces),
+    Blocks(Box<BlockPlaces>),
     /// For each kind of agent the places on a road network, row by row.
     Roads([Box<[Cell]>; 2]),
 }
@@ -513,7 +513,7 @@ impl Places {
             cols: 0..map.cols().min(limit),
         };
         let terrain = match (map.layout(), map.roads()) {
-            (Some(layout), _) => Terrain::Blocks(BlockPlaces::new(map, *layout, ends, &extent)),
+            (Some(layout), _) => Terrain::Blocks(Box::new(BlockPlaces::new(map, *layout, ends, &extent))),
             (None, Some(roads)) => Terrain::Roads(AgentKind::ALL.map(|kind| on_roads(map, roads, kind, &extent))),
             (None, None) => Terrain::Roads(Default::default()),
         };

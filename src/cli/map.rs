@@ -1,4 +1,4 @@
-//! `logicity map`: maps from other programs.
+//! `logicity map`: maps from other programs. The Python package adds `map export`.
 
 use crate::cli::failure::Failure;
 use crate::cli::inputs::{self, Inputs};

@@ -104,7 +104,7 @@ enum Command {
     Questions(questions::Arguments),
     /// Generate or check data sets of Visual Action Prediction: pictures, boxes, facts and labels
     Vap(vap::Arguments),
-    /// Import road networks as maps
+    /// Import road networks of SUMO as maps, or export maps to SUMO
     Map(map::Arguments),
     /// Plan one route and print its cells
     Route(route::Arguments),

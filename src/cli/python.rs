@@ -48,9 +48,6 @@ pub const PYTHON_COMMANDS: [(&[&str], &str); 12] = [
     ),
 ];
 
-/// The groups of commands that the Rust program lacks, and their summaries.
-const GROUPS: [(&str, &str); 1] = [("map", "Maps for other programs")];
-
 /// Returns the Python command at the start of the arguments, and the arguments after it.
 pub fn python_command(arguments: &[OsString]) -> Option<(&'static [&'static str], Vec<OsString>)> {
     let begins = |words: &[&str]| arguments.len() >= words.len() && words.iter().zip(arguments).all(|(a, b)| b == a);
@@ -71,22 +68,6 @@ pub fn add_subcommand(command: clap::Command, words: &'static [&'static str], su
                     .value_hint(clap::ValueHint::AnyPath),
             ),
         ),
-        [name, rest @ ..] => {
-            let command = match command.find_subcommand(name) {
-                Some(_) => command,
-                // A group whose commands are all Python's.
-                None => command.subcommand(
-                    clap::Command::new(*name)
-                        .about(
-                            GROUPS
-                                .iter()
-                                .find(|(known, _)| known == name)
-                                .map_or("", |(_, about)| about),
-                        )
-                        .subcommand_required(true),
-                ),
-            };
-            command.mut_subcommand(*name, |inner| add_subcommand(inner, rest, summary))
-        }
+        [name, rest @ ..] => command.mut_subcommand(*name, |inner| add_subcommand(inner, rest, summary)),
     }
 }
