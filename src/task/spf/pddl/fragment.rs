@@ -466,7 +466,7 @@ fn check(rules: &Rules, clause: &Clause) -> Result<(), Diagnostic> {
     for literal in &clause.body {
         match literal {
             Literal::Aggregate { .. } => return fault("aggregates"),
-            Literal::Compute { .. } => return fault("arithmetic, functors and chance"),
+            Literal::Compute { .. } => return fault("arithmetic and functors"),
             Literal::Compare { op, base, .. } => {
                 if *base != BaseType::Symbol || !matches!(op, Comparison::Equal | Comparison::NotEqual) {
                     return fault("comparisons of values other than `=` and `!=` of agents");

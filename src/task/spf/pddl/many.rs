@@ -274,7 +274,7 @@ fn facts(
         }
         for (predicate, holds) in truths {
             let of = match vocabulary.predicates[predicate].arity {
-                1 => format!("{}", names[x]),
+                1 => names[x].clone(),
                 _ => format!("{} {}", names[x], names[x]),
             };
             let table = tables.of(predicate);
