@@ -167,7 +167,7 @@ def driven(tmp_path: Path, grid: Grid, cells: list[tuple[float, float]]) -> list
 def test_a_car_stops_at_the_line_and_turns_left(tmp_path: Path, grid: Grid) -> None:
     # It comes from the left, stands a meter before the end of its lane, and leaves up.
     along = [(35.5, column) for column in (20.0, 24.0, 28.0, 31.6, 31.6, 31.6, 33.5)]
-    moments = driven(tmp_path, grid, [*along, (34.0, 35.5), (31.0, 35.5), (26.0, 35.5), (20.0, 35.5)])
+    moments = driven(tmp_path, grid, [*along, (34.0, 35.5), (31.0, 35.5), (26.5, 35.5), (20.0, 35.5)])
     assert [moment.action for moment in moments] == ["Normal"] * 3 + ["Stop"] * 2 + ["Normal"] * 5 + [None]
     assert [moment.is_decision for moment in moments] == [False] * 3 + [True] * 3 + [False] * 5
     # On the line while it stands, and inside until its rear has left the intersection.
