@@ -155,16 +155,9 @@ impl Agent {
     /// Returns the direction in which its route leaves the intersection at or in which it is, or else its next one;
     /// `None` if the route ends before. The corners of the map count as intersections.
     pub fn exit(&self, map: &CityMap) -> Option<Heading> {
-        let rest = (self.next.saturating_sub(1)..).map_while(|index| self.route.piece(index));
-        let mut at = self.cell;
-        rest.enumerate()
-            .map(|(index, piece)| {
-                let steps = if index == 0 { self.left } else { piece.steps() };
-                at = at.ahead(piece.heading(), steps.cast_signed());
-                (at, piece)
-            })
-            .filter(|(end, piece)| *end != self.cell && piece.ends_at_node())
-            .find_map(|(end, piece)| map.lane_entered(end, piece.heading()))
+        self.stops_ahead()
+            .filter(|(cell, is_node)| *is_node && *cell != self.cell)
+            .find_map(|(cell, _)| map.lane_entered(cell))
     }
 
     /// Advances to the next piece of the route, if there is one.

@@ -890,13 +890,14 @@ impl CityMap {
         }
     }
 
-    /// Returns the direction of the lane that a car enters on a node of the road graph, to which it comes with a heading;
-    /// `None` if it leaves a lane there.
-    pub(super) fn lane_entered(&self, node: Cell, heading: Heading) -> Option<Heading> {
-        match &self.terrain {
-            Terrain::Blocks(blocks) => blocks.layout.starts_lane(node, heading).then_some(heading),
-            Terrain::Roads(roads) => (roads.spot(node).filter(|spot| spot.at == 0)).and(roads.lane_heading(node)),
-        }
+    /// Returns the direction of the lane that starts at a node of the road graph; `None` where one ends.
+    pub(super) fn lane_entered(&self, node: Cell) -> Option<Heading> {
+        let heading = self.lane_at(node)?;
+        let starts = match &self.terrain {
+            Terrain::Blocks(blocks) => blocks.layout.starts_lane(node, heading),
+            Terrain::Roads(roads) => roads.spot(node).is_some_and(|spot| spot.at == 0),
+        };
+        starts.then_some(heading)
     }
 
     /// Returns the cells of a lane of the road network, by its position there; none for a lane that is not for cars.

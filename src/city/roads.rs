@@ -757,8 +757,7 @@ impl Layout {
         })
     }
 
-    /// Returns whether a car that comes with a heading to a node of the road graph is at the start of a lane: behind an
-    /// intersection, not before one.
+    /// Returns whether a lane with a heading starts at a node of the road graph: behind an intersection, not before one.
     pub(super) fn starts_lane(&self, node: Cell, heading: Heading) -> bool {
         let (along, behind) = match heading {
             Heading::Left => (node.col, Strip::LineBefore),
