@@ -262,7 +262,9 @@ fn lanes(py: Python<'_>, path: PathBuf) -> PyResult<GridInfo> {
     };
     let layout = map.layout().ok_or_else(|| {
         let name = &map.name;
-        PyValueError::new_err(format!("the map `{name}` is a road network; a map of blocks is needed here"))
+        PyValueError::new_err(format!(
+            "the map `{name}` is a road network; a map of blocks is needed here"
+        ))
     })?;
     let lanes = layout.lanes().map(lane).collect();
     Ok((
