@@ -77,11 +77,14 @@ fn typed(terms: &[Term]) -> Vec<(String, String)> {
 type Row = Vec<String>;
 type Binding = HashMap<String, String>;
 
+/// Names, each with its type.
+type Typed = Vec<(String, String)>;
+
 /// A problem with its domain.
 struct Problem {
     objects: BTreeMap<String, Vec<String>>,
-    derived: HashMap<String, Vec<(Vec<(String, String)>, Term)>>,
-    actions: HashMap<String, (Vec<(String, String)>, Term, Term)>,
+    derived: HashMap<String, Vec<(Typed, Term)>>,
+    actions: HashMap<String, (Typed, Term, Term)>,
     init: BTreeMap<String, BTreeSet<Row>>,
 }
 
