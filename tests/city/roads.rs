@@ -4,8 +4,10 @@
 //! each type of junction, spiders, random networks, and three networks with nodes and edges of our own (t-junction,
 //! five-arms, roundabout).
 
+use crate::agreement::{go_the_same_way, simulation};
 use crate::cases::cases;
 use crate::config::load_memory_map;
+use crate::shipped_world::world;
 use logicity::city::{Action, ActionTable};
 use logicity::city::{
     Agent, AgentConfig, AgentKind, AgentName, Cell, CityMap, Direction, Ground, LaneUse, MapConfig, Network, NoRoute,
@@ -13,6 +15,7 @@ use logicity::city::{
 };
 use logicity::diag::{Diagnostic, Sources};
 use logicity::rng::{Purpose, RngExt, Seed};
+use logicity::sim::Executor;
 use logicity::sumo;
 use std::collections::BTreeMap;
 use std::fs;
@@ -383,6 +386,19 @@ fn moves_follow_lanes_and_end_on_nodes() {
         }
     }
     assert!(moves > 5_000 && fast > 1_000 && bent > 100, "{moves} {fast} {bent}");
+}
+
+#[test]
+fn executors_agree_on_a_road_network() {
+    let map = load_memory_map(&sumo::map_file(&import(&text_of("roundabout"), 1.0).unwrap())).unwrap();
+    for mode in ["easy", "expert"] {
+        let world = world(mode, None, |scenario| {
+            scenario.map = map.clone();
+            scenario.splits.iter_mut().for_each(|(_, set)| set.region = None);
+        });
+        let executors = [Executor::Dense, Executor::Relational];
+        go_the_same_way(&mut executors.map(|executor| simulation(&world, executor, 1)), 150);
+    }
 }
 
 #[test]
