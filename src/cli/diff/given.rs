@@ -202,7 +202,9 @@ fn restricted(
     };
     let loaded = workspace.check();
     let Some(checked) = loaded.rules else {
-        return Err(Failure::option(place.faults(loaded.diagnostics)));
+        // Warnings of the rules say nothing about the condition.
+        let errors = loaded.diagnostics.into_iter().filter(Diagnostic::is_error);
+        return Err(Failure::option(place.faults(errors.collect())));
     };
     for name in predicates {
         let restricted = checked.predicate(&format!("{name}{GIVEN}"));
