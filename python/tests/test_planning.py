@@ -16,18 +16,18 @@ from logicity.__main__ import main
 PLAIN = ("easy", "medium", "hard", "expert")
 
 
-def written(capsys: pytest.CaptureFixture[str], folder: Path, *options: str) -> Any:
+def written(capfd: pytest.CaptureFixture[str], folder: Path, *options: str) -> Any:
     """Write a problem, and return what the command reports."""
-    capsys.readouterr()
+    capfd.readouterr()
     assert main(["pddl", *options, "--out", str(folder), "--json", "--force"]) == 0
-    return json.loads(capsys.readouterr().out)
+    return json.loads(capfd.readouterr().out)
 
 
-def driven(capsys: pytest.CaptureFixture[str], plan: Path, *options: str) -> Any:
+def driven(capfd: pytest.CaptureFixture[str], plan: Path, *options: str) -> Any:
     """Drive a plan, which must break no rule, and return what the command reports."""
-    capsys.readouterr()
+    capfd.readouterr()
     code = main(["pddl", *options, "--replay", str(plan), "--json"])
-    printed = capsys.readouterr()
+    printed = capfd.readouterr()
     assert code == 0, printed.err
     return json.loads(printed.out)
 
@@ -46,13 +46,13 @@ def fast_downward(folder: Path) -> int:
 
 @pytest.mark.parametrize("mode", PLAIN)
 def test_fast_downward_finds_the_cheapest_way_for_one_agent(
-    mode: str, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+    mode: str, tmp_path: Path, capfd: pytest.CaptureFixture[str]
 ) -> None:
     for episode, start in [("0", "6"), ("5", "12"), ("9", "0")]:
         state = [mode, "--episode", episode, "--start", start]
-        report = written(capsys, tmp_path, *state, "--horizon", "14")
+        report = written(capfd, tmp_path, *state, "--horizon", "14")
         cost = fast_downward(tmp_path)
-        result = driven(capsys, tmp_path / "plan", *state)
+        result = driven(capfd, tmp_path / "plan", *state)
         assert cost == result["cost"] == report["cheapest"]
         assert result["return"] == pytest.approx(-cost / report["cost_per_return"], abs=1e-12)
         assert not any(step["violations"] for step in result["steps"])
@@ -60,50 +60,50 @@ def test_fast_downward_finds_the_cheapest_way_for_one_agent(
 
 @pytest.mark.parametrize("mode", PLAIN)
 def test_fast_downward_solves_problems_of_several_agents(
-    mode: str, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+    mode: str, tmp_path: Path, capfd: pytest.CaptureFixture[str]
 ) -> None:
     for episode, start in [("1", "8"), ("4", "15")]:
         state = [mode, "--episode", episode, "--start", start]
-        report = written(capsys, tmp_path, *state, "--encoding", "multi-agent", "--horizon", "4")
-        known = written(capsys, tmp_path / "one", *state, "--horizon", "4")
+        report = written(capfd, tmp_path, *state, "--encoding", "multi-agent", "--horizon", "4")
+        known = written(capfd, tmp_path / "one", *state, "--horizon", "4")
         cost = fast_downward(tmp_path)
-        result = driven(capsys, tmp_path / "plan", *state)
+        result = driven(capfd, tmp_path / "plan", *state)
         assert cost == result["cost"] <= known["cheapest"]
         assert result["return"] == pytest.approx(-cost / report["cost_per_return"], abs=1e-12)
 
 
 @pytest.mark.parametrize("mode", PLAIN)
 def test_pyperplan_solves_problems_without_axioms(
-    mode: str, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+    mode: str, tmp_path: Path, capfd: pytest.CaptureFixture[str]
 ) -> None:
     needs("pyperplan", "planning")
     from pyperplan.planner import SEARCHES, search_plan
 
     state = [mode, "--episode", "3", "--start", "5"]
-    written(capsys, tmp_path, *state, "--encoding", "strips", "--horizon", "12")
+    written(capfd, tmp_path, *state, "--encoding", "strips", "--horizon", "12")
     files = [str(tmp_path / name) for name in ("domain.pddl", "problem.pddl")]
     plan = search_plan(*files, SEARCHES["bfs"], None)
     assert plan is not None
     (tmp_path / "plan").write_text("".join(f"{step.name}\n" for step in plan))
-    result = driven(capsys, tmp_path / "plan", *state)
+    result = driven(capfd, tmp_path / "plan", *state)
     assert len(result["steps"]) == len(plan) - 1
     assert not any(step["violations"] for step in result["steps"])
 
 
-def test_unified_planning_reads_problems_without_axioms(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+def test_unified_planning_reads_problems_without_axioms(tmp_path: Path, capfd: pytest.CaptureFixture[str]) -> None:
     needs("unified_planning", "planning")
     from unified_planning.io import PDDLReader
 
-    written(capsys, tmp_path, "easy", "--episode", "3", "--encoding", "strips", "--horizon", "6")
+    written(capfd, tmp_path, "easy", "--episode", "3", "--encoding", "strips", "--horizon", "6")
     problem = PDDLReader().parse_problem(str(tmp_path / "domain.pddl"), str(tmp_path / "problem.pddl"))
     assert {action.name for action in problem.actions} == {"go-slow", "go-normal", "go-fast", "go-stop", "arrive"}
 
 
-def test_a_plan_that_breaks_a_rule_is_an_error(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
-    report = written(capsys, tmp_path, "easy", "--episode", "0")
+def test_a_plan_that_breaks_a_rule_is_an_error(tmp_path: Path, capfd: pytest.CaptureFixture[str]) -> None:
+    report = written(capfd, tmp_path, "easy", "--episode", "0")
     assert report["reaches_goal"] and report["horizon"] > 5
     # A car that never stops drives into what is ahead.
     (tmp_path / "plan").write_text("(choose-fast)\n" * report["horizon"])
     assert main(["pddl", "easy", "--episode", "0", "--replay", str(tmp_path / "plan")]) == 1
-    printed = capsys.readouterr()
+    printed = capfd.readouterr()
     assert "error[invalid-plan]: the plan violates S" in printed.err and "violates S" in printed.out
