@@ -73,9 +73,7 @@ def test_fast_downward_solves_problems_of_several_agents(
 
 
 @pytest.mark.parametrize("mode", PLAIN)
-def test_pyperplan_solves_problems_without_axioms(
-    mode: str, tmp_path: Path, capfd: pytest.CaptureFixture[str]
-) -> None:
+def test_pyperplan_solves_problems_without_axioms(mode: str, tmp_path: Path, capfd: pytest.CaptureFixture[str]) -> None:
     needs("pyperplan", "planning")
     from pyperplan.planner import SEARCHES, search_plan
 
