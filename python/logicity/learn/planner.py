@@ -28,9 +28,9 @@ __all__ = ["PlannerLearner", "PlannerPolicy", "PlannerSettings"]
 class PlannerSettings(LearnerSettings):
     """The bounds of a search."""
 
-    horizon: Count = 8
+    horizon: Count = 16
     """The number of steps that the planner looks ahead."""
-    expansions: Count = 1000
+    expansions: Count = 4000
     """The largest number of states that it expands for a decision. A search that reaches it ends with the last step
     that it explores completely."""
 
