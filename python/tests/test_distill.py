@@ -185,7 +185,7 @@ def driven(tmp_path: Path, junctions: str, period: str) -> Path:
         [programs["duarouter"], "-n", net, "--route-files", trips, "-o", routes, "--ignore-errors", "--seed", "5"],
         [programs["sumo"], "-n", net, "-r", routes, "--fcd-output", traffic, "--seed", "5", "--end", "7200"],
     ):
-        subprocess.run([str(part) for part in line], check=True, capture_output=True, env=environment)
+        subprocess.run([str(part) for part in line], check=True, capture_output=True, env=environment, cwd=tmp_path)
     return traffic
 
 
