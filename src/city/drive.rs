@@ -4,8 +4,7 @@
 //! sequence of stages; a stage is a lane and the cell where the car enters it.
 
 use crate::city::network::{Direction, RoadMap, Spot};
-use crate::city::roads::TURN_COST;
-use crate::city::route::{NoRoute, Route, Way, steps};
+use crate::city::route::{NoRoute, Route, TURN_COST, Way, steps};
 use crate::city::{Agent, Cell, Routing, Turn};
 use pathfinding::directed::astar::astar;
 

@@ -2,29 +2,17 @@
 // Decision: docs/decisions/city.md#d057
 
 use crate::city::network::{LaneUse, Network, RoadMap, Sign};
+use crate::city::square::{BUILDING, CAR_AT, INSIDE, MID_LINE, NODE, PEDESTRIAN_AT, Square};
 use crate::city::{AgentKind, Building, Widths};
 use crate::city::{Area, Rectangle};
 use crate::city::{Cell, Heading};
+use crate::city::{Ground, Junction};
 use crate::diag::Diagnostic;
 use crate::diag::codes;
 use ndarray::Array3;
 use std::collections::BTreeMap;
 use std::ops::Range;
 use std::sync::Arc;
-
-/// The ground of a cell.
-#[derive(Clone, Copy, Debug, PartialEq, Eq, PartialOrd, Ord, Hash)]
-#[repr(u8)]
-pub enum Ground {
-    /// A building or the gap between buildings.
-    Other,
-    /// Walking street.
-    Walking,
-    /// Traffic street.
-    Traffic,
-    /// A crossing of a walking street and a traffic street.
-    Crossing,
-}
 
 /// The names of the static layers of [`CityMap::semantic`], in order.
 pub const STATIC_LAYERS: [&str; 8] = [
@@ -301,149 +289,65 @@ impl Layout {
     }
 }
 
-/// The content of a cell as its two strips determine it: a [`Ground`] in the lower two bits, and flags.
-#[derive(Clone, Copy, Debug, PartialEq, Eq)]
-pub(super) struct Square(u8);
-
-pub(super) const CAR_AT: u8 = 1 << 2;
-pub(super) const PEDESTRIAN_AT: u8 = 1 << 3;
-pub(super) const INSIDE: u8 = 1 << 4;
-/// Below the three flags of a [`Junction`].
-const JUNCTION_SHIFT: u8 = 2;
-pub(super) const MID_LINE: u8 = 1 << 5;
-const BUILDING: u8 = 1 << 6;
-/// A lane of a road network starts or ends here.
-pub(super) const NODE: u8 = 1 << 7;
-
-impl Square {
-    /// Returns a cell with this ground and without flags.
-    pub(super) const fn of_ground(ground: Ground) -> Square {
-        Square(ground as u8)
+/// Returns the content of a cell with these strips. The flags say whether the nearest streets run along an edge of
+/// the world.
+fn square_of((row, row_at_edge): (Strip, bool), (col, col_at_edge): (Strip, bool)) -> Square {
+    // A walking street crosses every traffic street that does not run along an edge.
+    let crosses = |street: Strip, at_edge: bool, other: Strip| {
+        street.in_street() && !at_edge && !other.in_street() && !other.in_block()
+    };
+    let building = row.in_building() && col.in_building();
+    let ground = if crosses(row, row_at_edge, col) || crosses(col, col_at_edge, row) {
+        Ground::Crossing
+    } else if row.in_street() || col.in_street() {
+        Ground::Traffic
+    } else if building {
+        Ground::Other
+    } else {
+        Ground::Walking
+    };
+    let mid_line = |street: Strip, other: Strip| street == Strip::MidLine && other.in_block();
+    let mut flags = 0;
+    if mid_line(row, col) || mid_line(col, row) {
+        flags |= MID_LINE;
     }
-
-    /// Sets flags.
-    pub(super) fn set(&mut self, flags: u8) {
-        self.0 |= flags;
+    if building {
+        flags |= BUILDING;
     }
-
-    /// Clears flags.
-    pub(super) fn clear(&mut self, flags: u8) {
-        self.0 &= !flags;
-    }
-
-    /// Returns whether one of these flags is set.
-    pub(super) const fn has(self, flags: u8) -> bool {
-        self.0 & flags != 0
-    }
-
-    /// Returns the content of a cell with these strips. The flags say whether the nearest streets run along an edge of
-    /// the world.
-    fn of((row, row_at_edge): (Strip, bool), (col, col_at_edge): (Strip, bool)) -> Square {
-        // A walking street crosses every traffic street that does not run along an edge.
-        let crosses = |street: Strip, at_edge: bool, other: Strip| {
-            street.in_street() && !at_edge && !other.in_street() && !other.in_block()
-        };
-        let building = row.in_building() && col.in_building();
-        let ground = if crosses(row, row_at_edge, col) || crosses(col, col_at_edge, row) {
-            Ground::Crossing
-        } else if row.in_street() || col.in_street() {
-            Ground::Traffic
-        } else if building {
-            Ground::Other
-        } else {
-            Ground::Walking
-        };
-        let mid_line = |street: Strip, other: Strip| street == Strip::MidLine && other.in_block();
-        let mut flags = 0;
-        if mid_line(row, col) || mid_line(col, row) {
-            flags |= MID_LINE;
+    // The corners of the world are not intersections.
+    let at_corner = row_at_edge && col_at_edge;
+    if !row.in_block() && !col.in_block() && !at_corner {
+        // A street along an edge is a through road: its cars have no line to wait at. The cars on the stem have
+        // one.
+        let outline = row.on_line() && !col_at_edge || col.on_line() && !row_at_edge;
+        // Cars keep right: those that go down or left use the cells before the mid line.
+        let down = row == Strip::LineBefore && col.before_mid_line() && !col_at_edge;
+        let up = row == Strip::LineAfter && col.after_mid_line() && !col_at_edge;
+        let right = col == Strip::LineBefore && row.after_mid_line() && !row_at_edge;
+        let left = col == Strip::LineAfter && row.before_mid_line() && !row_at_edge;
+        flags |= if outline { PEDESTRIAN_AT } else { INSIDE };
+        if down || up || left || right {
+            flags |= CAR_AT;
         }
-        if building {
-            flags |= BUILDING;
-        }
-        // The corners of the world are not intersections.
-        let at_corner = row_at_edge && col_at_edge;
-        if !row.in_block() && !col.in_block() && !at_corner {
-            // A street along an edge is a through road: its cars have no line to wait at. The cars on the stem have
-            // one.
-            let outline = row.on_line() && !col_at_edge || col.on_line() && !row_at_edge;
-            // Cars keep right: those that go down or left use the cells before the mid line.
-            let down = row == Strip::LineBefore && col.before_mid_line() && !col_at_edge;
-            let up = row == Strip::LineAfter && col.after_mid_line() && !col_at_edge;
-            let right = col == Strip::LineBefore && row.after_mid_line() && !row_at_edge;
-            let left = col == Strip::LineAfter && row.before_mid_line() && !row_at_edge;
-            flags |= if outline { PEDESTRIAN_AT } else { INSIDE };
-            if down || up || left || right {
-                flags |= CAR_AT;
-            }
-        }
-        Square(ground as u8 | flags)
     }
-
-    /// Returns the table of squares; the entry of `row` and `col` is at `row << 5 | col`.
-    fn table() -> Box<[Square; 1 << 10]> {
-        let mut table = Box::new([Square(0); 1 << 10]);
-        for row in Strip::ALL {
-            for col in Strip::ALL {
-                for (row_at_edge, col_at_edge) in [(false, false), (false, true), (true, false), (true, true)] {
-                    let index = |strip: Strip, at_edge: bool| usize::from(strip as u8 | (u8::from(at_edge) * AT_EDGE));
-                    table[index(row, row_at_edge) << 5 | index(col, col_at_edge)] =
-                        Square::of((row, row_at_edge), (col, col_at_edge));
-                }
-            }
-        }
-        table
-    }
-
-    pub(super) fn ground(self) -> Ground {
-        [Ground::Other, Ground::Walking, Ground::Traffic, Ground::Crossing][usize::from(self.0 & 3)]
-    }
+    let mut square = Square::of_ground(ground);
+    square.set(flags);
+    square
 }
 
-/// The relation of a cell to intersections.
-#[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
-pub struct Junction(u8);
-
-impl Junction {
-    /// All values, in the order of [`Junction::index`].
-    pub(crate) const ALL: [Junction; 8] = {
-        let mut all = [Junction(0); 8];
-        let mut index = 0;
-        while index < 8 {
-            all[index as usize] = Junction(index << JUNCTION_SHIFT);
-            index += 1;
-        }
-        all
-    };
-
-    /// Returns its position in [`Junction::ALL`].
-    #[inline]
-    pub(crate) const fn index(self) -> usize {
-        (self.0 >> JUNCTION_SHIFT) as usize
-    }
-
-    /// Returns whether cars are *At* an intersection here: on its entrance line.
-    pub const fn car_is_at(self) -> bool {
-        self.0 & CAR_AT != 0
-    }
-
-    /// Returns whether pedestrians are *At* an intersection here: on its outline, which includes the entrance line.
-    pub const fn pedestrian_is_at(self) -> bool {
-        self.0 & PEDESTRIAN_AT != 0
-    }
-
-    /// Returns whether agents are *In* an intersection here.
-    pub const fn is_inside(self) -> bool {
-        self.0 & INSIDE != 0
-    }
-
-    /// Returns whether agents of a kind are *At* an intersection here.
-    pub const fn is_at(self, kind: AgentKind) -> bool {
-        match kind {
-            AgentKind::Car => self.car_is_at(),
-            AgentKind::Pedestrian => self.pedestrian_is_at(),
+/// Returns the table of squares; the entry of `row` and `col` is at `row << 5 | col`.
+fn squares() -> Box<[Square; 1 << 10]> {
+    let mut table = Box::new([Square::of_ground(Ground::Other); 1 << 10]);
+    for row in Strip::ALL {
+        for col in Strip::ALL {
+            for (row_at_edge, col_at_edge) in [(false, false), (false, true), (true, false), (true, true)] {
+                let index = |strip: Strip, at_edge: bool| usize::from(strip as u8 | (u8::from(at_edge) * AT_EDGE));
+                table[index(row, row_at_edge) << 5 | index(col, col_at_edge)] =
+                    square_of((row, row_at_edge), (col, col_at_edge));
+            }
         }
     }
+    table
 }
 
 /// A generated map.
@@ -543,7 +447,7 @@ impl CityMap {
             layout,
             rows: layout.parts(block_rows),
             cols: layout.parts(block_cols),
-            squares: Square::table(),
+            squares: squares(),
             buildings,
         };
         CityMap {
@@ -636,7 +540,7 @@ impl CityMap {
 
     /// Returns whether the mid line of a traffic street runs through this cell.
     pub fn is_mid_line(&self, cell: Cell) -> bool {
-        self.square(cell).is_some_and(|square| square.0 & MID_LINE != 0)
+        self.square(cell).is_some_and(|square| square.has(MID_LINE))
     }
 
     /// Returns the heading of cars on the lane that contains a cell: a side of a street between two intersections, with
@@ -812,10 +716,7 @@ impl CityMap {
 
     /// Returns the relation of a cell to intersections; none off the map. Takes constant time.
     pub fn junction(&self, cell: Cell) -> Junction {
-        Junction(
-            self.square(cell)
-                .map_or(0, |square| square.0 & (CAR_AT | PEDESTRIAN_AT | INSIDE)),
-        )
+        self.square(cell).map_or_else(Junction::default, Square::junction)
     }
 
     /// Returns cells on which agents of a kind may be: one for each combination of a relation to intersections and of

@@ -22,6 +22,7 @@ mod network;
 mod places;
 mod roads;
 mod route;
+mod square;
 mod view;
 mod walk;
 mod zone;
@@ -33,7 +34,7 @@ pub use agent::{Agent, Rest, place_agents};
 pub(crate) use area::{Area, Rectangle};
 pub use grid::{Cell, Heading};
 pub use kind::{AgentKind, AgentName, KindId, KindName, KindTable, OwnKind, PICTURES, speed_cells};
-pub use map::{CityMap, Ground, Junction, Layout, SEMANTIC_MAX, STATIC_LAYERS};
+pub use map::{CityMap, Layout, SEMANTIC_MAX, STATIC_LAYERS};
 pub use model::{
     AgentConfig, AgentGroup, AgentSet, Blocks, Building, Buildings, Landmarks, MapConfig, OwnGroups, Routing, Sample,
     Split, Terrain, TripEnds, Widths, ZoneConfig, ZonePart,
@@ -45,5 +46,6 @@ pub use network::{Connection, Direction, LaneUse, Network, Point, RoadJunction, 
 pub use places::Places;
 pub use roads::{Lane, Router};
 pub use route::{NoRoute, Route, corners};
+pub use square::{Ground, Junction};
 pub(crate) use view::view_reach;
 pub use view::{FieldOfView, field_of_view};

@@ -6,8 +6,8 @@
 //! connection becomes a path of cells whose consecutive cells share a side.
 // Decision: docs/decisions/city.md#d078
 
-use crate::city::map::{CAR_AT, INSIDE, MID_LINE, NODE, PEDESTRIAN_AT, Square};
 use crate::city::route::facings;
+use crate::city::square::{CAR_AT, INSIDE, MID_LINE, NODE, PEDESTRIAN_AT, Square};
 use crate::city::{Cell, Ground, Heading};
 use serde::{Serialize, Serializer};
 use std::collections::BTreeSet;

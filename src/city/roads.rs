@@ -13,7 +13,7 @@
 
 use crate::city::drive::Driving;
 use crate::city::map::Strip;
-use crate::city::route::{NoRoute, Way, steps};
+use crate::city::route::{NoRoute, TURN_COST, Way, steps};
 use crate::city::walk::{search, walk};
 use crate::city::{Agent, AgentKind, Routing, Turn};
 use crate::city::{Cell, CityMap, Heading, Layout, Route};
@@ -24,8 +24,6 @@ use std::ops::Range;
 use std::sync::Arc;
 use std::sync::atomic::{AtomicU64, Ordering};
 
-/// The cost of a turn or U-turn in addition to its length, in cells.
-pub(super) const TURN_COST: u32 = 30;
 /// Rows and columns of blocks of the part in which routes are cached. A smaller map is one part.
 const PART: i32 = 8;
 

@@ -3,6 +3,9 @@
 use crate::city::AgentKind;
 use crate::city::{Cell, CityMap, Heading};
 
+/// The cost of a turn or U-turn in addition to its length, in cells.
+pub(super) const TURN_COST: u32 = 30;
+
 /// The reason why there is no route.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 #[non_exhaustive]
