@@ -382,7 +382,7 @@ fn a_failed_allocation_ends_with_a_message() {
     let facts: String = (0..400_000).map(|row| format!("Q({row}, 1).\n")).collect();
     let file = write(folder.path(), "facts.dl", &format!("{DECLARATIONS}{facts}"));
     for command in ["check", "query"] {
-        let (code, error) = in_address_space(88_000, &[command, &file]);
+        let (code, error) = in_address_space(100_000, &[command, &file]);
         assert_eq!(code, Some(1), "{command}: {error}");
         assert!(error.contains("memory allocation of"), "{command}: {error}");
     }
