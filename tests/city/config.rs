@@ -452,7 +452,7 @@ fn common_mistakes_are_explained_once() {
         (
             "map: atlantis",
             (2, 6),
-            vec!["built in as a map: metropolis, random-8x8, square-5x5"],
+            vec!["built in as a map: metropolis, random-8x8, roundabout, square-5x5"],
         ),
         ("map: expert", (2, 6), vec!["`expert` is a run configuration"]),
         ("agents: exprt", (2, 9), vec!["did you mean `expert`?"]),
