@@ -259,8 +259,8 @@ pub(super) fn draw(map: &CityMap, icons: &Icons, view: &Viewport, look: Look) ->
         clutter::draw(map, view, look.seed, icons.difficulty().share(), &mut picture);
         let corner = view.corner;
         let shown = Rectangle {
-            rows: corner.row..corner.row + view.rows,
-            cols: corner.col..corner.col + view.cols,
+            rows: corner.row..corner.row.saturating_add(view.rows),
+            cols: corner.col..corner.col.saturating_add(view.cols),
         };
         for site in sites(map, look.first_building, &shown) {
             let size = (i64::from(site.side) * i64::from(scale.pixels)) as u32;
