@@ -938,7 +938,7 @@ zones:
                     }
                 }
             }
-            assert!(counts.iter().all(|count| *count > 100), "{definition:?} {counts:?}");
+            assert!(counts.iter().all(|count| *count > 50), "{definition:?} {counts:?}");
         }
     }
 
