@@ -7,7 +7,7 @@
 //! ```
 //!
 //! A state is the tick and the places of agents on their routes. The planner chooses the action of the ego; axioms made
-//! from the rules ([`fragment`]) decide whether it violates a clause. [`Encoding`] says what drives the others.
+//! from the rules decide whether it violates a clause. [`Encoding`] says what drives the others.
 //! Everything random is decided by the seed of the episode, so a plan has one outcome.
 // Decision: docs/decisions/tasks.md#d075
 
