@@ -1,7 +1,7 @@
 //! The static map.
 // Decision: docs/decisions/city.md#d057
 
-use crate::city::network::{LaneUse, Network, RoadMap, Sign};
+use crate::city::network::{Network, RoadMap, Sign};
 use crate::city::square::{BUILDING, CAR_AT, INSIDE, MID_LINE, NODE, PEDESTRIAN_AT, Square};
 use crate::city::{AgentKind, Building, Widths};
 use crate::city::{Area, Rectangle};
@@ -843,10 +843,13 @@ impl CityMap {
     }
 
     /// Returns whether pedestrians cross streets somewhere.
+    #[cfg(feature = "render")]
     pub(crate) fn has_crossings(&self) -> bool {
         match &self.terrain {
             Terrain::Blocks(blocks) => blocks.layout.has_inner_streets(),
-            Terrain::Roads(roads) => (roads.network().lanes.iter()).any(|lane| lane.usage == LaneUse::Crossing),
+            Terrain::Roads(roads) => {
+                (roads.network().lanes.iter()).any(|lane| lane.usage == crate::city::LaneUse::Crossing)
+            }
         }
     }
 

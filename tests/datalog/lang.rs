@@ -744,7 +744,7 @@ fn all_rule_files_load_without_a_diagnostic() {
             count += 1;
         }
     }
-    assert_eq!(count, 17);
+    assert_eq!(count, 18);
 }
 
 #[test]

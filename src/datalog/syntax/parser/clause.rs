@@ -10,9 +10,12 @@ use crate::syntax::lexer::{CONJUNCTION, DISJUNCTION, IMPLICATION, Kind, NEGATION
 use crate::syntax::parser::{DIRECTIVES, FULL_STOP, MAX_NESTING, PAST, Parse, Parser, Reported};
 
 impl Parser<'_> {
-    /// Returns whether the current tokens are `?-`.
+    /// Returns whether the current tokens are `?-`, without a space: `? - a` subtracts.
     fn at_question(&self) -> bool {
-        self.kind() == Kind::Ident && self.slice(self.token()) == "?" && self.ahead(1).kind == Kind::Minus
+        self.kind() == Kind::Ident
+            && self.slice(self.token()) == "?"
+            && self.ahead(1).kind == Kind::Minus
+            && self.token().end == self.ahead(1).start
     }
 
     pub(super) fn question(&mut self) -> Parse<(Vec<Literal>, Place)> {
