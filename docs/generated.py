@@ -388,6 +388,7 @@ RESULTS = (
     "egos",
     "vap",
     "vap-50",
+    "vap-backbone",
     "vap-continual",
     "vap-steps",
     "vap-concepts",

@@ -51,11 +51,11 @@ def vap(experiment: str, learner: str, variant: str, predictor: str = "", mode: 
     return of(experiment, "wAcc", mode=mode, learner=learner, variant=variant, evaluation=predictor)
 
 
-def recall(learner: str, predictor: str, concept: str) -> str:
-    """Return the recall of a concept in hard mode with random agents."""
-    names = (learner, "hard", "random", predictor)
+def recall(learner: str, predictor: str, concept: str, variant: str = "random", experiment: str = "vap-50") -> str:
+    """Return the recall of a concept in hard mode, by default with random agents."""
+    names = (learner, "hard", variant, predictor)
     keys = ("learner", "mode", "variant", "evaluation")
-    return mean(row["details"][concept] for row in RESULTS["vap-50"] if tuple(row[key] for key in keys) == names)
+    return mean(row["details"][concept] for row in RESULTS[experiment] if tuple(row[key] for key in keys) == names)
 
 
 def noisy(learner: str, noise: float, shield: str, mode: str = "easy") -> str:
@@ -182,6 +182,19 @@ QUOTES: dict[str, list[str]] = {
         f"{vap('vap-50', 'e2e-rules', 'fixed')} with fixed ones",
         f"{recall('e2e-rules', '', 'IsBus')} of the buses with random agents, but "
         f"{recall('e2e-rules', '', 'IsClose')} of the pairs that are close",
+        f"rules on predicted concepts reach a wAcc of {vap('vap-backbone', 'rules', 'random', 'threshold')}, and with "
+        f"the network that learns from pixels {vap('vap-backbone', 'rules', 'crops random', 'threshold')}",
+        *(
+            f"{words} {recall('rules', 'threshold', concept, 'random', 'vap-backbone')} against "
+            f"{recall('rules', 'threshold', concept, 'crops random', 'vap-backbone')}"
+            for concept, words in [("IsOld", "`IsOld` is"), ("IsPolice", "that of `IsPolice`")]
+        ),
+        f"the same rules fall from {vap('vap-backbone', 'rules', 'random', 'threshold')} to "
+        f"{vap('vap-backbone', 'rules', 'plain random', 'threshold')}",
+        *(
+            f"`{row}` from {vap('vap-backbone', row, 'random')} to {vap('vap-backbone', row, 'plain random')}"
+            for row in ("modular-gnn", "modular-nlm", "e2e-gnn")
+        ),
     ],
 }
 
