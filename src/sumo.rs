@@ -79,6 +79,9 @@ struct Reader {
     cell: f64,
 }
 
+/// A link of a junction: the positions of both.
+type Link = (usize, usize);
+
 /// A lane for cars or pedestrians, with what connections need.
 struct FoundLane<'x> {
     lane: RoadLane,
@@ -144,7 +147,7 @@ impl Reader {
         let mut junctions = Vec::new();
         let mut junction_numbers: HashMap<&str, u32> = HashMap::new();
         // For each lane inside a junction, the junction and its number among the links.
-        let mut links: HashMap<&str, (usize, usize)> = HashMap::new();
+        let mut links: HashMap<&str, Link> = HashMap::new();
         let mut requests: Vec<Vec<&str>> = Vec::new();
         for node in elements("junction").filter(|node| node.attribute("type") != Some("internal")) {
             let name = self.name(node)?;
@@ -195,11 +198,11 @@ impl Reader {
                 behind.insert(format!("{from}_{index}"), via);
             }
         }
-        let mut connections: Vec<(Connection, Option<(usize, usize)>)> = Vec::new();
+        let mut connections: Vec<(Connection, Option<Link>)> = Vec::new();
         for node in elements("connection").filter(|node| !is_inner(node.attribute("from"))) {
             connections.extend(self.connection(node, &of_edge, &found, &inner, &behind, &links)?);
         }
-        let of_link: HashMap<(usize, usize), u32> = (connections.iter().zip(0..))
+        let of_link: HashMap<Link, u32> = (connections.iter().zip(0..))
             .filter_map(|((_, link), number)| Some(((*link)?, number)))
             .collect();
         for (connection, link) in &mut connections {
@@ -305,7 +308,6 @@ impl Reader {
     }
 
     /// Reads a connection between two lanes for cars, with the number of its link; `None` for other lanes.
-    #[allow(clippy::type_complexity)] // the junction and the number of the link
     fn connection(
         &self,
         node: Node<'_, '_>,
@@ -313,8 +315,8 @@ impl Reader {
         found: &[FoundLane<'_>],
         inner: &HashMap<&str, Vec<Point>>,
         behind: &HashMap<String, &str>,
-        links: &HashMap<&str, (usize, usize)>,
-    ) -> Result<Option<(Connection, Option<(usize, usize)>)>, Diagnostic> {
+        links: &HashMap<&str, Link>,
+    ) -> Result<Option<(Connection, Option<Link>)>, Diagnostic> {
         let lane = |edge: &str, index: &str| -> Result<Option<u32>, Diagnostic> {
             let (edge, index) = (self.attribute(node, edge)?, self.attribute(node, index)?);
             Ok(of_edge.get(&(edge, index)).copied())

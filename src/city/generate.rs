@@ -6,11 +6,12 @@
 use crate::city::codes;
 use crate::city::network::RoadMap;
 use crate::city::zone;
-use crate::city::{Blocks, Building, Buildings, MapConfig, Network, Terrain, Widths};
+use crate::city::{Blocks, Building, Buildings, MapConfig, Terrain, Widths};
 use crate::city::{CityMap, Layout};
 use crate::diag::{self, Diagnostic};
 use crate::located::Located;
 use crate::rng::{Purpose, RngExt, Seed};
+use std::sync::Arc;
 
 impl Purpose {
     /// The building types of a generated map; index: block.
@@ -41,7 +42,7 @@ impl CityMap {
                 CityMap::of_blocks(config.name.clone(), layout, buildings)
             }
             Terrain::Roads { roads } => {
-                let map = RoadMap::new(Network::clone(&roads.value));
+                let map = RoadMap::new(Arc::clone(&roads.value));
                 CityMap::of_roads(config.name.clone(), map)
             }
         };

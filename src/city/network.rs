@@ -11,6 +11,7 @@ use crate::city::square::{CAR_AT, INSIDE, MID_LINE, NODE, PEDESTRIAN_AT, Square}
 use crate::city::{Cell, Ground, Heading};
 use serde::{Serialize, Serializer};
 use std::collections::BTreeSet;
+use std::sync::Arc;
 
 /// A position in cells: the cell in row r and column c has its corners at (c, r) and (c + 1, r + 1).
 #[derive(Clone, Copy, Debug, PartialEq)]
@@ -200,7 +201,7 @@ pub struct Connection {
 /// The raster of a network.
 #[derive(Clone, Debug)]
 pub(crate) struct RoadMap {
-    network: Network,
+    network: Arc<Network>,
     rows: i32,
     cols: i32,
     squares: Box<[Square]>,
@@ -241,7 +242,7 @@ pub(super) struct Spot {
 
 impl RoadMap {
     /// Makes the raster of a network.
-    pub fn new(network: Network) -> RoadMap {
+    pub fn new(network: Arc<Network>) -> RoadMap {
         let [rows, cols] = network.size.map(u32::cast_signed);
         let cells = rows as usize * cols as usize;
         let drives = |lane: &RoadLane| lane.usage == LaneUse::Drive;
@@ -279,7 +280,7 @@ impl RoadMap {
 
     /// Joins the lanes by connections, and finds the intersections.
     fn join(&mut self) {
-        let network = std::mem::replace(&mut self.network, Network::empty());
+        let network = Arc::clone(&self.network);
         for (lane, number) in network.lanes.iter().zip(0..) {
             if let Some(left) = lane.left {
                 self.right[left as usize] = Some(number);
@@ -337,7 +338,6 @@ impl RoadMap {
                 if meets { count } else { 0 }
             })
             .collect();
-        self.network = network;
     }
 
     /// Whether two of these connections come from different lanes that are not side by side, and share a cell or end in
@@ -365,7 +365,7 @@ impl RoadMap {
 
     /// Gives each cell its ground and its nearest lane.
     fn pave(&mut self) {
-        let network = std::mem::replace(&mut self.network, Network::empty());
+        let network = Arc::clone(&self.network);
         let mut nearest = vec![f32::INFINITY; self.marks.len()];
         for junction in &network.junctions {
             for cell in interior(&junction.shape) {
@@ -401,7 +401,6 @@ impl RoadMap {
             }
         }
         self.pave_walks(&network, &on_path);
-        self.network = network;
         self.draw_mid_lines(&on_path);
     }
 
@@ -678,18 +677,6 @@ impl RoadMap {
     pub fn cells(&self, holds: impl Fn(Cell) -> bool) -> Vec<Cell> {
         let all = (0..self.rows).flat_map(|row| (0..self.cols).map(move |col| Cell::new(row, col)));
         all.filter(|&cell| holds(cell)).collect()
-    }
-}
-
-impl Network {
-    fn empty() -> Network {
-        Network {
-            cell: 1.0,
-            size: [0; 2],
-            junctions: Vec::new(),
-            lanes: Vec::new(),
-            connections: Vec::new(),
-        }
     }
 }
 

@@ -123,7 +123,7 @@ fn converted(path: &Path) -> Result<String, Failure> {
         }
         Ok(_) => inputs::read(&network),
     };
-    // What remains there is of no use.
+    // A folder that cannot be removed must not hide the result.
     let _ = fs::remove_dir_all(&folder);
     text
 }

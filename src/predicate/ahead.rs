@@ -1,9 +1,9 @@
 //! `{ahead: 12}`: the second agent is ahead of the first on its lane, at most this many cells.
 
-use crate::city::{AgentKind, CityMap, Heading};
+use crate::city::CityMap;
 #[cfg(test)]
 use crate::predicate::Definition;
-use crate::predicate::{PairKind, Phrase, PredicateKind, Reach, Relation, Sight, Subject, Syntax, Views};
+use crate::predicate::{PairKind, Phrase, PredicateKind, Reach, Relation, Sight, Subject, Syntax};
 use crate::yaml::read::integer;
 use serde::Serialize;
 use std::sync::Arc;
@@ -74,11 +74,6 @@ pub(crate) struct OnLane {
 }
 
 impl Relation for OnLane {
-    #[inline]
-    fn reach(&self, _: &Views, _: AgentKind, _: Option<Heading>) -> Reach {
-        self.reach_back()
-    }
-
     #[inline]
     fn reach_back(&self) -> Reach {
         Reach::Within([self.reach; 4])

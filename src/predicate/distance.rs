@@ -3,7 +3,7 @@
 //! The fast form compares squared distances as integers. Bisection finds their bounds, so that it agrees exactly with
 //! the definition.
 
-use crate::city::{AgentKind, Cell, CityMap, Heading};
+use crate::city::{Cell, CityMap};
 use crate::diag::Diagnostic;
 #[cfg(test)]
 use crate::predicate::Definition;
@@ -168,11 +168,6 @@ pub(crate) struct Squares {
 }
 
 impl Relation for Squares {
-    #[inline]
-    fn reach(&self, _: &Views, _: AgentKind, _: Option<Heading>) -> Reach {
-        self.reach_back()
-    }
-
     #[inline]
     fn reach_back(&self) -> Reach {
         Reach::Within([self.reach; 4])

@@ -234,10 +234,11 @@ pub(crate) trait Relation {
     /// Whether the predicate holds for all agents in [`Relation::reach`], so that no test is needed.
     const FILLS_REACH: bool = false;
 
-    /// Returns where the second agent can be, relative to a first agent of this kind and heading.
+    /// Returns where the second agent can be, relative to a first agent of this kind and heading; by default as
+    /// [`Relation::reach_back`].
     #[inline]
     fn reach(&self, _views: &Views, _kind: AgentKind, _heading: Option<Heading>) -> Reach {
-        Reach::Anywhere
+        self.reach_back()
     }
 
     /// Returns where the first agent can be, relative to any second agent.

@@ -66,21 +66,13 @@ pub struct Progress {
 }
 
 impl Progress {
-    /// Returns the progress of an agent.
-    pub(crate) fn of(agent: &Agent, map: &CityMap) -> Progress {
-        Progress {
-            exit: agent.exit(map),
-            ..Progress::without_exit(agent)
-        }
-    }
-
-    /// Variant of [`Progress::of`] that does not look along the route.
-    pub(crate) fn without_exit(agent: &Agent) -> Progress {
+    /// Returns the progress of an agent. Without the map it has no `exit`, for which the function looks along the route.
+    pub(crate) fn of(agent: &Agent, map: Option<&CityMap>) -> Progress {
         Progress {
             speed: agent.speed.into(),
             waited: agent.waited,
             remaining: agent.remaining(),
-            exit: None,
+            exit: map.and_then(|map| agent.exit(map)),
         }
     }
 }

@@ -1,9 +1,9 @@
 //! `{same: intersection}`: both are at or in the same intersection.
 
-use crate::city::{AgentKind, CityMap, Heading};
+use crate::city::CityMap;
 #[cfg(test)]
 use crate::predicate::Definition;
-use crate::predicate::{PairKind, Phrase, PredicateKind, Reach, Relation, Sight, Subject, Syntax, Views};
+use crate::predicate::{PairKind, Phrase, PredicateKind, Reach, Relation, Sight, Subject, Syntax};
 use crate::yaml::read::choice;
 use serde::Serialize;
 use std::sync::Arc;
@@ -60,11 +60,6 @@ pub(crate) struct Junctions {
 }
 
 impl Relation for Junctions {
-    #[inline]
-    fn reach(&self, _: &Views, _: AgentKind, _: Option<Heading>) -> Reach {
-        self.reach_back()
-    }
-
     #[inline]
     fn reach_back(&self) -> Reach {
         Reach::Within([self.reach; 4])

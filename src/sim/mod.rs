@@ -35,6 +35,7 @@ pub(crate) use tick::ground::json_value;
 pub use tick::ground::{Facts, MAX_ENTITIES, PastRows, ground};
 pub(crate) use tick::ground_state::GroundState;
 pub(crate) use tick::pool::{run_polled, start_threads, threads_of};
+pub(crate) use tick::simulation::entity;
 pub use tick::simulation::{AgentTick, Phase, Settings, Simulation, Snapshot, TickReport};
 pub use tick::vocabulary::{Actions, BasePredicate, Vocabulary};
 pub use tick::width::Width;

@@ -876,7 +876,7 @@ fn observed<'a>(atoms: &'a Atoms, bodies: &'a [AgentState], city: &'a Simulation
 fn measured(oracle: &Oracle, body: &AgentState, agents: &[Agent]) -> Measured {
     Measured {
         subject: body.subject(),
-        progress: Progress::of(&agents[body.agent as usize], oracle.world.map()),
+        progress: Progress::of(&agents[body.agent as usize], oracle.world.map_of_exits()),
     }
 }
 

@@ -82,10 +82,10 @@ impl Now<'_> {
     fn value(&self, map: &CityMap, quantity: Quantity, bodies: [&AgentState; 2], places: &[usize]) -> Option<Value> {
         let measured = bodies.map(|body| Measured {
             subject: body.subject(),
-            progress: match (quantity, &self.agents[body.agent as usize]) {
-                (Quantity::Exit, agent) => Progress::of(agent, map),
-                (_, agent) => Progress::without_exit(agent),
-            },
+            progress: Progress::of(
+                &self.agents[body.agent as usize],
+                (quantity == Quantity::Exit).then_some(map),
+            ),
         });
         let measure = match *places {
             [x] => quantity.measure(map, self.draws.time, &[&measured[x]]),

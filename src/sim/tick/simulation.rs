@@ -294,7 +294,7 @@ impl Simulation {
         let report = TickReport {
             tick: 0,
             agents: (agents.iter())
-                .map(|agent| AgentTick::resting(agent, world.map()))
+                .map(|agent| AgentTick::resting(agent, world.map_of_exits()))
                 .collect(),
         };
         Ok(Simulation {
@@ -407,7 +407,7 @@ impl Simulation {
         self.next_external.take();
         self.report.tick = 0;
         for (done, agent) in self.report.agents.iter_mut().zip(&self.agents) {
-            *done = AgentTick::resting(agent, self.world.map());
+            *done = AgentTick::resting(agent, self.world.map_of_exits());
         }
     }
 
@@ -730,6 +730,7 @@ impl Simulation {
             decisions,
             controlled: given,
             vocabulary: &world.vocabulary,
+            map_of_exits: world.map_of_exits(),
             surroundings: Surroundings {
                 router: &world.router,
                 places: &*places,
@@ -799,7 +800,7 @@ impl Simulation {
     ) -> Result<Facts, Diagnostic> {
         let world = &*self.world;
         let entities = self.agents.iter().map(|agent| Entity {
-            progress: Progress::of(agent, world.map()),
+            progress: Progress::of(agent, world.map_of_exits()),
             ..entity(agent)
         });
         let entities: Vec<Entity<'_>> = entities.collect();
@@ -1018,6 +1019,7 @@ struct Moving<'a> {
     decisions: &'a Decisions,
     controlled: &'a [Option<Action>],
     vocabulary: &'a Vocabulary,
+    map_of_exits: Option<&'a CityMap>,
     surroundings: Surroundings<'a>,
 }
 
@@ -1036,10 +1038,7 @@ impl Moving<'_> {
             speed: agent.speed,
             waited: agent.waited,
             remaining: agent.remaining(),
-            exit: match self.vocabulary.has_exits {
-                true => agent.exit(self.surroundings.router.map()),
-                false => None,
-            },
+            exit: self.map_of_exits.and_then(|map| agent.exit(map)),
             derived: self.vocabulary.before_default(Some(agent.kind_id), derived),
             action,
             moved: advance(agent, index, action, &self.surroundings),
@@ -1049,13 +1048,13 @@ impl Moving<'_> {
 
 impl AgentTick {
     /// The report of an agent before the first tick.
-    fn resting(agent: &Agent, map: &CityMap) -> AgentTick {
+    fn resting(agent: &Agent, map_of_exits: Option<&CityMap>) -> AgentTick {
         AgentTick {
             heading: agent.heading,
             speed: agent.speed,
             waited: agent.waited,
             remaining: agent.remaining(),
-            exit: agent.exit(map),
+            exit: map_of_exits.and_then(|map| agent.exit(map)),
             derived: Actions::default(),
             action: Action::Stop,
             moved: Moved {
@@ -1088,13 +1087,14 @@ fn ground_state(world: &World, agents: &[Agent]) -> Box<GroundState> {
     Box::new(GroundState::new(&world.program, &world.vocabulary, world.limits, names))
 }
 
-fn entity(agent: &Agent) -> Entity<'_> {
+/// What predicates see of an agent, without `exit`.
+pub(crate) fn entity(agent: &Agent) -> Entity<'_> {
     Entity {
         kind: agent.kind,
         concepts: &agent.concepts,
         priority: agent.priority,
         at: agent.cell,
         heading: agent.heading,
-        progress: Progress::without_exit(agent),
+        progress: Progress::of(agent, None),
     }
 }

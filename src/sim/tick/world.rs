@@ -249,4 +249,9 @@ impl World {
     pub fn map(&self) -> &CityMap {
         self.router.map()
     }
+
+    /// Returns the map if a predicate says where routes leave intersections; otherwise nobody needs to look along them.
+    pub(crate) fn map_of_exits(&self) -> Option<&CityMap> {
+        self.vocabulary.has_exits.then(|| self.map())
+    }
 }

@@ -7,14 +7,11 @@
 use crate::analysis::constraints;
 use crate::analysis::diff::Difference;
 use crate::analysis::diff::pair::Output;
-use crate::analysis::diff::values::{LIMITS, named, print, words};
+use crate::analysis::diff::values::{self, LIMITS, named, words};
 use crate::check::{Column, Literal, PredicateId, Rules, TypeId};
-use crate::naive;
 use crate::program::Program;
 use crate::session::Session;
-use crate::symbol::Symbol;
 use crate::syntax::ast::BaseType;
-use crate::value::{Value, parse as parse_value};
 use std::collections::BTreeSet;
 
 /// The maximum number of constants that [`settle`] considers.
@@ -187,8 +184,7 @@ fn derived(rules: &Rules, outputs: &[Output], scene: &Difference) -> Option<Vec<
     let given = scene.facts.iter().map(|(name, rows)| (name, rows.clone()));
     let mut session: Session = Program::new(rules.clone()).ok()?.session();
     session.set_limits(LIMITS);
-    let symbols = rules.symbols.clone();
-    let mut facts: Vec<(PredicateId, Vec<Value>)> = Vec::new();
+    let mut facts: Vec<(PredicateId, Vec<String>)> = Vec::new();
     for (name, rows) in given.chain(scopes) {
         let Some(predicate) = rules.predicate(name) else {
             continue;
@@ -199,32 +195,10 @@ fn derived(rules: &Rules, outputs: &[Output], scene: &Difference) -> Option<Vec<
         for row in rows {
             let inserted = words(&mut session, &bases, &row);
             session.insert(predicate, &inserted).ok()?;
-            let word = |(base, text): (&BaseType, &String)| match base {
-                BaseType::Symbol => Value(symbols.intern(text).0),
-                base => parse_value(*base, text).unwrap_or_default(),
-            };
-            let declared = rules.predicates[predicate.index()].edb.unwrap_or(predicate);
-            facts.push((declared, bases.iter().zip(&row).map(word).collect()));
+            facts.push((predicate, row));
         }
     }
     session.commit().ok()?;
-    if !constraints::violations(&session).is_empty() {
-        return None;
-    }
-    let database = naive::evaluate(rules, &symbols, facts);
-    let mut derived = Vec::new();
-    for output in outputs {
-        let Some(predicate) = rules.predicate(&output.name) else {
-            continue;
-        };
-        for row in &database[predicate.index()] {
-            let shown = output.columns.iter().zip(row).map(|(base, value)| match base {
-                BaseType::Symbol => symbols.resolve(Symbol(value.0)).unwrap_or_default().to_owned(),
-                base => print(*base, *value),
-            });
-            derived.push((output.name.clone(), shown.collect()));
-        }
-    }
-    derived.sort();
-    Some(derived)
+    let is_possible = constraints::violations(&session).is_empty();
+    is_possible.then(|| values::derived(rules, outputs, facts.into_iter()))
 }

@@ -8,16 +8,15 @@
 use crate::analysis::constraints;
 use crate::analysis::diff::naming;
 use crate::analysis::diff::pair::{Base, Functions, Output, Pair, relevant};
-use crate::analysis::diff::values::{LIMITS, named, print, words};
+use crate::analysis::diff::values::{self, LIMITS, named, words};
 use crate::analysis::diff::{Difference, Equivalence, Model, Options};
 use crate::check::{Constraint, DeclaredConstraint, Literal, PredicateId, Rules};
 use crate::diag::Diagnostic;
+use crate::facts;
 use crate::program::Program;
 use crate::session::Session;
-use crate::symbol::Symbol;
 use crate::syntax::ast::{BaseType, Comparison};
-use crate::value::{Value, parse as parse_value, print_float};
-use crate::{facts, naive};
+use crate::value::print_float;
 use rand::{Rng, RngExt, SeedableRng};
 use rand_chacha::ChaCha8Rng;
 use std::collections::BTreeSet;
@@ -470,35 +469,11 @@ impl<'a> Trial<'a> {
     fn describe(&self, rules: [&Rules; 2], entities: usize, facts: &[Fact]) -> Difference {
         let all = self.complete(facts, entities);
         let derived = rules.map(|rules| {
-            let symbols = rules.symbols.clone();
-            let rows: Vec<(PredicateId, Vec<Value>)> = (all.iter())
-                .filter_map(|(predicate, row)| {
-                    let declared = rules.predicate(&self.base[*predicate].name)?;
-                    let declared = rules.predicates[declared.index()].edb.unwrap_or(declared);
-                    let columns = self.columns[*predicate].iter().zip(row);
-                    let word = |(base, text): (&BaseType, &String)| match base {
-                        BaseType::Symbol => Value(symbols.intern(text).0),
-                        base => parse_value(*base, text).unwrap_or_default(),
-                    };
-                    Some((declared, columns.map(word).collect()))
-                })
-                .collect();
-            let database = naive::evaluate(rules, &symbols, rows);
-            let mut derived = Vec::new();
-            for output in self.outputs {
-                let Some(predicate) = rules.predicate(&output.name) else {
-                    continue;
-                };
-                for row in &database[predicate.index()] {
-                    let shown = output.columns.iter().zip(row).map(|(base, value)| match base {
-                        BaseType::Symbol => symbols.resolve(Symbol(value.0)).unwrap_or_default().to_owned(),
-                        base => print(*base, *value),
-                    });
-                    derived.push((output.name.clone(), shown.collect()));
-                }
-            }
-            derived.sort();
-            derived
+            let rows = all.iter().filter_map(|(predicate, row)| {
+                let declared = rules.predicate(&self.base[*predicate].name)?;
+                Some((declared, row.clone()))
+            });
+            values::derived(rules, self.outputs, rows)
         });
         let mut by_predicate: Vec<(String, Vec<Vec<String>>)> = Vec::new();
         let ordered = all

@@ -1,7 +1,9 @@
-//! The values of scenes as text: those that the rules name, and their words.
+//! The values of scenes as text: those that the rules name, their words, and what the rules derive of them.
 
-use crate::check::{Literal, Rules, Term};
+use crate::analysis::diff::pair::Output;
+use crate::check::{Column, Literal, PredicateId, Rules, Term};
 use crate::eval::limits::Limits;
+use crate::naive;
 use crate::session::Session;
 use crate::symbol::Symbol;
 use crate::syntax::ast::BaseType;
@@ -28,12 +30,47 @@ pub(super) fn words(session: &mut Session, columns: &[BaseType], row: &[String])
 }
 
 /// Returns a value as text; a symbol as its number.
-pub(super) fn print(base: BaseType, value: Value) -> String {
+fn print(base: BaseType, value: Value) -> String {
     match base {
         BaseType::Unsigned => value.0.to_string(),
         BaseType::Float => print_float(value.as_float()),
         BaseType::Number | BaseType::Symbol => value.as_number().to_string(),
     }
+}
+
+/// Evaluates rules naively on rows of values as text, and returns the rows of outputs, in order: the name of the
+/// predicate, and the values as text.
+pub(super) fn derived(
+    rules: &Rules,
+    outputs: &[Output],
+    rows: impl Iterator<Item = (PredicateId, Vec<String>)>,
+) -> Vec<(String, Vec<String>)> {
+    let symbols = rules.symbols.clone();
+    let facts = rows.map(|(predicate, row)| {
+        let known = &rules.predicates[predicate.index()];
+        let word = |(column, text): (&Column, &String)| match column.base {
+            BaseType::Symbol => Value(symbols.intern(text).0),
+            base => parse_value(base, text).unwrap_or_default(),
+        };
+        let words = known.columns.iter().zip(&row).map(word).collect();
+        (known.edb.unwrap_or(predicate), words)
+    });
+    let database = naive::evaluate(rules, &symbols, facts.collect::<Vec<_>>());
+    let mut derived = Vec::new();
+    for output in outputs {
+        let Some(predicate) = rules.predicate(&output.name) else {
+            continue;
+        };
+        for row in &database[predicate.index()] {
+            let shown = output.columns.iter().zip(row).map(|(base, value)| match base {
+                BaseType::Symbol => symbols.resolve(Symbol(value.0)).unwrap_or_default().to_owned(),
+                base => print(*base, *value),
+            });
+            derived.push((output.name.clone(), shown.collect()));
+        }
+    }
+    derived.sort();
+    derived
 }
 
 /// Collects the constants of the rules, the neighbors of numbers, and a few small numbers.

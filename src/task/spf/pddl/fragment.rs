@@ -325,7 +325,7 @@ impl<'a> Fragment<'a> {
     fn is_written(&self, clause: ClauseId, form: Form) -> bool {
         let head = self.world.program.rules().clauses[clause.index()].head.predicate;
         let is_action = self.world.vocabulary.action_of(head).is_some();
-        // The default demands nothing, so no constraint is of its clause.
+        // The default demands nothing, so its clause is no constraint.
         form != Form::Judged || !is_action || self.constraints.iter().any(|constraint| constraint.clause == clause)
     }
 

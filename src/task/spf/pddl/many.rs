@@ -9,7 +9,7 @@ use crate::city::{Action, Agent, Cell, Rest};
 use crate::diag::Diagnostic;
 use crate::diag::codes as common;
 use crate::predicate::Definition;
-use crate::sim::{Chance, Entity, Progress, Simulation, ground};
+use crate::sim::{Chance, Entity, Simulation, entity, ground};
 use crate::task::spf::SpfTask;
 use crate::task::spf::lookahead::{LocalState, local_state};
 use crate::task::spf::pddl::fragment::Fragment;
@@ -177,17 +177,6 @@ impl Chance for PairDraws<'_> {
         self.drew.set(true);
         let [first, second] = [first, second].map(|entity| self.agents[entity]);
         self.city.happens(self.tick, predicate, [first, second], probability)
-    }
-}
-
-fn entity(agent: &Agent) -> Entity<'_> {
-    Entity {
-        kind: agent.kind,
-        concepts: &agent.concepts,
-        priority: agent.priority,
-        at: agent.cell,
-        heading: agent.heading,
-        progress: Progress::default(),
     }
 }
 

@@ -194,7 +194,7 @@ fn useful(course: &Course, nodes: &BTreeMap<State, Node>, costs: &Costs) -> (BTr
     }
     let start = (0, course.states[0].agents[course.lookahead.ego()].position());
     let best = cheapest.get(&start).copied();
-    // Forwards again: what only states off the way lead to is of no use.
+    // Forwards again, to keep only the states that the best ways visit.
     let mut kept = BTreeSet::new();
     let mut waiting: Vec<State> = best.map(|_| start).into_iter().collect();
     while let Some(state) = waiting.pop() {
