@@ -215,7 +215,7 @@ fn cost_of(map: &CityMap, network: &Network, cells: &[Cell], from: (usize, usize
 
 #[test]
 fn routes_have_the_least_cost() {
-    let mut compared = 0;
+    let (mut drawn, mut compared) = (0, 0);
     for name in NETWORKS {
         let (map, network) = map_of(name, 1.0);
         if network.lanes.iter().any(|lane| lane.left.is_some()) {
@@ -227,6 +227,7 @@ fn routes_have_the_least_cost() {
         let mut random = Seed(2).stream(Purpose::TEST, 0, 0);
         let count = places.count(AgentKind::Car);
         for _ in 0..cases(40).cases {
+            drawn += 1;
             let ends = [(); 2].map(|()| places.nth(AgentKind::Car, random.random_range(0..count)).unwrap());
             let [start, goal] = ends;
             // A cell may be on the paths of two lanes, and belongs to one.
@@ -252,7 +253,7 @@ fn routes_have_the_least_cost() {
             }
         }
     }
-    assert!(compared > 200, "{compared}");
+    assert!(2 * compared > drawn, "{compared} of {drawn}");
 }
 
 #[test]
