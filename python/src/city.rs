@@ -11,6 +11,7 @@ use logicity::city::{Action, Split};
 use logicity::city::{Agent, Cell, CityMap, Heading, Lane, MoveReason};
 use logicity::config::{Loaded as AnyFile, load_any, missing_file};
 use logicity::datalog::MarginalOptions;
+use logicity::datalog::codes::RULE_MISMATCH;
 use logicity::datalog::explain::{Explainer, ExplanationPrinter};
 use logicity::diag::codes;
 use logicity::diag::{Diagnostic, SourceId, Sources};
@@ -59,6 +60,8 @@ pub struct Loaded {
     pub city: LoadedCity,
     /// The files that were read.
     pub files: Files,
+    /// The configuration, if other rules replace its own.
+    pub replaced: Option<String>,
 }
 
 impl Loaded {
@@ -75,6 +78,7 @@ impl Loaded {
         files: Option<Files>,
         overrides: Option<String>,
     ) -> PyResult<Loaded> {
+        let replaced = rules.is_some().then(|| config.display().to_string());
         let (loaded, sources) = signals.on_thread(py, move || {
             let mut sources = Sources::new();
             let loaded = Loaded::read(&mut sources, &config, rules, files, overrides.as_deref());
@@ -83,7 +87,12 @@ impl Loaded {
         match loaded {
             Ok((mut city, files)) => {
                 city.limits = limits_of(limits, city.limits);
-                Ok(Loaded { sources, city, files })
+                Ok(Loaded {
+                    sources,
+                    city,
+                    files,
+                    replaced,
+                })
             }
             Err(LoadError::RuleFile(path, error)) => Err(read_error(py, &path, &error)),
             Err(LoadError::Rules(faults)) => Err(input_error(py, &faults, &sources)),
@@ -121,6 +130,21 @@ impl Loaded {
     }
 }
 
+/// Returns the exception for a city that cannot run. If rules replace those of the configuration `replaced`, it says
+/// which one they do not fit.
+pub fn city_error(py: Python<'_>, faults: Vec<Diagnostic>, sources: &Sources, replaced: Option<&str>) -> PyErr {
+    let advised =
+        faults.into_iter().map(|fault| {
+            match replaced.filter(|_| fault.code == RULE_MISMATCH) {
+        Some(config) => fault.help(format!(
+            "the rules are checked against the configuration `{config}`; name another one with the argument `config`"
+        )),
+        None => fault,
+    }
+        });
+    input_error(py, &advised.collect::<Vec<_>>(), sources)
+}
+
 /// Finds a value by its name.
 pub fn one_of<T: Copy>(what: &str, given: &str, all: &[T], name: impl Fn(T) -> &'static str) -> PyResult<T> {
     all.iter().copied().find(|&value| name(value) == given).ok_or_else(|| {
@@ -151,10 +175,16 @@ impl PyInference {
         files: Option<Files>,
     ) -> PyResult<Self> {
         let executor = one_of("executor", executor, &Executor::ALL, Executor::name)?;
-        let Loaded { sources, city, files } = Loaded::new(py, &Signals::new(), config, rules, limits, files, None)?;
+        let loaded = Loaded::new(py, &Signals::new(), config, rules, limits, files, None)?;
+        let Loaded {
+            sources,
+            city,
+            files,
+            replaced,
+        } = loaded;
         let limits = city.limits;
         let mut inference = Inference::new(city.scenario, city.program, Seed(seed), executor, BuiltinFiles)
-            .map_err(|faults| input_error(py, &faults, &sources))?;
+            .map_err(|faults| city_error(py, faults, &sources, replaced.as_deref()))?;
         inference.name_clauses(&sources);
         inference.set_limits(limits);
         Ok(PyInference {
@@ -331,7 +361,12 @@ impl PySimulation {
         let executor = one_of("executor", executor, &Executor::ALL, Executor::name)?;
         let signals = Signals::new();
         let threads = threads_of(threads)?.get();
-        let Loaded { sources, city, files } = Loaded::new(py, &signals, config, rules, limits, files, None)?;
+        let Loaded {
+            sources,
+            city,
+            files,
+            replaced,
+        } = Loaded::new(py, &signals, config, rules, limits, files, None)?;
         let rule_files = city.rule_files.clone();
         let settings = Settings {
             executor,
@@ -349,7 +384,7 @@ impl PySimulation {
             let city = Simulation::new_with(Arc::clone(&world), split, Seed(seed), settings, &cancel);
             Ok((city.map_err(|fault| vec![fault])?, world))
         })?;
-        let (city, world) = made.map_err(|faults: Vec<Diagnostic>| input_error(py, &faults, &sources))?;
+        let (city, world) = made.map_err(|faults| city_error(py, faults, &sources, replaced.as_deref()))?;
         Ok(PySimulation {
             city: Shared::with_signals("Simulation", city, signals),
             world,

@@ -1,6 +1,6 @@
 //! The task that environments share: Safe Path Following in one world.
 
-use crate::city::{Files, Loaded, one_of};
+use crate::city::{Files, Loaded, city_error, one_of};
 use crate::episode::read_episode;
 use crate::output::{overwrite_if, unwritable};
 use crate::predicate::Functions;
@@ -171,7 +171,12 @@ impl PyTask {
         let functions = predicates.as_ref().map(Functions::new).transpose()?;
         let signals = Signals::new();
         let (named, replaced, merged) = (config.clone(), rules.clone(), overrides.clone());
-        let Loaded { sources, city, files } = Loaded::new(py, &signals, named, replaced, limits, files, merged)?;
+        let Loaded {
+            sources,
+            city,
+            files,
+            replaced,
+        } = Loaded::new(py, &signals, named, replaced, limits, files, merged)?;
         let (rule_files, rules_hash) = (city.rule_files.clone(), city.rules_hash.clone());
         let external = functions.clone();
         let (made, sources) = signals.on_thread(py, move || {
@@ -183,7 +188,7 @@ impl PyTask {
             });
             (world.and_then(|world| SpfTask::new(world, &sources)), sources)
         })?;
-        let task = made.map_err(|faults| input_error(py, &faults, &sources))?;
+        let task = made.map_err(|faults| city_error(py, faults, &sources, replaced.as_deref()))?;
         Ok(PyTask {
             arguments: (config, rules, overrides, limits, Some(files)),
             functions,

@@ -146,6 +146,10 @@ def test_invalid_files_and_options_raise(kind: Any, tmp_path: Path) -> None:
     with pytest.raises(InputError) as caught:
         kind(rules=rules)
     assert caught.value.diagnostics[0]["labels"][0]["file"] == str(rules)
+    rules.write_text('.include "vocabulary.dl"\n.decl Waited(x: agent, n: number)\n.input Waited\n')
+    with pytest.raises(InputError, match="against the configuration `configs/expert.yaml`; name another one") as caught:
+        kind(rules=rules)
+    assert caught.value.diagnostics[0]["code"] == "rule-mismatch"
     config = tmp_path / "mine.yaml"
     config.write_text("mapp: square-5x5\n")
     with pytest.raises(InputError) as caught:

@@ -22,6 +22,8 @@ crate::diagnostic_codes! {
     UNREAD_PREDICATE = "unread-predicate", Warning;
     /// An action of the configuration that no clause derives, or a clause that derives it for other kinds of agents.
     UNUSED_ACTION = "unused-action", Warning;
+    /// A definition of a predicate that the rules do not declare.
+    UNUSED_DEFINITION = "unused-definition", Warning;
     /// A kind of the configuration that no agent has.
     UNUSED_KIND = "unused-kind", Warning;
     /// A zone of the configuration that no predicate tests.

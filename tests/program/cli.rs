@@ -1377,6 +1377,24 @@ fn query_explains_in_the_language() {
         ".decl edge(x: symbol, y: symbol)\n.decl path(x: symbol, y: symbol)\nedge(\"a\", \"b \\\"c\\\"\").\n\
          path(x, y) :- edge(x, y).\npath(x, z) :- path(x, y), path(y, z).\n",
     );
+    let given = write(folder.path(), "given.dl", ".decl fact(x: number)\n.input fact\n");
+    write(folder.path(), "fact.facts", "1\n");
+    for (option, fact, answer) in [
+        ("--explain", "fact(1)", "fact(1)  a given fact\n"),
+        (
+            "--why-not",
+            "fact(1)",
+            "fact(1) holds, because:\nfact(1)  a given fact\n",
+        ),
+        (
+            "--why-not",
+            "fact(2)",
+            "Not(fact(2)): not a given fact, and no clause derives it\n",
+        ),
+    ] {
+        let facts = folder.path().to_str().unwrap();
+        assert_eq!(out(&logicity(["query", &given, "-F", facts, option, fact])), answer);
+    }
     let why = |option: &str, fact: &str| out(&logicity(["query", &rules, option, fact]));
     let printed = why("--explain", "path(\"a\", _)");
     assert!(

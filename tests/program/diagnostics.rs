@@ -416,7 +416,7 @@ fn unknown_agents_are_reported_as_their_fixture_expects() {
 /// or of a map with a file of its own, may serve others.
 #[test]
 fn unused_parts_of_configurations_are_reported() {
-    for code in ["unused-kind", "unused-zone"] {
+    for code in ["unused-definition", "unused-kind", "unused-zone"] {
         let path = fixtures().join(code).with_extension("yaml");
         let text = fs::read_to_string(&path).unwrap();
         let marked = text.lines().position(|line| line.contains("# warning[")).unwrap() + 1;

@@ -172,3 +172,19 @@ fn concepts_are_what_perception_reports() {
         .unwrap();
     assert!(pair.contains("Stop") && pair.contains("Normal"), "{constant}");
 }
+
+/// Values of the city, such as headings, are no agents in the scenes.
+#[test]
+fn scenes_name_no_entity_after_a_value() {
+    let folder = tempfile::tempdir().unwrap();
+    let rules = folder.path().join("headings.dl");
+    let text = ".decl IsCar(x: agent)\n.decl IsAtInter(x: agent)\n.decl Sees(x: agent, y: agent)\n\
+                .decl Heading(x: agent, h: symbol)\n.input IsCar, IsAtInter, Sees, Heading\n\
+                .type agent <: symbol\n.decl Stop(x: agent)\n.output Stop\n.scope Sees\n\
+                Stop(X) :- IsCar(X), Heading(X, \"north\").\nStop(X) :- IsAtInter(X), Heading(X, \"south\").\n";
+    fs::write(&rules, text).unwrap();
+    let found = json(["shortcuts", rules.to_str().unwrap(), "--pairs", "--json"]);
+    let scene = &found["pairs"][0]["witness"]["scene"];
+    assert_eq!(scene["entities"], Value::from(vec!["e0"]), "{scene}");
+    assert_eq!(scene["facts"]["Heading"][0][0], "e0", "{scene}");
+}

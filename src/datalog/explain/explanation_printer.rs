@@ -92,7 +92,19 @@ impl<'a> ExplanationPrinter<'a> {
                 printed: HashSet::new(),
                 open: Vec::new(),
             };
-            drawing.node(NodeId(0), 0).draw("", "", &mut out);
+            let mut item = drawing.node(NodeId(0), 0);
+            // An answer says more than the question.
+            match explanation.node(NodeId(0)) {
+                Node::Fact(Fact {
+                    origin: Origin::Input, ..
+                }) => item.text.push_str("  a given fact"),
+                Node::Absence(Absence {
+                    reason: AbsenceReason::NotAFact,
+                    ..
+                }) => item.text.push_str(": not a given fact, and no clause derives it"),
+                _ => {}
+            }
+            item.draw("", "", &mut out);
         }
         out
     }

@@ -1,14 +1,14 @@
 //! Warnings of rules that mean something else in the city than they seem to.
 
 use crate::city::{Action, ActionTable, AgentKind, AgentSet, KindId, OwnKind};
-use crate::config::{ActionsConfig, Scenario};
+use crate::config::{ActionsConfig, PredicateConfig, SEES, Scenario};
 use crate::datalog::diff::Difference;
 use crate::datalog::optimize::{self, Lints};
 use crate::datalog::{
     self, Atom, Clause, ClauseId, Comparison, Constraint, DeclaredConstraint, Function, Literal, Predicate,
     PredicateId, Rules, Term, TypeId, Value, VarId,
 };
-use crate::diag::{Diagnostic, Faults, MAX_FAULTS, Sources, Span, did_you_mean, listed};
+use crate::diag::{Diagnostic, Faults, MAX_FAULTS, SourceId, Sources, Span, did_you_mean, listed};
 use crate::located::Located;
 use crate::predicate::{Definition, Static};
 use crate::sim::codes;
@@ -47,6 +47,7 @@ pub struct Examined {
 /// - predicates that no agent has, with the clauses that never fire for this reason;
 /// - predicates that are not actions and that no clause reads;
 /// - actions that no clause derives, and clauses that derive actions of other kinds of agents;
+/// - definitions of predicates that the rules do not declare;
 /// - kinds that no agent has, and zones that no predicate tests.
 ///
 /// Without a configuration, the declared constraints count, collisions are announced by the predicate of the shipped
@@ -96,6 +97,7 @@ pub fn examine(rules: &Rules, city: Option<&CityTheory>, sources: &Sources) -> E
         found.extend(empty_predicates(rules, scenario, &empty));
         found.extend(unread_predicates(rules, scenario));
         found.extend(unused_actions(rules, scenario));
+        found.extend(unused_definitions(rules, scenario, sources));
         found.extend(unused_kinds(scenario, sources));
         found.extend(unused_zones(scenario));
         found
@@ -155,12 +157,20 @@ fn unknown_values(rules: &Rules, functions: &[Function]) -> Vec<Diagnostic> {
 }
 
 /// Warns of predicates that are not actions and that no clause reads: outputs, which a city does not write, and others
-/// with clauses.
+/// with clauses in a file that decides.
 fn unread_predicates(rules: &Rules, scenario: &Scenario) -> Vec<Diagnostic> {
     let atoms = (rules.clauses.iter()).flat_map(|clause| clause.body.iter().filter_map(Literal::atom));
     let read: BTreeSet<PredicateId> = atoms.map(|atom| atom.predicate).collect();
     let derived: BTreeSet<PredicateId> = rules.clauses.iter().map(|clause| clause.head.predicate).collect();
     let table = &scenario.actions.table;
+    // A file without a clause for an action offers words, of which a city may leave some unread.
+    let decides = |clause: &&Clause| {
+        let head = &rules.predicates[clause.head.predicate.index()];
+        table.find(&head.name).is_some() && !clause.body.is_empty()
+    };
+    let deciding: HashSet<SourceId> = (rules.clauses.iter().filter(decides))
+        .map(|clause| clause.span.source)
+        .collect();
     let warn = |(predicate, id): (&Predicate, PredicateId)| {
         let name = &predicate.name;
         let is_unread = !predicate.hidden && !predicate.input && !read.contains(&id) && table.find(name).is_none();
@@ -169,7 +179,7 @@ fn unread_predicates(rules: &Rules, scenario: &Scenario) -> Vec<Diagnostic> {
                 codes::UNUSED_OUTPUT,
                 format!("`.output {name}` has no effect in a city: it is not an action, and no clause reads it"),
             ),
-            (false, true) if is_unread => (
+            (false, true) if is_unread && deciding.contains(&predicate.span.source) => (
                 codes::UNREAD_PREDICATE,
                 format!("`{name}` has no effect in a city: it is not an action, and no clause reads it"),
             ),
@@ -256,15 +266,42 @@ fn unused_actions(rules: &Rules, scenario: &Scenario) -> Vec<Diagnostic> {
     faults
 }
 
+/// Returns whether the configuration itself, not its base, has a place.
+fn is_here(span: Span, scenario: &Scenario, sources: &Sources) -> bool {
+    let stem = Path::new(sources.name(span.source)).file_stem();
+    stem.is_some_and(|stem| stem.to_string_lossy() == scenario.name.as_str())
+}
+
+/// Warns of predicates that the configuration itself defines and that the rules do not declare, unless there is a task,
+/// which observes them.
+fn unused_definitions(rules: &Rules, scenario: &Scenario, sources: &Sources) -> Vec<Diagnostic> {
+    let unused = scenario.predicates.iter().filter(|known| {
+        let name = &known.name;
+        scenario.task.is_none()
+            && name.value != SEES
+            && rules.predicate(&name.value).is_none()
+            && is_here(name.span, scenario, sources)
+    });
+    let warn = |known: &PredicateConfig| {
+        let name = &known.name.value;
+        let message = format!("the rules do not declare `{name}`, so its definition has no effect");
+        let fault = Diagnostic::new(codes::UNUSED_DEFINITION, message).at(known.name.span, "defined or used here");
+        let inputs = rules.predicates.iter().filter(|predicate| predicate.input);
+        match did_you_mean(name, inputs.map(|predicate| predicate.name.as_str())) {
+            Some(near) => fault.help(format!("did you mean `{near}`, which the rules declare?")),
+            None => fault.help(format!(
+                "declare it in the rules, `.decl {name}(...)` and `.input {name}`, or remove it"
+            )),
+        }
+    };
+    unused.map(warn).collect()
+}
+
 /// Warns of kinds that the configuration itself, not its base, defines, and that no agent has.
 fn unused_kinds(scenario: &Scenario, sources: &Sources) -> Vec<Diagnostic> {
-    let is_here = |span: Span| {
-        let stem = Path::new(sources.name(span.source)).file_stem();
-        stem.is_some_and(|stem| stem.to_string_lossy() == scenario.name.as_str())
-    };
     let unused = scenario.kinds.own_with_ids().filter(|(kind, own)| {
         let has_agents = scenario.splits.iter().any(|(_, set)| set.count_of(*kind) > 0);
-        is_here(own.name.span) && !has_agents
+        is_here(own.name.span, scenario, sources) && !has_agents
     });
     let warn = |(_, own): (KindId, &OwnKind)| {
         let name = own.name.value.as_str();

@@ -1,7 +1,7 @@
 //! Two rule sets, prepared for the search.
 
 use crate::analysis::diff::Options;
-use crate::check::{Clause, Constraint, DeclaredConstraint, Literal, Predicate, PredicateId, Rules};
+use crate::check::{Clause, Constraint, DeclaredConstraint, Literal, Predicate, PredicateId, Rules, Term, TypeId};
 use crate::codes;
 use crate::diag::{Diagnostic, did_you_mean};
 use crate::symbol::Symbol;
@@ -58,6 +58,10 @@ impl<'a> Pair<'a> {
 pub(super) struct Functions {
     /// By position among the shared base predicates: the symbols in their range, if it has symbols.
     ranges: BTreeMap<usize, Option<Vec<String>>>,
+    /// The constants of the rules that stand in no column of entities.
+    values: BTreeSet<String>,
+    /// The columns in which they may stand, by base predicate.
+    value_columns: BTreeSet<(usize, usize)>,
 }
 
 impl Functions {
@@ -72,20 +76,59 @@ impl Functions {
                 ranges.insert(position, function.symbols.clone());
             }
         }
-        Functions { ranges }
+        Functions {
+            ranges,
+            ..Functions::default()
+        }
     }
 
-    /// Returns the symbols in the ranges. They are no entities.
+    /// Excludes scenes whose entities have the names of constants that stand only in columns of other types.
+    pub(super) fn exclude_values(&mut self, side: &Side<'_>, entity: TypeId) {
+        let rules = side.rules;
+        let types = |predicate: PredicateId| rules.predicates[predicate.index()].columns.iter();
+        for (predicate, base) in (0..).map(PredicateId).zip(&side.base) {
+            let columns = types(predicate).zip(0..).filter(|(column, _)| column.ty != entity);
+            self.value_columns
+                .extend(columns.filter_map(|(_, column)| Some(((*base)?, column))));
+        }
+        let mut of_entities = BTreeSet::new();
+        for clause in &rules.clauses {
+            let atoms = clause.body.iter().filter_map(Literal::atom).chain([&clause.head]);
+            let terms = atoms.flat_map(|atom| atom.terms.iter().zip(types(atom.predicate)));
+            for (term, column) in terms {
+                let Term::Constant(value) = term else { continue };
+                if let Individual::Symbol(text) = side.individual(*value, column.base) {
+                    match column.ty == entity {
+                        true => of_entities.insert(text),
+                        false => self.values.insert(text),
+                    };
+                }
+            }
+            // What a comparison is about has no column.
+            for literal in &clause.body {
+                if let Literal::Compare { base, .. } = literal {
+                    let constants = literal.terms().filter_map(|term| match term {
+                        Term::Constant(value) => Some(side.individual(*value, *base).shown()),
+                        Term::Variable(_) | Term::Wildcard => None,
+                    });
+                    of_entities.extend(constants);
+                }
+            }
+        }
+        self.values.retain(|text| !of_entities.contains(text));
+    }
+
+    /// Returns the symbols that are no entities.
     pub(super) fn symbols(&self) -> impl Iterator<Item = &String> {
-        self.ranges.values().flatten().flatten()
+        self.ranges.values().flatten().flatten().chain(&self.values)
     }
 
-    /// Returns whether a symbol is in a range.
+    /// Returns whether a symbol is no entity.
     pub(super) fn have_symbol(&self, symbol: &str) -> bool {
         self.symbols().any(|known| known == symbol)
     }
 
-    /// Returns whether a value is a symbol in a range.
+    /// Returns whether a value is a symbol that is no entity.
     pub(super) fn have_value(&self, value: &Individual) -> bool {
         matches!(value, Individual::Symbol(text) if self.have_symbol(text))
     }
@@ -99,6 +142,7 @@ impl Functions {
     pub(super) fn allow(&self, base: usize, column: usize, columns: usize, symbol: &str) -> bool {
         match self.ranges.get(&base) {
             Some(Some(range)) if column + 1 == columns => range.iter().any(|known| known == symbol),
+            _ if self.value_columns.contains(&(base, column)) && self.values.contains(symbol) => true,
             _ => !self.have_symbol(symbol),
         }
     }

@@ -217,11 +217,14 @@ impl<'a> Task<'a> {
         for side in &mut pair.sides {
             side.scopes.extend(&given.views);
         }
-        let side = &pair.sides[0];
         // Concepts are about the entities that decide.
         let entity = order
             .first()
             .map(|action| rules.predicates[action.index()].columns[0].ty);
+        if let Some(entity) = entity {
+            pair.functions.exclude_values(&pair.sides[0], entity);
+        }
+        let side = &pair.sides[0];
         let (mut concepts, mut unread, mut taken) = (Vec::new(), Vec::new(), Vec::new());
         for (id, predicate) in (0..).map(PredicateId).zip(&rules.predicates) {
             let Some(base) = side.base[id.index()].filter(|_| !side.scopes.contains(&id)) else {
