@@ -366,6 +366,8 @@ def test_arguments_and_names_of_files_are_neutral(words: tuple[str, ...], run: R
         ("vap", "coco"): [["{}", "{}-out"]],
         ("vap", "baselines"): [["--train", "{}", "--test", "{}"]],
         ("vap", "features"): [["{}"]],
+        ("distill",): [["{}", "-o", "{}-out"], ["{}", "--map", "{}", "--columns", "{}", "-o", "{}-out"]],
+        ("map", "export"): [["{}", "-o", "{}.net.xml"]],
     }
     options = by_command[words]
     commands = [[*words, f"--{name}"], [*words, *options[0], name]]
