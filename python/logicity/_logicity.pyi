@@ -25,6 +25,7 @@ __all__ = [
     "Inference",
     "layout",
     "lanes",
+    "network_file",
     "LearnedRules",
     "make_dataset",
     "OutputFile",
@@ -35,6 +36,7 @@ __all__ = [
     "RandomBaseline",
     "read_file",
     "read_rules",
+    "roads",
     "read_picture",
     "read_steps",
     "read_world",
@@ -167,6 +169,20 @@ class Rows:
     def tuples(self, start: int, stop: int) -> list[tuple[Any, ...]]: ...
     def columns(self) -> dict[str, npt.NDArray[Any]]: ...
 
+def network_file(path: _Path) -> str | None: ...
+def roads(
+    path: _Path,
+) -> (
+    tuple[
+        str,
+        tuple[int, int],
+        float,
+        tuple[float, float],
+        list[tuple[list[tuple[tuple[int, int], Any]], list[tuple[float, float]], float, bool, list[str]]],
+        list[tuple[int, int, list[tuple[int, int]]]],
+    ]
+    | None
+): ...
 def lanes(
     path: _Path,
 ) -> tuple[

@@ -9,8 +9,8 @@ import math
 import os
 import sys
 import time
-from collections.abc import Callable, Sequence
-from contextlib import suppress
+from collections.abc import Callable, Iterator, Sequence
+from contextlib import contextmanager, suppress
 from difflib import get_close_matches
 from functools import partial, reduce
 from pathlib import Path
@@ -265,9 +265,9 @@ def _add_distill(to: _Parser) -> None:
     )
     help = (
         "configuration that defines the predicates, and whose rules define the words of learned clauses; default: "
-        "right-of-way"
+        "right-of-way, and right-of-way-roads for a road network"
     )
-    to.add("--config", default="right-of-way", help=help)
+    to.add("--config", help=help)
     to.add("--columns", type=Path, metavar="FILE", help="YAML file with the columns, units and classes of CSV files")
     to.add("--cell", type=_positive_float, metavar="METERS", help="side of a cell of the map; default: 1")
     help = "position of the upper left corner of the map; default: 0,0"
@@ -306,14 +306,15 @@ def _add_distill(to: _Parser) -> None:
 
 
 def _add_map_export(to: _Parser) -> None:
+    to.description = "A road network states what the options say; they are for maps of blocks."
     to.add("map", help="map file, configuration, or the name of a built-in map or configuration")
     to.add("-o", "--out", type=Path, required=True, metavar="NAME.net.xml", help="the network; others lie beside it")
     help = "right of way at intersections; default: right_before_left"
     kinds = ("right_before_left", "priority", "allway_stop", "traffic_light")
-    to.add("--junctions", choices=kinds, default="right_before_left", help=help)
+    to.add("--junctions", choices=kinds, help=help)
     to.add("--main", metavar="ZONE", help="with `--junctions priority`: the zone of the streets that have right of way")
-    to.add("--cell", type=_positive_float, default=1.0, metavar="METERS", help="side of a cell of the map; default: 1")
-    to.add("--speed", type=_positive_float, default=30.0, metavar="KM/H", help="speed limit; default: 30")
+    to.add("--cell", type=_positive_float, metavar="METERS", help="side of a cell of the map; default: 1")
+    to.add("--speed", type=_positive_float, metavar="KM/H", help="speed limit; default: 30")
     _add_force(to)
 
 
@@ -530,17 +531,31 @@ def _names(text: str) -> tuple[str, ...]:
     return names
 
 
+@contextmanager
+def _usage() -> Iterator[None]:
+    """Report options that do not fit each other as faulty usage."""
+    try:
+        yield
+    except InputError:
+        raise
+    except ValueError as error:
+        raise _UsageError(str(error)) from error
+
+
 def _distill(given: argparse.Namespace) -> int:
     from .distill import Settings, distill
-    from .placement import Grid, Thresholds
+    from .placement import Roads, Thresholds, load_map
     from .trajectories import read_columns, read_trajectories
 
     _check_folder("--out", given.out)
     columns, where = read_columns(given.columns) if given.columns is not None else (None, {})
-    cell = where.get("cell", 1.0) if given.cell is None else given.cell
-    origin = given.origin or tuple(map(float, where.get("origin", (0.0, 0.0))))
-    y_up = (where.get("y", "up") if given.y is None else given.y) == "up"
-    grid = Grid.load(given.config if given.map is None else given.map, cell, origin, y_up)
+    cell = where.get("cell") if given.cell is None else given.cell
+    origin = given.origin or (tuple(map(float, where["origin"])) if "origin" in where else None)
+    y = where.get("y") if given.y is None else given.y
+    map = given.map or given.config or "right-of-way"
+    with _usage():
+        grid = load_map(map, cell, origin, None if y is None else y == "up")
+    given.config = given.config or ("right-of-way-roads" if isinstance(grid, Roads) else "right-of-way")
     thresholds = Thresholds(given.stop, given.slow, given.fast, given.line, given.length, not given.centers)
     settings = Settings(
         **{name: getattr(given, name) for name in ("config", "map", "use", "moments", "reaction", "test", "split")},
@@ -562,15 +577,24 @@ def _distill(given: argparse.Namespace) -> int:
 
 
 def _map_export(given: argparse.Namespace) -> int:
-    from .placement import Grid
-    from .sumo import export_network, find_program
+    from .placement import Roads, load_map
+    from .sumo import export_network, export_roads, find_program
 
     if not str(given.out).endswith(".net.xml"):
         raise _UsageError(f"--out: expected a name that ends in .net.xml, not `{given.out}`")
     if given.junctions == "priority" and given.main is None:
         raise _UsageError("--junctions priority: name the zone of the main streets with `--main ZONE`")
-    grid = Grid.load(given.map, given.cell)
-    paths = export_network(grid, given.out, given.junctions, speed=given.speed, main=given.main, overwrite=given.force)
+    with _usage():
+        grid = load_map(given.map, given.cell)
+    if isinstance(grid, Roads):
+        for option in ("junctions", "main", "speed"):
+            if getattr(given, option) is not None:
+                raise _UsageError(f"--{option}: `{given.map}` is a road network, which states it; omit the option")
+        export_roads(given.map, given.out, overwrite=given.force)
+        print_message(f"wrote {given.out}")
+        return 0
+    junctions, speed = given.junctions or "right_before_left", given.speed or 30.0
+    paths = export_network(grid, given.out, junctions, speed=speed, main=given.main, overwrite=given.force)
     for path in paths:
         print_message(f"wrote {path}")
     if find_program("netconvert") is None:

@@ -22,7 +22,7 @@ from typing import Any, Literal
 from . import _logicity
 from .errors import did_you_mean
 from .files import check_writable, json_text, write_text
-from .placement import Grid, Moment, Placement, Thresholds, place
+from .placement import Moment, Placement, Streets, Thresholds, place
 from .terminal import neutral
 from .trajectories import Recording
 
@@ -143,7 +143,7 @@ class _Example:
 
 def distill(
     recording: Recording,
-    grid: Grid,
+    grid: Streets,
     out: str | os.PathLike[str],
     settings: Settings | None = None,
     *,
@@ -539,7 +539,7 @@ def _report(
     placement: Placement,
     left_out: set[tuple[int, str]],
     recording: Recording,
-    grid: Grid,
+    grid: Streets,
     source: str,
 ) -> dict[str, Any]:
     thresholds = settings.thresholds

@@ -4,14 +4,18 @@ from __future__ import annotations
 
 import math
 import os
+from bisect import bisect
+from collections.abc import Sequence
 from contextlib import suppress
 from dataclasses import dataclass, field
+from itertools import accumulate, pairwise, product
+from typing import Any, TypeAlias
 
 from . import _logicity
 from .trajectories import Recording, Track
 from .types import Heading
 
-__all__ = ["Grid", "Lane", "Moment", "Placement", "Thresholds", "place"]
+__all__ = ["Grid", "Lane", "Moment", "Placement", "Road", "Roads", "Streets", "Thresholds", "load_map", "place"]
 
 #: The directions of headings, in steps of rows and columns.
 STEPS: dict[Heading, tuple[int, int]] = {"Left": (0, -1), "Right": (0, 1), "Up": (-1, 0), "Down": (1, 0)}
@@ -22,7 +26,7 @@ _AROUND: tuple[Heading, ...] = ("Right", "Up", "Left", "Down")
 
 @dataclass(frozen=True)
 class Lane:
-    """A lane of a map.
+    """A lane of a map of blocks.
 
     Attributes:
         heading: The direction of travel.
@@ -41,17 +45,80 @@ class Lane:
     zones: tuple[str, ...]
     has_line: bool
 
+    @property
+    def entered(self) -> Heading:
+        """The direction of travel at its start."""
+        return self.heading
+
+    @property
+    def length(self) -> float:
+        """Its length in cells."""
+        return abs(self.end[0] - self.start[0]) + abs(self.end[1] - self.start[1]) + 1
+
+    def cell(self, left: float, least: int = 0) -> tuple[int, int]:
+        """Return the cell at this distance from its end, in cells, at least `least` cells before the last one."""
+        rows, columns = STEPS[self.heading]
+        back = min(max(math.ceil(left - 1e-9) - 1, least), int(self.length) - 1)
+        return self.end[0] - rows * back, self.end[1] - columns * back
+
+    def heading_at(self, left: float) -> Heading:
+        """Return the direction of travel at this distance from its end."""
+        return self.heading
+
 
 @dataclass(frozen=True)
-class Grid:
-    """A map of a city in the plane of a recording.
+class Road:
+    """A lane for cars of a road network.
+
+    Attributes:
+        cells: Its cells, from the start.
+        headings: The direction of travel on each.
+        shape: The points of its middle, as rows and columns.
+        width: Its width in cells.
+        zones: The zones that contain its middle.
+        has_line: Whether cars on its last cell are at an intersection.
+        along: The distance of each cell from the start along `shape`, in cells; it never decreases.
+        length: The length of `shape`.
+    """
+
+    cells: tuple[tuple[int, int], ...]
+    headings: tuple[Heading, ...]
+    shape: tuple[tuple[float, float], ...]
+    width: float
+    zones: tuple[str, ...]
+    has_line: bool
+    along: tuple[float, ...]
+    length: float
+
+    @property
+    def start(self) -> tuple[int, int]:
+        """Row and column of its first cell."""
+        return self.cells[0]
+
+    @property
+    def entered(self) -> Heading:
+        """The direction of travel at its start."""
+        return self.headings[0]
+
+    def _at(self, left: float) -> int:
+        return min(max(bisect(self.along, self.length - left) - 1, 0), len(self.cells) - 1)
+
+    def cell(self, left: float, least: int = 0) -> tuple[int, int]:
+        """Return the cell at this distance from its end, in cells, at least `least` cells before the last one."""
+        return self.cells[max(min(self._at(left), len(self.cells) - 1 - least), 0)]
+
+    def heading_at(self, left: float) -> Heading:
+        """Return the direction of travel at this distance from its end."""
+        return self.headings[self._at(left)]
+
+
+@dataclass(frozen=True)
+class _Plane:
+    """The plane of a recording.
 
     Attributes:
         name: The name of the map.
         rows, columns: The numbers of rows and columns of cells.
-        blocks: The numbers of rows and columns of blocks.
-        lane_offset: The number of cells from a lane to the mid line of its street.
-        lanes: All lanes.
         cell: The side of a cell in meters.
         origin: The position of the upper left corner of the map in meters.
         y_up: Whether y grows toward the top of the map, as on road maps, or toward its bottom, as in pictures.
@@ -60,12 +127,40 @@ class Grid:
     name: str
     rows: int
     columns: int
+    cell: float
+    origin: tuple[float, float]
+    y_up: bool
+
+    def position(self, row: float, column: float) -> tuple[float, float]:
+        """Return the position in meters of a point on the map; a cell has its number as its first edge."""
+        down = row * self.cell
+        return self.origin[0] + column * self.cell, self.origin[1] + (-down if self.y_up else down)
+
+    def point(self, x: float, y: float) -> tuple[float, float]:
+        """Return the row and the column of a position in meters: the converse of `position`."""
+        down = (self.origin[1] - y) if self.y_up else (y - self.origin[1])
+        return down / self.cell, (x - self.origin[0]) / self.cell
+
+    def cell_of(self, row: float, column: float) -> tuple[int, int] | None:
+        """Return the cell of a point; `None` off the map."""
+        cell = (math.floor(row), math.floor(column))
+        return cell if 0 <= cell[0] < self.rows and 0 <= cell[1] < self.columns else None
+
+
+@dataclass(frozen=True)
+class Grid(_Plane):
+    """A map of blocks in the plane of a recording.
+
+    Attributes:
+        blocks: The numbers of rows and columns of blocks.
+        lane_offset: The number of cells from a lane to the mid line of its street.
+        lanes: All lanes.
+    """
+
     blocks: tuple[int, int]
     lane_offset: int
     lanes: tuple[Lane, ...]
-    cell: float
-    origin: tuple[float, float] = (0.0, 0.0)
-    y_up: bool = True
+    _across: dict[Heading, dict[int, list[int]]] = field(repr=False, compare=False)
 
     @classmethod
     def load(
@@ -80,30 +175,233 @@ class Grid:
         Raises:
             InputError: If the file is invalid.
             OSError: If it cannot be read.
+            ValueError: If the map is a road network.
         """
-        file = os.fspath(path)
-        if not os.path.exists(file) and os.path.basename(file) == file and "." not in file:
-            with suppress(FileNotFoundError):
-                _logicity.read_file(map_file := f"configs/maps/{file}.yaml")
-                file = map_file
-        name, (rows, columns), blocks, offset, lanes = _logicity.lanes(file)
+        name, (rows, columns), blocks, offset, lanes = _logicity.lanes(_map_file(path))
         last = {"Left": blocks[0], "Right": blocks[0], "Up": blocks[1], "Down": blocks[1]}
 
         def made(lane: tuple[Heading, int, int, tuple[int, int], tuple[int, int], list[str]]) -> Lane:
             heading, street, block, start, end, zones = lane
             return Lane(heading, street, block, start, end, tuple(zones), 0 < street < last[heading])
 
-        return cls(name, rows, columns, (blocks[0], blocks[1]), offset, tuple(map(made, lanes)), cell, origin, y_up)
+        all_lanes = tuple(map(made, lanes))
+        across: dict[Heading, dict[int, list[int]]] = {heading: {} for heading in STEPS}
+        for number, lane in enumerate(all_lanes):
+            row, column = lane.start
+            key = row if lane.heading in ("Left", "Right") else column
+            across[lane.heading].setdefault(key, []).append(number)
+        shape = (blocks[0], blocks[1])
+        return cls(name, rows, columns, cell, origin, y_up, shape, offset, all_lanes, across)
 
-    def position(self, row: float, column: float) -> tuple[float, float]:
-        """Return the position in meters of a point on the map; a cell has its number as its first edge."""
-        down = row * self.cell
-        return self.origin[0] + column * self.cell, self.origin[1] + (-down if self.y_up else down)
+    def find(self, angle: float, row: float, column: float) -> tuple[int, float] | None:
+        """Return the lane at a point in a direction, and the distance to its end in cells.
 
-    def point(self, x: float, y: float) -> tuple[float, float]:
-        """Return the row and the column of a position in meters: the converse of `position`."""
-        down = (self.origin[1] - y) if self.y_up else (y - self.origin[1])
-        return down / self.cell, (x - self.origin[0]) / self.cell
+        Args:
+            angle: The direction in radians counterclockwise from the right of the map.
+            row, column: The point.
+        """
+        heading = _heading(angle)
+        is_flat = heading in ("Left", "Right")
+        across, along = (row, column) if is_flat else (column, row)
+        axis = 1 if is_flat else 0
+        width = self.lane_offset + 0.5
+        for center, lanes in self._across[heading].items():
+            if abs(across - (center + 0.5)) > width:
+                continue
+            for number in lanes:
+                lane = self.lanes[number]
+                low, high = sorted((lane.start[axis], lane.end[axis]))
+                if low <= along <= high + 1:
+                    forward = heading in ("Right", "Down")
+                    return number, (high + 1 - along) if forward else (along - low)
+        return None
+
+    def before(self, lane: int, rear: tuple[float, float]) -> tuple[int, int]:
+        """Return the cell in the intersection behind a lane of a car whose front is on the lane and whose rear is not."""
+        chosen = self.lanes[lane]
+        rows, columns = STEPS[chosen.heading]
+        last = (chosen.start[0] - rows, chosen.start[1] - columns)
+        at = self.cell_of(*rear)
+        if at is None or (at[0] - last[0]) * rows + (at[1] - last[1]) * columns > 0:
+            return last
+        return at
+
+    def beyond(self, lane: int, front: tuple[float, float]) -> tuple[int, int]:
+        """Return the cell in the intersection ahead of a car whose rear is still on a lane."""
+        chosen = self.lanes[lane]
+        rows, columns = STEPS[chosen.heading]
+        return chosen.end[0] + rows, chosen.end[1] + columns
+
+    def inside(self, rear: tuple[float, float]) -> tuple[int, int] | None:
+        """Return the cell of a car on no lane; `None` off the map."""
+        return self.cell_of(*rear)
+
+
+#: The side of the squares in which `Roads` looks for lanes, in cells.
+_SQUARE = 16
+#: The greatest difference between the directions of a car and of its lane.
+_ALIGNED = math.radians(60)
+#: The cells beside a lane where a car still drives on it.
+_BESIDE = 0.5
+#: The greatest distance of a car in an intersection from the cells of a connection, in cells.
+_FROM_LINK = 4
+
+
+@dataclass(frozen=True)
+class Roads(_Plane):
+    """A road network in the plane of a recording. Its file states the sides of cells and the origin.
+
+    Attributes:
+        lanes: All lanes for cars.
+        links: The connections: two lanes, and the cells between them.
+    """
+
+    lanes: tuple[Road, ...]
+    links: tuple[tuple[int, int, tuple[tuple[int, int], ...]], ...]
+    #: By square: lanes with the number of a segment.
+    _segments: dict[tuple[int, int], list[tuple[int, int]]] = field(repr=False, compare=False)
+    #: The distances of the points of each lane from its start.
+    _reached: tuple[tuple[float, ...], ...] = field(repr=False, compare=False)
+    #: The nearest cell of a connection of each cell near one.
+    _linked: dict[tuple[int, int], tuple[int, int]] = field(repr=False, compare=False)
+    #: The cells of the connections that enter each lane, and the first ones of those that leave it.
+    _entering: dict[int, list[tuple[int, int]]] = field(repr=False, compare=False)
+    _leaving: dict[int, list[tuple[int, int]]] = field(repr=False, compare=False)
+
+    @classmethod
+    def load(cls, path: str | os.PathLike[str], info: Any) -> Roads:
+        """Return a road network as `_logicity.roads` describes it."""
+        name, (rows, columns), cell, origin, lanes, links = info
+        roads, reached = [], []
+        segments: dict[tuple[int, int], list[tuple[int, int]]] = {}
+        for number, (cells, points, width, has_line, zones) in enumerate(lanes):
+            shape = tuple((y, x) for x, y in points)
+            at = list(accumulate((math.dist(one, other) for one, other in pairwise(shape)), initial=0.0))
+            along, most = [], 0.0
+            for (row, column), _ in cells:
+                most = max(most, _projected(shape, at, row + 0.5, column + 0.5)[1])
+                along.append(most)
+            headings = tuple(heading for _, heading in cells)
+            places = tuple(place for place, _ in cells)
+            roads.append(Road(places, headings, shape, width, tuple(zones), has_line, tuple(along), at[-1]))
+            reached.append(tuple(at))
+            reach = width / 2 + _BESIDE
+            for segment, (one, other) in enumerate(pairwise(shape)):
+                spans = [
+                    range(
+                        math.floor((min(a, b) - reach) / _SQUARE),
+                        math.floor((max(a, b) + reach) / _SQUARE) + 1,
+                    )
+                    for a, b in zip(one, other, strict=True)
+                ]
+                for square in product(*spans):
+                    segments.setdefault((square[0], square[1]), []).append((number, segment))
+        ways = tuple((one, other, tuple(cells)) for one, other, cells in links)
+        linked: dict[tuple[int, int], tuple[int, int]] = {}
+        entering: dict[int, list[tuple[int, int]]] = {}
+        leaving: dict[int, list[tuple[int, int]]] = {}
+        for one, other, cells in ways:
+            entering.setdefault(other, []).extend(cells)
+            leaving.setdefault(one, []).extend(cells[:1])
+            for row, column in cells:
+                for rows_, columns_ in product(range(-_FROM_LINK, _FROM_LINK + 1), repeat=2):
+                    near = (row + rows_, column + columns_)
+                    known = linked.get(near)
+                    if known is None or math.dist(near, (row, column)) < math.dist(near, known):
+                        linked[near] = (row, column)
+        plane = (name, rows, columns, cell, (origin[0], origin[1]), True)
+        return cls(*plane, tuple(roads), ways, segments, tuple(reached), linked, entering, leaving)
+
+    def find(self, angle: float, row: float, column: float) -> tuple[int, float] | None:
+        """Return the nearest lane at a point in a direction, and the distance to its end in cells. See `Grid.find`."""
+        best: tuple[float, int, float] | None = None
+        square = (math.floor(row / _SQUARE), math.floor(column / _SQUARE))
+        for number, segment in self._segments.get(square, ()):
+            lane = self.lanes[number]
+            one, other = lane.shape[segment], lane.shape[segment + 1]
+            # Rows grow downward.
+            turn = math.atan2(one[0] - other[0], other[1] - one[1]) - angle
+            if abs(math.remainder(turn, 2 * math.pi)) > _ALIGNED:
+                continue
+            length = math.dist(one, other)
+            share = ((row - one[0]) * (other[0] - one[0]) + (column - one[1]) * (other[1] - one[1])) / (length**2 or 1)
+            if not -1e-6 <= share <= 1 + 1e-6:
+                continue
+            foot = (one[0] + share * (other[0] - one[0]), one[1] + share * (other[1] - one[1]))
+            away = math.dist(foot, (row, column))
+            if away <= lane.width / 2 + _BESIDE and (best is None or away < best[0]):
+                at = self._reached[number][segment] + share * length
+                best = (away, number, max(lane.length - at, 0.0))
+        return None if best is None else (best[1], best[2])
+
+    def before(self, lane: int, rear: tuple[float, float]) -> tuple[int, int]:
+        """Return the cell in the intersection behind a lane of a car whose front is on the lane and whose rear is not."""
+        cells = self._entering.get(lane, ())
+        return min(cells, key=lambda cell: math.dist(cell, rear), default=self.lanes[lane].start)
+
+    def beyond(self, lane: int, front: tuple[float, float]) -> tuple[int, int]:
+        """Return the cell in the intersection ahead of a car whose rear is still on a lane."""
+        cells = self._leaving.get(lane, ())
+        return min(cells, key=lambda cell: math.dist(cell, front), default=self.lanes[lane].cells[-1])
+
+    def inside(self, rear: tuple[float, float]) -> tuple[int, int] | None:
+        """Return the cell of a car on no lane: the nearest one of a connection, if one is near; `None` off the map."""
+        at = self.cell_of(*rear)
+        return at if at is None else self._linked.get(at, at)
+
+
+Streets: TypeAlias = Grid | Roads
+"""A map in the plane of a recording."""
+
+
+def load_map(
+    path: str | os.PathLike[str],
+    cell: float | None = None,
+    origin: tuple[float, float] | None = None,
+    y_up: bool | None = None,
+) -> Streets:
+    """Return the map in a map file or a configuration. A bare name is a built-in one, first of all a map.
+
+    Args:
+        path: The file.
+        cell: The side of a cell in meters, 1 by default; only for a map of blocks, since road networks state it.
+        origin: The position of the upper left corner in meters, 0, 0 by default; only for a map of blocks.
+        y_up: Whether y grows toward the top of the map; only for a map of blocks.
+
+    Raises:
+        InputError: If the file is invalid.
+        OSError: If it cannot be read.
+        ValueError: If `cell`, `origin` or `y_up` is given for a road network.
+    """
+    info = _logicity.roads(_map_file(path))
+    if info is None:
+        return Grid.load(path, 1.0 if cell is None else cell, origin or (0.0, 0.0), y_up is not False)
+    if cell is not None or origin is not None or y_up is not None:
+        raise ValueError(f"{os.fspath(path)}: a road network states the side of its cells and its origin; omit them")
+    return Roads.load(path, info)
+
+
+def _map_file(path: str | os.PathLike[str]) -> str:
+    file = os.fspath(path)
+    if not os.path.exists(file) and os.path.basename(file) == file and "." not in file:
+        with suppress(FileNotFoundError):
+            _logicity.read_file(map_file := f"configs/maps/{file}.yaml")
+            return map_file
+    return file
+
+
+def _projected(
+    shape: Sequence[tuple[float, float]], at: Sequence[float], row: float, column: float
+) -> tuple[float, float]:
+    """Return the distance of a point from a line, and the distance of its foot from the start of the line."""
+    best = (math.inf, 0.0)
+    for (one, other), start in zip(pairwise(shape), at, strict=False):
+        length = math.dist(one, other)
+        share = ((row - one[0]) * (other[0] - one[0]) + (column - one[1]) * (other[1] - one[1])) / (length**2 or 1)
+        share = min(max(share, 0.0), 1.0)
+        foot = (one[0] + share * (other[0] - one[0]), one[1] + share * (other[1] - one[1]))
+        best = min(best, (math.dist(foot, (row, column)), start + share * length))
+    return best
 
 
 @dataclass(frozen=True)
@@ -193,7 +491,7 @@ class _State:
     entering: int | None = None
 
 
-def place(recording: Recording, grid: Grid, thresholds: Thresholds | None = None) -> Placement:
+def place(recording: Recording, grid: Streets, thresholds: Thresholds | None = None) -> Placement:
     """Place the tracks of a recording on a map.
 
     A car on a street drives on the lane of its direction, wherever it is across. It is on the line of an intersection
@@ -201,8 +499,7 @@ def place(recording: Recording, grid: Grid, thresholds: Thresholds | None = None
     """
     chosen = thresholds or Thresholds()
     found = Placement()
-    index = _LaneIndex(grid)
-    states: list[list[_State]] = [_states(track, grid, index, recording.tick, chosen) for track in recording.tracks]
+    states: list[list[_State]] = [_states(track, grid, recording.tick, chosen) for track in recording.tracks]
     # The car nearest to the line, by tick and lane.
     first: dict[tuple[int, int], float] = {}
     for track, along in zip(recording.tracks, states, strict=True):
@@ -217,39 +514,11 @@ def place(recording: Recording, grid: Grid, thresholds: Thresholds | None = None
     return found
 
 
-class _LaneIndex:
-    """The lanes by heading and street."""
-
-    def __init__(self, grid: Grid) -> None:
-        self.across: dict[Heading, dict[int, list[int]]] = {heading: {} for heading in STEPS}
-        for number, lane in enumerate(grid.lanes):
-            row, column = lane.start
-            key = row if lane.heading in ("Left", "Right") else column
-            self.across[lane.heading].setdefault(key, []).append(number)
-
-    def find(self, grid: Grid, heading: Heading, row: float, column: float) -> tuple[int, float] | None:
-        """Return the lane of a heading at a point, and the distance to its end in cells."""
-        is_flat = heading in ("Left", "Right")
-        across, along = (row, column) if is_flat else (column, row)
-        axis = 1 if is_flat else 0
-        width = grid.lane_offset + 0.5
-        for center, lanes in self.across[heading].items():
-            if abs(across - (center + 0.5)) > width:
-                continue
-            for number in lanes:
-                lane = grid.lanes[number]
-                low, high = sorted((lane.start[axis], lane.end[axis]))
-                if low <= along <= high + 1:
-                    forward = heading in ("Right", "Down")
-                    return number, (high + 1 - along) if forward else (along - low)
-        return None
-
-
 def _heading(angle: float) -> Heading:
     return _AROUND[round(angle / (math.pi / 2)) % 4]
 
 
-def _states(track: Track, grid: Grid, index: _LaneIndex, tick: float, thresholds: Thresholds) -> list[_State]:
+def _states(track: Track, grid: Streets, tick: float, thresholds: Thresholds) -> list[_State]:
     is_car = track.kind == "Car"
     ahead = 0.0 if thresholds.front or not is_car else thresholds.length / 2
     states: list[_State] = []
@@ -266,53 +535,41 @@ def _states(track: Track, grid: Grid, index: _LaneIndex, tick: float, thresholds
         if not math.isnan(angle):
             heading, direction = _heading(angle if grid.y_up else -angle), angle
         front = grid.point(x + ahead * math.cos(direction), y + ahead * math.sin(direction))
-        state = _State(None, heading, 0.0, moved if math.isnan(speed) else speed, _cell(grid, *front))
+        state = _State(None, heading, 0.0, moved if math.isnan(speed) else speed, grid.cell_of(*front))
         if is_car and heading is not None:
             behind = ahead - thresholds.length
             rear = grid.point(x + behind * math.cos(direction), y + behind * math.sin(direction))
-            _find_lane(state, grid, index, front, rear, thresholds.length)
+            _find_lane(state, grid, direction if grid.y_up else -direction, front, rear, thresholds.length)
         states.append(state)
     return states
 
 
 def _find_lane(
     state: _State,
-    grid: Grid,
-    index: _LaneIndex,
+    grid: Streets,
+    angle: float,
     front: tuple[float, float],
     rear: tuple[float, float],
     length: float,
 ) -> None:
     """Find the lane of a car, or its cell in an intersection, which follows its rear."""
-    assert state.heading is not None
-    rows, columns = STEPS[state.heading]
-    found = index.find(grid, state.heading, *front)
+    found = grid.find(angle, *front)
     if found is not None:
         lane = grid.lanes[found[0]]
-        cells = abs(lane.end[0] - lane.start[0]) + abs(lane.end[1] - lane.start[1]) + 1
-        if cells * grid.cell - found[1] * grid.cell >= length:
+        if (lane.length - found[1]) * grid.cell >= length:
             state.lane, state.left = found[0], found[1] * grid.cell
+            state.heading = lane.heading_at(found[1])
             return
         # The rear is still behind the lane.
         state.entering = found[0]
-        last = (lane.start[0] - rows, lane.start[1] - columns)
-        at = _cell(grid, *rear)
-        if at is None or (at[0] - last[0]) * rows + (at[1] - last[1]) * columns > 0:
-            at = last
-        state.cell = at
+        state.cell = grid.before(found[0], rear)
         return
-    behind = index.find(grid, state.heading, *rear)
+    behind = grid.find(angle, *rear)
     if behind is not None:
         # The rear has not entered the intersection yet.
-        end = grid.lanes[behind[0]].end
-        state.cell = (end[0] + rows, end[1] + columns)
+        state.cell = grid.beyond(behind[0], front)
     else:
-        state.cell = _cell(grid, *rear) or state.cell
-
-
-def _cell(grid: Grid, row: float, column: float) -> tuple[int, int] | None:
-    cell = (math.floor(row), math.floor(column))
-    return cell if 0 <= cell[0] < grid.rows and 0 <= cell[1] < grid.columns else None
+        state.cell = grid.inside(rear) or state.cell
 
 
 def _names(tracks: list[Track]) -> list[str]:
@@ -326,7 +583,7 @@ def _names(tracks: list[Track]) -> list[str]:
     return names
 
 
-def _exits(along: list[_State], grid: Grid) -> list[Heading | None]:
+def _exits(along: list[_State], grid: Streets) -> list[Heading | None]:
     """Return for each state the heading of the next lane that is not the present one."""
     exits: list[Heading | None] = []
     lane: int | None = None
@@ -336,9 +593,9 @@ def _exits(along: list[_State], grid: Grid) -> list[Heading | None]:
         entered = state.lane if state.entering is None else state.entering
         if entered is not None and entered != lane:
             if lane is not None:
-                ahead = grid.lanes[lane].heading
+                ahead = grid.lanes[lane].entered
             lane = entered
-        exits.append(ahead if state.lane is not None else None if lane is None else grid.lanes[lane].heading)
+        exits.append(ahead if state.lane is not None else None if lane is None else grid.lanes[lane].entered)
     exits.reverse()
     return exits
 
@@ -347,7 +604,7 @@ def _moments(
     track: Track,
     name: str,
     along: list[_State],
-    grid: Grid,
+    grid: Streets,
     thresholds: Thresholds,
     first: dict[tuple[int, int], float],
     tick_length: float,
@@ -402,37 +659,31 @@ def _moments(
 
 
 def _on_lane(
-    lane: Lane,
+    lane: Lane | Road,
     state: _State,
     following: _State | None,
-    grid: Grid,
+    grid: Streets,
     thresholds: Thresholds,
     is_first: bool,
     speed: float | None,
     has_started: bool,
 ) -> tuple[tuple[int, int], bool, bool]:
     """Return the cell of a car on a lane, whether it decides at the line, and whether it has started from there."""
-    rows, columns = STEPS[lane.heading]
-    length = abs(lane.end[0] - lane.start[0]) + abs(lane.end[1] - lane.start[1])
-
-    def cell(back: int) -> tuple[int, int]:
-        back = min(max(back, -1), length)
-        return lane.end[0] - rows * back, lane.end[1] - columns * back
-
-    back = math.ceil(state.left / grid.cell - 1e-9) - 1
+    left = state.left / grid.cell
     if not lane.has_line:
-        return cell(back), False, False
+        return lane.cell(left), False, False
     crosses = following is not None and following.lane != state.lane
     stands = speed is not None and speed < thresholds.stop
     near = is_first and state.left <= thresholds.line
     if has_started:
         # It has decided, and is about to enter.
-        return cell(0), False, True
+        return lane.cell(0), False, True
     if stands and near:
-        return cell(0), True, False
+        return lane.cell(0), True, False
     if near and not crosses and state.speed < thresholds.stop:
         # It stood, and starts.
-        return cell(0), True, True
+        return lane.cell(0), True, True
     if crosses and is_first:
-        return cell(0), True, False
-    return cell(max(back, 1)), False, False
+        return lane.cell(0), True, False
+    # Only cars on the line are on its last cell.
+    return lane.cell(left, least=1), False, False

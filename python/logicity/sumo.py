@@ -1,4 +1,4 @@
-"""Maps of cities as road networks for SUMO, in its plain XML, which `netconvert` reads."""
+"""Maps of cities as networks of SUMO: those of blocks in its plain XML, which `netconvert` reads."""
 
 from __future__ import annotations
 
@@ -11,11 +11,12 @@ from pathlib import Path
 from typing import Literal, TypeAlias, get_args
 from xml.sax.saxutils import quoteattr
 
+from . import _logicity
 from .files import check_writable, write_text
 from .placement import STEPS, Grid, Lane
 from .types import Heading
 
-__all__ = ["CYCLE", "Junctions", "export_network", "find_program", "netconvert_options", "network"]
+__all__ = ["CYCLE", "Junctions", "export_network", "export_roads", "find_program", "netconvert_options", "network"]
 
 #: The right of way at the intersections of a road network.
 Junctions: TypeAlias = Literal["right_before_left", "priority", "allway_stop", "traffic_light"]
@@ -112,6 +113,28 @@ def export_network(
     finally:
         made.unlink(missing_ok=True)
     return [*paths, Path(name)]
+
+
+def export_roads(map: str | os.PathLike[str], out: str | os.PathLike[str], *, overwrite: bool = False) -> None:
+    """Write the road network of a map as a network of SUMO, which needs no `netconvert`.
+
+    Positions are those from which the map was imported. Crossings and sidewalks are written without connections between
+    them, so SUMO shows pedestrians but does not route them.
+
+    Args:
+        map: A map file or a configuration whose map is a road network.
+        out: The name of the network, which ends in `.net.xml`.
+        overwrite: Whether to replace a file that this function did not write.
+
+    Raises:
+        InputError: If the map is invalid.
+        OSError: If a file cannot be read or written.
+        ValueError: If the map is one of blocks.
+    """
+    text = _logicity.network_file(os.fspath(map))
+    if text is None:
+        raise ValueError(f"{os.fspath(map)}: the map is one of blocks; `export_network` writes it")
+    write_text(out, text, by="map export", overwrite=overwrite)
 
 
 def netconvert_options(stem: str, files: dict[str, str]) -> list[str]:

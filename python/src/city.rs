@@ -7,7 +7,7 @@ use crate::{
 };
 use logicity::builtin::{BuiltinFiles, ReadWith};
 use logicity::cancel::Cancel;
-use logicity::city::{Action, Split};
+use logicity::city::{Action, AgentKind, Split};
 use logicity::city::{Agent, Cell, CityMap, Heading, Lane, MoveReason};
 use logicity::config::{Loaded as AnyFile, load_any, missing_file};
 use logicity::datalog::MarginalOptions;
@@ -35,6 +35,8 @@ pub fn register(module: &Bound<'_, PyModule>) -> PyResult<()> {
     module.add("HEADINGS", Heading::ALL.map(Heading::name))?;
     module.add("REASONS", REASONS.map(|(_, name)| name))?;
     module.add_function(wrap_pyfunction!(lanes, module)?)?;
+    module.add_function(wrap_pyfunction!(network_file, module)?)?;
+    module.add_function(wrap_pyfunction!(roads, module)?)?;
     module.add_class::<PyInference>()?;
     module.add_class::<PySimulation>()
 }
@@ -261,22 +263,90 @@ type LaneInfo = (&'static str, i32, i32, (i32, i32), (i32, i32), Vec<String>);
 /// The geometry of a map, as [`lanes`] returns it.
 type GridInfo = (String, [i32; 2], [i32; 2], i32, Vec<LaneInfo>);
 
-/// Returns the geometry of the map in a map file or a configuration: its name, the numbers of rows and columns of cells
-/// and of blocks, the cells from a lane to the mid line of its street, and all lanes.
-#[pyfunction]
-fn lanes(py: Python<'_>, path: PathBuf) -> PyResult<GridInfo> {
+/// Returns the map in a map file or a configuration.
+fn map_at(py: Python<'_>, path: &Path) -> PyResult<CityMap> {
     let mut sources = Sources::new();
-    let made = load_any(&mut sources, &path, &BuiltinFiles).and_then(|loaded| {
+    let made = load_any(&mut sources, path, &BuiltinFiles).and_then(|loaded| {
         let config = match loaded {
             AnyFile::Scenario(scenario) => scenario.map,
             AnyFile::Map(map) => map,
         };
         CityMap::generate(&config).map_err(|fault| vec![fault])
     });
-    let map = made.map_err(|faults| match missing_file(&faults) {
+    made.map_err(|faults| match missing_file(&faults) {
         Some(fault) => missing_file_error(fault),
         None => input_error(py, &faults, &sources),
-    })?;
+    })
+}
+
+/// Returns the road network of the map in a map file or a configuration as a network of SUMO; `None` for a map of blocks.
+#[pyfunction]
+fn network_file(py: Python<'_>, path: PathBuf) -> PyResult<Option<String>> {
+    Ok(map_at(py, &path)?.network().map(logicity::sumo::network_file))
+}
+
+/// A lane for cars: its cells with the direction of travel, its points in cells, its width, whether an intersection is at
+/// its end, and the zones that contain its middle.
+type RoadLaneInfo = (Vec<((i32, i32), &'static str)>, Vec<(f64, f64)>, f64, bool, Vec<String>);
+
+/// The geometry of a road network, as [`roads`] returns it.
+type RoadInfo = (
+    String,
+    [i32; 2],
+    f64,
+    [f64; 2],
+    Vec<RoadLaneInfo>,
+    Vec<(usize, usize, Vec<(i32, i32)>)>,
+);
+
+/// Returns the geometry of the road network of the map in a map file or a configuration: its name, the numbers of rows and
+/// columns of cells, the side of a cell and the position of the upper left corner in meters, the lanes for cars, and the
+/// connections: two lanes and the cells between them. `None` for a map of blocks.
+#[pyfunction]
+fn roads(py: Python<'_>, path: PathBuf) -> PyResult<Option<RoadInfo>> {
+    let map = map_at(py, &path)?;
+    let Some(network) = map.network() else { return Ok(None) };
+    let pair = |cell: &Cell| (cell.row, cell.col);
+    let (mut numbers, mut lanes) = (BTreeMap::new(), Vec::new());
+    for (number, lane) in network.lanes.iter().enumerate() {
+        let cells = map.lane_cells(number);
+        let Some(last) = cells.last() else { continue };
+        let middle = cells[cells.len() / 2];
+        let headings = cells.iter().map(|cell| map.lane_at(*cell).map_or("", Heading::name));
+        let zones = map.zones().filter(|zone| map.in_zone(zone, middle)).map(str::to_owned);
+        numbers.insert(number, lanes.len());
+        lanes.push((
+            cells.iter().map(pair).zip(headings).collect(),
+            lane.shape.iter().map(|point| (point.x, point.y)).collect(),
+            lane.width,
+            map.at_intersection(AgentKind::Car, *last).is_some(),
+            zones.collect(),
+        ));
+    }
+    let links = network
+        .connections
+        .iter()
+        .enumerate()
+        .filter_map(|(number, connection)| {
+            let [from, to] = [connection.from, connection.to].map(|lane| numbers.get(&(lane as usize)));
+            let (from, to) = (from?, to?);
+            Some((*from, *to, map.connection_cells(number).iter().map(pair).collect()))
+        });
+    Ok(Some((
+        map.name.clone(),
+        [map.rows(), map.cols()],
+        network.cell,
+        network.origin,
+        lanes,
+        links.collect(),
+    )))
+}
+
+/// Returns the geometry of the map in a map file or a configuration: its name, the numbers of rows and columns of cells
+/// and of blocks, the cells from a lane to the mid line of its street, and all lanes.
+#[pyfunction]
+fn lanes(py: Python<'_>, path: PathBuf) -> PyResult<GridInfo> {
+    let map = map_at(py, &path)?;
     let lane = |(street, block, lane): (i32, i32, Lane)| {
         let middle = Cell::new((lane.start.row + lane.end.row) / 2, (lane.start.col + lane.end.col) / 2);
         let zones = map.zones().filter(|zone| map.in_zone(zone, middle)).map(str::to_owned);

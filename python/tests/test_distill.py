@@ -268,3 +268,43 @@ def test_rules_of_traffic_that_sumo_drives(tmp_path: Path, junctions: str) -> No
     assert free["moments"] > 500 and free["explained"] >= least, free
     rules = " ".join(clause["rule"] for clause in report["clauses"])
     assert all(word in rules for word in words), rules
+
+
+ROADS_CITY = """
+base: right-of-way-roads
+rules: rules.dl
+map: roads.yaml
+agents: {test: {cars: [{priority: 1, count: 40}]}}
+"""
+
+
+def test_rules_of_a_city_on_an_imported_network_are_recovered(tmp_path: Path) -> None:
+    """An imported network, a run on it, its trajectories, and the rules of the run from these."""
+    net = Path(__file__).parents[2] / "tests" / "fixtures" / "networks" / "grid-right.net.xml"
+    roads = tmp_path / "roads.yaml"
+    (tmp_path / "own.yaml").write_text(ROADS_CITY, encoding="utf-8")
+    (tmp_path / "rules.dl").write_text(RIGHT_BEFORE_LEFT, encoding="utf-8")
+    run, traffic, out = tmp_path / "run", tmp_path / "traffic.xml", tmp_path / "learned"
+    for arguments in (
+        ["map", "import", str(net), "-o", str(roads)],
+        ["run", str(tmp_path / "own.yaml"), "--ticks", "600", "--seed", "2", "--no-pictures", "--out", str(run)],
+        ["fcd", str(run / "trace.jsonl"), "-o", str(traffic)],
+        ["distill", str(traffic), "--map", str(roads), "-o", str(out), *OWN[2:]],
+    ):
+        done = command(*arguments)
+        assert done.returncode == 0, done.stderr
+    report = json.loads((out / "report.json").read_text())
+    assert report["recording"]["off_map"] == 0
+    assert report["test"]["line"]["moments"] > 100
+    assert report["test"]["line"]["explained"] >= 0.97, done.stdout
+    logicity.Simulation(str(out / "city.yaml")).run(20)
+    # The exported network is that of the file, so SUMO shows the run on it.
+    back = tmp_path / "back.net.xml"
+    assert command("map", "export", str(roads), "-o", str(back)).returncode == 0
+    again = tmp_path / "again.yaml"
+    assert command("map", "import", str(back), "-o", str(again)).returncode == 0
+    assert again.read_text().splitlines()[1:] == roads.read_text().splitlines()[1:]
+    refused = command("distill", str(traffic), "--map", str(roads), "--cell", "2", "-o", str(tmp_path / "x"))
+    assert refused.returncode == 2 and "a road network states the side of its cells" in refused.stderr
+    refused = command("map", "export", str(roads), "--speed", "50", "-o", str(tmp_path / "x.net.xml"))
+    assert refused.returncode == 2 and "omit the option" in refused.stderr

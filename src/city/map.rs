@@ -836,6 +836,23 @@ impl CityMap {
         self.roads().into_iter().flat_map(move |roads| roads.signs_ahead(cell))
     }
 
+    /// Returns the name of the lane of a cell on a road network.
+    #[cfg(feature = "cli")]
+    pub(crate) fn lane_name(&self, cell: Cell) -> Option<&str> {
+        self.roads()?.lane_name(cell)
+    }
+
+    /// Returns two cells of the lane of a cell on a road network, at most `around` steps before and behind it.
+    #[cfg(feature = "cli")]
+    pub(crate) fn lane_direction(&self, cell: Cell, around: usize) -> Option<(Cell, Cell)> {
+        self.roads()?.lane_direction(cell, around)
+    }
+
+    /// Returns the speed limit in km/h on the lane of an agent of that kind.
+    pub fn limit(&self, kind: AgentKind, cell: Cell) -> Option<u16> {
+        self.roads().filter(|_| kind == AgentKind::Car)?.limit(cell)
+    }
+
     /// Returns whether a connection that leaves the lane of the first cell, and is no way back, must yield to one that
     /// leaves the lane of the second.
     pub fn must_yield(&self, cell: Cell, other: Cell) -> bool {

@@ -42,6 +42,8 @@ impl Serialize for Point {
 pub struct Network {
     /// The length of the side of a cell in meters.
     pub cell: f64,
+    /// The position of the upper left corner in meters, in the plane of what it was made from; y grows upward there.
+    pub origin: [f64; 2],
     /// Rows and columns of cells.
     pub size: [u32; 2],
     /// The junctions.
@@ -105,6 +107,9 @@ pub struct RoadLane {
     pub shape: Vec<Point>,
     /// Its width in cells.
     pub width: f64,
+    /// The speed limit in km/h.
+    #[serde(skip_serializing_if = "Option::is_none")]
+    pub limit: Option<u16>,
 }
 
 /// A direction in which a connection leaves a junction.
@@ -662,6 +667,26 @@ impl RoadMap {
         let connections = leaving.map(|&connection| &self.network.connections[connection as usize]);
         let ahead = connections.filter(|connection| connection.direction != Direction::Around);
         ahead.map(|connection| connection.sign)
+    }
+
+    /// Returns the name of the lane of a cell.
+    #[cfg(feature = "cli")]
+    pub fn lane_name(&self, cell: Cell) -> Option<&str> {
+        Some(&self.network.lanes[self.spot(cell)?.lane as usize].name)
+    }
+
+    /// Returns two different cells of the lane of a cell, at most `around` steps before and behind it.
+    #[cfg(feature = "cli")]
+    pub fn lane_direction(&self, cell: Cell, around: usize) -> Option<(Cell, Cell)> {
+        let spot = self.spot(cell)?;
+        let (path, at) = (self.path(spot.lane), spot.at as usize);
+        let [from, to] = [at.saturating_sub(around), (at + around).min(path.len() - 1)].map(|at| path[at]);
+        (from != to).then_some((from, to))
+    }
+
+    /// Returns the speed limit on the lane of a cell in km/h.
+    pub fn limit(&self, cell: Cell) -> Option<u16> {
+        self.network.lanes[self.spot(cell)?.lane as usize].limit
     }
 
     /// Returns whether a connection that leaves the lane of the first cell, and is no way back, must yield to one that

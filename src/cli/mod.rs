@@ -14,6 +14,7 @@ mod episodes;
 mod explain;
 mod fact;
 mod failure;
+mod fcd;
 mod fmt;
 mod icons;
 mod induce;
@@ -106,6 +107,8 @@ enum Command {
     Vap(vap::Arguments),
     /// Import road networks of SUMO as maps, or export maps to SUMO
     Map(map::Arguments),
+    /// Write a run as floating car data of SUMO: the positions of all agents over time
+    Fcd(fcd::Arguments),
     /// Plan one route and print its cells
     Route(route::Arguments),
     /// Draw sheets of the icons in pictures
@@ -265,6 +268,7 @@ fn run(mut command: clap::Command, arguments: &[OsString]) -> u8 {
         Command::Lsp(arguments) => lsp::run(&arguments),
         Command::Icons(arguments) => icons::run(&arguments),
         Command::Map(arguments) => map::run(&arguments, &mut sources),
+        Command::Fcd(arguments) => fcd::run(&arguments, &mut sources),
         Command::Route(arguments) => route::run(&arguments, &mut sources),
         Command::Bench(arguments) => bench::run(&arguments, &mut sources),
         Command::Codes(arguments) => codes::run(&arguments),

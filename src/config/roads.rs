@@ -7,6 +7,7 @@ use crate::diag::{self, Diagnostic, MAX_FAULTS, did_you_mean, listed};
 use crate::yaml::read::{Fields, integer, invalid, list, number, text};
 use crate::yaml::{YamlNode, codes};
 use std::collections::HashMap;
+use std::ops::RangeInclusive;
 
 /// The maximum number of cells of a network, which take five bytes each.
 const MAX_CELLS: u64 = 1 << 25;
@@ -17,9 +18,13 @@ const MAX_POINTS: usize = 1000;
 /// The maximum width of a lane in cells.
 const MAX_WIDTH: f64 = 100.0;
 
+/// The highest speed limit in km/h.
+pub(crate) const LIMIT_MAX: u16 = 1000;
+
 /// What each line holds, for messages.
 const JUNCTION: &str = "a junction: `NAME X,Y X,Y ...`";
-const LANE: &str = "a lane: `NAME USE X,Y X,Y ...`, and before the points `to=JUNCTION`, `left=LANE` and `width=CELLS`";
+const LANE: &str =
+    "a lane: `NAME USE X,Y X,Y ...`, and before the points `to=JUNCTION`, `left=LANE`, `width=CELLS` and `limit=KMH`";
 const CONNECTION: &str = "a connection: `LANE LANE DIRECTION SIGN X,Y ...`, and before the points `yields=LANE>LANE` for each that it yields to";
 
 pub(super) fn network<'n>(node: &'n YamlNode, faults: &mut Vec<Diagnostic>) -> Option<Network> {
@@ -27,10 +32,13 @@ pub(super) fn network<'n>(node: &'n YamlNode, faults: &mut Vec<Diagnostic>) -> O
     let mut fields = Fields::open(node, "a road network", faults)?;
     let meters = "a length from 0.1 to 100 meters";
     let cell = (fields.required("cell", faults)).and_then(|node| number(node, 0.1..=100.0, meters, faults));
+    let origin = fields
+        .optional("origin")
+        .map_or(Some([0.0; 2]), |node| origin(node, faults));
     let size = fields.required("size", faults).and_then(|node| size(node, faults));
     let [junctions, lanes, connections] = ["junctions", "lanes", "connections"].map(|key| fields.required(key, faults));
     fields.close(faults);
-    let (cell, size) = (cell?, size?);
+    let (cell, origin, size) = (cell?, origin?, size?);
     let mut lines = |of: Option<&'n YamlNode>, what: &str| {
         let nodes = list(of?, what, faults)?;
         let lines = nodes.iter().map(|node| {
@@ -80,11 +88,25 @@ pub(super) fn network<'n>(node: &'n YamlNode, faults: &mut Vec<Diagnostic>) -> O
     }
     (faults.len() == before).then_some(Network {
         cell,
+        origin,
         size,
         junctions,
         lanes,
         connections,
     })
+}
+
+/// The range of coordinates in meters.
+const METERS: RangeInclusive<f64> = -1e8..=1e8;
+
+fn origin(node: &YamlNode, faults: &mut Vec<Diagnostic>) -> Option<[f64; 2]> {
+    let what = "two numbers: X and Y in meters";
+    let [x, y] = list(node, what, faults)? else {
+        invalid(node, what, faults);
+        return None;
+    };
+    let [x, y] = [x, y].map(|node| number(node, METERS, "a number of meters", faults));
+    Some([x?, y?])
 }
 
 fn size(node: &YamlNode, faults: &mut Vec<Diagnostic>) -> Option<[u32; 2]> {
@@ -255,7 +277,7 @@ impl<'n> Reader<'n, '_> {
         let (name, _) = words.next()?;
         let usage = words.next().map_or("", |(word, _)| word);
         let usage = self.one_of(line, usage, &LaneUse::ALL.map(|usage| (usage.name(), usage)), LANE)?;
-        let (mut to, mut left, mut width) = (None, None, 1.0);
+        let (mut to, mut left, mut width, mut limit) = (None, None, 1.0, None);
         for (word, _) in words {
             let Some((key, value)) = word.split_once('=') else {
                 continue;
@@ -275,6 +297,14 @@ impl<'n> Reader<'n, '_> {
                     };
                     width = given;
                 }
+                "limit" => {
+                    limit = value.parse().ok().filter(|limit| (1..=LIMIT_MAX).contains(limit));
+                    if limit.is_none() {
+                        let help = format!("give a whole number of km/h from 1 to {LIMIT_MAX}");
+                        self.fault(line, format!("`{word}` is no speed limit"), &help);
+                        return None;
+                    }
+                }
                 _ => {
                     self.fault(line, format!("`{word}` is unknown"), &format!("write {LANE}"));
                     return None;
@@ -290,6 +320,7 @@ impl<'n> Reader<'n, '_> {
             left,
             shape,
             width,
+            limit,
         })
     }
 

@@ -27,6 +27,9 @@ pub enum Quantity {
     /// The direction in which the agent's route leaves the intersection at or in which it is, or else its next one; no
     /// value if the route ends before. The corners of the map count as intersections here.
     Exit,
+    /// The speed limit on the agent's lane in km/h; no value for pedestrians, inside intersections, on lanes without one, and
+    /// on a map of blocks.
+    Limit,
     /// The Euclidean distance of two different agents in cells.
     Distance,
     /// The number of the tick, from 0.
@@ -79,7 +82,7 @@ impl Progress {
 
 impl Quantity {
     /// All quantities.
-    pub const ALL: [Quantity; 9] = [
+    pub const ALL: [Quantity; 10] = [
         Quantity::Speed,
         Quantity::Heading,
         Quantity::Priority,
@@ -87,6 +90,7 @@ impl Quantity {
         Quantity::Remaining,
         Quantity::Intersection,
         Quantity::Exit,
+        Quantity::Limit,
         Quantity::Distance,
         Quantity::Tick,
     ];
@@ -101,6 +105,7 @@ impl Quantity {
             Quantity::Remaining => "remaining",
             Quantity::Intersection => "intersection",
             Quantity::Exit => "exit",
+            Quantity::Limit => "limit",
             Quantity::Distance => "distance",
             Quantity::Tick => "tick",
         }
@@ -142,6 +147,9 @@ impl Quantity {
             (Quantity::Remaining, [x, ..]) => count(x.progress.remaining),
             (Quantity::Priority, [x, ..]) => Some(Measure::Number(x.subject.priority)),
             (Quantity::Intersection, [x, ..]) => map.intersection(x.subject.kind, x.subject.at).and_then(count),
+            (Quantity::Limit, [x, ..]) => {
+                (map.limit(x.subject.kind, x.subject.at)).and_then(|limit| count(limit.into()))
+            }
             (Quantity::Heading, [x, ..]) => x.subject.heading.map(Measure::Heading),
             (Quantity::Exit, [x, ..]) => x.progress.exit.map(Measure::Heading),
             #[allow(clippy::cast_possible_truncation)] // a column of type float has single precision
@@ -178,6 +186,7 @@ impl PredicateKind for Quantity {
             Quantity::Waited => "has not moved for this number of ticks:",
             Quantity::Remaining => "has this number of cells before it:",
             Quantity::Intersection => "is at or inside the intersection with this number:",
+            Quantity::Limit => "has this speed limit in km/h:",
             Quantity::Exit => "leaves its next intersection in the direction",
             Quantity::Distance => "has this distance in cells from",
             Quantity::Tick => "The tick is",

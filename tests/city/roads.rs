@@ -11,7 +11,7 @@ use crate::shipped_world::world;
 use logicity::city::{Action, ActionTable};
 use logicity::city::{
     Agent, AgentConfig, AgentKind, AgentName, Cell, CityMap, Direction, Ground, LaneUse, MapConfig, Network, NoRoute,
-    Places, Router, Routing, Sign, Surroundings, Terrain, TripEnds, advance, possible_cells,
+    Places, Point, RoadLane, Router, Routing, Sign, Surroundings, Terrain, TripEnds, advance, possible_cells,
 };
 use logicity::diag::{Diagnostic, Sources};
 use logicity::rng::{Purpose, RngExt, Seed};
@@ -444,4 +444,144 @@ fn broken_networks_are_refused_with_their_place() {
     for end in (0..town.len()).step_by(211) {
         let _ = import(&town[..end], 1.0).is_err();
     }
+}
+
+/// `map export` writes what `map import` reads: the network comes back the same, but for the ends of streets without a
+/// junction.
+#[test]
+fn networks_come_back_from_their_export() {
+    for name in NETWORKS {
+        for cell in [1.0, 2.5] {
+            let network = import(&text_of(name), cell).unwrap();
+            let back = import(&sumo::network_file(&network), cell).unwrap();
+            assert_eq!((back.size, back.origin), (network.size, network.origin), "{name}");
+            let near = |one: &[Point], other: &[Point]| {
+                let pairs = || one.iter().zip(other);
+                one.len() == other.len() && pairs().all(|(a, b)| (a.x - b.x).hypot(a.y - b.y) < 0.02)
+            };
+            let junctions = |network: &Network| {
+                network
+                    .junctions
+                    .iter()
+                    .map(|known| known.name.clone())
+                    .collect::<Vec<_>>()
+            };
+            assert_eq!(junctions(&back), junctions(&network), "{name}");
+            let lanes = |network: &Network| -> BTreeMap<String, RoadLane> {
+                network
+                    .lanes
+                    .iter()
+                    .map(|lane| (lane.name.clone(), lane.clone()))
+                    .collect()
+            };
+            let (lanes, others) = (lanes(&network), lanes(&back));
+            assert!(lanes.keys().eq(others.keys()), "{name}");
+            let place =
+                |network: &Network, lane: Option<u32>| lane.map(|lane| network.lanes[lane as usize].name.clone());
+            let end =
+                |network: &Network, lane: &RoadLane| lane.to.map(|to| network.junctions[to as usize].name.clone());
+            for (lane, other) in lanes.values().zip(others.values()) {
+                assert_eq!(
+                    (lane.usage, lane.limit),
+                    (other.usage, other.limit),
+                    "{name} {}",
+                    lane.name
+                );
+                assert_eq!(
+                    place(&network, lane.left),
+                    place(&back, other.left),
+                    "{name} {}",
+                    lane.name
+                );
+                if lane.usage == LaneUse::Drive {
+                    assert_eq!(end(&network, lane), end(&back, other), "{name} {}", lane.name);
+                }
+                assert!(near(&lane.shape, &other.shape), "{name} {}", lane.name);
+                assert!((lane.width - other.width).abs() < 0.02, "{name} {}", lane.name);
+            }
+            let ways = |network: &Network| -> Vec<(String, Direction, Sign, Vec<String>)> {
+                let ends = |at: u32| {
+                    let way = &network.connections[at as usize];
+                    let [from, to] = [way.from, way.to].map(|lane| &network.lanes[lane as usize].name);
+                    format!("{from}>{to}")
+                };
+                (network.connections.iter().zip(0..))
+                    .map(|(way, at)| {
+                        let foes = way.yields_to.iter().map(|&foe| ends(foe)).collect();
+                        (ends(at), way.direction, way.sign, foes)
+                    })
+                    .collect()
+            };
+            assert_eq!(ways(&back), ways(&network), "{name}");
+            for (way, other) in network.connections.iter().zip(&back.connections) {
+                // Longer cells round more, so a point may be near enough to the line to be left out now.
+                assert!(near(&way.shape, &other.shape) || cell > 1.0, "{name}");
+            }
+        }
+    }
+}
+
+/// Floating car data of a run have the positions of all agents: cells come back from them, and angles follow lanes.
+#[test]
+fn runs_are_written_as_positions() {
+    let world = world("configs/right-of-way-roads.yaml", None, |_| ());
+    let map = world.map();
+    let network = map.network().unwrap();
+    let plane = sumo::Plane {
+        cell: network.cell,
+        origin: network.origin,
+        tick: 0.5,
+    };
+    let mut city = simulation(&world, Executor::Auto, 1);
+    let mut writer = sumo::FcdWriter::new(Vec::new(), map, plane).unwrap();
+    let mut cells: Vec<Cell> = Vec::new();
+    for tick in 0..40 {
+        let before: Vec<(String, Cell)> = (city.agents().iter())
+            .map(|agent| (agent.name().to_string(), agent.cell))
+            .collect();
+        city.tick(&[]).unwrap();
+        let moving = before
+            .iter()
+            .zip(city.agents())
+            .map(|((name, at), agent)| sumo::Moving {
+                name,
+                kind_name: "Car",
+                kind: AgentKind::Car,
+                at: *at,
+                next: agent.cell,
+                heading: agent.heading,
+            });
+        writer.tick(tick, moving).unwrap();
+        cells.extend(before.iter().map(|(_, at)| *at));
+    }
+    let text = String::from_utf8(writer.finish().unwrap()).unwrap();
+    let value = |line: &str, key: &str| -> f64 {
+        let (_, rest) = line.split_once(&format!(" {key}=\"")).unwrap();
+        rest.split_once('"').unwrap().0.parse().unwrap()
+    };
+    assert_eq!(text.matches("<timestep time=").count(), 40);
+    assert!(text.contains("<timestep time=\"19.50\">"));
+    let vehicles: Vec<&str> = text.lines().filter(|line| line.contains("<vehicle ")).collect();
+    assert_eq!(vehicles.len(), cells.len());
+    let mut on_lanes = 0;
+    for (line, cell) in vehicles.into_iter().zip(cells) {
+        let [left, top] = network.origin;
+        let (col, row) = (
+            (value(line, "x") - left) / network.cell,
+            (top - value(line, "y")) / network.cell,
+        );
+        assert_eq!(Cell::new(row.floor() as i32, col.floor() as i32), cell, "{line}");
+        if let Some(facing) = map.lane_at(cell) {
+            let angle = match facing {
+                logicity::city::Heading::Up => 0.0,
+                logicity::city::Heading::Right => 90.0,
+                logicity::city::Heading::Down => 180.0,
+                logicity::city::Heading::Left => 270.0_f64,
+            };
+            let apart = (value(line, "angle") - angle).rem_euclid(360.0);
+            assert!(apart.min(360.0 - apart) <= 60.0, "{line} {facing:?}");
+            on_lanes += 1;
+        }
+    }
+    assert!(on_lanes > 200, "{on_lanes}");
 }

@@ -64,8 +64,9 @@ impl Place {
             let parent = &self.path[..at];
             value = match step {
                 Step::Item
-                    if [Some(&Step::Key("blocks".into())), Some(&Step::Key("size".into()))]
-                        .contains(&parent.last()) =>
+                    if ["blocks", "size", "origin"]
+                        .iter()
+                        .any(|key| parent.last() == Some(&Step::Key((*key).into()))) =>
                 {
                     json!([value, 1])
                 }

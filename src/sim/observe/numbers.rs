@@ -53,7 +53,7 @@ impl NumberColumn {
         match (self.heading, self.quantity) {
             (Some(heading), _) => (number > 0.5).then_some(Value(heading as u32)),
             (None, Quantity::Distance) => Some(Value::float(number * self.scale)),
-            (None, Quantity::Intersection) if number == 0.0 => None,
+            (None, Quantity::Intersection | Quantity::Limit) if number == 0.0 => None,
             (None, _) => Some(Value::number((number * self.scale).round() as i32)),
         }
     }
@@ -192,6 +192,7 @@ fn scale(quantity: Quantity, scenario: &Scenario, map: &CityMap) -> f32 {
             horizon.unwrap_or(scenario.ticks).max(1) as f32
         }
         Quantity::Remaining => (map.rows() + map.cols()) as f32,
+        Quantity::Limit => 100.0,
         Quantity::Intersection => map.intersections().max(1) as f32,
         Quantity::Distance => scenario.view.max(1).next_power_of_two() as f32,
     }

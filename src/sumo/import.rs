@@ -1,4 +1,4 @@
-//! Road networks of SUMO (`.net.xml`) as map files.
+//! Road networks of SUMO as map files.
 //!
 //! The reader takes what the city has: lanes for cars and for pedestrians, junctions with their shapes, and connections
 //! with their direction, their right of way, and what they must yield to. The format is that of SUMO's network files:
@@ -6,6 +6,7 @@
 //! have the right of way over it (`response`, a text of bits from the last link to the first).
 
 use crate::city::{Connection, Direction, LaneUse, Network, Point, RoadJunction, RoadLane, Sign, codes, distance};
+use crate::config::LIMIT_MAX;
 use crate::diag::{Diagnostic, SourceId, Sources, Span};
 use roxmltree::{Document, Node, ParsingOptions};
 use std::collections::HashMap;
@@ -214,9 +215,11 @@ impl Reader {
             connection.yields_to = foes
                 .filter_map(|(foe, _)| of_link.get(&(junction, foe)).copied())
                 .collect();
+            connection.yields_to.sort_unstable();
         }
         let mut network = Network {
             cell: self.cell,
+            origin: [0.0; 2],
             size: [1, 1],
             junctions,
             lanes: found.into_iter().map(|found| found.lane).collect(),
@@ -280,6 +283,11 @@ impl Reader {
                 let message = format!("the lane `{id}` has {} points, expected at least {least}", shape.len());
                 return Err(self.fault(lane, message).help("export the network again"));
             }
+            let limit = (lane.attribute("speed"))
+                .map(|text| self.number(lane, "speed", text))
+                .transpose()?
+                .filter(|_| usage == LaneUse::Drive)
+                .map(|speed| (speed * 3.6).round().clamp(1.0, f64::from(LIMIT_MAX)));
             let width = lane
                 .attribute("width")
                 .map_or(Ok(WIDTH), |text| self.number(lane, "width", text))?;
@@ -299,6 +307,8 @@ impl Reader {
                     left: None,
                     shape,
                     width: (width / self.cell * 100.0).round() / 100.0,
+                    #[allow(clippy::cast_possible_truncation, clippy::cast_sign_loss)] // it is clamped
+                    limit: limit.map(|limit| limit as u16),
                 },
                 edge: name,
                 index: self.attribute(lane, "index")?,
@@ -399,28 +409,28 @@ fn scale(network: &mut Network) {
     all.extend(network.junctions.iter_mut().map(|junction| &mut junction.shape));
     all.extend(network.lanes.iter_mut().map(|lane| &mut lane.shape));
     all.extend(network.connections.iter_mut().map(|connection| &mut connection.shape));
+    all.iter_mut().for_each(|shape| simplify(shape, TOLERANCE * cell));
     for point in all.iter().flat_map(|shape| shape.iter()) {
         for (axis, value) in [point.x, point.y].into_iter().enumerate() {
             (low[axis], high[axis]) = (low[axis].min(value), high[axis].max(value));
         }
     }
-    for shape in all {
-        for point in shape.iter_mut() {
-            let round = |value: f64| (value * 100.0).round() / 100.0;
-            *point = Point {
-                x: round((point.x - low[0]) / cell + MARGIN),
-                y: round((high[1] - point.y) / cell + MARGIN),
-            };
-        }
-        simplify(shape);
+    let round = |value: f64| (value * 100.0).round() / 100.0;
+    let [left, top] = [round(low[0] - MARGIN * cell), round(high[1] + MARGIN * cell)];
+    for point in all.into_iter().flatten() {
+        *point = Point {
+            x: round((point.x - left) / cell),
+            y: round((top - point.y) / cell),
+        };
     }
     #[allow(clippy::cast_possible_truncation, clippy::cast_sign_loss)] // the reader of maps limits sizes
     let side = |axis: usize| ((high[axis] - low[axis]) / cell + 2.0 * MARGIN).ceil() as u32 + 1;
     network.size = [side(1), side(0)];
+    network.origin = [left, top];
 }
 
 /// Leaves out the points of a shape that are near the line through those around them (Douglas and Peucker, 1973).
-fn simplify(shape: &mut Vec<Point>) {
+fn simplify(shape: &mut Vec<Point>, tolerance: f64) {
     if shape.len() < 3 {
         return;
     }
@@ -430,7 +440,7 @@ fn simplify(shape: &mut Vec<Point>) {
     while let Some((first, last)) = open.pop() {
         let distances = (first + 1..last).map(|at| (at, distance(shape[at], shape[first], shape[last])));
         let farthest = distances.max_by(|(_, one), (_, other)| one.total_cmp(other));
-        if let Some((at, _)) = farthest.filter(|(_, distance)| *distance > TOLERANCE) {
+        if let Some((at, _)) = farthest.filter(|(_, distance)| *distance > tolerance) {
             kept[at] = true;
             open.extend([(first, at), (at, last)]);
         }
@@ -447,10 +457,10 @@ pub fn map_file(network: &Network) -> String {
             let _ = write!(text, " {},{}", point.x, point.y);
         }
     };
-    let [rows, cols] = network.size;
+    let ([rows, cols], [left, top]) = (network.size, network.origin);
     let _ = writeln!(
         text,
-        "roads:\n  cell: {}\n  size: [{rows}, {cols}]\n  junctions:",
+        "roads:\n  cell: {}\n  origin: [{left}, {top}]\n  size: [{rows}, {cols}]\n  junctions:",
         network.cell
     );
     for junction in &network.junctions {
@@ -468,6 +478,9 @@ pub fn map_file(network: &Network) -> String {
             let _ = write!(text, " left={}", escaped(&network.lanes[left as usize].name));
         }
         let _ = write!(text, " width={}", lane.width);
+        if let Some(limit) = lane.limit {
+            let _ = write!(text, " limit={limit}");
+        }
         points(&mut text, &lane.shape);
         text.push_str("\"\n");
     }

@@ -1,0 +1,113 @@
+//! `logicity fcd`: writes a run as floating car data of SUMO.
+
+use crate::city::{Cell, CityMap, Heading};
+use crate::cli::failure::Failure;
+use crate::cli::inputs::Inputs;
+use crate::cli::limits::MemoryOption;
+use crate::cli::outputs::{ForceOption, finish, messages, unwritable};
+use crate::cli::trace::TraceReader;
+use crate::cli::values::decimal;
+use crate::diag::{Diagnostic, Sources, counted};
+use crate::sim::codes;
+use crate::sumo::{FcdWriter, Moving, Plane};
+use std::io::Write;
+use std::path::PathBuf;
+
+#[derive(clap::Args)]
+pub struct Arguments {
+    /// Trace written by `logicity run`
+    trace: PathBuf,
+    /// File to write: traffic.xml; `-` for standard output
+    #[arg(short, long, value_name = "FILE")]
+    output: PathBuf,
+    /// Length of the side of a cell in meters, for a map of blocks; road networks state it
+    #[arg(long, value_name = "METERS", value_parser = decimal(0.1..=100.0))]
+    cell: Option<f64>,
+    /// Length of a tick in seconds
+    #[arg(long, value_name = "SECONDS", value_parser = decimal(0.01..=3600.0), default_value_t = 1.0)]
+    tick: f64,
+    #[command(flatten)]
+    force: ForceOption,
+    #[command(flatten)]
+    _memory: MemoryOption,
+}
+
+pub fn run(arguments: &Arguments, sources: &mut Sources) -> Result<(), Failure> {
+    let output = arguments.output.as_path();
+    let mut trace = TraceReader::open(&arguments.trace)?;
+    let scenario = trace.city(sources, None, None)?.scenario;
+    let map = CityMap::generate(&scenario.map)?;
+    let plane = match (map.network(), arguments.cell) {
+        (Some(network), None) => Plane {
+            cell: network.cell,
+            origin: network.origin,
+            tick: arguments.tick,
+        },
+        (Some(network), Some(_)) => {
+            let message = format!(
+                "--cell: the map of the run is a road network, whose cells have sides of {} m",
+                network.cell
+            );
+            return Err(Failure::Usage(message));
+        }
+        (None, cell) => Plane {
+            cell: cell.unwrap_or(1.0),
+            origin: [0.0; 2],
+            tick: arguments.tick,
+        },
+    };
+    let kinds: Vec<_> = (trace.header.agents.iter())
+        .map(|agent| {
+            let kind = scenario.kinds.find_ignoring_case(&agent.kind);
+            kind.map(|kind| (agent.id.clone(), agent.kind.clone(), scenario.kinds.base(kind)))
+        })
+        .collect::<Option<_>>()
+        .ok_or_else(|| {
+            let message = format!(
+                "`{}` has agents of a kind that its configuration does not have",
+                arguments.trace.display()
+            );
+            Diagnostic::new(codes::INVALID_TRACE, message)
+        })?;
+    let file = arguments
+        .force
+        .create("fcd", output, &Inputs::new([arguments.trace.clone()]))?;
+    let fail = |error| unwritable(output, &error);
+    let mut writer = FcdWriter::new(file, &map, plane).map_err(fail)?;
+    let mut ticks = 0_usize;
+    while let Some(tick) = trace.tick()? {
+        if tick.agents.len() != kinds.len() {
+            let message = format!(
+                "expected {}, found {}",
+                counted(kinds.len(), "agent"),
+                tick.agents.len()
+            );
+            return Err(trace.placed(Diagnostic::new(codes::INVALID_TRACE, message)));
+        }
+        let agents = tick
+            .agents
+            .iter()
+            .zip(&kinds)
+            .map(|(state, (name, kind_name, kind))| Moving {
+                name,
+                kind_name,
+                kind: *kind,
+                at: Cell::new(state.at[0], state.at[1]),
+                next: Cell::new(state.next[0], state.next[1]),
+                heading: (state.heading.as_deref())
+                    .and_then(|name| Heading::ALL.into_iter().find(|known| known.name() == name)),
+            });
+        writer.tick(tick.tick, agents).map_err(fail)?;
+        ticks += 1;
+    }
+    finish(writer.finish().map_err(fail)?, output)?;
+    let mut out = messages(&[output]);
+    writeln!(
+        out,
+        "{}: {} of {}",
+        output.display(),
+        counted(ticks, "tick"),
+        counted(kinds.len(), "agent")
+    )?;
+    Ok(())
+}
