@@ -552,9 +552,9 @@ def _distill(given: argparse.Namespace) -> int:
     cell = where.get("cell") if given.cell is None else given.cell
     origin = given.origin or (tuple(map(float, where["origin"])) if "origin" in where else None)
     y = where.get("y") if given.y is None else given.y
-    map = given.map or given.config or "right-of-way"
+    file = given.map or given.config or "right-of-way"
     with _usage():
-        grid = load_map(map, cell, origin, None if y is None else y == "up")
+        grid = load_map(file, cell, origin, None if y is None else y == "up")
     given.config = given.config or ("right-of-way-roads" if isinstance(grid, Roads) else "right-of-way")
     thresholds = Thresholds(given.stop, given.slow, given.fast, given.line, given.length, not given.centers)
     settings = Settings(
@@ -593,8 +593,8 @@ def _map_export(given: argparse.Namespace) -> int:
         export_roads(given.map, given.out, overwrite=given.force)
         print_message(f"wrote {given.out}")
         return 0
-    junctions, speed = given.junctions or "right_before_left", given.speed or 30.0
-    paths = export_network(grid, given.out, junctions, speed=speed, main=given.main, overwrite=given.force)
+    options = {"speed": given.speed or 30.0, "main": given.main, "overwrite": given.force}
+    paths = export_network(grid, given.out, given.junctions or "right_before_left", **options)
     for path in paths:
         print_message(f"wrote {path}")
     if find_program("netconvert") is None:

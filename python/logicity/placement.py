@@ -198,7 +198,8 @@ class Grid(_Plane):
 
         Args:
             angle: The direction in radians counterclockwise from the right of the map.
-            row, column: The point.
+            row: The row of the point, in cells.
+            column: Its column.
         """
         heading = _heading(angle)
         is_flat = heading in ("Left", "Right")
@@ -217,7 +218,7 @@ class Grid(_Plane):
         return None
 
     def before(self, lane: int, rear: tuple[float, float]) -> tuple[int, int]:
-        """Return the cell in the intersection behind a lane of a car whose front is on the lane and whose rear is not."""
+        """Return the cell of a car whose front is on a lane and whose rear is in the intersection behind it."""
         chosen = self.lanes[lane]
         rows, columns = STEPS[chosen.heading]
         last = (chosen.start[0] - rows, chosen.start[1] - columns)
@@ -227,7 +228,7 @@ class Grid(_Plane):
         return at
 
     def beyond(self, lane: int, front: tuple[float, float]) -> tuple[int, int]:
-        """Return the cell in the intersection ahead of a car whose rear is still on a lane."""
+        """Return the cell of a car whose front is in the intersection ahead and whose rear is on a lane."""
         chosen = self.lanes[lane]
         rows, columns = STEPS[chosen.heading]
         return chosen.end[0] + rows, chosen.end[1] + columns
@@ -335,12 +336,12 @@ class Roads(_Plane):
         return None if best is None else (best[1], best[2])
 
     def before(self, lane: int, rear: tuple[float, float]) -> tuple[int, int]:
-        """Return the cell in the intersection behind a lane of a car whose front is on the lane and whose rear is not."""
+        """Return the cell of a car whose front is on a lane and whose rear is in the intersection behind it."""
         cells = self._entering.get(lane, ())
         return min(cells, key=lambda cell: math.dist(cell, rear), default=self.lanes[lane].start)
 
     def beyond(self, lane: int, front: tuple[float, float]) -> tuple[int, int]:
-        """Return the cell in the intersection ahead of a car whose rear is still on a lane."""
+        """Return the cell of a car whose front is in the intersection ahead and whose rear is on a lane."""
         cells = self._leaving.get(lane, ())
         return min(cells, key=lambda cell: math.dist(cell, front), default=self.lanes[lane].cells[-1])
 
