@@ -3,7 +3,7 @@
 #[path = "../tests/city/shipped_world.rs"]
 mod shipped_world;
 
-use criterion::{Criterion, Throughput, criterion_group, criterion_main};
+use criterion::{BatchSize, Criterion, Throughput, criterion_group, criterion_main};
 use logicity::builtin::BuiltinFiles;
 use logicity::city::{
     Action, ActionTable, AgentKind, AgentSet, Places, Router, Split, Surroundings, advance, place_agents,
@@ -48,7 +48,7 @@ fn tick(criterion: &mut Criterion) {
 /// Ticks of the expert test city under its rules and more clauses, whose bodies are evaluated and never hold. The
 /// difference to `expert` is their price. Throughput is in decisions.
 fn clauses(criterion: &mut Criterion) {
-    const CONFIG: &str = "base: expert\npredicates: {define: {Waited: {quantity: waited}, Speed: {quantity: speed}, \
+    const CONFIG: &str = "base: expert\nrules: rules/own.dl\npredicates: {define: {Waited: {quantity: waited}, Speed: {quantity: speed}, \
                           Priority: {quantity: priority}}}\n";
     const DECLARED: &str = ".include \"expert.dl\"\n.decl Waited(x: agent, n: number)\n\
                             .decl Speed(x: agent, n: number)\n.decl Priority(x: agent, n: number)\n\
@@ -89,6 +89,87 @@ fn clauses(criterion: &mut Criterion) {
         });
     }
     group.finish();
+}
+
+/// A thousand cars on a map of 44 x 44 blocks, and on a road network with a junction where each of its streets meet.
+/// Throughput is in decisions.
+fn towns(criterion: &mut Criterion) {
+    let blocks = "{base: square-5x5, blocks: [44, 44], buildings: {rows: ~, random: {seed: 1, weights: {House: 3, \
+                  Store: 1}}}}";
+    const TICKS: u32 = 200;
+    let mut group = criterion.benchmark_group("towns");
+    for (name, map) in [("blocks", blocks.to_owned()), ("roads", network(45))] {
+        let config = format!(
+            "base: expert\nrules: rules/own.dl\ntask: ~\nregion: ~\nmap: {map}\nagents: {{train: ~, val: ~, test: {{cars: [{{count: 1000, \
+             priority: 1}}], pedestrians: []}}}}\n"
+        );
+        let (world, _) = shipped_world::configured(&config, ".include \"expert.dl\"\n", |_| ());
+        group
+            .sample_size(20)
+            .throughput(Throughput::Elements(1000 * u64::from(TICKS)));
+        group.bench_function(name, |bencher| {
+            let city = || {
+                Simulation::new(Arc::clone(&world), Split::Test, Seed(1), Settings::default()).expect("agents placed")
+            };
+            // Placed again before it jams.
+            bencher.iter_batched(
+                city,
+                |mut city| {
+                    (0..TICKS)
+                        .map(|_| city.tick(&[]).expect("within limits").tick)
+                        .sum::<u64>()
+                },
+                BatchSize::PerIteration,
+            );
+        });
+    }
+    group.finish();
+}
+
+/// A map with a square of junctions, which streets of one lane per direction join.
+fn network(side: i32) -> String {
+    const STREET: i32 = 48;
+    let steps = [(1, 0), (0, 1), (-1, 0), (0, -1)];
+    let name = |row: i32, col: i32, heading: usize| format!("{row}-{col}-{heading}");
+    let is_inside = |row: i32, col: i32| (0..side).contains(&row) && (0..side).contains(&col);
+    let (mut junctions, mut lanes, mut connections) = (Vec::new(), Vec::new(), Vec::new());
+    for (row, col) in (0..side).flat_map(|row| (0..side).map(move |col| (row, col))) {
+        let (x, y) = (20 + STREET * col, 20 + STREET * row);
+        let corners = [(-6, -6), (6, -6), (6, 6), (-6, 6)].map(|(right, down)| format!("{},{}", x + right, y + down));
+        junctions.push(format!("\"{row}-{col} {}\"", corners.join(" ")));
+        for (heading, (right, down)) in steps.into_iter().enumerate() {
+            let (to_row, to_col) = (row + down, col + right);
+            if !is_inside(to_row, to_col) {
+                continue;
+            }
+            // To the right of the middle of the street.
+            let at = |along: i32| format!("{},{}", x + right * along - 2 * down, y + down * along + 2 * right);
+            lanes.push(format!(
+                "\"{} drive to={to_row}-{to_col} width=3 {} {}\"",
+                name(row, col, heading),
+                at(6),
+                at(STREET - 6)
+            ));
+            for (turn, direction) in ["straight", "right", "around", "left"].into_iter().enumerate() {
+                let next = (heading + turn) % 4;
+                let (right, down) = steps[next];
+                if direction != "around" && is_inside(to_row + down, to_col + right) {
+                    connections.push(format!(
+                        "\"{} {} {direction} priority\"",
+                        name(row, col, heading),
+                        name(to_row, to_col, next)
+                    ));
+                }
+            }
+        }
+    }
+    let size = 40 + STREET * (side - 1);
+    format!(
+        "{{roads: {{cell: 1, size: [{size}, {size}], junctions: [{}], lanes: [{}], connections: [{}]}}}}",
+        junctions.join(", "),
+        lanes.join(", "),
+        connections.join(", ")
+    )
 }
 
 /// One scene, from text to answer; throughput is in scenes.
@@ -238,6 +319,6 @@ criterion_group! {
     name = city;
     // Long enough for figures within some percent of each other; all of `cargo bench` takes minutes.
     config = Criterion::default().warm_up_time(Duration::from_secs(1)).measurement_time(Duration::from_secs(3));
-    targets = tick, clauses, infer, rules, route, moves
+    targets = tick, clauses, towns, infer, rules, route, moves
 }
 criterion_main!(city);

@@ -306,15 +306,16 @@ def _add_distill(to: _Parser) -> None:
 
 
 def _add_map_export(to: _Parser) -> None:
-    to.description = "A road network states what the options say; they are for maps of blocks."
     to.add("map", help="map file, configuration, or the name of a built-in map or configuration")
     to.add("-o", "--out", type=Path, required=True, metavar="NAME.net.xml", help="the network; others lie beside it")
-    help = "right of way at intersections; default: right_before_left"
+    help = "of a map of blocks, the right of way at intersections; default: right_before_left"
     kinds = ("right_before_left", "priority", "allway_stop", "traffic_light")
     to.add("--junctions", choices=kinds, help=help)
     to.add("--main", metavar="ZONE", help="with `--junctions priority`: the zone of the streets that have right of way")
-    to.add("--cell", type=_positive_float, metavar="METERS", help="side of a cell of the map; default: 1")
-    to.add("--speed", type=_positive_float, metavar="KM/H", help="speed limit; default: 30")
+    help = "side of a cell of a map of blocks; default: 1"
+    to.add("--cell", type=_positive_float, metavar="METERS", help=help)
+    help = "speed limit on a map of blocks; default: 30"
+    to.add("--speed", type=_positive_float, metavar="KM/H", help=help)
     _add_force(to)
 
 

@@ -244,6 +244,8 @@ _SQUARE = 16
 _ALIGNED = math.radians(60)
 #: The cells beside a lane where a car still drives on it.
 _BESIDE = 0.5
+#: The cells by which the position of a car at the end of its lane may lie beyond it.
+_ROUNDED = 0.05
 #: The greatest distance of a car in an intersection from the cells of a connection, in cells.
 _FROM_LINK = 4
 
@@ -326,7 +328,8 @@ class Roads(_Plane):
                 continue
             length = math.dist(one, other)
             share = ((row - one[0]) * (other[0] - one[0]) + (column - one[1]) * (other[1] - one[1])) / (length**2 or 1)
-            if not -1e-6 <= share <= 1 + 1e-6:
+            # Positions are rounded.
+            if not -_ROUNDED <= share * length <= length + _ROUNDED:
                 continue
             foot = (one[0] + share * (other[0] - one[0]), one[1] + share * (other[1] - one[1]))
             away = math.dist(foot, (row, column))

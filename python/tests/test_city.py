@@ -146,7 +146,9 @@ def test_invalid_files_and_options_raise(kind: Any, tmp_path: Path) -> None:
     with pytest.raises(InputError) as caught:
         kind(rules=rules)
     assert caught.value.diagnostics[0]["labels"][0]["file"] == str(rules)
-    rules.write_text('.include "vocabulary.dl"\n.decl Waited(x: agent, n: number)\n.input Waited\n')
+    rules.write_text(
+        '.include "vocabulary.dl"\n.decl Waited(x: agent, n: number)\n.input Waited\nStop(X) :- Waited(X, 3).\n'
+    )
     with pytest.raises(InputError, match="against the configuration `configs/expert.yaml`; name another one") as caught:
         kind(rules=rules)
     assert caught.value.diagnostics[0]["code"] == "rule-mismatch"

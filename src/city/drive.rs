@@ -7,17 +7,140 @@ use crate::city::network::{Direction, RoadMap, Spot};
 use crate::city::route::{NoRoute, Route, TURN_COST, Way, steps};
 use crate::city::{Agent, Cell, Routing, Turn};
 use pathfinding::directed::astar::astar;
+use pathfinding::directed::dijkstra::dijkstra_all;
+use smallvec::SmallVec;
+use std::sync::OnceLock;
 
 /// The cost of a change of lanes in addition to its length, in cells.
 const CHANGE_COST: u32 = 10;
 /// The steps along a lane between two changes.
 const CHANGE_AFTER: u32 = 2;
 
+/// The number of landmarks.
+const LANDMARKS: usize = 16;
+
 /// Plans routes of cars on a network.
 #[derive(Clone, Copy, Debug)]
 pub(super) struct Driving<'m> {
     roads: &'m RoadMap,
+    costs: &'m RouteCosts,
+}
+
+/// The costs of routes on a network, and lower bounds on them.
+#[derive(Debug)]
+pub(super) struct RouteCosts {
     routing: Routing,
+    /// The cost of each connection, from the end of its first lane to the start of its second.
+    connections: Box<[u32]>,
+    landmarks: OnceLock<Landmarks>,
+}
+
+/// The distances of all lanes from and to some of them, which bound other distances by the triangle inequality: the
+/// search ALT (Goldberg and Harrelson, 2005). `u32::MAX` means that there is no way.
+#[derive(Debug)]
+struct Landmarks {
+    from: Box<[[u32; LANDMARKS]]>,
+    to: Box<[[u32; LANDMARKS]]>,
+}
+
+impl RouteCosts {
+    pub fn new(roads: &RoadMap, routing: Routing) -> RouteCosts {
+        let network = roads.network();
+        let connections = (network.connections.iter().zip(0..)).map(|(connection, number)| match routing {
+            Routing::Hops => 1,
+            Routing::Weighted => {
+                let link = u32::try_from(roads.link(number).len()).expect("a map has few cells");
+                let is_straight = connection.direction == Direction::Straight;
+                link + 1 + if is_straight { 0 } else { TURN_COST }
+            }
+        });
+        RouteCosts {
+            routing,
+            connections: connections.collect(),
+            landmarks: OnceLock::new(),
+        }
+    }
+}
+
+impl Landmarks {
+    /// Chooses lanes that are far from each other. Costs are those from the start of a lane to that of another, or less
+    /// where a car changes lanes.
+    fn new(driving: &Driving<'_>) -> Landmarks {
+        let network = driving.roads.network();
+        let count = network.lanes.len();
+        let mut ahead: Vec<Vec<(u32, u32)>> = vec![Vec::new(); count];
+        let mut behind = ahead.clone();
+        for lane in (0..).take(count) {
+            let length = u32::try_from(driving.roads.path(lane).len()).expect("a map has few cells");
+            let mut join = |other: u32, cost: u32| {
+                ahead[lane as usize].push((other, cost));
+                behind[other as usize].push((lane, cost));
+            };
+            for &connection in driving.roads.leaving(lane) {
+                let other = network.connections[connection as usize].to;
+                join(other, length - 1 + driving.costs.connections[connection as usize]);
+            }
+            for other in driving.roads.beside(lane) {
+                let spots = (0..length).flat_map(|at| driving.changes(Spot { lane, at }).map(move |found| (at, found)));
+                let least = spots
+                    .filter(|(_, (_, to))| to.lane == other)
+                    .map(|(at, (from, to))| (driving.change_cost(from, at, lane, to) + at).saturating_sub(to.at));
+                if let Some(cost) = least.min() {
+                    join(other, cost);
+                }
+            }
+        }
+        let distances = |of: &[Vec<(u32, u32)>], start: u32| {
+            let found = dijkstra_all(&start, |lane| of[*lane as usize].iter().copied());
+            let mut distances = vec![u32::MAX; count];
+            distances[start as usize] = 0;
+            found
+                .iter()
+                .for_each(|(lane, (_, cost))| distances[*lane as usize] = *cost);
+            distances
+        };
+        let mut landmarks = Landmarks {
+            from: vec![[u32::MAX; LANDMARKS]; count].into(),
+            to: vec![[u32::MAX; LANDMARKS]; count].into(),
+        };
+        let is_driven = |lane: &u32| !driving.roads.path(*lane).is_empty();
+        let mut next = (0..).take(count).find(is_driven);
+        let mut nearest = vec![u32::MAX; count];
+        for at in 0..LANDMARKS {
+            let Some(landmark) = next else { break };
+            let from = distances(&ahead, landmark);
+            let to = distances(&behind, landmark);
+            for lane in 0..count {
+                landmarks.from[lane][at] = from[lane];
+                landmarks.to[lane][at] = to[lane];
+                nearest[lane] = nearest[lane].min(from[lane]).min(to[lane]);
+            }
+            // The farthest lane that some way joins with the landmarks.
+            let lanes = (0..)
+                .zip(&nearest)
+                .filter(|(_, distance)| (1..u32::MAX).contains(*distance));
+            next = lanes
+                .max_by_key(|(lane, distance)| (**distance, std::cmp::Reverse(*lane)))
+                .map(|(lane, _)| lane);
+        }
+        landmarks
+    }
+
+    /// Returns a lower bound on the cost from the start of a lane to that of another.
+    #[inline]
+    fn bound(&self, lane: u32, other: u32) -> u32 {
+        let (lane, other) = (lane as usize, other as usize);
+        let pairs = |high: &[u32; LANDMARKS], low: &[u32; LANDMARKS]| {
+            let mut most = 0;
+            for at in 0..LANDMARKS {
+                if high[at] != u32::MAX {
+                    most = most.max(high[at].saturating_sub(low[at]));
+                }
+            }
+            most
+        };
+        pairs(&self.from[other], &self.from[lane]).max(pairs(&self.to[lane], &self.to[other]))
+    }
 }
 
 /// A node of the search.
@@ -38,8 +161,8 @@ enum Entered {
 }
 
 impl<'m> Driving<'m> {
-    pub fn new(roads: &'m RoadMap, routing: Routing) -> Self {
-        Driving { roads, routing }
+    pub fn new(roads: &'m RoadMap, costs: &'m RouteCosts) -> Self {
+        Driving { roads, costs }
     }
 
     /// Continues a way to a goal.
@@ -118,7 +241,7 @@ impl<'m> Driving<'m> {
         let routes = connections.filter_map(|connection| {
             let first = self.entered(connection);
             let (stages, cost) = self.search(first, end)?;
-            Some((connection, stages, cost + self.cost_of(connection)))
+            Some((connection, stages, cost + self.costs.connections[connection as usize]))
         });
         routes.min_by_key(|(.., cost)| *cost)
     }
@@ -128,51 +251,47 @@ impl<'m> Driving<'m> {
         Stage::On(Spot { lane, at: 0 }, Entered::Connected(connection))
     }
 
-    /// The cost of a connection, from the end of its first lane to the start of its second.
-    fn cost_of(&self, connection: u32) -> u32 {
-        let is_straight = self.roads.network().connections[connection as usize].direction == Direction::Straight;
-        match self.routing {
-            Routing::Hops => 1,
-            Routing::Weighted => {
-                let link = self.roads.link(connection).len();
-                u32::try_from(link).expect("a map has few cells") + 1 + if is_straight { 0 } else { TURN_COST }
-            }
+    /// The cost of a change of lanes, from a position on a lane to one on the lane beside it.
+    fn change_cost(&self, from: u32, at: u32, lane: u32, to: Spot) -> u32 {
+        let cell = self.roads.path(lane)[from as usize];
+        let aside = steps(cell, self.roads.path(to.lane)[to.at as usize]);
+        match self.costs.routing {
+            Routing::Hops => CHANGE_COST.min(1),
+            Routing::Weighted => from - at + aside + CHANGE_COST,
         }
     }
 
     /// Finds the stages of a best route, with its cost.
     fn search(&self, first: Stage, end: Spot) -> Option<(Vec<Stage>, u32)> {
         let goal = self.roads.path(end.lane)[end.at as usize];
-        let weigh = |steps: u32, other: u32| match self.routing {
-            Routing::Hops => other.min(1),
-            Routing::Weighted => steps + other,
-        };
+        let network = self.roads.network();
+        let is_weighted = self.costs.routing == Routing::Weighted;
         let successors = |stage: &Stage| {
-            let Stage::On(spot, _) = *stage else { return Vec::new() };
+            let mut next: SmallVec<[(Stage, u32); 6]> = SmallVec::new();
+            let Stage::On(spot, _) = *stage else { return next };
+            if spot.lane == end.lane && spot.at <= end.at {
+                next.push((Stage::Arrived, if is_weighted { end.at - spot.at } else { 0 }));
+            }
             let path = self.roads.path(spot.lane);
             let last = u32::try_from(path.len()).expect("a map has few cells") - 1;
-            let mut next = Vec::new();
-            if spot.lane == end.lane && spot.at <= end.at {
-                next.push((Stage::Arrived, weigh(end.at - spot.at, 0)));
+            let along = if is_weighted { last - spot.at } else { 0 };
+            for &connection in self.roads.leaving(spot.lane) {
+                let lane = network.connections[connection as usize].to;
+                let entered = Stage::On(Spot { lane, at: 0 }, Entered::Connected(connection));
+                next.push((entered, along + self.costs.connections[connection as usize]));
             }
-            next.extend(self.roads.leaving(spot.lane).iter().map(|&connection| {
-                let cost = match self.routing {
-                    Routing::Hops => 1,
-                    Routing::Weighted => last - spot.at + self.cost_of(connection),
-                };
-                (self.entered(connection), cost)
-            }));
-            next.extend(self.changes(spot).map(|(from, to)| {
-                let aside = steps(path[from as usize], self.roads.path(to.lane)[to.at as usize]);
-                (
-                    Stage::On(to, Entered::Changed),
-                    weigh(from - spot.at + aside, CHANGE_COST),
-                )
-            }));
+            for (from, to) in self.changes(spot) {
+                let cost = self.change_cost(from, spot.at, spot.lane, to);
+                next.push((Stage::On(to, Entered::Changed), cost));
+            }
             next
         };
-        let to_go = |stage: &Stage| match (stage, self.routing) {
-            (Stage::On(spot, _), Routing::Weighted) => steps(self.roads.path(spot.lane)[spot.at as usize], goal),
+        let landmarks = is_weighted.then(|| self.costs.landmarks.get_or_init(|| Landmarks::new(self)));
+        let to_go = |stage: &Stage| match (stage, landmarks) {
+            (Stage::On(spot, _), Some(landmarks)) => {
+                let bound = (landmarks.bound(spot.lane, end.lane) + end.at).saturating_sub(spot.at);
+                bound.max(steps(self.roads.path(spot.lane)[spot.at as usize], goal))
+            }
             _ => 0,
         };
         astar(&first, successors, to_go, |stage| *stage == Stage::Arrived)

@@ -1,6 +1,8 @@
 //! The static map.
 // Decision: docs/decisions/city.md#d057
 
+#[cfg(feature = "cli")]
+use crate::city::network::Point;
 use crate::city::network::{Network, RoadMap, Sign};
 use crate::city::square::{BUILDING, CAR_AT, INSIDE, MID_LINE, NODE, PEDESTRIAN_AT, Square};
 use crate::city::{AgentKind, Building, Widths};
@@ -840,6 +842,12 @@ impl CityMap {
     #[cfg(feature = "cli")]
     pub(crate) fn lane_name(&self, cell: Cell) -> Option<&str> {
         self.roads()?.lane_name(cell)
+    }
+
+    /// Returns the point in the middle of the lane of a cell on a road network that is nearest to a point.
+    #[cfg(feature = "cli")]
+    pub(crate) fn lane_point(&self, cell: Cell, near: Point) -> Option<Point> {
+        self.roads()?.lane_point(cell, near)
     }
 
     /// Returns two cells of the lane of a cell on a road network, at most `around` steps before and behind it.

@@ -40,6 +40,7 @@ pub use model::{
     Split, Terrain, TripEnds, Widths, ZoneConfig, ZonePart,
 };
 pub use motion::{MoveReason, Moved, Surroundings, advance, possible_cells};
+pub(crate) use network::LIMIT_MAX;
 #[cfg(feature = "cli")]
 pub(crate) use network::distance;
 pub use network::{Connection, Direction, LaneUse, Network, Point, RoadJunction, RoadLane, Sign};

@@ -91,6 +91,9 @@ impl LaneUse {
     }
 }
 
+/// The highest speed limit in km/h.
+pub(crate) const LIMIT_MAX: u16 = 1000;
+
 /// A lane.
 #[derive(Clone, Debug, Serialize)]
 pub struct RoadLane {
@@ -675,6 +678,15 @@ impl RoadMap {
         Some(&self.network.lanes[self.spot(cell)?.lane as usize].name)
     }
 
+    /// Returns the point in the middle of the lane of a cell that is nearest to a point.
+    #[cfg(feature = "cli")]
+    pub fn lane_point(&self, cell: Cell, near: Point) -> Option<Point> {
+        let shape = &self.network.lanes[self.spot(cell)?.lane as usize].shape;
+        let feet = shape.windows(2).map(|pair| foot(near, pair[0], pair[1]));
+        let away = |point: &Point| (point.x - near.x).hypot(point.y - near.y);
+        feet.min_by(|one, other| away(one).total_cmp(&away(other)))
+    }
+
     /// Returns two different cells of the lane of a cell, at most `around` steps before and behind it.
     #[cfg(feature = "cli")]
     pub fn lane_direction(&self, cell: Cell, around: usize) -> Option<(Cell, Cell)> {
@@ -783,6 +795,12 @@ fn stroke(points: &[Point], half: f64) -> impl Iterator<Item = Cell> {
 
 /// Returns the distance of a point from the segment between two others.
 pub(crate) fn distance(point: Point, from: Point, to: Point) -> f64 {
+    let foot = foot(point, from, to);
+    (point.x - foot.x).hypot(point.y - foot.y)
+}
+
+/// Returns the nearest point of the segment between two others.
+fn foot(point: Point, from: Point, to: Point) -> Point {
     let (x, y) = (to.x - from.x, to.y - from.y);
     let length = x * x + y * y;
     let along = if length > 0.0 {
@@ -790,7 +808,10 @@ pub(crate) fn distance(point: Point, from: Point, to: Point) -> f64 {
     } else {
         0.0
     };
-    (point.x - from.x - along * x).hypot(point.y - from.y - along * y)
+    Point {
+        x: from.x + along * x,
+        y: from.y + along * y,
+    }
 }
 
 /// Returns the cells whose centers are at most `radius` cells away from that of a cell, with the distance.

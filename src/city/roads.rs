@@ -11,7 +11,7 @@
 //! equal, so the route found between two lanes of one part is cached for all.
 // Decision: docs/decisions/city.md#d058
 
-use crate::city::drive::Driving;
+use crate::city::drive::{Driving, RouteCosts};
 use crate::city::map::Strip;
 use crate::city::route::{NoRoute, TURN_COST, Way, steps};
 use crate::city::walk::{search, walk};
@@ -408,6 +408,8 @@ pub struct Router {
     routing: Routing,
     /// The streets between blocks; `None` on a road network.
     streets: Option<Streets>,
+    /// The costs on a road network; `None` on a map of blocks.
+    costs: Option<RouteCosts>,
 }
 
 /// The streets of a map of blocks.
@@ -424,10 +426,11 @@ struct Streets {
 }
 
 impl Router {
-    /// Creates a router for a map. It takes at most 0.7 MB for any map.
+    /// Creates a router for a map. It takes at most 0.7 MB for any map of blocks, and 64 bytes a lane for a road network.
     pub fn new(map: Arc<CityMap>, routing: Routing) -> Self {
         Router {
             streets: map.layout().map(|layout| Streets::new(*layout, routing)),
+            costs: map.roads().map(|roads| RouteCosts::new(roads, routing)),
             routing,
             map,
         }
@@ -489,8 +492,8 @@ impl Router {
 
     /// The road network with the algorithm; only for maps that are not of blocks.
     fn network(&self) -> Driving<'_> {
-        let roads = self.map.roads().expect("a map is of blocks or of roads");
-        Driving::new(roads, self.routing)
+        let (roads, costs) = (self.map.roads().zip(self.costs.as_ref())).expect("a map is of blocks or of roads");
+        Driving::new(roads, costs)
     }
 
     /// Returns given cells as a route, without consecutive repetitions. `None` if there are none, one is off the map,

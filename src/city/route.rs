@@ -93,9 +93,19 @@ pub(super) fn facings(cells: &[Cell]) -> Vec<Heading> {
         .collect();
     let mut facing = steps.first().copied();
     let mut facings: Vec<Heading> = Vec::with_capacity(cells.len());
+    // The number of steps around in each direction.
+    let mut counts = [0; 4];
+    for step in steps.iter().take(AROUND_STEP) {
+        counts[*step as usize] += 1;
+    }
     for (at, step) in steps.iter().enumerate() {
-        let around = &steps[at.saturating_sub(AROUND_STEP)..(at + AROUND_STEP + 1).min(steps.len())];
-        let count = |heading: Heading| around.iter().filter(|&&other| other == heading).count();
+        if let Some(entering) = steps.get(at + AROUND_STEP) {
+            counts[*entering as usize] += 1;
+        }
+        if let Some(leaving) = at.checked_sub(AROUND_STEP + 1) {
+            counts[steps[leaving] as usize] -= 1;
+        }
+        let count = |heading: Heading| counts[heading as usize];
         let before = facing.unwrap_or(*step);
         let best = Heading::ALL
             .into_iter()
@@ -361,6 +371,36 @@ pub(super) fn steps(from: Cell, to: Cell) -> u32 {
 mod tests {
     use super::*;
     use crate::city::generate::tests::square;
+
+    /// The direction of most steps in the window around each cell, as the definition says.
+    #[test]
+    fn paths_run_where_most_steps_around_go() {
+        let mut random = crate::rng::Seed(5).stream(crate::rng::Purpose::TEST, 0, 0);
+        for length in 1..200_usize {
+            let mut cells = vec![Cell::new(0, 0)];
+            let mut heading = Heading::Right;
+            for _ in 1..length {
+                if crate::rng::RngExt::random_range(&mut random, 0..3) == 0 {
+                    heading = Heading::ALL[crate::rng::RngExt::random_range(&mut random, 0..4)];
+                }
+                cells.push(cells[cells.len() - 1].ahead(heading, 1));
+            }
+            let found = facings(&cells);
+            assert_eq!(found.len(), cells.len());
+            for at in 0..length - 1 {
+                let [first, last] = [at.saturating_sub(AROUND_STEP), (at + AROUND_STEP).min(length - 2)];
+                let count = |heading: Heading| {
+                    let steps = (first..=last).filter_map(|step| Heading::between(cells[step], cells[step + 1]));
+                    steps.filter(|step| *step == heading).count()
+                };
+                let most = Heading::ALL.map(count).into_iter().max().unwrap();
+                assert_eq!(count(found[at]), most);
+                if at > 0 && count(found[at - 1]) == most {
+                    assert_eq!(found[at], found[at - 1]);
+                }
+            }
+        }
+    }
 
     #[test]
     fn ways_of_few_and_of_many_pieces_are_kept() {

@@ -1,6 +1,6 @@
 //! `logicity fcd`: writes a run as floating car data of SUMO.
 
-use crate::city::{Cell, CityMap, Heading};
+use crate::city::{AgentKind, Cell, CityMap, Heading};
 use crate::cli::failure::Failure;
 use crate::cli::inputs::Inputs;
 use crate::cli::limits::MemoryOption;
@@ -20,7 +20,8 @@ pub struct Arguments {
     /// File to write: traffic.xml; `-` for standard output
     #[arg(short, long, value_name = "FILE")]
     output: PathBuf,
-    /// Length of the side of a cell in meters, for a map of blocks; road networks state it
+    /// Length of the side of a cell in meters, for a map of blocks, whose upper left corner is at 0,0; road networks
+    /// state both [default: 1]
     #[arg(long, value_name = "METERS", value_parser = decimal(0.1..=100.0))]
     cell: Option<f64>,
     /// Length of a tick in seconds
@@ -58,8 +59,9 @@ pub fn run(arguments: &Arguments, sources: &mut Sources) -> Result<(), Failure> 
     };
     let kinds: Vec<_> = (trace.header.agents.iter())
         .map(|agent| {
-            let kind = scenario.kinds.find_ignoring_case(&agent.kind);
-            kind.map(|kind| (agent.id.clone(), agent.kind.clone(), scenario.kinds.base(kind)))
+            let base = AgentKind::ALL.into_iter().find(|base| base.name() == agent.kind)?;
+            let kind = scenario.kinds.name(scenario.kinds.of(base, &agent.concepts));
+            Some((agent.id.clone(), kind.to_owned(), base))
         })
         .collect::<Option<_>>()
         .ok_or_else(|| {
@@ -75,6 +77,8 @@ pub fn run(arguments: &Arguments, sources: &mut Sources) -> Result<(), Failure> 
     let fail = |error| unwritable(output, &error);
     let mut writer = FcdWriter::new(file, &map, plane).map_err(fail)?;
     let mut ticks = 0_usize;
+    // The goal and the number of the trip of each agent.
+    let mut trips: Vec<([i32; 2], u32)> = Vec::new();
     while let Some(tick) = trace.tick()? {
         if tick.agents.len() != kinds.len() {
             let message = format!(
@@ -84,12 +88,18 @@ pub fn run(arguments: &Arguments, sources: &mut Sources) -> Result<(), Failure> 
             );
             return Err(trace.placed(Diagnostic::new(codes::INVALID_TRACE, message)));
         }
-        let agents = tick
-            .agents
-            .iter()
-            .zip(&kinds)
-            .map(|(state, (name, kind_name, kind))| Moving {
+        if trips.is_empty() {
+            trips = tick.agents.iter().map(|state| (state.goal, 0)).collect();
+        }
+        for (state, (goal, trip)) in tick.agents.iter().zip(&mut trips) {
+            if state.goal != *goal {
+                (*goal, *trip) = (state.goal, *trip + 1);
+            }
+        }
+        let agents =
+            (tick.agents.iter().zip(&kinds).zip(&trips)).map(|((state, (name, kind_name, kind)), (_, trip))| Moving {
                 name,
+                trip: *trip,
                 kind_name,
                 kind: *kind,
                 at: Cell::new(state.at[0], state.at[1]),

@@ -27,5 +27,4 @@ pub use compose::{Read, rule_file};
 pub use load::{Loaded, load_any, load_map, load_scenario, missing_file};
 pub use model::*;
 pub use predicates::SEES;
-pub(crate) use roads::LIMIT_MAX;
 pub use tree::{Tree, load_tree};

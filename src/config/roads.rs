@@ -2,7 +2,7 @@
 //!
 //! Junctions, lanes and connections are lists of lines of words, so that a large network stays small.
 
-use crate::city::{Connection, Direction, LaneUse, Network, Point, RoadJunction, RoadLane, Sign};
+use crate::city::{Connection, Direction, LIMIT_MAX, LaneUse, Network, Point, RoadJunction, RoadLane, Sign};
 use crate::diag::{self, Diagnostic, MAX_FAULTS, did_you_mean, listed};
 use crate::yaml::read::{Fields, integer, invalid, list, number, text};
 use crate::yaml::{YamlNode, codes};
@@ -17,9 +17,6 @@ const MAX_SIDE: u32 = 1 << 20;
 const MAX_POINTS: usize = 1000;
 /// The maximum width of a lane in cells.
 const MAX_WIDTH: f64 = 100.0;
-
-/// The highest speed limit in km/h.
-pub(crate) const LIMIT_MAX: u16 = 1000;
 
 /// What each line holds, for messages.
 const JUNCTION: &str = "a junction: `NAME X,Y X,Y ...`";

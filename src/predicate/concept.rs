@@ -20,7 +20,13 @@ pub struct Concept {
 impl PredicateKind for Concept {
     const SYNTAX: Syntax = Syntax::Keys(&["concept", "of"], |nodes, faults| {
         let concept = name(nodes[0], "the name of a concept", faults).map(str::to_owned);
+        let before = faults.len();
         let of = kind::read(nodes[1], faults);
+        for fault in &mut faults[before..] {
+            let help = "agents of kinds of your own carry the concepts of what the kind is `of`; the kind itself is \
+                        `{kind: NAME}`";
+            fault.help.push(help.to_owned());
+        }
         let (concept, of) = (concept?, of?);
         let is_kind = false;
         Some(Concept { of, concept, is_kind }.into())

@@ -1,6 +1,6 @@
 //! Runs as floating car data: the positions of all agents over time, as SUMO writes them with `--fcd-output`.
 
-use crate::city::{AgentKind, Cell, CityMap, Heading};
+use crate::city::{AgentKind, Cell, CityMap, Heading, Point};
 use crate::sumo::escaped;
 use std::io::{self, Write};
 
@@ -19,13 +19,10 @@ pub struct Plane {
 }
 
 impl Plane {
-    /// Returns the position of the middle of a cell.
-    fn middle(&self, cell: Cell) -> [f64; 2] {
+    /// Returns the position of a point on the map.
+    fn position(&self, point: Point) -> [f64; 2] {
         let [left, top] = self.origin;
-        [
-            left + (f64::from(cell.col) + 0.5) * self.cell,
-            top - (f64::from(cell.row) + 0.5) * self.cell,
-        ]
+        [left + point.x * self.cell, top - point.y * self.cell]
     }
 }
 
@@ -34,6 +31,8 @@ impl Plane {
 pub struct Moving<'a> {
     /// Its name.
     pub name: &'a str,
+    /// The number of its trip, from 0: each is a vehicle or a person of its own, as in SUMO.
+    pub trip: u32,
     /// The name of its kind.
     pub kind_name: &'a str,
     /// Whether it drives or walks.
@@ -84,9 +83,9 @@ impl<'m, W: Write> FcdWriter<'m, W> {
             }
             let angle = self.angle(agent).unwrap_or(self.angles[at]);
             self.angles[at] = angle;
-            let [x, y] = self.plane.middle(agent.at);
+            let [x, y] = self.plane.position(self.point(agent));
             let speed = agent.at.distance(agent.next) * self.plane.cell / self.plane.tick;
-            let (name, kind) = (escaped(agent.name), escaped(agent.kind_name));
+            let (name, trip, kind) = (escaped(agent.name), agent.trip, escaped(agent.kind_name));
             let element = match agent.kind {
                 AgentKind::Car => "vehicle",
                 AgentKind::Pedestrian => "person",
@@ -98,7 +97,7 @@ impl<'m, W: Write> FcdWriter<'m, W> {
             let lane = lane.map_or(String::new(), |lane| format!(" lane=\"{}\"", escaped(lane)));
             writeln!(
                 self.out,
-                "        <{element} id=\"{name}\" x=\"{x:.2}\" y=\"{y:.2}\" angle=\"{angle:.2}\" type=\"{kind}\" \
+                "        <{element} id=\"{name}.{trip}\" x=\"{x:.2}\" y=\"{y:.2}\" angle=\"{angle:.2}\" type=\"{kind}\" \
                  speed=\"{speed:.2}\"{lane} slope=\"0.00\"/>"
             )?;
         }
@@ -112,6 +111,18 @@ impl<'m, W: Write> FcdWriter<'m, W> {
     pub fn finish(mut self) -> io::Result<W> {
         writeln!(self.out, "</fcd-export>")?;
         Ok(self.out)
+    }
+
+    /// Returns the middle of an agent's cell; for a car on a lane, the nearest point of the middle of the lane.
+    fn point(&self, agent: Moving<'_>) -> Point {
+        let middle = Point {
+            x: f64::from(agent.at.col) + 0.5,
+            y: f64::from(agent.at.row) + 0.5,
+        };
+        match agent.kind {
+            AgentKind::Car => self.map.lane_point(agent.at, middle).unwrap_or(middle),
+            AgentKind::Pedestrian => middle,
+        }
     }
 
     /// Returns the direction of an agent in degrees clockwise from north: along its lane, or else that of its move.

@@ -5,8 +5,9 @@
 //! an edge has lanes, a junction has the list of its links (`intLanes`), and `request` says for each link which others
 //! have the right of way over it (`response`, a text of bits from the last link to the first).
 
-use crate::city::{Connection, Direction, LaneUse, Network, Point, RoadJunction, RoadLane, Sign, codes, distance};
-use crate::config::LIMIT_MAX;
+use crate::city::{
+    Connection, Direction, LIMIT_MAX, LaneUse, Network, Point, RoadJunction, RoadLane, Sign, codes, distance,
+};
 use crate::diag::{Diagnostic, SourceId, Sources, Span};
 use roxmltree::{Document, Node, ParsingOptions};
 use std::collections::HashMap;

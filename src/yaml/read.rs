@@ -170,10 +170,27 @@ impl<'n> Fields<'n> {
             .note(format!("allowed keys: {}", self.allowed.join(", ")));
             if let Some(near) = did_you_mean(&key.text, self.allowed.iter().map(Cow::as_ref)) {
                 fault = fault.did_you_mean(near, &[key.span]);
+            } else if let Some(help) = misplaced(&key.text, &self.allowed) {
+                fault = fault.help(help);
             }
             faults.push(fault);
         }
     }
+}
+
+/// Returns where a key belongs that is written one level too high.
+fn misplaced(key: &str, allowed: &[Cow<'_, str>]) -> Option<String> {
+    let allows = |wanted: &str| allowed.iter().any(|key| key == wanted);
+    Some(match key {
+        "blocks" | "widths" | "buildings" | "zones" if allows("map") => {
+            format!("it is a key of the map: `map: {{base: square-5x5, {key}: ...}}`")
+        }
+        "cars" | "pedestrians" if allows("test") => {
+            format!("agents belong to a split: `test: {{{key}: ...}}`")
+        }
+        _ if allows("define") && allows("use") => format!("definitions stand under `define`: `define: {{{key}: ...}}`"),
+        _ => return None,
+    })
 }
 
 /// Returns the entries of a mapping with arbitrary keys.

@@ -158,6 +158,11 @@ fn warning(scenario: &Scenario, config: &PredicateConfig, labels: &[Label]) -> O
     }
     fault = fault.also(config.name.span, format!("`{name}` is defined here"));
     Some(match &config.definition {
+        Definition::Static(Static::Concept(Concept {
+            concept, is_kind: true, ..
+        })) => fault.help(format!(
+            "add agents of the kind to a split: `{concept}: [{{count: 1, priority: 1}}]`"
+        )),
         Definition::Static(Static::Concept(Concept { concept, .. })) => {
             fault.help(format!("give agents the concept: `concepts: [{concept}]`"))
         }
@@ -170,6 +175,9 @@ fn reason(definition: &Definition) -> String {
     match definition {
         Definition::Static(Static::Kind(Kind(AgentKind::Car))) => "no agent is a car".to_owned(),
         Definition::Static(Static::Kind(Kind(AgentKind::Pedestrian))) => "no agent is a pedestrian".to_owned(),
+        Definition::Static(Static::Concept(Concept {
+            concept, is_kind: true, ..
+        })) => format!("no agent is a {concept}"),
         Definition::Static(Static::Concept(Concept { of, concept, .. })) => {
             format!("no {} has the concept `{concept}`", of.name().to_lowercase())
         }

@@ -286,7 +286,9 @@ fn unused_definitions(rules: &Rules, scenario: &Scenario, sources: &Sources) -> 
         let name = &known.name.value;
         let message = format!("the rules do not declare `{name}`, so its definition has no effect");
         let fault = Diagnostic::new(codes::UNUSED_DEFINITION, message).at(known.name.span, "defined or used here");
-        let inputs = rules.predicates.iter().filter(|predicate| predicate.input);
+        // Those that the configuration defines are not meant.
+        let is_defined = |name: &str| scenario.predicates.iter().any(|known| known.name.value == name);
+        let inputs = (rules.predicates.iter()).filter(|predicate| predicate.input && !is_defined(&predicate.name));
         match did_you_mean(name, inputs.map(|predicate| predicate.name.as_str())) {
             Some(near) => fault.help(format!("did you mean `{near}`, which the rules declare?")),
             None => fault.help(format!(

@@ -179,6 +179,30 @@ impl AskedFact {
         session.rows(self.predicate).is_ok_and(|mut rows| rows.any(fits))
     }
 
+    /// Returns the words for the value that the agents have instead, if the predicate is a quantity.
+    fn other_value(&self, session: &Session, sources: &Sources) -> Option<String> {
+        let is_quantity = (self.computed.as_deref()).is_some_and(|computed| computed.contains("{quantity:"));
+        let (_, agents) = self.pattern.split_last().filter(|_| is_quantity)?;
+        let other = AskedFact {
+            predicate: self.predicate,
+            pattern: agents.iter().copied().chain([None]).collect(),
+            computed: None,
+        };
+        let fits = |row: &Vec<Value>| {
+            other
+                .pattern
+                .iter()
+                .zip(row)
+                .all(|(wanted, value)| wanted.is_none_or(|wanted| wanted == *value))
+        };
+        let row = session.rows(self.predicate).ok()?.find(fits)?;
+        let row: Vec<Option<Value>> = row.into_iter().map(Some).collect();
+        Some(format!(
+            "; {} holds",
+            FactAccount::printer(session, sources).row(self.predicate, &row)
+        ))
+    }
+
     /// Returns the fact as text.
     fn shown(&self, session: &Session, sources: &Sources) -> String {
         FactAccount::printer(session, sources).row(self.predicate, &self.pattern)
@@ -213,15 +237,30 @@ impl FactAccount {
             // With `_`, the row that was found.
             let found = match self.explanation.nodes().first() {
                 Some(Node::Fact(_)) if self.asked.pattern.contains(&None) => {
-                    let tree = FactAccount::printer(session, sources).tree(&self.explanation);
-                    format!(", as {}", tree.trim_end())
+                    let row = self.found().unwrap_or_default();
+                    format!(
+                        ", as {}",
+                        FactAccount::printer(session, sources).row(self.asked.predicate, &row)
+                    )
                 }
                 _ => String::new(),
             };
-            return format!("{fact} {holds}{found}: it is a base fact, {computed}\n");
+            let other = match self.holds {
+                true => String::new(),
+                false => self.asked.other_value(session, sources).unwrap_or_default(),
+            };
+            return format!("{fact} {holds}{found}: it is a base fact, {computed}{other}\n");
         }
         let tree = FactAccount::printer(session, sources).tree(&self.explanation);
         format!("{} {holds}, because:\n{tree}", self.fact(session, sources))
+    }
+
+    /// Returns the row that was found.
+    fn found(&self) -> Option<Vec<Option<Value>>> {
+        match self.explanation.nodes().first()? {
+            Node::Fact(fact) => Some(fact.row.iter().copied().map(Some).collect()),
+            Node::Absence(_) => None,
+        }
     }
 
     /// Returns the explanation as JSON: `fact`, `holds` and `nodes`, as `logicity query --explain --json` prints it.

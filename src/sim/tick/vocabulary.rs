@@ -2,7 +2,7 @@
 // Decision: docs/decisions/city.md#d003
 
 use crate::city::{Action, ActionTable, KindId};
-use crate::config::{ActionsConfig, PredicateConfig, Scenario};
+use crate::config::{ActionsConfig, PredicateConfig, SEES, Scenario};
 use crate::datalog::codes;
 use crate::datalog::{BaseType, Clause, Literal, Predicate, PredicateId, Rules};
 use crate::datalog::{Declaration, Program};
@@ -438,6 +438,13 @@ fn describe(predicate: &Predicate) -> String {
 
 /// Returns one diagnostic for all predicates in `unknown`.
 fn undefined(scenario: &Scenario, unknown: &[&Predicate], predicates: &[BasePredicate]) -> Option<Diagnostic> {
+    let defined = scenario.composed["predicates"]["define"].as_object();
+    let is_defined = |name: &str| defined.is_some_and(|defined| defined.contains_key(name));
+    let (unused, unknown): (Vec<&Predicate>, Vec<&Predicate>) =
+        unknown.iter().partition(|declared| is_defined(&declared.name));
+    if let Some(fault) = unlisted(scenario, &unused) {
+        return Some(fault);
+    }
     let (first, rest) = unknown.split_first()?;
     let names: Vec<String> = unknown.iter().map(|declared| format!("`{}`", declared.name)).collect();
     let message = format!(
@@ -450,13 +457,35 @@ fn undefined(scenario: &Scenario, unknown: &[&Predicate], predicates: &[BasePred
         fault = fault.also(declared.span, "and here");
     }
     fault = fault.also(scenario.rules.span, "these rules");
-    for declared in unknown {
+    for declared in &unknown {
         let alike = predicates.iter().filter(|known| known.columns() == declared.arity());
         if let Some(near) = did_you_mean(&declared.name, alike.map(|known| known.name.as_str())) {
             fault = fault.help(format!("did you mean `{near}` by `{}`?", declared.name));
         }
     }
     Some(fault.help("define the missing predicates under `predicates` in the configuration, or derive them by rules"))
+}
+
+/// Returns one diagnostic for predicates that the configuration defines and does not list under `use`.
+fn unlisted(scenario: &Scenario, unused: &[&Predicate]) -> Option<Diagnostic> {
+    let (first, rest) = unused.split_first()?;
+    let names: Vec<&str> = unused.iter().map(|declared| declared.name.as_str()).collect();
+    let quoted: Vec<String> = names.iter().map(|name| format!("`{name}`")).collect();
+    let message = format!(
+        "the rules read {}, which the configuration `{}` defines but does not use",
+        quoted.join(", "),
+        scenario.name
+    );
+    let mut fault = Diagnostic::new(codes::RULE_MISMATCH, message).at(first.span, "declared as input here");
+    for declared in rest {
+        fault = fault.also(declared.span, "and here");
+    }
+    let used = scenario.predicates.iter().map(|known| known.name.value.as_str());
+    let all: Vec<&str> = used.filter(|name| *name != SEES).chain(names).collect();
+    Some(fault.also(scenario.rules.span, "these rules").help(format!(
+        "list all that it uses: `predicates: {{use: [{}]}}`",
+        all.join(", ")
+    )))
 }
 
 /// Returns a diagnostic for each predicate that shares a predicate's name but is neither input nor derived.

@@ -526,6 +526,10 @@ impl Parser<'_> {
         let next = self.token();
         let help = match next.kind {
             _ if self.habit().is_some() => self.habit().unwrap_or_default().to_owned(),
+            Kind::Number if matches!(text, "once" | "historically" | "for") => {
+                let window = if text == "for" { "" } else { "0," };
+                format!("the window is in brackets: `{text}[{window}{}] P(X)`", self.slice(next))
+            }
             Kind::Ident if self.near_operator(name).is_some() => {
                 let near = self.near_operator(name).unwrap_or_default();
                 format!("did you mean the temporal operator `{near}`?")

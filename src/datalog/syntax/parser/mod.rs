@@ -426,6 +426,13 @@ impl<'a> Parser<'a> {
             ("::", _) if self.at > 0 && self.slice(self.previous()) == "%" => {
                 Some("a probability is a number from 0 to 1: `0.3 ::` for 30 percent")
             }
+            ("::", _) => Some("a probability stands before the head of its clause: `0.3 :: A(x) :- B(x).`"),
+            ("since", _) if self.at > 0 && self.previous().kind == Kind::RParen => {
+                Some("an atom stands before `since`: define a predicate with this condition, `P(x) since Q(x)`")
+            }
+            ("[", _) if self.at > 0 && matches!(self.slice(self.previous()), "once" | "historically" | "for") => {
+                Some("temporal operators stand in bodies")
+            }
             (")" | "." | "]" | "}" | ":-", _) if self.at > 0 && self.previous().kind == Kind::Comma => {
                 Some("remove the comma, or write what should follow it")
             }
