@@ -91,7 +91,7 @@ fn clauses(criterion: &mut Criterion) {
     group.finish();
 }
 
-/// A thousand cars on a map of 44 x 44 blocks, and on a road network with a junction where each of its streets meet.
+/// A thousand cars on a map of 44 x 44 blocks, and on a road network with a junction wherever two streets meet.
 /// Throughput is in decisions.
 fn towns(criterion: &mut Criterion) {
     let blocks = "{base: square-5x5, blocks: [44, 44], buildings: {rows: ~, random: {seed: 1, weights: {House: 3, \
@@ -111,7 +111,7 @@ fn towns(criterion: &mut Criterion) {
             let city = || {
                 Simulation::new(Arc::clone(&world), Split::Test, Seed(1), Settings::default()).expect("agents placed")
             };
-            // Placed again before it jams.
+            // Each sample starts with a fresh city, before traffic jams.
             bencher.iter_batched(
                 city,
                 |mut city| {

@@ -269,10 +269,11 @@ def _add_distill(to: _Parser) -> None:
     )
     to.add("--config", help=help)
     to.add("--columns", type=Path, metavar="FILE", help="YAML file with the columns, units and classes of CSV files")
-    to.add("--cell", type=_positive_float, metavar="METERS", help="side of a cell of the map; default: 1")
-    help = "position of the upper left corner of the map; default: 0,0"
+    to.add("--cell", type=_positive_float, metavar="METERS", help="side of a cell of a map of blocks; default: 1")
+    help = "position of the upper left corner of a map of blocks; default: 0,0"
     to.add("--origin", type=_position, metavar="X,Y", help=help)
-    to.add("--y", choices=("up", "down"), help="where y grows: up, as on road maps, or down; default: up")
+    help = "where y grows on a map of blocks: up, as on road maps, or down; default: up"
+    to.add("--y", choices=("up", "down"), help=help)
     to.add("--tick", type=_positive_float, default=1.0, metavar="SECONDS", help="length of a tick; default: 1")
     to.add("--begin", type=_nonnegative_float, default=0.0, metavar="SECONDS", help="leave out earlier samples")
     to.add("--end", type=_positive_float, default=math.inf, metavar="SECONDS", help="leave out later samples")

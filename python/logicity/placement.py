@@ -77,7 +77,7 @@ class Road:
         width: Its width in cells.
         zones: The zones that contain its middle.
         has_line: Whether cars on its last cell are at an intersection.
-        along: The distance of each cell from the start along `shape`, in cells; it never decreases.
+        along: The distances from the start along `shape` at which the next cell begins, in cells; they never decrease.
         length: The length of `shape`.
     """
 
@@ -101,7 +101,7 @@ class Road:
         return self.headings[0]
 
     def _at(self, left: float) -> int:
-        return min(max(bisect(self.along, self.length - left) - 1, 0), len(self.cells) - 1)
+        return bisect(self.along, self.length - left)
 
     def cell(self, left: float, least: int = 0) -> tuple[int, int]:
         """Return the cell at this distance from its end, in cells, at least `least` cells before the last one."""
@@ -194,7 +194,7 @@ class Grid(_Plane):
         return cls(name, rows, columns, cell, origin, y_up, shape, offset, all_lanes, across)
 
     def find(self, angle: float, row: float, column: float) -> tuple[int, float] | None:
-        """Return the lane at a point in a direction, and the distance to its end in cells.
+        """Return the lane at a point in a direction, and the distance to its end in cells; `None` if there is none.
 
         Args:
             angle: The direction in radians counterclockwise from the right of the map.
@@ -286,7 +286,8 @@ class Roads(_Plane):
                 along.append(most)
             headings = tuple(heading for _, heading in cells)
             places = tuple(place for place, _ in cells)
-            roads.append(Road(places, headings, shape, width, tuple(zones), has_line, tuple(along), at[-1]))
+            edges = tuple((one + other) / 2 for one, other in pairwise(along))
+            roads.append(Road(places, headings, shape, width, tuple(zones), has_line, edges, at[-1]))
             reached.append(tuple(at))
             reach = width / 2 + _BESIDE
             for segment, (one, other) in enumerate(pairwise(shape)):
@@ -316,7 +317,7 @@ class Roads(_Plane):
         return cls(*plane, tuple(roads), ways, segments, tuple(reached), linked, entering, leaving)
 
     def find(self, angle: float, row: float, column: float) -> tuple[int, float] | None:
-        """Return the nearest lane at a point in a direction, and the distance to its end in cells. See `Grid.find`."""
+        """Return what `Grid.find` does: the nearest of several lanes."""
         best: tuple[float, int, float] | None = None
         square = (math.floor(row / _SQUARE), math.floor(column / _SQUARE))
         for number, segment in self._segments.get(square, ()):
@@ -326,27 +327,26 @@ class Roads(_Plane):
             turn = math.atan2(one[0] - other[0], other[1] - one[1]) - angle
             if abs(math.remainder(turn, 2 * math.pi)) > _ALIGNED:
                 continue
+            along, away = _foot(one, other, row, column)
             length = math.dist(one, other)
-            share = ((row - one[0]) * (other[0] - one[0]) + (column - one[1]) * (other[1] - one[1])) / (length**2 or 1)
-            # Positions are rounded.
-            if not -_ROUNDED <= share * length <= length + _ROUNDED:
+            # Beyond its ends, there is no lane; positions are rounded.
+            is_before = segment == 0 and along < -_ROUNDED
+            if is_before or (segment == len(lane.shape) - 2 and along > length + _ROUNDED):
                 continue
-            foot = (one[0] + share * (other[0] - one[0]), one[1] + share * (other[1] - one[1]))
-            away = math.dist(foot, (row, column))
             if away <= lane.width / 2 + _BESIDE and (best is None or away < best[0]):
-                at = self._reached[number][segment] + share * length
-                best = (away, number, max(lane.length - at, 0.0))
+                at = self._reached[number][segment] + min(max(along, 0.0), length)
+                best = (away, number, lane.length - at)
         return None if best is None else (best[1], best[2])
 
     def before(self, lane: int, rear: tuple[float, float]) -> tuple[int, int]:
         """Return the cell of a car whose front is on a lane and whose rear is in the intersection behind it."""
         cells = self._entering.get(lane, ())
-        return min(cells, key=lambda cell: math.dist(cell, rear), default=self.lanes[lane].start)
+        return min(cells, key=lambda cell: math.dist(_middle(cell), rear), default=self.lanes[lane].start)
 
     def beyond(self, lane: int, front: tuple[float, float]) -> tuple[int, int]:
         """Return the cell of a car whose front is in the intersection ahead and whose rear is on a lane."""
         cells = self._leaving.get(lane, ())
-        return min(cells, key=lambda cell: math.dist(cell, front), default=self.lanes[lane].cells[-1])
+        return min(cells, key=lambda cell: math.dist(_middle(cell), front), default=self.lanes[lane].cells[-1])
 
     def inside(self, rear: tuple[float, float]) -> tuple[int, int] | None:
         """Return the cell of a car on no lane: the nearest one of a connection, if one is near; `None` off the map."""
@@ -381,7 +381,9 @@ def load_map(
     if info is None:
         return Grid.load(path, 1.0 if cell is None else cell, origin or (0.0, 0.0), y_up is not False)
     if cell is not None or origin is not None or y_up is not None:
-        raise ValueError(f"{os.fspath(path)}: a road network states the side of its cells and its origin; omit them")
+        raise ValueError(
+            f"{os.fspath(path)}: a road network states its cells, origin and direction of y; omit `cell`, `origin` and `y`"
+        )
     return Roads.load(path, info)
 
 
@@ -394,18 +396,28 @@ def _map_file(path: str | os.PathLike[str]) -> str:
     return file
 
 
+def _middle(cell: tuple[int, int]) -> tuple[float, float]:
+    return cell[0] + 0.5, cell[1] + 0.5
+
+
 def _projected(
     shape: Sequence[tuple[float, float]], at: Sequence[float], row: float, column: float
 ) -> tuple[float, float]:
     """Return the distance of a point from a line, and the distance of its foot from the start of the line."""
     best = (math.inf, 0.0)
     for (one, other), start in zip(pairwise(shape), at, strict=False):
-        length = math.dist(one, other)
-        share = ((row - one[0]) * (other[0] - one[0]) + (column - one[1]) * (other[1] - one[1])) / (length**2 or 1)
-        share = min(max(share, 0.0), 1.0)
-        foot = (one[0] + share * (other[0] - one[0]), one[1] + share * (other[1] - one[1]))
-        best = min(best, (math.dist(foot, (row, column)), start + share * length))
+        along, away = _foot(one, other, row, column)
+        best = min(best, (away, start + min(max(along, 0.0), math.dist(one, other))))
     return best
+
+
+def _foot(one: tuple[float, float], other: tuple[float, float], row: float, column: float) -> tuple[float, float]:
+    """Return how far along a segment a point lies, also beyond its ends, and its distance from the segment."""
+    length = math.dist(one, other) or 1.0
+    rows, columns = (other[0] - one[0]) / length, (other[1] - one[1]) / length
+    along = (row - one[0]) * rows + (column - one[1]) * columns
+    inside = min(max(along, 0.0), length)
+    return along, math.dist((one[0] + inside * rows, one[1] + inside * columns), (row, column))
 
 
 @dataclass(frozen=True)

@@ -32,7 +32,7 @@ pub(super) struct RouteCosts {
     routing: Routing,
     /// The cost of each connection, from the end of its first lane to the start of its second.
     connections: Box<[u32]>,
-    landmarks: OnceLock<Landmarks>,
+    landmarks: OnceLock<Option<Landmarks>>,
 }
 
 /// The distances of all lanes from and to some of them, which bound other distances by the triangle inequality: the
@@ -63,29 +63,37 @@ impl RouteCosts {
 }
 
 impl Landmarks {
-    /// Chooses lanes that are far from each other. Costs are those from the start of a lane to that of another, or less
-    /// where a car changes lanes.
-    fn new(driving: &Driving<'_>) -> Landmarks {
+    /// Chooses lanes that are far from each other. Costs are those from the end of a lane to that of another; a change of
+    /// lanes counts from where it costs least. `None` if a change brings a car nearer to the end of a lane than it costs.
+    fn new(driving: &Driving<'_>) -> Option<Landmarks> {
         let network = driving.roads.network();
         let count = network.lanes.len();
         let mut ahead: Vec<Vec<(u32, u32)>> = vec![Vec::new(); count];
         let mut behind = ahead.clone();
         for lane in (0..).take(count) {
-            let length = u32::try_from(driving.roads.path(lane).len()).expect("a map has few cells");
             let mut join = |other: u32, cost: u32| {
                 ahead[lane as usize].push((other, cost));
                 behind[other as usize].push((lane, cost));
             };
             for &connection in driving.roads.leaving(lane) {
                 let other = network.connections[connection as usize].to;
-                join(other, length - 1 + driving.costs.connections[connection as usize]);
+                join(
+                    other,
+                    driving.costs.connections[connection as usize] + driving.last(other),
+                );
             }
             for other in driving.roads.beside(lane) {
-                let spots = (0..length).flat_map(|at| driving.changes(Spot { lane, at }).map(move |found| (at, found)));
-                let least = spots
-                    .filter(|(_, (_, to))| to.lane == other)
-                    .map(|(at, (from, to))| (driving.change_cost(from, at, lane, to) + at).saturating_sub(to.at));
-                if let Some(cost) = least.min() {
+                let spots = (0..=driving.last(lane)).flat_map(|at| {
+                    let changes = driving.changes(Spot { lane, at });
+                    changes.map(move |found| (at, found))
+                });
+                let mut least: Option<u32> = None;
+                for (at, (from, to)) in spots.filter(|(_, (_, to))| to.lane == other) {
+                    let after = driving.change_cost(from, at, lane, to) + driving.last(other) - to.at;
+                    let cost = after.checked_sub(driving.last(lane) - at)?;
+                    least = Some(least.map_or(cost, |least| least.min(cost)));
+                }
+                if let Some(cost) = least {
                     join(other, cost);
                 }
             }
@@ -123,10 +131,10 @@ impl Landmarks {
                 .max_by_key(|(lane, distance)| (**distance, std::cmp::Reverse(*lane)))
                 .map(|(lane, _)| lane);
         }
-        landmarks
+        Some(landmarks)
     }
 
-    /// Returns a lower bound on the cost from the start of a lane to that of another.
+    /// Returns a lower bound on the cost from the end of a lane to that of another.
     #[inline]
     fn bound(&self, lane: u32, other: u32) -> u32 {
         let (lane, other) = (lane as usize, other as usize);
@@ -251,12 +259,18 @@ impl<'m> Driving<'m> {
         Stage::On(Spot { lane, at: 0 }, Entered::Connected(connection))
     }
 
+    /// The position of the last cell of a lane for cars.
+    fn last(&self, lane: u32) -> u32 {
+        let length = u32::try_from(self.roads.path(lane).len()).expect("a map has few cells");
+        length.saturating_sub(1)
+    }
+
     /// The cost of a change of lanes, from a position on a lane to one on the lane beside it.
     fn change_cost(&self, from: u32, at: u32, lane: u32, to: Spot) -> u32 {
         let cell = self.roads.path(lane)[from as usize];
         let aside = steps(cell, self.roads.path(to.lane)[to.at as usize]);
         match self.costs.routing {
-            Routing::Hops => CHANGE_COST.min(1),
+            Routing::Hops => 1,
             Routing::Weighted => from - at + aside + CHANGE_COST,
         }
     }
@@ -272,9 +286,7 @@ impl<'m> Driving<'m> {
             if spot.lane == end.lane && spot.at <= end.at {
                 next.push((Stage::Arrived, if is_weighted { end.at - spot.at } else { 0 }));
             }
-            let path = self.roads.path(spot.lane);
-            let last = u32::try_from(path.len()).expect("a map has few cells") - 1;
-            let along = if is_weighted { last - spot.at } else { 0 };
+            let along = if is_weighted { self.last(spot.lane) - spot.at } else { 0 };
             for &connection in self.roads.leaving(spot.lane) {
                 let lane = network.connections[connection as usize].to;
                 let entered = Stage::On(Spot { lane, at: 0 }, Entered::Connected(connection));
@@ -286,11 +298,19 @@ impl<'m> Driving<'m> {
             }
             next
         };
-        let landmarks = is_weighted.then(|| self.costs.landmarks.get_or_init(|| Landmarks::new(self)));
-        let to_go = |stage: &Stage| match (stage, landmarks) {
-            (Stage::On(spot, _), Some(landmarks)) => {
-                let bound = (landmarks.bound(spot.lane, end.lane) + end.at).saturating_sub(spot.at);
-                bound.max(steps(self.roads.path(spot.lane)[spot.at as usize], goal))
+        let landmarks = match is_weighted {
+            true => self.costs.landmarks.get_or_init(|| Landmarks::new(self)).as_ref(),
+            false => None,
+        };
+        let behind_goal = self.last(end.lane) - end.at;
+        let to_go = |stage: &Stage| match *stage {
+            Stage::On(spot, _) if is_weighted => {
+                let least = steps(self.roads.path(spot.lane)[spot.at as usize], goal);
+                let bound = landmarks.map_or(0, |landmarks| {
+                    let ends = landmarks.bound(spot.lane, end.lane);
+                    (self.last(spot.lane) - spot.at + ends).saturating_sub(behind_goal)
+                });
+                bound.max(least)
             }
             _ => 0,
         };
@@ -367,5 +387,85 @@ impl<'m> Driving<'m> {
         path[(from.at as usize + 1).min(end)..end]
             .iter()
             .for_each(|&cell| way.straight(cell));
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::city::network::{Connection, LaneUse, Network, Point, RoadJunction, RoadLane, Sign};
+    use crate::rng::{Purpose, RngExt, Seed};
+    use std::sync::Arc;
+
+    /// Two streets of several lanes around a block; the lanes of the first begin and end at different places.
+    fn network(starts: [f64; 3], ends: [f64; 3]) -> RoadMap {
+        let lane = |name: &str, left: Option<u32>, points: &[(f64, f64)]| RoadLane {
+            name: name.to_owned(),
+            usage: LaneUse::Drive,
+            to: Some(0),
+            left,
+            shape: points.iter().map(|&(x, y)| Point { x, y }).collect(),
+            width: 1.0,
+            limit: None,
+        };
+        let row = |at: usize| 40.5 - 2.0 * f64::from(u8::try_from(at).unwrap());
+        let mut lanes: Vec<RoadLane> = (0..3)
+            .map(|at| {
+                let left = u32::try_from(at + 1).ok().filter(|left| *left < 3);
+                lane(&format!("a{at}"), left, &[(starts[at], row(at)), (ends[at], row(at))])
+            })
+            .collect();
+        lanes.push(lane("back", None, &[(95.5, 10.5), (2.5, 10.5)]));
+        let connection = |from, to, direction| Connection {
+            from,
+            to,
+            direction,
+            sign: Sign::Priority,
+            shape: Vec::new(),
+            yields_to: Vec::new(),
+        };
+        let around = (0..3).map(|from| connection(from, 3, Direction::Left));
+        let again = (0..2).map(|to| connection(3, to, Direction::Straight));
+        RoadMap::new(Arc::new(Network {
+            cell: 1.0,
+            origin: [0.0; 2],
+            size: [50, 100],
+            junctions: vec![RoadJunction {
+                name: "all".to_owned(),
+                shape: Vec::new(),
+            }],
+            lanes,
+            connections: around.chain(again).collect(),
+        }))
+    }
+
+    /// With and without landmarks, routes have the same costs.
+    #[test]
+    fn landmarks_change_no_cost() {
+        let mut random = Seed(3).stream(Purpose::TEST, 0, 0);
+        let (mut bounded, mut compared) = (0, 0);
+        for _ in 0..30 {
+            let starts = [(); 3].map(|()| f64::from(random.random_range(2..60_u8)) + 0.5);
+            let ends = [(); 3].map(|()| f64::from(random.random_range(70..96_u8)) + 0.5);
+            let roads = network(starts, ends);
+            let [costs, plain] = [(); 2].map(|()| RouteCosts::new(&roads, Routing::Weighted));
+            let _ = plain.landmarks.set(None);
+            let (fast, slow) = (Driving::new(&roads, &costs), Driving::new(&roads, &plain));
+            for _ in 0..40 {
+                let [first, end] = [(); 2].map(|()| {
+                    let lane = random.random_range(0..4_u32);
+                    let at = random.random_range(0..=fast.last(lane));
+                    Spot { lane, at }
+                });
+                let cost = |driving: &Driving<'_>| {
+                    let found = driving.search(Stage::On(first, Entered::First), end);
+                    found.map(|(_, cost)| cost)
+                };
+                assert_eq!(cost(&fast), cost(&slow), "{starts:?} {ends:?} {first:?} {end:?}");
+                compared += usize::from(cost(&fast).is_some());
+            }
+            bounded += usize::from(costs.landmarks.get().is_some_and(Option::is_some));
+        }
+        assert!(bounded > 0 && bounded < 30 && compared > 300, "{bounded} {compared}");
     }
 }

@@ -850,7 +850,7 @@ impl CityMap {
         self.roads()?.lane_point(cell, near)
     }
 
-    /// Returns two cells of the lane of a cell on a road network, at most `around` steps before and behind it.
+    /// Returns two cells of the lane of a cell on a road network, at most `around` steps behind and ahead of it.
     #[cfg(feature = "cli")]
     pub(crate) fn lane_direction(&self, cell: Cell, around: usize) -> Option<(Cell, Cell)> {
         self.roads()?.lane_direction(cell, around)

@@ -42,7 +42,8 @@ impl Serialize for Point {
 pub struct Network {
     /// The length of the side of a cell in meters.
     pub cell: f64,
-    /// The position of the upper left corner in meters, in the plane of what it was made from; y grows upward there.
+    /// The position of the upper left corner in meters, in the coordinates of the network that it was imported from, where
+    /// y grows upward.
     pub origin: [f64; 2],
     /// Rows and columns of cells.
     pub size: [u32; 2],
@@ -675,22 +676,29 @@ impl RoadMap {
     /// Returns the name of the lane of a cell.
     #[cfg(feature = "cli")]
     pub fn lane_name(&self, cell: Cell) -> Option<&str> {
-        Some(&self.network.lanes[self.spot(cell)?.lane as usize].name)
+        Some(&self.network.lanes[self.spot_of(cell)?.lane as usize].name)
+    }
+
+    /// Returns the lane whose path contains a cell.
+    #[cfg(feature = "cli")]
+    fn spot_of(&self, cell: Cell) -> Option<Spot> {
+        self.spot(cell)
+            .filter(|spot| self.path(spot.lane)[spot.at as usize] == cell)
     }
 
     /// Returns the point in the middle of the lane of a cell that is nearest to a point.
     #[cfg(feature = "cli")]
     pub fn lane_point(&self, cell: Cell, near: Point) -> Option<Point> {
-        let shape = &self.network.lanes[self.spot(cell)?.lane as usize].shape;
+        let shape = &self.network.lanes[self.spot_of(cell)?.lane as usize].shape;
         let feet = shape.windows(2).map(|pair| foot(near, pair[0], pair[1]));
         let away = |point: &Point| (point.x - near.x).hypot(point.y - near.y);
         feet.min_by(|one, other| away(one).total_cmp(&away(other)))
     }
 
-    /// Returns two different cells of the lane of a cell, at most `around` steps before and behind it.
+    /// Returns two different cells of the lane of a cell, at most `around` steps behind and ahead of it.
     #[cfg(feature = "cli")]
     pub fn lane_direction(&self, cell: Cell, around: usize) -> Option<(Cell, Cell)> {
-        let spot = self.spot(cell)?;
+        let spot = self.spot_of(cell)?;
         let (path, at) = (self.path(spot.lane), spot.at as usize);
         let [from, to] = [at.saturating_sub(around), (at + around).min(path.len() - 1)].map(|at| path[at]);
         (from != to).then_some((from, to))

@@ -46,7 +46,7 @@ pub fn run(arguments: &Arguments, sources: &mut Sources) -> Result<(), Failure> 
         },
         (Some(network), Some(_)) => {
             let message = format!(
-                "--cell: the map of the run is a road network, whose cells have sides of {} m",
+                "--cell: the map of the run is a road network, which states the side of its cells ({} m); omit the option",
                 network.cell
             );
             return Err(Failure::Usage(message));
@@ -57,20 +57,15 @@ pub fn run(arguments: &Arguments, sources: &mut Sources) -> Result<(), Failure> 
             tick: arguments.tick,
         },
     };
-    let kinds: Vec<_> = (trace.header.agents.iter())
-        .map(|agent| {
-            let base = AgentKind::ALL.into_iter().find(|base| base.name() == agent.kind)?;
-            let kind = scenario.kinds.name(scenario.kinds.of(base, &agent.concepts));
-            Some((agent.id.clone(), kind.to_owned(), base))
-        })
-        .collect::<Option<_>>()
-        .ok_or_else(|| {
-            let message = format!(
-                "`{}` has agents of a kind that its configuration does not have",
-                arguments.trace.display()
-            );
-            Diagnostic::new(codes::INVALID_TRACE, message)
-        })?;
+    let mut kinds = Vec::new();
+    for agent in &trace.header.agents {
+        let Some(base) = AgentKind::ALL.into_iter().find(|base| base.name() == agent.kind) else {
+            let message = format!("`{}` of `{}` is not a type of agent", agent.kind, agent.id);
+            return Err(trace.placed(Diagnostic::new(codes::INVALID_TRACE, message)));
+        };
+        let kind = scenario.kinds.name(scenario.kinds.of(base, &agent.concepts));
+        kinds.push((agent.id.clone(), kind.to_owned(), base));
+    }
     let file = arguments
         .force
         .create("fcd", output, &Inputs::new([arguments.trace.clone()]))?;
@@ -82,9 +77,9 @@ pub fn run(arguments: &Arguments, sources: &mut Sources) -> Result<(), Failure> 
     while let Some(tick) = trace.tick()? {
         if tick.agents.len() != kinds.len() {
             let message = format!(
-                "expected {}, found {}",
-                counted(kinds.len(), "agent"),
-                tick.agents.len()
+                "the tick has {}, but the header of the trace has {}",
+                counted(tick.agents.len(), "agent"),
+                kinds.len()
             );
             return Err(trace.placed(Diagnostic::new(codes::INVALID_TRACE, message)));
         }

@@ -177,6 +177,10 @@ fn scenario(composer: &mut Composer<'_>, tree: &YamlNode) -> Option<Scenario> {
         return None;
     }
     let mut fields = Fields::open(tree, "a run configuration", &mut composer.faults)?;
+    fields.hint(|key| {
+        let of_map = matches!(key, "blocks" | "widths" | "buildings" | "zones");
+        of_map.then(|| format!("it is a key of the map: `map: {{base: square-5x5, {key}: ...}}`"))
+    });
     fields.optional("base");
     let rules = fields
         .required("rules", &mut composer.faults)
@@ -555,6 +559,10 @@ fn splits(
     let before = faults.len();
     let concepts = predicates.map(Concepts::new);
     let mut fields = Fields::open(node, "the agent sets", faults)?;
+    fields.hint(|key| {
+        let of_split = matches!(key, "cars" | "pedestrians");
+        of_split.then(|| format!("agents belong to a split: `test: {{{key}: ...}}`"))
+    });
     fields.optional("base");
     let mut splits = Vec::new();
     for (split, region) in Split::ALL.into_iter().zip(regions) {

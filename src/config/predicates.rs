@@ -26,6 +26,7 @@ pub(super) struct Predicates {
 pub(super) fn predicates(node: &YamlNode, kinds: &KindTable, faults: &mut Vec<Diagnostic>) -> Option<Predicates> {
     let before = faults.len();
     let mut fields = Fields::open(node, "the predicates", faults)?;
+    fields.hint(|key| Some(format!("definitions stand under `define`: `define: {{{key}: ...}}`")));
     fields.optional("base");
     let define = fields.required("define", faults);
     let selection = fields.optional("use");

@@ -102,7 +102,7 @@ fn origin(node: &YamlNode, faults: &mut Vec<Diagnostic>) -> Option<[f64; 2]> {
         invalid(node, what, faults);
         return None;
     };
-    let [x, y] = [x, y].map(|node| number(node, METERS, "a number of meters", faults));
+    let [x, y] = [x, y].map(|node| number(node, METERS, "a number of meters from -100000000 to 100000000", faults));
     Some([x?, y?])
 }
 

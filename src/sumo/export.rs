@@ -75,6 +75,24 @@ impl<'n> Exporter<'n> {
                 groups.entry(edge).or_default().push((index, number));
             }
         }
+        // Names alone do not make a street of lanes that lead to different junctions.
+        let leads_apart = |lanes: &[(usize, u32)]| {
+            let drives = lanes.iter().map(|(_, lane)| &network.lanes[*lane as usize]);
+            let ends: Vec<Option<u32>> = (drives.filter(|lane| lane.usage == LaneUse::Drive))
+                .map(|lane| lane.to)
+                .collect();
+            ends.iter().any(|end| *end != ends[0])
+        };
+        let apart: Vec<&str> = (groups.iter())
+            .filter(|(_, lanes)| leads_apart(lanes))
+            .map(|(name, _)| *name)
+            .collect();
+        for name in apart {
+            for (_, lane) in groups.remove(name).unwrap_or_default() {
+                let own = network.lanes[lane as usize].name.as_str();
+                groups.entry(own).or_default().push((0, lane));
+            }
+        }
         let mut exporter = Exporter {
             network,
             edges: Vec::new(),
@@ -94,8 +112,12 @@ impl<'n> Exporter<'n> {
             exporter.add_edge(name, lanes, &entered);
         }
         for (connection, number) in network.connections.iter().zip(0..) {
+            // The end of a lane without a junction is a new one.
             let (edge, _) = exporter.place[&connection.from];
-            let to = exporter.edges[edge].to;
+            let to = network.lanes[connection.from as usize]
+                .to
+                .map(|junction| junction as usize);
+            let to = to.unwrap_or(exporter.edges[edge].to);
             exporter.nodes[to].connections.push(number);
         }
         exporter
@@ -320,6 +342,7 @@ impl<'n> Exporter<'n> {
         let street = |connection: &u32| self.place[&self.network.connections[*connection as usize].from].0;
         let streets: Vec<usize> = connections.iter().map(street).collect();
         let mut order = streets.clone();
+        order.sort_unstable();
         order.dedup();
         let name = escaped(&self.nodes[node].name);
         self.line(

@@ -4,7 +4,7 @@ use crate::city::{AgentKind, Cell, CityMap, Heading, Point};
 use crate::sumo::escaped;
 use std::io::{self, Write};
 
-/// The cells before and behind a place on a lane that determine the direction there.
+/// The cells behind and ahead of a place on a lane that determine the direction there.
 const AROUND: usize = 4;
 
 /// The plane in which positions are written.
@@ -134,7 +134,8 @@ impl<'m, W: Write> FcdWriter<'m, W> {
         let moved = (agent.at != agent.next).then_some((agent.at, agent.next));
         match (along.or(moved), agent.heading) {
             (Some((from, to)), _) => {
-                let (right, down) = (f64::from(to.col - from.col), f64::from(to.row - from.row));
+                // A trace may have any numbers.
+                let [right, down] = [(from.col, to.col), (from.row, to.row)].map(|(a, b)| f64::from(b) - f64::from(a));
                 Some(right.atan2(-down).to_degrees().rem_euclid(360.0))
             }
             (None, Some(heading)) => Some(match heading {

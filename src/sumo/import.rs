@@ -465,18 +465,18 @@ pub fn map_file(network: &Network) -> String {
         network.cell
     );
     for junction in &network.junctions {
-        let _ = write!(text, "    - \"{}", escaped(&junction.name));
+        let _ = write!(text, "    - \"{}", yaml_quoted(&junction.name));
         points(&mut text, &junction.shape);
         text.push_str("\"\n");
     }
     text.push_str("  lanes:\n");
     for lane in &network.lanes {
-        let _ = write!(text, "    - \"{} {}", escaped(&lane.name), lane.usage.name());
+        let _ = write!(text, "    - \"{} {}", yaml_quoted(&lane.name), lane.usage.name());
         if let Some(to) = lane.to {
-            let _ = write!(text, " to={}", escaped(&network.junctions[to as usize].name));
+            let _ = write!(text, " to={}", yaml_quoted(&network.junctions[to as usize].name));
         }
         if let Some(left) = lane.left {
-            let _ = write!(text, " left={}", escaped(&network.lanes[left as usize].name));
+            let _ = write!(text, " left={}", yaml_quoted(&network.lanes[left as usize].name));
         }
         let _ = write!(text, " width={}", lane.width);
         if let Some(limit) = lane.limit {
@@ -485,7 +485,7 @@ pub fn map_file(network: &Network) -> String {
         points(&mut text, &lane.shape);
         text.push_str("\"\n");
     }
-    let name = |lane: u32| escaped(&network.lanes[lane as usize].name);
+    let name = |lane: u32| yaml_quoted(&network.lanes[lane as usize].name);
     text.push_str("  connections:\n");
     for connection in &network.connections {
         let (direction, sign) = (connection.direction.name(), connection.sign.name());
@@ -505,7 +505,7 @@ pub fn map_file(network: &Network) -> String {
     text
 }
 
-/// Returns a name for a text in double quotes.
-fn escaped(name: &str) -> String {
+/// Returns a name as a part of a text in double quotes of YAML.
+fn yaml_quoted(name: &str) -> String {
     name.replace('\\', "\\\\").replace('"', "\\\"")
 }

@@ -92,7 +92,12 @@ pub(crate) struct Fields<'n> {
     missing: Vec<&'static str>,
     /// Whether keys may be missing because the base could not be loaded.
     partial: bool,
+    /// The help for unknown keys.
+    hint: Hint,
 }
+
+/// Returns the help for an unknown key: where it belongs.
+type Hint = fn(&str) -> Option<String>;
 
 impl<'n> Fields<'n> {
     pub fn open(node: &'n YamlNode, what: &'static str, faults: &mut Vec<Diagnostic>) -> Option<Self> {
@@ -103,7 +108,13 @@ impl<'n> Fields<'n> {
             allowed: Vec::new(),
             missing: Vec::new(),
             partial: node.partial,
+            hint: |_| None,
         })
+    }
+
+    /// Adds help to messages about unknown keys that resemble no other.
+    pub fn hint(&mut self, hint: Hint) {
+        self.hint = hint;
     }
 
     /// Returns the value of a key; a null value counts as absent.
@@ -170,27 +181,12 @@ impl<'n> Fields<'n> {
             .note(format!("allowed keys: {}", self.allowed.join(", ")));
             if let Some(near) = did_you_mean(&key.text, self.allowed.iter().map(Cow::as_ref)) {
                 fault = fault.did_you_mean(near, &[key.span]);
-            } else if let Some(help) = misplaced(&key.text, &self.allowed) {
+            } else if let Some(help) = (self.hint)(&key.text) {
                 fault = fault.help(help);
             }
             faults.push(fault);
         }
     }
-}
-
-/// Returns where a key belongs that is written one level too high.
-fn misplaced(key: &str, allowed: &[Cow<'_, str>]) -> Option<String> {
-    let allows = |wanted: &str| allowed.iter().any(|key| key == wanted);
-    Some(match key {
-        "blocks" | "widths" | "buildings" | "zones" if allows("map") => {
-            format!("it is a key of the map: `map: {{base: square-5x5, {key}: ...}}`")
-        }
-        "cars" | "pedestrians" if allows("test") => {
-            format!("agents belong to a split: `test: {{{key}: ...}}`")
-        }
-        _ if allows("define") && allows("use") => format!("definitions stand under `define`: `define: {{{key}: ...}}`"),
-        _ => return None,
-    })
 }
 
 /// Returns the entries of a mapping with arbitrary keys.

@@ -446,8 +446,7 @@ fn broken_networks_are_refused_with_their_place() {
     }
 }
 
-/// `map export` writes what `map import` reads: the network comes back the same, but for the ends of streets without a
-/// junction.
+/// `map export` writes what `map import` reads: the network comes back the same.
 #[test]
 fn networks_come_back_from_their_export() {
     for name in NETWORKS {
@@ -515,7 +514,8 @@ fn networks_come_back_from_their_export() {
             assert_eq!(ways(&back), ways(&network), "{name}");
             for (way, other) in network.connections.iter().zip(&back.connections) {
                 // Longer cells round more, so a point may be near enough to the line to be left out now.
-                assert!(near(&way.shape, &other.shape) || cell > 1.0, "{name}");
+                let is_shorter = cell > 1.0 && other.shape.len() < way.shape.len();
+                assert!(near(&way.shape, &other.shape) || is_shorter, "{name}");
             }
         }
     }

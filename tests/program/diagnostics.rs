@@ -604,3 +604,122 @@ fn commands_warn_of_a_derived_input_outside_of_cities() {
     let said = String::from_utf8(output.stderr).unwrap();
     assert!(said.contains("error[derived-input]"), "{said}");
 }
+
+/// Natural mistakes, and the words that help.
+#[test]
+fn natural_mistakes_get_help() {
+    let rules = |clause: &str| {
+        format!(".decl P(x: symbol)\n.decl Q(x: symbol)\n.decl R(x: symbol)\n.input P, Q\n.output R\n{clause}\n")
+    };
+    let city = |lines: &str| format!("base: expert\ntask: ~\n{lines}\n");
+    let cases = [
+        (
+            "main.dl",
+            rules("R(X) :- once 20 P(X)."),
+            "the window is in brackets: `once[0,20] P(X)`",
+        ),
+        (
+            "main.dl",
+            rules("R(X) :- P(X), for 5 Q(X)."),
+            "the window is in brackets: `for[5] P(X)`",
+        ),
+        (
+            "main.dl",
+            rules("R(X) :- Not(P(X)) since Q(X)."),
+            "an atom stands before `since`",
+        ),
+        (
+            "main.dl",
+            rules("R(X) :- 0.3 :: P(X)."),
+            "a probability stands before the head",
+        ),
+        (
+            "main.dl",
+            rules("once[0,5] R(X) :- P(X)."),
+            "temporal operators stand in bodies",
+        ),
+        (
+            "main.yaml",
+            city("predicates: {InSchool: {zone: school}}"),
+            "definitions stand under `define`: `define: {InSchool: ...}`",
+        ),
+        (
+            "main.yaml",
+            city("zones: {school: [{block: [1, 1]}]}"),
+            "it is a key of the map",
+        ),
+        (
+            "main.yaml",
+            city("agents: {cars: [{count: 1, priority: 1}]}"),
+            "agents belong to a split: `test: {cars: ...}`",
+        ),
+        (
+            "main.yaml",
+            city(
+                "kinds: {Tram: {of: Car, cells: {Normal: 2}}}\npredicates: {define: {IsWild: {concept: wild, of: Tram}}}",
+            ),
+            "write what the kind is `of`, `Car` or `Pedestrian`",
+        ),
+    ];
+    let folder = tempfile::tempdir().unwrap();
+    let said = |path: &std::path::Path| String::from_utf8(logicity(&["check", path.to_str().unwrap()]).stderr).unwrap();
+    for (file, text, help) in cases {
+        let path = folder.path().join(file);
+        fs::write(&path, &text).unwrap();
+        let said = said(&path);
+        assert!(said.contains(help), "{text}\n{said}");
+    }
+    let waits = ".include \"vocabulary.dl\"\n.decl Waited(x: agent, n: number)\n.decl IsTram(x: agent)\n\
+                 .input Waited, IsTram\nStop(X) :- CollidingClose(X, Y), Waited(X, n), n < 40, Not(IsTram(X)).\n";
+    fs::write(folder.path().join("waits.dl"), waits).unwrap();
+    let path = folder.path().join("main.yaml");
+    let kind = "kinds: {Tram: {of: Car, cells: {Normal: 2}}}\nrules: waits.dl\n";
+    let lists = "predicates: {define: {Waited: {quantity: waited}, IsTram: {kind: Tram}}}";
+    fs::write(&path, city(&format!("{kind}{lists}"))).unwrap();
+    let warned = said(&path);
+    assert!(warned.contains("no agent has the kind `Tram`"), "{warned}");
+    assert!(warned.contains("`Tram: [{count: 1, priority: 1}]`"), "{warned}");
+    let used = lists.replace("predicates: {", "predicates: {use: [IsCar, CollidingClose, IsTram], ");
+    fs::write(
+        &path,
+        format!(
+            "base: common\nmap: square-5x5\n{kind}{used}\nagents: {{test: {{cars: [{{count: 1, priority: 1}}]}}}}\n"
+        ),
+    )
+    .unwrap();
+    let unlisted = said(&path);
+    assert!(unlisted.contains("defines but does not use"), "{unlisted}");
+    assert!(
+        unlisted.contains("add `Waited` to `use`: `predicates: {use: [IsCar, CollidingClose, IsTram, Waited]}`"),
+        "{unlisted}"
+    );
+    // A question about a quantity is answered with its value.
+    let used = used.replace("IsTram], ", "IsTram, Waited], ");
+    fs::write(&path, format!("base: common\nmap: square-5x5\nregion: ~\n{kind}{used}\nagents: {{test: {{cars: [{{count: 1, priority: 1}}]}}}}\n")).unwrap();
+    let run = folder.path().join("run");
+    let done = logicity(&[
+        "run",
+        path.to_str().unwrap(),
+        "--ticks",
+        "3",
+        "--no-pictures",
+        "--out",
+        run.to_str().unwrap(),
+    ]);
+    assert_eq!(done.status.code(), Some(0), "{}", String::from_utf8_lossy(&done.stderr));
+    let trace = run.join("trace.jsonl");
+    let answer = logicity(&[
+        "explain",
+        trace.to_str().unwrap(),
+        "--agent",
+        "Car_1",
+        "--why",
+        "Waited(Car_1, 99)",
+    ]);
+    let answer = String::from_utf8(answer.stdout).unwrap();
+    assert!(
+        answer.contains("does not hold: it is a base fact, computed as `{quantity: waited}`"),
+        "{answer}"
+    );
+    assert!(answer.contains("; Waited(\"Car_1\", 0) holds"), "{answer}");
+}

@@ -93,7 +93,7 @@ impl<'a> ExplanationPrinter<'a> {
                 open: Vec::new(),
             };
             let mut item = drawing.node(NodeId(0), 0);
-            // An answer says more than the question.
+            // Without these words, the tree would only repeat the question.
             match explanation.node(NodeId(0)) {
                 Node::Fact(Fact {
                     origin: Origin::Input, ..

@@ -177,7 +177,7 @@ fn reason(definition: &Definition) -> String {
         Definition::Static(Static::Kind(Kind(AgentKind::Pedestrian))) => "no agent is a pedestrian".to_owned(),
         Definition::Static(Static::Concept(Concept {
             concept, is_kind: true, ..
-        })) => format!("no agent is a {concept}"),
+        })) => format!("no agent has the kind `{concept}`"),
         Definition::Static(Static::Concept(Concept { of, concept, .. })) => {
             format!("no {} has the concept `{concept}`", of.name().to_lowercase())
         }

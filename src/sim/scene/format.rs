@@ -261,7 +261,7 @@ fn value_start(text: &str) -> usize {
         None => {
             let is_scalar = |char: char| char.is_ascii_alphanumeric() || matches!(char, '.' | '-' | '+');
             let start = text.trim_end_matches(is_scalar).len();
-            start.min(text.len().saturating_sub(1))
+            text.floor_char_boundary(start.min(text.len().saturating_sub(1)))
         }
     }
 }
@@ -765,16 +765,18 @@ impl<'a> Reader<'a> {
             // `column` is 0 if the error is about the value as a whole.
             let lines_before = json.split('\n').take(error.line().saturating_sub(1));
             let byte = lines_before.map(|line| line.len() + 1).sum::<usize>() + error.column().saturating_sub(1);
-            let start = offset + byte.min(json.len());
+            // The parser counts bytes, and may stop within a character.
+            let byte = json.floor_char_boundary(byte);
+            let start = offset + byte;
             let span = match error.classify() {
                 _ if error.column() == 0 => offset..offset + json.len(),
                 // The position is that of the last character of a value of the wrong type.
-                Category::Data => offset + value_start(&json[..(byte + 1).min(json.len())])..start + 1,
+                Category::Data => offset + value_start(&json[..json.ceil_char_boundary(byte + 1)])..start + 1,
                 _ => start..start + 1,
             };
             let fault = Diagnostic::new(codes::INVALID_SCENE, format!("not a scene: {}", json_error(&error)));
             let fault = fault.at(Span::new(self.source, span), "");
-            let before = json[..byte.min(json.len())].trim_end();
+            let before = json[..byte].trim_end();
             let fault = match error.classify() {
                 Category::Eof => fault.help("a scene is one line; `jq -c . FILE` writes an object without line breaks"),
                 Category::Syntax if before.ends_with(',') => {

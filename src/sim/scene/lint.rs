@@ -286,7 +286,7 @@ fn unused_definitions(rules: &Rules, scenario: &Scenario, sources: &Sources) -> 
         let name = &known.name.value;
         let message = format!("the rules do not declare `{name}`, so its definition has no effect");
         let fault = Diagnostic::new(codes::UNUSED_DEFINITION, message).at(known.name.span, "defined or used here");
-        // Those that the configuration defines are not meant.
+        // Suggest only inputs that the configuration does not define.
         let is_defined = |name: &str| scenario.predicates.iter().any(|known| known.name.value == name);
         let inputs = (rules.predicates.iter()).filter(|predicate| predicate.input && !is_defined(&predicate.name));
         match did_you_mean(name, inputs.map(|predicate| predicate.name.as_str())) {

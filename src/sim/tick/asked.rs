@@ -6,6 +6,7 @@ use crate::datalog::codes;
 use crate::datalog::explain::{AbsenceReason, ExplainError, Explainer, Explanation, ExplanationPrinter, Node, Origin};
 use crate::datalog::{BaseType, PredicateId, Rules, Session, Term, Value, is_name, parse_value};
 use crate::diag::{Diagnostic, SourceId, Sources, Span, did_you_mean, listed};
+use crate::predicate::Definition;
 use crate::symbol::Symbol;
 use serde_json::json;
 use std::ops::Range;
@@ -19,6 +20,8 @@ pub struct AskedFact {
     pub pattern: Vec<Option<Value>>,
     /// How the city computes the rows of a base predicate, in words.
     computed: Option<String>,
+    /// Whether the last column is the value of a quantity.
+    is_quantity: bool,
 }
 
 /// Why a fact holds or does not hold.
@@ -74,6 +77,8 @@ impl AskedFact {
         };
         let declared = &rules.predicates[predicate.index()];
         let computed = declared.input.then(|| computed(scenario, name)).flatten();
+        let is_quantity = (scenario.predicates.iter())
+            .any(|known| known.name.value == *name && matches!(known.definition, Definition::Quantity(_)));
         let columns = &declared.columns;
         let Some(values) = &written.values else {
             let takes_agent = columns.first().is_some_and(|column| column.base == BaseType::Symbol);
@@ -97,6 +102,7 @@ impl AskedFact {
                 predicate,
                 pattern,
                 computed,
+                is_quantity,
             });
         };
         if values.len() != columns.len() {
@@ -147,6 +153,7 @@ impl AskedFact {
                 predicate,
                 pattern,
                 computed,
+                is_quantity,
             }),
             false => Err(faults),
         }
@@ -181,12 +188,12 @@ impl AskedFact {
 
     /// Returns the words for the value that the agents have instead, if the predicate is a quantity.
     fn other_value(&self, session: &Session, sources: &Sources) -> Option<String> {
-        let is_quantity = (self.computed.as_deref()).is_some_and(|computed| computed.contains("{quantity:"));
-        let (_, agents) = self.pattern.split_last().filter(|_| is_quantity)?;
+        let (_, agents) = self.pattern.split_last().filter(|_| self.is_quantity)?;
         let other = AskedFact {
             predicate: self.predicate,
             pattern: agents.iter().copied().chain([None]).collect(),
             computed: None,
+            is_quantity: false,
         };
         let fits = |row: &Vec<Value>| {
             other

@@ -483,7 +483,8 @@ fn unlisted(scenario: &Scenario, unused: &[&Predicate]) -> Option<Diagnostic> {
     let used = scenario.predicates.iter().map(|known| known.name.value.as_str());
     let all: Vec<&str> = used.filter(|name| *name != SEES).chain(names).collect();
     Some(fault.also(scenario.rules.span, "these rules").help(format!(
-        "list all that it uses: `predicates: {{use: [{}]}}`",
+        "add {} to `use`: `predicates: {{use: [{}]}}`",
+        quoted.join(", "),
         all.join(", ")
     )))
 }

@@ -104,7 +104,7 @@ impl Functions {
                     };
                 }
             }
-            // What a comparison is about has no column.
+            // Comparisons have no columns, so their constants may be entities.
             for literal in &clause.body {
                 if let Literal::Compare { base, .. } = literal {
                     let constants = literal.terms().filter_map(|term| match term {
