@@ -157,7 +157,11 @@ def add_policies(app: Sphinx, error: Exception | None) -> None:
     """Add a Content-Security-Policy to every page: it may load only from the site, and run only its own scripts."""
     if error is not None or app.builder.name != "html":
         return
-    for page in sorted(Path(app.outdir).rglob("*.html")):
+    site = Path(app.outdir)
+    for page in sorted(site.rglob("*.html")):
+        # What an earlier build has added is copied again.
+        if page.relative_to(site).parts[0] in ADDED:
+            continue
         text = page.read_text(encoding="utf-8")
         hashes = {
             f"'sha256-{base64.b64encode(hashlib.sha256(script.encode()).digest()).decode()}'"

@@ -381,9 +381,8 @@ def load_map(
     if info is None:
         return Grid.load(path, 1.0 if cell is None else cell, origin or (0.0, 0.0), y_up is not False)
     if cell is not None or origin is not None or y_up is not None:
-        raise ValueError(
-            f"{os.fspath(path)}: a road network states its cells, origin and direction of y; omit `cell`, `origin` and `y`"
-        )
+        what = "a road network states its cells, origin and direction of y; omit `cell`, `origin` and `y`"
+        raise ValueError(f"{os.fspath(path)}: {what}")
     return Roads.load(path, info)
 
 

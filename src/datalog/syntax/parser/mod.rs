@@ -427,7 +427,7 @@ impl<'a> Parser<'a> {
                 Some("a probability is a number from 0 to 1: `0.3 ::` for 30 percent")
             }
             ("::", _) => Some("a probability stands before the head of its clause: `0.3 :: A(x) :- B(x).`"),
-            ("since", _) if self.at > 0 && self.previous().kind == Kind::RParen => {
+            ("since", after) if after != Kind::LParen && self.at > 0 && self.previous().kind == Kind::RParen => {
                 Some("an atom stands before `since`: define a predicate with this condition, `P(x) since Q(x)`")
             }
             ("[", _) if self.at > 0 && matches!(self.slice(self.previous()), "once" | "historically" | "for") => {
