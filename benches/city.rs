@@ -165,7 +165,7 @@ fn network(side: i32) -> String {
     }
     let size = 40 + STREET * (side - 1);
     format!(
-        "{{roads: {{cell: 1, size: [{size}, {size}], junctions: [{}], lanes: [{}], connections: [{}]}}}}",
+        "{{blocks: ~, widths: ~, buildings: ~, roads: {{cell: 1, size: [{size}, {size}], junctions: [{}], lanes: [{}], connections: [{}]}}}}",
         junctions.join(", "),
         lanes.join(", "),
         connections.join(", ")
