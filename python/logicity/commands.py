@@ -545,8 +545,8 @@ def _usage() -> Iterator[None]:
 
 
 def _distill(given: argparse.Namespace) -> int:
-    from .distill import Settings, distill
-    from .placement import Roads, Thresholds, load_map
+    from .distill import Settings, config_for, distill
+    from .placement import Thresholds, load_map
     from .trajectories import read_columns, read_trajectories
 
     _check_folder("--out", given.out)
@@ -557,7 +557,7 @@ def _distill(given: argparse.Namespace) -> int:
     file = given.map or given.config or "right-of-way"
     with _usage():
         grid = load_map(file, cell, origin, None if y is None else y == "up")
-    given.config = given.config or ("right-of-way-roads" if isinstance(grid, Roads) else "right-of-way")
+    given.config = given.config or config_for(grid)
     thresholds = Thresholds(given.stop, given.slow, given.fast, given.line, given.length, not given.centers)
     settings = Settings(
         **{name: getattr(given, name) for name in ("config", "map", "use", "moments", "reaction", "test", "split")},

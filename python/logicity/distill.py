@@ -22,11 +22,11 @@ from typing import Any, Literal
 from . import _logicity
 from .errors import did_you_mean
 from .files import check_writable, json_text, write_text
-from .placement import Moment, Placement, Streets, Thresholds, place
+from .placement import Moment, Placement, Roads, Streets, Thresholds, place
 from .terminal import neutral
 from .trajectories import Recording
 
-__all__ = ["Distilled", "Settings", "distill"]
+__all__ = ["Distilled", "Settings", "config_for", "distill"]
 
 #: The files that `distill` writes.
 FILES = ("city.yaml", "map.yaml", "words.dl", "rules.dl", "report.md", "report.json", "wrong.jsonl")
@@ -41,6 +41,7 @@ class Settings:
 
     Attributes:
         config: The configuration that defines the base predicates. Its rules define the words of the learned clauses.
+            See `config_for`.
         map: A map file, or `None` for the map of the configuration.
         use: The predicates that clauses may use; by default those that the rules of the configuration derive, its base
             predicates about one agent, and `SameInter`.
@@ -65,6 +66,11 @@ class Settings:
     variables: int = 2
     seed: int = 0
     thresholds: Thresholds = field(default_factory=Thresholds)
+
+
+def config_for(map: Streets) -> str:
+    """Return the built-in configuration with the words of right of way on such a map."""
+    return "right-of-way-roads" if isinstance(map, Roads) else "right-of-way"
 
 
 @dataclass

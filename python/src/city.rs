@@ -279,14 +279,15 @@ fn map_at(py: Python<'_>, path: &Path) -> PyResult<CityMap> {
     })
 }
 
-/// Returns the road network of the map in a map file or a configuration as a network of SUMO; `None` for a map of blocks.
+/// Returns the road network of the map in a map file or a configuration as a network of SUMO; `None` for a map of
+/// blocks.
 #[pyfunction]
 fn network_file(py: Python<'_>, path: PathBuf) -> PyResult<Option<String>> {
     Ok(map_at(py, &path)?.network().map(logicity::sumo::network_file))
 }
 
-/// A lane for cars: its cells with the direction of travel, its points in cells, its width, whether an intersection is at
-/// its end, and the zones that contain its middle.
+/// A lane for cars: its cells with the direction of travel, its points in cells, its width, whether an intersection is
+/// at its end, and the zones that contain its middle.
 type RoadLaneInfo = (Vec<((i32, i32), &'static str)>, Vec<(f64, f64)>, f64, bool, Vec<String>);
 
 /// The geometry of a road network, as [`roads`] returns it.
@@ -299,9 +300,9 @@ type RoadInfo = (
     Vec<(usize, usize, Vec<(i32, i32)>)>,
 );
 
-/// Returns the geometry of the road network of the map in a map file or a configuration: its name, the numbers of rows and
-/// columns of cells, the side of a cell and the position of the upper left corner in meters, the lanes for cars, and the
-/// connections: two lanes and the cells between them. `None` for a map of blocks.
+/// Returns the geometry of the road network of the map in a map file or a configuration: its name, the numbers of rows
+/// and columns of cells, the side of a cell and the position of the upper left corner in meters, the lanes for cars,
+/// and the connections: two lanes and the cells between them. `None` for a map of blocks.
 #[pyfunction]
 fn roads(py: Python<'_>, path: PathBuf) -> PyResult<Option<RoadInfo>> {
     let map = map_at(py, &path)?;

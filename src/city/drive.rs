@@ -63,8 +63,9 @@ impl RouteCosts {
 }
 
 impl Landmarks {
-    /// Chooses lanes that are far from each other. Costs are those from the end of a lane to that of another; a change of
-    /// lanes counts from where it costs least. `None` if a change brings a car nearer to the end of a lane than it costs.
+    /// Chooses lanes that are far from each other. Costs are those from the end of a lane to that of another; a change
+    /// of lanes counts from where it costs least. `None` if a change brings a car nearer to the end of a lane than it
+    /// costs.
     fn new(driving: &Driving<'_>) -> Option<Landmarks> {
         let network = driving.roads.network();
         let count = network.lanes.len();

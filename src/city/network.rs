@@ -42,8 +42,8 @@ impl Serialize for Point {
 pub struct Network {
     /// The length of the side of a cell in meters.
     pub cell: f64,
-    /// The position of the upper left corner in meters, in the coordinates of the network that it was imported from, where
-    /// y grows upward.
+    /// The position of the upper left corner in meters, in the coordinates of the network that it was imported from,
+    /// where y grows upward.
     pub origin: [f64; 2],
     /// Rows and columns of cells.
     pub size: [u32; 2],

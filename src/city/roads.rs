@@ -426,8 +426,8 @@ struct Streets {
 }
 
 impl Router {
-    /// Creates a router for a map. It takes at most 0.7 MB for a map of blocks. For a road network it takes four bytes a
-    /// connection and, from the first weighted route on, 128 bytes a lane.
+    /// Creates a router for a map. It takes at most 0.7 MB for a map of blocks. For a road network it takes four bytes
+    /// a connection and, from the first weighted route on, 128 bytes a lane.
     pub fn new(map: Arc<CityMap>, routing: Routing) -> Self {
         Router {
             streets: map.layout().map(|layout| Streets::new(*layout, routing)),

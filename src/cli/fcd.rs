@@ -46,7 +46,8 @@ pub fn run(arguments: &Arguments, sources: &mut Sources) -> Result<(), Failure> 
         },
         (Some(network), Some(_)) => {
             let message = format!(
-                "--cell: the map of the run is a road network, which states the side of its cells ({} m); omit the option",
+                "--cell: the map of the run is a road network, which states the side of its cells ({} m); omit the \
+                 option",
                 network.cell
             );
             return Err(Failure::Usage(message));

@@ -23,8 +23,8 @@ impl PredicateKind for Concept {
         let before = faults.len();
         let of = kind::read(nodes[1], faults);
         for fault in &mut faults[before..] {
-            let help = "for agents of your own kind, write what the kind is `of`, `Car` or `Pedestrian`; a test for the kind \
-                        itself is `{kind: NAME}`";
+            let help = "for agents of your own kind, write what the kind is `of`, `Car` or `Pedestrian`; a test for the \
+                        kind itself is `{kind: NAME}`";
             fault.help.push(help.to_owned());
         }
         let (concept, of) = (concept?, of?);

@@ -27,8 +27,8 @@ pub enum Quantity {
     /// The direction in which the agent's route leaves the intersection at or in which it is, or else its next one; no
     /// value if the route ends before. The corners of the map count as intersections here.
     Exit,
-    /// The speed limit on the agent's lane in km/h; no value for pedestrians, inside intersections, on lanes without one, and
-    /// on a map of blocks.
+    /// The speed limit on the agent's lane in km/h; no value for pedestrians, inside intersections, on lanes without
+    /// one, and on a map of blocks.
     Limit,
     /// The Euclidean distance of two different agents in cells.
     Distance,

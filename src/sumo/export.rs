@@ -1,7 +1,7 @@
 //! Road networks of map files as networks of SUMO.
 //!
-//! A lane `NAME_0` belongs to the edge `NAME`. Each connection gets a lane inside its junction, and its junction a request
-//! for it, so that SUMO yields as the map says. At signals, one street after the other has green.
+//! A lane `NAME_0` belongs to the edge `NAME`. Each connection gets a lane inside its junction, and its junction a
+//! request for it, so that SUMO yields as the map says. At signals, one street after the other has green.
 
 use crate::city::{Connection, Direction, LaneUse, Network, Point, RoadLane, Sign};
 use crate::sumo::{escaped, meters};
@@ -58,15 +58,12 @@ impl<'n> Exporter<'n> {
                 connections: Vec::new(),
             })
             .collect();
-        for (lane, number) in network.lanes.iter().zip(0..) {
-            let (Some(to), LaneUse::Drive) = (lane.to, lane.usage) else {
-                continue;
-            };
-            let node = &mut nodes[to as usize];
-            if node.shape.is_empty() && node.arriving.is_empty() {
+        for lane in network.lanes.iter().filter(|lane| lane.usage == LaneUse::Drive) {
+            if let Some(node) = lane.to.map(|to| &mut nodes[to as usize])
+                && node.shape.is_empty()
+            {
                 node.at = last(lane);
             }
-            node.arriving.push(number);
         }
         let mut groups: BTreeMap<&str, Vec<(usize, u32)>> = BTreeMap::new();
         for (lane, number) in network.lanes.iter().zip(0..) {
@@ -111,20 +108,27 @@ impl<'n> Exporter<'n> {
             let lanes: Vec<u32> = lanes.into_iter().map(|(_, lane)| lane).collect();
             exporter.add_edge(name, lanes, &entered);
         }
+        for (lane, number) in network.lanes.iter().zip(0..) {
+            if lane.usage == LaneUse::Drive {
+                let node = exporter.end(number);
+                exporter.nodes[node].arriving.push(number);
+            }
+        }
         for (connection, number) in network.connections.iter().zip(0..) {
-            // The end of a lane without a junction is a new one.
-            let (edge, _) = exporter.place[&connection.from];
-            let to = network.lanes[connection.from as usize]
-                .to
-                .map(|junction| junction as usize);
-            let to = to.unwrap_or(exporter.edges[edge].to);
-            exporter.nodes[to].connections.push(number);
+            let node = exporter.end(connection.from);
+            exporter.nodes[node].connections.push(number);
         }
         exporter
     }
 
     fn lane(&self, lane: u32) -> &'n RoadLane {
         &self.network.lanes[lane as usize]
+    }
+
+    /// Returns the junction at the end of a lane for cars.
+    fn end(&self, lane: u32) -> usize {
+        let (edge, _) = self.place[&lane];
+        self.edges[edge].to
     }
 
     fn add_edge(&mut self, name: &str, lanes: Vec<u32>, entered: &HashMap<u32, usize>) {
@@ -178,14 +182,18 @@ impl<'n> Exporter<'n> {
         }
     }
 
+    fn meters(&self, point: Point) -> [f64; 2] {
+        meters(self.network.origin, self.network.cell, point)
+    }
+
     fn line(&mut self, depth: usize, text: &str) {
         let _ = writeln!(self.text, "{}{text}", "    ".repeat(depth));
     }
 
     fn text(mut self) -> String {
         let [rows, cols] = self.network.size.map(f64::from);
-        let [left, top] = meters(self.network, Point { x: 0.0, y: 0.0 });
-        let [right, bottom] = meters(self.network, Point { x: cols, y: rows });
+        let [left, top] = self.meters(Point { x: 0.0, y: 0.0 });
+        let [right, bottom] = self.meters(Point { x: cols, y: rows });
         let bounds = format!("{left:.2},{bottom:.2},{right:.2},{top:.2}");
         self.text = "<?xml version=\"1.0\" encoding=\"UTF-8\"?>\n\
                      <!-- Written by `logicity map export`. -->\n<net version=\"1.20\">\n"
@@ -314,7 +322,7 @@ impl<'n> Exporter<'n> {
             width,
             more,
         } = lane;
-        let points: Vec<[f64; 2]> = shape.iter().map(|point| meters(self.network, *point)).collect();
+        let points: Vec<[f64; 2]> = shape.iter().map(|point| self.meters(*point)).collect();
         let length: f64 = (points.windows(2))
             .map(|pair| (pair[1][0] - pair[0][0]).hypot(pair[1][1] - pair[0][1]))
             .sum();
@@ -380,7 +388,7 @@ impl<'n> Exporter<'n> {
             signs if signs.contains(&Sign::Stop) => "priority_stop",
             _ => "priority",
         };
-        let [x, y] = meters(self.network, *at);
+        let [x, y] = self.meters(*at);
         let incoming: Vec<String> = (arriving.iter())
             .map(|lane| {
                 let (edge, index) = self.place[lane];
@@ -390,7 +398,7 @@ impl<'n> Exporter<'n> {
         let inner: Vec<String> = (0..connections.len())
             .map(|at| format!("{}_0", self.inner_name(node, at)))
             .collect();
-        let corners: Vec<[f64; 2]> = shape.iter().map(|point| meters(self.network, *point)).collect();
+        let corners: Vec<[f64; 2]> = shape.iter().map(|point| self.meters(*point)).collect();
         let mut element = format!(
             "<junction id=\"{}\" type=\"{kind}\" x=\"{x:.2}\" y=\"{y:.2}\" incLanes=\"{}\" intLanes=\"{}\" \
              shape=\"{}\"",

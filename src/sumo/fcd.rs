@@ -1,7 +1,7 @@
 //! Runs as floating car data: the positions of all agents over time, as SUMO writes them with `--fcd-output`.
 
 use crate::city::{AgentKind, Cell, CityMap, Heading, Point};
-use crate::sumo::escaped;
+use crate::sumo::{escaped, meters};
 use std::io::{self, Write};
 
 /// The cells behind and ahead of a place on a lane that determine the direction there.
@@ -16,14 +16,6 @@ pub struct Plane {
     pub origin: [f64; 2],
     /// The length of a tick in seconds.
     pub tick: f64,
-}
-
-impl Plane {
-    /// Returns the position of a point on the map.
-    fn position(&self, point: Point) -> [f64; 2] {
-        let [left, top] = self.origin;
-        [left + point.x * self.cell, top - point.y * self.cell]
-    }
 }
 
 /// An agent before and after the move of a tick.
@@ -83,7 +75,7 @@ impl<'m, W: Write> FcdWriter<'m, W> {
             }
             let angle = self.angle(agent).unwrap_or(self.angles[at]);
             self.angles[at] = angle;
-            let [x, y] = self.plane.position(self.point(agent));
+            let [x, y] = meters(self.plane.origin, self.plane.cell, self.point(agent));
             let speed = agent.at.distance(agent.next) * self.plane.cell / self.plane.tick;
             let (name, trip, kind) = (escaped(agent.name), agent.trip, escaped(agent.kind_name));
             let element = match agent.kind {

@@ -1,7 +1,7 @@
 //! Files of SUMO: road networks (`.net.xml`) as map files and back, and runs as positions over time (FCD output).
 //!
-//! SUMO is a traffic simulator: <https://eclipse.dev/sumo/>. Its positions are in meters, and y grows upward; cells count
-//! from the upper left corner of a map, whose position is [`Network::origin`](crate::city::Network::origin).
+//! SUMO is a traffic simulator: <https://eclipse.dev/sumo/>. Its positions are in meters, and y grows upward; cells
+//! count from the upper left corner of a map, whose position is [`Network::origin`](crate::city::Network::origin).
 
 mod export;
 mod fcd;
@@ -11,15 +11,14 @@ pub use export::network_file;
 pub use fcd::{FcdWriter, Moving, Plane};
 pub use import::{import, map_file};
 
-use crate::city::{Network, Point};
+use crate::city::Point;
 
-/// Returns a point of a network in meters.
-fn meters(network: &Network, point: Point) -> [f64; 2] {
-    let [left, top] = network.origin;
-    [left + point.x * network.cell, top - point.y * network.cell]
+/// Returns a point in cells as a position in meters, from the position of the upper left corner and the side of a cell.
+fn meters([left, top]: [f64; 2], cell: f64, point: Point) -> [f64; 2] {
+    [left + point.x * cell, top - point.y * cell]
 }
 
-/// Returns a text as the value of an attribute.
+/// Returns a text as the value of an attribute of XML.
 fn escaped(text: &str) -> String {
     let mut value = String::with_capacity(text.len());
     for letter in text.chars() {

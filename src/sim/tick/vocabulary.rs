@@ -436,57 +436,55 @@ fn describe(predicate: &Predicate) -> String {
     format!("({})", columns.join(", "))
 }
 
-/// Returns one diagnostic for all predicates in `unknown`.
-fn undefined(scenario: &Scenario, unknown: &[&Predicate], predicates: &[BasePredicate]) -> Option<Diagnostic> {
+/// Reports the predicates in `unknown`, which rules read: those that the configuration does not define, and those that
+/// it defines and does not list under `use`.
+fn undefined(scenario: &Scenario, unknown: &[&Predicate], predicates: &[BasePredicate]) -> Vec<Diagnostic> {
     let defined = scenario.composed["predicates"]["define"].as_object();
     let is_defined = |name: &str| defined.is_some_and(|defined| defined.contains_key(name));
     let (unused, unknown): (Vec<&Predicate>, Vec<&Predicate>) =
         unknown.iter().partition(|declared| is_defined(&declared.name));
-    if let Some(fault) = unlisted(scenario, &unused) {
-        return Some(fault);
-    }
-    let (first, rest) = unknown.split_first()?;
-    let names: Vec<String> = unknown.iter().map(|declared| format!("`{}`", declared.name)).collect();
-    let message = format!(
-        "the rules read {}, which the configuration `{}` does not define",
-        names.join(", "),
-        scenario.name
-    );
-    let mut fault = Diagnostic::new(codes::RULE_MISMATCH, message).at(first.span, "declared as input here");
-    for declared in rest {
-        fault = fault.also(declared.span, "and here");
-    }
-    fault = fault.also(scenario.rules.span, "these rules");
-    for declared in &unknown {
-        let alike = predicates.iter().filter(|known| known.columns() == declared.arity());
-        if let Some(near) = did_you_mean(&declared.name, alike.map(|known| known.name.as_str())) {
-            fault = fault.help(format!("did you mean `{near}` by `{}`?", declared.name));
+    let report = |those: &[&Predicate], what: &str| {
+        let (first, rest) = those.split_first()?;
+        let message = format!(
+            "the rules read {}, which the configuration `{}` {what}",
+            quoted(those),
+            scenario.name
+        );
+        let fault = Diagnostic::new(codes::RULE_MISMATCH, message).at(first.span, "declared as input here");
+        let fault = rest
+            .iter()
+            .fold(fault, |fault, declared| fault.also(declared.span, "and here"));
+        Some(fault.also(scenario.rules.span, "these rules"))
+    };
+    let mut faults = Vec::new();
+    if let Some(mut fault) = report(&unknown, "does not define") {
+        for declared in &unknown {
+            let alike = predicates.iter().filter(|known| known.columns() == declared.arity());
+            if let Some(near) = did_you_mean(&declared.name, alike.map(|known| known.name.as_str())) {
+                fault = fault.help(format!("did you mean `{near}` by `{}`?", declared.name));
+            }
         }
+        let help = "define the missing predicates under `predicates` in the configuration, or derive them by rules";
+        faults.push(fault.help(help));
     }
-    Some(fault.help("define the missing predicates under `predicates` in the configuration, or derive them by rules"))
+    if let Some(fault) = report(&unused, "defines but does not use") {
+        let used = scenario.predicates.iter().map(|known| known.name.value.as_str());
+        let all = used
+            .filter(|name| *name != SEES)
+            .chain(unused.iter().map(|declared| declared.name.as_str()));
+        faults.push(fault.help(format!(
+            "add {} to `use`: `predicates: {{use: [{}]}}`",
+            quoted(&unused),
+            all.collect::<Vec<_>>().join(", ")
+        )));
+    }
+    faults
 }
 
-/// Returns one diagnostic for predicates that the configuration defines and does not list under `use`.
-fn unlisted(scenario: &Scenario, unused: &[&Predicate]) -> Option<Diagnostic> {
-    let (first, rest) = unused.split_first()?;
-    let names: Vec<&str> = unused.iter().map(|declared| declared.name.as_str()).collect();
-    let quoted: Vec<String> = names.iter().map(|name| format!("`{name}`")).collect();
-    let message = format!(
-        "the rules read {}, which the configuration `{}` defines but does not use",
-        quoted.join(", "),
-        scenario.name
-    );
-    let mut fault = Diagnostic::new(codes::RULE_MISMATCH, message).at(first.span, "declared as input here");
-    for declared in rest {
-        fault = fault.also(declared.span, "and here");
-    }
-    let used = scenario.predicates.iter().map(|known| known.name.value.as_str());
-    let all: Vec<&str> = used.filter(|name| *name != SEES).chain(names).collect();
-    Some(fault.also(scenario.rules.span, "these rules").help(format!(
-        "add {} to `use`: `predicates: {{use: [{}]}}`",
-        quoted.join(", "),
-        all.join(", ")
-    )))
+/// Returns the names of predicates for a message.
+fn quoted(those: &[&Predicate]) -> String {
+    let names: Vec<String> = those.iter().map(|declared| format!("`{}`", declared.name)).collect();
+    names.join(", ")
 }
 
 /// Returns a diagnostic for each predicate that shares a predicate's name but is neither input nor derived.
