@@ -279,6 +279,8 @@ def _add_distill(to: _Parser) -> None:
     to.add("--end", type=_positive_float, default=math.inf, metavar="SECONDS", help="leave out later samples")
     help = "an agent whose mean speed in a tick is less takes Stop; default: 0.5"
     to.add("--stop", type=_positive_float, default=0.5, metavar="M/S", help=help)
+    help = "an agent whose mean speed in a tick is less waits; default: 0.1, as in SUMO"
+    to.add("--halt", type=_positive_float, default=0.1, metavar="M/S", help=help)
     help = "a moving one whose mean speed is less takes Slow; by default none does"
     to.add("--slow", type=_positive_float, metavar="M/S", help=help)
     help = "one whose mean speed is greater takes Fast; by default none does"
@@ -558,7 +560,7 @@ def _distill(given: argparse.Namespace) -> int:
     with _usage():
         grid = load_map(file, cell, origin, None if y is None else y == "up")
     given.config = given.config or config_for(grid)
-    thresholds = Thresholds(given.stop, given.slow, given.fast, given.line, given.length, not given.centers)
+    thresholds = Thresholds(given.stop, given.halt, given.slow, given.fast, given.line, given.length, not given.centers)
     settings = Settings(
         **{name: getattr(given, name) for name in ("config", "map", "use", "moments", "reaction", "test", "split")},
         **{name: getattr(given, name) for name in ("noise", "variables", "seed")},

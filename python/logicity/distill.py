@@ -582,6 +582,7 @@ def _report(
             "origin_meters": list(grid.origin),
             "y_up": grid.y_up,
             "stop_below": thresholds.stop,
+            "halt_below": thresholds.halt,
             "slow_below": thresholds.slow,
             "fast_above": thresholds.fast,
             "line_meters": thresholds.line,

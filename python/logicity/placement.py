@@ -425,6 +425,8 @@ class Thresholds:
 
     Attributes:
         stop: An agent whose mean speed during a tick is less, in m/s, takes the action Stop.
+        halt: One whose mean speed is less has halted: it waits, in m/s. 0.1 is that of SUMO, whose drivers count so
+            who has waited longer at an all-way stop.
         slow: A moving one whose mean speed is less takes Slow; `None` for no such action.
         fast: One whose mean speed is greater takes Fast; `None` for no such action.
         line: A car whose front stands at most this many meters before the end of its lane, with no other before it,
@@ -434,6 +436,7 @@ class Thresholds:
     """
 
     stop: float = 0.5
+    halt: float = 0.1
     slow: float | None = None
     fast: float | None = None
     line: float = 6.0
@@ -653,7 +656,7 @@ def _moments(
         if before is not None:
             moved = round(math.hypot(track.x[at] - track.x[at - 1], track.y[at] - track.y[at - 1]) / grid.cell)
             stood = math.hypot(track.x[at] - track.x[at - 1], track.y[at] - track.y[at - 1]) / tick_length
-            waited = waited + 1 if stood < thresholds.stop else 0
+            waited = waited + 1 if stood < thresholds.halt else 0
         if cell is None:
             found.outside += 1
         else:

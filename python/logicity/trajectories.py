@@ -91,7 +91,8 @@ class Recording:
 
     Attributes:
         tracks: The tracks, in the order of their first samples.
-        tick: The length of a tick in seconds. Tick k is at k times this length.
+        tick: The length of a tick in seconds. Tick k is at k times this length. SUMO writes positions after the step
+            of their time; they are those at the beginning of the next one.
         samples: The number of samples read.
         left_out: The number of samples of classes that the mapping leaves out.
     """
@@ -116,6 +117,8 @@ class _Resampler:
 
     def __init__(self, tick: float) -> None:
         self.tick = tick
+        #: The time from a sample to the state that it describes, in seconds.
+        self.shift = 0.0
         self.tracks: list[Track] = []
         self.samples = self.left_out = 0
         self._open: dict[str, tuple[_Sample, Track | None]] = {}
@@ -128,12 +131,14 @@ class _Resampler:
             return f"`{id}` has the time {sample.t:g} s after {last.t:g} s; the times of an id must increase"
         if last is None or sample.t - last.t > max(GAP, 1.5 * self.tick) or (track is not None and track.kind != kind):
             last = track = None
-        first = math.ceil(sample.t / self.tick - 1e-9) if last is None else math.floor(last.t / self.tick + 1e-9) + 1
-        for tick in range(first, math.floor(sample.t / self.tick + 1e-9) + 1):
+        time = sample.t + self.shift
+        before_time = math.nan if last is None else last.t + self.shift
+        first = math.ceil(time / self.tick - 1e-9) if last is None else math.floor(before_time / self.tick + 1e-9) + 1
+        for tick in range(first, math.floor(time / self.tick + 1e-9) + 1):
             if track is None:
                 track = Track(id, kind, tick)
                 self.tracks.append(track)
-            share = 1.0 if last is None else (tick * self.tick - last.t) / (sample.t - last.t)
+            share = 1.0 if last is None else (tick * self.tick - before_time) / (time - before_time)
             before = sample if last is None else last
             track.x.append(before.x + share * (sample.x - before.x))
             track.y.append(before.y + share * (sample.y - before.y))
@@ -269,6 +274,8 @@ def _kind(columns: Columns, found: str, default: str | None) -> str | None:
 def _read_fcd(path: str, columns: Columns, to: _Resampler, begin: float, end: float) -> None:
     """Read FCD output: `<timestep time=".."><vehicle id=".." x=".." y=".." angle=".." speed=".." type=".."/>`."""
     lines = _LineCounter()
+    # SUMO writes the state after each step.
+    to.shift = min(_fcd_step(path), to.tick)
     try:
         with _open(path) as file:
             root: ElementTree.Element | None = None
@@ -296,6 +303,23 @@ def _read_fcd(path: str, columns: Columns, to: _Resampler, begin: float, end: fl
         _fail(path, line, None, f"not XML: {error.msg if hasattr(error, 'msg') else error}", "is the file complete?")
     except (EOFError, gzip.BadGzipFile, UnicodeDecodeError) as error:
         _fail(path, None, None, f"damaged: {error}")
+
+
+def _fcd_step(path: str) -> float:
+    """Return the time between the first two steps of FCD output; infinite where there are none."""
+    times: list[float] = []
+    # Reading the file as a whole reports what is wrong.
+    with (
+        suppress(ElementTree.ParseError, EOFError, gzip.BadGzipFile, UnicodeDecodeError, ValueError),
+        _open(path) as file,
+    ):
+        for _, element in ElementTree.iterparse(file, ("start",)):
+            if element.tag == "timestep":
+                times.append(float(element.get("time", "")))
+            if len(times) == 2:
+                step = times[1] - times[0]
+                return step if step > 0 else math.inf
+    return math.inf
 
 
 def _add_fcd(

@@ -41,20 +41,21 @@ def test_fcd_output_is_resampled_to_ticks(tmp_path: Path) -> None:
     recording = read_trajectories([written(tmp_path / "a.xml", FCD)], columns, tick=0.5)
     assert (recording.samples, recording.left_out, recording.tick) == (5, 1, 0.5)
     first, person, later = recording.tracks
-    assert (first.id, first.kind, first.first, len(first)) == ("a", "Car", 0, 4)
+    # The state after a step is that at the beginning of the next one.
+    assert (first.id, first.kind, first.first, len(first)) == ("a", "Car", 1, 4)
     # The sample at 1.0 s is between those at 0.5 s and 1.5 s.
     assert first.x == [0.0, 1.0, 2.5, 4.0] and first.speed == [2.0, 4.0, 4.0, 4.0]
     assert first.angle == pytest.approx([0, 0, math.pi / 2, math.pi / 2])
     assert (person.id, person.kind) == ("p", "Pedestrian") and person.angle == pytest.approx([-math.pi / 2])
     # After a gap of several seconds it is another track.
-    assert (later.id, later.first, len(later)) == ("a", 18, 1)
+    assert (later.id, later.first, len(later)) == ("a", 19, 1)
 
 
 def test_compressed_files_and_parts_of_the_time(tmp_path: Path) -> None:
     with gzip.open(tmp_path / "a.xml.gz", "wt") as file:
         file.write(FCD)
     (track,) = read_trajectories([str(tmp_path / "a.xml.gz")], tick=0.5, begin=0.6, end=2).tracks
-    assert (track.id, track.first, track.x) == ("a", 3, [4.0])
+    assert (track.id, track.first, track.x) == ("a", 4, [4.0])
 
 
 MAPPING = """

@@ -424,6 +424,7 @@ mod tests {
             sign: Sign::Priority,
             shape: Vec::new(),
             yields_to: Vec::new(),
+            light: None,
         };
         let around = (0..3).map(|from| connection(from, 3, Direction::Left));
         let again = (0..2).map(|to| connection(3, to, Direction::Straight));
@@ -437,6 +438,7 @@ mod tests {
             }],
             lanes,
             connections: around.chain(again).collect(),
+            signals: Vec::new(),
         }))
     }
 

@@ -7,7 +7,7 @@ use crate::city::network::{Network, RoadMap, Sign};
 use crate::city::square::{BUILDING, CAR_AT, INSIDE, MID_LINE, NODE, PEDESTRIAN_AT, Square};
 use crate::city::{AgentKind, Building, Widths};
 use crate::city::{Area, Rectangle};
-use crate::city::{Cell, Heading};
+use crate::city::{Cell, Heading, Light};
 use crate::city::{Ground, Junction};
 use crate::diag::Diagnostic;
 use crate::diag::codes;
@@ -859,6 +859,12 @@ impl CityMap {
     /// Returns the speed limit in km/h on the lane of an agent of that kind.
     pub fn limit(&self, kind: AgentKind, cell: Cell) -> Option<u16> {
         self.roads().filter(|_| kind == AgentKind::Car)?.limit(cell)
+    }
+
+    /// Returns the light of a signal in a tick for an agent of that kind whose route leaves its next intersection in a
+    /// direction. Of several lights it is the one with which a car drives on.
+    pub fn light(&self, kind: AgentKind, cell: Cell, exit: Option<Heading>, tick: u64) -> Option<Light> {
+        (self.roads().filter(|_| kind == AgentKind::Car)?).light(cell, exit, tick)
     }
 
     /// Returns whether a connection that leaves the lane of the first cell, and is no way back, must yield to one that

@@ -22,6 +22,7 @@ mod network;
 mod places;
 mod roads;
 mod route;
+mod signal;
 mod square;
 mod view;
 mod walk;
@@ -47,6 +48,7 @@ pub use network::{Connection, Direction, LaneUse, Network, Point, RoadJunction, 
 pub use places::Places;
 pub use roads::{Lane, Router};
 pub use route::{NoRoute, Route, corners};
+pub use signal::{Aspect, Light, Phase, Signal, SignalLink, WORDS};
 pub use square::{Ground, Junction};
 pub(crate) use view::view_reach;
 pub use view::{FieldOfView, field_of_view};

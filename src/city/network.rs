@@ -7,8 +7,9 @@
 // Decision: docs/decisions/city.md#d078
 
 use crate::city::route::facings;
+use crate::city::signal::together;
 use crate::city::square::{CAR_AT, INSIDE, MID_LINE, NODE, PEDESTRIAN_AT, Square};
-use crate::city::{Cell, Ground, Heading};
+use crate::city::{Cell, Ground, Heading, Light, Signal, SignalLink};
 use serde::{Serialize, Serializer};
 use std::collections::BTreeSet;
 use std::sync::Arc;
@@ -53,6 +54,9 @@ pub struct Network {
     pub lanes: Vec<RoadLane>,
     /// The connections. Each leads through the junction at the end of its first lane.
     pub connections: Vec<Connection>,
+    /// The signals.
+    #[serde(skip_serializing_if = "Vec::is_empty")]
+    pub signals: Vec<Signal>,
 }
 
 /// A place where lanes end and begin.
@@ -201,6 +205,9 @@ pub struct Connection {
     pub direction: Direction,
     /// What regulates its right of way.
     pub sign: Sign,
+    /// The link of a signal that regulates it.
+    #[serde(skip_serializing_if = "Option::is_none")]
+    pub light: Option<SignalLink>,
     /// The points between the two lanes.
     pub shape: Vec<Point>,
     /// The connections to which it must yield.
@@ -657,6 +664,57 @@ impl RoadMap {
             .flatten()
     }
 
+    /// Returns the lanes of the largest part of the network in which a car on any lane can drive to each other one and
+    /// back, by its number of cells; all lanes if no part has a way back.
+    pub fn circulating(&self) -> Vec<u32> {
+        let lanes = || 0..u32::try_from(self.leaving.len()).expect("a map has fewer than 2^32 lanes");
+        let mut next: Vec<Vec<u32>> = vec![Vec::new(); self.leaving.len()];
+        let mut before = next.clone();
+        for lane in lanes() {
+            let connected = self.leaving(lane).iter();
+            let connected = connected.map(|&number| self.network.connections[number as usize].to);
+            for other in connected.chain(self.beside(lane)) {
+                next[lane as usize].push(other);
+                before[other as usize].push(lane);
+            }
+        }
+        // Sharir's algorithm: the parts are what reaches a lane, in the opposite order of the ends of a search.
+        let mut part: Vec<Option<u32>> = vec![None; next.len()];
+        let ended = ends_of_search(&next);
+        for &root in ended.iter().rev() {
+            if part[root as usize].is_some() {
+                continue;
+            }
+            part[root as usize] = Some(root);
+            let mut open = vec![root];
+            while let Some(lane) = open.pop() {
+                for &other in &before[lane as usize] {
+                    if part[other as usize].is_none() {
+                        part[other as usize] = Some(root);
+                        open.push(other);
+                    }
+                }
+            }
+        }
+        let mut cells = vec![0; next.len()];
+        for connection in &self.network.connections {
+            let [from, to] = [connection.from, connection.to].map(|lane| part[lane as usize]);
+            if let Some(root) = from.filter(|_| from == to) {
+                // It has a way back: a change between lanes is none.
+                cells[root as usize] = 1;
+            }
+        }
+        for lane in lanes() {
+            let of_part = &mut cells[part[lane as usize].map_or(0, |root| root as usize)];
+            *of_part += if *of_part > 0 { self.path(lane).len() } else { 0 };
+        }
+        let largest = lanes().filter(|lane| cells[*lane as usize] > 0);
+        let largest = largest.min_by_key(|lane| (std::cmp::Reverse(cells[*lane as usize]), *lane));
+        lanes()
+            .filter(|lane| largest.is_none() || part[*lane as usize] == largest)
+            .collect()
+    }
+
     /// Returns the most cells across a lane for cars.
     pub fn lane_width(&self) -> i32 {
         let drives = self.network.lanes.iter().filter(|lane| lane.usage == LaneUse::Drive);
@@ -709,6 +767,33 @@ impl RoadMap {
         self.network.lanes[self.spot(cell)?.lane as usize].limit
     }
 
+    /// Returns the light in a tick for a car on the lane of a cell whose route leaves the junction in a direction. If no
+    /// connection goes there, or the direction is unknown, any that is no way back counts; of several lights, the one
+    /// with which a car drives on. `None` without a signal, or if it is off.
+    pub fn light(&self, cell: Cell, exit: Option<Heading>, tick: u64) -> Option<Light> {
+        let lane = self.spot(cell)?.lane;
+        let leaving = || {
+            let numbers = self.leaving[lane as usize].iter();
+            numbers.map(|&number| &self.network.connections[number as usize])
+        };
+        let entered = |connection: &Connection| {
+            let first = self.firsts[connection.to as usize] as usize;
+            self.facings.get(first).copied()
+        };
+        let of = |connection: &Connection| {
+            let SignalLink { signal, link } = connection.light?;
+            self.network.signals.get(signal as usize)?.aspect(link, tick)?.light()
+        };
+        let mut there = leaving()
+            .filter(|way| exit.is_some() && entered(way) == exit)
+            .peekable();
+        if there.peek().is_some() {
+            return together(there.filter_map(of));
+        }
+        let ahead = leaving().filter(|way| way.direction != Direction::Around);
+        together(ahead.filter_map(of))
+    }
+
     /// Returns whether a connection that leaves the lane of the first cell, and is no way back, must yield to one that
     /// leaves the lane of the second.
     pub fn must_yield(&self, cell: Cell, other: Cell) -> bool {
@@ -723,6 +808,33 @@ impl RoadMap {
         let all = (0..self.rows).flat_map(|row| (0..self.cols).map(move |col| Cell::new(row, col)));
         all.filter(|&cell| holds(cell)).collect()
     }
+}
+
+/// Returns the nodes of a graph in the order in which a depth-first search leaves them.
+fn ends_of_search(next: &[Vec<u32>]) -> Vec<u32> {
+    let (mut seen, mut ended) = (vec![false; next.len()], Vec::new());
+    for root in 0..u32::try_from(next.len()).expect("a map has fewer than 2^32 lanes") {
+        // Each open node with the number of its neighbors that were tried.
+        let mut open: Vec<(u32, usize)> = Vec::new();
+        if !std::mem::replace(&mut seen[root as usize], true) {
+            open.push((root, 0));
+        }
+        while let Some((node, tried)) = open.last_mut() {
+            match next[*node as usize].get(*tried) {
+                Some(&other) => {
+                    *tried += 1;
+                    if !std::mem::replace(&mut seen[other as usize], true) {
+                        open.push((other, 0));
+                    }
+                }
+                None => {
+                    ended.push(*node);
+                    open.pop();
+                }
+            }
+        }
+    }
+    ended
 }
 
 #[inline]

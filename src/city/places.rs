@@ -482,9 +482,9 @@ const LANE_ENDS: usize = 3;
 fn on_roads(map: &CityMap, roads: &RoadMap, kind: AgentKind, extent: &Rectangle) -> Box<[Cell]> {
     let mut cells: Vec<Cell> = match kind {
         AgentKind::Car => {
-            let lanes = 0..roads.network().lanes.len();
-            let middles = lanes.flat_map(|lane| {
-                let path = roads.path(u32::try_from(lane).expect("a map has fewer than 2^32 lanes"));
+            // A car goes on from its goal.
+            let middles = roads.circulating().into_iter().flat_map(|lane| {
+                let path = roads.path(lane);
                 let end = path.len().saturating_sub(LANE_ENDS);
                 &path[LANE_ENDS.min(end)..end]
             });

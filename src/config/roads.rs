@@ -2,7 +2,10 @@
 //!
 //! Junctions, lanes and connections are lists of lines of words, so that a large network stays small.
 
-use crate::city::{Connection, Direction, LIMIT_MAX, LaneUse, Network, Point, RoadJunction, RoadLane, Sign};
+use crate::city::{
+    Aspect, Connection, Direction, LIMIT_MAX, LaneUse, Network, Phase, Point, RoadJunction, RoadLane, Sign, Signal,
+    SignalLink,
+};
 use crate::diag::{self, Diagnostic, MAX_FAULTS, did_you_mean, listed};
 use crate::yaml::read::{Fields, integer, invalid, list, number, text};
 use crate::yaml::{YamlNode, codes};
@@ -22,7 +25,8 @@ const MAX_WIDTH: f64 = 100.0;
 const JUNCTION: &str = "a junction: `NAME X,Y X,Y ...`";
 const LANE: &str =
     "a lane: `NAME USE X,Y X,Y ...`, and before the points `to=JUNCTION`, `left=LANE`, `width=CELLS` and `limit=KMH`";
-const CONNECTION: &str = "a connection: `LANE LANE DIRECTION SIGN X,Y ...`, and before the points `yields=LANE>LANE` for each that it yields to";
+const CONNECTION: &str = "a connection: `LANE LANE DIRECTION SIGN X,Y ...`, and before the points `yields=LANE>LANE` for each that it yields to, and `light=SIGNAL:LINK`";
+const SIGNAL: &str = "a signal: `NAME TICKS:LIGHTS TICKS:LIGHTS ...`, such as `S1 30:Gr 4:yr 30:rG 4:ry`, and before the phases `offset=TICKS`";
 
 pub(super) fn network<'n>(node: &'n YamlNode, faults: &mut Vec<Diagnostic>) -> Option<Network> {
     let before = faults.len();
@@ -34,6 +38,7 @@ pub(super) fn network<'n>(node: &'n YamlNode, faults: &mut Vec<Diagnostic>) -> O
         .map_or(Some([0.0; 2]), |node| origin(node, faults));
     let size = fields.required("size", faults).and_then(|node| size(node, faults));
     let [junctions, lanes, connections] = ["junctions", "lanes", "connections"].map(|key| fields.required(key, faults));
+    let signals = fields.optional("signals");
     fields.close(faults);
     let (cell, origin, size) = (cell?, origin?, size?);
     let mut lines = |of: Option<&'n YamlNode>, what: &str| {
@@ -50,18 +55,24 @@ pub(super) fn network<'n>(node: &'n YamlNode, faults: &mut Vec<Diagnostic>) -> O
         lines(junctions, "lines, each with a junction"),
         lines(lanes, "lines, each with a lane"),
         lines(connections, "lines, each with a connection"),
+        match signals {
+            Some(_) => lines(signals, "lines, each with a signal"),
+            None => Some(Vec::new()),
+        },
     ];
-    let [Some(junctions), Some(lanes), Some(connections)] = lists else {
+    let [Some(junctions), Some(lanes), Some(connections), Some(signals)] = lists else {
         return None;
     };
     let mut reader = Reader {
         size,
         junctions: Names::new("junction"),
         lanes: Names::new("lane"),
+        signals: Names::new("signal"),
         connections: HashMap::new(),
         faults,
     };
     let junctions: Vec<RoadJunction> = reader.all(junctions, Reader::junction);
+    let signals: Vec<Signal> = reader.all(signals, Reader::signal);
     let names: Vec<Line<'_>> = lanes.iter().flatten().copied().collect();
     for line in names {
         reader.name_lane(line);
@@ -77,7 +88,8 @@ pub(super) fn network<'n>(node: &'n YamlNode, faults: &mut Vec<Diagnostic>) -> O
             reader.connections.insert((from, to), number);
         }
     }
-    let connections: Vec<Connection> = reader.all(connections, |reader, line| reader.connection(line, &lanes));
+    let connections: Vec<Connection> =
+        reader.all(connections, |reader, line| reader.connection(line, &lanes, &signals));
     if lanes.iter().all(|lane| lane.usage != LaneUse::Drive) && faults.len() == before {
         let message = "the road network has no lane for cars";
         let fault = Diagnostic::new(codes::INVALID_VALUE, message).at(node.span, "");
@@ -90,6 +102,7 @@ pub(super) fn network<'n>(node: &'n YamlNode, faults: &mut Vec<Diagnostic>) -> O
         junctions,
         lanes,
         connections,
+        signals,
     })
 }
 
@@ -159,6 +172,7 @@ struct Reader<'n, 'f> {
     size: [u32; 2],
     junctions: Names<'n>,
     lanes: Names<'n>,
+    signals: Names<'n>,
     /// By the names of both lanes.
     connections: HashMap<(&'n str, &'n str), u32>,
     faults: &'f mut Vec<Diagnostic>,
@@ -321,7 +335,83 @@ impl<'n> Reader<'n, '_> {
         })
     }
 
-    fn connection(&mut self, line: Line<'n>, lanes: &[RoadLane]) -> Option<Connection> {
+    fn signal(&mut self, line: Line<'n>) -> Option<Signal> {
+        let name = self.register(line, |reader| &mut reader.signals, SIGNAL)?;
+        let (mut offset, mut phases) = (0, Vec::<Phase>::new());
+        for (word, number) in line.words().skip(1) {
+            if let Some(ticks) = word.strip_prefix("offset=") {
+                match ticks.parse().ok().filter(|ticks| *ticks <= Signal::TICKS_MAX) {
+                    Some(ticks) => offset = ticks,
+                    None => {
+                        let help = format!("give a whole number of ticks from 0 to {}", Signal::TICKS_MAX);
+                        self.fault(line, format!("`{word}` is no offset"), &help);
+                        return None;
+                    }
+                }
+                continue;
+            }
+            let phase = word.split_once(':').and_then(|(ticks, lights)| {
+                let ticks = ticks
+                    .parse()
+                    .ok()
+                    .filter(|ticks| (1..=Signal::TICKS_MAX).contains(ticks))?;
+                let aspects: Vec<Aspect> = lights.chars().map(Aspect::of).collect::<Option<_>>()?;
+                (!aspects.is_empty()).then_some(Phase { ticks, aspects })
+            });
+            let Some(phase) = phase else {
+                let help = format!(
+                    "write `TICKS:LIGHTS` with 1 to {} ticks and a letter for each link: r (red), y (yellow), G (green), \
+                     g (green, must yield) or o (off)",
+                    Signal::TICKS_MAX
+                );
+                self.fault(line, format!("word {number} `{word}` is no phase"), &help);
+                return None;
+            };
+            if let Some(first) = phases
+                .first()
+                .filter(|first| first.aspects.len() != phase.aspects.len())
+            {
+                let [links, others] = [&phase, first].map(|phase| diag::counted(phase.aspects.len(), "light"));
+                let message = format!("the phase `{word}` has {links}, the first one has {others}");
+                self.fault(line, message, "give each phase a letter for each link");
+                return None;
+            }
+            phases.push(phase);
+        }
+        if phases.is_empty() {
+            self.fault(line, "the signal has no phase".into(), &format!("write {SIGNAL}"));
+            return None;
+        }
+        Some(Signal {
+            name: name.to_owned(),
+            offset,
+            phases,
+        })
+    }
+
+    /// Reads `SIGNAL:LINK`.
+    fn light(&mut self, line: Line<'n>, value: &str, signals: &[Signal]) -> Option<SignalLink> {
+        let Some((name, link)) = value.rsplit_once(':') else {
+            self.fault(
+                line,
+                format!("`light={value}` names no link"),
+                "write `light=SIGNAL:LINK` with the name of a signal and a number from 0",
+            );
+            return None;
+        };
+        let signal = self.number_of(line, name, |reader| &reader.signals)?;
+        let links = signals.get(signal as usize).map_or(0, Signal::links);
+        match link.parse().ok().filter(|link: &u32| (*link as usize) < links) {
+            Some(link) => Some(SignalLink { signal, link }),
+            None => {
+                let help = format!("give a number from 0 to {}", links.saturating_sub(1));
+                self.fault(line, format!("the signal `{name}` has no link `{link}`"), &help);
+                None
+            }
+        }
+    }
+
+    fn connection(&mut self, line: Line<'n>, lanes: &[RoadLane], signals: &[Signal]) -> Option<Connection> {
         let words: Vec<(&str, usize)> = line.words().collect();
         let [(from, _), (to, _), (direction, _), (sign, _), ..] = words[..] else {
             self.fault(
@@ -344,11 +434,15 @@ impl<'n> Reader<'n, '_> {
         let directions = Direction::ALL.map(|direction| (direction.name(), direction));
         let direction = self.one_of(line, direction, &directions, CONNECTION)?;
         let sign = self.one_of(line, sign, &Sign::ALL.map(|sign| (sign.name(), sign)), CONNECTION)?;
-        let mut yields_to = Vec::new();
+        let (mut yields_to, mut light) = (Vec::new(), None);
         for (word, _) in &words[4..] {
             let Some((key, value)) = word.split_once('=') else {
                 continue;
             };
+            if key == "light" {
+                light = Some(self.light(line, value, signals)?);
+                continue;
+            }
             let other = (value.split_once('>')).and_then(|names| self.connections.get(&names).copied());
             match (key, other) {
                 ("yields", Some(other)) => yields_to.push(other),
@@ -369,6 +463,7 @@ impl<'n> Reader<'n, '_> {
             to,
             direction,
             sign,
+            light,
             shape,
             yields_to,
         })

@@ -2,12 +2,13 @@
 //!
 //! A quantity has at most one value for the agents before it.
 
-use crate::city::{Agent, CityMap, Heading};
+use crate::city::{Agent, CityMap, Heading, Light, WORDS};
 #[cfg(test)]
 use crate::predicate::Definition;
 use crate::predicate::{Phrase, PredicateKind, Subject, Syntax};
 use crate::yaml::read::choice;
 use serde::{Serialize, Serializer};
+use std::ops::Range;
 
 /// A quantity.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
@@ -30,6 +31,9 @@ pub enum Quantity {
     /// The speed limit on the agent's lane in km/h; no value for pedestrians, inside intersections, on lanes without
     /// one, and on a map of blocks.
     Limit,
+    /// The light of the signal at the end of the agent's lane for its route, on a road network with signals; no value
+    /// for pedestrians, inside intersections, and where no signal shows a light.
+    Light,
     /// The Euclidean distance of two different agents in cells.
     Distance,
     /// The number of the tick, from 0.
@@ -42,6 +46,7 @@ pub(crate) enum Measure {
     Number(i32),
     Float(f32),
     Heading(Heading),
+    Light(Light),
 }
 
 /// The type of the values of a quantity.
@@ -53,6 +58,30 @@ pub enum Unit {
     Float,
     /// The name of a heading: `Left`, `Right`, `Up` or `Down`.
     Heading,
+    /// The name of a light: `red`, `yellow` or `green`.
+    Light,
+}
+
+impl Unit {
+    /// Returns the positions of its values in [`WORDS`](crate::city::WORDS); none for numbers.
+    pub(crate) const fn words(self) -> Range<u32> {
+        match self {
+            Unit::Number | Unit::Float => 0..0,
+            Unit::Heading => 0..Heading::ALL.len() as u32,
+            Unit::Light => Heading::ALL.len() as u32..WORDS.len() as u32,
+        }
+    }
+
+    /// Returns the names of its values; none for numbers.
+    pub(crate) fn names(self) -> &'static [&'static str] {
+        let Range { start, end } = self.words();
+        &WORDS[start as usize..end as usize]
+    }
+
+    /// Returns the position in [`WORDS`](crate::city::WORDS) of the value with this name.
+    pub(crate) fn word(self, name: &str) -> Option<u32> {
+        self.words().find(|word| WORDS[*word as usize] == name)
+    }
 }
 
 /// What an agent did before the present tick and what is before it. Only quantities read it.
@@ -82,7 +111,7 @@ impl Progress {
 
 impl Quantity {
     /// All quantities.
-    pub const ALL: [Quantity; 10] = [
+    pub const ALL: [Quantity; 11] = [
         Quantity::Speed,
         Quantity::Heading,
         Quantity::Priority,
@@ -91,6 +120,7 @@ impl Quantity {
         Quantity::Intersection,
         Quantity::Exit,
         Quantity::Limit,
+        Quantity::Light,
         Quantity::Distance,
         Quantity::Tick,
     ];
@@ -106,6 +136,7 @@ impl Quantity {
             Quantity::Intersection => "intersection",
             Quantity::Exit => "exit",
             Quantity::Limit => "limit",
+            Quantity::Light => "light",
             Quantity::Distance => "distance",
             Quantity::Tick => "tick",
         }
@@ -125,6 +156,7 @@ impl Quantity {
         match self {
             Quantity::Distance => Unit::Float,
             Quantity::Heading | Quantity::Exit => Unit::Heading,
+            Quantity::Light => Unit::Light,
             _ => Unit::Number,
         }
     }
@@ -133,8 +165,13 @@ impl Quantity {
     pub(crate) const fn is_visible(self) -> bool {
         !matches!(
             self,
-            Quantity::Speed | Quantity::Waited | Quantity::Remaining | Quantity::Exit
+            Quantity::Speed | Quantity::Waited | Quantity::Remaining | Quantity::Exit | Quantity::Light
         )
+    }
+
+    /// Returns whether the value follows from where the agent's route leaves its next intersection.
+    pub(crate) const fn reads_exit(self) -> bool {
+        matches!(self, Quantity::Exit | Quantity::Light)
     }
 
     /// Returns the value for these agents on a map, as many as [`agents`](Quantity::agents).
@@ -149,6 +186,10 @@ impl Quantity {
             (Quantity::Intersection, [x, ..]) => map.intersection(x.subject.kind, x.subject.at).and_then(count),
             (Quantity::Limit, [x, ..]) => {
                 (map.limit(x.subject.kind, x.subject.at)).and_then(|limit| count(limit.into()))
+            }
+            (Quantity::Light, [x, ..]) => {
+                let Subject { kind, at, .. } = x.subject;
+                map.light(kind, at, x.progress.exit, tick).map(Measure::Light)
             }
             (Quantity::Heading, [x, ..]) => x.subject.heading.map(Measure::Heading),
             (Quantity::Exit, [x, ..]) => x.progress.exit.map(Measure::Heading),
@@ -187,6 +228,7 @@ impl PredicateKind for Quantity {
             Quantity::Remaining => "has this number of cells before it:",
             Quantity::Intersection => "is at or inside the intersection with this number:",
             Quantity::Limit => "has this speed limit in km/h:",
+            Quantity::Light => "sees this light:",
             Quantity::Exit => "leaves its next intersection in the direction",
             Quantity::Distance => "has this distance in cells from",
             Quantity::Tick => "The tick is",

@@ -1,9 +1,10 @@
 //! Road networks of map files as networks of SUMO.
 //!
 //! A lane `NAME_0` belongs to the edge `NAME`. Each connection gets a lane inside its junction, and its junction a
-//! request for it, so that SUMO yields as the map says. At signals, one street after the other has green.
+//! request for it, so that SUMO yields as the map says. Signals have the phases of the map, one second a tick; at those
+//! without any, one street after the other has green.
 
-use crate::city::{Connection, Direction, LaneUse, Network, Point, RoadLane, Sign};
+use crate::city::{Connection, Direction, LaneUse, Network, Point, RoadLane, Sign, SignalLink};
 use crate::sumo::{escaped, meters};
 use std::collections::{BTreeMap, HashMap};
 use std::fmt::Write;
@@ -212,8 +213,9 @@ impl<'n> Exporter<'n> {
         for edge in 0..self.edges.len() {
             self.edge(edge);
         }
+        self.signals();
         for node in 0..self.nodes.len() {
-            self.signal(node);
+            self.made_signal(node);
         }
         for node in 0..self.nodes.len() {
             self.junction(node);
@@ -336,23 +338,45 @@ impl<'n> Exporter<'n> {
         )
     }
 
-    fn is_signal(&self, node: usize) -> bool {
-        let mut connections = self.nodes[node].connections.iter();
-        connections.any(|connection| self.network.connections[*connection as usize].sign == Sign::Signal)
+    /// Writes the signals of the map.
+    fn signals(&mut self) {
+        for signal in &self.network.signals {
+            let (name, offset) = (escaped(&signal.name), signal.offset);
+            self.line(
+                1,
+                &format!("<tlLogic id=\"{name}\" type=\"static\" programID=\"0\" offset=\"{offset}\">"),
+            );
+            for phase in &signal.phases {
+                let state: String = phase.aspects.iter().map(|aspect| aspect.letter()).collect();
+                self.line(2, &format!("<phase duration=\"{}\" state=\"{state}\"/>", phase.ticks));
+            }
+            self.line(1, "</tlLogic>");
+        }
     }
 
-    /// Writes the phases of a signal: green and yellow for one street after the other.
-    fn signal(&mut self, node: usize) {
-        if !self.is_signal(node) {
-            return;
+    /// Returns the name of the signal that a junction gets for connections without a link of one.
+    fn made_name(&self, node: usize) -> Option<String> {
+        let mut connections = self.nodes[node].connections.iter();
+        connections.find(|connection| {
+            let connection = &self.network.connections[**connection as usize];
+            connection.sign == Sign::Signal && connection.light.is_none()
+        })?;
+        let mut name = self.nodes[node].name.clone();
+        while self.network.signals.iter().any(|signal| signal.name == name) {
+            name.push('_');
         }
+        Some(escaped(&name))
+    }
+
+    /// Writes the phases of a signal that a junction gets: green and yellow for one street after the other.
+    fn made_signal(&mut self, node: usize) {
+        let Some(name) = self.made_name(node) else { return };
         let connections = self.nodes[node].connections.clone();
         let street = |connection: &u32| self.place[&self.network.connections[*connection as usize].from].0;
         let streets: Vec<usize> = connections.iter().map(street).collect();
         let mut order = streets.clone();
         order.sort_unstable();
         order.dedup();
-        let name = escaped(&self.nodes[node].name);
         self.line(
             1,
             &format!("<tlLogic id=\"{name}\" type=\"static\" programID=\"0\" offset=\"0\">"),
@@ -445,8 +469,6 @@ impl<'n> Exporter<'n> {
             }
         }
         for (number, (node, at)) in places.into_iter().enumerate() {
-            let is_signal = self.is_signal(node);
-            let name = escaped(&self.nodes[node].name);
             let connection: &Connection = &self.network.connections[number];
             let [(from, from_lane), (to, to_lane)] = [connection.from, connection.to].map(|lane| self.place[&lane]);
             let [from, to] = [from, to].map(|edge| escaped(&self.edges[edge].name));
@@ -466,9 +488,16 @@ impl<'n> Exporter<'n> {
                 Sign::Signal => "o",
             };
             let inner = self.inner_name(node, at);
-            let light = match (is_signal, connection.sign) {
-                (true, Sign::Signal) => format!(" tl=\"{name}\" linkIndex=\"{at}\""),
-                _ => String::new(),
+            let light = match (connection.light, connection.sign) {
+                (Some(SignalLink { signal, link }), _) => {
+                    let name = escaped(&self.network.signals[signal as usize].name);
+                    format!(" tl=\"{name}\" linkIndex=\"{link}\"")
+                }
+                (None, Sign::Signal) => {
+                    let name = self.made_name(node).unwrap_or_default();
+                    format!(" tl=\"{name}\" linkIndex=\"{at}\"")
+                }
+                (None, _) => String::new(),
             };
             let lanes = format!("fromLane=\"{from_lane}\" toLane=\"{to_lane}\"");
             self.line(

@@ -33,7 +33,7 @@ pub struct Moving<'a> {
     pub at: Cell,
     /// Its cell after it.
     pub next: Cell,
-    /// The direction of its last move.
+    /// The direction of its last move before the tick.
     pub heading: Option<Heading>,
 }
 
@@ -61,7 +61,7 @@ impl<'m, W: Write> FcdWriter<'m, W> {
         })
     }
 
-    /// Writes the agents before the moves of a tick, always in the same order.
+    /// Writes the agents after the moves of a tick, always in the same order.
     ///
     /// # Errors
     /// Errors of the output.
@@ -83,7 +83,7 @@ impl<'m, W: Write> FcdWriter<'m, W> {
                 AgentKind::Pedestrian => "person",
             };
             let lane = match agent.kind {
-                AgentKind::Car => self.map.lane_name(agent.at),
+                AgentKind::Car => self.map.lane_name(agent.next),
                 AgentKind::Pedestrian => None,
             };
             let lane = lane.map_or(String::new(), |lane| format!(" lane=\"{}\"", escaped(lane)));
@@ -108,11 +108,11 @@ impl<'m, W: Write> FcdWriter<'m, W> {
     /// Returns the middle of an agent's cell; for a car on a lane, the nearest point of the middle of the lane.
     fn point(&self, agent: Moving<'_>) -> Point {
         let middle = Point {
-            x: f64::from(agent.at.col) + 0.5,
-            y: f64::from(agent.at.row) + 0.5,
+            x: f64::from(agent.next.col) + 0.5,
+            y: f64::from(agent.next.row) + 0.5,
         };
         match agent.kind {
-            AgentKind::Car => self.map.lane_point(agent.at, middle).unwrap_or(middle),
+            AgentKind::Car => self.map.lane_point(agent.next, middle).unwrap_or(middle),
             AgentKind::Pedestrian => middle,
         }
     }
@@ -120,7 +120,7 @@ impl<'m, W: Write> FcdWriter<'m, W> {
     /// Returns the direction of an agent in degrees clockwise from north: along its lane, or else that of its move.
     fn angle(&self, agent: Moving<'_>) -> Option<f64> {
         let along = match agent.kind {
-            AgentKind::Car => self.map.lane_direction(agent.at, AROUND),
+            AgentKind::Car => self.map.lane_direction(agent.next, AROUND),
             AgentKind::Pedestrian => None,
         };
         let moved = (agent.at != agent.next).then_some((agent.at, agent.next));

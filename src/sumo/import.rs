@@ -1,12 +1,14 @@
 //! Road networks of SUMO as map files.
 //!
-//! The reader takes what the city has: lanes for cars and for pedestrians, junctions with their shapes, and connections
-//! with their direction, their right of way, and what they must yield to. The format is that of SUMO's network files:
+//! The reader takes what the city has: lanes for cars and for pedestrians, junctions with their shapes, connections
+//! with their direction, their right of way, and what they must yield to, and signals with their phases, one tick a
+//! second; of several programs of a signal, the first. The format is that of SUMO's network files:
 //! an edge has lanes, a junction has the list of its links (`intLanes`), and `request` says for each link which others
 //! have the right of way over it (`response`, a text of bits from the last link to the first).
 
 use crate::city::{
-    Connection, Direction, LIMIT_MAX, LaneUse, Network, Point, RoadJunction, RoadLane, Sign, codes, distance,
+    Aspect, Connection, Direction, LIMIT_MAX, LaneUse, Network, Phase, Point, RoadJunction, RoadLane, Sign, Signal,
+    SignalLink, codes, distance,
 };
 use crate::diag::{Diagnostic, SourceId, Sources, Span};
 use roxmltree::{Document, Node, ParsingOptions};
@@ -200,9 +202,22 @@ impl Reader {
                 behind.insert(format!("{from}_{index}"), via);
             }
         }
+        let mut signals: Vec<Signal> = Vec::new();
+        let mut signal_numbers: HashMap<&str, u32> = HashMap::new();
+        for node in elements("tlLogic") {
+            let name = self.name(node)?;
+            if !signal_numbers.contains_key(name) {
+                signal_numbers.insert(name, u32::try_from(signals.len()).expect("a file has few signals"));
+                signals.push(self.signal(node, name)?);
+            }
+        }
         let mut connections: Vec<(Connection, Option<Link>)> = Vec::new();
         for node in elements("connection").filter(|node| !is_inner(node.attribute("from"))) {
+            let before = connections.len();
             connections.extend(self.connection(node, &of_edge, &found, &inner, &behind, &links)?);
+            for (connection, _) in &mut connections[before..] {
+                connection.light = self.light(node, &signal_numbers, &signals)?;
+            }
         }
         let of_link: HashMap<Link, u32> = (connections.iter().zip(0..))
             .filter_map(|((_, link), number)| Some(((*link)?, number)))
@@ -225,6 +240,7 @@ impl Reader {
             junctions,
             lanes: found.into_iter().map(|found| found.lane).collect(),
             connections: connections.into_iter().map(|(connection, _)| connection).collect(),
+            signals,
         };
         if network.lanes.iter().all(|lane| lane.usage != LaneUse::Drive) {
             return Err(self
@@ -318,6 +334,90 @@ impl Reader {
         Ok(())
     }
 
+    /// Reads the program of a signal.
+    fn signal(&self, node: Node<'_, '_>, name: &str) -> Result<Signal, Diagnostic> {
+        let seconds = |node: Node<'_, '_>, attribute: &str, text: &str, least: f64| -> Result<u32, Diagnostic> {
+            let seconds = self.number(node, attribute, text)?.round();
+            let most = f64::from(Signal::TICKS_MAX);
+            if !(least..=most).contains(&seconds) {
+                let message = format!("the attribute `{attribute}` is not from {least} to {most} seconds: `{text}`");
+                return Err(self.fault(node, message).help("shorten the phase"));
+            }
+            #[allow(clippy::cast_possible_truncation, clippy::cast_sign_loss)] // it is in the range
+            Ok(seconds as u32)
+        };
+        let mut phases: Vec<Phase> = Vec::new();
+        for phase in node.children().filter(|node| node.has_tag_name("phase")) {
+            let duration = self.attribute(phase, "duration")?;
+            let state = self.attribute(phase, "state")?;
+            let aspects: Option<Vec<Aspect>> = (state.chars())
+                .map(|letter| match letter {
+                    // Red and yellow together, and red that lets cars turn right after a stop, are red.
+                    'u' | 's' => Aspect::of('r'),
+                    'O' => Aspect::of('o'),
+                    'R' | 'Y' => Aspect::of(letter.to_ascii_lowercase()),
+                    letter => Aspect::of(letter),
+                })
+                .collect();
+            let Some(aspects) = aspects.filter(|aspects| !aspects.is_empty()) else {
+                let message = format!("the attribute `state` has no letters of lights: `{state}`");
+                return Err(self
+                    .fault(phase, message)
+                    .help("write a letter for each link, such as `GGrr`"));
+            };
+            if phases.first().is_some_and(|first| first.aspects.len() != aspects.len()) {
+                let message = "the phases of the signal have different numbers of links".to_owned();
+                return Err(self
+                    .fault(phase, message)
+                    .help("write a letter for each link in each phase"));
+            }
+            let ticks = seconds(phase, "duration", duration, 1.0)?;
+            phases.push(Phase { ticks, aspects });
+        }
+        if phases.is_empty() {
+            let message = format!("the signal `{name}` has no phase");
+            return Err(self
+                .fault(node, message)
+                .help("export the network again, or remove the signal"));
+        }
+        let offset = match node.attribute("offset") {
+            // SUMO also writes `begin` for the start of the simulation.
+            Some(text) if text != "begin" => {
+                let cycle: u32 = phases.iter().map(|phase| phase.ticks).fold(0, u32::saturating_add);
+                let number = self.number(node, "offset", text)?.rem_euclid(f64::from(cycle));
+                seconds(node, "offset", &number.to_string(), 0.0)?
+            }
+            _ => 0,
+        };
+        Ok(Signal {
+            name: name.to_owned(),
+            offset,
+            phases,
+        })
+    }
+
+    /// Reads the link of a signal that regulates a connection.
+    fn light(
+        &self,
+        node: Node<'_, '_>,
+        numbers: &HashMap<&str, u32>,
+        signals: &[Signal],
+    ) -> Result<Option<SignalLink>, Diagnostic> {
+        // A network without programs has signals whose lights nobody knows.
+        let Some(&signal) = node.attribute("tl").and_then(|name| numbers.get(name)) else {
+            return Ok(None);
+        };
+        let text = self.attribute(node, "linkIndex")?;
+        let link = text.parse().ok();
+        match link.filter(|link: &u32| (*link as usize) < signals[signal as usize].links()) {
+            Some(link) => Ok(Some(SignalLink { signal, link })),
+            None => {
+                let message = format!("the signal of the connection has no link `{text}`");
+                Err(self.fault(node, message).help("export the network again"))
+            }
+        }
+    }
+
     /// Reads a connection between two lanes for cars, with the number of its link; `None` for other lanes.
     fn connection(
         &self,
@@ -372,6 +472,7 @@ impl Reader {
             to,
             direction,
             sign,
+            light: None,
             shape,
             yields_to: Vec::new(),
         };
@@ -495,11 +596,29 @@ pub fn map_file(network: &Network) -> String {
             name(connection.from),
             name(connection.to)
         );
+        if let Some(SignalLink { signal, link }) = connection.light {
+            let signal = yaml_quoted(&network.signals[signal as usize].name);
+            let _ = write!(text, " light={signal}:{link}");
+        }
         for &other in &connection.yields_to {
             let other = &network.connections[other as usize];
             let _ = write!(text, " yields={}>{}", name(other.from), name(other.to));
         }
         points(&mut text, &connection.shape);
+        text.push_str("\"\n");
+    }
+    if !network.signals.is_empty() {
+        text.push_str("  signals:\n");
+    }
+    for signal in &network.signals {
+        let _ = write!(text, "    - \"{}", yaml_quoted(&signal.name));
+        if signal.offset > 0 {
+            let _ = write!(text, " offset={}", signal.offset);
+        }
+        for phase in &signal.phases {
+            let letters: String = phase.aspects.iter().map(|aspect| aspect.letter()).collect();
+            let _ = write!(text, " {}:{letters}", phase.ticks);
+        }
         text.push_str("\"\n");
     }
     text

@@ -1,10 +1,10 @@
 //! Quantities in observations: numbers after the truth values of the atoms.
 //!
-//! A heading takes four truth values for each entity. Any other value is divided by a scale, which most values do not
+//! A heading takes four truth values for each entity, and a light three. Any other value is divided by a scale, which most values do not
 //! exceed. A power of two divides distances, so that they are read as they were written; whole numbers up to 2^22 are
 //! rounded. Where there is no value, the number is 0.
 
-use crate::city::{CityMap, Heading};
+use crate::city::CityMap;
 use crate::config::Scenario;
 use crate::datalog::Value;
 use crate::predicate::{Definition, Quantity, Unit};
@@ -18,14 +18,15 @@ pub(super) struct Numbers {
     entities: usize,
 }
 
-/// The numbers of a quantity, or whether it is a certain heading.
+/// The numbers of a quantity, or whether it is a certain word.
 #[derive(Clone, Copy, Debug)]
 pub(super) struct NumberColumn {
     /// The position in the vocabulary.
     pub predicate: usize,
     quantity: Quantity,
-    pub heading: Option<Heading>,
-    /// The divisor of the values; 1 for a heading.
+    /// The position of the word in [`WORDS`].
+    pub word: Option<u32>,
+    /// The divisor of the values; 1 for a word.
     pub scale: f32,
     /// The position of the first number among all.
     start: usize,
@@ -40,8 +41,8 @@ impl NumberColumn {
     /// Returns the number of a value.
     #[allow(clippy::cast_precision_loss)] // observations have single precision
     fn number(&self, value: Value) -> f32 {
-        match (self.heading, self.quantity.unit()) {
-            (Some(heading), _) => f32::from(u8::from(value.0 == heading as u32)),
+        match (self.word, self.quantity.unit()) {
+            (Some(word), _) => f32::from(u8::from(value.0 == word)),
             (None, Unit::Float) => value.as_float() / self.scale,
             (None, _) => value.as_number() as f32 / self.scale,
         }
@@ -50,8 +51,8 @@ impl NumberColumn {
     /// Returns the value of a number; `None` if there is none.
     #[allow(clippy::cast_possible_truncation)] // rounded
     fn value(&self, number: f32) -> Option<Value> {
-        match (self.heading, self.quantity) {
-            (Some(heading), _) => (number > 0.5).then_some(Value(heading as u32)),
+        match (self.word, self.quantity) {
+            (Some(word), _) => (number > 0.5).then_some(Value(word)),
             (None, Quantity::Distance) => Some(Value::float(number * self.scale)),
             (None, Quantity::Intersection | Quantity::Limit) if number == 0.0 => None,
             (None, _) => Some(Value::number((number * self.scale).round() as i32)),
@@ -67,15 +68,15 @@ impl Numbers {
             let Definition::Quantity(quantity) = base.definition else {
                 continue;
             };
-            let headings: &[Option<Heading>] = match quantity.unit() {
-                Unit::Heading => &Heading::ALL.map(Some),
-                Unit::Number | Unit::Float => &[None],
+            let words: Vec<Option<u32>> = match quantity.unit() {
+                Unit::Number | Unit::Float => vec![None],
+                unit => unit.words().map(Some).collect(),
             };
-            for &heading in headings {
+            for word in words {
                 let column = NumberColumn {
                     predicate,
                     quantity,
-                    heading,
+                    word,
                     scale: scale(quantity, scenario, map),
                     start,
                 };
@@ -181,7 +182,7 @@ pub(super) fn greatest_priority(scenario: &Scenario) -> f32 {
 #[allow(clippy::cast_precision_loss)] // a scale
 fn scale(quantity: Quantity, scenario: &Scenario, map: &CityMap) -> f32 {
     match quantity {
-        Quantity::Heading | Quantity::Exit => 1.0,
+        Quantity::Heading | Quantity::Exit | Quantity::Light => 1.0,
         Quantity::Priority => greatest_priority(scenario),
         Quantity::Speed => {
             let most = scenario.kinds.all().map(|kind| scenario.actions.table.reach(kind));

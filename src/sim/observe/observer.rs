@@ -9,7 +9,7 @@
 //! action, the observer fixes the action predicates in the bodies of all clauses: only this action holds, and only for
 //! the ego. The others' next actions are not observable, so no action holds for them.
 
-use crate::city::{Action, Agent, AgentKind};
+use crate::city::{Action, Agent, AgentKind, WORDS};
 use crate::city::{Area, Cell, FieldOfView};
 use crate::config::SensorsConfig;
 use crate::datalog::Session;
@@ -60,7 +60,7 @@ pub struct Oracle {
 /// Consecutive numbers of an observation: the truth values of a predicate, or the values of a quantity.
 #[derive(Clone, Debug)]
 pub struct ObservedColumn {
-    /// The predicate's name. For a quantity of headings, followed by the heading, as in `Heading=Up`: such a column has
+    /// The predicate's name. For a quantity of words, followed by the word, as in `Heading=Up`: such a column has
     /// truth values.
     pub name: String,
     /// The position of the predicate in the vocabulary.
@@ -261,8 +261,13 @@ pub fn observed_columns(world: &World, entities: usize) -> Vec<ObservedColumn> {
         .filter(|(position, predicate)| *position != vocabulary.sees && predicate.value.is_none())
         .map(|(position, predicate)| column(position, "", predicate.arity, None));
     let numbers = Numbers::new(&world.scenario, world.map(), &vocabulary.predicates, entities);
-    let numbers = numbers.columns.iter().map(|known| match known.heading {
-        Some(heading) => column(known.predicate, &format!("={}", heading.name()), known.arity(), None),
+    let numbers = numbers.columns.iter().map(|known| match known.word {
+        Some(word) => column(
+            known.predicate,
+            &format!("={}", WORDS[word as usize]),
+            known.arity(),
+            None,
+        ),
         None => column(known.predicate, "", known.arity(), Some(known.scale)),
     });
     atoms.chain(numbers).collect()

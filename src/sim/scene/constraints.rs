@@ -1,10 +1,9 @@
 //! The integrity constraints that hold in a city: declared ones that its configuration confirms, and further ones that
 //! follow from the definitions of predicates and from the agents.
 
-use crate::city::Heading;
 use crate::datalog::{Constraint, DeclaredConstraint, Function, Literal, PredicateId, Rules};
 use crate::diag::{Diagnostic, Span};
-use crate::predicate::{Definition, Static, Unit};
+use crate::predicate::{Definition, Static};
 use crate::sim::codes;
 use crate::sim::scene::judge::Verdict;
 use crate::sim::scene::theory::{CityTheory, Known, KnownInputs};
@@ -50,10 +49,9 @@ impl CityTheory {
     pub fn functions(&self, rules: &Rules) -> Vec<Function> {
         let quantities = self.scenario.predicates.iter().filter_map(|predicate| {
             let unit = predicate.definition.unit()?;
-            let symbols = || Heading::ALL.map(|heading| heading.name().to_owned()).to_vec();
             Some(Function {
                 predicate: rules.predicate(&predicate.name.value)?,
-                symbols: (unit == Unit::Heading).then(symbols),
+                symbols: (!unit.names().is_empty()).then(|| unit.names().iter().map(|&name| name.to_owned()).collect()),
             })
         });
         quantities.collect()

@@ -469,14 +469,26 @@ impl<'a> Reader<'a> {
         })
     }
 
+    /// Returns the position of a value in [`WORDS`].
+    fn word(&self, raw: &'a RawValue, unit: Unit) -> Read<u32> {
+        if unit == Unit::Heading {
+            return Ok(self.heading(raw)? as u32);
+        }
+        let name: String = self.value(raw)?;
+        unit.word(&name).ok_or_else(|| {
+            let fault = self.fault(raw, format!("`{name}` is not a light"), &expected(unit));
+            vec![suggest(fault, &name, unit.names().iter().copied())]
+        })
+    }
+
     fn heading(&self, raw: &'a RawValue) -> Read<Heading> {
         let name: String = self.value(raw)?;
-        let expected = "expected \"Left\", \"Right\", \"Up\", \"Down\" or null";
+        let expected = format!("{} or null", expected(Unit::Heading));
         let heading = Heading::ALL
             .into_iter()
             .find(|heading| heading.name().eq_ignore_ascii_case(&name));
         heading.ok_or_else(|| {
-            let fault = self.fault(raw, format!("`{name}` is not a heading"), expected);
+            let fault = self.fault(raw, format!("`{name}` is not a heading"), &expected);
             vec![suggest(fault, &name, Heading::ALL.map(Heading::name))]
         })
     }
@@ -750,7 +762,7 @@ impl<'a> Reader<'a> {
             None => Value::default(),
             Some(Unit::Number) => Value::number(self.value(terms[arity])?),
             Some(Unit::Float) => Value::float(self.value(terms[arity])?),
-            Some(Unit::Heading) => Value(self.heading(terms[arity])? as u32),
+            Some(unit @ (Unit::Heading | Unit::Light)) => Value(self.word(terms[arity], unit)?),
         };
         Ok((row, value))
     }
@@ -828,17 +840,26 @@ fn suggest_name(fault: Diagnostic, written: &str, names: &NameIndex<'_>) -> Diag
     }
 }
 
+/// Returns what to write as a value that is a word.
+fn expected(unit: Unit) -> String {
+    let names: Vec<String> = unit.names().iter().map(|name| format!("\"{name}\"")).collect();
+    format!("expected {}", names.join(", "))
+}
+
+/// Returns whether a term is a value of a unit, whatever the case of its letters.
+fn is_word(unit: Unit, term: &str) -> bool {
+    let term = term.trim_matches('"');
+    unit.names().iter().any(|name| name.eq_ignore_ascii_case(term))
+}
+
 /// Returns a row of the right form, with the names and the value of a wrong one where it has them.
 fn row_like(terms: &[&RawValue], arity: usize, unit: Option<Unit>, names: &NameIndex<'_>) -> String {
     let (example, is_value): (&str, fn(&str) -> bool) = match unit {
         None => ("", |_| false),
         Some(Unit::Number) => ("3", |term| term.parse::<i32>().is_ok()),
         Some(Unit::Float) => ("3.5", |term| term.parse::<f32>().is_ok()),
-        Some(Unit::Heading) => ("\"Up\"", |term| {
-            Heading::ALL
-                .iter()
-                .any(|heading| heading.name().eq_ignore_ascii_case(term.trim_matches('"')))
-        }),
+        Some(Unit::Heading) => ("\"Up\"", |term| is_word(Unit::Heading, term)),
+        Some(Unit::Light) => ("\"green\"", |term| is_word(Unit::Light, term)),
     };
     let written = || {
         terms

@@ -1,6 +1,6 @@
 //! The choice of executor, and the compilation of rules for the dense one.
 
-use crate::city::Heading;
+use crate::city::WORDS;
 use crate::datalog::dense::{
     self, BitFacts, Condition, ConditionValues, Dense, Division, EntityDraw, Handed, Lifted, TooManySteps,
     TrackFirings, Unsupported, divide, lift,
@@ -164,7 +164,7 @@ impl DenseRules {
             handed: None,
             conditions: Conditions {
                 list: conditions,
-                headings: Heading::ALL.map(|heading| Value(rules.symbols.intern(heading.name()).0)),
+                words: WORDS.map(|word| Value(rules.symbols.intern(word).0)),
                 rules,
                 quantities,
             },
@@ -251,8 +251,8 @@ pub(crate) struct Conditions {
     list: Vec<Condition>,
     /// The rules that read the hidden predicates of the conditions.
     rules: Rules,
-    /// The symbols of the headings, in the order of [`Heading::ALL`].
-    headings: [Value; 4],
+    /// The symbols of [`WORDS`].
+    words: [Value; WORDS.len()],
     /// The positions in the vocabulary of the quantities.
     quantities: Vec<ReadQuantity>,
 }
@@ -378,9 +378,9 @@ impl<V: Fn(usize, Quantity, &[usize]) -> Option<Value>> ConditionValues for Give
         let mut quantities = self.conditions.quantities.iter();
         let &(_, position, quantity) = quantities.find(|(id, ..)| *id == predicate)?;
         let value = (self.value)(position, quantity, places)?;
-        Some(match quantity {
-            Quantity::Heading | Quantity::Exit => self.conditions.headings[value.0 as usize],
-            _ => value,
+        Some(match quantity.unit() {
+            Unit::Heading | Unit::Light => self.conditions.words[value.0 as usize],
+            Unit::Number | Unit::Float => value,
         })
     }
 

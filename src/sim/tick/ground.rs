@@ -3,7 +3,7 @@
 //! It evaluates the definition of every base predicate ([`predicate`](crate::predicate)) for all entities.
 
 use crate::cancel::Cancel;
-use crate::city::{CityMap, Heading};
+use crate::city::{CityMap, WORDS};
 use crate::datalog::Value;
 use crate::datalog::internal::size;
 use crate::diag::codes;
@@ -30,8 +30,8 @@ pub type PastRows = Vec<([u32; 2], u64)>;
 pub struct Facts {
     /// The rows of each predicate.
     pub rows: Vec<Vec<[u32; 2]>>,
-    /// For each predicate with a value, that of each row, in their order; empty for others. For a heading, its position
-    /// in `Heading::ALL`.
+    /// For each predicate with a value, that of each row, in their order; empty for others. For a word, its position in
+    /// [`WORDS`].
     pub values: Vec<Vec<Value>>,
     /// The rows of each hidden predicate about earlier ticks, in the order of [`Rules::pasts`](crate::datalog::Rules),
     /// with the ticks that explain them; empty before the first tick.
@@ -92,7 +92,7 @@ pub(crate) fn json_value(value: Value, unit: Unit) -> serde_json::Value {
     match unit {
         Unit::Number => value.as_number().into(),
         Unit::Float => value.as_float().into(),
-        Unit::Heading => Heading::ALL[value.0 as usize].name().into(),
+        Unit::Heading | Unit::Light => WORDS[value.0 as usize].into(),
     }
 }
 
@@ -271,7 +271,8 @@ pub(crate) fn word(measure: Measure) -> Value {
     match measure {
         Measure::Number(number) => Value::number(number),
         Measure::Float(float) => Value::float(float),
-        Measure::Heading(heading) => Value(heading as u32),
+        Measure::Heading(heading) => Value(Unit::Heading.words().start + heading as u32),
+        Measure::Light(light) => Value(Unit::Light.words().start + light as u32),
     }
 }
 

@@ -1,7 +1,7 @@
 //! Facts of a city or a scene in a session, updated by differences.
 
 use crate::cancel::Cancel;
-use crate::city::{Action, Heading};
+use crate::city::{Action, WORDS};
 use crate::datalog::{BaseType, EvalError, Limits, Past, PredicateId, Program, Session, Value};
 use crate::sim::tick::ground::Facts;
 use crate::sim::tick::memory::Watched;
@@ -17,8 +17,8 @@ pub struct GroundState {
     predicates: Vec<Option<GroundPredicate>>,
     /// The hidden predicates about earlier ticks.
     pasts: Vec<GroundPredicate>,
-    /// The symbols of the headings, in the order of [`Heading::ALL`].
-    headings: [Value; 4],
+    /// The symbols of [`WORDS`].
+    words: [Value; WORDS.len()],
     facts: Facts,
     /// The limits of each evaluation, whose memory the facts share.
     limits: Limits,
@@ -85,7 +85,7 @@ impl GroundState {
                 .map(|(index, &value)| (value, index))
                 .collect(),
             entities,
-            headings: Heading::ALL.map(|heading| session.intern(heading.name())),
+            words: WORDS.map(|word| session.intern(word)),
             session,
             facts: Facts::new(predicates.len()),
             predicates,
@@ -186,7 +186,7 @@ impl GroundState {
         }
         if let (Some(base), Some(&value)) = (predicate.value, value) {
             words[predicate.arity] = match base {
-                BaseType::Symbol => self.headings[value.0 as usize],
+                BaseType::Symbol => self.words[value.0 as usize],
                 _ => value,
             };
         }

@@ -82,10 +82,7 @@ impl Now<'_> {
     fn value(&self, map: &CityMap, quantity: Quantity, bodies: [&AgentState; 2], places: &[usize]) -> Option<Value> {
         let measured = bodies.map(|body| Measured {
             subject: body.subject(),
-            progress: Progress::of(
-                &self.agents[body.agent as usize],
-                (quantity == Quantity::Exit).then_some(map),
-            ),
+            progress: Progress::of(&self.agents[body.agent as usize], quantity.reads_exit().then_some(map)),
         });
         let measure = match *places {
             [x] => quantity.measure(map, self.draws.time, &[&measured[x]]),

@@ -112,7 +112,7 @@ pub fn base_of(unit: Unit) -> BaseType {
     match unit {
         Unit::Number => BaseType::Number,
         Unit::Float => BaseType::Float,
-        Unit::Heading => BaseType::Symbol,
+        Unit::Heading | Unit::Light => BaseType::Symbol,
     }
 }
 
@@ -200,7 +200,10 @@ impl Vocabulary {
                 predicates,
                 sees,
                 draws: rules.chance.is_some(),
-                has_exits: (scenario.predicates.iter()).any(|predicate| predicate.definition == Quantity::Exit.into()),
+                has_exits: (scenario.predicates.iter()).any(|predicate| match predicate.definition {
+                    Definition::Quantity(quantity) => quantity.reads_exit(),
+                    _ => false,
+                }),
                 table: table.clone(),
                 actions,
                 decisions: (scenario

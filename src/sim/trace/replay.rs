@@ -4,11 +4,11 @@ use crate::city::{Action, ActionTable, AgentKind, KindId};
 use crate::city::{Cell, Heading};
 use crate::datalog::{BaseType, Limits, Session, Value};
 use crate::diag::{Diagnostic, json_error};
-use crate::predicate::{Entity, Measure, Progress};
+use crate::predicate::{Entity, Progress};
 use crate::rng::Seed;
 use crate::sim::codes;
 use crate::sim::tick::chance::{Chance, Draws};
-use crate::sim::tick::ground::{Facts, PastRows, ground, word};
+use crate::sim::tick::ground::{Facts, PastRows, ground};
 use crate::sim::tick::ground_state::GroundState;
 use crate::sim::tick::simulation::Snapshot;
 use crate::sim::tick::vocabulary::{Actions, BasePredicate};
@@ -379,7 +379,7 @@ impl Replay {
                 Some((places, Some(Value::number(i32::try_from(*number).ok()?))))
             }
             ([GivenTerm::Name(name)], Some(BaseType::Symbol)) => {
-                Some((places, Some(word(Measure::Heading(Heading::from_name(name)?)))))
+                Some((places, Some(Value(predicate.definition.unit()?.word(name)?))))
             }
             _ => None,
         }
