@@ -11,7 +11,6 @@ use logicity::city::{
 use logicity::datalog::dense::{BitFacts, BitState, TrackFirings, has};
 use logicity::diag::Sources;
 use logicity::files::read_text;
-use logicity::located::Located;
 use logicity::rng::{Purpose, Seed};
 use logicity::sim::{Executor, Inference, LoadedCity, Settings, Simulation, World};
 use std::hint::black_box;
@@ -249,8 +248,9 @@ fn planner(config: &str) -> (AgentSet, Router, Places) {
     let city = LoadedCity::load(&mut Sources::new(), Path::new(config), None, &BuiltinFiles).expect("built in");
     let World { router, scenario, .. } = city.world().expect("the rules fit");
     let set = scenario.agent_set(Split::Test).expect("a test set").clone();
-    let cells = |given: &Option<Located<u32>>| given.as_ref().map(|given| given.value);
-    let places = Places::new(&router, scenario.trip_ends, cells(&set.region), cells(&set.trip));
+    let region = set.region.as_ref().map(|region| &region.value);
+    let trip = set.trip.map(|trip| trip.value);
+    let places = Places::of(&router, scenario.trip_ends, region, trip);
     (set, router, places)
 }
 

@@ -382,6 +382,7 @@ RESULTS = (
     "spf",
     "transfer",
     "composition",
+    "town",
     "observations",
     "noise",
     "communication",

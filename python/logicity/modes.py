@@ -18,6 +18,7 @@ MODES = {
     "TransferEasy": "transfer-easy",
     "TransferMedium": "transfer-medium",
     "TransferHard": "transfer-hard",
+    "Town": "town",
 }
 """The configuration of each mode, keyed by its spelling in environment ids (`Easy` in `logicity/SPF-Easy-v0`)."""
 

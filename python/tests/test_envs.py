@@ -31,7 +31,7 @@ from logicity.envs.single import SPFEnv
 from logicity.envs.vector import SPFVectorEnv
 
 IDS = [f"logicity/SPF-{mode}-v0" for mode in logicity.MODES]
-WIDTHS = dict(zip(IDS, [85, 140, 205, 205, 205, 205, 205], strict=True))
+WIDTHS = dict(zip(IDS, [85, 140, 205, 205, 205, 205, 205, 150], strict=True))
 
 
 @pytest.mark.parametrize("id", IDS)

@@ -4,7 +4,7 @@
 use crate::cancel::Cancel;
 use crate::city::codes;
 use crate::city::route::Piece;
-use crate::city::{Action, AgentConfig, AgentKind, AgentName, AgentSet, KindId, KindName};
+use crate::city::{Action, AgentConfig, AgentKind, AgentName, AgentSet, KindId, KindName, Rectangle, Region};
 use crate::city::{Cell, CityMap, Heading, NoRoute, Places, Route, Router, TripEnds};
 use crate::diag::Diagnostic;
 use crate::located::Located;
@@ -334,16 +334,21 @@ pub fn place_agents_into(
 }
 
 /// Returns the start region of a set if it does not cover the map.
-fn part_of_map(set: &AgentSet, map: &CityMap) -> Option<Located<u32>> {
-    let side = i64::from(map.rows().max(map.cols()));
-    set.region.filter(|region| i64::from(region.value) < side)
+fn part_of_map<'s>(set: &'s AgentSet, map: &CityMap) -> Option<&'s Located<Region>> {
+    set.region.as_ref().filter(|region| {
+        let Rectangle { rows, cols } = region.value.extent(map);
+        rows != (0..map.rows()) || cols != (0..map.cols())
+    })
 }
 
 /// Describes the start region of a set, for messages.
 fn within(set: &AgentSet, map: &CityMap) -> String {
     part_of_map(set, map).map_or_else(
         || "on the whole map".to_string(),
-        |region| format!("in the first {} rows and columns", region.value),
+        |region| match &region.value {
+            Region::Side(side) => format!("in the first {side} rows and columns"),
+            Region::Zone(name) => format!("in the zone `{name}`"),
+        },
     )
 }
 

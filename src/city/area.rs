@@ -122,6 +122,28 @@ impl Area {
         self.bits[row as usize * self.words + col as usize / 64] >> (col % 64) & 1 != 0
     }
 
+    /// Returns the smallest rectangle around its members.
+    pub fn bounds(&self) -> Rectangle {
+        let has = |row: u32, col: u32| self.bits[row as usize * self.words + col as usize / 64] >> (col % 64) & 1 != 0;
+        let all = |classes: &[u32]| 0..classes.iter().max().map_or(0, |last| last + 1);
+        let (rows, cols) = (all(&self.rows), all(&self.cols));
+        let span = |classes: &[u32], holds: &dyn Fn(u32) -> bool| {
+            let first = classes.iter().position(|&class| holds(class));
+            let last = classes.iter().rposition(|&class| holds(class));
+            #[allow(clippy::cast_possible_truncation, clippy::cast_possible_wrap)] // a number of a row of a map
+            match (first, last) {
+                (Some(first), Some(last)) => first as i32..last as i32 + 1,
+                _ => 0..0,
+            }
+        };
+        let in_row: Vec<bool> = rows.clone().map(|row| cols.clone().any(|col| has(row, col))).collect();
+        let in_col: Vec<bool> = cols.map(|col| rows.clone().any(|row| has(row, col))).collect();
+        Rectangle {
+            rows: span(&self.rows, &|class| in_row[class as usize]),
+            cols: span(&self.cols, &|class| in_col[class as usize]),
+        }
+    }
+
     /// Returns whether it has no members.
     pub fn is_empty(&self) -> bool {
         self.bits.iter().all(|word| *word == 0)
@@ -190,6 +212,23 @@ mod tests {
                 !on_axis(&one.rows, size[0]) || !on_axis(&one.cols, size[1])
             });
             assert_eq!(area.is_empty(), is_empty);
+            let bounds = area.bounds();
+            let members = || {
+                let all = (0..size[0]).flat_map(|row| (0..size[1]).map(move |col| Cell::new(row, col)));
+                all.filter(|&cell| area.contains(cell))
+            };
+            if !is_empty {
+                let [low, high] = [
+                    members().map(|cell| cell.row).min(),
+                    members().map(|cell| cell.row).max(),
+                ];
+                assert_eq!(bounds.rows, low.unwrap()..high.unwrap() + 1);
+                let [low, high] = [
+                    members().map(|cell| cell.col).min(),
+                    members().map(|cell| cell.col).max(),
+                ];
+                assert_eq!(bounds.cols, low.unwrap()..high.unwrap() + 1);
+            }
         }
         assert!(counts.iter().all(|count| *count > 10_000), "{counts:?}");
     }

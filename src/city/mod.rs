@@ -37,8 +37,8 @@ pub use grid::{Cell, Heading};
 pub use kind::{AgentKind, AgentName, KindId, KindName, KindTable, OwnKind, PICTURES, speed_cells};
 pub use map::{CityMap, Layout, SEMANTIC_MAX, STATIC_LAYERS};
 pub use model::{
-    AgentConfig, AgentGroup, AgentSet, Blocks, Building, Buildings, Landmarks, MapConfig, OwnGroups, Routing, Sample,
-    Split, Terrain, TripEnds, Widths, ZoneConfig, ZonePart,
+    AgentConfig, AgentGroup, AgentSet, Blocks, Building, Buildings, Landmarks, MapConfig, OwnGroups, Region, Routing,
+    Sample, Split, Terrain, TripEnds, Widths, ZoneConfig, ZonePart,
 };
 pub use motion::{MoveReason, Moved, Surroundings, advance, possible_cells};
 pub(crate) use network::LIMIT_MAX;

@@ -2,7 +2,7 @@
 //!
 //! The serialized form omits file names and places, so that equal content has equal hashes.
 
-use crate::city::{AgentKind, AgentName, KindId, KindName, Network};
+use crate::city::{AgentKind, AgentName, CityMap, KindId, KindName, Network, Rectangle};
 use crate::diag::Span;
 use crate::located::Located;
 use serde::ser::SerializeStruct;
@@ -232,6 +232,43 @@ pub struct OwnGroups {
     pub groups: Vec<AgentGroup>,
 }
 
+/// Where the agents of a split start and arrive.
+#[derive(Clone, Debug, PartialEq, Eq, Serialize)]
+#[serde(untagged)]
+pub enum Region {
+    /// In rows and columns below this.
+    Side(u32),
+    /// In the smallest rectangle around a zone of the map.
+    Zone(String),
+}
+
+impl Region {
+    /// Returns its cells on a map.
+    pub(crate) fn extent(&self, map: &CityMap) -> Rectangle {
+        match self {
+            Region::Side(side) => {
+                let side = i32::try_from(*side).unwrap_or(i32::MAX);
+                Rectangle {
+                    rows: 0..map.rows().min(side),
+                    cols: 0..map.cols().min(side),
+                }
+            }
+            Region::Zone(name) => map.zone(name).map(|zone| zone.bounds()).unwrap_or_default(),
+        }
+    }
+
+    /// Returns its larger side in cells.
+    pub(crate) fn side(&self, map: &CityMap) -> u32 {
+        match self {
+            Region::Side(side) => *side,
+            Region::Zone(_) => {
+                let Rectangle { rows, cols } = self.extent(map);
+                rows.len().max(cols.len()).try_into().unwrap_or(u32::MAX)
+            }
+        }
+    }
+}
+
 /// The agents of one split.
 #[derive(Clone, Debug)]
 pub struct AgentSet {
@@ -243,8 +280,8 @@ pub struct AgentSet {
     pub own: Vec<OwnGroups>,
     /// The number of repetitions of all entries, at least 1.
     pub repeat: u32,
-    /// Starts and goals lie in rows and columns below this; `None` for the whole map.
-    pub region: Option<Located<u32>>,
+    /// Where starts and goals lie; `None` for the whole map.
+    pub region: Option<Located<Region>>,
     /// The maximum distance of a goal in rows and in columns; `None` for no limit.
     pub trip: Option<Located<u32>>,
     /// The place of its definition.

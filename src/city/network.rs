@@ -9,7 +9,7 @@
 use crate::city::route::facings;
 use crate::city::signal::together;
 use crate::city::square::{CAR_AT, INSIDE, MID_LINE, NODE, PEDESTRIAN_AT, Square};
-use crate::city::{Cell, Ground, Heading, Light, Signal, SignalLink};
+use crate::city::{Cell, Ground, Heading, Light, Rectangle, Signal, SignalLink};
 use serde::{Serialize, Serializer};
 use std::collections::BTreeSet;
 use std::sync::Arc;
@@ -254,6 +254,50 @@ pub(super) struct Spot {
     pub lane: u32,
     /// Steps from its start.
     pub at: u32,
+}
+
+impl Network {
+    /// Places a network to the right of this one, `gap` columns apart, and returns the rows and the columns that it takes.
+    /// Its names begin with `prefix`.
+    pub fn place_beside(&mut self, mut other: Network, gap: u32, prefix: &str) -> [std::ops::Range<u32>; 2] {
+        let [rows, cols] = other.size;
+        let first = if self.lanes.is_empty() { 0 } else { self.size[1] + gap };
+        let counts = [
+            self.junctions.len(),
+            self.lanes.len(),
+            self.connections.len(),
+            self.signals.len(),
+        ];
+        let [junctions, lanes, connections, signals] =
+            counts.map(|count| u32::try_from(count).expect("a network has few parts"));
+        let name = |name: &mut String| name.insert_str(0, prefix);
+        let shift = |shape: &mut Vec<Point>| shape.iter_mut().for_each(|point| point.x += f64::from(first));
+        for junction in &mut other.junctions {
+            name(&mut junction.name);
+            shift(&mut junction.shape);
+        }
+        for lane in &mut other.lanes {
+            name(&mut lane.name);
+            shift(&mut lane.shape);
+            lane.to = lane.to.map(|to| to + junctions);
+            lane.left = lane.left.map(|left| left + lanes);
+        }
+        for connection in &mut other.connections {
+            (connection.from, connection.to) = (connection.from + lanes, connection.to + lanes);
+            shift(&mut connection.shape);
+            connection.yields_to.iter_mut().for_each(|foe| *foe += connections);
+            if let Some(light) = &mut connection.light {
+                light.signal += signals;
+            }
+        }
+        other.signals.iter_mut().for_each(|signal| name(&mut signal.name));
+        self.junctions.append(&mut other.junctions);
+        self.lanes.append(&mut other.lanes);
+        self.connections.append(&mut other.connections);
+        self.signals.append(&mut other.signals);
+        self.size = [self.size[0].max(rows), first + cols];
+        [0..rows, first..first + cols]
+    }
 }
 
 impl RoadMap {
@@ -665,8 +709,8 @@ impl RoadMap {
     }
 
     /// Returns the lanes of the largest part of the network in which a car on any lane can drive to each other one and
-    /// back, by its number of cells; all lanes if no part has a way back.
-    pub fn circulating(&self) -> Vec<u32> {
+    /// back, by its number of cells in `extent`; all lanes if no part has a way back there.
+    pub fn circulating(&self, extent: &Rectangle) -> Vec<u32> {
         let lanes = || 0..u32::try_from(self.leaving.len()).expect("a map has fewer than 2^32 lanes");
         let mut next: Vec<Vec<u32>> = vec![Vec::new(); self.leaving.len()];
         let mut before = next.clone();
@@ -696,17 +740,18 @@ impl RoadMap {
                 }
             }
         }
-        let mut cells = vec![0; next.len()];
+        let (mut cells, mut has_way_back) = (vec![0; next.len()], vec![false; next.len()]);
         for connection in &self.network.connections {
             let [from, to] = [connection.from, connection.to].map(|lane| part[lane as usize]);
             if let Some(root) = from.filter(|_| from == to) {
                 // It has a way back: a change between lanes is none.
-                cells[root as usize] = 1;
+                has_way_back[root as usize] = true;
             }
         }
         for lane in lanes() {
-            let of_part = &mut cells[part[lane as usize].map_or(0, |root| root as usize)];
-            *of_part += if *of_part > 0 { self.path(lane).len() } else { 0 };
+            let root = part[lane as usize].map_or(0, |root| root as usize);
+            let inside = self.path(lane).iter().filter(|cell| extent.contains(**cell));
+            cells[root] += if has_way_back[root] { inside.count() } else { 0 };
         }
         let largest = lanes().filter(|lane| cells[*lane as usize] > 0);
         let largest = largest.min_by_key(|lane| (std::cmp::Reverse(cells[*lane as usize]), *lane));

@@ -6,7 +6,7 @@
 
 use crate::city::network::RoadMap;
 use crate::city::{AgentKind, Building, Ground};
-use crate::city::{Cell, CityMap, Layout, NoRoute, Rectangle, Route, Router, TripEnds};
+use crate::city::{Cell, CityMap, Layout, NoRoute, Rectangle, Region, Route, Router, TripEnds};
 use crate::rng::{Rng, RngExt};
 use std::ops::Range;
 use std::sync::Arc;
@@ -483,7 +483,7 @@ fn on_roads(map: &CityMap, roads: &RoadMap, kind: AgentKind, extent: &Rectangle)
     let mut cells: Vec<Cell> = match kind {
         AgentKind::Car => {
             // A car goes on from its goal.
-            let middles = roads.circulating().into_iter().flat_map(|lane| {
+            let middles = roads.circulating(extent).into_iter().flat_map(|lane| {
                 let path = roads.path(lane);
                 let end = path.len().saturating_sub(LANE_ENDS);
                 &path[LANE_ENDS.min(end)..end]
@@ -505,13 +505,17 @@ impl Places {
     /// Returns the places within the first `region` rows and columns; `None` for the whole map. Goals are at most
     /// `trip` rows and columns away; `None` for no limit. Trips of cars start and end at `ends` on a map of blocks.
     pub fn new(router: &Router, ends: TripEnds, region: Option<u32>, trip: Option<u32>) -> Self {
+        Places::of(router, ends, region.map(Region::Side).as_ref(), trip)
+    }
+
+    /// Returns the places in a region; `None` for the whole map.
+    pub fn of(router: &Router, ends: TripEnds, region: Option<&Region>, trip: Option<u32>) -> Self {
         let map = router.map();
-        let cells = |cells: u32| i32::try_from(cells).unwrap_or(i32::MAX);
-        let limit = region.map_or(i32::MAX, cells);
-        let extent = Rectangle {
-            rows: 0..map.rows().min(limit),
-            cols: 0..map.cols().min(limit),
+        let whole = || Rectangle {
+            rows: 0..map.rows(),
+            cols: 0..map.cols(),
         };
+        let extent = region.map_or_else(whole, |region| region.extent(map));
         let terrain = match (map.layout(), map.roads()) {
             (Some(layout), _) => Terrain::Blocks(Box::new(BlockPlaces::new(map, *layout, ends, &extent))),
             (None, Some(roads)) => Terrain::Roads(AgentKind::ALL.map(|kind| on_roads(map, roads, kind, &extent))),
@@ -519,7 +523,7 @@ impl Places {
         };
         Places {
             ends,
-            trip: trip.map(cells),
+            trip: trip.map(|cells| i32::try_from(cells).unwrap_or(i32::MAX)),
             terrain,
         }
     }

@@ -1,7 +1,7 @@
 //! `logicity bench`: measures how fast this machine evaluates rules, simulates cities and draws pictures.
 
 use crate::cancel::Cancel;
-use crate::city::{Action, Blocks, Building, Buildings, Split, Terrain};
+use crate::city::{Action, Blocks, Building, Buildings, Region, Split, Terrain};
 use crate::city::{Agent, Cell};
 use crate::cli::failure::Failure;
 use crate::cli::limits::LimitOptions;
@@ -13,6 +13,7 @@ use crate::cli::values::{integer, one_of, threads};
 use crate::config::Scenario;
 use crate::datalog::dense::{BitFacts, BitState, Dense, TrackFirings};
 use crate::diag::{self, Diagnostic, Sources};
+use crate::located::Located;
 use crate::render::{Difficulty, Icons, Picture, Renderer, Scale, Sprite, Viewport, read_png, write_png};
 use crate::rng::{Purpose, RngExt, Seed};
 use crate::sim::codes;
@@ -813,15 +814,24 @@ fn grow(scenario: &mut Scenario, split: Split, agents: u32) {
     };
     let widths = widths.value;
     let period = widths.street + 2 * widths.sidewalk + 2 * widths.building + widths.inner_sidewalk;
-    let side = set.region.map_or_else(
+    let side = set.region.as_ref().map_or_else(
         || f64::from(size.value[0].min(size.value[1]) * period),
-        |region| f64::from(region.value),
+        |region| match region.value {
+            Region::Side(side) => f64::from(side),
+            // The new map has no zones.
+            Region::Zone(_) => f64::from(size.value[0].min(size.value[1]) * period),
+        },
     );
     let blocks = side * (f64::from(set.repeat) / f64::from(before)).sqrt() / f64::from(period);
     #[allow(clippy::cast_possible_truncation, clippy::cast_sign_loss)] // at most a million agents
     let blocks = (blocks.ceil() as u32).clamp(2, 1000);
-    if set.trip.is_none() {
-        set.trip = set.region;
+    if let (None, Some(region)) = (set.trip, &set.region)
+        && let Region::Side(value) = region.value
+    {
+        set.trip = Some(Located {
+            value,
+            span: region.span,
+        });
     }
     set.region = None;
     let weights = [

@@ -1,11 +1,14 @@
 //! `logicity map`: maps from other programs. The Python package adds `map export`.
 
+use crate::city::Network;
 use crate::cli::failure::Failure;
 use crate::cli::inputs::{self, Inputs};
 use crate::cli::outputs::{ForceOption, finish, messages, unwritable};
 use crate::cli::values::decimal;
 use crate::diag::{Sources, counted};
 use crate::sumo;
+use crate::yaml::read::is_name;
+use std::fmt::Write as _;
 use std::fs;
 use std::io::Write;
 use std::path::{Path, PathBuf};
@@ -26,8 +29,10 @@ enum MapCommand {
 #[derive(clap::Args)]
 struct ImportArguments {
     /// Network: town.net.xml; or town.osm, if SUMO's netconvert is installed (`pip install eclipse-sumo`). Data of
-    /// OpenStreetMap are under the Open Database License, which asks to name its contributors
-    network: PathBuf,
+    /// OpenStreetMap are under the Open Database License, which asks to name its contributors. Several are placed side
+    /// by side, each in a zone with the name of its file
+    #[arg(required = true, value_name = "NETWORK")]
+    networks: Vec<PathBuf>,
     /// Map file to write; `-` for standard output
     #[arg(short, long, value_name = "FILE")]
     output: PathBuf,
@@ -45,27 +50,30 @@ pub fn run(arguments: &Arguments, sources: &mut Sources) -> Result<(), Failure> 
 }
 
 fn import(arguments: &ImportArguments, sources: &mut Sources) -> Result<(), Failure> {
-    let path = arguments.network.as_path();
-    let is_osm = path.extension().is_some_and(|ending| ending == "osm");
-    let text = match is_osm {
-        true => converted(path)?,
-        false => inputs::read(path)?,
-    };
-    let source = sources.add(path.display().to_string(), text);
-    let network = sumo::import(sources, source, arguments.cell)?;
+    let mut networks = Vec::new();
+    for path in &arguments.networks {
+        let is_osm = path.extension().is_some_and(|ending| ending == "osm");
+        let text = match is_osm {
+            true => converted(path)?,
+            false => inputs::read(path)?,
+        };
+        let source = sources.add(path.display().to_string(), text);
+        networks.push((path.as_path(), sumo::import(sources, source, arguments.cell)?));
+    }
+    let (network, zones) = side_by_side(networks)?;
     let output = arguments.output.as_path();
     let mut file = arguments
         .force
-        .create("logicity map import", output, &Inputs::new([path.to_owned()]))?;
-    let name = path
-        .file_name()
-        .map(|name| name.to_string_lossy().into_owned())
-        .unwrap_or_default();
+        .create("logicity map import", output, &Inputs::new(arguments.networks.clone()))?;
+    let names: Vec<_> = (arguments.networks.iter())
+        .map(|path| path.file_name().unwrap_or_default().to_string_lossy())
+        .collect();
     let made = format!(
         "# Made from {} by `logicity map import`.\n",
-        name.replace(char::is_control, " ")
+        names.join(", ").replace(char::is_control, " ")
     );
-    let written = (file.write_all(made.as_bytes())).and_then(|()| file.write_all(sumo::map_file(&network).as_bytes()));
+    let text = made + &sumo::map_file(&network) + &zones;
+    let written = file.write_all(text.as_bytes());
     written.map_err(|error| unwritable(output, &error))?;
     finish(file, output)?;
     let [rows, cols] = network.size;
@@ -82,6 +90,46 @@ fn import(arguments: &ImportArguments, sources: &mut Sources) -> Result<(), Fail
         counts.join(", ")
     )?;
     Ok(())
+}
+
+/// The columns between two networks on a map.
+const GAP: u32 = 20;
+
+/// Places networks side by side, and returns the zones of several as text.
+fn side_by_side(networks: Vec<(&Path, Network)>) -> Result<(Network, String), Failure> {
+    let count = networks.len();
+    let mut all: Option<Network> = None;
+    let mut zones = String::from("zones:\n");
+    let mut taken: Vec<String> = Vec::new();
+    for (path, network) in networks {
+        if count == 1 {
+            return Ok((network, String::new()));
+        }
+        let file = path.file_name().unwrap_or_default().to_string_lossy();
+        let name = file.split('.').next().unwrap_or_default().replace('-', "_");
+        if !is_name(&name) || taken.contains(&name) {
+            let message = match taken.contains(&name) {
+                true => format!("two networks have the name `{name}`"),
+                false => format!("the name `{name}` of a network cannot be that of a zone"),
+            };
+            let help = "rename a file: letters, digits and `_`, no digit first";
+            return Err(Failure::Usage(format!("{}: {message}\nhelp: {help}", path.display())));
+        }
+        let empty = || Network {
+            size: [0, 0],
+            junctions: Vec::new(),
+            lanes: Vec::new(),
+            connections: Vec::new(),
+            signals: Vec::new(),
+            ..network
+        };
+        let all = all.get_or_insert_with(empty);
+        let [rows, cols] = all.place_beside(network, GAP, &format!("{name}."));
+        let [rows, cols] = [rows, cols].map(|span| format!("[{}, {}]", span.start, span.end - 1));
+        let _ = writeln!(zones, "  {name}:\n    - {{rows: {rows}, cols: {cols}}}");
+        taken.push(name);
+    }
+    Ok((all.expect("there is one"), zones))
 }
 
 /// Converts a file of OpenStreetMap by SUMO's netconvert.

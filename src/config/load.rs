@@ -7,7 +7,7 @@ use crate::city::{
     ActionTable, AgentGroup, AgentKind, AgentSet, Blocks, Building, Buildings, KindName, KindTable, MapConfig,
     OwnGroups,
 };
-use crate::city::{Routing, Split, Terrain, TripEnds, Widths};
+use crate::city::{Region, Routing, Split, Terrain, TripEnds, Widths};
 use crate::config::actions::actions;
 use crate::config::codes;
 use crate::config::compose::{AGENTS, Composer, Kind, MAP, PREDICATES, RUN, Read, TASK};
@@ -21,7 +21,7 @@ use crate::diag::{self, Diagnostic, Faults, MAX_FAULTS, Sources, Span};
 use crate::files::BUILTIN_FOLDER;
 use crate::located::Located;
 use crate::yaml;
-use crate::yaml::read::{Fields, choice, integer, invalid, list, number, text};
+use crate::yaml::read::{Fields, choice, integer, invalid, is_name, list, number, text};
 use crate::yaml::{Value, YamlNode};
 use sha2::{Digest, Sha256};
 use std::path::Path;
@@ -228,7 +228,15 @@ fn scenario(composer: &mut Composer<'_>, tree: &YamlNode) -> Option<Scenario> {
     let task = task_node.map(|node| task::spf(composer, node, predicates.as_ref(), &table));
     let faults = &mut composer.faults;
     if let (Some(map), Some(predicates)) = (&map, &predicates) {
-        unknown_zones(map, &predicates.used, faults);
+        let of_regions = regions.iter().flatten().filter_map(|region| match &region.value {
+            Region::Zone(value) => Some(Located {
+                value: value.clone(),
+                span: region.span,
+            }),
+            Region::Side(_) => None,
+        });
+        let of_predicates = (predicates.used.iter()).filter_map(|predicate| predicate.definition.zone().cloned());
+        unknown_zones(map, of_predicates.chain(of_regions), faults);
     }
     let usual = "`base: configs/common.yaml` has defaults for all keys except `rules` and `agents`";
     fields.close_with(Some(usual), faults);
@@ -533,16 +541,20 @@ fn random_buildings(node: &YamlNode, faults: &mut Vec<Diagnostic>) -> Option<Bui
 }
 
 /// Returns the region of each split, in the order of [`Split::ALL`].
-fn regions(node: &YamlNode, faults: &mut Vec<Diagnostic>) -> [Option<Located<u32>>; 3] {
+fn regions(node: &YamlNode, faults: &mut Vec<Diagnostic>) -> [Option<Located<Region>>; 3] {
     let region = |node: &YamlNode, faults: &mut Vec<Diagnostic>| {
-        let value = integer(node, 1..=MAX_REGION, faults)?;
+        let value = match &node.value {
+            Value::Scalar { text, .. } if is_name(text) && !node.is_null() => Region::Zone(text.to_string()),
+            _ => Region::Side(integer(node, 1..=MAX_REGION, faults)?),
+        };
         Some(Located { value, span: node.span })
     };
     if !matches!(node.value, Value::Map(_)) {
-        return [region(node, faults); 3];
+        let region = region(node, faults);
+        return [(); 3].map(|()| region.clone());
     }
     let Some(mut fields) = Fields::open(node, "the regions", faults) else {
-        return [None; 3];
+        return [(); 3].map(|()| None);
     };
     let regions = Split::ALL.map(|split| region(fields.optional(split.name())?, faults));
     fields.close(faults);
@@ -553,7 +565,7 @@ fn splits(
     node: &YamlNode,
     kinds: &KindTable,
     predicates: Option<&Predicates>,
-    regions: &[Option<Located<u32>>; 3],
+    regions: &[Option<Located<Region>>; 3],
     faults: &mut Vec<Diagnostic>,
 ) -> Option<Vec<(Split, AgentSet)>> {
     let before = faults.len();
@@ -567,7 +579,7 @@ fn splits(
     let mut splits = Vec::new();
     for (split, region) in Split::ALL.into_iter().zip(regions) {
         if let Some(node) = fields.optional(split.name()) {
-            let set = agents(node, kinds, split, *region, concepts.as_ref(), faults);
+            let set = agents(node, kinds, split, region.clone(), concepts.as_ref(), faults);
             splits.extend(set.map(|set| (split, set)));
         }
     }
@@ -586,7 +598,7 @@ fn agents(
     node: &YamlNode,
     kinds: &KindTable,
     split: Split,
-    region: Option<Located<u32>>,
+    region: Option<Located<Region>>,
     concepts: Option<&Concepts<'_>>,
     faults: &mut Vec<Diagnostic>,
 ) -> Option<AgentSet> {

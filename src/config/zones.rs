@@ -1,7 +1,6 @@
 //! Reads the zones of a map, and finds predicates that name a zone which the map does not have.
 
 use crate::city::{Building, Landmarks, MapConfig, Sample, ZoneConfig, ZonePart};
-use crate::config::model::PredicateConfig;
 use crate::diag::{self, Diagnostic, MAX_FAULTS, did_you_mean, listed};
 use crate::located::Located;
 use crate::predicate::NEAR_MAX;
@@ -210,11 +209,15 @@ fn pair(
     Some([first?, second?])
 }
 
-/// Reports the predicates that name a zone which the map does not have.
-pub(super) fn unknown_zones(map: &MapConfig, predicates: &[PredicateConfig], faults: &mut Vec<Diagnostic>) {
+/// Reports the names of zones that the map does not have.
+pub(super) fn unknown_zones(
+    map: &MapConfig,
+    named: impl Iterator<Item = Located<String>>,
+    faults: &mut Vec<Diagnostic>,
+) {
     let mut known: Vec<&str> = map.zones.iter().map(|zone| zone.name.value.as_str()).collect();
     known.sort_unstable();
-    for zone in predicates.iter().filter_map(|predicate| predicate.definition.zone()) {
+    for zone in named {
         if known.contains(&zone.value.as_str()) {
             continue;
         }

@@ -3,7 +3,7 @@
 use crate::cases::cases;
 use crate::pages::{blocks, pages};
 use logicity::builtin::{self, BuiltinFiles, ReadWith};
-use logicity::city::{Action, AgentConfig, AgentKind, Buildings, MapConfig, Routing, Split, TripEnds};
+use logicity::city::{Action, AgentConfig, AgentKind, Buildings, MapConfig, Region, Routing, Split, TripEnds};
 use logicity::config::{Scenario, load_map, load_scenario};
 use logicity::diag::{Diagnostic, MAX_FAULTS, Sources, render, to_json};
 use logicity::files::{BUILTIN_FOLDER, ReadError, ReadFile, read_text};
@@ -628,12 +628,13 @@ fn values_are_those_of_the_reference() {
         Split::ALL.map(|split| {
             scenario
                 .agent_set(split)
-                .and_then(|set| set.region)
+                .and_then(|set| set.region.clone())
                 .map(|region| region.value)
         })
     };
-    assert_eq!(region(&expert), [Some(100), Some(120), Some(120)]);
-    assert_eq!(region(&load(Path::new("vap-easy"))), [Some(100); 3]);
+    let side = |side| Some(Region::Side(side));
+    assert_eq!(region(&expert), [side(100), side(120), side(120)]);
+    assert_eq!(region(&load(Path::new("vap-easy"))), [(); 3].map(|()| side(100)));
     assert_eq!((expert.trip_ends, expert.routing), (TripEnds::Curb, Routing::Weighted));
     for mode in ["vap-easy", "vap-hard"] {
         let scenario = load(Path::new(mode));

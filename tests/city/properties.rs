@@ -5,8 +5,8 @@ use crate::cases::cases;
 use logicity::builtin::BuiltinFiles;
 use logicity::city::codes;
 use logicity::city::{
-    Action, ActionTable, AgentGroup, AgentKind, AgentSet, Blocks, Building, Buildings, MapConfig, Routing, Split,
-    Terrain,
+    Action, ActionTable, AgentGroup, AgentKind, AgentSet, Blocks, Building, Buildings, MapConfig, Region, Routing,
+    Split, Terrain,
 };
 use logicity::city::{
     Agent, Cell, CityMap, Ground, Heading, Junction, Lane, Layout, MoveReason, NoRoute, Places, Route, Router,
@@ -400,7 +400,7 @@ fn agent_set(cars: usize, pedestrians: usize, region: Option<u32>) -> AgentSet {
         pedestrians: vec![group(pedestrians)],
         own: Vec::new(),
         repeat: 1,
-        region: region.map(located),
+        region: region.map(|side| located(Region::Side(side))),
         trip: None,
         span: located(()).span,
     }
@@ -692,7 +692,12 @@ fn too_many_agents_for_a_region_are_reported() {
     let map = Arc::new(CityMap::generate(&config([1, 1], widths, buildings)).unwrap());
     let router = Router::new(map, Routing::Weighted);
     let place = |set: &AgentSet| {
-        let places = Places::new(&router, TripEnds::Curb, set.region.map(|region| region.value), None);
+        let places = Places::of(
+            &router,
+            TripEnds::Curb,
+            set.region.as_ref().map(|region| &region.value),
+            None,
+        );
         place_agents(set, &router, &places, Seed(1)).map_err(|diagnostic| diagnostic.code)
     };
     // Two stores with two curbs of ten cells each.

@@ -11,12 +11,12 @@ use crate::shipped_world::{configured, world};
 use logicity::city::{Action, ActionTable};
 use logicity::city::{
     Agent, AgentConfig, AgentKind, AgentName, Aspect, Cell, CityMap, Direction, Ground, LaneUse, Light, MapConfig,
-    Network, NoRoute, Places, Point, RoadLane, Router, Routing, Sign, Surroundings, Terrain, TripEnds, advance,
-    possible_cells,
+    Network, NoRoute, Places, Point, RoadLane, Router, Routing, Sign, SignalLink, Split, Surroundings, Terrain,
+    TripEnds, advance, possible_cells,
 };
 use logicity::diag::{Diagnostic, Sources};
 use logicity::rng::{Purpose, RngExt, Seed};
-use logicity::sim::Executor;
+use logicity::sim::{Executor, Settings, Simulation};
 use logicity::sumo;
 use std::collections::BTreeMap;
 use std::fs;
@@ -823,5 +823,100 @@ fn faults_of_signals_name_what_is_wrong() {
             "{expected}: {}",
             faults[0].message
         );
+    }
+}
+
+/// Networks side by side keep their lanes, ways and signals, and nothing leads from one to another.
+#[test]
+fn networks_stand_side_by_side() {
+    let names = ["grid-signals", "roundabout", "spider-3"];
+    let parts = names.map(|name| import(&text_of(name), 1.0).unwrap());
+    let mut all = Network {
+        size: [0, 0],
+        junctions: Vec::new(),
+        lanes: Vec::new(),
+        connections: Vec::new(),
+        signals: Vec::new(),
+        ..parts[0].clone()
+    };
+    let mut spans = Vec::new();
+    for (part, prefix) in parts.iter().zip(["a.", "b.", "c."]) {
+        spans.push(all.place_beside(part.clone(), 20, prefix));
+    }
+    let config = load_memory_map(&sumo::map_file(&all)).unwrap();
+    assert_eq!(
+        serde_json::to_string(&all).unwrap(),
+        match &config.terrain {
+            Terrain::Roads { roads } => serde_json::to_string(&roads.value).unwrap(),
+            Terrain::Blocks(_) => panic!("no roads"),
+        }
+    );
+    let (mut lanes, mut ways) = (all.lanes.iter(), all.connections.iter());
+    for ((part, prefix), [rows, cols]) in parts.iter().zip(["a.", "b.", "c."]).zip(&spans) {
+        assert_eq!([rows.len(), cols.len()], part.size.map(|side| side as usize));
+        for lane in &part.lanes {
+            let moved = lanes.next().unwrap();
+            assert_eq!(moved.name, format!("{prefix}{}", lane.name));
+            for (point, origin) in moved.shape.iter().zip(&lane.shape) {
+                assert_eq!((point.x, point.y), (origin.x + f64::from(cols.start), origin.y));
+            }
+            let end = lane
+                .to
+                .map(|to| format!("{prefix}{}", part.junctions[to as usize].name));
+            assert_eq!(moved.to.map(|to| all.junctions[to as usize].name.clone()), end);
+        }
+        let name = |network: &Network, way: u32| {
+            let way = &network.connections[way as usize];
+            [way.from, way.to].map(|lane| network.lanes[lane as usize].name.clone())
+        };
+        for way in &part.connections {
+            let moved = ways.next().unwrap();
+            let own = |lane: u32| format!("{prefix}{}", part.lanes[lane as usize].name);
+            assert_eq!(all.lanes[moved.from as usize].name, own(way.from));
+            assert_eq!(all.lanes[moved.to as usize].name, own(way.to));
+            let foes = way
+                .yields_to
+                .iter()
+                .map(|&foe| name(part, foe).map(|name| format!("{prefix}{name}")));
+            let moved_foes = moved.yields_to.iter().map(|&foe| name(&all, foe));
+            assert!(foes.eq(moved_foes));
+            let shown = |network: &Network, light: Option<SignalLink>| {
+                light.map(|light| {
+                    network.signals[light.signal as usize]
+                        .aspect(light.link, 7)
+                        .map(Aspect::letter)
+                })
+            };
+            assert_eq!(shown(&all, moved.light), shown(part, way.light));
+        }
+    }
+    assert!(lanes.next().is_none() && ways.next().is_none());
+}
+
+/// In the towns of `town`, the agents of a split stay in its zone, and both executors agree.
+#[test]
+fn each_split_has_its_own_town() {
+    let world = world("town", None, |_| ());
+    let map = world.map();
+    for split in Split::ALL {
+        let mut cities = [Executor::Relational, Executor::Dense].map(|executor| {
+            let settings = Settings {
+                executor,
+                count_firings: true,
+                threads: 1,
+            };
+            Simulation::new(Arc::clone(&world), split, Seed(5), settings).unwrap()
+        });
+        go_the_same_way(&mut cities, 40);
+        let mut trips = 0;
+        for _ in 0..300 {
+            let goals: Vec<Cell> = cities[1].agents().iter().map(|agent| agent.goal()).collect();
+            cities[1].tick(&[]).unwrap();
+            for (agent, goal) in cities[1].agents().iter().zip(goals) {
+                assert!(map.in_zone(split.name(), agent.cell) && map.in_zone(split.name(), agent.goal()));
+                trips += usize::from(agent.goal() != goal);
+            }
+        }
+        assert!(trips > 10, "{trips}");
     }
 }

@@ -2877,3 +2877,50 @@ fn folders_of_facts_are_ticks() {
     );
     succeeds(&asked(&drawn, &[zero], &["--marginals"]));
 }
+
+/// Several networks become one map with a zone for each, which regions can name.
+#[test]
+fn networks_are_imported_side_by_side() {
+    let folder = tempfile::tempdir().unwrap();
+    let map = folder.path().join("towns.yaml");
+    let map = map.to_str().unwrap();
+    let network = |name: &str| format!("tests/fixtures/networks/{name}.net.xml");
+    let [junction, ring] = ["t-junction", "roundabout"].map(network);
+    succeeds(&logicity(["map", "import", &junction, &ring, "-o", map]));
+    let text = fs::read_to_string(map).unwrap();
+    assert!(text.contains("zones:\n  t_junction:\n    - {rows: [0, "), "{text}");
+    succeeds(&logicity(["check", map]));
+    let config = |region: &str| {
+        let file = folder.path().join("city.yaml");
+        let agents = "agents: {test: {cars: [{priority: 1, count: 6}]}}";
+        let text = format!("base: right-of-way-roads\nmap: towns.yaml\nregion: {region}\n{agents}\n");
+        fs::write(&file, text).unwrap();
+        file.to_str().unwrap().to_owned()
+    };
+    let trace = folder.path().join("run");
+    let trace = trace.to_str().unwrap();
+    let run = [
+        "run",
+        &config("roundabout"),
+        "--ticks",
+        "50",
+        "--no-pictures",
+        "--out",
+        trace,
+    ];
+    succeeds(&logicity(run));
+    fails(
+        &logicity(["check", &config("roundabuot")]),
+        1,
+        &[
+            "city.yaml:3:9",
+            "has no zone `roundabuot`",
+            "did you mean `roundabout`?",
+        ],
+    );
+    fails(
+        &logicity(["map", "import", &ring, &ring, "-o", map, "--force"]),
+        2,
+        &["two networks have the name `roundabout`", "rename a file"],
+    );
+}

@@ -1,6 +1,6 @@
 //! Warnings of rules that mean something else in the city than they seem to.
 
-use crate::city::{Action, ActionTable, AgentKind, AgentSet, KindId, OwnKind};
+use crate::city::{Action, ActionTable, AgentKind, AgentSet, KindId, OwnKind, Region};
 use crate::config::{ActionsConfig, PredicateConfig, SEES, Scenario};
 use crate::datalog::diff::Difference;
 use crate::datalog::optimize::{self, Lints};
@@ -316,13 +316,17 @@ fn unused_kinds(scenario: &Scenario, sources: &Sources) -> Vec<Diagnostic> {
     unused.map(warn).collect()
 }
 
-/// Warns of zones that no predicate tests, unless the map has a file of its own.
+/// Warns of zones that no predicate tests and no region is, unless the map has a file of its own.
 fn unused_zones(scenario: &Scenario) -> Vec<Diagnostic> {
     if scenario.map.name != scenario.name {
         return Vec::new();
     }
     let tested = scenario.predicates.iter().filter_map(|known| known.definition.zone());
-    let tested: BTreeSet<&str> = tested.map(|zone| zone.value.as_str()).collect();
+    let regions = (scenario.splits.iter()).filter_map(|(_, set)| match &set.region.as_ref()?.value {
+        Region::Zone(name) => Some(name.as_str()),
+        Region::Side(_) => None,
+    });
+    let tested: BTreeSet<&str> = tested.map(|zone| zone.value.as_str()).chain(regions).collect();
     let zones = scenario.map.zones.iter().map(|zone| &zone.name);
     let warn = |zone: &Located<String>| {
         let name = &zone.value;

@@ -103,8 +103,9 @@ impl World {
     /// Returns the start and goal cells of a split with the agents `set`.
     pub(super) fn places(&self, split: Split, set: &AgentSet) -> Arc<Places> {
         let make = || {
-            let [region, trip] = [&set.region, &set.trip].map(|cells| cells.as_ref().map(|cells| cells.value));
-            Arc::new(Places::new(&self.router, self.scenario.trip_ends, region, trip))
+            let region = set.region.as_ref().map(|region| &region.value);
+            let trip = set.trip.map(|cells| cells.value);
+            Arc::new(Places::of(&self.router, self.scenario.trip_ends, region, trip))
         };
         Arc::clone(self.places[split as usize].get_or_init(make))
     }

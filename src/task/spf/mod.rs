@@ -222,8 +222,9 @@ impl SpfTask {
     /// Returns the side of the region of a split, in cells; without a region, the number of rows of the map.
     fn region(&self, split: Split) -> u32 {
         let set = self.world().scenario.agent_set(split);
-        let region = set.and_then(|set| set.region).map(|region| region.value);
-        region.unwrap_or_else(|| self.world().map().rows().unsigned_abs())
+        let region = set.and_then(|set| set.region.as_ref());
+        let map = self.world().map();
+        region.map_or(map.rows().unsigned_abs(), |region| region.value.side(map))
     }
 }
 
