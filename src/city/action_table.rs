@@ -30,12 +30,37 @@ impl Turn {
     }
 }
 
+/// A side of a car.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize)]
+pub enum Side {
+    /// To the left.
+    Left,
+    /// To the right.
+    Right,
+}
+
+impl Side {
+    /// Both sides.
+    pub const ALL: [Side; 2] = [Side::Left, Side::Right];
+
+    /// Returns its name in configurations: `left` or `right`.
+    pub const fn name(self) -> &'static str {
+        match self {
+            Side::Left => "left",
+            Side::Right => "right",
+        }
+    }
+}
+
 /// What an action changes besides the speed of a tick.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize)]
 pub enum Effect {
     /// The agent takes this direction at its next intersection, and the best route to its goal from there. Without a
     /// street in this direction, its route stays as it is.
     Turn(Turn),
+    /// The agent changes into the lane on this side of its own on a road network, and takes the best route to its goal
+    /// from there. Without a lane there, or too near to an end of it, its route stays as it is.
+    ChangeLane(Side),
     /// The agent takes the best route that leaves its next intersection in another direction than its route did.
     Reroute,
     /// The agent stands for this number of ticks, whatever the rules decide.

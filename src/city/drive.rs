@@ -5,7 +5,7 @@
 
 use crate::city::network::{Direction, RoadMap, Spot};
 use crate::city::route::{NoRoute, Route, TURN_COST, Way, steps};
-use crate::city::{Agent, Cell, Routing, Turn};
+use crate::city::{Agent, Cell, Routing, Side, Turn};
 use pathfinding::directed::astar::astar;
 use pathfinding::directed::dijkstra::dijkstra_all;
 use smallvec::SmallVec;
@@ -201,6 +201,22 @@ impl<'m> Driving<'m> {
         let ways = leaving.filter(|&&connection| network.connections[connection as usize].direction == wanted);
         let (connection, stages, _) = self.best(ways.copied(), agent.goal())?;
         self.append_by(way, start, connection, &stages, agent.goal());
+        Some(())
+    }
+
+    /// Continues a way to the goal of a car with a change into the lane on a side of its own; `None` if there is none, or
+    /// the car is not on its lane or too near to an end.
+    pub fn change_lane(&self, way: &mut Way<'_>, agent: &Agent, side: Side) -> Option<()> {
+        let start = self.roads.spot(agent.cell)?;
+        if self.roads.path(start.lane)[start.at as usize] != agent.cell {
+            return None;
+        }
+        let lane = self.roads.lane_beside(start.lane, side)?;
+        let (_, to) = self.changes(start).find(|(_, to)| to.lane == lane)?;
+        let end = self.roads.spot(agent.goal())?;
+        let (stages, _) = self.search(Stage::On(to, Entered::Changed), end)?;
+        self.along(way, start, start.at + CHANGE_AFTER);
+        self.append(way, to, &stages[1..], end, agent.goal());
         Some(())
     }
 

@@ -7,7 +7,7 @@ use crate::city::network::{Network, RoadMap, Sign};
 use crate::city::square::{BUILDING, CAR_AT, INSIDE, MID_LINE, NODE, PEDESTRIAN_AT, Square};
 use crate::city::{AgentKind, Building, Widths};
 use crate::city::{Area, Rectangle};
-use crate::city::{Cell, Heading, Light};
+use crate::city::{Cell, Heading, Light, Side};
 use crate::city::{Ground, Junction};
 use crate::diag::Diagnostic;
 use crate::diag::codes;
@@ -823,6 +823,12 @@ impl CityMap {
             Terrain::Blocks(blocks) => blocks.layout.place_on_lane(cell),
             Terrain::Roads(roads) => roads.spot(cell).map(|spot| (spot.lane, spot.at)),
         }
+    }
+
+    /// Returns the lane beside that of a cell of a road network into which cars may change.
+    pub(crate) fn lane_beside(&self, cell: Cell, side: Side) -> Option<u32> {
+        let roads = self.roads()?;
+        roads.lane_beside(roads.spot(cell)?.lane, side)
     }
 
     /// Returns the most cells across a lane.

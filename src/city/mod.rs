@@ -29,7 +29,7 @@ mod walk;
 mod zone;
 
 pub use action::Action;
-pub use action_table::{ActionTable, Effect, OwnAction, Turn};
+pub use action_table::{ActionTable, Effect, OwnAction, Side, Turn};
 pub(crate) use agent::place_agents_into;
 pub use agent::{Agent, Rest, place_agents};
 pub(crate) use area::{Area, Rectangle};

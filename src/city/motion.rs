@@ -149,6 +149,7 @@ fn affect(agent: &mut Agent, decided: Action, surroundings: &Surroundings<'_>) -
     let route = match surroundings.actions.effect(decided) {
         None => None,
         Some(Effect::Turn(turn)) => surroundings.router.turn(agent, turn),
+        Some(Effect::ChangeLane(side)) => surroundings.router.change_lane(agent, side),
         Some(Effect::Reroute) => surroundings.router.reroute(agent),
         Some(Effect::Park(ticks)) => {
             (agent.parked, agent.parked_by) = (ticks, decided);

@@ -9,7 +9,7 @@
 use crate::city::route::facings;
 use crate::city::signal::together;
 use crate::city::square::{CAR_AT, INSIDE, MID_LINE, NODE, PEDESTRIAN_AT, Square};
-use crate::city::{Cell, Ground, Heading, Light, Rectangle, Signal, SignalLink};
+use crate::city::{Cell, Ground, Heading, Light, Rectangle, Side, Signal, SignalLink};
 use serde::{Serialize, Serializer};
 use std::collections::BTreeSet;
 use std::sync::Arc;
@@ -703,9 +703,17 @@ impl RoadMap {
 
     /// Returns the lanes to the left and to the right into which a car may change.
     pub fn beside(&self, lane: u32) -> impl Iterator<Item = u32> {
-        [self.network.lanes[lane as usize].left, self.right[lane as usize]]
+        Side::ALL
             .into_iter()
-            .flatten()
+            .filter_map(move |side| self.lane_beside(lane, side))
+    }
+
+    /// Returns the lane on a side into which a car may change.
+    pub fn lane_beside(&self, lane: u32, side: Side) -> Option<u32> {
+        match side {
+            Side::Left => self.network.lanes[lane as usize].left,
+            Side::Right => self.right[lane as usize],
+        }
     }
 
     /// Returns the lanes of the largest part of the network in which a car on any lane can drive to each other one and

@@ -15,7 +15,7 @@ use crate::city::drive::{Driving, RouteCosts};
 use crate::city::map::Strip;
 use crate::city::route::{NoRoute, TURN_COST, Way, steps};
 use crate::city::walk::{search, walk};
-use crate::city::{Agent, AgentKind, Routing, Turn};
+use crate::city::{Agent, AgentKind, Routing, Side, Turn};
 use crate::city::{Cell, CityMap, Heading, Layout, Route};
 use pathfinding::directed::astar::astar;
 use pathfinding::directed::bfs::bfs_bidirectional;
@@ -523,6 +523,17 @@ impl Router {
             Some(streets) => streets.turn(&mut way, agent, turn)?,
             None => self.network().turn(&mut way, agent, turn)?,
         }
+        Some(way.finish())
+    }
+
+    /// Returns the best route to the goal of a car on a road network that changes into the lane on a side of its own;
+    /// `None` if there is none, or the car is too near to an end.
+    pub(super) fn change_lane(&self, agent: &Agent, side: Side) -> Option<Route> {
+        if agent.kind != AgentKind::Car || self.streets.is_some() {
+            return None;
+        }
+        let mut way = Way::new(&self.map, agent.kind, agent.cell);
+        self.network().change_lane(&mut way, agent, side)?;
         Some(way.finish())
     }
 

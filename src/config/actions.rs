@@ -1,6 +1,6 @@
 //! Reads the actions of a configuration.
 
-use crate::city::{Action, ActionTable, AgentKind, AgentSet, Effect, KindId, KindTable, OwnAction, Split, Turn};
+use crate::city::{Action, ActionTable, AgentKind, AgentSet, Effect, KindId, KindTable, OwnAction, Side, Split, Turn};
 use crate::config::kinds::{Kinds, MOST};
 use crate::config::model::*;
 use crate::config::predicates::{Predicates, SEES};
@@ -216,6 +216,8 @@ fn definition(
     let turns = Turn::ALL.map(|turn| (turn.name(), turn));
     let turn_node = fields.optional("turn");
     let turn = turn_node.and_then(|node| choice(node, &turns, faults));
+    let change_node = fields.optional("change_lane");
+    let change = change_node.and_then(|node| choice(node, &Side::ALL.map(|side| (side.name(), side)), faults));
     let reroute_node = fields.optional("reroute");
     let reroute = reroute_node.and_then(|node| choice(node, &[("true", true), ("false", false)], faults));
     let park_node = fields.optional("park");
@@ -227,6 +229,7 @@ fn definition(
     fields.close_with(Some(example), faults);
     let effects: Vec<(&YamlNode, Effect)> = [
         turn_node.zip(turn.map(Effect::Turn)),
+        change_node.zip(change.map(Effect::ChangeLane)),
         reroute_node.zip(reroute.filter(|reroute| *reroute).map(|_| Effect::Reroute)),
         park_node.zip(park.map(Effect::Park)),
     ]
@@ -234,7 +237,10 @@ fn definition(
     .flatten()
     .collect();
     if let [(first, _), (second, _), ..] = effects[..] {
-        let message = format!("`{}` has more than one of `turn`, `reroute` and `park`", name.value);
+        let message = format!(
+            "`{}` has more than one of `turn`, `change_lane`, `reroute` and `park`",
+            name.value
+        );
         let fault = Diagnostic::new(codes::INVALID_VALUE, message).at(second.span, "");
         faults.push(
             fault
@@ -246,8 +252,8 @@ fn definition(
     let walks = |kind: &KindId| kinds.base(*kind) == AgentKind::Pedestrian && cells[kind.index()].is_some();
     let walks = kinds.all().find(walks);
     match effect {
-        Some((node, Effect::Turn(_) | Effect::Reroute)) if walks.is_some() => {
-            let message = "pedestrians have no lanes, so they can neither `turn` nor `reroute`";
+        Some((node, Effect::Turn(_) | Effect::ChangeLane(_) | Effect::Reroute)) if walks.is_some() => {
+            let message = "pedestrians have no lanes, so they can neither `turn`, `change_lane` nor `reroute`";
             let fault = Diagnostic::new(codes::INVALID_VALUE, message).at(node.span, "");
             let walks = kinds.name(walks.expect("some kind"));
             faults.push(match cells_node {

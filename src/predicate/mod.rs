@@ -23,6 +23,7 @@
 // Decision: docs/decisions/city.md#d004
 
 mod ahead;
+mod beside;
 mod colliding;
 mod concept;
 mod distance;
@@ -50,6 +51,7 @@ use serde::{Serialize, Serializer};
 use std::sync::Arc;
 
 pub use ahead::Ahead;
+pub use beside::{Beside, LaneBeside};
 pub use colliding::Colliding;
 pub use concept::Concept;
 pub use distance::Distance;
@@ -539,6 +541,8 @@ kinds! { $
         OnLane,
         /// The agent is on a lane with a sign at its end.
         OnLaneWithSign,
+        /// The agent is on a lane with another beside it.
+        LaneBeside,
     }
     Pair {
         /// The Euclidean distance is within bounds.
@@ -555,6 +559,8 @@ kinds! { $
         SameIntersection,
         /// The second is ahead of the first on its lane.
         Ahead,
+        /// The second is on the lane beside that of the first.
+        Beside,
         /// The lane of the first must yield to that of the second.
         Yields,
         /// The second is in the field of view of the first.
@@ -829,10 +835,11 @@ mod tests {
 
     /// The map of the paper with the zones that samples use, and a road network; with the rows and columns of the cells
     /// around an intersection.
-    fn maps() -> [(Arc<CityMap>, [Range<i32>; 2]); 2] {
-        let files = |path: &Path| match path == Path::new("zones.yaml") {
-            true => Ok(ZONES.to_owned()),
-            false => BuiltinFiles.read(path),
+    fn maps() -> [(Arc<CityMap>, [Range<i32>; 2]); 3] {
+        let files = |path: &Path| match path.to_str() {
+            Some("zones.yaml") => Ok(ZONES.to_owned()),
+            Some("avenue.yaml") => Ok(AVENUE.to_owned()),
+            _ => BuiltinFiles.read(path),
         };
         let map = |path| {
             let config = load_map(&mut Sources::new(), Path::new(path), &files).expect("a valid file");
@@ -841,8 +848,21 @@ mod tests {
         [
             (map("zones.yaml"), [36..48, 36..48]),
             (map("roundabout"), [84..102, 112..130]),
+            (map("avenue.yaml"), [0..12, 20..40]),
         ]
     }
+
+    const AVENUE: &str = "
+roads:
+  cell: 1
+  size: [12, 60]
+  junctions: [east]
+  lanes:
+    - right drive to=east left=middle width=3 2,9 57,9
+    - middle drive to=east left=left width=3 2,6 57,6
+    - left drive to=east width=3 2,3 57,3
+  connections: []
+";
 
     const ZONES: &str = "base: square-5x5
 zones:

@@ -920,3 +920,105 @@ fn each_split_has_its_own_town() {
         assert!(trips > 10, "{trips}");
     }
 }
+
+/// Rules change lanes: the car reaches the lane on that side and goes on to its goal, and both executors agree.
+#[test]
+fn rules_change_lanes() {
+    const AVENUE: &str = "\
+roads:
+  cell: 1
+  size: [40, 160]
+  junctions: [east, west]
+  lanes:
+    - there_0 drive to=east left=there_1 width=3 10,30 150,30
+    - there_1 drive to=east width=3 10,26 150,26
+    - back_0 drive to=west left=back_1 width=3 150,10 10,10
+    - back_1 drive to=west width=3 150,14 10,14
+  connections:
+    - there_0 back_0 left priority 156,30 156,10
+    - there_1 back_1 left priority 153,26 153,14
+    - back_0 there_0 left priority 4,10 4,30
+    - back_1 there_1 left priority 7,14 7,26
+";
+    const CONFIG: &str = "\
+base: right-of-way-roads
+rules: mine.dl
+actions:
+  define:
+    ToLeft: {cells: {Car: 1}, change_lane: left}
+    ToRight: {cells: {Car: 1}, change_lane: right}
+  priority: [Stop, ToLeft, ToRight, Slow, Fast, Normal]
+predicates:
+  use: [IsPedestrian, IsCar, IsAtInter, IsInInter, Ahead, Tick, HasLeft, HasRight, OnLeft, OnRight]
+  define:
+    Ahead: {ahead: 6}
+    Tick: {quantity: tick}
+    HasLeft: {lane_beside: left}
+    HasRight: {lane_beside: right}
+    OnLeft: {beside: left}
+    OnRight: {beside: right}
+agents: {test: {cars: [{priority: 1, count: 6}]}}
+";
+    const RULES: &str = "\
+.include \"vocabulary.dl\"
+.decl Ahead, OnLeft, OnRight(x: agent, y: agent)
+.decl HasLeft, HasRight, ToLeft, ToRight(x: agent)
+.decl Tick(t: number)
+.input Ahead, OnLeft, OnRight, HasLeft, HasRight, Tick
+.output ToLeft, ToRight
+Slow(X) :- Ahead(X, Y), Not(Stop(X)).
+ToLeft(X) :- HasLeft(X), Tick(t), t % 40 < 10, Not(OnLeft(X, _)).
+ToRight(X) :- HasRight(X), Tick(t), t % 40 >= 20, t % 40 < 30.
+";
+    let map = load_memory_map(AVENUE).unwrap();
+    let (world, _) = configured(CONFIG, RULES, |scenario| scenario.map = map.clone());
+    let mut cities = [Executor::Relational, Executor::Dense].map(|executor| simulation(&world, executor, 1));
+    go_the_same_way(&mut cities, 200);
+    let [_, mut city] = cities;
+    let lane = |cell: Cell| {
+        let rows = [(30, "there_0"), (26, "there_1"), (10, "back_0"), (14, "back_1")];
+        let found = rows.into_iter().find(|(row, _)| *row == cell.row);
+        found.map(|(_, name)| name.to_owned())
+    };
+    let (mut changed, mut arrived) = (BTreeMap::new(), 0);
+    let mut wanted: BTreeMap<usize, (String, u64)> = BTreeMap::new();
+    for tick in 200..1400 {
+        let before = city.agents().to_vec();
+        let done: Vec<Action> = city
+            .tick(&[])
+            .unwrap()
+            .agents
+            .iter()
+            .map(|agent| agent.action)
+            .collect();
+        for (at, (agent, action)) in before.iter().zip(done).enumerate() {
+            let name = world.scenario.actions.table.name(action);
+            let beside = lane(agent.cell).and_then(|lane| {
+                let (street, number) = lane.split_once('_')?;
+                match (name, number) {
+                    ("ToLeft", "0") => Some(format!("{street}_1")),
+                    ("ToRight", "1") => Some(format!("{street}_0")),
+                    _ => None,
+                }
+            });
+            let after = &city.agents()[at];
+            arrived += usize::from(after.goal() != agent.goal());
+            if let Some(beside) = beside
+                && world.map().at_intersection(agent.kind, agent.cell).is_none()
+            {
+                wanted.entry(at).or_insert((beside, tick));
+            }
+            if let Some((there, since)) = wanted.get(&at).cloned() {
+                if lane(after.cell).as_deref() == Some(&there) {
+                    *changed.entry(there).or_insert(0) += 1;
+                    wanted.remove(&at);
+                } else if tick - since > 12 {
+                    // It was too near to an end, or at its goal.
+                    wanted.remove(&at);
+                }
+            }
+        }
+    }
+    assert!(arrived > 20 && changed.len() == 4, "{arrived} {changed:?}");
+    assert!(changed.values().all(|count| *count > 10), "{changed:?}");
+}
