@@ -95,13 +95,14 @@ def test_the_shipped_experiments_name_existing_configurations() -> None:
         "noise",
         "observations",
         "spf",
+        "town",
         "transfer",
     ]
     for file in files:
         experiment = load_experiment(file).experiment
         assert isinstance(experiment, SpfExperiment)
-        # The paper has no noise, no told facts, and one ego.
-        ours = ("communication", "egos", "noise")
+        # The paper has no noise, no told facts, one ego, and one map.
+        ours = ("communication", "egos", "noise", "town")
         assert experiment.paper == (None if file.stem in ours else file.stem)
         if experiment.paper is not None:
             assert paper_table(experiment.paper)["source"].startswith("LogiCity (NeurIPS 2024")
