@@ -52,7 +52,7 @@ fn checked<'py>(py: Python<'py>, program: &PyProgram) -> PyResult<Bound<'py, PyA
             "alternative": drawn.as_ref().map(|draw| draw.alternative),
             "label": printer.label(*id),
             "text": sources.slice(clause.span),
-            "place": format!("{}:{}:{}", sources.name(clause.span.source), position.line, position.column),
+            "place": format!("{}:{}:{}", sources.file(clause.span), position.line, position.column),
         })
     };
     let strata = rules.strata.iter().map(|stratum| {

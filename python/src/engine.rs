@@ -140,7 +140,7 @@ impl PyProgram {
                 "output": predicate.output,
                 "derived": predicate.derived,
                 "doc": predicate.doc,
-                "file": sources.name(predicate.span.source),
+                "file": sources.file(predicate.span),
                 "line": position.line,
             })
         });

@@ -5,6 +5,7 @@ use crate::cli::configuration::{self, Checked, Opened};
 use crate::cli::failure::Failure;
 use crate::cli::limits::LimitOptions;
 use crate::cli::load::{inputs_of, load_workspace_from};
+use crate::cli::preprocessor::PreprocessorOptions;
 use crate::cli::report::report;
 use crate::cli::terminal;
 use crate::cli::trace::TraceReader;
@@ -46,6 +47,8 @@ pub struct Arguments {
     /// Also report literals and clauses that are always true or redundant
     #[arg(long)]
     lints: bool,
+    #[command(flatten)]
+    preprocessor: PreprocessorOptions,
     #[command(flatten)]
     limits: LimitOptions,
 }
@@ -127,7 +130,7 @@ fn examine(arguments: &Arguments, path: &Path, files: &dyn ReadFile, sources: &m
     if let Some(city) = given.as_ref().or(report.configuration.as_ref()) {
         report.actions = city.actions();
     }
-    let Some(rules) = report.load(&path, given.as_ref(), files, sources)? else {
+    let Some(rules) = report.load(&path, given.as_ref(), arguments, files, sources)? else {
         return Ok(report);
     };
     let in_city = report.lint(&rules, given.as_ref(), arguments.lints, sources);
@@ -192,10 +195,12 @@ impl Report {
         &mut self,
         path: &Path,
         given: Option<&Checked>,
+        arguments: &Arguments,
         files: &dyn ReadFile,
         sources: &mut Sources,
     ) -> Result<Option<Rules>, Failure> {
-        let mut texts = match load_workspace_from(sources, path, InputPolicy::Fixed, files) {
+        let preprocessing = arguments.preprocessor.preprocessing();
+        let mut texts = match load_workspace_from(sources, path, InputPolicy::Fixed, preprocessing, files) {
             Ok(texts) => texts,
             Err(Failure::Input(faults)) => {
                 self.found = faults;

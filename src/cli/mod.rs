@@ -30,6 +30,7 @@ mod memory;
 mod new;
 mod outputs;
 mod pddl;
+mod preprocessor;
 mod python;
 mod query;
 mod questions;

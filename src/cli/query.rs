@@ -3,13 +3,15 @@
 mod outputs;
 mod rows;
 
+use crate::builtin::BuiltinFiles;
 use crate::cli::fact;
 use crate::cli::fact::Question;
 use crate::cli::failure::Failure;
 use crate::cli::inputs::Inputs;
 use crate::cli::limits::LimitOptions;
-use crate::cli::load::load_workspace;
+use crate::cli::load::load_workspace_from;
 use crate::cli::outputs::ForceOption;
+use crate::cli::preprocessor::PreprocessorOptions;
 use crate::cli::report::report;
 use crate::cli::terminal;
 use crate::cli::values::{integer, threads};
@@ -80,6 +82,8 @@ pub struct Arguments {
     #[arg(long, value_name = "N", value_parser = threads, default_value = "1")]
     threads: NonZeroUsize,
     #[command(flatten)]
+    preprocessor: PreprocessorOptions,
+    #[command(flatten)]
     limits: LimitOptions,
     #[command(flatten)]
     force: ForceOption,
@@ -98,7 +102,13 @@ pub fn run(arguments: &Arguments, sources: &mut Sources) -> Result<(), Failure> 
     if arguments.json && question.is_none() {
         return Err(Failure::Usage("--json requires --explain or --why-not".to_owned()));
     }
-    let workspace = load_workspace(sources, &arguments.rules, InputPolicy::Extensible)?;
+    let workspace = load_workspace_from(
+        sources,
+        &arguments.rules,
+        InputPolicy::Extensible,
+        arguments.preprocessor.preprocessing(),
+        &BuiltinFiles,
+    )?;
     // Only a question needs the syntax trees, which may be large.
     let (loaded, workspace) = match question {
         Some(_) => (workspace.check(), Some(workspace)),

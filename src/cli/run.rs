@@ -609,7 +609,7 @@ fn firings(simulation: &Simulation, tally: &Tally, sources: &Sources, text: &mut
     let _ = writeln!(text, "\n{:>10}  clause", "fired");
     let rules = simulation.world().program.rules();
     let place = |clause: &Clause| {
-        let file = Path::new(sources.name(clause.span.source)).file_name();
+        let file = Path::new(sources.file(clause.span)).file_name();
         let line = sources.position(clause.span).line;
         format!("{}:{line}", file.unwrap_or_default().to_string_lossy())
     };

@@ -29,6 +29,8 @@ crate::diagnostic_codes! {
     DUPLICATE_DECLARATION = "duplicate-declaration", Error;
     /// A file that includes itself, directly or through others.
     INCLUDE_CYCLE = "include-cycle", Error;
+    /// A directive of the preprocessor that cannot be followed, `#error`, or a faulty use of a macro.
+    PREPROCESSOR = "preprocessor", Error;
     /// An included file that cannot be read.
     MISSING_INCLUDE = "missing-include", Error;
     /// An `.input` predicate that is also the head of a rule.

@@ -171,7 +171,9 @@ pub use program::{Options, Program, ProgramError};
 pub use session::Session;
 pub use syntax::ast::{self, BaseType, Comparison, MarkKind};
 pub use syntax::functor::{AggregateOp, Functor};
-pub use syntax::{DIRECTIVES, FULL_STOP, Parsed, TokenKind, format, is_name, parse, print, quoted, tokens};
+pub use syntax::{
+    DIRECTIVES, FULL_STOP, Parsed, Preprocessing, TokenKind, format, is_name, parse, print, quoted, tokens,
+};
 pub use value::{Patterns, Value, parse as parse_value, print_float};
 pub use workspace::{Declaration, FactPattern, FactRow, Loaded, Workspace, is_complete, load, load_with};
 

@@ -19,6 +19,7 @@ use crate::check::clause;
 use crate::check::witness::{renamed, renamed_term};
 use crate::check::{self as rules, Comparing, PredicateId, Rules};
 use crate::check::{Elsewhere, InputPolicy, check, inline, names, temporal};
+use crate::syntax::Preprocessing;
 use crate::syntax::ast::{Atom, Clause, ColumnDecl, Decl, Item, Literal, Mark, MarkKind, Name, Place, Term, TermKind};
 use crate::syntax::ast::{BaseType, TypeDefinition};
 use crate::syntax::ast::{names_in, names_of};
@@ -89,6 +90,7 @@ pub struct Declaration {
 pub struct Workspace {
     gathered: Gathered,
     inputs: InputPolicy,
+    preprocessing: Preprocessing,
     faults: Faults,
 }
 
@@ -120,7 +122,14 @@ impl Workspace {
     ///
     /// Skips files that the workspace already contains.
     pub fn add(&mut self, sources: &mut Sources, entry: SourceId, read: &dyn ReadFile) {
-        include::gather(&mut self.gathered, sources, entry, read, &mut self.faults);
+        include::gather(
+            &mut self.gathered,
+            sources,
+            entry,
+            read,
+            &self.preprocessing,
+            &mut self.faults,
+        );
         if !read.builtin_paths().is_empty() && lacks_declaration(&self.gathered) {
             self.gathered.offered = include::offered(read);
         }
@@ -133,6 +142,11 @@ impl Workspace {
     /// Sets whether rules may derive `.input` predicates.
     pub fn set_inputs(&mut self, inputs: InputPolicy) {
         self.inputs = inputs;
+    }
+
+    /// Sets how the sources that are added from now on are preprocessed, and the folders of the files they include.
+    pub fn set_preprocessing(&mut self, preprocessing: Preprocessing) {
+        self.preprocessing = preprocessing;
     }
 
     /// Returns whether a predicate of this name is declared.
@@ -206,7 +220,7 @@ impl Workspace {
 
     fn checked(&self, items: Cow<'_, [Item]>, facts: Cow<'_, FactRuns>, mut faults: Faults) -> Loaded {
         let elsewhere = Elsewhere {
-            complete: !(self.gathered.incomplete || self.gathered.macros.may_declare),
+            complete: !self.gathered.incomplete,
             offered: &self.gathered.offered,
         };
         let (rules, compared) = check((items, facts), elsewhere, self.inputs, Symbols::new(), &mut faults);

@@ -716,7 +716,7 @@ fn a_missing_include_suggests_a_similar_file() {
     }
     assert_eq!(helps(".include \"something-else.dl\""), [""; 0]);
     assert_eq!(helps(".include \"/rules/other.dl\""), [""; 0]);
-    let wanted = "write the path from the folder of this file";
+    let wanted = "write the path from the folder of this file, or name a folder with the option `-I`";
     assert_eq!(helps("#include \"rules/other.dl\""), [wanted]);
 }
 

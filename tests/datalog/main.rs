@@ -18,6 +18,7 @@ mod near_files;
 mod optimize;
 mod order;
 mod pages;
+mod preprocessor;
 mod proofs;
 mod random_program;
 mod rewrite;

@@ -2,7 +2,6 @@
 
 use crate::rule_files::RuleFiles;
 use logicity_datalog::diag::{Diagnostic, Sources};
-use logicity_datalog::files::ReadError;
 use logicity_datalog::{ast, load, parse, print};
 
 fn diagnostics(text: &str) -> Vec<(&'static str, usize, String)> {
@@ -125,8 +124,6 @@ const UNSUPPORTED: &[&str] = &[
     ".decl o(x: number, y: L«<>)\n.input o",
     "«.lattice L<> { Bottom -> 1 }\n.decl o(x: number, y: L«<>)\n.decl m(x: L)\n.input o, m",
     ".decl o(x: a«.T)",
-    ".decl o(x: number, «\\\n  y: number)\n.input o",
-    "p(x, y) :- p(y, x), «\\ \r\n  p(x, _).",
     ".decl o = «debug_delta(p)",
     ".type R = «[a: number, b: R]",
     ".type R\n  = «[\n a: number ]",
@@ -153,19 +150,6 @@ const UNSUPPORTED: &[&str] = &[
     ".input a«.p, q",
     "p(x, y) :- x = «recursive_iteration_cnt(), p(y, _).",
     "p(x, 1) :- p(x, «itou(3)).",
-    "p(1, «__LINE__).",
-    "«#define X(a) \\\n  foo(a) ## ' \\\n  bar.",
-    "«#define X(a) p(a, \\\r\n  a).",
-    "«#define COLUMNS x: number, y: number\n.decl o(COLUMNS)\n.input o",
-    "«#define BOTH(x) p(x, x), p(x, _)\np(x, 1) :- BOTH(x).\np(x, 2) :-\n  BOTH(x),\n  p(x, _).",
-    "«#define FACT(x) p(x, x).\nFACT(1)\nFACT(2)",
-    "«#ifdef X\n.decl o(x: number)\n#else\n.decl o(x: symbol)\n#endif",
-    "«#if X > 1 /* a\n b */\n.decl o(x: number)\n#elif Y\n%?!\n#ifdef Z\n#else\n#endif\n#else\n.decl o(x: symbol)\n#endif",
-    "«#if 0\n  this is no program '\n#endif",
-    "«#if 0\n  this is no program '\n#else\np(4, 5).\n#endif",
-    "«#include <foo>",
-    "«# 1 \"a.dl\"\n# 2 \"b.dl\" 1",
-    "  «# pragma once",
 ];
 
 #[test]
@@ -188,53 +172,6 @@ fn each_unsupported_construct_has_one_diagnostic_and_ends() {
         }
     }
     assert!(wrong.is_empty(), "{wrong:#?}");
-}
-
-#[test]
-fn macros_of_all_files_stand_for_unknown_text() {
-    const MACROS: &str = "#define CLOSE(p) .decl p ## s(x: number) p ## s(x) :- p(x). \\\n  .output p ## s\n\
-                          #define BIG(x) (x > 2)\n#define NAME number\n";
-    let files = [
-        (
-            "a.dl",
-            "#include \"b.dl\"\n#include \"macros.dl\"\n.include \"c.dl\"\n.decl q(x: NAME)\nCLOSE(q)\n.output q\nq(1).\n",
-        ),
-        (
-            "b.dl",
-            ".decl p(x: number)\np(1). p(2).\nCLOSE(p)\n.decl r(x: number)\nr(x) :- p(x), BIG(x).\n.output r\nCLOSE(p)\nr(\"a\").\n",
-        ),
-        ("macros.dl", MACROS),
-        (
-            "c.dl",
-            ".include \"macros.dl\"\n.decl t(x: number)\n.output t\nt(x) :- ps(x), qs(x), BIG(x), r(x).\nt(x) :- ps(x).\nt(\"a\").\n",
-        ),
-    ];
-    let read = |path: &std::path::Path| {
-        let found = files.iter().find(|(name, _)| path == std::path::Path::new(name));
-        found.map(|(_, text)| (*text).to_owned()).ok_or(ReadError::NotFound)
-    };
-    let mut sources = Sources::new();
-    let entry = sources.add(files[0].0, files[0].1);
-    let found = load(&mut sources, entry, &read).diagnostics;
-    let places: Vec<(&str, &str, usize)> = (found.iter())
-        .map(|fault| {
-            let span = fault.primary.as_ref().unwrap().span;
-            let before = &sources.text(span.source)[..span.start as usize];
-            (
-                fault.code.name(),
-                sources.name(span.source),
-                before.matches('\n').count() + 1,
-            )
-        })
-        .collect();
-    let wanted = [
-        ("type-mismatch", "b.dl", 8),
-        ("unsupported", "macros.dl", 1),
-        ("unsupported", "macros.dl", 3),
-        ("unsupported", "macros.dl", 4),
-        ("type-mismatch", "c.dl", 6),
-    ];
-    assert_eq!(places, wanted, "{found:#?}");
 }
 
 #[test]

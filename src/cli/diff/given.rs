@@ -12,7 +12,9 @@ use crate::cli::failure::Failure;
 use crate::cli::load::{inputs_of, load_workspace_from};
 use crate::datalog::codes;
 use crate::datalog::diff::{Difference, Equivalence, Options, diff, unsat_core};
-use crate::datalog::{BaseType, Clause, Comparison, InputPolicy, Literal, Rules, Term, VarId, is_name, quoted};
+use crate::datalog::{
+    BaseType, Clause, Comparison, InputPolicy, Literal, Preprocessing, Rules, Term, VarId, is_name, quoted,
+};
 use crate::diag::{Diagnostic, SourceId, Sources, Span};
 use crate::files::{ReadError, ReadFile};
 use crate::sim::CityTheory;
@@ -190,7 +192,13 @@ fn restricted(
             overlay.text += ".\n";
         }
     }
-    let mut workspace = load_workspace_from(sources, &overlay.path, InputPolicy::Fixed, &overlay)?;
+    let mut workspace = load_workspace_from(
+        sources,
+        &overlay.path,
+        InputPolicy::Fixed,
+        Preprocessing::default(),
+        &overlay,
+    )?;
     workspace.set_inputs(inputs_of(&workspace, false));
     let entry = overlay.path.display().to_string();
     let entry = sources.ids().filter(|&id| sources.name(id) == entry).last();

@@ -131,6 +131,9 @@ impl Analysis {
                 Err(fault) => diagnostics.push(fault),
             }
         }
+        for fault in hints.iter_mut().chain(&mut diagnostics) {
+            *fault = sources.traced(fault);
+        }
         cap(&mut hints);
         cap(&mut diagnostics);
         // The documents before are those of the configuration.

@@ -479,7 +479,10 @@ impl Server {
             && !document.stale
         {
             document.saved = false;
-            document.conflicts = found;
+            document.conflicts = found
+                .iter()
+                .map(|fault| document.analysis.sources.traced(fault))
+                .collect();
             messages.extend(self.documents.get(&search.path).map(|document| self.publish(document)));
         }
         messages.extend(self.begin_search());

@@ -12,6 +12,7 @@ use crate::cli::fact;
 use crate::cli::fact::Question;
 use crate::cli::failure::Failure;
 use crate::cli::limits::LimitOptions;
+use crate::cli::preprocessor::PreprocessorOptions;
 use crate::cli::report::{exit, report};
 use crate::cli::{query, terminal};
 use crate::datalog;
@@ -46,6 +47,8 @@ pub struct Arguments {
     #[arg(short = 'F', long, value_name = "DIR")]
     facts: Option<PathBuf>,
     #[command(flatten)]
+    preprocessor: PreprocessorOptions,
+    #[command(flatten)]
     limits: LimitOptions,
 }
 
@@ -56,6 +59,7 @@ pub fn run(arguments: &Arguments, sources: &mut Sources) -> Result<(), Failure> 
             rows: ROWS_MAX,
             ..Limits::default()
         }),
+        arguments.preprocessor.preprocessing(),
     )?;
     let mut lines = Lines::open();
     let mut repl = Repl {

@@ -20,7 +20,7 @@ use crate::config::rule_file;
 use crate::datalog;
 use crate::datalog::codes;
 use crate::datalog::{BaseType, Functor, InputPolicy, Predicate, PredicateId, Rules, Value, Workspace, ast};
-use crate::datalog::{Delta, Limits, Loaded, Program, RowError, Session, facts};
+use crate::datalog::{Delta, Limits, Loaded, Preprocessing, Program, RowError, Session, facts};
 use crate::diag::{Diagnostic, SourceId, Sources, Span};
 use crate::symbol::Symbol;
 use indexmap::IndexMap;
@@ -30,6 +30,7 @@ use std::path::{Path, PathBuf};
 pub struct Workbench<'s> {
     pub sources: &'s mut Sources,
     pub workspace: Workspace,
+    preprocessing: Preprocessing,
     pub session: Session,
     /// Times of the last change.
     pub times: Times,
@@ -73,13 +74,15 @@ pub struct Answer {
 
 impl<'s> Workbench<'s> {
     /// Returns a workbench without sources.
-    pub fn new(sources: &'s mut Sources, limits: Limits) -> Result<Self, Failure> {
-        let workspace = Workspace::new(InputPolicy::Extensible);
+    pub fn new(sources: &'s mut Sources, limits: Limits, preprocessing: Preprocessing) -> Result<Self, Failure> {
+        let mut workspace = Workspace::new(InputPolicy::Extensible);
+        workspace.set_preprocessing(preprocessing.clone());
         let loaded = workspace.check();
         let rules = loaded.rules.ok_or(loaded.diagnostics)?;
         Ok(Workbench {
             sources,
             workspace,
+            preprocessing,
             session: Program::new(rules)?.session(),
             times: Times::default(),
             limits,
@@ -113,6 +116,7 @@ impl<'s> Workbench<'s> {
     pub fn reload(&mut self) -> Result<Outcome, Failure> {
         let first_new = self.sources.ids().count();
         let mut workspace = Workspace::new(InputPolicy::Extensible);
+        workspace.set_preprocessing(self.preprocessing.clone());
         for path in &self.files {
             let text = read(path)?;
             let entry = self.sources.add(path.display().to_string(), text);
@@ -301,7 +305,7 @@ impl<'s> Workbench<'s> {
     /// number `first_new` on.
     fn adopt(&mut self, mut workspace: Workspace, mut made: Made, first_new: usize) -> Result<Outcome, Failure> {
         let new: HashSet<SourceId> = self.sources.ids().skip(first_new).collect();
-        let (mut rules, mut warnings) = checked(&workspace, &new)?;
+        let (mut rules, mut warnings) = checked(&workspace, &new, self.sources)?;
         let stated = self.stated_from_now_on(&rules);
         if !stated.is_empty() {
             for (name, text) in stated {
@@ -309,7 +313,7 @@ impl<'s> Workbench<'s> {
                 workspace.add(self.sources, id, &BuiltinFiles);
                 made.typed.push(id);
             }
-            (rules, warnings) = checked(&workspace, &new)?;
+            (rules, warnings) = checked(&workspace, &new, self.sources)?;
         }
         let mut session = Program::new(rules)?.session();
         session.set_limits(self.limits);
@@ -478,14 +482,18 @@ impl<'s> Workbench<'s> {
 ///
 /// # Errors
 /// All errors, and the warnings about the new sources.
-fn checked(workspace: &Workspace, new: &HashSet<SourceId>) -> Result<(Rules, Vec<Diagnostic>), Vec<Diagnostic>> {
+fn checked(
+    workspace: &Workspace,
+    new: &HashSet<SourceId>,
+    sources: &Sources,
+) -> Result<(Rules, Vec<Diagnostic>), Vec<Diagnostic>> {
     let Loaded {
         rules, mut diagnostics, ..
     } = workspace.check();
     let is_new = |fault: &Diagnostic| {
         // A predicate without rows may get some later.
         fault.code != codes::DEAD_CLAUSE
-            && (fault.primary.as_ref()).is_none_or(|label| new.contains(&label.span.source))
+            && (fault.primary.as_ref()).is_none_or(|label| new.contains(&sources.written(label.span).source))
     };
     diagnostics.retain(|fault| fault.is_error() || is_new(fault));
     match rules {

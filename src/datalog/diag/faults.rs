@@ -46,19 +46,6 @@ impl List {
         }
         has_room
     }
-
-    fn truncate(&mut self, length: usize) {
-        self.all.truncate(length);
-        self.different.retain(|&at| at < length);
-    }
-}
-
-/// A state of [`Faults`].
-#[derive(Clone, Copy, Debug, PartialEq, Eq)]
-pub(crate) struct Mark {
-    errors: usize,
-    warnings: usize,
-    hidden_warnings: usize,
 }
 
 impl Faults {
@@ -76,22 +63,6 @@ impl Faults {
                 }
             }
         }
-    }
-
-    /// Returns the current state, for [`Faults::rewind`].
-    pub(crate) fn mark(&self) -> Mark {
-        Mark {
-            errors: self.errors.all.len(),
-            warnings: self.warnings.all.len(),
-            hidden_warnings: self.hidden_warnings,
-        }
-    }
-
-    /// Drops the diagnostics added since `mark`.
-    pub(crate) fn rewind(&mut self, mark: Mark) {
-        self.errors.truncate(mark.errors);
-        self.warnings.truncate(mark.warnings);
-        self.hidden_warnings = mark.hidden_warnings;
     }
 
     /// Returns whether there is an error.
@@ -167,7 +138,6 @@ mod tests {
     fn faults_that_differ_only_in_their_place_count_once() {
         let mut faults = Faults::default();
         push(&mut faults, again(500));
-        let mark = faults.mark();
         push(&mut faults, (0..MAX_FAULTS - 2).map(|number| format!("other {number}")));
         assert!(!faults.full());
         push(&mut faults, ["the last".to_owned(), "beyond".to_owned()]);
@@ -176,9 +146,6 @@ mod tests {
         assert_eq!(found.len(), 500 + MAX_FAULTS - 1 + 1);
         let mut messages = found.iter().map(|fault| fault.message.as_str());
         assert!(messages.any(|message| message.starts_with("more than 599 errors")));
-        faults.rewind(mark);
-        assert!(!faults.full());
-        assert_eq!(faults.finish().len(), 500);
     }
 
     #[test]

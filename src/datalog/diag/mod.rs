@@ -14,12 +14,14 @@ mod faults;
 mod neutral;
 mod render;
 mod source;
+mod trace;
 
 pub use code::Code;
 pub use explanation::{Catalog, Example, Explanation, explanations};
 pub use faults::{Faults, MAX_FAULTS};
 pub use neutral::neutral;
 pub use render::{json_error, render, to_json};
+pub(crate) use source::{Expansion, MacroUse, Part};
 pub use source::{Position, SourceId, Sources, Span};
 use std::borrow::Borrow;
 use std::path::Path;

@@ -20,8 +20,9 @@ const PLACES_SHOWN: usize = 3;
 /// included, is [`neutral`].
 pub fn render(diagnostics: &[Diagnostic], sources: &Sources, color: bool) -> String {
     let renderer = if color { Renderer::styled() } else { Renderer::plain() };
+    let traced: Vec<Diagnostic> = diagnostics.iter().map(|fault| sources.traced(fault)).collect();
     let mut different: Vec<(&Diagnostic, Vec<Span>)> = Vec::new();
-    for diagnostic in diagnostics {
+    for diagnostic in &traced {
         let known = different.iter_mut().find(|(known, _)| known.repeats(diagnostic));
         match (known, &diagnostic.primary) {
             (Some((_, places)), Some(label)) => places.push(label.span),
@@ -230,9 +231,9 @@ pub fn to_json(diagnostics: &[Diagnostic], sources: &Sources) -> Value {
             "primary": primary,
         })
     };
-    diagnostics
-        .iter()
+    (diagnostics.iter())
         .map(|diagnostic| {
+            let diagnostic = sources.traced(diagnostic);
             let labels: Vec<Value> = (diagnostic.primary.iter().map(|l| label(l, true)))
                 .chain(diagnostic.secondary.iter().map(|l| label(l, false)))
                 .collect();

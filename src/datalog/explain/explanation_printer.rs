@@ -238,7 +238,7 @@ impl<'a> ExplanationPrinter<'a> {
         let head = &self.rules.predicates[clause.head.predicate.index()];
         json!({
             "head": head.title(),
-            "file": self.sources.name(clause.span.source),
+            "file": self.sources.file(clause.span),
             "line": self.sources.position(clause.span).line,
             "doc": clause.doc,
         })
@@ -327,7 +327,7 @@ impl<'a> ExplanationPrinter<'a> {
 
     /// Returns `file:line` of a clause, without the folder.
     fn place(&self, clause: &Clause) -> String {
-        let name = self.sources.name(clause.span.source);
+        let name = self.sources.file(clause.span);
         let file = name.rsplit(['/', '\\']).next().unwrap_or(name);
         format!("{file}:{}", self.sources.position(clause.span).line)
     }

@@ -26,7 +26,7 @@ const INDENT: usize = 4;
 /// Returns a rule file in the standard layout.
 ///
 /// # Errors
-/// All faults, if the file does not parse.
+/// All faults, if the file does not parse. Directives of the preprocessor are faults, except `#include "file"`.
 pub fn format(sources: &Sources, id: SourceId) -> Result<String, Vec<Diagnostic>> {
     let mut faults = Faults::default();
     let Some(text) = small_source(sources, id, &mut faults) else {

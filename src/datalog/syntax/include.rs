@@ -4,22 +4,17 @@ use std::collections::{HashMap, HashSet};
 use std::path::{Path, PathBuf};
 
 use crate::codes;
-use crate::diag::{self, Diagnostic, Faults, SourceId, Sources, Span, similar_file, similar_file_in};
+use crate::diag::{self, Diagnostic, Faults, SourceId, Sources, Span};
 use crate::files::{BUILTIN_FOLDER, ReadError, ReadFile, normalize};
 
 use crate::syntax::ast::{File, Include, Item};
+use crate::syntax::locate::{BUILTIN_RULES, ENDING, Wanted};
 use crate::syntax::packed::FactRuns;
 use crate::syntax::parser;
-use crate::syntax::parser::Macros;
+use crate::syntax::preprocess::{self, Files, Preprocessing};
 
 /// Maximum size of a rule file in bytes.
 const MAX_TEXT_BYTES: usize = 64 << 20;
-
-/// The extension of rule files.
-const ENDING: &str = "dl";
-
-/// The folder of the built-in rule files, which includes omit.
-const BUILTIN_RULES: &str = "rules/";
 
 /// Maximum length of a chain of includes.
 const MAX_DEPTH: usize = 64;
@@ -37,10 +32,8 @@ pub(crate) struct Gathered {
     pub items: Vec<Item>,
     /// The facts of plain constants.
     pub facts: FactRuns,
-    /// Whether an included file was missing. If so, its declarations may explain unknown names.
+    /// Whether text is missing, such as an included file. If so, its declarations may explain unknown names.
     pub incomplete: bool,
-    /// The macros of all files.
-    pub macros: Macros,
     /// The names that built-in files declare, if the items lack a declaration.
     pub offered: Offered,
     /// The normalized paths of all files so far. Only for lookup, never iterated.
@@ -53,33 +46,23 @@ pub(crate) fn gather(
     sources: &mut Sources,
     entry: SourceId,
     read: &dyn ReadFile,
+    settings: &Preprocessing,
     faults: &mut Faults,
 ) {
     let key = normalize(Path::new(sources.name(entry)));
     if !gathered.seen.insert(key.clone()) {
         return;
     }
-    let (items, facts, incomplete) = (gathered.items.len(), gathered.facts.len(), gathered.incomplete);
-    let mark = faults.mark();
     let mut walk = Walk {
         sources,
         read,
+        settings,
         faults,
         open: vec![(key, None)],
-        included: HashMap::new(),
+        included: Files::new(),
         gathered,
     };
     walk.source(entry);
-    if !walk.gathered.macros.is_empty() && !walk.included.is_empty() {
-        // A file that uses macros is parsed before the files it includes, which define them.
-        walk.faults.rewind(mark);
-        walk.gathered.items.truncate(items);
-        walk.gathered.facts.truncate(facts);
-        walk.gathered.incomplete = incomplete;
-        let included = &walk.included;
-        walk.gathered.seen.retain(|key| !included.contains_key(key));
-        walk.source(entry);
-    }
 }
 
 /// Returns the names that built-in files declare, without those that include others: these are programs.
@@ -139,20 +122,25 @@ pub(super) fn small_source<'s>(sources: &'s Sources, id: SourceId, faults: &mut 
 struct Walk<'a> {
     sources: &'a mut Sources,
     read: &'a dyn ReadFile,
+    settings: &'a Preprocessing,
     faults: &'a mut Faults,
     /// The files that are open, outermost first: the normalized path, and the include that led to it.
     open: Vec<(PathBuf, Option<Span>)>,
     /// The sources that this walk has added, by normalized path.
-    included: HashMap<PathBuf, SourceId>,
+    included: Files,
     gathered: &'a mut Gathered,
 }
 
 impl Walk<'_> {
     fn source(&mut self, id: SourceId) {
-        let Some(text) = small_source(self.sources, id, self.faults) else {
+        if small_source(self.sources, id, self.faults).is_none() {
             return;
-        };
-        let (file, mut packed) = parser::parse_packed(id, text, &mut self.gathered.macros, self.faults);
+        }
+        let (settings, included) = (self.settings, &mut self.included);
+        let unit = preprocess::preprocess(self.sources, id, self.read, settings, included, self.faults);
+        self.gathered.incomplete |= unit.incomplete;
+        self.gathered.seen.extend(unit.included);
+        let (file, mut packed) = parser::parse_packed(unit.source, self.sources.text(unit.source), self.faults);
         let mut runs = std::mem::take(&mut packed.runs).into_iter().peekable();
         let to = self.gathered.facts.add_file(packed);
         let mut items = file.items.into_iter().enumerate();
@@ -165,24 +153,25 @@ impl Walk<'_> {
             }
             match next {
                 None => break,
-                Some((_, Item::Include(include))) => self.include(id, &include),
+                Some((_, Item::Include(include))) => self.include(&include),
                 Some((_, other)) => self.gathered.items.push(other),
             }
         }
     }
 
-    fn include(&mut self, from: SourceId, include: &Include) {
-        let span = include.place.0;
-        let beside = Path::new(self.sources.name(from))
-            .parent()
-            .unwrap_or(Path::new(""))
-            .join(&include.path);
-        let builtin = Path::new(BUILTIN_FOLDER).join(&include.path);
-        // `join` with an absolute path returns that path, so both candidates are the same.
-        let builtin = builtin.starts_with(BUILTIN_FOLDER).then_some(builtin);
-        let mut error = ReadError::NotFound;
-        for path in std::iter::once(&beside).chain(&builtin) {
-            let key = normalize(path);
+    fn include(&mut self, include: &Include) {
+        let span = self.sources.written(include.place.0);
+        let from = self.sources.name(span.source).to_owned();
+        let wanted = Wanted {
+            path: &include.path,
+            from: &from,
+            elsewhere: false,
+            span,
+        };
+        let candidates = wanted.candidates(&self.settings.folders);
+        let mut error = (candidates[0].clone(), ReadError::NotFound);
+        for path in candidates {
+            let key = normalize(&path);
             if let Some(position) = self.open.iter().position(|(open, _)| *open == key) {
                 return self.cycle(position, span);
             }
@@ -195,7 +184,7 @@ impl Walk<'_> {
             if self.included.len() >= MAX_FILES {
                 return self.too_many(span);
             }
-            match self.read.read(path) {
+            match self.read.read(&path) {
                 Ok(text) => {
                     let id = self.sources.add(path.display().to_string(), text);
                     self.included.insert(key.clone(), id);
@@ -203,42 +192,13 @@ impl Walk<'_> {
                 }
                 Err(ReadError::NotFound) => {}
                 Err(other) => {
-                    error = other;
+                    error = (path, other);
                     break;
                 }
             }
         }
         self.gathered.incomplete = true;
-        let path = beside.display();
-        let fault = match error {
-            ReadError::NotFound => {
-                let fault = Diagnostic::new(codes::MISSING_INCLUDE, format!("no file `{}` to include", include.path))
-                    .at(span, "")
-                    .note(match builtin {
-                        Some(_) => format!("looked for `{path}` and for a built-in rule file of that name"),
-                        None => format!("looked for `{path}`"),
-                    });
-                match self.similar(from, &include.path) {
-                    Some(near) => fault
-                        .help(format!("did you mean `{near}`?"))
-                        .fix(format!("include `{near}`"), [(span, format!("\"{near}\""))]),
-                    None if Path::new(&include.path).is_relative() && include.path.contains('/') => {
-                        fault.help("write the path from the folder of this file")
-                    }
-                    None => fault,
-                }
-            }
-            ReadError::NotText { .. } => {
-                Diagnostic::new(diag::codes::NOT_TEXT, format!("`{path}` is {error}")).at(span, "included here")
-            }
-            ReadError::TooLarge(_) => {
-                Diagnostic::new(diag::codes::LIMIT_EXCEEDED, format!("`{path}` is {error}")).at(span, "included here")
-            }
-            ReadError::Folder | ReadError::Io(_) => {
-                Diagnostic::new(codes::MISSING_INCLUDE, format!("cannot read `{path}`: {error}"))
-                    .at(span, "included here")
-            }
-        };
+        let fault = wanted.unreadable(&self.settings.folders, (&error.0, error.1), self.read);
         self.faults.push(fault);
     }
 
@@ -247,24 +207,6 @@ impl Walk<'_> {
         let fault = Diagnostic::new(diag::codes::LIMIT_EXCEEDED, "too many included files").at(span, "");
         self.faults
             .push(fault.note(format!("a program has at most {MAX_FILES} files")));
-    }
-
-    /// Returns a similar name of an existing file: with the usual extension, or a built-in file.
-    fn similar(&self, from: SourceId, path: &str) -> Option<String> {
-        let folder = Path::new(self.sources.name(from)).parent().unwrap_or(Path::new(""));
-        let ended = format!("{path}.{ENDING}");
-        let beside = self.read.read(&folder.join(&ended)).is_ok().then_some(ended.as_str());
-        let known = self.read.builtin_paths();
-        let builtin = known.iter().filter_map(|known| known.strip_prefix(BUILTIN_RULES));
-        let near = similar_file(path, beside.into_iter().chain(builtin)).map(str::to_owned);
-        near.or_else(|| {
-            similar_file_in(
-                |folder| self.read.names_in(folder),
-                folder,
-                Path::new(path),
-                Some(ENDING),
-            )
-        })
     }
 
     fn open(&mut self, id: SourceId, key: PathBuf, span: Span) {

@@ -186,19 +186,19 @@ pub(crate) fn preprocessor_word(text: &str) -> Option<&str> {
 
 /// Returns the length of the line with which `text` begins, and of the lines that continue it after a backslash or
 /// within a comment.
-fn logical_line(text: &str) -> usize {
+pub(crate) fn logical_line(text: &str) -> usize {
     let bytes = text.as_bytes();
     let (mut at, mut in_text) = (0, false);
     while let Some(&byte) = bytes.get(at) {
-        match byte {
-            b'\n' => break,
-            b'\\' if bytes[at + 1..].starts_with(b"\r\n") => at += 2,
-            b'\\' => at += 1,
-            b'"' => in_text = !in_text,
-            b'/' if !in_text && bytes.get(at + 1) == Some(&b'*') => {
-                at = text[at + 2..]
-                    .find("*/")
-                    .map_or(bytes.len(), |length| at + 2 + length + 1);
+        match (byte, bytes.get(at + 1)) {
+            (b'\n', _) => break,
+            (b'\\', _) if bytes[at + 1..].starts_with(b"\r\n") => at += 2,
+            (b'\\', _) => at += 1,
+            (b'"', _) => in_text = !in_text,
+            (b'/', Some(b'/')) if !in_text => return at + text[at..].find('\n').unwrap_or(text.len() - at),
+            (b'/', Some(b'*')) if !in_text => {
+                let end = text[at + 2..].find("*/");
+                at = end.map_or(bytes.len(), |length| at + 2 + length + 1);
             }
             _ => {}
         }
@@ -285,7 +285,6 @@ pub(crate) fn lex(source: SourceId, text: &str, faults: &mut Faults) -> Lexed {
         },
         fresh_line: true,
         foreign_comments: Vec::new(),
-        conditions: 0,
         annotations_end: false,
         lexed: Lexed {
             tokens: Vec::new(),
@@ -306,8 +305,6 @@ struct Lexer<'a> {
     fresh_line: bool,
     /// The start of each comment in the notation of another language.
     foreign_comments: Vec<Span>,
-    /// The number of conditions of the C preprocessor that are open.
-    conditions: usize,
     /// Whether the rest of the text closes no annotation.
     annotations_end: bool,
     lexed: Lexed,
@@ -571,8 +568,7 @@ impl Lexer<'_> {
         self.faults.push(fault);
     }
 
-    /// Emits a token for the directive of the C preprocessor that begins on this line. Of a condition, it keeps the first
-    /// branch, unless that is `#if 0`, and skips the others. Returns whether it found a directive.
+    /// Emits a token for the directive of the C preprocessor that begins on this line. Returns whether there is one.
     fn preprocessor(&mut self) -> bool {
         let rest = &self.text[self.at..];
         let Some(word) = preprocessor_word(rest).filter(|_| self.fresh_line) else {
@@ -582,55 +578,8 @@ impl Lexer<'_> {
         if word == "include" && after.trim_start_matches([' ', '\t']).starts_with('"') {
             return false;
         }
-        let length = logical_line(rest);
-        match word {
-            "else" | "elif" | "elifdef" | "elifndef" if self.conditions > 0 => {
-                self.at += length;
-                self.skip_branches(true);
-            }
-            "endif" if self.conditions > 0 => {
-                self.conditions -= 1;
-                self.at += length;
-            }
-            _ => {
-                let never = word == "if" && after[..after.find('\n').unwrap_or(after.len())].trim() == "0";
-                self.conditions += usize::from(word.starts_with("if"));
-                self.push(Kind::Preprocessor, length);
-                if never {
-                    self.skip_branches(false);
-                }
-            }
-        }
+        self.push(Kind::Preprocessor, logical_line(rest));
         true
-    }
-
-    /// Skips the rest of a branch of a condition: up to the next one, or, with `all`, all that follow.
-    fn skip_branches(&mut self, all: bool) {
-        let mut depth = 0_usize;
-        while self.at < self.bytes.len() {
-            let rest = &self.text[self.at..];
-            let line = rest.trim_start_matches([' ', '\t']);
-            let word = if line.starts_with('#') {
-                preprocessor_word(line)
-            } else {
-                None
-            };
-            self.at += match word {
-                Some(_) => logical_line(rest),
-                None => rest.find('\n').map_or(rest.len(), |newline| newline + 1),
-            };
-            match word.unwrap_or_default() {
-                "if" | "ifdef" | "ifndef" => depth += 1,
-                "endif" if depth == 0 => {
-                    self.conditions -= 1;
-                    break;
-                }
-                "endif" => depth -= 1,
-                "else" | "elif" | "elifdef" | "elifndef" if depth == 0 && !all => break,
-                _ => {}
-            }
-        }
-        self.fresh_line = true;
     }
 
     /// Skips and reports an annotation of Soufflé: `@[...]`, `@![...]`. Returns whether it found one.

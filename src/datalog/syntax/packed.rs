@@ -249,17 +249,6 @@ impl FactRuns {
         self.runs.push(FactRun { before, file, facts });
     }
 
-    /// Returns the numbers of files and runs, for [`FactRuns::truncate`].
-    pub(crate) fn len(&self) -> (usize, usize) {
-        (self.files.len(), self.runs.len())
-    }
-
-    /// Drops what was added since there were `files` files and `runs` runs.
-    pub(crate) fn truncate(&mut self, (files, runs): (usize, usize)) {
-        self.files.truncate(files);
-        self.runs.truncate(runs);
-    }
-
     /// Returns the packed facts of each source.
     pub(crate) fn files(&self) -> &[PackedFacts] {
         &self.files

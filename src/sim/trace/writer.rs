@@ -67,7 +67,7 @@ impl<W: Write> TraceWriter<W> {
                 let position = sources.position(clause.span);
                 json!({
                     "head": rules.predicates[clause.head.predicate.index()].name,
-                    "file": file_name(clause.span.source),
+                    "file": file_name(sources.written(clause.span).source),
                     "line": position.line,
                     "doc": clause.doc,
                     "text": sources.slice(clause.span),

@@ -8,7 +8,7 @@ use crate::syntax::lexer::{Kind, Token};
 use core::net::Ipv4Addr;
 
 use crate::syntax::parser::clause::comparison;
-use crate::syntax::parser::{BRANCHES, EXPAND, FUNCTORS, NESTED, NUMBERED, Parse, Parser, RECORDS, Reported};
+use crate::syntax::parser::{BRANCHES, FUNCTORS, NESTED, NUMBERED, Parse, Parser, RECORDS, Reported};
 
 /// Maximum height of an expression: an operator or function is one level above its highest operand.
 const MAX_HEIGHT: usize = 256;
@@ -216,9 +216,6 @@ impl Parser<'_> {
                 ("[...]", RECORDS)
             };
             return Err(self.unsupported(self.span(start), &format!("records (`{what}`) are"), help));
-        }
-        if matches!(word, "__FILE__" | "__LINE__" | "__INCL__") {
-            return Err(self.unsupported(self.span(start), &format!("`{word}` of the C preprocessor is"), EXPAND));
         }
         if !applied {
             self.bump();

@@ -13,7 +13,6 @@ use crate::syntax::ast::{File, Include, Item, Literal, Name, Place};
 use crate::syntax::lexer;
 use crate::syntax::lexer::{COMMENT, CONJUNCTION, DISJUNCTION, DocLine, IMPLICATION, Kind, Lexed, NEGATION, Token};
 use crate::syntax::packed::PackedFacts;
-use std::collections::HashSet;
 use std::ops::RangeInclusive;
 
 mod clause;
@@ -50,7 +49,7 @@ pub const DIRECTIVES: &[&str] = &[
 ];
 
 /// Help for what only the C preprocessor understands.
-const EXPAND: &str = "let the preprocessor write another file, with `cpp -P FILE`, and check that";
+const EXPAND: &str = "`check`, `query` and `repl` follow them without the option `--no-preprocessor`; `fmt` formats no file that has them";
 
 /// Help for records.
 const RECORDS: &str = "give each field a column of its own: `At(x, row, col)` in place of `At(x, [row, col])`";
@@ -123,19 +122,12 @@ pub(crate) fn parse(source: SourceId, text: &str, faults: &mut Faults) -> File {
     parse_tokens(source, text, &lexed, faults).0
 }
 
-/// Parses one source of several, and adds its macros. Facts of plain constants are apart from the other items.
-pub(crate) fn parse_packed(
-    source: SourceId,
-    text: &str,
-    macros: &mut Macros,
-    faults: &mut Faults,
-) -> (File, PackedFacts) {
+/// Parses one source. Facts of plain constants are apart from the other items.
+pub(crate) fn parse_packed(source: SourceId, text: &str, faults: &mut Faults) -> (File, PackedFacts) {
     let lexed = lexer::lex(source, text, faults);
     let mut parser = Parser::new(source, text, &lexed, faults);
     parser.packed = Some(PackedFacts::new(source));
-    parser.macros = std::mem::take(macros);
     let file = parser.file();
-    *macros = parser.macros;
     (file, parser.packed.unwrap_or_else(|| PackedFacts::new(source)))
 }
 
@@ -151,21 +143,6 @@ pub(crate) fn parse_question(source: SourceId, text: &str, faults: &mut Faults) 
     let lexed = lexer::lex(source, text, faults);
     let mut parser = Parser::new(source, text, &lexed, faults);
     parser.question().ok()
-}
-
-/// The macros that the C preprocessor would replace.
-#[derive(Clone, Debug, Default)]
-pub(crate) struct Macros {
-    /// Only for lookup, never iterated.
-    names: HashSet<String>,
-    /// Whether a macro stands elsewhere than in a clause that parses without it, so that it may declare any name.
-    pub may_declare: bool,
-}
-
-impl Macros {
-    pub(crate) fn is_empty(&self) -> bool {
-        self.names.is_empty()
-    }
 }
 
 /// Marks a fault that the parser has reported; the caller abandons the current construct.
@@ -192,9 +169,6 @@ struct Parser<'a> {
     draws: Vec<(usize, Option<usize>)>,
     /// The marks that the qualifiers of the last declaration imply.
     marks: Vec<Item>,
-    macros: Macros,
-    /// Whether a line marker of the C preprocessor was reported.
-    marked: bool,
     /// Whether the last clause was faulty.
     dropped: bool,
     /// Takes the facts of plain constants, if present.
@@ -262,8 +236,6 @@ impl<'a> Parser<'a> {
             open_strings: open_strings(&lexed.tokens),
             draws: draws(&lexed.tokens),
             marks: Vec::new(),
-            macros: Macros::default(),
-            marked: false,
             dropped: false,
             packed: None,
             faults,
@@ -508,18 +480,9 @@ impl<'a> Parser<'a> {
                 self.starts.push(start);
             }
             self.nesting = 0;
-            let mark = self.faults.mark();
-            let mut item = self.item();
+            let item = self.item();
             if item.is_err() {
                 self.recover(start);
-            }
-            if self.names_macro(start) {
-                // Only the preprocessor knows what was written.
-                self.macros.may_declare |= self.faults.mark() != mark || !matches!(item, Ok(Some(Item::Clause(_))));
-                self.faults.rewind(mark);
-                if matches!(item, Ok(Some(Item::Clause(_)))) {
-                    item = Err(Reported);
-                }
             }
             if !matches!(item, Ok(Some(Item::Plan(_)))) {
                 self.dropped = item.is_err();
@@ -532,12 +495,6 @@ impl<'a> Parser<'a> {
             debug_assert!(self.at > start || self.kind() == Kind::End, "every item reads a token");
         }
         file
-    }
-
-    /// Returns whether the tokens from `start` up to the current one name a macro.
-    fn names_macro(&self, start: usize) -> bool {
-        let is_macro = |token: &Token| token.kind == Kind::Ident && self.macros.names.contains(self.slice(*token));
-        !self.macros.is_empty() && self.tokens[start..self.at].iter().any(is_macro)
     }
 
     /// Packs a fact of plain constants, if the caller wants that. Returns any other item.
@@ -646,27 +603,9 @@ impl<'a> Parser<'a> {
     /// Reports a directive of the C preprocessor.
     fn preprocessor(&mut self, token: Token) {
         let text = self.slice(token);
-        let word = lexer::preprocessor_word(text).unwrap_or_default();
         let first_line = text.lines().next().unwrap_or_default().trim_end().len();
         let span = Span::new(self.source, token.start as usize..token.start as usize + first_line);
-        let help = match word {
-            "include" => "include a file with `.include \"name.dl\"`",
-            "define" => {
-                let rest = &text[text.find(word).unwrap_or(0) + word.len()..];
-                let rest = rest.trim_start_matches([' ', '\t']);
-                let name = rest.split(|c: char| !c.is_ascii() || !lexer::is_name_part(c as u8));
-                self.macros.names.extend(name.into_iter().next().map(str::to_owned));
-                EXPAND
-            }
-            _ if word.starts_with(|c: char| c.is_ascii_digit()) => {
-                if std::mem::replace(&mut self.marked, true) {
-                    return;
-                }
-                "the option `-P` of `cpp` omits line markers"
-            }
-            _ => EXPAND,
-        };
-        self.unsupported(span, "the C preprocessor is", help);
+        self.unsupported(span, "here, directives of the preprocessor are", EXPAND);
     }
 
     fn wanted(&mut self, kind: Kind, what: &str) -> Parse<Token> {

@@ -1,0 +1,39 @@
+//! The options of the preprocessor.
+
+use crate::datalog::Preprocessing;
+use std::path::PathBuf;
+
+/// Options for every command that reads rule files as programs of their own. Their names are those of Soufflé.
+#[derive(clap::Args, Clone, Debug, Default)]
+pub struct PreprocessorOptions {
+    /// Define macros in all rule files: `NAME=VALUE`, or `NAME` for the value 1; several stand between spaces
+    #[arg(short = 'M', long = "macro", value_name = "NAME=VALUE", value_parser = definition)]
+    macros: Vec<String>,
+    /// Look for included files here too, after the folder of the including file
+    #[arg(short = 'I', long = "include-dir", value_name = "DIR")]
+    folders: Vec<PathBuf>,
+    /// Follow no directives such as `#define`: they are errors
+    #[arg(long, conflicts_with = "macros")]
+    no_preprocessor: bool,
+}
+
+impl PreprocessorOptions {
+    pub fn preprocessing(&self) -> Preprocessing {
+        let mut preprocessing = Preprocessing::default();
+        preprocessing.enabled = !self.no_preprocessor;
+        preprocessing.folders.clone_from(&self.folders);
+        for macros in &self.macros {
+            preprocessing
+                .define(macros)
+                .expect("the parser of the option has checked it");
+        }
+        preprocessing
+    }
+}
+
+fn definition(text: &str) -> Result<String, String> {
+    match Preprocessing::default().define(text) {
+        Ok(()) => Ok(text.to_owned()),
+        Err(word) => Err(format!("`{word}` defines no macro: write `NAME=VALUE` or `NAME`")),
+    }
+}
