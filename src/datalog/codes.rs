@@ -31,6 +31,10 @@ crate::diagnostic_codes! {
     INCLUDE_CYCLE = "include-cycle", Error;
     /// A directive of the preprocessor that cannot be followed, `#error`, or a faulty use of a macro.
     PREPROCESSOR = "preprocessor", Error;
+    /// A component that no file declares.
+    UNKNOWN_COMPONENT = "unknown-component", Error;
+    /// A component with other parameters, that contains itself, or that overrides what it must not.
+    INVALID_COMPONENT = "invalid-component", Error;
     /// An included file that cannot be read.
     MISSING_INCLUDE = "missing-include", Error;
     /// An `.input` predicate that is also the head of a rule.

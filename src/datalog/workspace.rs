@@ -19,6 +19,7 @@ use crate::check::clause;
 use crate::check::witness::{renamed, renamed_term};
 use crate::check::{self as rules, Comparing, PredicateId, Rules};
 use crate::check::{Elsewhere, InputPolicy, check, inline, names, temporal};
+use crate::component::Instances;
 use crate::syntax::Preprocessing;
 use crate::syntax::ast::{Atom, Clause, ColumnDecl, Decl, Item, Literal, Mark, MarkKind, Name, Place, Term, TermKind};
 use crate::syntax::ast::{BaseType, TypeDefinition};
@@ -91,6 +92,7 @@ pub struct Workspace {
     gathered: Gathered,
     inputs: InputPolicy,
     preprocessing: Preprocessing,
+    instances: Instances,
     faults: Faults,
 }
 
@@ -130,6 +132,8 @@ impl Workspace {
             &self.preprocessing,
             &mut self.faults,
         );
+        let made = (self.instances).next(&self.gathered.items, sources, &mut self.faults);
+        self.gathered.items.extend(made);
         if !read.builtin_paths().is_empty() && lacks_declaration(&self.gathered) {
             self.gathered.offered = include::offered(read);
         }
@@ -220,7 +224,7 @@ impl Workspace {
 
     fn checked(&self, items: Cow<'_, [Item]>, facts: Cow<'_, FactRuns>, mut faults: Faults) -> Loaded {
         let elsewhere = Elsewhere {
-            complete: !self.gathered.incomplete,
+            complete: !(self.gathered.incomplete || self.instances.incomplete),
             offered: &self.gathered.offered,
         };
         let (rules, compared) = check((items, facts), elsewhere, self.inputs, Symbols::new(), &mut faults);
@@ -681,7 +685,7 @@ pub fn is_complete(text: &str) -> bool {
             let (_, starts) = parser::parse_tokens(id, text, &lexed, &mut faults);
             starts
                 .last()
-                .is_some_and(|&start| lexed.tokens[start].kind == Kind::Dot)
+                .is_some_and(|&start| matches!(lexed.tokens[start].kind, Kind::Dot | Kind::RBrace))
         }
     }
 }
@@ -833,6 +837,8 @@ mod tests {
             "/// said\nA(1).",
             "A(\"a.\").",
             "/* a */",
+            ".comp A { .decl p(x: number) p(1). }",
+            ".init a = A<number>",
         ];
         let open = [
             "A(1)",
@@ -850,6 +856,8 @@ mod tests {
             "/// said\n",
             "/* a",
             "A(1). /* b",
+            ".comp A { .decl p(x: number)",
+            ".comp A {",
             "A(1). // a /* b */\nB",
         ];
         for text in whole {

@@ -5,6 +5,7 @@ mod any_input;
 mod cases;
 mod chance;
 mod circuits;
+mod component;
 mod corpus;
 mod dense;
 mod diff;

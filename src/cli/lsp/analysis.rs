@@ -486,7 +486,8 @@ impl Names {
                 clause.heads.iter().for_each(|head| self.atom(head, Role::Derives));
                 clause.body.iter().for_each(|literal| self.literal(literal));
             }
-            Item::Plan(_) | Item::Pragma(_) => {}
+            // A name in a component means something only in an instance.
+            Item::Plan(_) | Item::Pragma(_) | Item::Component(_) | Item::Init(_) | Item::Override(_) => {}
         }
     }
 

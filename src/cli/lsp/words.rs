@@ -111,6 +111,25 @@ pub const WORDS: &[Word] = &[
          sees. `.scope` alone ends this.",
     ),
     word(
+        "comp",
+        Directive,
+        ".comp Graph<T> { .decl edge(x: T, y: T) }",
+        "Declarations and clauses of which `.init` makes instances. Types and components may be parameters, and other \
+         components may be bases.",
+    ),
+    word(
+        "init",
+        Directive,
+        ".init g = Graph<number>",
+        "Makes an instance of a component; its predicates have names such as `g.edge`.",
+    ),
+    word(
+        "override",
+        Directive,
+        ".override path",
+        "In a component: replaces the clauses of its bases for a predicate that is `overridable`.",
+    ),
+    word(
         "disjoint",
         Directive,
         ".disjoint IsCar, IsPedestrian",

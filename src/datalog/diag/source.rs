@@ -76,7 +76,6 @@ pub(super) enum Origin {
     /// The preprocessor wrote it.
     Expanded(Arc<Expansion>),
     /// The same text as that of `of`, for an instance of a component.
-    #[allow(dead_code)]
     Instance {
         of: SourceId,
         made: Span,
@@ -193,7 +192,6 @@ impl Sources {
     }
 
     /// Adds a copy of a source for an instance of a component. Diagnostics in it also have the label `label` at `made`.
-    #[allow(dead_code)]
     pub(crate) fn add_instance(&mut self, of: SourceId, made: Span, label: String) -> SourceId {
         let (name, text) = (self.name(of).to_owned(), String::new());
         self.push(name, text, 1, Origin::Instance { of, made, label })

@@ -53,6 +53,12 @@ pub enum Item {
     Plan(Plan),
     /// `.scope P`, or `.scope` alone
     Scope(Scope),
+    /// `.comp name<T> : base<T> { ... }`
+    Component(Component),
+    /// `.init name = component<T>`
+    Init(Init),
+    /// `.override P`, in a component
+    Override(Override),
     /// A fact or a rule.
     Clause(Clause),
 }
@@ -149,6 +155,52 @@ pub struct DirectiveOption {
     /// The value; a bare word equals the same word in quotes.
     pub value: String,
     /// The place of the value.
+    pub place: Place,
+}
+
+/// `.comp name<T> : base<T> { ... }`
+#[derive(Clone, Debug, PartialEq, Eq)]
+pub struct Component {
+    /// The name of the component.
+    pub name: Name,
+    /// The parameters, each of which stands for a type or a component.
+    pub parameters: Vec<Name>,
+    /// The components whose items this one has, too.
+    pub bases: Vec<ComponentType>,
+    /// The items between the braces.
+    pub items: Vec<Item>,
+    /// The text of the doc comment before the component.
+    pub doc: String,
+    /// The directive up to the opening brace.
+    pub place: Place,
+}
+
+/// A component with its arguments: `graph<number>`.
+#[derive(Clone, Debug, PartialEq, Eq)]
+pub struct ComponentType {
+    /// The name of the component, or of a parameter that stands for one.
+    pub name: Name,
+    /// The types or components for its parameters.
+    pub arguments: Vec<Name>,
+}
+
+/// `.init name = component<T>`
+#[derive(Clone, Debug, PartialEq, Eq)]
+pub struct Init {
+    /// The name of the instance.
+    pub name: Name,
+    /// What it is an instance of.
+    pub component: ComponentType,
+    /// The directive.
+    pub place: Place,
+}
+
+/// `.override P, Q`: the component defines these predicates of its bases anew.
+#[derive(Clone, Debug, PartialEq, Eq)]
+pub struct Override {
+    /// The predicates; at least one.
+    pub names: Vec<Name>,
+    /// The directive.
     pub place: Place,
 }
 

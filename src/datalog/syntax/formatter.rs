@@ -7,6 +7,7 @@
 //! - At most one blank line separates items.
 //! - A clause that fits stands on one line. A longer clause continues below its `:-`, indented. There the formatter
 //!   keeps the author's line breaks between literals and adds breaks where a line would be too long.
+//! - What a component contains is indented.
 //! - A comment behind code stays there, in the same column if there is room. A comment on a separate line keeps that
 //!   line.
 // Decision: docs/decisions/language.md#d053
@@ -44,6 +45,8 @@ pub fn format(sources: &Sources, id: SourceId) -> Result<String, Vec<Diagnostic>
         next_comment: 0,
         last: 0,
         in_directive: false,
+        margin: 0,
+        depth: 0,
     };
     layout.file(&starts);
     let formatted = layout.out;
@@ -88,6 +91,10 @@ struct Layout<'a> {
     last: usize,
     /// Whether the current item is a directive.
     in_directive: bool,
+    /// The number of spaces before the current line.
+    margin: usize,
+    /// The number of components around the current item.
+    depth: usize,
 }
 
 /// A token or a comment within an item.
@@ -103,7 +110,12 @@ impl Layout<'_> {
         let end = self.lexed.tokens.len() - 1;
         for (index, &start) in starts.iter().enumerate() {
             let next = starts.get(index + 1).copied().unwrap_or(end);
+            self.margin = self.depth * INDENT;
             self.comments(start);
+            if self.lexed.tokens[start].kind == Kind::RBrace {
+                self.depth = self.depth.saturating_sub(1);
+                self.margin = self.depth * INDENT;
+            }
             self.item(start, next, index > 0 && self.is_fact(starts[index - 1], start));
         }
         self.comments(end);
@@ -136,6 +148,7 @@ impl Layout<'_> {
         if self.breaks(self.last, from) > 1 && !self.out.ends_with("\n\n") {
             self.out.push('\n');
         }
+        self.out.push_str(&" ".repeat(self.margin));
     }
 
     /// Writes the comments before the token that begins an item, or before the end.
@@ -171,6 +184,7 @@ impl Layout<'_> {
 
     fn item(&mut self, start: usize, next: usize, after_fact: bool) {
         let tokens = &self.lexed.tokens[start..next];
+        let opens = tokens[0].kind == Kind::Dot && tokens[tokens.len() - 1].kind == Kind::LBrace;
         self.in_directive = tokens[0].kind == Kind::Dot;
         let (from, to) = (tokens[0].start as usize, tokens[tokens.len() - 1].end as usize);
         let mut parts: Vec<Lexeme> = Vec::new();
@@ -187,7 +201,7 @@ impl Layout<'_> {
         let line_start = self.out.rfind('\n').map_or(0, |newline| newline + 1);
         let width = self.out[line_start..].chars().count();
         match flat {
-            Some(flat) if flat.chars().count() <= WIDTH => {
+            Some(flat) if self.margin + flat.chars().count() <= WIDTH => {
                 let joins = after_fact
                     && self.is_fact(start, next)
                     && self.breaks(self.last, from) == 0
@@ -207,6 +221,7 @@ impl Layout<'_> {
                 self.broken(&parts);
             }
         }
+        self.depth += usize::from(opens);
         self.last = to;
     }
 
@@ -291,7 +306,10 @@ impl Layout<'_> {
         match (left.kind, right.kind) {
             (_, Comma | Semicolon | RParen | RBracket) => false,
             // `x: number` in a declaration, `count : { ... }` in a clause.
+            (Greater, Colon) => true,
             (_, Colon) => !self.in_directive,
+            // The arguments of a component: `A<T>`.
+            (Ident, Less) | (Less, Ident) | (_, Greater) if self.in_directive => false,
             // The dot of a directive touches the following name; a full stop touches the preceding token.
             (Dot, Ident) => left.end != right.start,
             (_, Dot) => false,
@@ -322,14 +340,14 @@ impl Layout<'_> {
                 Lexeme::Comment(start, end) => {
                     let comment = self.comment(start, end);
                     let own_line = last.is_some_and(|at| self.breaks(at, start) > 0);
-                    join(&mut self.out, &mut line, &mut chunk);
+                    join(&mut self.out, &mut line, &mut chunk, self.margin);
                     if own_line {
-                        end_line(&mut self.out, &mut line);
-                        line = " ".repeat(INDENT) + &comment;
-                        end_line(&mut self.out, &mut line);
+                        end_line(&mut self.out, &mut line, self.margin);
+                        line = " ".repeat(self.margin + INDENT) + &comment;
+                        end_line(&mut self.out, &mut line, self.margin);
                     } else if comment.starts_with("//") {
                         trail(&mut line, self.column(start), &comment);
-                        end_line(&mut self.out, &mut line);
+                        end_line(&mut self.out, &mut line, self.margin);
                     } else {
                         if !line.trim().is_empty() {
                             line.push(' ');
@@ -337,7 +355,7 @@ impl Layout<'_> {
                         line += &comment;
                         line.push(' ');
                         if comment.contains('\n') {
-                            end_line(&mut self.out, &mut line);
+                            end_line(&mut self.out, &mut line, self.margin);
                         }
                     }
                     before = None;
@@ -351,9 +369,9 @@ impl Layout<'_> {
                     if may_break {
                         let author = last.is_some_and(|at| self.breaks(at, token.start as usize) > 0);
                         let after_if = before.is_some_and(|before| before.kind == Kind::If);
-                        join(&mut self.out, &mut line, &mut chunk);
+                        join(&mut self.out, &mut line, &mut chunk, self.margin);
                         if author || after_if {
-                            end_line(&mut self.out, &mut line);
+                            end_line(&mut self.out, &mut line, self.margin);
                         }
                     } else if before.is_some_and(|other| self.space(other, token, binary)) {
                         chunk.push(' ');
@@ -370,19 +388,19 @@ impl Layout<'_> {
                 }
             }
         }
-        join(&mut self.out, &mut line, &mut chunk);
+        join(&mut self.out, &mut line, &mut chunk, self.margin);
         self.out += line.trim_end();
     }
 }
 
 /// Appends a chunk to the line, or to a new line if it does not fit. All lines but the first of an item are indented.
-fn join(out: &mut String, line: &mut String, chunk: &mut String) {
+fn join(out: &mut String, line: &mut String, chunk: &mut String, margin: usize) {
     if chunk.is_empty() {
         return;
     }
     let gap = usize::from(!line.is_empty() && !line.ends_with(' '));
     if !line.trim().is_empty() && line.chars().count() + gap + chunk.chars().count() > WIDTH {
-        end_line(out, line);
+        end_line(out, line, margin);
     }
     if !line.is_empty() && !line.ends_with(' ') {
         line.push(' ');
@@ -392,13 +410,13 @@ fn join(out: &mut String, line: &mut String, chunk: &mut String) {
 }
 
 /// Ends a line and indents the next one.
-fn end_line(out: &mut String, line: &mut String) {
+fn end_line(out: &mut String, line: &mut String, margin: usize) {
     let text = line.trim_end();
     if !text.is_empty() {
         out.push_str(text);
         out.push('\n');
     }
-    *line = " ".repeat(INDENT);
+    *line = " ".repeat(margin + INDENT);
 }
 
 /// Appends a comment to a line of code, in its column if there is room.

@@ -2,8 +2,8 @@
 
 use std::fmt::{self, Display, Write};
 
-use crate::syntax::ast::Comparison;
 use crate::syntax::ast::{Atom, Clause, File, Item, Literal, Operator, Temporal, Term, TermKind, TypeDefinition};
+use crate::syntax::ast::{Comparison, ComponentType, Name};
 use crate::syntax::functor::Functor;
 
 /// Returns the text of a syntax tree.
@@ -88,8 +88,46 @@ impl Display for Item {
                 Some(predicate) => writeln!(f, ".scope {}", predicate.text),
                 None => writeln!(f, ".scope"),
             },
+            Item::Component(component) => {
+                write!(f, "{}.comp {}", Doc(&component.doc), component.name.text)?;
+                in_angles(f, &component.parameters)?;
+                for (at, base) in component.bases.iter().enumerate() {
+                    f.write_str(if at == 0 { " : " } else { ", " })?;
+                    write!(f, "{base}")?;
+                }
+                writeln!(f, " {{")?;
+                for item in &component.items {
+                    for line in item.to_string().lines() {
+                        writeln!(f, "    {line}")?;
+                    }
+                }
+                writeln!(f, "}}")
+            }
+            Item::Init(init) => writeln!(f, ".init {} = {}", init.name.text, init.component),
+            Item::Override(overriding) => {
+                f.write_str(".override ")?;
+                separated(f, &overriding.names, |f, name| f.write_str(&name.text))?;
+                writeln!(f)
+            }
             Item::Clause(clause) => writeln!(f, "{clause}"),
         }
+    }
+}
+
+/// Writes the parameters or arguments of a component.
+fn in_angles(f: &mut fmt::Formatter<'_>, names: &[Name]) -> fmt::Result {
+    if names.is_empty() {
+        return Ok(());
+    }
+    f.write_char('<')?;
+    separated(f, names, |f, name| f.write_str(&name.text))?;
+    f.write_char('>')
+}
+
+impl Display for ComponentType {
+    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        f.write_str(&self.name.text)?;
+        in_angles(f, &self.arguments)
     }
 }
 

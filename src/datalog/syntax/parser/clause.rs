@@ -158,7 +158,7 @@ impl Parser<'_> {
 
     pub(super) fn atom(&mut self, open: &str) -> Parse<Atom> {
         let start = self.token();
-        let predicate = self.name("a predicate")?;
+        let predicate = self.qualified("a predicate")?;
         if !self.eat(Kind::LParen) {
             return Err(self.expected(open));
         }
@@ -320,11 +320,12 @@ impl Parser<'_> {
             }
             _ => {}
         }
-        if self.is_component_atom() {
-            return Err(match self.name("a predicate") {
-                Ok(_) => self.expected("a literal"),
-                Err(reported) => reported,
-            });
+        if self.is_component_atom(0) {
+            let atom = self.atom("`(`")?;
+            return Ok(vec![match self.since_ahead() {
+                true => self.temporal(start, Operator::Since, Some(atom))?,
+                false => Literal::Atom { negated: false, atom },
+            }]);
         }
         Ok(vec![self.comparison()?])
     }
@@ -370,9 +371,10 @@ impl Parser<'_> {
         Ok(Literal::Compare { op, left, right, place })
     }
 
-    /// Returns whether an atom `a.b(...)` of a component begins at the current token.
-    fn is_component_atom(&self) -> bool {
+    /// Returns whether an atom `a.b(...)` of a component begins at offset `ahead`.
+    pub(super) fn is_component_atom(&self, from: usize) -> bool {
         let is_part = |ahead: usize| {
+            let ahead = from + ahead;
             let (name, dot, part) = (self.ahead(ahead), self.ahead(ahead + 1), self.ahead(ahead + 2));
             [name.kind, dot.kind, part.kind] == [Kind::Ident, Kind::Dot, Kind::Ident]
                 && name.end == dot.start
@@ -380,7 +382,7 @@ impl Parser<'_> {
                 && !DIRECTIVES.contains(&self.slice(part))
         };
         let last = (0..MAX_NESTING).map(|part| 2 * part).find(|&ahead| !is_part(ahead));
-        last.is_some_and(|last| last > 0 && self.ahead(last + 1).kind == Kind::LParen)
+        last.is_some_and(|last| last > 0 && self.ahead(from + last + 1).kind == Kind::LParen)
     }
 
     /// `x < y + 1`
@@ -486,7 +488,8 @@ impl Parser<'_> {
         let skipped = usize::from(first.kind == Kind::Bang);
         let (name, next) = (self.ahead(ahead + skipped), self.ahead(ahead + skipped + 1));
         let is_function = Functor::words().any(|word| word == self.slice(name)) || self.slice(name) == "as";
-        name.kind == Kind::Ident && next.kind == Kind::LParen && !is_function
+        name.kind == Kind::Ident
+            && ((next.kind == Kind::LParen && !is_function) || self.is_component_atom(ahead + skipped))
     }
 
     /// Returns the texts of the arguments of `name(...)`; empty if the parenthesis is not closed in this clause.

@@ -1,16 +1,16 @@
 //! Directives: declarations, types, marks of predicates, constraints, includes and scopes.
 
 use crate::codes;
-use crate::diag::{Diagnostic, did_you_mean};
+use crate::diag::{self, Diagnostic, did_you_mean};
 use crate::syntax::ast::BaseType;
 use crate::syntax::ast::{
-    ColumnDecl, ConstraintDecl, ConstraintKind, Decl, DirectiveOption, Include, Item, Mark, MarkKind, Name, Place,
-    Plan, Pragma, Scope, TypeDecl, TypeDefinition,
+    ColumnDecl, Component, ComponentType, ConstraintDecl, ConstraintKind, Decl, DirectiveOption, Include, Init, Item,
+    Mark, MarkKind, Name, Override, Place, Plan, Pragma, Scope, TypeDecl, TypeDefinition,
 };
 use crate::syntax::lexer::{Kind, Token};
 
 use crate::syntax::parser::{
-    BRANCHES, COMPONENTS, DIRECTIVES, FOREIGN_DIRECTIVES, FUNCTORS, LATTICES, OLD_TYPES, Parse, Parser, RECORDS,
+    BRANCHES, DIRECTIVES, FOREIGN_DIRECTIVES, FUNCTORS, LATTICES, MAX_NESTING, OLD_TYPES, Parse, Parser, RECORDS,
     Reported,
 };
 
@@ -96,6 +96,9 @@ impl Parser<'_> {
                     place: Place(self.span(token)),
                 })))
             }
+            "comp" => self.component(dot, doc),
+            "init" => self.init(dot),
+            "override" => self.overriding(dot),
             "once" => {
                 let fault = Diagnostic::new(codes::IGNORED, "`.once` has no effect")
                     .at(span, "")
@@ -134,7 +137,11 @@ impl Parser<'_> {
             }
             "scope" => {
                 let named = self.names_more();
-                let predicate = if named { Some(self.name("a predicate")?) } else { None };
+                let predicate = if named {
+                    Some(self.qualified("a predicate")?)
+                } else {
+                    None
+                };
                 let place = Place(predicate.as_ref().map_or(span, |name| span.to(name.place.0)));
                 Ok(Some(Item::Scope(Scope { predicate, place })))
             }
@@ -148,10 +155,9 @@ impl Parser<'_> {
                 if let Some((_, what)) = FOREIGN_DIRECTIVES.iter().find(|(foreign, _)| *foreign == name) {
                     let verb = if what.contains('(') { "are" } else { "is" };
                     let help = match name {
-                        "limitsize" => "remove it; evaluation stops when the rules derive too many rows",
                         "functor" => FUNCTORS,
                         "lattice" => LATTICES,
-                        _ => COMPONENTS,
+                        _ => "remove it; evaluation stops when the rules derive too many rows",
                     };
                     self.unsupported(span, &format!("{what} {verb}"), help);
                     let declared = self.token();
@@ -207,22 +213,14 @@ impl Parser<'_> {
     /// Skips the rest of a directive of Soufflé after its name.
     fn skip_foreign_directive(&mut self, name: &str) {
         match name {
-            // `.comp A<T> : B<T>, C { ... }`, `.lattice L<> { ... }`
-            "comp" | "lattice" => {
+            // `.lattice L<> { ... }`
+            "lattice" => {
                 while !matches!(self.kind(), Kind::LBrace | Kind::End | Kind::Preprocessor)
                     && !self.at_known_directive()
                 {
                     self.bump();
                 }
                 self.skip_group(Kind::LBrace, Kind::RBrace, true);
-            }
-            // `.init a = A<T>`
-            "init" => {
-                self.skip_name();
-                if self.eat(Kind::Equal) {
-                    self.skip_name();
-                    self.skip_group(Kind::Less, Kind::Greater, false);
-                }
             }
             // `.functor f(x: number): symbol stateful`
             "functor" => {
@@ -236,26 +234,122 @@ impl Parser<'_> {
                 }
             }
             // `.limitsize P, Q(n=3)`
-            "limitsize" => {
+            _ => {
                 self.skip_name();
                 while self.eat(Kind::Comma) {
                     self.skip_name();
                 }
                 self.skip_group(Kind::LParen, Kind::RParen, false);
             }
-            // `.override P`
-            _ => self.skip_name(),
         }
     }
 
     /// Skips a name, which may have dots.
     pub(super) fn skip_name(&mut self) {
         if self.eat(Kind::Ident) {
-            while self.is_qualifying() {
-                self.bump();
-                self.bump();
+            self.skip_parts();
+        }
+    }
+
+    /// `.comp A<T> : B<T>, C { ... }`
+    fn component(&mut self, dot: Token, doc: String) -> Parse<Option<Item>> {
+        let name = self.name("the component's name")?;
+        let parameters = self.arguments_in_angles(Self::name, "a parameter")?;
+        let mut bases = Vec::new();
+        if self.eat(Kind::Colon) {
+            bases.push(self.component_type()?);
+            while self.eat(Kind::Comma) {
+                bases.push(self.component_type()?);
             }
         }
+        let place = self.place_from(dot);
+        let open = self.wanted(Kind::LBrace, "`{` and the declarations and clauses of the component")?;
+        self.components += 1;
+        if self.components > MAX_NESTING {
+            let fault = Diagnostic::new(diag::codes::LIMIT_EXCEEDED, "nested too deeply").at(self.span(open), "");
+            self.faults
+                .push(fault.note(format!("at most {MAX_NESTING} components contain another one")));
+            // Nothing within is read.
+            self.at = self.tokens.len() - 1;
+        }
+        let mut items = Vec::new();
+        while !matches!(self.kind(), Kind::End | Kind::RBrace) && !self.faults.full() {
+            self.next_item(&mut items);
+        }
+        self.components -= 1;
+        if self.kind() == Kind::RBrace {
+            if self.packed.is_none() {
+                self.starts.push(self.at);
+            }
+            self.bump();
+        } else if !self.faults.full() && self.components < MAX_NESTING {
+            let fault = Diagnostic::new(codes::SYNTAX, format!("the component `{}` does not end", name.text));
+            self.faults.push(fault.at(self.span(open), "this `{` has no `}`"));
+        }
+        items.retain(|item| match item {
+            Item::Include(include) => {
+                let fault = Diagnostic::new(codes::UNSUPPORTED, "`.include` in a component is not supported");
+                let help = "write `#include`, which puts the text of the file here";
+                self.faults.push(fault.at(include.place.0, "").help(help));
+                false
+            }
+            _ => true,
+        });
+        Ok(Some(Item::Component(Component {
+            name,
+            parameters,
+            bases,
+            items,
+            doc,
+            place,
+        })))
+    }
+
+    /// `<A, B>`, or nothing.
+    fn arguments_in_angles(&mut self, read: fn(&mut Self, &str) -> Parse<Name>, what: &str) -> Parse<Vec<Name>> {
+        let mut names = Vec::new();
+        if self.eat(Kind::Less) {
+            loop {
+                names.push(read(self, what)?);
+                if self.eat(Kind::Greater) {
+                    break;
+                }
+                if !self.eat(Kind::Comma) {
+                    return Err(self.expected("`,` or `>`"));
+                }
+            }
+        }
+        Ok(names)
+    }
+
+    /// `B<T>`
+    fn component_type(&mut self) -> Parse<ComponentType> {
+        Ok(ComponentType {
+            name: self.name("a component")?,
+            arguments: self.arguments_in_angles(Self::qualified, "a type")?,
+        })
+    }
+
+    /// `.init a = A<T>`
+    fn init(&mut self, dot: Token) -> Parse<Option<Item>> {
+        let name = self.name("the instance's name")?;
+        self.wanted(Kind::Equal, "`=` and a component")?;
+        let component = self.component_type()?;
+        let place = self.place_from(dot);
+        Ok(Some(Item::Init(Init { name, component, place })))
+    }
+
+    /// `.override P`
+    fn overriding(&mut self, dot: Token) -> Parse<Option<Item>> {
+        let names = self.names("a predicate")?;
+        let place = self.place_from(dot);
+        if self.components == 0 {
+            let fault = Diagnostic::new(codes::SYNTAX, "`.override` outside of a component").at(place.0, "");
+            self.faults
+                .push(fault.help("it belongs to a component that has a base: `.comp A : B { ... }`"));
+            return Ok(None);
+        }
+        Ok(Some(Item::Override(Override { names, place })))
     }
 
     /// Skips a group between brackets of one kind, if one begins at the current token. Directives belong to it only
@@ -321,9 +415,9 @@ impl Parser<'_> {
 
     /// Commas between the names are optional.
     fn constraint(&mut self, kind: ConstraintKind, dot: Token) -> Parse<Option<Item>> {
-        let mut names = vec![self.name("a predicate")?];
+        let mut names = vec![self.qualified("a predicate")?];
         while self.eat(Kind::Comma) || self.names_more() {
-            names.push(self.name("a predicate")?);
+            names.push(self.qualified("a predicate")?);
         }
         let place = self.place_from(dot);
         let (good, wanted) = match kind {
@@ -344,7 +438,10 @@ impl Parser<'_> {
     }
 
     fn decl(&mut self, doc: String) -> Parse<Decl> {
-        let names = self.names("the predicate's name")?;
+        let mut names = vec![self.name("the predicate's name")?];
+        while self.eat(Kind::Comma) {
+            names.push(self.name("the predicate's name")?);
+        }
         let start = self.at - 1;
         let first = names[0].text.clone();
         if self.kind() == Kind::Equal && self.slice(self.ahead(1)) == "debug_delta" {
@@ -418,7 +515,7 @@ impl Parser<'_> {
                 let help = self.with_types(of, open);
                 return Err(self.expected_with("`:` and the column's type", help.as_deref()));
             }
-            let ty = self.name("a type")?;
+            let ty = self.qualified("a type")?;
             if self.kind() == Kind::Less && self.ahead(1).kind == Kind::Greater {
                 let span = self.span(self.token()).to(self.span(self.ahead(1)));
                 self.bump();
@@ -564,7 +661,7 @@ impl Parser<'_> {
 
     fn type_definition(&mut self) -> Parse<TypeDefinition> {
         if self.eat(Kind::Subtype) {
-            return Ok(TypeDefinition::Subtype(self.name("a type")?));
+            return Ok(TypeDefinition::Subtype(self.qualified("a type")?));
         }
         if !self.eat(Kind::Equal) {
             return Err(self.expected("`<:` or `=` and a type"));
@@ -578,7 +675,7 @@ impl Parser<'_> {
         let mut members = Vec::new();
         loop {
             let start = self.token();
-            members.push(self.name("a type")?);
+            members.push(self.qualified("a type")?);
             if self.kind() == Kind::LBrace {
                 // `A { x: number } | B {}`
                 self.skip_group(Kind::LBrace, Kind::RBrace, false);

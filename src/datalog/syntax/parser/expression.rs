@@ -391,7 +391,7 @@ impl Parser<'_> {
         if !self.eat(Kind::Comma) {
             return Err(self.expected("`,` and a type"));
         }
-        let ty = self.name("a type")?;
+        let ty = self.qualified("a type")?;
         if !self.eat(Kind::RParen) {
             return Err(self.expected("`)`"));
         }

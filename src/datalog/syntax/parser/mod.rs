@@ -39,6 +39,9 @@ pub const DIRECTIVES: &[&str] = &[
     "include",
     "once",
     "scope",
+    "comp",
+    "init",
+    "override",
     "disjoint",
     "implies",
     "covering",
@@ -63,10 +66,6 @@ const BRANCHES: &str = "keep the values of each branch in a predicate, such as `
 
 /// Help for counters.
 const NUMBERED: &str = "number the rows by their order: `n = count : { A(y), y < x }`";
-
-/// Help for components.
-const COMPONENTS: &str =
-    "write out the clauses of the component for each instance, with names such as `graph_edge` for `graph.edge`";
 
 /// Help for functors of the user.
 const FUNCTORS: &str = "compute the values beforehand, and read them as the facts of a predicate";
@@ -105,9 +104,6 @@ pub const FULL_STOP: &str = "a clause ends with a full stop";
 
 /// Directives of Soufflé that this language does not have, with their descriptions.
 const FOREIGN_DIRECTIVES: &[(&str, &str)] = &[
-    ("comp", "components (`.comp`)"),
-    ("init", "components (`.init`)"),
-    ("override", "components (`.override`)"),
     ("functor", "user-defined functors (`.functor`)"),
     ("lattice", "lattices (`.lattice`)"),
     ("limitsize", "`.limitsize`"),
@@ -171,6 +167,8 @@ struct Parser<'a> {
     marks: Vec<Item>,
     /// Whether the last clause was faulty.
     dropped: bool,
+    /// The number of components around the current token.
+    components: usize,
     /// Takes the facts of plain constants, if present.
     packed: Option<PackedFacts>,
     faults: &'a mut Faults,
@@ -237,6 +235,7 @@ impl<'a> Parser<'a> {
             draws: draws(&lexed.tokens),
             marks: Vec::new(),
             dropped: false,
+            components: 0,
             packed: None,
             faults,
         }
@@ -475,26 +474,34 @@ impl<'a> Parser<'a> {
     fn file(&mut self) -> File {
         let mut file = File::default();
         while self.kind() != Kind::End && !self.faults.full() {
-            let start = self.at;
-            if self.packed.is_none() {
-                self.starts.push(start);
-            }
-            self.nesting = 0;
-            let item = self.item();
-            if item.is_err() {
-                self.recover(start);
-            }
-            if !matches!(item, Ok(Some(Item::Plan(_)))) {
-                self.dropped = item.is_err();
-            }
-            if let Ok(item) = item {
-                let before = file.items.len();
-                file.items.extend(item.and_then(|item| self.unpacked(before, item)));
-                file.items.append(&mut self.marks);
-            }
-            debug_assert!(self.at > start || self.kind() == Kind::End, "every item reads a token");
+            self.next_item(&mut file.items);
         }
         file
+    }
+
+    /// Reads an item of the file or of a component, with what belongs to it.
+    fn next_item(&mut self, items: &mut Vec<Item>) {
+        let start = self.at;
+        if self.packed.is_none() {
+            self.starts.push(start);
+        }
+        self.nesting = 0;
+        let item = self.item();
+        if item.is_err() {
+            self.recover(start);
+        }
+        if !matches!(item, Ok(Some(Item::Plan(_)))) {
+            self.dropped = item.is_err();
+        }
+        if let Ok(item) = item {
+            let before = items.len();
+            items.extend(item.and_then(|item| match self.components {
+                0 => self.unpacked(before, item),
+                _ => Some(item),
+            }));
+            items.append(&mut self.marks);
+        }
+        debug_assert!(self.at > start || self.kind() == Kind::End, "every item reads a token");
     }
 
     /// Packs a fact of plain constants, if the caller wants that. Returns any other item.
@@ -512,6 +519,8 @@ impl<'a> Parser<'a> {
             match token.kind {
                 Kind::End => return,
                 Kind::Preprocessor if self.at > start => return,
+                // The end of the component; a brace within a line ends an aggregate.
+                Kind::RBrace if self.components > 0 && token.first_on_line => return,
                 Kind::Dot if self.at > start && token.first_on_line && self.directive_ahead().is_some() => return,
                 Kind::Dot if self.at > start && self.is_qualifying() => _ = self.bump(),
                 Kind::Dot => {
@@ -630,17 +639,41 @@ impl<'a> Parser<'a> {
         }
         self.bump();
         if self.is_qualifying() {
-            while self.is_qualifying() {
-                self.bump();
-                self.bump();
-            }
-            let span = self.place_from(token).0;
-            return Err(self.unsupported(span, "names with a dot (components) are", COMPONENTS));
+            self.skip_parts();
+            let fault = Diagnostic::new(codes::SYNTAX, "a name with a dot where a name is declared");
+            let fault = fault.at(self.place_from(token).0, "");
+            self.faults
+                .push(fault.help("an instance of a component declares the names in it: `.init a = Component`"));
+            return Err(Reported);
         }
         Ok(Name {
             text: self.slice(token).to_owned(),
             place: Place(self.span(token)),
         })
+    }
+
+    /// Reads a name that may be one of an instance of a component: `instance.name`.
+    fn qualified(&mut self, what: &str) -> Parse<Name> {
+        let token = self.token();
+        let is_part = self.ahead(1).kind == Kind::Dot;
+        if token.kind != Kind::Ident || !is_part {
+            return self.name(what);
+        }
+        self.bump();
+        self.skip_parts();
+        let place = self.place_from(token);
+        Ok(Name {
+            text: self.text[place.0.range()].to_owned(),
+            place,
+        })
+    }
+
+    /// Skips the further parts of a name with dots.
+    fn skip_parts(&mut self) {
+        while self.is_qualifying() {
+            self.bump();
+            self.bump();
+        }
     }
 
     /// Returns whether the current token is a dot within a name, as in `component.predicate`.
@@ -658,9 +691,9 @@ impl<'a> Parser<'a> {
     }
 
     fn names(&mut self, what: &str) -> Parse<Vec<Name>> {
-        let mut names = vec![self.name(what)?];
+        let mut names = vec![self.qualified(what)?];
         while self.eat(Kind::Comma) {
-            names.push(self.name(what)?);
+            names.push(self.qualified(what)?);
         }
         Ok(names)
     }

@@ -34,6 +34,7 @@ impl Parser<'_> {
             (Kind::LBracket, second) => next.start == word.end || second == Kind::Number,
             (Kind::Ident, _) if self.infix(next).is_some() => false,
             (Kind::Ident, Kind::LParen | Kind::LBracket) | (Kind::Bang, _) => true,
+            (Kind::Ident, Kind::Dot) => self.is_component_atom(1),
             // A negation or a second operator, which is a fault.
             (Kind::Ident, Kind::Ident) => self.is_negation(next) || self.operator(next).is_some(),
             _ => false,
