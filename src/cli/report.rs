@@ -39,7 +39,8 @@ pub fn report(diagnostics: &[Diagnostic], sources: &Sources) {
     if diagnostics.is_empty() {
         return;
     }
-    terminal::print_styled(&render(&advised(diagnostics), sources, terminal::has_color()));
+    let diagnostics = sources.all_traced(diagnostics);
+    terminal::print_styled(&render(&advised(&diagnostics), sources, terminal::has_color()));
     let errors = diagnostics.iter().filter(|diagnostic| diagnostic.is_error()).count();
     if diagnostics.len() > 1 {
         let _ = writeln!(terminal::err(), "{}", count(errors, diagnostics.len() - errors));

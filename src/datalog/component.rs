@@ -7,6 +7,7 @@
 //! A name in a component means what the instance declares, else what the instance or the program around it declares.
 //! The copies of an instance lie in sources of their own ([`Sources::add_instance`]), so that messages name the place in
 //! the component and the `.init`.
+// Decision: docs/decisions/language.md#d081
 
 use std::collections::{BTreeMap, HashMap, HashSet};
 use std::rc::Rc;
@@ -18,7 +19,7 @@ use crate::syntax::ast::{
     TypeDefinition,
 };
 
-/// Maximum depth of instances in instances.
+/// Maximum depth of instances in instances, and of bases of bases.
 const MAX_DEPTH: usize = 64;
 
 /// Maximum number of instances of a program.
@@ -396,7 +397,7 @@ impl<'i> Maker<'i, '_> {
             let Some(definition) = self.component(base, parent, &own.binding) else {
                 continue;
             };
-            if layers.len() >= MAX_LAYERS {
+            if layers.len() >= MAX_LAYERS || chain.len() > MAX_DEPTH && !chain.contains(&definition) {
                 self.too_many("too many bases of a component", MAX_LAYERS, base.name.place.0);
                 return;
             }

@@ -131,6 +131,7 @@ mod convert;
 pub mod dense;
 pub mod diag;
 mod diagram;
+mod eqrel;
 mod eval;
 pub mod explain;
 pub mod facts;

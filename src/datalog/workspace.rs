@@ -20,6 +20,7 @@ use crate::check::witness::{renamed, renamed_term};
 use crate::check::{self as rules, Comparing, PredicateId, Rules};
 use crate::check::{Elsewhere, InputPolicy, check, inline, names, temporal};
 use crate::component::Instances;
+use crate::eqrel;
 use crate::syntax::Preprocessing;
 use crate::syntax::ast::{Atom, Clause, ColumnDecl, Decl, Item, Literal, Mark, MarkKind, Name, Place, Term, TermKind};
 use crate::syntax::ast::{BaseType, TypeDefinition};
@@ -93,6 +94,8 @@ pub struct Workspace {
     inputs: InputPolicy,
     preprocessing: Preprocessing,
     instances: Instances,
+    /// The number of declarations of equivalence relations whose clauses are there.
+    equivalences: usize,
     faults: Faults,
 }
 
@@ -134,6 +137,8 @@ impl Workspace {
         );
         let made = (self.instances).next(&self.gathered.items, sources, &mut self.faults);
         self.gathered.items.extend(made);
+        let closed = eqrel::clauses(&self.gathered.items, &mut self.equivalences, &mut self.faults);
+        self.gathered.items.extend(closed);
         if !read.builtin_paths().is_empty() && lacks_declaration(&self.gathered) {
             self.gathered.offered = include::offered(read);
         }
@@ -685,7 +690,7 @@ pub fn is_complete(text: &str) -> bool {
             let (_, starts) = parser::parse_tokens(id, text, &lexed, &mut faults);
             starts
                 .last()
-                .is_some_and(|&start| matches!(lexed.tokens[start].kind, Kind::Dot | Kind::RBrace))
+                .is_some_and(|&start| matches!(lexed.tokens[start].kind, Kind::Dot | Kind::RBrace | Kind::Preprocessor))
         }
     }
 }

@@ -300,6 +300,9 @@ fn the_instances_of_a_program_are_bounded() {
         doubled += &format!(".comp C{level} {{ .init a = C{0} .init b = C{0} }}\n", level - 1);
         bases += &format!(".comp C{level} : C{0}, C{0} {{ }}\n", level - 1);
     }
+    let chain: String = (1..10_000)
+        .map(|at| format!(".comp C{at} : C{} {{ }}\n", at - 1))
+        .collect();
     let nested = ".comp A { ".repeat(100_000);
     let wide: String = (0..3_000).map(|at| format!("p({at}).\n")).collect();
     let wide = format!(".comp A {{ .decl p(x: number)\n{wide}}}\n");
@@ -308,6 +311,7 @@ fn the_instances_of_a_program_are_bounded() {
         (format!("{doubled}.init c = C39\n"), "limit-exceeded"),
         (format!("{bases}.init c = C39\n"), "limit-exceeded"),
         (nested, "limit-exceeded"),
+        (format!("{chain}.init c = C9999\n"), "limit-exceeded"),
         (format!("{wide}{inits}"), "limit-exceeded"),
     ] {
         let found = messages(&text);

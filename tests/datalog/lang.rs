@@ -291,14 +291,10 @@ fn habits_of_other_languages_are_reported_once_with_help() {
             "`.decl Near(x: agent, y: agent)`",
         ),
         (
-            ".decl C(x: number, y: number) eqrel",
-            "`C(x, x) :- C(x, _). C(y, x) :- C(x, y). C(x, z) :- ",
-        ),
-        (
             ".decl C(x: number, y: number) choice-domain x",
             "`C(x, y) :- All(x, _), y = min v : { All(x, v) }.`",
         ),
-        (".decl C(x: number) btree_delete", "remove it"),
+        (".decl C(x: number) provenance", "remove it"),
         ("B(x) :- A(x), match(\"[a\", to_string(x)).", "Rust's `regex`"),
     ] {
         let said = helps(&format!("{HEAD}{written}\n"));

@@ -343,6 +343,11 @@ fn faulty_directives_have_messages() {
             "1:9",
             "`##` stands between two parts of a definition",
         ),
+        (
+            &format!("#define F({}z) 1", "a, ".repeat(1000)),
+            "1:10",
+            "a macro has at most 255 parameters",
+        ),
         ("#undef 1", "1:1", "`#undef` without a name"),
         ("#error not so", "1:1", "`#error`: not so"),
         ("#include", "1:1", "`#include` without a file"),
@@ -379,10 +384,18 @@ fn no_file_expands_without_bound() {
         chain += &format!("#define X{level} X{0} X{0} X{0} X{0}\n", level - 1);
         chain += &format!("#define E{level} E{0} E{0} E{0} E{0}\n", level - 1);
     }
+    let mut joined = "#define S(x) #x\n#define X(x) S(x)\n#define J(x, y) x ## y\n#define A0 aaaaaaaa\n".to_owned();
+    for level in 1..40 {
+        joined += &format!(
+            "#define A{level} K{level}(A{0}, A{0})\n#define K{level}(x, y) J(x, y)\n",
+            level - 1
+        );
+    }
     let nested = format!("#define F(x) x x\n{}out{}", "F(".repeat(500), ")".repeat(500));
     let deep: String = "#define F(x) x\n".to_owned() + &"F(".repeat(100_000);
     for text in [
         format!("{chain}X39"),
+        format!("{joined}X(A39)"),
         format!("{chain}E39"),
         format!("{chain}#define S(x) #x\nout(S(X39))."),
         format!("{chain}#define I(x) x\nI(X39)"),

@@ -2,7 +2,7 @@
 
 use crate::rule_files::RuleFiles;
 use logicity_datalog::diag::{Diagnostic, Sources};
-use logicity_datalog::{ast, load, parse, print};
+use logicity_datalog::{PredicateId, Program, Value, ast, facts, load, naive, parse, print};
 
 fn diagnostics(text: &str) -> Vec<(&'static str, usize, String)> {
     let mut sources = Sources::new();
@@ -112,9 +112,9 @@ const UNSUPPORTED: &[&str] = &[
     "«.lattice L<> {\n  Bottom -> 1,\n  Lub -> @lub(_, _),\n  Glb -> @glb(_, _)\n}",
     "«.limitsize p(n=3)",
     "«.limitsize p,\n q(n=3)",
-    ".decl o(x: number, y: number) «eqrel",
-    ".decl o(x: number, y: number) magic «eqrel\n no_inline",
-    ".decl o(x: number, y: number)\n  «btree_delete",
+    ".decl o(x: number, y: number) «provenance",
+    ".decl o(x: number, y: number) magic «provenance\n no_inline",
+    ".decl o(x: number, y: number)\n  «provenance",
     ".decl o(x: number, y: number) «choice-domain x, (x, y), y",
     ".decl o(x: number, y: number)\n  «choice-domain\n  x",
     ".decl o(x: number, y: L«<>)\n.input o",
@@ -327,4 +327,55 @@ fn a_dead_clause_with_several_heads_is_marked_once() {
         .expect("a warning");
     // The other clause, and the declaration.
     assert_eq!(dead.secondary.len(), 2, "{dead:#?}");
+}
+
+#[test]
+fn equivalence_relations_are_their_closure() {
+    let rows = |text: &str| {
+        let mut sources = Sources::new();
+        let entry = sources.add("a.dl", text);
+        let loaded = load(&mut sources, entry, &RuleFiles);
+        let rules = loaded
+            .rules
+            .unwrap_or_else(|| panic!("{text}\n{:?}", loaded.diagnostics));
+        let outputs = rules.predicates.iter().enumerate().filter(|(_, one)| one.output);
+        let outputs: Vec<PredicateId> = outputs.map(|(at, _)| PredicateId(at as u32)).collect();
+        let naive = naive::evaluate(&rules, &rules.symbols, []);
+        let mut session = Program::new(rules).expect("small").session();
+        session.commit().expect("small");
+        for id in &outputs {
+            let found = session.encoded_rows(*id).map(<[Value]>::to_vec).collect();
+            assert_eq!(naive[id.0 as usize], found, "{text}");
+        }
+        let mut shown: Vec<String> = outputs.iter().map(|id| facts::print(&session, *id)).collect();
+        shown.sort();
+        shown
+    };
+    let bodies = [
+        "e(1, 2). e(3, 4).",
+        "e(1, 2). e(2, 3). e(5, 5).",
+        "e(x, x + 1) :- x = range(0, 7), x != 4.",
+        "e(1, 2). e(x, x + 2) :- e(x, _), x < 9.",
+    ];
+    for body in bodies {
+        let head = ".decl e(x: number, y: number)";
+        let rest = "\n.output e, only\n.decl only(x: number)\nonly(x) :- e(x, _), !e(x, 1).\n";
+        let closed = "e(x, x) :- e(x, _). e(x, x) :- e(_, x). e(y, x) :- e(x, y). e(x, z) :- e(x, y), e(y, z).";
+        assert_eq!(
+            rows(&format!("{head} eqrel{rest}{body}")),
+            rows(&format!("{head}{rest}{body}\n{closed}"))
+        );
+    }
+    let in_component =
+        ".comp A<T> { .decl e(x: T, y: T) eqrel\n.output e\n }\n.init a = A<symbol>\na.e(\"b\", \"c\").\n";
+    assert_eq!(rows(in_component), ["b\tb\nb\tc\nc\tb\nc\tc\n"]);
+    let faults = diagnostics(".decl e(x: number) eqrel\n.output e\n");
+    assert_eq!(
+        faults[0],
+        (
+            "arity-mismatch",
+            1,
+            "an equivalence relation has 2 columns, not 1".to_owned()
+        )
+    );
 }

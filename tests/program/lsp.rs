@@ -1471,6 +1471,33 @@ fn changes_on_disk_reach_the_texts_that_include_a_file() {
     editor.end();
 }
 
+/// Text that macros and instances of components wrote has the places that the user wrote.
+#[test]
+fn macros_and_components_have_places_in_the_text() {
+    let mut editor = Editor::start();
+    let text = "#define ARC(x) edge(x, x)\n.comp G<T> {\n.decl edge(x: T)\n.decl p(x: T)\n.output p\n.input edge\np(x) :- ARC(x).\n}\n\
+                .init g = G<number>\n";
+    let found = editor.open("main.dl", text);
+    assert_eq!(codes(&found), ["arity-mismatch"]);
+    assert_eq!(found[0]["range"], range(6, 8, 14));
+    let related = found[0]["relatedInformation"].as_array().unwrap();
+    let lines: Vec<u64> = related
+        .iter()
+        .map(|one| one["location"]["range"]["start"]["line"].as_u64().unwrap())
+        .collect();
+    assert!(lines.contains(&0) && lines.contains(&8), "{related:?}");
+    for method in ["documentSymbol", "foldingRange", "semanticTokens/full", "formatting"] {
+        let params = json!({ "textDocument": { "uri": editor.uri("main.dl") }, "options": { "tabSize": 4, "insertSpaces": true } });
+        editor.ask(&format!("textDocument/{method}"), params);
+    }
+    assert!(
+        editor
+            .change("main.dl", &text.replace("edge(x, x)", "edge(x)"))
+            .is_empty()
+    );
+    editor.end();
+}
+
 #[test]
 fn a_client_gets_what_it_can_show() {
     let hover = json!({ "hover": { "contentFormat": ["plaintext"] }, "documentSymbol": { "hierarchicalDocumentSymbolSupport": true },

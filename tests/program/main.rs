@@ -34,5 +34,6 @@ mod root;
 #[path = "../city/shipped_world.rs"]
 mod shipped_world;
 mod shortcuts;
+mod souffle;
 #[cfg(unix)]
 mod terminal;

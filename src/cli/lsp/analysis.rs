@@ -131,9 +131,8 @@ impl Analysis {
                 Err(fault) => diagnostics.push(fault),
             }
         }
-        for fault in hints.iter_mut().chain(&mut diagnostics) {
-            *fault = sources.traced(fault);
-        }
+        hints = sources.all_traced(&hints);
+        diagnostics = sources.all_traced(&diagnostics);
         cap(&mut hints);
         cap(&mut diagnostics);
         // The documents before are those of the configuration.

@@ -190,7 +190,7 @@ fn check_plan(plan: &ast::Plan, clause: Option<&ast::Clause>, faults: &mut Fault
         for (version, order) in &plan.orders {
             let mut sorted = order.clone();
             sorted.sort_unstable();
-            if !sorted.into_iter().eq(1..=count as i64) {
+            if sorted.len() > count || !sorted.iter().copied().eq(1..=sorted.len() as i64) {
                 let fault = Diagnostic::new(
                     codes::SYNTAX,
                     format!("version {version} does not list the clause's atoms"),

@@ -20,7 +20,7 @@ const PLACES_SHOWN: usize = 3;
 /// included, is [`neutral`].
 pub fn render(diagnostics: &[Diagnostic], sources: &Sources, color: bool) -> String {
     let renderer = if color { Renderer::styled() } else { Renderer::plain() };
-    let traced: Vec<Diagnostic> = diagnostics.iter().map(|fault| sources.traced(fault)).collect();
+    let traced = sources.all_traced(diagnostics);
     let mut different: Vec<(&Diagnostic, Vec<Span>)> = Vec::new();
     for diagnostic in &traced {
         let known = different.iter_mut().find(|(known, _)| known.repeats(diagnostic));
@@ -231,9 +231,8 @@ pub fn to_json(diagnostics: &[Diagnostic], sources: &Sources) -> Value {
             "primary": primary,
         })
     };
-    (diagnostics.iter())
+    (sources.all_traced(diagnostics).iter())
         .map(|diagnostic| {
-            let diagnostic = sources.traced(diagnostic);
             let labels: Vec<Value> = (diagnostic.primary.iter().map(|l| label(l, true)))
                 .chain(diagnostic.secondary.iter().map(|l| label(l, false)))
                 .collect();

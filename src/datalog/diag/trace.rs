@@ -1,7 +1,8 @@
 //! Diagnostics at places that users wrote.
 
 use crate::diag::source::{Expansion, MacroUse, Origin};
-use crate::diag::{Diagnostic, Label, SourceId, Sources, Span};
+use crate::diag::{Code, Diagnostic, Label, SourceId, Sources, Span};
+use std::collections::HashSet;
 use std::ops::Range;
 
 /// The number of macros to name, the innermost first, where one stands in the definition of another.
@@ -43,6 +44,23 @@ impl Sources {
             *span = self.written(*span);
         }
         traced
+    }
+
+    /// Returns the diagnostics as [`traced`](Sources::traced) does. What says the same about one place of a component in
+    /// several instances is there once.
+    pub fn all_traced(&self, diagnostics: &[Diagnostic]) -> Vec<Diagnostic> {
+        let mut known: HashSet<(Code, String, Span)> = HashSet::new();
+        let mut all = Vec::with_capacity(diagnostics.len());
+        for diagnostic in diagnostics {
+            let traced = self.traced(diagnostic);
+            let source = diagnostic.primary.as_ref().map(|label| label.span.source);
+            let in_instance = source.is_some_and(|source| matches!(self.origin(source), Origin::Instance { .. }));
+            let place = traced.primary.as_ref().filter(|_| in_instance).map(|label| label.span);
+            if place.is_none_or(|place| known.insert((traced.code, traced.message.clone(), place))) {
+                all.push(traced);
+            }
+        }
+        all
     }
 
     /// Adds the macros whose expansion contains a range of the expanded source `id`.

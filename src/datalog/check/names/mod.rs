@@ -6,6 +6,7 @@ use std::collections::{HashMap, HashSet};
 
 use crate::codes;
 use crate::diag::{self, Diagnostic, Faults, Span, counted, did_you_mean};
+use crate::eqrel::EQREL;
 
 use crate::check::InputPolicy;
 use crate::check::rules::{Column, Directive, Predicate, PredicateId, RowFormat, RowPlace, Type, TypeId};
@@ -432,12 +433,12 @@ fn no_effect(pragma: &Pragma) -> Diagnostic {
 }
 
 /// The qualifiers that have an effect.
-const EFFECTIVE: [&str; 4] = ["inline", "no_inline", "magic", "no_magic"];
+const EFFECTIVE: [&str; 5] = ["inline", "no_inline", "magic", "no_magic", EQREL];
 
 /// Reports qualifiers that repeat or contradict another one, and warns of those without effect. They ask for a way of
 /// evaluation, which never changes an answer.
 fn qualifiers(words: &[Name], faults: &mut Faults) {
-    let storage = |word: &Name| matches!(word.text.as_str(), "btree" | "brie");
+    let storage = |word: &Name| matches!(word.text.as_str(), "btree" | "btree_delete" | "brie" | EQREL);
     let rivals = |a: &Name, b: &Name| a.text == b.text || (storage(a) && storage(b));
     for (index, word) in words.iter().enumerate() {
         if let Some(earlier) = words[..index].iter().find(|earlier| rivals(earlier, word)) {

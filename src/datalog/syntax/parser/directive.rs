@@ -22,6 +22,8 @@ const QUALIFIERS: &[&str] = &[
     "no_magic",
     "brie",
     "btree",
+    "btree_delete",
+    "eqrel",
     "overridable",
     "input",
     "output",
@@ -572,13 +574,13 @@ impl Parser<'_> {
         ))
     }
 
-    /// Skips and reports a qualifier of Soufflé that the language does not have: `eqrel`, `choice-domain ...`. Returns
+    /// Skips and reports a qualifier of Soufflé that the language does not have: `choice-domain ...`. Returns
     /// whether there is one.
     fn foreign_qualifier(&mut self, of: &str, columns: &[ColumnDecl]) -> bool {
         let first = self.token();
         let is_choice =
             self.slice(first) == "choice" && self.ahead(1).kind == Kind::Minus && self.slice(self.ahead(2)) == "domain";
-        let is_other = matches!(self.slice(first), "btree_delete" | "provenance" | "eqrel" | "override");
+        let is_other = matches!(self.slice(first), "provenance" | "override");
         if !is_choice && !is_other {
             return false;
         }
@@ -600,10 +602,6 @@ impl Parser<'_> {
             }
         }
         let help = match (word.as_str(), columns) {
-            ("eqrel", _) => format!(
-                "write the equivalence as clauses: `{of}(x, x) :- {of}(x, _). {of}(y, x) :- {of}(x, y). {of}(x, z) :- \
-                 {of}(x, y), {of}(y, z).`"
-            ),
             ("choice-domain", [key, value]) => {
                 let (key, value) = (&key.name.text, &value.name.text);
                 format!(

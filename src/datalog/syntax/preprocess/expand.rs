@@ -12,10 +12,16 @@ use crate::syntax::lexer::{logical_line, preprocessor_word};
 use crate::syntax::preprocess::piece::{Piece, PieceKind, PieceText, Pieces, Space, piece_of};
 
 /// Maximum number of pieces that all macros of a file write, read again or take as arguments.
-const MAX_WORK: usize = 20_000_000;
+const MAX_WORK: usize = 10_000_000;
+
+/// Maximum number of bytes that `#` and `##` make in a file.
+const MAX_MADE: usize = 64 << 20;
 
 /// The same for one use of a macro, with those in its arguments and its definition.
 const MAX_WORK_OF_USE: usize = 1_000_000;
+
+/// Maximum number of parameters of a macro.
+const MAX_PARAMETERS: usize = 255;
 
 /// Maximum depth of uses of macros in arguments of macros.
 const MAX_DEPTH: usize = 100;
@@ -150,6 +156,9 @@ impl Macros {
             let Some(close) = close else {
                 return Err((rest[0].span(), "the parameters of a macro end with `)`"));
             };
+            if close > 2 * MAX_PARAMETERS {
+                return Err((rest[0].span(), "a macro has at most 255 parameters"));
+            }
             let (mut list, mut first) = (rest[1..close].iter().peekable(), true);
             body = &rest[close + 1..];
             while list.peek().is_some() {
@@ -214,7 +223,8 @@ impl Macros {
 
     fn spend(&mut self, pieces: usize, at: Option<Span>, context: &mut Context<'_>) -> Result<(), Stopped> {
         self.work = self.work.saturating_add(pieces);
-        if self.work <= MAX_WORK && self.work - self.work_before <= MAX_WORK_OF_USE {
+        let made = self.made.len() <= MAX_MADE;
+        if made && self.work <= MAX_WORK && self.work - self.work_before <= MAX_WORK_OF_USE {
             return Ok(());
         }
         let fault = Diagnostic::new(diag::codes::LIMIT_EXCEEDED, "the macros expand to too much text");
@@ -223,7 +233,9 @@ impl Macros {
             None => fault,
         };
         context.faults.push(fault.note(format!(
-            "one use takes and writes at most {MAX_WORK_OF_USE} words and signs, all of a file {MAX_WORK}"
+            "one use takes and writes at most {MAX_WORK_OF_USE} words and signs, all of a file {MAX_WORK}, and `#` and \
+             `##` make {} MiB",
+            MAX_MADE >> 20
         )));
         Err(Stopped)
     }
@@ -566,6 +578,9 @@ impl Macros {
     fn quoted(&self, argument: &[Piece], sources: &Sources) -> String {
         let mut text = String::from("\"");
         for (at, piece) in argument.iter().enumerate() {
+            if text.len() > MAX_MADE {
+                break;
+            }
             if at > 0 && piece.space > Space::None {
                 text.push(' ');
             }

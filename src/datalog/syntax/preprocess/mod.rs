@@ -5,6 +5,7 @@
 //! file that the user wrote ([`Sources::written`]), so that later stages need to know nothing of the preprocessor.
 //!
 //! `piece` reads words and signs, `expand` has the macros, and `condition` evaluates `#if`.
+// Decision: docs/decisions/language.md#d080
 
 mod condition;
 mod expand;
@@ -27,6 +28,9 @@ const MAX_DEPTH: usize = 64;
 
 /// Maximum number of `#include` of a program that are followed.
 const MAX_INCLUDES: usize = 10_000;
+
+/// Maximum length in bytes of a path that macros make.
+const MAX_PATH: usize = 4096;
 
 /// Maximum size in bytes of the text that the preprocessor makes of a file and those it includes.
 const MAX_TEXT_BYTES: usize = 64 << 20;
@@ -84,9 +88,9 @@ fn has_builtin(text: &str) -> bool {
 /// Returns whether a line begins with a directive.
 fn has_directive(text: &str) -> bool {
     text.match_indices('#').any(|(at, _)| {
-        let line = text[..at].rfind('\n').map_or(0, |newline| newline + 1);
-        let before = text[line..at].trim_start_matches('\u{feff}');
-        before.bytes().all(|byte| byte == b' ' || byte == b'\t') && preprocessor_word(&text[at..]).is_some()
+        let before = text[..at].trim_end_matches([' ', '\t']);
+        let begins = before.is_empty() || before.ends_with('\n') || before == "\u{feff}";
+        begins && preprocessor_word(&text[at..]).is_some()
     })
 }
 
@@ -643,6 +647,9 @@ impl Preprocessor<'_> {
                 let expanded = self.macros.expand(pieces, None, 0, &mut context)?;
                 let mut text = String::new();
                 for piece in &expanded {
+                    if text.len() > MAX_PATH {
+                        break;
+                    }
                     if piece.space > Space::None && !text.is_empty() {
                         text.push(' ');
                     }
