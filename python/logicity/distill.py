@@ -528,8 +528,8 @@ def _rules(words: _Words, learned: dict[str, Any], measured: _Measured, settings
         (holds, right), (holds_test, right_test) = fired["train"], fired["test"]
         lines += [
             "",
-            f"/// {clause['label']}: right in {right} of the {holds} moments in which it holds;",
-            f"/// held out, in {right_test} of {holds_test}. It alone explains {clause['alone']}.",
+            f"/// {clause['label']}: right in {right} of {holds} moments, {right_test} of {holds_test} held-out ones",
+            f"/// It alone explains {clause['alone']}.",
             text,
         ]
     if not learned["clauses"]:

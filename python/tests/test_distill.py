@@ -273,8 +273,8 @@ def test_rules_of_traffic_that_sumo_drives(tmp_path: Path, junctions: str) -> No
 @pytest.mark.parametrize(
     ("junctions", "words"),
     [
-        ("right_before_left", ["FromRight(Y, X)", "Oncoming(Y, X)", "TurnsLeft(X)"]),
-        ("priority", ["FromLeft(X, Y)", "FromRight(X, Y)"]),
+        ("right_before_left", ["MustYield(X, Y)"]),
+        ("priority", ["MustYield(X, Y)"]),
         ("allway_stop", ["WaitsLonger(", "Not(Waits("]),
         ("traffic_light", ["SeesRed(X)"]),
     ],

@@ -7,7 +7,7 @@ use crate::city::network::{Network, RoadMap, Sign};
 use crate::city::square::{BUILDING, CAR_AT, INSIDE, MID_LINE, NODE, PEDESTRIAN_AT, Square};
 use crate::city::{AgentKind, Building, Widths};
 use crate::city::{Area, Rectangle};
-use crate::city::{Cell, Heading, Light, Side};
+use crate::city::{Cell, Heading, Light, RightOfWay, Side};
 use crate::city::{Ground, Junction};
 use crate::diag::Diagnostic;
 use crate::diag::codes;
@@ -871,6 +871,12 @@ impl CityMap {
     /// direction. Of several lights it is the one with which a car drives on.
     pub fn light(&self, kind: AgentKind, cell: Cell, exit: Option<Heading>, tick: u64) -> Option<Light> {
         (self.roads().filter(|_| kind == AgentKind::Car)?).light(cell, exit, tick)
+    }
+
+    /// Returns which of two cars must yield on a road network, by their cells and by the directions in which their routes
+    /// leave their next intersections; `None` if their ways do not meet.
+    pub fn right_of_way(&self, one: (Cell, Option<Heading>), other: (Cell, Option<Heading>)) -> Option<RightOfWay> {
+        self.roads()?.right_of_way(one, other)
     }
 
     /// Returns whether a connection that leaves the lane of the first cell, and is no way back, must yield to one that

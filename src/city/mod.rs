@@ -48,7 +48,7 @@ pub use network::{Connection, Direction, LaneUse, Network, Point, RoadJunction, 
 pub use places::Places;
 pub use roads::{Lane, Router};
 pub use route::{NoRoute, Route, corners};
-pub use signal::{Aspect, Light, Phase, Signal, SignalLink, WORDS};
+pub use signal::{Aspect, Light, Phase, RightOfWay, Signal, SignalLink, WORDS};
 pub use square::{Ground, Junction};
 pub(crate) use view::view_reach;
 pub use view::{FieldOfView, field_of_view};

@@ -9,7 +9,7 @@
 use crate::city::route::facings;
 use crate::city::signal::together;
 use crate::city::square::{CAR_AT, INSIDE, MID_LINE, NODE, PEDESTRIAN_AT, Square};
-use crate::city::{Cell, Ground, Heading, Light, Rectangle, Side, Signal, SignalLink};
+use crate::city::{Cell, Ground, Heading, Light, Rectangle, RightOfWay, Side, Signal, SignalLink};
 use serde::{Serialize, Serializer};
 use std::collections::BTreeSet;
 use std::sync::Arc;
@@ -825,26 +825,49 @@ impl RoadMap {
     /// with which a car drives on. `None` without a signal, or if it is off.
     pub fn light(&self, cell: Cell, exit: Option<Heading>, tick: u64) -> Option<Light> {
         let lane = self.spot(cell)?.lane;
-        let leaving = || {
-            let numbers = self.leaving[lane as usize].iter();
-            numbers.map(|&number| &self.network.connections[number as usize])
-        };
-        let entered = |connection: &Connection| {
-            let first = self.firsts[connection.to as usize] as usize;
-            self.facings.get(first).copied()
-        };
-        let of = |connection: &Connection| {
-            let SignalLink { signal, link } = connection.light?;
+        let of = |number: u32| {
+            let SignalLink { signal, link } = self.network.connections[number as usize].light?;
             self.network.signals.get(signal as usize)?.aspect(link, tick)?.light()
         };
-        let mut there = leaving()
-            .filter(|way| exit.is_some() && entered(way) == exit)
-            .peekable();
+        let mut there = self.leaving_to(lane, exit).peekable();
         if there.peek().is_some() {
             return together(there.filter_map(of));
         }
-        let ahead = leaving().filter(|way| way.direction != Direction::Around);
+        let connections = self.leaving(lane).iter().copied();
+        let ahead =
+            connections.filter(|&number| self.network.connections[number as usize].direction != Direction::Around);
         together(ahead.filter_map(of))
+    }
+
+    /// Returns the connections that leave a lane in a direction.
+    fn leaving_to(&self, lane: u32, exit: Option<Heading>) -> impl Iterator<Item = u32> {
+        let entered = |number: u32| {
+            let to = self.network.connections[number as usize].to;
+            self.facings.get(self.firsts[to as usize] as usize).copied()
+        };
+        let leaving = self.leaving(lane).iter().copied();
+        leaving.filter(move |&number| exit.is_some() && entered(number) == exit)
+    }
+
+    /// Returns which of two cars on the lanes of cells must yield, if their routes leave the junction in these
+    /// directions; `None` if their ways do not meet, or one is on no lane or ends before.
+    pub fn right_of_way(&self, one: (Cell, Option<Heading>), other: (Cell, Option<Heading>)) -> Option<RightOfWay> {
+        let [one, other] = [one, other].map(|(cell, exit)| Some((self.spot(cell)?.lane, exit)));
+        let ((lane, exit), (other, other_exit)) = (one?, other?);
+        let (mut yields, mut first) = (false, false);
+        for number in self.leaving_to(lane, exit) {
+            for foe in self.leaving_to(other, other_exit) {
+                let must = |way: u32, foe: u32| self.network.connections[way as usize].yields_to.contains(&foe);
+                yields |= must(number, foe);
+                first |= must(foe, number);
+            }
+        }
+        match (yields, first) {
+            (true, true) => Some(RightOfWay::Mutual),
+            (true, false) => Some(RightOfWay::Yields),
+            (false, true) => Some(RightOfWay::First),
+            (false, false) => None,
+        }
     }
 
     /// Returns whether a connection that leaves the lane of the first cell, and is no way back, must yield to one that

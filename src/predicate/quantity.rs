@@ -2,7 +2,7 @@
 //!
 //! A quantity has at most one value for the agents before it.
 
-use crate::city::{Agent, CityMap, Heading, Light, WORDS};
+use crate::city::{Agent, AgentKind, CityMap, Heading, Light, RightOfWay, WORDS};
 #[cfg(test)]
 use crate::predicate::Definition;
 use crate::predicate::{Phrase, PredicateKind, Subject, Syntax};
@@ -34,6 +34,9 @@ pub enum Quantity {
     /// The light of the signal at the end of the agent's lane for its route, on a road network with signals; no value
     /// for pedestrians, inside intersections, and where no signal shows a light.
     Light,
+    /// Whether the first of two cars on lanes of a road network must yield to the second on its route: `yields`, `first`
+    /// if the second must yield, or `mutual`; no value if their ways do not meet in their next intersection.
+    RightOfWay,
     /// The Euclidean distance of two different agents in cells.
     Distance,
     /// The number of the tick, from 0.
@@ -47,6 +50,7 @@ pub(crate) enum Measure {
     Float(f32),
     Heading(Heading),
     Light(Light),
+    RightOfWay(RightOfWay),
 }
 
 /// The type of the values of a quantity.
@@ -60,15 +64,22 @@ pub enum Unit {
     Heading,
     /// The name of a light: `red`, `yellow` or `green`.
     Light,
+    /// `yields`, `first` or `mutual`.
+    RightOfWay,
 }
+
+/// The positions in [`WORDS`] at which the words of units begin; the headings are first.
+const LIGHTS: u32 = Heading::ALL.len() as u32;
+const RIGHTS_OF_WAY: u32 = LIGHTS + Light::ALL.len() as u32;
 
 impl Unit {
     /// Returns the positions of its values in [`WORDS`](crate::city::WORDS); none for numbers.
     pub(crate) const fn words(self) -> Range<u32> {
         match self {
             Unit::Number | Unit::Float => 0..0,
-            Unit::Heading => 0..Heading::ALL.len() as u32,
-            Unit::Light => Heading::ALL.len() as u32..WORDS.len() as u32,
+            Unit::Heading => 0..LIGHTS,
+            Unit::Light => LIGHTS..RIGHTS_OF_WAY,
+            Unit::RightOfWay => RIGHTS_OF_WAY..WORDS.len() as u32,
         }
     }
 
@@ -111,7 +122,7 @@ impl Progress {
 
 impl Quantity {
     /// All quantities.
-    pub const ALL: [Quantity; 11] = [
+    pub const ALL: [Quantity; 12] = [
         Quantity::Speed,
         Quantity::Heading,
         Quantity::Priority,
@@ -121,6 +132,7 @@ impl Quantity {
         Quantity::Exit,
         Quantity::Limit,
         Quantity::Light,
+        Quantity::RightOfWay,
         Quantity::Distance,
         Quantity::Tick,
     ];
@@ -137,6 +149,7 @@ impl Quantity {
             Quantity::Exit => "exit",
             Quantity::Limit => "limit",
             Quantity::Light => "light",
+            Quantity::RightOfWay => "right_of_way",
             Quantity::Distance => "distance",
             Quantity::Tick => "tick",
         }
@@ -146,7 +159,7 @@ impl Quantity {
     pub const fn agents(self) -> usize {
         match self {
             Quantity::Tick => 0,
-            Quantity::Distance => 2,
+            Quantity::Distance | Quantity::RightOfWay => 2,
             _ => 1,
         }
     }
@@ -157,6 +170,7 @@ impl Quantity {
             Quantity::Distance => Unit::Float,
             Quantity::Heading | Quantity::Exit => Unit::Heading,
             Quantity::Light => Unit::Light,
+            Quantity::RightOfWay => Unit::RightOfWay,
             _ => Unit::Number,
         }
     }
@@ -165,13 +179,18 @@ impl Quantity {
     pub(crate) const fn is_visible(self) -> bool {
         !matches!(
             self,
-            Quantity::Speed | Quantity::Waited | Quantity::Remaining | Quantity::Exit | Quantity::Light
+            Quantity::Speed
+                | Quantity::Waited
+                | Quantity::Remaining
+                | Quantity::Exit
+                | Quantity::Light
+                | Quantity::RightOfWay
         )
     }
 
     /// Returns whether the value follows from where the agent's route leaves its next intersection.
     pub(crate) const fn reads_exit(self) -> bool {
-        matches!(self, Quantity::Exit | Quantity::Light)
+        matches!(self, Quantity::Exit | Quantity::Light | Quantity::RightOfWay)
     }
 
     /// Returns the value for these agents on a map, as many as [`agents`](Quantity::agents).
@@ -193,6 +212,12 @@ impl Quantity {
             }
             (Quantity::Heading, [x, ..]) => x.subject.heading.map(Measure::Heading),
             (Quantity::Exit, [x, ..]) => x.progress.exit.map(Measure::Heading),
+            (Quantity::RightOfWay, [x, y]) => {
+                let is_car = |agent: &Measured| agent.subject.kind == AgentKind::Car;
+                let way = |agent: &Measured| (agent.subject.at, agent.progress.exit);
+                let both = is_car(x) && is_car(y);
+                both.then(|| map.right_of_way(way(x), way(y)))?.map(Measure::RightOfWay)
+            }
             #[allow(clippy::cast_possible_truncation)] // a column of type float has single precision
             (Quantity::Distance, [x, y]) => Some(Measure::Float(x.subject.at.distance(y.subject.at) as f32)),
             _ => None,
@@ -229,6 +254,7 @@ impl PredicateKind for Quantity {
             Quantity::Intersection => "is at or inside the intersection with this number:",
             Quantity::Limit => "has this speed limit in km/h:",
             Quantity::Light => "sees this light:",
+            Quantity::RightOfWay => "has this right of way against",
             Quantity::Exit => "leaves its next intersection in the direction",
             Quantity::Distance => "has this distance in cells from",
             Quantity::Tick => "The tick is",

@@ -11,8 +11,8 @@ use crate::shipped_world::{configured, world};
 use logicity::city::{Action, ActionTable};
 use logicity::city::{
     Agent, AgentConfig, AgentKind, AgentName, Aspect, Cell, CityMap, Direction, Ground, LaneUse, Light, MapConfig,
-    Network, NoRoute, Places, Point, RoadLane, Router, Routing, Sign, SignalLink, Split, Surroundings, Terrain,
-    TripEnds, advance, possible_cells,
+    Network, NoRoute, Places, Point, RightOfWay, RoadLane, Router, Routing, Sign, SignalLink, Split, Surroundings,
+    Terrain, TripEnds, advance, possible_cells,
 };
 use logicity::diag::{Diagnostic, Sources};
 use logicity::rng::{Purpose, RngExt, Seed};
@@ -1021,4 +1021,81 @@ ToRight(X) :- HasRight(X), Tick(t), t % 40 >= 20, t % 40 < 30.
     }
     assert!(arrived > 20 && changed.len() == 4, "{arrived} {changed:?}");
     assert!(changed.values().all(|count| *count > 10), "{changed:?}");
+}
+
+/// The right of way between two routes is what the connections that they take say.
+#[test]
+fn routes_that_meet_have_a_right_of_way() {
+    let network = import(&text_of("grid-priority"), 1.0).unwrap();
+    let rules = ".include \"right-of-way-roads.dl\"\nStop(X) :- IsAtInter(X), MustYield(X, Y), IsAtInter(Y).\n\
+                 Slow(X) :- Not(Stop(X)), RightOfWay(X, _, \"first\").";
+    let config = load_memory_map(&sumo::map_file(&network)).unwrap();
+    let (world, _) = configured("base: right-of-way-roads\nrules: mine.dl", rules, |scenario| {
+        scenario.map = config.clone();
+    });
+    let mut cities = [Executor::Relational, Executor::Dense].map(|executor| simulation(&world, executor, 1));
+    go_the_same_way(&mut cities, 60);
+    let [_, mut city] = cities;
+    let map = world.map();
+    // The connections of each lane, by the names of their lanes and the cells of the first ones.
+    let lane_of = |cell: Cell| -> Option<usize> {
+        let middle = |lane: &RoadLane| {
+            let near = |point: &Point| (point.y - f64::from(cell.row) - 0.5).hypot(point.x - f64::from(cell.col) - 0.5);
+            let segments = lane.shape.windows(2).map(|pair| {
+                let (dx, dy) = (pair[1].x - pair[0].x, pair[1].y - pair[0].y);
+                let (x, y) = (
+                    f64::from(cell.col) + 0.5 - pair[0].x,
+                    f64::from(cell.row) + 0.5 - pair[0].y,
+                );
+                let along = ((x * dx + y * dy) / (dx * dx + dy * dy)).clamp(0.0, 1.0);
+                (x - along * dx).hypot(y - along * dy)
+            });
+            segments.fold(lane.shape.iter().map(near).fold(f64::INFINITY, f64::min), f64::min)
+        };
+        let drives = (network.lanes.iter().enumerate()).filter(|(_, lane)| lane.usage == LaneUse::Drive);
+        let nearest = drives.min_by(|(_, one), (_, other)| middle(one).total_cmp(&middle(other)));
+        nearest.filter(|(_, lane)| middle(lane) < 0.9).map(|(number, _)| number)
+    };
+    let mut counts = [0; 4];
+    for _ in 0..150 {
+        city.tick(&[]).unwrap();
+        let agents = city.agents().to_vec();
+        let exits: Vec<_> = agents.iter().map(|agent| agent.exit(map)).collect();
+        let ways: Vec<Vec<u32>> = (agents.iter().zip(&exits))
+            .map(|(agent, exit)| {
+                let lane = map.lane_at(agent.cell).and_then(|_| lane_of(agent.cell));
+                let ways = (network.connections.iter().zip(0..)).filter(|(way, _)| {
+                    let first = network.lanes[way.to as usize].shape[0];
+                    let entered = map.lane_at(Cell::new(first.y as i32, first.x as i32));
+                    Some(way.from as usize) == lane && exit.is_some() && entered == *exit
+                });
+                ways.map(|(_, number)| number).collect()
+            })
+            .collect();
+        for (one, other) in (0..agents.len()).flat_map(|one| (0..agents.len()).map(move |other| (one, other))) {
+            if one == other || ways[one].is_empty() || ways[other].is_empty() {
+                continue;
+            }
+            let must = |one: usize, other: usize| {
+                let pairs = ways[one]
+                    .iter()
+                    .flat_map(|way| ways[other].iter().map(move |foe| (way, foe)));
+                let mut pairs = pairs.map(|(way, foe)| network.connections[*way as usize].yields_to.contains(foe));
+                pairs.any(|yields| yields)
+            };
+            let expected = match (must(one, other), must(other, one)) {
+                (true, true) => Some(RightOfWay::Mutual),
+                (true, false) => Some(RightOfWay::Yields),
+                (false, true) => Some(RightOfWay::First),
+                (false, false) => None,
+            };
+            let found = map.right_of_way((agents[one].cell, exits[one]), (agents[other].cell, exits[other]));
+            assert_eq!(found, expected, "{:?} {:?}", agents[one].cell, agents[other].cell);
+            counts[expected.map_or(3, |right| right as usize)] += 1;
+        }
+    }
+    assert!(
+        counts[0] > 20 && counts[1] == counts[0] && counts[3] > 100,
+        "{counts:?}"
+    );
 }

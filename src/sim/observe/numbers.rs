@@ -1,6 +1,6 @@
 //! Quantities in observations: numbers after the truth values of the atoms.
 //!
-//! A heading takes four truth values for each entity, and a light three. Any other value is divided by a scale, which most values do not
+//! A heading takes four truth values for each entity, a light three, and a right of way three for each pair. Any other value is divided by a scale, which most values do not
 //! exceed. A power of two divides distances, so that they are read as they were written; whole numbers up to 2^22 are
 //! rounded. Where there is no value, the number is 0.
 
@@ -182,7 +182,7 @@ pub(super) fn greatest_priority(scenario: &Scenario) -> f32 {
 #[allow(clippy::cast_precision_loss)] // a scale
 fn scale(quantity: Quantity, scenario: &Scenario, map: &CityMap) -> f32 {
     match quantity {
-        Quantity::Heading | Quantity::Exit | Quantity::Light => 1.0,
+        Quantity::Heading | Quantity::Exit | Quantity::Light | Quantity::RightOfWay => 1.0,
         Quantity::Priority => greatest_priority(scenario),
         Quantity::Speed => {
             let most = scenario.kinds.all().map(|kind| scenario.actions.table.reach(kind));

@@ -476,7 +476,8 @@ impl<'a> Reader<'a> {
         }
         let name: String = self.value(raw)?;
         unit.word(&name).ok_or_else(|| {
-            let fault = self.fault(raw, format!("`{name}` is not a light"), &expected(unit));
+            let what = if unit == Unit::Light { "light" } else { "right of way" };
+            let fault = self.fault(raw, format!("`{name}` is not a {what}"), &expected(unit));
             vec![suggest(fault, &name, unit.names().iter().copied())]
         })
     }
@@ -762,7 +763,7 @@ impl<'a> Reader<'a> {
             None => Value::default(),
             Some(Unit::Number) => Value::number(self.value(terms[arity])?),
             Some(Unit::Float) => Value::float(self.value(terms[arity])?),
-            Some(unit @ (Unit::Heading | Unit::Light)) => Value(self.word(terms[arity], unit)?),
+            Some(unit @ (Unit::Heading | Unit::Light | Unit::RightOfWay)) => Value(self.word(terms[arity], unit)?),
         };
         Ok((row, value))
     }
@@ -860,6 +861,7 @@ fn row_like(terms: &[&RawValue], arity: usize, unit: Option<Unit>, names: &NameI
         Some(Unit::Float) => ("3.5", |term| term.parse::<f32>().is_ok()),
         Some(Unit::Heading) => ("\"Up\"", |term| is_word(Unit::Heading, term)),
         Some(Unit::Light) => ("\"green\"", |term| is_word(Unit::Light, term)),
+        Some(Unit::RightOfWay) => ("\"yields\"", |term| is_word(Unit::RightOfWay, term)),
     };
     let written = || {
         terms

@@ -379,7 +379,7 @@ impl<V: Fn(usize, Quantity, &[usize]) -> Option<Value>> ConditionValues for Give
         let &(_, position, quantity) = quantities.find(|(id, ..)| *id == predicate)?;
         let value = (self.value)(position, quantity, places)?;
         Some(match quantity.unit() {
-            Unit::Heading | Unit::Light => self.conditions.words[value.0 as usize],
+            Unit::Heading | Unit::Light | Unit::RightOfWay => self.conditions.words[value.0 as usize],
             Unit::Number | Unit::Float => value,
         })
     }

@@ -92,7 +92,7 @@ pub(crate) fn json_value(value: Value, unit: Unit) -> serde_json::Value {
     match unit {
         Unit::Number => value.as_number().into(),
         Unit::Float => value.as_float().into(),
-        Unit::Heading | Unit::Light => WORDS[value.0 as usize].into(),
+        Unit::Heading | Unit::Light | Unit::RightOfWay => WORDS[value.0 as usize].into(),
     }
 }
 
@@ -272,6 +272,7 @@ pub(crate) fn word(measure: Measure) -> Value {
         Measure::Number(number) => Value::number(number),
         Measure::Float(float) => Value::float(float),
         Measure::Heading(heading) => Value(Unit::Heading.words().start + heading as u32),
+        Measure::RightOfWay(right) => Value(Unit::RightOfWay.words().start + right as u32),
         Measure::Light(light) => Value(Unit::Light.words().start + light as u32),
     }
 }
