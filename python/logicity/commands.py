@@ -151,7 +151,8 @@ def _add_wandb(to: _Parser) -> None:
 def _add_experiment(to: _Parser) -> None:
     help = (
         "spf, transfer, composition, town, observations, noise, communication, egos, vap, vap-50, "
-        "vap-backbone, vap-continual, vap-steps, vap-concepts, language, or a YAML file; `logicity schema experiment` prints its keys"
+        "vap-backbone, vap-continual, vap-steps, vap-concepts, language, or a YAML file; `logicity schema "
+        "experiment` prints its keys"
     )
     to.add("experiment", help=help)
     exclusive = to.add_mutually_exclusive_group()
