@@ -740,7 +740,7 @@ fn all_rule_files_load_without_a_diagnostic() {
             count += 1;
         }
     }
-    assert_eq!(count, 18);
+    assert_eq!(count, 20);
 }
 
 #[test]

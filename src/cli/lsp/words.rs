@@ -366,6 +366,7 @@ mod tests {
         let known = |word: &&Word| word.place != Directive || DIRECTIVES.contains(&word.name);
         for word in WORDS.iter().filter(known) {
             let text = match word.place {
+                Directive if word.name == "override" => format!(".comp B : A {{ {} }}", word.form),
                 Directive => word.form.to_owned(),
                 Type => format!(".decl A({})", word.form),
                 Operator => format!("A(x) :- x = {}.", word.form),
