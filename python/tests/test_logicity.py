@@ -120,7 +120,7 @@ importlib.reload(gymnasium)
 print(sum(name.startswith("logicity/") for name in gymnasium.registry), env.unwrapped.__class__.__name__)
 """
     done = subprocess.run([sys.executable, "-W", "error", "-c", text], capture_output=True, text=True)
-    assert (done.stdout, done.stderr) == ("7 SPFEnv\n", "")
+    assert (done.stdout, done.stderr) == ("8 SPFEnv\n", "")
 
 
 def test_gymnasium_is_imported_on_demand() -> None:
