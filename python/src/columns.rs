@@ -1,5 +1,6 @@
 //! Conversion of rows from and to Python: tuples, or one numpy array per column.
 
+use logicity::datalog::internal::record_source;
 use logicity::datalog::{BaseType, Column, Predicate, Value};
 use logicity::symbol::{Symbol, Symbols};
 use numpy::{Element, PyArray1, PyArrayDescrMethods, PyReadonlyArray1, PyUntypedArray, PyUntypedArrayMethods};
@@ -36,6 +37,7 @@ fn type_text(base: BaseType) -> &'static str {
         BaseType::Number => "numbers (int from -2147483648 to 2147483647)",
         BaseType::Unsigned => "unsigned numbers (int from 0 to 4294967295)",
         BaseType::Float => "floats (float of 32 bits)",
+        BaseType::Record => "records, which only rules and files make",
     }
 }
 
@@ -82,7 +84,7 @@ fn word(value: &Bound<'_, PyAny>, base: BaseType, symbol: &Intern<'_>) -> PyResu
         };
     }
     // In Python, bool is a subclass of int. Here it is an error.
-    if value.is_instance_of::<PyBool>() {
+    if base == BaseType::Record || value.is_instance_of::<PyBool>() {
         return Ok(Err(Misfit::Type));
     }
     if base == BaseType::Float {
@@ -377,6 +379,10 @@ impl<'py> Converter<'_, 'py> {
             BaseType::Number => value.as_number().into_pyobject(self.py)?.into_any(),
             BaseType::Unsigned => value.0.into_pyobject(self.py)?.into_any(),
             BaseType::Float => value.as_float().into_pyobject(self.py)?.into_any(),
+            BaseType::Record => {
+                let text = || PyString::new(self.py, &record_source(value, self.symbols)).into_any();
+                self.strings.entry(value.0).or_insert_with(text).clone()
+            }
             BaseType::Symbol => {
                 let text =
                     || PyString::new(self.py, self.symbols.resolve(Symbol(value.0)).unwrap_or_default()).into_any();
@@ -426,13 +432,13 @@ pub fn arrays<'py, 'r, R: Iterator<Item = &'r [Value]>>(
             BaseType::Number => PyArray1::from_vec(py, words.map(Value::as_number).collect()).into_any(),
             BaseType::Unsigned => PyArray1::from_vec(py, words.map(|word| word.0).collect()).into_any(),
             BaseType::Float => PyArray1::from_vec(py, words.map(Value::as_float).collect()).into_any(),
-            BaseType::Symbol => {
+            base @ (BaseType::Symbol | BaseType::Record) => {
                 let mut converter = Converter {
                     py,
                     symbols,
                     strings: HashMap::new(),
                 };
-                let values = words.map(|word| Ok(converter.value(word, BaseType::Symbol)?.unbind()));
+                let values = words.map(|word| Ok(converter.value(word, base)?.unbind()));
                 PyArray1::from_vec(py, values.collect::<PyResult<Vec<_>>>()?).into_any()
             }
         };

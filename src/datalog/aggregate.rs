@@ -4,10 +4,10 @@
 //! Parts of the values can be aggregated apart, for example on several threads, and merged. Neither the order of the
 //! values nor the division into parts has an effect, not even for floats: [`ExactSum`] adds without rounding.
 
-use crate::symbol::{Symbol, Symbols};
+use crate::symbol::Symbols;
 use crate::syntax::ast::BaseType;
 use crate::syntax::functor::AggregateOp;
-use crate::value::Value;
+use crate::value::{self, Value};
 
 /// The aggregate of the values added so far.
 #[derive(Clone, Debug, Default)]
@@ -99,13 +99,7 @@ impl Partial {
 
 /// Whether a minimum or maximum prefers the first value to the second.
 fn beats(op: AggregateOp, base: BaseType, a: Value, b: Value, symbols: &Symbols) -> bool {
-    let text = |value: Value| symbols.resolve(Symbol(value.0)).unwrap_or_default();
-    let order = match base {
-        BaseType::Symbol => text(a).cmp(text(b)),
-        BaseType::Number => a.as_number().cmp(&b.as_number()),
-        BaseType::Unsigned => a.cmp(&b),
-        BaseType::Float => a.as_float().total_cmp(&b.as_float()),
-    };
+    let order = value::compare(base, a, b, symbols);
     match op {
         AggregateOp::Max => order.is_gt(),
         _ => order.is_lt(),

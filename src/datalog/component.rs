@@ -15,8 +15,8 @@ use std::rc::Rc;
 use crate::codes;
 use crate::diag::{self, Diagnostic, Faults, SourceId, Sources, Span, did_you_mean};
 use crate::syntax::ast::{
-    Atom, Clause, Component, ComponentType, Decl, Init, Item, Literal, Name, Place, Scope, Term, TermKind, TypeDecl,
-    TypeDefinition,
+    Atom, Clause, ColumnDecl, Component, ComponentType, Decl, Init, Item, Literal, Name, Place, Scope, Term, TermKind,
+    TypeDecl, TypeDefinition,
 };
 
 /// Maximum depth of instances in instances, and of bases of bases.
@@ -595,6 +595,13 @@ impl Rename<'_, '_, '_> {
                 match definition {
                     TypeDefinition::Subtype(of) | TypeDefinition::Alias(of) => self.type_name(of),
                     TypeDefinition::Union(members) => members.iter_mut().for_each(|member| self.type_name(member)),
+                    TypeDefinition::Record(fields) => self.fields(fields),
+                    TypeDefinition::Branches(branches) => {
+                        for branch in branches {
+                            self.place(&mut branch.name.place);
+                            self.fields(&mut branch.fields);
+                        }
+                    }
                     TypeDefinition::Faulty => {}
                 }
             }
@@ -627,6 +634,13 @@ impl Rename<'_, '_, '_> {
             }
             Item::Clause(clause) => self.clause(clause),
             Item::Include(_) | Item::Component(_) | Item::Init(_) | Item::Override(_) => {}
+        }
+    }
+
+    fn fields(&mut self, fields: &mut [ColumnDecl]) {
+        for field in fields {
+            self.place(&mut field.name.place);
+            self.type_name(&mut field.ty);
         }
     }
 

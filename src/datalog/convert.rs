@@ -2,11 +2,15 @@
 
 use std::fmt;
 
-use crate::check::{Column, Predicate, PredicateId, Rules};
+use crate::check::{Column, Predicate, PredicateId, Rules, Type};
 use crate::diag::{counted, did_you_mean};
 use crate::symbol::{Symbol, Symbols};
 use crate::syntax::functor::BaseType;
-use crate::value::Value;
+use crate::value::{Value, WHOLE, print_record};
+
+mod read;
+
+pub(crate) use read::read;
 
 /// A predicate as callers name it: by its name, or by its id, which takes no search.
 pub trait AsPredicate: Copy {
@@ -55,6 +59,12 @@ pub trait ToValue {
     #[doc(hidden)]
     fn to_value(&self, base: BaseType, symbol: &dyn Fn(&str) -> Option<Symbol>) -> Option<Value>;
 
+    /// Returns the text of a record.
+    #[doc(hidden)]
+    fn text(&self) -> Option<&str> {
+        None
+    }
+
     /// Describes the value for a message.
     #[doc(hidden)]
     fn describe(&self) -> String;
@@ -92,7 +102,7 @@ macro_rules! whole_numbers {
                 match base {
                     BaseType::Number => i32::try_from(*self).ok().map(Value::number),
                     BaseType::Unsigned => u32::try_from(*self).ok().map(Value),
-                    BaseType::Float | BaseType::Symbol => None,
+                    BaseType::Float | BaseType::Symbol | BaseType::Record => None,
                 }
             }
 
@@ -131,8 +141,12 @@ impl ToValue for str {
     fn to_value(&self, base: BaseType, symbol: &dyn Fn(&str) -> Option<Symbol>) -> Option<Value> {
         match base {
             BaseType::Symbol => symbol(self).map(|symbol| Value(symbol.0)),
-            BaseType::Number | BaseType::Unsigned | BaseType::Float => None,
+            BaseType::Number | BaseType::Unsigned | BaseType::Float | BaseType::Record => None,
         }
+    }
+
+    fn text(&self) -> Option<&str> {
+        Some(self)
     }
 
     fn describe(&self) -> String {
@@ -145,6 +159,10 @@ impl ToValue for String {
         self.as_str().to_value(base, symbol)
     }
 
+    fn text(&self) -> Option<&str> {
+        Some(self)
+    }
+
     fn describe(&self) -> String {
         self.as_str().describe()
     }
@@ -153,6 +171,10 @@ impl ToValue for String {
 impl<T: ToValue + ?Sized> ToValue for &T {
     fn to_value(&self, base: BaseType, symbol: &dyn Fn(&str) -> Option<Symbol>) -> Option<Value> {
         (**self).to_value(base, symbol)
+    }
+
+    fn text(&self) -> Option<&str> {
+        (**self).text()
     }
 
     fn describe(&self) -> String {
@@ -208,6 +230,7 @@ impl<R: IntoRow + ?Sized> IntoRow for &R {
 ///
 /// `i64` reads columns of type `number` and `unsigned`, `i32` those of type `number`, `u32` those of type `unsigned`,
 /// `f32` and `f64` those of type `float`, `&str` and `String` those of type `symbol`, and [`Value`] every column.
+/// `String` reads records, too, as the text that `.facts` files have; one of more than 16 MiB ends in `...`.
 pub trait FromValue<'s>: Sized {
     /// The types of columns that it reads, for a message.
     #[doc(hidden)]
@@ -248,7 +271,14 @@ columns! {
     f32: "type float", BaseType::Float, |value, _base, _symbols| value.as_float();
     f64: "type float", BaseType::Float, |value, _base, _symbols| value.as_float().into();
     &'s str: "type symbol", BaseType::Symbol, |value, _base, symbols| symbols.resolve(Symbol(value.0)).unwrap_or_default();
-    String: "type symbol", BaseType::Symbol, |value, base, symbols| <&str>::from_value(value, base, symbols).to_owned();
+    String: "type symbol or a record", BaseType::Symbol | BaseType::Record, |value, base, symbols| match base {
+        BaseType::Record => {
+            let mut text = String::new();
+            print_record(value, symbols, WHOLE, false, &mut text);
+            text
+        }
+        _ => <&str>::from_value(value, base, symbols).to_owned(),
+    };
 }
 
 /// A row as Rust has it: a tuple of up to 12 values, or an array or a `Vec` of values of one type.
@@ -366,7 +396,9 @@ fn check_arity(predicate: &Predicate, found: usize) -> Result<(), RowError> {
 pub(crate) fn check_words(predicate: &Predicate, row: &[Value], known: usize) -> Result<(), RowError> {
     check_arity(predicate, row.len())?;
     let mut columns = row.iter().zip(&predicate.columns);
-    if columns.any(|(value, column)| value.0 as usize >= known && column.base == BaseType::Symbol) {
+    if columns
+        .any(|(value, column)| value.0 as usize >= known && matches!(column.base, BaseType::Symbol | BaseType::Record))
+    {
         return Err(RowError::UnknownSymbol {
             predicate: predicate.name.clone(),
         });
@@ -378,13 +410,18 @@ pub(crate) fn check_words(predicate: &Predicate, row: &[Value], known: usize) ->
 pub(crate) fn encode(
     predicate: &Predicate,
     row: &impl IntoRow,
+    types: &[Type],
     symbol: &dyn Fn(&str) -> Option<Symbol>,
     words: &mut Vec<Value>,
 ) -> Result<(), RowError> {
     let values = row.values();
     check_arity(predicate, values.len())?;
     for (value, column) in values.into_iter().zip(&predicate.columns) {
-        let word = value.to_value(column.base, symbol).ok_or_else(|| RowError::ValueType {
+        let word = match (column.base, value.text()) {
+            (BaseType::Record, Some(text)) => read(text, column.ty, types, symbol).ok(),
+            _ => value.to_value(column.base, symbol),
+        };
+        let word = word.ok_or_else(|| RowError::ValueType {
             predicate: predicate.name.clone(),
             column: column.name.clone(),
             base: column.base,
@@ -497,6 +534,7 @@ impl fmt::Display for RowError {
                     BaseType::Number => "a number of 32 bits",
                     BaseType::Unsigned => "an unsigned number of 32 bits",
                     BaseType::Float => "a float",
+                    BaseType::Record => "the text of a record of its type",
                 };
                 write!(
                     f,

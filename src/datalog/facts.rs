@@ -7,11 +7,12 @@
 
 use crate::check::{Column, Predicate, PredicateId, RowFormat};
 use crate::codes;
+use crate::convert::read;
 use crate::diag::{Diagnostic, Faults, SourceId, Sources, Span, counted};
 use crate::session::Session;
 use crate::symbol::Symbol;
 use crate::syntax::ast::BaseType;
-use crate::value::{Value, parse as parse_value, print_float};
+use crate::value::{self, Value, parse as parse_value, print_float, print_record};
 use std::borrow::Cow;
 use std::cmp::Ordering;
 use std::io::{self, Write};
@@ -56,6 +57,7 @@ pub fn load_as(
         )]);
     };
     let text = sources.text(source);
+    let types = &program.rules().types;
     let mut faults = Faults::default();
     let mut rows: Vec<Value> = Vec::new();
     let mut count = 0;
@@ -116,6 +118,18 @@ pub fn load_as(
         }
         for (index, column) in predicate.columns.iter().enumerate() {
             let field = fields[format.columns.get(index).copied().unwrap_or(index)].clone();
+            if column.base == BaseType::Record {
+                match parse_record(session, column, &text[field.clone()], format) {
+                    Ok(value) => rows.push(value),
+                    Err((at, message)) => {
+                        let at = (field.start + at).min(field.end);
+                        let fault = Diagnostic::new(codes::INVALID_FACT, message).at(span(at..field.end), "");
+                        let column = format!("the column is `{}: {}`", column.name, types[column.ty.0 as usize].name);
+                        faults.push(fault.note(column).also(predicate.span, "declared here"));
+                    }
+                }
+                continue;
+            }
             if let Some(value) = parse(session, column, &text[field.clone()], format) {
                 rows.push(value);
                 continue;
@@ -214,7 +228,17 @@ fn read_record(text: &str, start: usize, format: &RowFormat, needed: usize, fiel
             next: line + 1,
             fault,
         };
-        match text[close..end].find(format.delimiter.as_str()) {
+        let open = match (
+            format.delimiter.contains(','),
+            text[close..end].trim_start().starts_with(['[', '$']),
+        ) {
+            (true, true) => bracketed(&text[close..end]),
+            _ => 0,
+        };
+        match text[close + open..end]
+            .find(format.delimiter.as_str())
+            .map(|at| at + open)
+        {
             Some(length) if quoted && length > 0 => {
                 let fault = (close..close + length, "a value continues after its closing quote");
                 return record(0, Some(fault));
@@ -234,6 +258,23 @@ fn read_record(text: &str, start: usize, format: &RowFormat, needed: usize, fiel
     }
 }
 
+/// Returns the length of a record at the start of a text, up to the bracket that closes it; 0 if none does.
+fn bracketed(text: &str) -> usize {
+    let (mut depth, mut in_quotes) = (0_usize, false);
+    for (at, character) in text.char_indices() {
+        match character {
+            '"' => in_quotes = !in_quotes,
+            _ if in_quotes => {}
+            '[' | '(' => depth += 1,
+            ']' | ')' if depth <= 1 => return at + 1,
+            ']' | ')' => depth -= 1,
+            ',' if depth == 0 => return 0,
+            _ => {}
+        }
+    }
+    0
+}
+
 /// Returns the position of the first double quote that no other one follows.
 fn closing_quote(text: &str, mut from: usize) -> Option<usize> {
     loop {
@@ -245,13 +286,29 @@ fn closing_quote(text: &str, mut from: usize) -> Option<usize> {
     }
 }
 
-fn parse(session: &mut Session, column: &Column, text: &str, format: &RowFormat) -> Option<Value> {
+/// Returns a value without its quotes, if the format has them.
+fn unquoted<'t>(text: &'t str, format: &RowFormat) -> Cow<'t, str> {
     let inner = text.strip_prefix('"').and_then(|text| text.strip_suffix('"'));
-    let text = match inner.filter(|_| format.quoted) {
+    match inner.filter(|_| format.quoted) {
         Some(inner) if inner.contains('"') => Cow::Owned(inner.replace("\"\"", "\"")),
         Some(inner) => Cow::Borrowed(inner),
         None => Cow::Borrowed(text),
-    };
+    }
+}
+
+/// Parses a record, or returns where the text is none, and why.
+fn parse_record(session: &Session, column: &Column, text: &str, format: &RowFormat) -> Result<Value, (usize, String)> {
+    let types = &session.program().rules().types;
+    let symbol = |text: &str| Some(session.symbols().intern(text));
+    let unquoted = unquoted(text, format);
+    read(&unquoted, column.ty, types, &symbol).map_err(|fault| {
+        let at = fault.at + usize::from(unquoted.len() < text.len());
+        (at, format!("expected {}", fault.expected.unwrap_or_default()))
+    })
+}
+
+fn parse(session: &mut Session, column: &Column, text: &str, format: &RowFormat) -> Option<Value> {
+    let text = unquoted(text, format);
     match column.base {
         BaseType::Symbol => Some(session.intern(&text)),
         base => parse_value(base, text.trim_start_matches(' ')),
@@ -274,7 +331,7 @@ pub fn header(predicate: &Predicate, format: &RowFormat) -> String {
     }
 }
 
-/// Returns the rows of a predicate, ordered column by column: numbers by value, symbols by text.
+/// Returns the rows of a predicate, ordered column by column: numbers by value, symbols by text, records by their fields.
 pub fn sorted(session: &Session, id: PredicateId) -> Vec<&[Value]> {
     let mut rows: Vec<&[Value]> = session.encoded_rows(id).collect();
     if let Some(predicate) = session.program().rules().predicates.get(id.index()) {
@@ -283,33 +340,28 @@ pub fn sorted(session: &Session, id: PredicateId) -> Vec<&[Value]> {
     rows
 }
 
-/// Compares rows column by column: numbers by value, symbols by text.
+/// Compares rows column by column: numbers by value, symbols by text, records by their fields.
 fn compare(session: &Session, predicate: &Predicate, a: &[Value], b: &[Value]) -> Ordering {
-    let text = |value: Value| session.symbols().resolve(Symbol(value.0)).unwrap_or_default();
     let mut columns = predicate.columns.iter().zip(a.iter().zip(b));
     let order = columns.find_map(|(column, (a, b))| {
-        let order = match column.base {
-            BaseType::Symbol => text(*a).cmp(text(*b)),
-            BaseType::Number => a.as_number().cmp(&b.as_number()),
-            BaseType::Unsigned => a.cmp(b),
-            BaseType::Float => a.as_float().total_cmp(&b.as_float()),
-        };
+        let order = value::compare(column.base, *a, *b, session.symbols());
         order.is_ne().then_some(order)
     });
     order.unwrap_or(Ordering::Equal)
 }
 
-/// Returns a value as a rows file shows it.
-pub fn print_value(session: &Session, value: Value, base: BaseType) -> String {
+/// Returns a value as a rows file shows it. A record of more than 16 MiB ends in `...`.
+pub fn print_value(session: &Session, word: Value, base: BaseType) -> String {
     match base {
-        BaseType::Symbol => session
-            .symbols()
-            .resolve(Symbol(value.0))
-            .unwrap_or_default()
-            .to_owned(),
-        BaseType::Number => value.as_number().to_string(),
-        BaseType::Unsigned => value.0.to_string(),
-        BaseType::Float => print_float(value.as_float()),
+        BaseType::Symbol => session.symbols().resolve(Symbol(word.0)).unwrap_or_default().to_owned(),
+        BaseType::Number => word.as_number().to_string(),
+        BaseType::Unsigned => word.0.to_string(),
+        BaseType::Float => print_float(word.as_float()),
+        BaseType::Record => {
+            let mut text = String::new();
+            print_record(word, session.symbols(), value::WHOLE, false, &mut text);
+            text
+        }
     }
 }
 
@@ -344,6 +396,19 @@ pub fn write_rows(session: &Session, id: PredicateId, format: &RowFormat, out: &
                 BaseType::Number => write!(out, "{}", value.as_number())?,
                 BaseType::Unsigned => write!(out, "{}", value.0)?,
                 BaseType::Float => out.write_all(print_float(value.as_float()).as_bytes())?,
+                BaseType::Record => {
+                    let mut text = String::new();
+                    if !print_record(*value, session.symbols(), value::WHOLE, false, &mut text) {
+                        let (name, most) = (&predicate.name, value::WHOLE >> 20);
+                        return Err(io::Error::other(format!(
+                            "a record in `{name}` has more than {most} MiB of text"
+                        )));
+                    }
+                    match format.quoted {
+                        true => write!(out, "\"{}\"", text.replace('"', "\"\""))?,
+                        false => out.write_all(text.as_bytes())?,
+                    }
+                }
             }
         }
         if predicate.columns.is_empty() {

@@ -142,6 +142,7 @@ pub mod naive;
 mod plan;
 mod plan_printer;
 mod program;
+mod record;
 pub mod rewrite;
 mod row;
 mod session;
@@ -185,6 +186,7 @@ pub mod internal {
     pub use crate::chance::{hash as symbol_hash, word as chance_word};
     pub use crate::eval::limits::size;
     pub use crate::spans::Spans;
+    pub use crate::value::record_source;
 
     pub mod threads {
         pub use crate::threads::{Pool, start};

@@ -270,7 +270,7 @@ fn compare(op: Comparison, left: Value, right: Value, base: BaseType, symbols: &
     let less = |left: Value, right: Value| match base {
         BaseType::Number => left.as_number() < right.as_number(),
         BaseType::Symbol => text(left) < text(right),
-        BaseType::Unsigned => left.0 < right.0,
+        BaseType::Unsigned | BaseType::Record => left.0 < right.0,
         BaseType::Float => left.as_float() < right.as_float(),
     };
     let nan = base == BaseType::Float && (left.as_float().is_nan() || right.as_float().is_nan());

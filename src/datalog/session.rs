@@ -156,7 +156,7 @@ impl Session {
             Some(words) => words,
             None => {
                 let symbol = |text: &str| Some(self.symbols.intern(text));
-                encode(predicate, row, &symbol, &mut encoded)?;
+                encode(predicate, row, &self.program.rules().types, &symbol, &mut encoded)?;
                 &encoded
             }
         };
@@ -203,7 +203,9 @@ impl Session {
         let arity = predicate.arity();
         let symbol = |text: &str| Some(self.symbols.intern(text));
         let mut encoded = Vec::new();
-        let symbolic = predicate.columns.iter().any(|column| column.base == BaseType::Symbol);
+        let types = &self.program.rules().types;
+        let interned = |column: &crate::check::Column| matches!(column.base, BaseType::Symbol | BaseType::Record);
+        let symbolic = predicate.columns.iter().any(interned);
         let before = self.store.pending(to);
         let mut words: Vec<Value> = Vec::with_capacity(PART);
         let rows = rows.into_iter();
@@ -214,7 +216,7 @@ impl Session {
                 Some(words) => check_words(predicate, words, self.symbols.len()).map(|()| words),
                 None => {
                     encoded.clear();
-                    encode(predicate, &row, &symbol, &mut encoded)
+                    encode(predicate, &row, types, &symbol, &mut encoded)
                         .and_then(|()| check_words(predicate, &encoded, self.symbols.len()))
                         .map(|()| encoded.as_slice())
                 }
@@ -460,7 +462,8 @@ impl Session {
             return words.len() == predicate.arity() && self.store.contains(id, words);
         }
         let mut words = Vec::new();
-        let encoded = encode(predicate, &row, &|text| self.symbols.get(text), &mut words);
+        let symbol = |text: &str| self.symbols.get(text);
+        let encoded = encode(predicate, &row, &self.program.rules().types, &symbol, &mut words);
         encoded.is_ok() && self.store.contains(id, &words)
     }
 

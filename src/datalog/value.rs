@@ -9,9 +9,11 @@ use std::cmp::Ordering;
 use std::collections::HashMap;
 
 use crate::chance;
+use crate::record;
 use crate::symbol::{Symbol, Symbols};
 use crate::syntax::ast::{BaseType, Comparison};
 use crate::syntax::functor::{Functor, Functor::*};
+use crate::syntax::quoted;
 
 /// One 32-bit word of a row.
 ///
@@ -55,6 +57,7 @@ impl Functor {
             (Add, parts) if base == BaseType::Symbol => parts.iter().map(length).sum(),
             (Substring, [value, ..]) => length(value),
             (ToSymbol, _) => NUMBER,
+            (Pack, parts) => record::bytes(parts.len()),
             _ => 0,
         }
     }
@@ -68,6 +71,8 @@ impl Functor {
         match (self, arguments) {
             (Choose, _) => return choose(arguments, symbols),
             (Cast, [value]) => return Some(*value),
+            (Pack, [shape, fields @ ..]) => return made(&record::encoded(shape.0, fields.iter().map(|field| field.0))),
+            (Unpack, [shape, at, whole]) => return record::field(shape.0, at.0, whole.0, symbols).map(Value),
             (Ordinal, [value]) => return Some(*value),
             (Add, parts) if base == BaseType::Symbol => return made(&parts.iter().map(text).collect::<String>()),
             (Cat, parts) => return made(&parts.iter().map(text).collect::<String>()),
@@ -89,6 +94,7 @@ impl Functor {
                     BaseType::Number => made(&value.as_number().to_string()),
                     BaseType::Unsigned => made(&value.0.to_string()),
                     BaseType::Float => made(&format!("{:.6}", value.as_float())),
+                    BaseType::Record => None,
                 };
             }
             (ToNumber | ToFloat | ToUnsigned, [value]) => return self.convert(base, *value, text(value)),
@@ -110,6 +116,7 @@ impl Functor {
             BaseType::Float => {
                 fold(arguments, |value| value.as_float(), |operands| self.floats(operands)).map(Value::float)
             }
+            BaseType::Record => None,
         }
     }
 
@@ -226,9 +233,76 @@ fn choose(arguments: &[Value], symbols: &Symbols) -> Option<Value> {
     u32::try_from(chosen).ok().map(Value)
 }
 
-/// Returns the hash of the symbol with this word, which draws use in place of its id.
+/// Returns the hash of the symbol or record with this word, which draws use in place of its id.
 pub(crate) fn symbol_hash(value: Value, symbols: &Symbols) -> u64 {
-    chance::hash(symbols.resolve(Symbol(value.0)).unwrap_or_default())
+    let text = symbols.resolve(Symbol(value.0)).unwrap_or_default();
+    if !record::is(text) {
+        return chance::hash(text);
+    }
+    let mut text = String::new();
+    print_record(value, symbols, WHOLE, true, &mut text);
+    chance::hash(&text)
+}
+
+/// Orders values: numbers by value, symbols by text, records by their fields.
+pub(crate) fn compare(base: BaseType, a: Value, b: Value, symbols: &Symbols) -> Ordering {
+    let text = |value: Value| symbols.resolve(Symbol(value.0)).unwrap_or_default();
+    match base {
+        BaseType::Symbol if a == b => Ordering::Equal,
+        BaseType::Symbol => text(a).cmp(text(b)),
+        BaseType::Number => a.as_number().cmp(&b.as_number()),
+        BaseType::Unsigned => a.cmp(&b),
+        BaseType::Float => a.as_float().total_cmp(&b.as_float()),
+        BaseType::Record => record::compare(a.0, b.0, symbols, |kind, a, b| {
+            compare(BaseType::of_kind(kind), Value(a), Value(b), symbols)
+        }),
+    }
+}
+
+/// The maximum length of a record in a message, in bytes.
+pub(crate) const MESSAGE: usize = 1000;
+
+/// The maximum length of a record in a file, in bytes.
+pub(crate) const WHOLE: usize = 1 << 24;
+
+/// Adds the text of a record to `out`, and returns whether it is complete: a text longer than `limit` bytes ends in
+/// `...`. Symbols stand as in rules with `source`, otherwise as in a rows file.
+pub(crate) fn print_record(value: Value, symbols: &Symbols, limit: usize, source: bool, out: &mut String) -> bool {
+    record::print(value.0, symbols, limit, out, |kind, word, out| {
+        let value = Value(word);
+        match BaseType::of_kind(kind) {
+            BaseType::Number => out.push_str(&value.as_number().to_string()),
+            BaseType::Unsigned => out.push_str(&value.0.to_string()),
+            BaseType::Float => out.push_str(&print_float(value.as_float())),
+            BaseType::Symbol | BaseType::Record => {
+                let text = symbols.resolve(Symbol(word)).unwrap_or_default();
+                let special = |c: char| matches!(c, ',' | '[' | ']' | '(' | ')' | '"') || c.is_control();
+                if source {
+                    out.push_str(&quoted(text));
+                } else if text.trim() != text || text.contains(special) {
+                    out.push('"');
+                    out.push_str(&text.replace('"', "\"\""));
+                    out.push('"');
+                } else {
+                    out.push_str(text);
+                }
+            }
+        }
+    })
+}
+
+/// Returns a record as rules write it.
+pub fn record_source(value: Value, symbols: &Symbols) -> String {
+    let mut text = String::new();
+    print_record(value, symbols, WHOLE, true, &mut text);
+    text
+}
+
+/// Returns a record as messages show it.
+pub(crate) fn record_text(value: Value, symbols: &Symbols) -> String {
+    let mut text = String::new();
+    print_record(value, symbols, MESSAGE, true, &mut text);
+    text
 }
 
 /// Returns whether a character is white space to Soufflé.
@@ -251,7 +325,7 @@ fn fold<T: Copy + Default>(
 
 /// Parses a number, unsigned number or float; `None` if the text does not fit the type.
 ///
-/// Whole numbers may be decimal, hexadecimal (`0x`) or binary (`0b`). Symbols always give `None`.
+/// Whole numbers may be decimal, hexadecimal (`0x`) or binary (`0b`). Symbols and records always give `None`.
 pub fn parse(base: BaseType, text: &str) -> Option<Value> {
     let radix = |text: &str| {
         let (sign, digits) = match text.strip_prefix('-') {
@@ -269,7 +343,7 @@ pub fn parse(base: BaseType, text: &str) -> Option<Value> {
         i64::from_str_radix(digits, radix).ok().map(|value| sign * value)
     };
     match base {
-        BaseType::Symbol => None,
+        BaseType::Symbol | BaseType::Record => None,
         BaseType::Number => match radix(text) {
             Some(value) => i32::try_from(value).ok().map(Value::number),
             None => text.parse().ok().map(Value::number),
@@ -312,7 +386,8 @@ impl Comparison {
             BaseType::Number => Some(left.as_number().cmp(&right.as_number())),
             BaseType::Symbol if left == right => Some(Ordering::Equal),
             BaseType::Symbol => Some(text(left).cmp(text(right))),
-            BaseType::Unsigned => Some(left.cmp(&right)),
+            // Only the equality of records is in the language.
+            BaseType::Unsigned | BaseType::Record => Some(left.cmp(&right)),
             BaseType::Float => left.as_float().partial_cmp(&right.as_float()),
         };
         match self {

@@ -21,6 +21,7 @@ use crate::check::{self as rules, Comparing, PredicateId, Rules};
 use crate::check::{Elsewhere, InputPolicy, check, inline, names, temporal};
 use crate::component::Instances;
 use crate::eqrel;
+use crate::record;
 use crate::syntax::Preprocessing;
 use crate::syntax::ast::{Atom, Clause, ColumnDecl, Decl, Item, Literal, Mark, MarkKind, Name, Place, Term, TermKind};
 use crate::syntax::ast::{BaseType, TypeDefinition};
@@ -183,6 +184,7 @@ impl Workspace {
                 name = match types.get(name)? {
                     TypeDefinition::Subtype(parent) | TypeDefinition::Alias(parent) => &parent.text,
                     TypeDefinition::Union(members) => &members.first()?.text,
+                    TypeDefinition::Record(_) | TypeDefinition::Branches(_) => return Some(BaseType::Record),
                     TypeDefinition::Faulty => return None,
                 };
             }
@@ -651,6 +653,7 @@ fn canonical(clause: &Clause) -> Clause {
 fn moved(value: Value, base: BaseType, from: &Symbols, to: &Symbols) -> Value {
     match base {
         BaseType::Symbol => Value(to.intern(from.resolve(Symbol(value.0)).unwrap_or_default()).0),
+        BaseType::Record => Value(record::copied(value.0, from, to)),
         _ => value,
     }
 }

@@ -191,6 +191,7 @@ fn by_naive(rules: &Rules, steps: &[Step]) -> Vec<Answer> {
                     BaseType::Number => value.as_number().to_string(),
                     BaseType::Unsigned => value.0.to_string(),
                     BaseType::Float => logicity_datalog::print_float(value.as_float()),
+                    BaseType::Record => unreachable!("no program of the corpus has records"),
                 });
                 shown.collect::<Vec<_>>().join(", ")
             })

@@ -78,6 +78,7 @@ fn domain(rules: &Rules, id: usize) -> Vec<Vec<Value>> {
         let values: Vec<Value> = match column.base {
             logicity_datalog::BaseType::Symbol => (0..TEXTS.len() as u32).map(Value).collect(),
             logicity_datalog::BaseType::Unsigned => NUMBERS[..3].iter().map(|n| Value(n.unsigned_abs())).collect(),
+            logicity_datalog::BaseType::Record => unreachable!("random programs have no records"),
             logicity_datalog::BaseType::Float => NUMBERS[..3].iter().map(|n| Value::float(*n as f32)).collect(),
             logicity_datalog::BaseType::Number => NUMBERS[..3].iter().copied().map(Value::number).collect(),
         };

@@ -22,6 +22,7 @@ mod pages;
 mod preprocessor;
 mod proofs;
 mod random_program;
+mod records;
 mod rewrite;
 #[path = "../root.rs"]
 mod root;

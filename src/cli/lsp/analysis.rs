@@ -460,6 +460,13 @@ impl Names {
                 match &decl.definition {
                     TypeDefinition::Subtype(name) | TypeDefinition::Alias(name) => types(self, &[name]),
                     TypeDefinition::Union(names) => types(self, &names.iter().collect::<Vec<_>>()),
+                    TypeDefinition::Record(fields) => {
+                        types(self, &fields.iter().map(|field| &field.ty).collect::<Vec<_>>());
+                    }
+                    TypeDefinition::Branches(branches) => {
+                        let fields = branches.iter().flat_map(|branch| &branch.fields);
+                        types(self, &fields.map(|field| &field.ty).collect::<Vec<_>>());
+                    }
                     TypeDefinition::Faulty => {}
                 }
             }

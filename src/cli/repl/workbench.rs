@@ -19,7 +19,9 @@ use crate::cli::query::Times;
 use crate::config::rule_file;
 use crate::datalog;
 use crate::datalog::codes;
-use crate::datalog::{BaseType, Functor, InputPolicy, Predicate, PredicateId, Rules, Value, Workspace, ast};
+use crate::datalog::{
+    BaseType, Functor, InputPolicy, Predicate, PredicateId, Rules, Value, Workspace, ast, internal::record_source,
+};
 use crate::datalog::{Delta, Limits, Loaded, Preprocessing, Program, RowError, Session, facts};
 use crate::diag::{Diagnostic, SourceId, Sources, Span};
 use crate::symbol::Symbol;
@@ -380,6 +382,8 @@ impl<'s> Workbench<'s> {
             BaseType::Symbol => ast::TermKind::Symbol(self.text(value).to_owned()),
             BaseType::Number => ast::TermKind::Number(i64::from(value.as_number())),
             BaseType::Unsigned => ast::TermKind::Unsigned(value.0),
+            // The tree is only printed.
+            BaseType::Record => ast::TermKind::Variable(record_source(value, self.session.symbols())),
             BaseType::Float if value.as_float().is_finite() => {
                 ast::TermKind::Float(datalog::print_float(value.as_float()))
             }

@@ -29,8 +29,36 @@ pub struct Type {
     pub parent: Option<TypeId>,
     /// The members of a union; empty for other types.
     pub members: Vec<TypeId>,
+    /// What its records look like: one shape for a record type, one for each branch of an algebraic data type; empty for
+    /// other types.
+    pub shapes: Vec<RecordShape>,
     /// The text of the doc comment.
     pub doc: String,
+}
+
+/// The fields of a record.
+#[derive(Clone, Debug, PartialEq, Eq)]
+pub struct RecordShape {
+    /// The name of the branch; `None` for a record type, whose values include `nil`.
+    pub branch: Option<String>,
+    /// The names and types of the fields.
+    pub fields: Vec<(String, TypeId)>,
+}
+
+/// The type of all records; see [`Rules::types`].
+pub(crate) const RECORDS: TypeId = TypeId(4);
+
+/// Returns the shapes of the records of a type; of a subtype, those of its supertype.
+pub(crate) fn shapes(types: &[Type], mut ty: TypeId) -> &[RecordShape] {
+    loop {
+        let Some(found) = types.get(ty.0 as usize) else {
+            return &[];
+        };
+        match found.parent {
+            Some(parent) if found.shapes.is_empty() => ty = parent,
+            _ => return &found.shapes,
+        }
+    }
 }
 
 /// The id of a predicate: its position in [`Rules::predicates`].
@@ -488,7 +516,7 @@ pub struct Stratum {
 /// Checked rules.
 #[derive(Clone, Debug)]
 pub struct Rules {
-    /// The types; the base types come first, in the order of [`BaseType::ALL`].
+    /// The types; the base types come first, in the order of [`BaseType::ALL`], then the type of all records.
     pub types: Vec<Type>,
     /// The predicates in the order of declaration, hidden ones last.
     pub predicates: Vec<Predicate>,

@@ -117,7 +117,7 @@ pub(crate) fn lower(items: &[Item], faults: &mut Faults) -> Option<Lowered> {
                 let parents = match &decl.definition {
                     TypeDefinition::Subtype(parent) | TypeDefinition::Alias(parent) => std::slice::from_ref(parent),
                     TypeDefinition::Union(members) => members,
-                    TypeDefinition::Faulty => &[],
+                    TypeDefinition::Record(_) | TypeDefinition::Branches(_) | TypeDefinition::Faulty => &[],
                 };
                 lowering.parents.insert(&decl.name.text, parents);
             }

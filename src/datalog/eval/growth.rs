@@ -1,7 +1,7 @@
 //! Recursion that derives new values without end.
 //!
 //! ```text
-//! N(x + 1) :- N(x).            A(x - 1) :- B(x).  B(x) :- A(x).            S(cat(x, "a")) :- S(x).
+//! N(x + 1) :- N(x).       A(x - 1) :- B(x).  B(x) :- A(x).       S(cat(x, "a")) :- S(x).       L([1, x]) :- L(x).
 //! ```
 //!
 //! A graph has a node for each column of a recursive predicate and an edge for each way in which a clause passes a value
@@ -102,10 +102,11 @@ fn edges(clause: &Clause, recursive: &BTreeSet<PredicateId>, way: Way) -> Vec<Ed
                 let growth = growth.map(|(way, span, base)| {
                     let name = clause.variables.get(source.index()).map_or("x", String::as_str);
                     let bound = match (way, base) {
-                        (_, BaseType::Symbol) => format!("strlen({name}) < 100"),
-                        (Way::Down, BaseType::Unsigned) => format!("{name} > 0"),
-                        (Way::Down, _) => format!("{name} > -100"),
-                        _ => format!("{name} < 100"),
+                        (_, BaseType::Record) => "`n < 100`, where a column `n` counts the steps".to_owned(),
+                        (_, BaseType::Symbol) => format!("`strlen({name}) < 100`"),
+                        (Way::Down, BaseType::Unsigned) => format!("`{name} > 0`"),
+                        (Way::Down, _) => format!("`{name} > -100`"),
+                        _ => format!("`{name} < 100`"),
                     };
                     (way, Growth { span, bound })
                 });
@@ -182,7 +183,7 @@ fn grows(functor: Functor, base: BaseType, arguments: &[Term]) -> Option<Way> {
     };
     match (functor, arguments) {
         (Functor::Add, _) if base == BaseType::Symbol => Some(Way::Up),
-        (Functor::Cat, _) => Some(Way::Up),
+        (Functor::Cat | Functor::Pack, _) => Some(Way::Up),
         (Functor::Add, [left, right]) => Some(towards(sign(left).or(sign(right)))),
         (Functor::Subtract, [_, right]) => Some(towards(sign(right).map(|down| !down))),
         (Functor::Multiply | Functor::Power, _) => Some(Way::Somewhere),

@@ -632,6 +632,7 @@ impl<const W: usize> Join<'_, W> {
         match *arguments {
             [a] => functor.apply(base, &[slot(a)], self.symbols),
             [a, b] => functor.apply(base, &[slot(a), slot(b)], self.symbols),
+            [a, b, c] => functor.apply(base, &[slot(a), slot(b), slot(c)], self.symbols),
             ref many => {
                 let values: Vec<Value> = many.iter().map(|&at| slot(at)).collect();
                 functor.apply(base, &values, self.symbols)

@@ -111,7 +111,7 @@ impl EvalError {
             return fault
                 .at(clause.span, "in the evaluation of this clause")
                 .also(growth.span, "each round of the recursion computes new values here")
-                .help(format!("bound them, for example with `{}`", growth.bound));
+                .help(format!("bound them, for example with {}", growth.bound));
         }
         let mut fault = fault.at(clause.span, "in the evaluation of this clause");
         if matches!(self, EvalError::TooMuchMemory { .. }) {

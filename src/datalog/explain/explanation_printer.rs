@@ -8,11 +8,12 @@ use crate::diag::Sources;
 use crate::explain::{
     Absence, AbsenceReason, Explanation, Fact, Failure, FailureKind, Miss, Node, NodeId, Obstacle, Origin, Premise,
 };
+use crate::record;
 use crate::symbol::{Symbol, Symbols};
 use crate::syntax::ast::{BaseType, Comparison};
 use crate::syntax::functor::Functor;
 use crate::syntax::quoted;
-use crate::value::Value;
+use crate::value::{Value, record_text};
 use indexmap::IndexSet;
 use serde_json::{Map, json};
 use std::collections::{BTreeMap, HashSet};
@@ -253,6 +254,7 @@ impl<'a> ExplanationPrinter<'a> {
                     BaseType::Float if value.as_float().is_finite() => json!(value.as_float()),
                     // JSON has no infinities and no NaN.
                     BaseType::Float => json!(value.as_float().to_string()),
+                    BaseType::Record => json!(record_text(value, self.symbols)),
                     BaseType::Symbol => json!(self.symbols.resolve(Symbol(value.0)).unwrap_or_default()),
                 };
                 (name.to_owned(), value)
@@ -340,6 +342,7 @@ impl<'a> ExplanationPrinter<'a> {
             BaseType::Number => value.as_number().to_string(),
             BaseType::Unsigned => value.0.to_string(),
             BaseType::Float => crate::value::print_float(value.as_float()),
+            BaseType::Record => record_text(value, self.symbols),
             BaseType::Symbol => {
                 let text = self.symbols.resolve(Symbol(value.0)).unwrap_or_default();
                 let bare = |c: char| c.is_alphanumeric() || "_-.".contains(c);
@@ -476,10 +479,27 @@ impl<'a> ExplanationPrinter<'a> {
                 arguments,
                 ..
             } => {
+                if let (Functor::Unpack, [Term::Constant(shape), Term::Constant(at), whole]) = (functor, &arguments[..])
+                {
+                    let shape = self.symbols.resolve(Symbol(shape.0)).unwrap_or_default();
+                    let mut fields = vec!["_".to_owned(); record::parts(shape).1.len() + 1];
+                    shape.clone_into(&mut fields[0]);
+                    if let Some(field) = fields.get_mut(at.0 as usize + 1) {
+                        *field = self.term(clause, to, *base, binding);
+                    }
+                    let whole = self.term(clause, whole, BaseType::Record, binding);
+                    return format!("{whole} = {}", applied(Functor::Pack, &fields));
+                }
+                let base = &|at: usize| match (functor, arguments.first()) {
+                    (Functor::Pack, Some(Term::Constant(shape))) if at > 0 => {
+                        let shape = self.symbols.resolve(Symbol(shape.0)).unwrap_or_default();
+                        let kind = record::parts(shape).1.get(at - 1);
+                        kind.map_or(BaseType::Symbol, |kind| BaseType::of_kind(*kind))
+                    }
+                    _ => functor.argument_base(*base, at).unwrap_or(*base),
+                };
                 let arguments: Vec<String> = (arguments.iter().enumerate())
-                    .map(|(at, term)| {
-                        self.term(clause, term, functor.argument_base(*base, at).unwrap_or(*base), binding)
-                    })
+                    .map(|(at, term)| self.term(clause, term, base(at), binding))
                     .collect();
                 let to = self.term(clause, to, self.computed_base(clause, literal), binding);
                 format!("{to} = {}", applied(*functor, &arguments))
@@ -584,6 +604,13 @@ fn applied(functor: Functor, arguments: &[String]) -> String {
     let name = functor.name();
     let word = name.starts_with(char::is_alphabetic);
     match (functor, arguments) {
+        (Functor::Pack, [shape, fields @ ..]) => {
+            let fields = fields.join(", ");
+            match record::parts(shape.trim_matches('"')).0 {
+                Some(branch) => format!("${branch}({fields})"),
+                None => format!("[{fields}]"),
+            }
+        }
         (Functor::Negate, [only]) => format!("-({only})"),
         (Functor::BitNot | Functor::Not, [only]) => format!("{name} {only}"),
         (

@@ -366,7 +366,8 @@ impl Marginals {
             Some(words) => words.into(),
             None => {
                 let mut words = Vec::new();
-                encode(predicate, row, &|text| Some(self.symbols.intern(text)), &mut words)?;
+                let symbol = |text: &str| Some(self.symbols.intern(text));
+                encode(predicate, row, &self.program.rules().types, &symbol, &mut words)?;
                 words.into()
             }
         };
@@ -484,7 +485,7 @@ impl Marginals {
                 let draw = columns
                     .zip(words)
                     .fold(draw, |draw, (column, value)| match column.base {
-                        BaseType::Symbol => draw.symbol(symbol_hash(*value, &self.symbols)),
+                        BaseType::Symbol | BaseType::Record => draw.symbol(symbol_hash(*value, &self.symbols)),
                         _ => draw.value(value.0),
                     });
                 session.change_row(to, words, draw.number() < probability);
@@ -544,7 +545,8 @@ impl Marginals {
         let words = match row.words() {
             Some(words) => words,
             None => {
-                encode(declared, &row, &|text| self.symbols.get(text), &mut words).ok()?;
+                let symbol = |text: &str| self.symbols.get(text);
+                encode(declared, &row, &self.program.rules().types, &symbol, &mut words).ok()?;
                 &words
             }
         };

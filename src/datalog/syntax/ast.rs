@@ -110,8 +110,21 @@ pub enum TypeDefinition {
     Alias(Name),
     /// `= a | b`: the values of all members, of which there are at least two.
     Union(Vec<Name>),
+    /// `= [x: number, y: symbol]`: records with these fields, and `nil`.
+    Record(Vec<ColumnDecl>),
+    /// `= A {x: number} | B {}`: an algebraic data type, whose values are records with the name of a branch.
+    Branches(Vec<Branch>),
     /// A definition that the parser reported as faulty. The tree keeps the name to avoid further reports at its uses.
     Faulty,
+}
+
+/// A branch of an algebraic data type: `A {x: number}`.
+#[derive(Clone, Debug, PartialEq, Eq)]
+pub struct Branch {
+    /// The name of the branch.
+    pub name: Name,
+    /// The fields; may be empty.
+    pub fields: Vec<ColumnDecl>,
 }
 
 /// A declaration of one or more predicates with the same columns.
@@ -419,6 +432,9 @@ pub enum TermKind {
     /// A string, with its escapes replaced.
     Symbol(String),
     /// `x + 1`, `cat(x, y)`
+    ///
+    /// A record, too: the first argument of [`Functor::Pack`] is the name of the branch as a symbol, empty for
+    /// `[x, y]`; without arguments it is `nil`.
     Functor(Functor, Vec<Term>),
     /// `as(x, type)`
     Cast(Box<Term>, Name),

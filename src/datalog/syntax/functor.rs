@@ -15,10 +15,13 @@ pub enum BaseType {
     Unsigned,
     /// A single-precision floating-point number.
     Float,
+    /// An interned record, or `nil`.
+    Record,
 }
 
 impl BaseType {
-    /// All base types, in the order in which they open [`Rules::types`](crate::Rules::types).
+    /// The base types that a declaration can name, in the order in which they open
+    /// [`Rules::types`](crate::Rules::types). The type of all records follows them there.
     pub const ALL: [BaseType; 4] = [BaseType::Symbol, BaseType::Number, BaseType::Unsigned, BaseType::Float];
 
     /// Returns the base type that other languages call `name`.
@@ -39,7 +42,25 @@ impl BaseType {
             BaseType::Number => "number",
             BaseType::Unsigned => "unsigned",
             BaseType::Float => "float",
+            BaseType::Record => "record",
         }
+    }
+
+    /// Returns the letter of this type in the shape of a record.
+    pub(crate) fn kind(self) -> u8 {
+        match self {
+            BaseType::Symbol => b's',
+            BaseType::Number => b'n',
+            BaseType::Unsigned => b'u',
+            BaseType::Float => b'f',
+            BaseType::Record => b'r',
+        }
+    }
+
+    /// Returns the type of the fields of a kind.
+    pub(crate) fn of_kind(kind: u8) -> BaseType {
+        let mut all = Self::ALL.into_iter().chain([BaseType::Record]);
+        all.find(|base| base.kind() == kind).unwrap_or(BaseType::Symbol)
     }
 }
 
@@ -81,6 +102,11 @@ pub enum Functor {
     Range,
     /// The alternative that a clause with probabilities draws. The checker makes it.
     Choose,
+    /// `[x, y]`: the record with these fields. The first argument is its shape.
+    Pack,
+    /// A field of a record: the arguments are its shape, the position of the field, and the record. A record of another
+    /// shape has no such field. The base type of the literal is that of the field.
+    Unpack,
 }
 
 use Functor::*;
@@ -95,12 +121,23 @@ pub(crate) enum Shape {
     Fixed(&'static [BaseType], BaseType),
     /// The arguments of [`Functor::Choose`].
     Choice,
+    /// Those of [`Functor::Pack`] and [`Functor::Unpack`], which the shape of the record determines.
+    Record,
 }
 
 const NUMERIC: &[BaseType] = &[BaseType::Number, BaseType::Unsigned, BaseType::Float];
 const INTEGER: &[BaseType] = &[BaseType::Number, BaseType::Unsigned];
 const SIGNED: &[BaseType] = &[BaseType::Number, BaseType::Float];
 const ANY: &[BaseType] = &[BaseType::Number, BaseType::Unsigned, BaseType::Float, BaseType::Symbol];
+
+/// What a cast takes: a record may get another record type.
+const CASTABLE: &[BaseType] = &[
+    BaseType::Number,
+    BaseType::Unsigned,
+    BaseType::Float,
+    BaseType::Symbol,
+    BaseType::Record,
+];
 
 impl Functor {
     /// Every functor with its spelling.
@@ -136,6 +173,8 @@ impl Functor {
         (Cast, "as"),
         (Range, "range"),
         (Choose, "choose"),
+        (Pack, "[...]"),
+        (Unpack, "[...]"),
     ];
 
     /// Returns the spelling of the functor.
@@ -172,7 +211,7 @@ impl Functor {
 
     /// Returns whether the functor can create new symbols.
     pub fn makes_symbol(self) -> bool {
-        matches!(self, Cat | Substring | ToSymbol)
+        matches!(self, Cat | Substring | ToSymbol | Pack)
     }
 
     /// Returns the precedence of an operator, from 1 (loosest) to 11; `None` for functions.
@@ -201,6 +240,8 @@ impl Functor {
             Substring => (3, 3),
             Range => (2, 3),
             Choose => (chance::FIXED, usize::MAX),
+            Pack => (1, usize::MAX),
+            Unpack => (3, 3),
             Length | Ordinal | ToNumber | ToSymbol | ToFloat | ToUnsigned | Cast => (1, 1),
             _ if self.is_prefix() => (1, 1),
             _ => (2, 2),
@@ -224,8 +265,9 @@ impl Functor {
             ToFloat => Shape::Convert(ANY, Float),
             ToUnsigned => Shape::Convert(ANY, Unsigned),
             Choose => Shape::Choice,
+            Pack | Unpack => Shape::Record,
             // The result has the base type of the named type.
-            Cast => Shape::Convert(ANY, Number),
+            Cast => Shape::Convert(CASTABLE, Number),
         }
     }
 }
@@ -237,6 +279,12 @@ impl Functor {
             Shape::Fixed(arguments, _) => arguments.get(at).copied(),
             Shape::Same(_) | Shape::Convert(..) => Some(base),
             Shape::Choice => None,
+            Shape::Record => match (self, at) {
+                (_, 0) => Some(BaseType::Symbol),
+                (Unpack, 1) => Some(BaseType::Unsigned),
+                (Unpack, _) => Some(BaseType::Record),
+                _ => None,
+            },
         }
     }
 
@@ -247,6 +295,8 @@ impl Functor {
             Shape::Same(_) => Some(base),
             Shape::Fixed(_, result) | Shape::Convert(_, result) => Some(result),
             Shape::Choice => Some(BaseType::Number),
+            Shape::Record if self == Unpack => Some(base),
+            Shape::Record => Some(BaseType::Record),
         }
     }
 }

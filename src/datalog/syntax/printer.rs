@@ -33,6 +33,25 @@ impl Display for Item {
                         let members: Vec<&str> = members.iter().map(|member| member.text.as_str()).collect();
                         writeln!(f, "{doc}.type {} = {}", decl.name.text, members.join(" | "))
                     }
+                    TypeDefinition::Record(fields) => {
+                        write!(f, "{doc}.type {} = [", decl.name.text)?;
+                        separated(f, fields, |f, field| {
+                            write!(f, "{}: {}", field.name.text, field.ty.text)
+                        })?;
+                        f.write_str("]\n")
+                    }
+                    TypeDefinition::Branches(branches) => {
+                        write!(f, "{doc}.type {} =", decl.name.text)?;
+                        for (at, branch) in branches.iter().enumerate() {
+                            let bar = if at > 0 { " |" } else { "" };
+                            write!(f, "{bar} {} {{", branch.name.text)?;
+                            separated(f, &branch.fields, |f, field| {
+                                write!(f, "{}: {}", field.name.text, field.ty.text)
+                            })?;
+                            f.write_char('}')?;
+                        }
+                        f.write_char('\n')
+                    }
                     TypeDefinition::Faulty => Ok(()),
                 }
             }
@@ -255,7 +274,20 @@ impl Display for Term {
 }
 
 fn write_functor(f: &mut fmt::Formatter<'_>, functor: Functor, arguments: &[Term]) -> fmt::Result {
+    if let (Functor::Pack, Some((branch, fields))) = (functor, arguments.split_first()) {
+        let (open, close) = match &branch.kind {
+            TermKind::Symbol(branch) if !branch.is_empty() => {
+                write!(f, "${branch}")?;
+                if fields.is_empty() { ("", "") } else { ("(", ")") }
+            }
+            _ => ("[", "]"),
+        };
+        f.write_str(open)?;
+        separated(f, fields, |f, field| write!(f, "{field}"))?;
+        return f.write_str(close);
+    }
     match (functor.precedence(), arguments) {
+        (_, []) if functor == Functor::Pack => f.write_str("nil"),
         // Without parentheses it would parse as a negative number.
         (_, [number])
             if functor == Functor::Negate && matches!(number.kind, TermKind::Number(_) | TermKind::Float(_)) =>

@@ -206,6 +206,7 @@ impl Genome {
                     base,
                     parent: None,
                     members: Vec::new(),
+                    shapes: Vec::new(),
                     doc: String::new(),
                 })
                 .into(),

@@ -10,7 +10,7 @@ use crate::analysis::diff::pair::{Pair, Side};
 use crate::check::{Atom, Clause, Literal, PredicateId, Term, VarId};
 use crate::symbol::Symbol;
 use crate::syntax::ast::BaseType;
-use crate::value::Value;
+use crate::value::{Value, record_text};
 use std::collections::hash_map::DefaultHasher;
 use std::collections::{BTreeMap, BTreeSet, HashMap};
 use std::hash::{Hash, Hasher};
@@ -215,6 +215,7 @@ impl<'a> Forms<'a> {
     /// Returns a constant as text. The two sides number their symbols differently.
     fn constant(&self, value: Value, base: BaseType) -> String {
         match base {
+            BaseType::Record => record_text(value, &self.side.rules.symbols),
             BaseType::Symbol => format!("{:?}", self.side.rules.symbols.resolve(Symbol(value.0))),
             BaseType::Number | BaseType::Unsigned | BaseType::Float => value.0.to_string(),
         }

@@ -34,7 +34,7 @@ use crate::diag::Diagnostic;
 use crate::naive;
 use crate::symbol::{Symbol, Symbols};
 use crate::syntax::ast::BaseType;
-use crate::value::Value;
+use crate::value::{Value, record_text};
 use ground::{BaseFact, Circuit, TooLarge};
 use pair::{Functions, Individual, Output, Pair, ScopeRows, Side};
 use sat::{Lit, Outcome, Solver};
@@ -220,11 +220,11 @@ fn models(pair: &Pair<'_>, entities_max: usize, budget: &mut Remaining) -> Vec<M
     found.take(MODELS_MAX).collect()
 }
 
-/// Returns whether a circuit can represent the rules: without expressions, aggregates, and columns of floats or
-/// unsigned numbers.
+/// Returns whether a circuit can represent the rules: without expressions, aggregates, and columns of floats, unsigned
+/// numbers or records.
 fn has_circuit(rules: &Rules) -> bool {
     let mut columns = rules.predicates.iter().flat_map(|predicate| &predicate.columns);
-    let wide = |base: BaseType| matches!(base, BaseType::Float | BaseType::Unsigned);
+    let wide = |base: BaseType| matches!(base, BaseType::Float | BaseType::Unsigned | BaseType::Record);
     rules.clauses.iter().all(within_theory) && !columns.any(|column| wide(column.base))
 }
 
@@ -644,6 +644,7 @@ fn derived_rows(
         for row in &database[output.ids[number].index()] {
             let shown = (output.columns.iter().zip(row)).map(|(base, value)| match base {
                 BaseType::Number | BaseType::Unsigned | BaseType::Float => value.as_number().to_string(),
+                BaseType::Record => record_text(*value, &symbols),
                 BaseType::Symbol => symbols.resolve(Symbol(value.0)).unwrap_or_default().to_owned(),
             });
             derived.push((output.name.clone(), shown.collect()));

@@ -6,7 +6,7 @@ use crate::codes;
 use crate::diag::{Diagnostic, did_you_mean};
 use crate::symbol::Symbol;
 use crate::syntax::ast::BaseType;
-use crate::value::Value;
+use crate::value::{Value, record_text};
 use std::collections::{BTreeMap, BTreeSet, HashMap, HashSet};
 
 /// Two rule sets, prepared for the search.
@@ -204,6 +204,7 @@ impl Side<'_> {
     pub(super) fn individual(&self, value: Value, base: BaseType) -> Individual {
         match base {
             BaseType::Number | BaseType::Unsigned | BaseType::Float => Individual::Number(value.as_number()),
+            BaseType::Record => Individual::Symbol(record_text(value, &self.rules.symbols)),
             BaseType::Symbol => Individual::Symbol(
                 self.rules
                     .symbols

@@ -8,7 +8,7 @@ use crate::session::Session;
 use crate::symbol::Symbol;
 use crate::syntax::ast::BaseType;
 use crate::syntax::functor::Functor;
-use crate::value::{Value, parse as parse_value, print_float};
+use crate::value::{Value, parse as parse_value, print_float, record_text};
 use std::collections::BTreeSet;
 
 /// The limits of evaluating one scene. A scene that exceeds them is skipped.
@@ -34,7 +34,7 @@ fn print(base: BaseType, value: Value) -> String {
     match base {
         BaseType::Unsigned => value.0.to_string(),
         BaseType::Float => print_float(value.as_float()),
-        BaseType::Number | BaseType::Symbol => value.as_number().to_string(),
+        BaseType::Number | BaseType::Symbol | BaseType::Record => value.as_number().to_string(),
     }
 }
 
@@ -64,6 +64,7 @@ pub(super) fn derived(
         for row in &database[predicate.index()] {
             let shown = output.columns.iter().zip(row).map(|(base, value)| match base {
                 BaseType::Symbol => symbols.resolve(Symbol(value.0)).unwrap_or_default().to_owned(),
+                BaseType::Record => record_text(*value, &symbols),
                 base => print(*base, *value),
             });
             derived.push((output.name.clone(), shown.collect()));
@@ -95,6 +96,8 @@ pub(super) fn named(rules: &Rules, constants: &mut BTreeSet<(BaseType, String)>)
                 let near = [value.as_float() - 1.0, value.as_float(), value.as_float() + 1.0];
                 constants.extend(near.map(|number| (base, print_float(number))));
             }
+            // No fact of a trial has records.
+            BaseType::Record => {}
         }
     };
     let one = Term::Constant(Value::number(1));

@@ -212,7 +212,7 @@ impl<'c> Check<'_, 'c> {
                 OperandKind::Variable(id) => bound.contains(&id),
                 _ => true,
             }),
-            Pending::Atom { .. } | Pending::Compare { .. } => true,
+            Pending::Atom { .. } | Pending::Compare { .. } | Pending::Record { .. } => true,
         }
     }
 
@@ -252,7 +252,10 @@ impl<'c> Check<'_, 'c> {
                             binds.push(*to);
                         }
                     }
-                    Pending::Atom { .. } | Pending::Compare { .. } | Pending::Compute { .. } => {}
+                    Pending::Atom { .. }
+                    | Pending::Compare { .. }
+                    | Pending::Compute { .. }
+                    | Pending::Record { .. } => {}
                 }
                 for id in binds {
                     changed |= bound.insert(id);

@@ -29,6 +29,7 @@ use aggregate::Allowed;
 
 mod aggregate;
 mod range;
+mod record;
 mod safety;
 mod types;
 
@@ -101,7 +102,9 @@ pub(crate) fn check(
         check.derivable(lowered.predicate, clause, head);
     }
     check.join_compared(&pending);
+    check.infer_records(lowered.as_ref(), &pending);
     check.infer(lowered.as_ref(), &pending);
+    let pending = check.directed(pending);
     check.types(head, lowered.as_ref(), &pending);
     check.bindings(head, clause.body.is_empty(), guard, &pending);
 
@@ -271,6 +274,13 @@ pub(crate) enum Pending<'c> {
         ty: Option<TypeId>,
         span: Span,
     },
+    /// `to` is the record with these fields. [`Check::directed`] replaces it.
+    Record {
+        to: VarId,
+        branch: Option<(&'c str, Span)>,
+        fields: Vec<Operand>,
+        span: Span,
+    },
     Aggregate {
         to: VarId,
         op: AggregateOp,
@@ -363,6 +373,18 @@ impl<'c> Check<'_, 'c> {
         id
     }
 
+    /// Creates a variable for a part of the value of another variable.
+    fn unnamed(&mut self, of: VarId, span: Span) -> VarId {
+        let (name, level) = (
+            self.variables[of.index()].name.clone(),
+            self.variables[of.index()].level,
+        );
+        let id = self.new_variable(name, level, span);
+        self.variables[id.index()].count = 2;
+        self.bound.push(false);
+        id
+    }
+
     fn name(&self, id: VarId) -> String {
         match &self.variables[id.index()].name {
             Name::Written(name) => (*name).to_owned(),
@@ -410,6 +432,7 @@ impl<'c> Check<'_, 'c> {
                 OperandKind::Constant(Value::float(text.parse().unwrap_or_default()), BaseType::Float)
             }
             TermKind::Symbol(text) => OperandKind::Constant(Value(self.symbols.intern(text).0), BaseType::Symbol),
+            TermKind::Functor(Functor::Pack, arguments) => self.record(term, arguments, into),
             TermKind::Functor(functor, arguments) => {
                 let arguments = arguments.iter().map(|argument| self.operand(argument, None)).collect();
                 let to = into.unwrap_or_else(|| self.value_of(term));
@@ -425,8 +448,14 @@ impl<'c> Check<'_, 'c> {
             TermKind::Cast(inner, ty) => {
                 let mut argument = self.operand(inner, None);
                 let ty = self.names.type_named(ty);
+                if let (TermKind::Functor(Functor::Pack, _), OperandKind::Variable(id), Some(ty)) =
+                    (&inner.kind, argument.kind, ty)
+                    && self.names.base(ty) == BaseType::Record
+                {
+                    self.narrow(id.index(), Use { ty, span });
+                }
                 if let (OperandKind::Whole(_), Some(base)) = (argument.kind, ty.map(|ty| self.names.base(ty)))
-                    && base != BaseType::Symbol
+                    && !matches!(base, BaseType::Symbol | BaseType::Record)
                 {
                     // `as(2, float)` is 2.0.
                     argument.kind = OperandKind::Constant(self.value(argument, base), base);
@@ -572,6 +601,7 @@ impl<'c> Check<'_, 'c> {
             OperandKind::Nothing => return Term::Wildcard,
             OperandKind::Whole(_) => (None, "a number"),
             OperandKind::Constant(value, BaseType::Symbol) => (Some((value, BaseType::Symbol)), "a symbol"),
+            OperandKind::Constant(value, BaseType::Record) => (Some((value, BaseType::Record)), "`nil`"),
             OperandKind::Constant(value, BaseType::Float) => (Some((value, BaseType::Float)), "a float"),
             OperandKind::Constant(value, BaseType::Number) => (Some((value, BaseType::Number)), "a number"),
             OperandKind::Constant(value, BaseType::Unsigned) => {
@@ -585,10 +615,15 @@ impl<'c> Check<'_, 'c> {
         };
         let wanted = self.names.base(ty);
         match (operand.kind, constant) {
-            (OperandKind::Whole(_), _) if wanted != BaseType::Symbol => {
+            (OperandKind::Whole(_), _) if !matches!(wanted, BaseType::Symbol | BaseType::Record) => {
                 return Term::Constant(self.value(operand, wanted));
             }
-            (_, Some((value, base))) if base == wanted => return Term::Constant(value),
+            (_, Some((value, base))) if base == wanted => {
+                if base == BaseType::Record {
+                    self.check_nil(ty, term.place.0);
+                }
+                return Term::Constant(value);
+            }
             _ => {}
         }
         let message = format!("expected a value of type `{}`, found {found}", self.names.type_name(ty));
@@ -612,7 +647,7 @@ impl<'c> Check<'_, 'c> {
         let value = match base {
             BaseType::Unsigned => u32::try_from(number).ok().map(Value),
             BaseType::Float => Some(Value::float(number as f32)),
-            BaseType::Number | BaseType::Symbol => i32::try_from(number).ok().map(Value::number),
+            BaseType::Number | BaseType::Symbol | BaseType::Record => i32::try_from(number).ok().map(Value::number),
         };
         value.unwrap_or_else(|| {
             let range = match base {
@@ -700,11 +735,11 @@ impl<'c> Check<'_, 'c> {
                 });
             }
             ast::Literal::Compare { op, left, right, place } => {
-                let is_value = |term: &ast::Term| {
-                    matches!(
-                        term.kind,
-                        TermKind::Functor(..) | TermKind::Cast(..) | TermKind::Aggregate(_)
-                    )
+                let is_value = |term: &ast::Term| match &term.kind {
+                    // `nil` is a constant.
+                    TermKind::Functor(functor, arguments) => *functor != Functor::Pack || !arguments.is_empty(),
+                    TermKind::Cast(..) | TermKind::Aggregate(_) => true,
+                    _ => false,
                 };
                 let is_variable = |term: &ast::Term| matches!(term.kind, TermKind::Variable(_));
                 if *op == Comparison::Equal {
@@ -833,6 +868,21 @@ impl<'c> Check<'_, 'c> {
                 let bases: Vec<BaseType> = match functor.shape() {
                     Shape::Fixed(bases, _) => bases.to_vec(),
                     Shape::Choice => return Some(self.choice(*to, arguments, *span)),
+                    Shape::Record => {
+                        let base = match functor {
+                            Functor::Unpack => self.base_of_variable(*to).unwrap_or(BaseType::Record),
+                            _ => BaseType::Record,
+                        };
+                        return Some(Literal::Compute {
+                            to: Term::Variable(*to),
+                            functor: *functor,
+                            base,
+                            arguments: (arguments.iter())
+                                .map(|&argument| self.finished(argument, base))
+                                .collect(),
+                            span: *span,
+                        });
+                    }
                     _ => vec![base; arguments.len()],
                 };
                 Literal::Compute {
@@ -845,14 +895,17 @@ impl<'c> Check<'_, 'c> {
                     span: *span,
                 }
             }
-            Pending::Aggregate { .. } => return None,
+            Pending::Aggregate { .. } | Pending::Record { .. } => return None,
         })
     }
 
     /// Returns the choice of an alternative, with the types of the values that it is about.
     fn choice(&mut self, to: VarId, arguments: &[Operand], span: Span) -> Literal {
         let values = chance::FIXED + types::probabilities(arguments).len();
-        let is_symbol = |operand: &Operand| self.base_of(*operand) == Some(BaseType::Symbol);
+        let is_symbol = |operand: &Operand| {
+            let base = self.base_of(*operand);
+            matches!(base, Some(BaseType::Symbol | BaseType::Record))
+        };
         let symbols = (arguments[values..].iter().zip(0..chance::VALUES_MAX))
             .map(|(operand, at)| u32::from(is_symbol(operand)) << at)
             .fold(0, |all, bit| all | bit);

@@ -11,7 +11,7 @@ use crate::check::body::{Check, Name, Operand, OperandKind, Pending, Variable};
 use crate::check::clauses::{Guard, reads_as_constant};
 
 impl<'c> Check<'_, 'c> {
-    fn is_bound(&self, operand: Operand) -> bool {
+    pub(super) fn is_bound(&self, operand: Operand) -> bool {
         match operand.kind {
             OperandKind::Variable(id) => self.bound[id.index()],
             _ => true,
@@ -102,6 +102,10 @@ impl<'c> Check<'_, 'c> {
                     arguments.iter().for_each(|&argument| operand(argument, each));
                     each(*to, self);
                 }
+                Pending::Record { to, fields, .. } => {
+                    fields.iter().for_each(|&field| operand(field, each));
+                    each(*to, self);
+                }
                 Pending::Aggregate { to, target, body, .. } => {
                     each(*to, self);
                     self.each_variable(body, *target, each);
@@ -129,7 +133,7 @@ impl<'c> Check<'_, 'c> {
         self.report_unbound(head, is_fact, guard, |_| true);
     }
 
-    fn bind_all(&mut self, pending: &[Pending<'c>]) {
+    pub(super) fn bind_all(&mut self, pending: &[Pending<'c>]) {
         let mut changed = true;
         while std::mem::take(&mut changed) {
             for pending in pending {
@@ -282,7 +286,7 @@ impl<'c> Check<'_, 'c> {
 fn mark_computed(pending: &[Pending<'_>], computed: &mut [bool]) {
     for pending in pending {
         match pending {
-            Pending::Compute { to, .. } => computed[to.index()] = true,
+            Pending::Compute { to, .. } | Pending::Record { to, .. } => computed[to.index()] = true,
             Pending::Aggregate { to, body, .. } => {
                 computed[to.index()] = true;
                 mark_computed(body, computed);

@@ -75,7 +75,7 @@ impl<'c> Check<'_, 'c> {
                         self.join(result, *target, *span);
                     }
                 }
-                Pending::Atom { .. } | Pending::Compute { .. } => {}
+                Pending::Atom { .. } | Pending::Compute { .. } | Pending::Record { .. } => {}
             }
         }
     }
@@ -147,7 +147,7 @@ impl<'c> Check<'_, 'c> {
     }
 
     /// Returns the place that determines the type of a variable.
-    fn origin(&self, id: VarId) -> Option<Span> {
+    pub(super) fn origin(&self, id: VarId) -> Option<Span> {
         let group = &self.variables[self.group(id.index())];
         let narrowest = group.narrowest.map(|narrowest| narrowest.span);
         narrowest.or(group.base.map(|(_, span)| span))
@@ -210,6 +210,7 @@ impl<'c> Check<'_, 'c> {
                         Comparison::Match | Comparison::NotMatch | Comparison::Contains | Comparison::NotContains => {
                             &[BaseType::Symbol]
                         }
+                        Comparison::Equal | Comparison::NotEqual => EQUAL,
                         _ => &BaseType::ALL,
                     };
                     out.push(Tie::new(TieKind::Compare, &[*left, *right], allowed, *span));
@@ -235,6 +236,8 @@ impl<'c> Check<'_, 'c> {
                                 out.push(Tie::new(kind, &[result], only(base), *span));
                             }
                         }
+                        // `directed` makes these literals later.
+                        Shape::Record => {}
                         Shape::Choice => {
                             for &argument in probabilities(arguments) {
                                 out.push(Tie::new(
@@ -253,6 +256,11 @@ impl<'c> Check<'_, 'c> {
                             out.push(Tie::new(kind, &[result], only(base), *span));
                         }
                     }
+                }
+                Pending::Record { to, span, .. } => {
+                    let result = Operand::variable(*to, *span);
+                    let kind = TieKind::Functor(Functor::Pack.name());
+                    out.push(Tie::new(kind, &[result], only(BaseType::Record), *span));
                 }
                 Pending::Aggregate {
                     to,
@@ -464,7 +472,7 @@ impl<'c> Check<'_, 'c> {
             (OperandKind::Constant(value, BaseType::Symbol), _) => {
                 let text = self.symbols.resolve(Symbol(value.0))?;
                 let fits = match base {
-                    BaseType::Symbol => false,
+                    BaseType::Symbol | BaseType::Record => false,
                     BaseType::Number => text.parse::<i32>().is_ok(),
                     BaseType::Unsigned => text.parse::<u32>().is_ok(),
                     BaseType::Float => text.parse::<f32>().is_ok_and(f32::is_finite),
@@ -510,10 +518,16 @@ impl<'c> Check<'_, 'c> {
                         if let (OperandKind::Variable(id), Some(base)) = (side.kind, self.base_of(*other)) {
                             self.variables[id.index()].compared = Some(Names::base_type(base));
                         }
+                        if let (OperandKind::Constant(_, BaseType::Record), Some(id)) =
+                            (side.kind, self.variable_of(*other))
+                            && let VariableType::Type(ty) = self.type_of(id)
+                        {
+                            self.check_nil(ty, side.span);
+                        }
                     }
                 }
                 Pending::Aggregate { body, .. } => self.types_of(body),
-                Pending::Atom { .. } | Pending::Compute { .. } => {}
+                Pending::Atom { .. } | Pending::Compute { .. } | Pending::Record { .. } => {}
             }
         }
     }
@@ -614,6 +628,15 @@ pub(super) fn probabilities(arguments: &[Operand]) -> &[Operand] {
     &arguments[chance::FIXED..chance::FIXED + count]
 }
 
+/// The base types whose values `=` compares.
+const EQUAL: &[BaseType] = &[
+    BaseType::Symbol,
+    BaseType::Number,
+    BaseType::Unsigned,
+    BaseType::Float,
+    BaseType::Record,
+];
+
 /// Returns the list of just one base type.
 fn only(base: BaseType) -> &'static [BaseType] {
     match base {
@@ -621,5 +644,6 @@ fn only(base: BaseType) -> &'static [BaseType] {
         BaseType::Number => &[BaseType::Number],
         BaseType::Unsigned => &[BaseType::Unsigned],
         BaseType::Float => &[BaseType::Float],
+        BaseType::Record => &[BaseType::Record],
     }
 }

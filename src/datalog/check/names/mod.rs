@@ -9,7 +9,9 @@ use crate::diag::{self, Diagnostic, Faults, Span, counted, did_you_mean};
 use crate::eqrel::EQREL;
 
 use crate::check::InputPolicy;
-use crate::check::rules::{Column, Directive, Predicate, PredicateId, RowFormat, RowPlace, Type, TypeId};
+use crate::check::rules::{
+    self, Column, Directive, Predicate, PredicateId, RECORDS, RecordShape, RowFormat, RowPlace, Type, TypeId,
+};
 use crate::syntax::ast::BaseType;
 use crate::syntax::ast::{Decl, Item, Mark, MarkKind, Name, Pragma};
 use crate::syntax::include::Offered;
@@ -135,6 +137,7 @@ impl Names {
         match base {
             BaseType::Symbol => TypeId(0),
             BaseType::Number => TypeId(1),
+            BaseType::Record => RECORDS,
             BaseType::Unsigned => TypeId(2),
             BaseType::Float => TypeId(3),
         }
@@ -169,6 +172,17 @@ impl Names {
 
     pub fn base(&self, id: TypeId) -> BaseType {
         self.types[id.0 as usize].base
+    }
+
+    /// Returns the shapes of the records of a type.
+    pub fn shapes(&self, id: TypeId) -> &[RecordShape] {
+        rules::shapes(&self.types, id)
+    }
+
+    /// Returns the names of the types that a declaration can name.
+    fn type_names(&self) -> impl Iterator<Item = &str> {
+        let nameable = |ty: &&Type| self.type_by_name.contains_key(&ty.name);
+        self.types.iter().filter(nameable).map(|ty| ty.name.as_str())
     }
 
     /// Returns whether every value of type `sub` has type `sup`.
@@ -369,7 +383,7 @@ impl Names {
         for (index, (name, uses)) in unknown.types.iter().enumerate() {
             let fault = Diagnostic::new(codes::UNKNOWN_TYPE, format!("no type `{name}` is declared"));
             let mut fault = with_uses(fault, uses);
-            let candidates = self.types.iter().map(|ty| ty.name.as_str());
+            let candidates = self.type_names();
             let near = suggestion(index, name, candidates);
             fault = match near {
                 Some(near) => {
@@ -390,7 +404,7 @@ impl Names {
                         fault.help(title.clone()).fix(title, edits)
                     }
                     None => {
-                        let known: Vec<String> = self.types.iter().map(|ty| format!("`{}`", ty.name)).collect();
+                        let known: Vec<String> = self.type_names().map(|name| format!("`{name}`")).collect();
                         let own = format!("declare it: `.type {name} <: symbol`");
                         match known.len() {
                             0 | 9.. => fault.help(own),

@@ -1,11 +1,11 @@
 //! Declarations of types: subtypes, unions and aliases.
 
 use crate::check::names::{Names, remember};
-use crate::check::rules::{Type, TypeId};
+use crate::check::rules::{RECORDS, RecordShape, Type, TypeId};
 use crate::codes;
 use crate::diag::{self, Diagnostic, Faults, Span};
 use crate::syntax::ast::BaseType;
-use crate::syntax::ast::{Item, Name, TypeDecl, TypeDefinition};
+use crate::syntax::ast::{ColumnDecl, Item, Name, TypeDecl, TypeDefinition};
 use std::collections::{HashMap, HashSet};
 
 /// Maximum length of a chain of subtypes.
@@ -19,6 +19,9 @@ impl Names {
         for base in BaseType::ALL {
             self.add_type(base.name(), base, None, String::new());
         }
+        // No declaration can name it.
+        self.add_type(BaseType::Record.name(), BaseType::Record, None, String::new());
+        self.type_by_name.remove(BaseType::Record.name());
         let mut declared: Vec<&TypeDecl> = Vec::new();
         let mut first: HashMap<&str, &TypeDecl> = HashMap::new();
         for item in items {
@@ -44,7 +47,8 @@ impl Names {
         }
         // Every type gets its number before parents are resolved, so that declarations may come in any order.
         for decl in &declared {
-            if let TypeDefinition::Subtype(_) | TypeDefinition::Union(_) = decl.definition {
+            let is_new = !matches!(decl.definition, TypeDefinition::Alias(_) | TypeDefinition::Faulty);
+            if is_new {
                 let id = self.add_type(
                     &decl.name.text,
                     BaseType::Symbol,
@@ -56,7 +60,10 @@ impl Names {
         }
         for decl in &declared {
             match &decl.definition {
-                TypeDefinition::Subtype(_) | TypeDefinition::Union(_) => {}
+                TypeDefinition::Subtype(_)
+                | TypeDefinition::Union(_)
+                | TypeDefinition::Record(_)
+                | TypeDefinition::Branches(_) => {}
                 TypeDefinition::Alias(_) => {
                     let target = self.alias_target(decl, &first, faults);
                     self.type_by_name.insert(decl.name.text.clone(), target);
@@ -88,6 +95,7 @@ impl Names {
                 self.types[id.0 as usize].members = known;
             }
         }
+        self.declare_shapes(&declared, &mut faulty, faults);
         self.refuse_subtypes_of_unions(&declared, &mut faulty, faults);
         self.settle_parents(&mut faulty, faults);
         self.settle_unions(&declared, &mut faulty, faults);
@@ -107,11 +115,50 @@ impl Names {
             base,
             parent: None,
             members: Vec::new(),
+            shapes: Vec::new(),
             doc,
         });
         self.type_spans.push(span);
         self.type_by_name.insert(name.to_owned(), Some(id));
         id
+    }
+
+    /// Resolves the fields of record types and of the branches of algebraic data types.
+    fn declare_shapes(&mut self, declared: &[&TypeDecl], faulty: &mut [bool], faults: &mut Faults) {
+        for decl in declared {
+            let shapes: Vec<(Option<&Name>, &[ColumnDecl])> = match &decl.definition {
+                TypeDefinition::Record(fields) => vec![(None, fields)],
+                TypeDefinition::Branches(branches) => (branches.iter())
+                    .map(|branch| (Some(&branch.name), branch.fields.as_slice()))
+                    .collect(),
+                _ => continue,
+            };
+            let Some(id) = self.type_by_name[&decl.name.text] else {
+                continue;
+            };
+            let mut found = Vec::new();
+            for (branch, fields) in shapes {
+                for (at, field) in fields.iter().enumerate() {
+                    let name = &field.name;
+                    if let Some(earlier) = fields[..at].iter().find(|earlier| earlier.name.text == name.text) {
+                        let message = format!("two fields are called `{}`", name.text);
+                        let fault = Diagnostic::new(codes::DUPLICATE_DECLARATION, message)
+                            .at(name.place.0, "again here")
+                            .also(earlier.name.place.0, "first here");
+                        faults.push(fault.help("rename one of them"));
+                    }
+                }
+                let known = |field: &ColumnDecl| Some((field.name.text.clone(), self.type_named(&field.ty)?));
+                let resolved: Vec<(String, TypeId)> = fields.iter().filter_map(known).collect();
+                faulty[id.0 as usize] |= resolved.len() < fields.len();
+                found.push(RecordShape {
+                    branch: branch.map(|branch| branch.text.clone()),
+                    fields: resolved,
+                });
+            }
+            self.types[id.0 as usize].parent = Some(RECORDS);
+            self.types[id.0 as usize].shapes = found;
+        }
     }
 
     /// Follows a chain of aliases to a type.
@@ -173,9 +220,10 @@ impl Names {
     fn settle_parents(&mut self, faulty: &mut [bool], faults: &mut Faults) {
         // 0: not visited; otherwise the distance from the base type, plus one.
         let mut depth = vec![0_usize; self.types.len()];
-        depth[..BaseType::ALL.len()].fill(1);
+        let bases = RECORDS.0 as usize + 1;
+        depth[..bases].fill(1);
         let mut reported_on = vec![usize::MAX; self.types.len()];
-        for start in BaseType::ALL.len()..self.types.len() {
+        for start in bases..self.types.len() {
             let mut path = Vec::new();
             let mut at = start;
             while depth[at] == 0 && !faulty[at] && reported_on[at] != start {

@@ -26,7 +26,7 @@ use crate::diag::{Diagnostic, Sources, Span, counted};
 use crate::symbol::Symbol;
 use crate::syntax::ast::{BaseType, Comparison};
 use crate::syntax::quoted;
-use crate::value::Value;
+use crate::value::{Value, record_text};
 use saturate::Knowledge;
 use std::borrow::Cow;
 use std::collections::{BTreeMap, BTreeSet};
@@ -519,6 +519,7 @@ fn shown_term(rules: &Rules, clause: &Clause, term: &Term, base: BaseType) -> St
             BaseType::Number => value.as_number().to_string(),
             BaseType::Unsigned => value.0.to_string(),
             BaseType::Float => crate::value::print_float(value.as_float()),
+            BaseType::Record => record_text(value, &rules.symbols),
             BaseType::Symbol => quoted(rules.symbols.resolve(Symbol(value.0)).unwrap_or_default()),
         },
     }

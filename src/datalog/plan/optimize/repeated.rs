@@ -258,5 +258,8 @@ fn word(literal: &Literal, names: &mut Names) -> Word {
 }
 
 fn base_number(base: BaseType) -> u64 {
-    BaseType::ALL.iter().position(|other| *other == base).unwrap_or(0) as u64
+    BaseType::ALL
+        .iter()
+        .position(|other| *other == base)
+        .unwrap_or(BaseType::ALL.len()) as u64
 }

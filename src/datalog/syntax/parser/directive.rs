@@ -10,8 +10,7 @@ use crate::syntax::ast::{
 use crate::syntax::lexer::{Kind, Token};
 
 use crate::syntax::parser::{
-    BRANCHES, DIRECTIVES, FOREIGN_DIRECTIVES, FUNCTORS, LATTICES, MAX_NESTING, OLD_TYPES, Parse, Parser, RECORDS,
-    Reported,
+    BRANCHES, DIRECTIVES, FOREIGN_DIRECTIVES, FUNCTORS, LATTICES, MAX_NESTING, OLD_TYPES, Parse, Parser, Reported,
 };
 
 /// The qualifiers of Soufflé that the parser accepts after the columns of a declaration.
@@ -535,6 +534,31 @@ impl Parser<'_> {
         }
     }
 
+    /// Parses the fields of a record up to the bracket or brace that closes them.
+    fn fields(&mut self, close: Kind) -> Parse<Vec<ColumnDecl>> {
+        let mut fields = Vec::new();
+        if self.eat(close) {
+            return Ok(fields);
+        }
+        loop {
+            let name = self.name("a field's name")?;
+            if !self.eat(Kind::Colon) {
+                return Err(self.expected("`:` and the field's type"));
+            }
+            let ty = self.qualified("a type")?;
+            fields.push(ColumnDecl { name, ty });
+            if self.eat(close) {
+                return Ok(fields);
+            }
+            if !self.eat(Kind::Comma) {
+                return Err(self.expected(match close {
+                    Kind::RBracket => "`,` or `]`",
+                    _ => "`,` or `}`",
+                }));
+            }
+        }
+    }
+
     /// Returns the help for a declaration whose columns, after the parenthesis at token `open`, lack their types.
     /// `None` if they are more than names.
     fn with_types(&self, of: &str, open: usize) -> Option<String> {
@@ -664,11 +688,8 @@ impl Parser<'_> {
         if !self.eat(Kind::Equal) {
             return Err(self.expected("`<:` or `=` and a type"));
         }
-        let token = self.token();
-        if token.kind == Kind::LBracket {
-            self.skip_group(Kind::LBracket, Kind::RBracket, false);
-            self.unsupported(self.span(token), "record types are", RECORDS);
-            return Ok(TypeDefinition::Faulty);
+        if self.eat(Kind::LBracket) {
+            return Ok(TypeDefinition::Record(self.fields(Kind::RBracket)?));
         }
         let mut members = Vec::new();
         loop {

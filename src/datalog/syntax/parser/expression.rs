@@ -8,7 +8,7 @@ use crate::syntax::lexer::{Kind, Token};
 use core::net::Ipv4Addr;
 
 use crate::syntax::parser::clause::comparison;
-use crate::syntax::parser::{BRANCHES, FUNCTORS, NESTED, NUMBERED, Parse, Parser, RECORDS, Reported};
+use crate::syntax::parser::{BRANCHES, FUNCTORS, NUMBERED, Parse, Parser, Reported};
 
 /// Maximum height of an expression: an operator or function is one level above its highest operand.
 const MAX_HEIGHT: usize = 256;
@@ -156,6 +156,7 @@ impl Parser<'_> {
             (Some(functor), _) => self.prefixed(functor)?,
             (None, Kind::LParen) => return self.parenthesis(),
             (None, Kind::Ident) => self.word()?,
+            (None, Kind::LBracket) => self.record()?,
             (None, _) => (self.constant()?, 0),
         };
         let place = self.place_from(start);
@@ -209,13 +210,13 @@ impl Parser<'_> {
         if self.is_aggregate() {
             return Ok((self.aggregate()?, 0));
         }
-        if word == "nil" || self.ahead(1).kind == Kind::LBracket {
-            let (what, help) = if word == "nil" {
-                ("nil", NESTED)
-            } else {
-                ("[...]", RECORDS)
-            };
-            return Err(self.unsupported(self.span(start), &format!("records (`{what}`) are"), help));
+        if word == "nil" {
+            self.bump();
+            return Ok((TermKind::Functor(Functor::Pack, Vec::new()), 0));
+        }
+        if self.ahead(1).kind == Kind::LBracket {
+            let help = "write `[x, y]`: the column determines the type; elsewhere, write `as([x, y], Pair)`";
+            return Err(self.unsupported(self.span(start), "names before records (`Pair[...]`) are", help));
         }
         if !applied {
             self.bump();
@@ -312,7 +313,6 @@ impl Parser<'_> {
             return Err(self.asp_aggregate());
         }
         let foreign = match token.kind {
-            Kind::LBracket => Some(("records (`[...]`) are", RECORDS)),
             Kind::Dollar if self.ahead(1).kind == Kind::Ident => Some(("algebraic data types (`$`) are", BRANCHES)),
             Kind::Dollar => Some(("counters (`$`) are", NUMBERED)),
             Kind::At => Some(("user-defined functors (`@`) are", FUNCTORS)),
@@ -378,6 +378,42 @@ impl Parser<'_> {
         }
         let height = self.higher(start, height)?;
         Ok((TermKind::Functor(functor, arguments), height))
+    }
+
+    /// `[x, y]`
+    fn record(&mut self) -> Parse<(TermKind, usize)> {
+        let start = self.token();
+        let outside = self.nesting;
+        self.deeper()?;
+        self.bump();
+        let branch = Term {
+            kind: TermKind::Symbol(String::new()),
+            place: self.place_from(start),
+        };
+        let (fields, height) = self.fields_of(branch, Kind::RBracket, "`,` or `]`")?;
+        self.nesting = outside;
+        let height = self.higher(start, height)?;
+        Ok((TermKind::Functor(Functor::Pack, fields), height))
+    }
+
+    /// Parses the fields of a record up to the token that closes them. Returns them behind the branch, and their height.
+    fn fields_of(&mut self, branch: Term, close: Kind, ends: &str) -> Parse<(Vec<Term>, usize)> {
+        let mut fields = vec![branch];
+        let mut height = 0;
+        if self.eat(close) {
+            return Ok((fields, height));
+        }
+        loop {
+            let (field, own) = self.expression(0)?;
+            fields.push(field);
+            height = height.max(own);
+            if self.eat(close) {
+                return Ok((fields, height));
+            }
+            if !self.eat(Kind::Comma) {
+                return Err(self.expected(ends));
+            }
+        }
     }
 
     /// `as(x, type)`

@@ -54,13 +54,6 @@ pub const DIRECTIVES: &[&str] = &[
 /// Help for what only the C preprocessor understands.
 const EXPAND: &str = "`check`, `query` and `repl` follow them without the option `--no-preprocessor`; `fmt` formats no file that has them";
 
-/// Help for records.
-const RECORDS: &str = "give each field a column of its own: `At(x, row, col)` in place of `At(x, [row, col])`";
-
-/// Help for values that have records as parts, of any depth.
-const NESTED: &str =
-    "name each value by a constant and keep its parts in a predicate, such as `Cell(list, first, rest)`";
-
 /// Help for algebraic data types.
 const BRANCHES: &str = "keep the values of each branch in a predicate, such as `Circle(shape, radius)`";
 
