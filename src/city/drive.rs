@@ -3,7 +3,8 @@
 //! A car drives along its lane to the connection that it takes, and may change into the lane beside it. A route is a
 //! sequence of stages; a stage is a lane and the cell where the car enters it.
 
-use crate::city::network::{Direction, RoadMap, Spot};
+use crate::city::network::Direction;
+use crate::city::road_map::{RoadMap, Spot};
 use crate::city::route::{NoRoute, Route, TURN_COST, Way, steps};
 use crate::city::{Agent, Cell, Routing, Side, Turn};
 use pathfinding::directed::astar::astar;

@@ -4,7 +4,7 @@
 //! edges of the world. Two streets meet at an intersection, except at the four corners of the world.
 
 use crate::city::codes;
-use crate::city::network::RoadMap;
+use crate::city::road_map::RoadMap;
 use crate::city::zone;
 use crate::city::{Blocks, Building, Buildings, MapConfig, Terrain, Widths};
 use crate::city::{CityMap, Layout};

@@ -3,7 +3,8 @@
 
 #[cfg(feature = "cli")]
 use crate::city::network::Point;
-use crate::city::network::{Network, RoadMap, Sign};
+use crate::city::network::{Network, Sign};
+use crate::city::road_map::RoadMap;
 use crate::city::square::{BUILDING, CAR_AT, INSIDE, MID_LINE, NODE, PEDESTRIAN_AT, Square};
 use crate::city::{AgentKind, Building, Widths};
 use crate::city::{Area, Rectangle};

@@ -20,6 +20,7 @@ mod model;
 mod motion;
 mod network;
 mod places;
+mod road_map;
 mod roads;
 mod route;
 mod signal;
@@ -42,13 +43,13 @@ pub use model::{
 };
 pub use motion::{MoveReason, Moved, Surroundings, advance, possible_cells};
 pub(crate) use network::LIMIT_MAX;
-#[cfg(feature = "cli")]
-pub(crate) use network::distance;
-pub use network::{Connection, Direction, LaneUse, Network, Point, RoadJunction, RoadLane, Sign};
+pub use network::{Connection, Direction, LaneUse, Network, Point, RightOfWay, RoadJunction, RoadLane, Sign};
 pub use places::Places;
+#[cfg(feature = "cli")]
+pub(crate) use road_map::distance;
 pub use roads::{Lane, Router};
 pub use route::{NoRoute, Route, corners};
-pub use signal::{Aspect, Light, Phase, RightOfWay, Signal, SignalLink, WORDS};
+pub use signal::{Aspect, Light, Phase, Signal, SignalLink};
 pub use square::{Ground, Junction};
 pub(crate) use view::view_reach;
 pub use view::{FieldOfView, field_of_view};

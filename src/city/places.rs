@@ -4,7 +4,7 @@
 //! consists of bands of equal rows. The number of places in each band of each row of blocks determines the place with a
 //! given number.
 
-use crate::city::network::RoadMap;
+use crate::city::road_map::RoadMap;
 use crate::city::{AgentKind, Building, Ground};
 use crate::city::{Cell, CityMap, Layout, NoRoute, Rectangle, Region, Route, Router, TripEnds};
 use crate::rng::{Rng, RngExt};

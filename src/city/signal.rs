@@ -1,6 +1,5 @@
-//! What says who goes at junctions: signals, and the right of way of connections.
+//! Signals: programs of lights at junctions.
 
-use crate::city::Heading;
 use serde::Serialize;
 
 /// The light of a signal for a connection.
@@ -118,49 +117,10 @@ pub struct SignalLink {
     pub link: u32,
 }
 
-/// Which of two cars must let the other go first.
-#[derive(Clone, Copy, Debug, PartialEq, Eq)]
-pub enum RightOfWay {
-    /// The first must yield.
-    Yields,
-    /// The second must yield.
-    First,
-    /// Each must yield to the other.
-    Mutual,
-}
-
-impl RightOfWay {
-    /// All values.
-    pub const ALL: [RightOfWay; 3] = [RightOfWay::Yields, RightOfWay::First, RightOfWay::Mutual];
-
-    /// Returns its name in rules, scenes and traces.
-    pub const fn name(self) -> &'static str {
-        match self {
-            RightOfWay::Yields => "yields",
-            RightOfWay::First => "first",
-            RightOfWay::Mutual => "mutual",
-        }
-    }
-}
-
 /// Returns the light of several connections together: the one with which a car drives on.
 pub(super) fn together(lights: impl Iterator<Item = Light>) -> Option<Light> {
     lights.max_by_key(|light| *light as u8)
 }
-
-/// The words that are values of quantities: the names of the headings, of the lights, and of rights of way.
-pub const WORDS: [&str; 10] = [
-    Heading::Left.name(),
-    Heading::Right.name(),
-    Heading::Up.name(),
-    Heading::Down.name(),
-    Light::Red.name(),
-    Light::Yellow.name(),
-    Light::Green.name(),
-    RightOfWay::Yields.name(),
-    RightOfWay::First.name(),
-    RightOfWay::Mutual.name(),
-];
 
 #[cfg(test)]
 mod tests {

@@ -2,7 +2,7 @@
 //!
 //! A quantity has at most one value for the agents before it.
 
-use crate::city::{Agent, AgentKind, CityMap, Heading, Light, RightOfWay, WORDS};
+use crate::city::{Agent, AgentKind, CityMap, Heading, Light, RightOfWay};
 #[cfg(test)]
 use crate::predicate::Definition;
 use crate::predicate::{Phrase, PredicateKind, Subject, Syntax};
@@ -60,38 +60,63 @@ pub enum Unit {
     Number,
     /// A number with single precision.
     Float,
-    /// The name of a heading: `Left`, `Right`, `Up` or `Down`.
-    Heading,
-    /// The name of a light: `red`, `yellow` or `green`.
-    Light,
-    /// `yields`, `first` or `mutual`.
-    RightOfWay,
+    /// One of some words.
+    Word(Words),
 }
 
-/// The positions in [`WORDS`] at which the words of units begin; the headings are first.
-const LIGHTS: u32 = Heading::ALL.len() as u32;
-const RIGHTS_OF_WAY: u32 = LIGHTS + Light::ALL.len() as u32;
+/// The words that are values of a quantity.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub enum Words {
+    /// The names of headings: `Left`, `Right`, `Up` and `Down`.
+    Headings,
+    /// The names of lights: `red`, `yellow` and `green`.
+    Lights,
+    /// `yields`, `first` and `mutual`.
+    RightsOfWay,
+}
 
-impl Unit {
-    /// Returns the positions of its values in [`WORDS`](crate::city::WORDS); none for numbers.
-    pub(crate) const fn words(self) -> Range<u32> {
+/// All words that are values of quantities.
+pub(crate) const WORDS: [&str; 10] = [
+    Heading::Left.name(),
+    Heading::Right.name(),
+    Heading::Up.name(),
+    Heading::Down.name(),
+    Light::Red.name(),
+    Light::Yellow.name(),
+    Light::Green.name(),
+    RightOfWay::Yields.name(),
+    RightOfWay::First.name(),
+    RightOfWay::Mutual.name(),
+];
+
+impl Words {
+    /// Returns their positions in [`WORDS`].
+    pub(crate) const fn range(self) -> Range<u32> {
         match self {
-            Unit::Number | Unit::Float => 0..0,
-            Unit::Heading => 0..LIGHTS,
-            Unit::Light => LIGHTS..RIGHTS_OF_WAY,
-            Unit::RightOfWay => RIGHTS_OF_WAY..WORDS.len() as u32,
+            Words::Headings => 0..4,
+            Words::Lights => 4..7,
+            Words::RightsOfWay => 7..10,
         }
     }
 
-    /// Returns the names of its values; none for numbers.
+    /// Returns what one of them is, for messages.
+    pub(crate) const fn what(self) -> &'static str {
+        match self {
+            Words::Headings => "heading",
+            Words::Lights => "light",
+            Words::RightsOfWay => "right of way",
+        }
+    }
+
+    /// Returns the words.
     pub(crate) fn names(self) -> &'static [&'static str] {
-        let Range { start, end } = self.words();
+        let Range { start, end } = self.range();
         &WORDS[start as usize..end as usize]
     }
 
-    /// Returns the position in [`WORDS`](crate::city::WORDS) of the value with this name.
-    pub(crate) fn word(self, name: &str) -> Option<u32> {
-        self.words().find(|word| WORDS[*word as usize] == name)
+    /// Returns the position of one of them in [`WORDS`].
+    pub(crate) fn find(self, name: &str) -> Option<u32> {
+        self.range().find(|word| WORDS[*word as usize] == name)
     }
 }
 
@@ -168,9 +193,9 @@ impl Quantity {
     pub const fn unit(self) -> Unit {
         match self {
             Quantity::Distance => Unit::Float,
-            Quantity::Heading | Quantity::Exit => Unit::Heading,
-            Quantity::Light => Unit::Light,
-            Quantity::RightOfWay => Unit::RightOfWay,
+            Quantity::Heading | Quantity::Exit => Unit::Word(Words::Headings),
+            Quantity::Light => Unit::Word(Words::Lights),
+            Quantity::RightOfWay => Unit::Word(Words::RightsOfWay),
             _ => Unit::Number,
         }
     }
@@ -264,5 +289,18 @@ impl PredicateKind for Quantity {
     #[cfg(test)]
     fn samples() -> Vec<Definition> {
         Quantity::ALL.map(Definition::Quantity).to_vec()
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn words_are_in_the_order_of_their_types() {
+        assert_eq!(Words::Headings.names(), Heading::ALL.map(Heading::name));
+        assert_eq!(Words::Lights.names(), Light::ALL.map(Light::name));
+        assert_eq!(Words::RightsOfWay.names(), RightOfWay::ALL.map(RightOfWay::name));
+        assert_eq!(Words::RightsOfWay.range().end as usize, WORDS.len());
     }
 }

@@ -1,18 +1,17 @@
 //! Components: their instances derive what the clauses written out derive.
 
+use crate::preprocessor;
 use logicity_datalog::diag::{Sources, render};
 use logicity_datalog::files::ReadError;
-use logicity_datalog::{InputPolicy, Loaded, PredicateId, Program, Workspace, facts, format, parse, print};
+use logicity_datalog::{
+    InputPolicy, Loaded, PredicateId, Preprocessing, Program, Workspace, facts, format, parse, print,
+};
 use std::collections::BTreeMap;
 use std::path::Path;
 
-fn load(text: &str) -> (Sources, Loaded) {
-    let read = |_: &Path| Err(ReadError::NotFound);
-    let mut sources = Sources::new();
-    let entry = sources.add("a.dl", text);
-    let mut workspace = Workspace::new(InputPolicy::Extensible);
-    workspace.add(&mut sources, entry, &read);
-    (sources, workspace.into_checked())
+/// Loads the text of a program.
+pub fn load(text: &str) -> (Sources, Loaded) {
+    preprocessor::load(&[("a.dl", text)], &Preprocessing::default())
 }
 
 /// Returns the rows of each output as text, by the name of the predicate with `_` in place of dots.

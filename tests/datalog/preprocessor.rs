@@ -5,8 +5,8 @@ use logicity_datalog::files::ReadError;
 use logicity_datalog::{InputPolicy, Loaded, Preprocessing, Program, Value, Workspace, format};
 use std::path::Path;
 
-/// Loads the first of several files.
-fn load(files: &[(&str, &str)], preprocessing: &Preprocessing) -> (Sources, Loaded) {
+/// Loads the first of these files, which may include the others.
+pub fn load(files: &[(&str, &str)], preprocessing: &Preprocessing) -> (Sources, Loaded) {
     let read = |path: &Path| {
         let found = files.iter().find(|(name, _)| path == Path::new(name));
         found.map(|(_, text)| (*text).to_owned()).ok_or(ReadError::NotFound)

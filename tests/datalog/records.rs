@@ -1,22 +1,10 @@
 //! Records: every program derives what the naive evaluator derives, at once and by increments.
 
+use crate::component::load;
 use logicity_datalog::diag::{Sources, render};
 use logicity_datalog::explain::{ExplanationPrinter, Node, Origin};
-use logicity_datalog::files::ReadError;
-use logicity_datalog::{
-    InputPolicy, Limits, Loaded, PredicateId, Program, Session, Value, Workspace, facts, format, naive, parse, print,
-};
+use logicity_datalog::{Limits, PredicateId, Program, Session, Value, facts, format, naive, parse, print};
 use std::collections::BTreeSet;
-use std::path::Path;
-
-fn load(text: &str) -> (Sources, Loaded) {
-    let read = |_: &Path| Err(ReadError::NotFound);
-    let mut sources = Sources::new();
-    let entry = sources.add("a.dl", text);
-    let mut workspace = Workspace::new(InputPolicy::Extensible);
-    workspace.add(&mut sources, entry, &read);
-    (sources, workspace.into_checked())
-}
 
 fn program(text: &str) -> Program {
     let (sources, loaded) = load(text);

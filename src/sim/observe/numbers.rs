@@ -1,8 +1,8 @@
 //! Quantities in observations: numbers after the truth values of the atoms.
 //!
-//! A heading takes four truth values for each entity, a light three, and a right of way three for each pair. Any other value is divided by a scale, which most values do not
-//! exceed. A power of two divides distances, so that they are read as they were written; whole numbers up to 2^22 are
-//! rounded. Where there is no value, the number is 0.
+//! A heading takes four truth values for each entity, a light three, and a right of way three for each pair. Any other
+//! value is divided by a scale, which most values do not exceed. A power of two divides distances, so that they are read
+//! as they were written; whole numbers up to 2^22 are rounded. Where there is no value, the number is 0.
 
 use crate::city::CityMap;
 use crate::config::Scenario;
@@ -70,7 +70,7 @@ impl Numbers {
             };
             let words: Vec<Option<u32>> = match quantity.unit() {
                 Unit::Number | Unit::Float => vec![None],
-                unit => unit.words().map(Some).collect(),
+                Unit::Word(words) => words.range().map(Some).collect(),
             };
             for word in words {
                 let column = NumberColumn {

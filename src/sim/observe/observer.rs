@@ -9,7 +9,7 @@
 //! action, the observer fixes the action predicates in the bodies of all clauses: only this action holds, and only for
 //! the ego. The others' next actions are not observable, so no action holds for them.
 
-use crate::city::{Action, Agent, AgentKind, WORDS};
+use crate::city::{Action, Agent, AgentKind};
 use crate::city::{Area, Cell, FieldOfView};
 use crate::config::SensorsConfig;
 use crate::datalog::Session;
@@ -17,7 +17,8 @@ use crate::datalog::Value;
 use crate::datalog::dense::{holding, members};
 use crate::diag::Diagnostic;
 use crate::predicate::{
-    CellTable, Definition, External, Measured, PairRelation, Progress, Quantity, Relation, Static, Views, with_relation,
+    CellTable, Definition, External, Measured, PairRelation, Progress, Quantity, Relation, Static, Views, WORDS,
+    with_relation,
 };
 use crate::rng::Purpose;
 use crate::sim::observe::belief::SensorModel;

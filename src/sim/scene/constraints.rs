@@ -3,7 +3,7 @@
 
 use crate::datalog::{Constraint, DeclaredConstraint, Function, Literal, PredicateId, Rules};
 use crate::diag::{Diagnostic, Span};
-use crate::predicate::{Definition, Static};
+use crate::predicate::{Definition, Static, Unit};
 use crate::sim::codes;
 use crate::sim::scene::judge::Verdict;
 use crate::sim::scene::theory::{CityTheory, Known, KnownInputs};
@@ -51,7 +51,10 @@ impl CityTheory {
             let unit = predicate.definition.unit()?;
             Some(Function {
                 predicate: rules.predicate(&predicate.name.value)?,
-                symbols: (!unit.names().is_empty()).then(|| unit.names().iter().map(|&name| name.to_owned()).collect()),
+                symbols: match unit {
+                    Unit::Word(words) => Some(words.names().iter().map(|&name| name.to_owned()).collect()),
+                    Unit::Number | Unit::Float => None,
+                },
             })
         });
         quantities.collect()

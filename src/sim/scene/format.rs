@@ -5,7 +5,7 @@ use crate::city::{Action, AgentKind, KindId, KindTable};
 use crate::city::{Cell, CityMap, Heading};
 use crate::datalog::Value;
 use crate::diag::{self, Diagnostic, Faults, SourceId, Sources, Span, counted, did_you_mean, json_error, listed};
-use crate::predicate::{Progress, Unit};
+use crate::predicate::{Progress, Unit, Words};
 use crate::sim::codes;
 use crate::sim::scene::plain::{NameIndex, PlainFacts, PlainScene, plain_rows, plain_scene};
 use crate::sim::tick::ground::MAX_ENTITIES;
@@ -469,29 +469,22 @@ impl<'a> Reader<'a> {
         })
     }
 
-    /// Returns the position of a value in [`WORDS`].
-    fn word(&self, raw: &'a RawValue, unit: Unit) -> Read<u32> {
-        if unit == Unit::Heading {
-            return Ok(self.heading(raw)? as u32);
-        }
+    /// Returns the position of a word in [`WORDS`], whatever the case of its letters. `or` ends the list of what is
+    /// expected.
+    fn word(&self, raw: &'a RawValue, words: Words, or: &str) -> Read<u32> {
         let name: String = self.value(raw)?;
-        unit.word(&name).ok_or_else(|| {
-            let what = if unit == Unit::Light { "light" } else { "right of way" };
-            let fault = self.fault(raw, format!("`{name}` is not a {what}"), &expected(unit));
-            vec![suggest(fault, &name, unit.names().iter().copied())]
+        let mut known = words.range().zip(words.names());
+        let found = known.find(|(_, known)| known.eq_ignore_ascii_case(&name));
+        found.map(|(word, _)| word).ok_or_else(|| {
+            let names: Vec<String> = words.names().iter().map(|name| format!("\"{name}\"")).collect();
+            let expected = format!("expected {}{or}", names.join(", "));
+            let fault = self.fault(raw, format!("`{name}` is not a {}", words.what()), &expected);
+            vec![suggest(fault, &name, words.names().iter().copied())]
         })
     }
 
     fn heading(&self, raw: &'a RawValue) -> Read<Heading> {
-        let name: String = self.value(raw)?;
-        let expected = format!("{} or null", expected(Unit::Heading));
-        let heading = Heading::ALL
-            .into_iter()
-            .find(|heading| heading.name().eq_ignore_ascii_case(&name));
-        heading.ok_or_else(|| {
-            let fault = self.fault(raw, format!("`{name}` is not a heading"), &expected);
-            vec![suggest(fault, &name, Heading::ALL.map(Heading::name))]
-        })
+        Ok(Heading::ALL[self.word(raw, Words::Headings, " or null")? as usize])
     }
 
     fn concept(&self, raw: &'a RawValue, kind: AgentKind) -> Read<String> {
@@ -763,7 +756,7 @@ impl<'a> Reader<'a> {
             None => Value::default(),
             Some(Unit::Number) => Value::number(self.value(terms[arity])?),
             Some(Unit::Float) => Value::float(self.value(terms[arity])?),
-            Some(unit @ (Unit::Heading | Unit::Light | Unit::RightOfWay)) => Value(self.word(terms[arity], unit)?),
+            Some(Unit::Word(words)) => Value(self.word(terms[arity], words, "")?),
         };
         Ok((row, value))
     }
@@ -841,16 +834,10 @@ fn suggest_name(fault: Diagnostic, written: &str, names: &NameIndex<'_>) -> Diag
     }
 }
 
-/// Returns what to write as a value that is a word.
-fn expected(unit: Unit) -> String {
-    let names: Vec<String> = unit.names().iter().map(|name| format!("\"{name}\"")).collect();
-    format!("expected {}", names.join(", "))
-}
-
-/// Returns whether a term is a value of a unit, whatever the case of its letters.
-fn is_word(unit: Unit, term: &str) -> bool {
+/// Returns whether a term is one of some words, whatever the case of its letters.
+fn is_word(words: Words, term: &str) -> bool {
     let term = term.trim_matches('"');
-    unit.names().iter().any(|name| name.eq_ignore_ascii_case(term))
+    words.names().iter().any(|name| name.eq_ignore_ascii_case(term))
 }
 
 /// Returns a row of the right form, with the names and the value of a wrong one where it has them.
@@ -859,9 +846,9 @@ fn row_like(terms: &[&RawValue], arity: usize, unit: Option<Unit>, names: &NameI
         None => ("", |_| false),
         Some(Unit::Number) => ("3", |term| term.parse::<i32>().is_ok()),
         Some(Unit::Float) => ("3.5", |term| term.parse::<f32>().is_ok()),
-        Some(Unit::Heading) => ("\"Up\"", |term| is_word(Unit::Heading, term)),
-        Some(Unit::Light) => ("\"green\"", |term| is_word(Unit::Light, term)),
-        Some(Unit::RightOfWay) => ("\"yields\"", |term| is_word(Unit::RightOfWay, term)),
+        Some(Unit::Word(Words::Headings)) => ("\"Up\"", |term| is_word(Words::Headings, term)),
+        Some(Unit::Word(Words::Lights)) => ("\"green\"", |term| is_word(Words::Lights, term)),
+        Some(Unit::Word(Words::RightsOfWay)) => ("\"yields\"", |term| is_word(Words::RightsOfWay, term)),
     };
     let written = || {
         terms

@@ -1,6 +1,5 @@
 //! The choice of executor, and the compilation of rules for the dense one.
 
-use crate::city::WORDS;
 use crate::datalog::dense::{
     self, BitFacts, Condition, ConditionValues, Dense, Division, EntityDraw, Handed, Lifted, TooManySteps,
     TrackFirings, Unsupported, divide, lift,
@@ -8,7 +7,7 @@ use crate::datalog::dense::{
 use crate::datalog::internal::symbol_hash;
 use crate::datalog::{ClauseId, Comparison, Past, PredicateId, Program, Rules, Value};
 use crate::diag::{self, Diagnostic, Span};
-use crate::predicate::{Quantity, Unit};
+use crate::predicate::{Quantity, Unit, WORDS};
 use crate::sim::codes;
 use crate::sim::tick::ground::Facts;
 use crate::sim::tick::vocabulary::Vocabulary;
@@ -379,7 +378,7 @@ impl<V: Fn(usize, Quantity, &[usize]) -> Option<Value>> ConditionValues for Give
         let &(_, position, quantity) = quantities.find(|(id, ..)| *id == predicate)?;
         let value = (self.value)(position, quantity, places)?;
         Some(match quantity.unit() {
-            Unit::Heading | Unit::Light | Unit::RightOfWay => self.conditions.words[value.0 as usize],
+            Unit::Word(_) => self.conditions.words[value.0 as usize],
             Unit::Number | Unit::Float => value,
         })
     }

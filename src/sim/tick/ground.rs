@@ -3,13 +3,13 @@
 //! It evaluates the definition of every base predicate ([`predicate`](crate::predicate)) for all entities.
 
 use crate::cancel::Cancel;
-use crate::city::{CityMap, WORDS};
+use crate::city::CityMap;
 use crate::datalog::Value;
 use crate::datalog::internal::size;
 use crate::diag::codes;
 use crate::diag::{Diagnostic, Limit};
 use crate::predicate::{
-    Definition, Entity, Measure, Measured, PairKind, Quantity, Relation, Sight, Subject, Unit, with_pair,
+    Definition, Entity, Measure, Measured, PairKind, Quantity, Relation, Sight, Subject, Unit, WORDS, Words, with_pair,
 };
 use crate::sim::tick::chance::Chance;
 use crate::sim::tick::external::ExternalFacts;
@@ -92,7 +92,7 @@ pub(crate) fn json_value(value: Value, unit: Unit) -> serde_json::Value {
     match unit {
         Unit::Number => value.as_number().into(),
         Unit::Float => value.as_float().into(),
-        Unit::Heading | Unit::Light | Unit::RightOfWay => WORDS[value.0 as usize].into(),
+        Unit::Word(_) => WORDS[value.0 as usize].into(),
     }
 }
 
@@ -271,9 +271,9 @@ pub(crate) fn word(measure: Measure) -> Value {
     match measure {
         Measure::Number(number) => Value::number(number),
         Measure::Float(float) => Value::float(float),
-        Measure::Heading(heading) => Value(Unit::Heading.words().start + heading as u32),
-        Measure::RightOfWay(right) => Value(Unit::RightOfWay.words().start + right as u32),
-        Measure::Light(light) => Value(Unit::Light.words().start + light as u32),
+        Measure::Heading(heading) => Value(Words::Headings.range().start + heading as u32),
+        Measure::RightOfWay(right) => Value(Words::RightsOfWay.range().start + right as u32),
+        Measure::Light(light) => Value(Words::Lights.range().start + light as u32),
     }
 }
 

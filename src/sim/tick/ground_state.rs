@@ -1,8 +1,9 @@
 //! Facts of a city or a scene in a session, updated by differences.
 
 use crate::cancel::Cancel;
-use crate::city::{Action, WORDS};
+use crate::city::Action;
 use crate::datalog::{BaseType, EvalError, Limits, Past, PredicateId, Program, Session, Value};
+use crate::predicate::WORDS;
 use crate::sim::tick::ground::Facts;
 use crate::sim::tick::memory::Watched;
 use crate::sim::tick::vocabulary::{Actions, Vocabulary};

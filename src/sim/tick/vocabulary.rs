@@ -112,7 +112,7 @@ pub fn base_of(unit: Unit) -> BaseType {
     match unit {
         Unit::Number => BaseType::Number,
         Unit::Float => BaseType::Float,
-        Unit::Heading | Unit::Light | Unit::RightOfWay => BaseType::Symbol,
+        Unit::Word(_) => BaseType::Symbol,
     }
 }
 

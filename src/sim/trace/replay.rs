@@ -4,7 +4,7 @@ use crate::city::{Action, ActionTable, AgentKind, KindId};
 use crate::city::{Cell, Heading};
 use crate::datalog::{BaseType, Limits, Session, Value};
 use crate::diag::{Diagnostic, json_error};
-use crate::predicate::{Entity, Progress};
+use crate::predicate::{Entity, Progress, Unit};
 use crate::rng::Seed;
 use crate::sim::codes;
 use crate::sim::tick::chance::{Chance, Draws};
@@ -379,7 +379,10 @@ impl Replay {
                 Some((places, Some(Value::number(i32::try_from(*number).ok()?))))
             }
             ([GivenTerm::Name(name)], Some(BaseType::Symbol)) => {
-                Some((places, Some(Value(predicate.definition.unit()?.word(name)?))))
+                let Unit::Word(words) = predicate.definition.unit()? else {
+                    return None;
+                };
+                Some((places, Some(Value(words.find(name)?))))
             }
             _ => None,
         }
