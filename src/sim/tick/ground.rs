@@ -30,8 +30,8 @@ pub type PastRows = Vec<([u32; 2], u64)>;
 pub struct Facts {
     /// The rows of each predicate.
     pub rows: Vec<Vec<[u32; 2]>>,
-    /// For each predicate with a value, that of each row, in their order; empty for others. For a word, its position in
-    /// [`WORDS`].
+    /// For each predicate with a value, that of each row, in their order; empty for others. For a word, its position
+    /// among the words of all quantities: their headings, lights and rights of way, in this order.
     pub values: Vec<Vec<Value>>,
     /// The rows of each hidden predicate about earlier ticks, in the order of [`Rules::pasts`](crate::datalog::Rules),
     /// with the ticks that explain them; empty before the first tick.
