@@ -280,7 +280,7 @@ def _add_distill(to: _Parser) -> None:
     to.add("--end", type=_positive_float, default=math.inf, metavar="SECONDS", help="leave out later samples")
     help = "an agent whose mean speed in a tick is less takes Stop; default: 0.5"
     to.add("--stop", type=_positive_float, default=0.5, metavar="M/S", help=help)
-    help = "an agent whose mean speed in a tick is less waits; default: 0.1, as in SUMO"
+    help = "an agent with at most this mean speed in a tick has halted; default: 0.1, as in SUMO"
     to.add("--halt", type=_positive_float, default=0.1, metavar="M/S", help=help)
     help = "a moving one whose mean speed is less takes Slow; by default none does"
     to.add("--slow", type=_positive_float, metavar="M/S", help=help)

@@ -246,6 +246,8 @@ _ALIGNED = math.radians(60)
 _BESIDE = 0.5
 #: The cells by which the position of a car at the end of its lane may lie beyond it.
 _ROUNDED = 0.05
+#: What the coordinates of positions are rounded to, in meters.
+_CENTIMETER = 0.01
 #: The greatest distance of a car in an intersection from the cells of a connection, in cells.
 _FROM_LINK = 4
 
@@ -425,8 +427,8 @@ class Thresholds:
 
     Attributes:
         stop: An agent whose mean speed during a tick is less, in m/s, takes the action Stop.
-        halt: One whose mean speed is less has halted: it waits, in m/s. 0.1 is that of SUMO, whose drivers count so
-            who has waited longer at an all-way stop.
+        halt: One whose mean speed is at most this, in m/s, has halted: it waits until it no longer stops. 0.1 is that
+            of SUMO, whose drivers count so who has waited longer at an all-way stop.
         slow: A moving one whose mean speed is less takes Slow; `None` for no such action.
         fast: One whose mean speed is greater takes Fast; `None` for no such action.
         line: A car whose front stands at most this many meters before the end of its lane, with no other before it,
@@ -654,9 +656,12 @@ def _moments(
                 has_started,
             )
         if before is not None:
-            moved = round(math.hypot(track.x[at] - track.x[at - 1], track.y[at] - track.y[at - 1]) / grid.cell)
-            stood = math.hypot(track.x[at] - track.x[at - 1], track.y[at] - track.y[at - 1]) / tick_length
-            waited = waited + 1 if stood < thresholds.halt else 0
+            driven = math.hypot(track.x[at] - track.x[at - 1], track.y[at] - track.y[at - 1])
+            moved = round(driven / grid.cell)
+            # Drivers of SUMO brake to just below its threshold, and positions are rounded.
+            halts = driven <= thresholds.halt * tick_length + _CENTIMETER / 2
+            waits_on = waited > 0 and driven < thresholds.stop * tick_length
+            waited = waited + 1 if halts or waits_on else 0
         if cell is None:
             found.outside += 1
         else:

@@ -880,6 +880,13 @@ impl CityMap {
         self.roads()?.right_of_way(one, other)
     }
 
+    /// Returns the number of cells that a car drives on a road network until it has left the way of another in their next
+    /// intersection, by their cells and by the directions in which their routes leave it; `None` if their ways do not
+    /// meet, or no longer.
+    pub fn clearance(&self, other: (Cell, Option<Heading>), car: (Cell, Option<Heading>)) -> Option<u32> {
+        self.roads()?.clearance(other, car)
+    }
+
     /// Returns whether a connection that leaves the lane of the first cell, and is no way back, must yield to one that
     /// leaves the lane of the second.
     pub fn must_yield(&self, cell: Cell, other: Cell) -> bool {

@@ -30,6 +30,8 @@ pub(crate) struct RoadMap {
     firsts: Vec<u32>,
     /// The cells of each connection between its lanes.
     links: Vec<Vec<Cell>>,
+    /// The cells of `links` as numbers of cells of the map, each with its connection and its position there, sorted.
+    inside: Vec<(u32, u32, u32)>,
     /// The connections that leave each lane.
     leaving: Vec<Vec<u32>>,
     /// The lane to the right of each.
@@ -52,6 +54,17 @@ pub(super) struct Spot {
     pub lane: u32,
     /// Steps from its start.
     pub at: u32,
+}
+
+/// What is left of the way of a car through a junction.
+#[derive(Clone, Copy, Debug)]
+struct Way {
+    /// The connection.
+    connection: u32,
+    /// The number of moves to its first cell; 0 for a car inside.
+    before: u32,
+    /// The position of the car in the cells of the connection; 0 before them.
+    at: u32,
 }
 
 impl RoadMap {
@@ -79,6 +92,7 @@ impl RoadMap {
             facings: directions,
             firsts,
             links: Vec::new(),
+            inside: Vec::new(),
             leaving: vec![Vec::new(); network.lanes.len()],
             right: vec![None; network.lanes.len()],
             yields: vec![Vec::new(); network.lanes.len()],
@@ -114,6 +128,14 @@ impl RoadMap {
             let between = if all.len() > 2 { &all[1..all.len() - 1] } else { &[] };
             self.links.push(between.to_vec());
         }
+        for (cells, connection) in self.links.iter().zip(0..) {
+            let places = cells.iter().map(|&cell| place_of(cell, self.rows, self.cols));
+            let known = places
+                .zip(0..)
+                .filter_map(|(place, at)| Some((u32::try_from(place?).ok()?, connection, at)));
+            self.inside.extend(known);
+        }
+        self.inside.sort_unstable();
         let ahead = network
             .connections
             .iter()
@@ -595,12 +617,8 @@ impl RoadMap {
 
     /// Returns the connections that leave a lane in a direction.
     fn leaving_to(&self, lane: u32, exit: Option<Heading>) -> impl Iterator<Item = u32> {
-        let entered = |number: u32| {
-            let to = self.network.connections[number as usize].to;
-            self.facings.get(self.firsts[to as usize] as usize).copied()
-        };
         let leaving = self.leaving(lane).iter().copied();
-        leaving.filter(move |&number| exit.is_some() && entered(number) == exit)
+        leaving.filter(move |&number| exit.is_some() && self.entered(number) == exit)
     }
 
     /// Returns which of two cars on the lanes of cells must yield, if their routes leave the junction in these
@@ -622,6 +640,65 @@ impl RoadMap {
             (false, true) => Some(RightOfWay::First),
             (false, false) => None,
         }
+    }
+
+    /// Returns the number of cells that a car drives until it has left the way of another in their next junction, by
+    /// their cells and by the directions in which their routes leave it; `None` if their ways do not meet, or no longer.
+    pub fn clearance(&self, other: (Cell, Option<Heading>), car: (Cell, Option<Heading>)) -> Option<u32> {
+        let theirs: Vec<Way> = self.ways(other.0, other.1).collect();
+        let from = |way: &Way| self.network.connections[way.connection as usize].from;
+        let junction = |way: &Way| self.network.lanes[from(way) as usize].to;
+        let left = self.ways(car.0, car.1).filter_map(|way| {
+            let crossed =
+                (theirs.iter()).filter(|other| junction(other) == junction(&way) && from(other) != from(&way));
+            let crossed: Vec<Cell> = crossed.flat_map(|other| self.cells_of(other)).collect();
+            let (_, last) = self
+                .cells_of(&way)
+                .zip(0..)
+                .filter(|(cell, _)| crossed.contains(cell))
+                .last()?;
+            Some(way.before + last + 1)
+        });
+        left.max()
+    }
+
+    /// Returns the ways of a car in a cell through its next junction, or through the one in which it is, if its route
+    /// leaves it in a direction.
+    fn ways(&self, cell: Cell, exit: Option<Heading>) -> impl Iterator<Item = Way> {
+        let spot = self.spot(cell);
+        let on_lane = spot.into_iter().flat_map(move |spot| {
+            let length = u32::try_from(self.path(spot.lane).len()).expect("a map has few cells");
+            let way = move |connection| Way {
+                connection,
+                before: length - spot.at,
+                at: 0,
+            };
+            self.leaving_to(spot.lane, exit).map(way)
+        });
+        let place = self.place(cell).filter(|_| spot.is_none());
+        let inside = place.map_or(&[][..], |place| {
+            let first = self.inside.partition_point(|&(other, ..)| (other as usize) < place);
+            let count = self.inside[first..].partition_point(|&(other, ..)| other as usize == place);
+            &self.inside[first..first + count]
+        });
+        let inside = inside.iter().map(|&(_, connection, at)| Way {
+            connection,
+            before: 0,
+            at,
+        });
+        on_lane.chain(inside.filter(move |way| exit.is_some() && self.entered(way.connection) == exit))
+    }
+
+    /// Returns the cells of a way from the first or the present one inside the junction to the first after it.
+    fn cells_of(&self, way: &Way) -> impl Iterator<Item = Cell> {
+        let end = self.path(self.network.connections[way.connection as usize].to).first();
+        self.link(way.connection)[way.at as usize..].iter().chain(end).copied()
+    }
+
+    /// Returns the direction of travel on the first cell to which a connection leads.
+    fn entered(&self, connection: u32) -> Option<Heading> {
+        let to = self.network.connections[connection as usize].to;
+        self.facings.get(self.firsts[to as usize] as usize).copied()
     }
 
     /// Returns whether a connection that leaves the lane of the first cell, and is no way back, must yield to one that

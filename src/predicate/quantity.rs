@@ -37,6 +37,9 @@ pub enum Quantity {
     /// Whether the first of two cars on lanes of a road network must yield to the second on its route: `yields`, `first`
     /// if the second must yield, or `mutual`; no value if their ways do not meet in their next intersection.
     RightOfWay,
+    /// The number of cells that the second of two cars on a road network drives until it has left the way of the first in
+    /// their next intersection, or in the one in which they are; no value if their ways do not meet there, or no longer.
+    Clearance,
     /// The Euclidean distance of two different agents in cells.
     Distance,
     /// The number of the tick, from 0.
@@ -147,7 +150,7 @@ impl Progress {
 
 impl Quantity {
     /// All quantities.
-    pub const ALL: [Quantity; 12] = [
+    pub const ALL: [Quantity; 13] = [
         Quantity::Speed,
         Quantity::Heading,
         Quantity::Priority,
@@ -158,6 +161,7 @@ impl Quantity {
         Quantity::Limit,
         Quantity::Light,
         Quantity::RightOfWay,
+        Quantity::Clearance,
         Quantity::Distance,
         Quantity::Tick,
     ];
@@ -175,6 +179,7 @@ impl Quantity {
             Quantity::Limit => "limit",
             Quantity::Light => "light",
             Quantity::RightOfWay => "right_of_way",
+            Quantity::Clearance => "clearance",
             Quantity::Distance => "distance",
             Quantity::Tick => "tick",
         }
@@ -184,7 +189,7 @@ impl Quantity {
     pub const fn agents(self) -> usize {
         match self {
             Quantity::Tick => 0,
-            Quantity::Distance | Quantity::RightOfWay => 2,
+            Quantity::Distance | Quantity::RightOfWay | Quantity::Clearance => 2,
             _ => 1,
         }
     }
@@ -210,12 +215,16 @@ impl Quantity {
                 | Quantity::Exit
                 | Quantity::Light
                 | Quantity::RightOfWay
+                | Quantity::Clearance
         )
     }
 
     /// Returns whether the value follows from where the agent's route leaves its next intersection.
     pub(crate) const fn reads_exit(self) -> bool {
-        matches!(self, Quantity::Exit | Quantity::Light | Quantity::RightOfWay)
+        matches!(
+            self,
+            Quantity::Exit | Quantity::Light | Quantity::RightOfWay | Quantity::Clearance
+        )
     }
 
     /// Returns the value for these agents on a map, as many as [`agents`](Quantity::agents).
@@ -237,11 +246,16 @@ impl Quantity {
             }
             (Quantity::Heading, [x, ..]) => x.subject.heading.map(Measure::Heading),
             (Quantity::Exit, [x, ..]) => x.progress.exit.map(Measure::Heading),
-            (Quantity::RightOfWay, [x, y]) => {
+            (Quantity::RightOfWay | Quantity::Clearance, [x, y]) => {
                 let is_car = |agent: &Measured| agent.subject.kind == AgentKind::Car;
                 let way = |agent: &Measured| (agent.subject.at, agent.progress.exit);
-                let both = is_car(x) && is_car(y);
-                both.then(|| map.right_of_way(way(x), way(y)))?.map(Measure::RightOfWay)
+                if !is_car(x) || !is_car(y) {
+                    return None;
+                }
+                match self {
+                    Quantity::Clearance => map.clearance(way(x), way(y)).and_then(count),
+                    _ => map.right_of_way(way(x), way(y)).map(Measure::RightOfWay),
+                }
             }
             #[allow(clippy::cast_possible_truncation)] // a column of type float has single precision
             (Quantity::Distance, [x, y]) => Some(Measure::Float(x.subject.at.distance(y.subject.at) as f32)),
@@ -280,6 +294,7 @@ impl PredicateKind for Quantity {
             Quantity::Limit => "has this speed limit in km/h:",
             Quantity::Light => "sees this light:",
             Quantity::RightOfWay => "has this right of way against",
+            Quantity::Clearance => "waits this number of cells for",
             Quantity::Exit => "leaves its next intersection in the direction",
             Quantity::Distance => "has this distance in cells from",
             Quantity::Tick => "The tick is",

@@ -298,7 +298,7 @@ fn observations_have_the_values_of_quantities() {
     let scales: Vec<(&str, Option<f32>)> = columns
         .iter()
         .rev()
-        .take(22)
+        .take(23)
         .map(|column| (column.name.as_str(), column.scale))
         .collect();
     let named = |name: &str| ["Down", "Up", "Right", "Left"].map(|heading| format!("{name}={heading}"));
@@ -308,6 +308,7 @@ fn observations_have_the_values_of_quantities() {
     let expected = [
         ("Tick", Some(world.scenario.task.as_ref().unwrap().horizon as f32)),
         ("Distance", Some(32.0)),
+        ("Clearance", Some(32.0)),
         ("Right_of_way=mutual", None),
         ("Right_of_way=first", None),
         ("Right_of_way=yields", None),

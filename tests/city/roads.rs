@@ -1099,3 +1099,70 @@ fn routes_that_meet_have_a_right_of_way() {
         "{counts:?}"
     );
 }
+
+/// The clearance of cars whose ways through a junction meet is what counting the cells of both, one by one, gives.
+#[test]
+fn cars_leave_the_ways_of_others_after_their_clearance() {
+    let mut met = 0;
+    for name in ["five-arms", "grid-priority", "roundabout", "spider-3"] {
+        let (map, network) = map_of(name, 1.0);
+        let drives = |lane: u32| network.lanes[lane as usize].usage == LaneUse::Drive;
+        // The cells of each connection with its lane before and one cell after, and the number of those before.
+        let ways: Vec<(u32, Vec<Cell>, usize)> = (network.connections.iter().enumerate())
+            .filter(|(_, connection)| drives(connection.from) && drives(connection.to))
+            .map(|(number, connection)| {
+                let lane = map.lane_cells(connection.from as usize);
+                let after = &map.lane_cells(connection.to as usize)[..1];
+                let cells = [lane, map.connection_cells(number), after].concat();
+                (connection.from, cells, lane.len())
+            })
+            .collect();
+        let exit_of = |cells: &[Cell]| map.lane_at(*cells.last().unwrap());
+        // Elsewhere, a car counts to the nearest of several lanes, or to none on a crossing.
+        let is_clear = |cell: Cell| {
+            let lanes = (0..network.lanes.len()).filter(|lane| map.lane_cells(*lane).contains(&cell));
+            map.in_intersection(cell).is_some() || (lanes.count() == 1 && map.lane_at(cell).is_some())
+        };
+        // All ways of a car in a cell, with its position on them.
+        let possible = |cell: Cell, exit| -> Vec<(usize, usize)> {
+            let is_inside = map.in_intersection(cell).is_some();
+            let all = ways
+                .iter()
+                .enumerate()
+                .filter(|(_, (_, cells, _))| exit_of(cells) == exit);
+            let at = all.filter_map(|(number, (_, cells, lane))| {
+                let mut positions = if is_inside { *lane..cells.len() - 1 } else { 0..*lane };
+                Some((number, positions.find(|position| cells[*position] == cell)?))
+            });
+            at.collect()
+        };
+        let mut random = Seed(5).stream(Purpose::TEST, 0, 0);
+        for _ in 0..cases(64).cases * 40 {
+            let [one, other] = [(); 2].map(|()| {
+                let (_, cells, lane) = &ways[random.random_range(0..ways.len())];
+                let at = random.random_range(lane.saturating_sub(9)..cells.len() - 1);
+                (cells[at], exit_of(cells))
+            });
+            if !is_clear(one.0) || !is_clear(other.0) {
+                continue;
+            }
+            let theirs = possible(one.0, one.1);
+            let mut expected = None;
+            for (number, at) in possible(other.0, other.1) {
+                let (from, cells, lane) = &ways[number];
+                for (position, cell) in cells.iter().enumerate().skip(at.max(*lane)) {
+                    let crosses = theirs.iter().any(|&(their, begin)| {
+                        let (their_from, their_cells, their_lane) = &ways[their];
+                        their_from != from && their_cells[begin.max(*their_lane)..].contains(cell)
+                    });
+                    if crosses {
+                        expected = expected.max(Some((position + 1 - at) as u32));
+                    }
+                }
+            }
+            assert_eq!(map.clearance(one, other), expected, "{name} {one:?} {other:?}");
+            met += u32::from(expected.is_some());
+        }
+    }
+    assert!(met > 100, "{met}");
+}

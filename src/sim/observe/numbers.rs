@@ -195,6 +195,6 @@ fn scale(quantity: Quantity, scenario: &Scenario, map: &CityMap) -> f32 {
         Quantity::Remaining => (map.rows() + map.cols()) as f32,
         Quantity::Limit => 100.0,
         Quantity::Intersection => map.intersections().max(1) as f32,
-        Quantity::Distance => scenario.view.max(1).next_power_of_two() as f32,
+        Quantity::Distance | Quantity::Clearance => scenario.view.max(1).next_power_of_two() as f32,
     }
 }
