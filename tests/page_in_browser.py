@@ -292,7 +292,8 @@ def test_zones_and_values_are_shown(browser: WebDriver, tmp_path: pathlib.Path) 
     facts = {name.text: value.text for name, value in zip(names, values, strict=True)}
     assert (facts["Waited"], facts["Tick"]) == (str(waited), "29")
     browser.find_element(By.CSS_SELECTOR, "[data-part=atoms] summary").click()
-    assert f"Waited(Car_1, {waited})" in text(browser, "agent") and "Tick(29)" in text(browser, "agent")
+    atoms = f"Waited(Car_1, {waited})", "Tick(29)"
+    WebDriverWait(browser, 20).until(lambda _: all(atom in text(browser, "agent") for atom in atoms))
     zone = browser.find_element(By.CSS_SELECTOR, "#legend .zone")
     shown = pixels(browser)
     assert (zone.text, zone.get_attribute("aria-pressed")) == ("school", "true")
