@@ -46,7 +46,12 @@ pub(crate) enum Fact {
         args: Vec<Arg>,
     },
     /// A comparison of symbols or whole numbers, with the smaller argument on the left.
-    Compare { allowed: u8, left: Arg, right: Arg },
+    Compare {
+        base: BaseType,
+        allowed: u8,
+        left: Arg,
+        right: Arg,
+    },
     /// Another comparison, a string test or an expression. Only an equal fact implies it.
     Opaque { operator: Operator, args: Vec<Arg> },
 }
@@ -200,15 +205,22 @@ pub(crate) fn comparison(allowed: u8, left: Arg, right: Arg, base: BaseType) -> 
         } else {
             LESS | EQUAL | GREATER
         };
-        return Fact::Compare { allowed, left, right };
+        return Fact::Compare {
+            base,
+            allowed,
+            left,
+            right,
+        };
     }
-    if left <= right {
-        return Fact::Compare { allowed, left, right };
-    }
+    let (allowed, left, right) = match left <= right {
+        true => (allowed, left, right),
+        false => (turned(allowed), right, left),
+    };
     Fact::Compare {
-        allowed: turned(allowed),
-        left: right,
-        right: left,
+        base,
+        allowed,
+        left,
+        right,
     }
 }
 
@@ -233,11 +245,14 @@ pub(crate) fn covers(known: &Fact, wanted: &Fact) -> bool {
             holds == h && predicate == r && args.iter().zip(wanted).all(one)
         }
         (
-            Fact::Compare { allowed, left, right },
+            Fact::Compare {
+                allowed, left, right, ..
+            },
             Fact::Compare {
                 allowed: a,
                 left: l,
                 right: r,
+                ..
             },
         ) => (left, right) == (l, r) && allowed & !a == 0,
         _ => known == wanted,
@@ -550,9 +565,12 @@ impl SubstitutionSearch<'_> {
         };
         let mut instance = fact.clone();
         match &mut instance {
-            Fact::Compare { allowed, left, right } => {
-                return Some(comparison(*allowed, value(*left)?, value(*right)?, BaseType::Symbol));
-            }
+            Fact::Compare {
+                base,
+                allowed,
+                left,
+                right,
+            } => return Some(comparison(*allowed, value(*left)?, value(*right)?, *base)),
             Fact::Atom { args, .. } | Fact::Opaque { args, .. } => {
                 for arg in args {
                     *arg = value(*arg)?;

@@ -15,7 +15,7 @@ mod saturate;
 mod theory;
 
 use crate::check::subsumption;
-use crate::check::subsumption::{Fact, NoConstraints, Pattern, Theory, covers, facts, within_theory};
+use crate::check::subsumption::{Fact, NoConstraints, Pattern, Theory, facts, within_theory};
 use crate::check::temporal;
 use crate::check::witness::written;
 use crate::check::{
@@ -30,7 +30,7 @@ use crate::value::{Value, record_text};
 use saturate::Knowledge;
 use std::borrow::Cow;
 use std::collections::{BTreeMap, BTreeSet};
-use theory::{Closure, Constraints};
+use theory::{Closure, Constraints, implies};
 
 /// The optimizer skips bodies with more literals than this.
 const LITERALS_MAX: usize = 64;
@@ -306,7 +306,7 @@ impl<'a> Literals<'a> {
     /// Returns the constraints by which literal `a` implies literal `b`, if it does.
     fn implication(&self, a: usize, b: usize) -> Option<Vec<usize>> {
         let closure = &self.closures[a];
-        let known = closure.facts.iter().position(|known| covers(known, &self.facts[b]))?;
+        let known = closure.facts.iter().position(|known| implies(known, &self.facts[b]))?;
         Some(closure.reasons(known).collect())
     }
 

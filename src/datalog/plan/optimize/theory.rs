@@ -1,7 +1,9 @@
 //! Consequences of one literal, with and without the integrity constraints.
 
-use crate::check::subsumption::{Arg, EQUAL, Fact, GREATER, LESS, Theory};
+use crate::check::subsumption::{Arg, EQUAL, Fact, GREATER, LESS, Theory, covers};
 use crate::check::{Constraint, DeclaredConstraint, PredicateId};
+use crate::syntax::ast::BaseType;
+use std::cmp::Ordering;
 use std::collections::BTreeMap;
 
 /// The integrity constraints, indexed by predicate. A number is the position of a constraint in the list that
@@ -160,8 +162,13 @@ impl Constraints {
                 }
                 if let Some(&number) = self.irreflexive.get(&predicate).filter(|_| args[0] != args[1]) {
                     let (left, right) = (args[0].min(args[1]), args[0].max(args[1]));
-                    let allowed = LESS | GREATER;
-                    add(Fact::Compare { allowed, left, right }, number);
+                    let fact = Fact::Compare {
+                        base: BaseType::Symbol,
+                        allowed: LESS | GREATER,
+                        left,
+                        right,
+                    };
+                    add(fact, number);
                 }
             }
         }
@@ -204,13 +211,83 @@ fn excludes(a: &Fact, b: &Fact) -> bool {
                     .all(|(some, none)| some == none || *none == Arg::Any)
         }
         (
-            Fact::Compare { allowed, left, right },
+            Fact::Compare {
+                allowed, left, right, ..
+            },
             Fact::Compare {
                 allowed: a,
                 left: l,
                 right: r,
+                ..
             },
-        ) => (left, right) == (l, r) && allowed & a == 0,
-        _ => false,
+        ) if (left, right) == (l, r) => allowed & a == 0,
+        _ => for_all_numbers(a, b, |a, b| !(a && b)) == Some(true),
+    }
+}
+
+/// Returns whether a known fact implies the wanted one, alone or as comparisons of a term with two numbers.
+pub(super) fn implies(known: &Fact, wanted: &Fact) -> bool {
+    covers(known, wanted) || for_all_numbers(known, wanted, |known, wanted| !known || wanted) == Some(true)
+}
+
+/// Returns whether all values of a term agree with `holds`, which takes the truth of two comparisons of the term with
+/// numbers; `None` for other facts.
+fn for_all_numbers(one: &Fact, other: &Fact, holds: impl Fn(bool, bool) -> bool) -> Option<bool> {
+    let bounds = |fact: &Fact| match *fact {
+        Fact::Compare {
+            base: BaseType::Number,
+            allowed,
+            left: left @ Arg::Variable(_),
+            right: Arg::Constant(number),
+        } => Some((left, allowed, number.as_number())),
+        _ => None,
+    };
+    let ((term, allowed, number), (other, others, limit)) = (bounds(one)?, bounds(other)?);
+    if term != other {
+        return None;
+    }
+    let is_true = |value: i32, allowed: u8, number: i32| {
+        let outcome = match value.cmp(&number) {
+            Ordering::Less => LESS,
+            Ordering::Equal => EQUAL,
+            Ordering::Greater => GREATER,
+        };
+        allowed & outcome != 0
+    };
+    // Between these values, nothing changes.
+    let around = |number: i32| [number.saturating_sub(1), number, number.saturating_add(1)];
+    let mut values = around(number).into_iter().chain(around(limit));
+    Some(values.all(|value| holds(is_true(value, allowed, number), is_true(value, others, limit))))
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::check::subsumption::comparison;
+    use crate::value::Value;
+
+    #[test]
+    fn comparisons_with_numbers_agree_with_all_values() {
+        let sets = || (0..8).flat_map(|allowed| (-3..4).map(move |number| (allowed, number)));
+        let fact = |(allowed, number): (u8, i32)| {
+            comparison(
+                allowed,
+                Arg::Variable(0),
+                Arg::Constant(Value::number(number)),
+                BaseType::Number,
+            )
+        };
+        let holds = |(allowed, number): (u8, i32), value: i32| {
+            let outcome = [LESS, EQUAL, GREATER][(value.cmp(&number) as i8 + 1) as usize];
+            allowed & outcome != 0
+        };
+        for (one, other) in sets().flat_map(|one| sets().map(move |other| (one, other))) {
+            let both = (-6..7).any(|value| holds(one, value) && holds(other, value));
+            let only = (-6..7).any(|value| holds(one, value) && !holds(other, value));
+            assert_eq!(excludes(&fact(one), &fact(other)), !both, "{one:?} {other:?}");
+            assert_eq!(implies(&fact(one), &fact(other)), !only, "{one:?} {other:?}");
+        }
+        let most = (GREATER, i32::MAX - 1);
+        assert!(implies(&fact(most), &fact((EQUAL, i32::MAX))) && excludes(&fact(most), &fact((EQUAL, 0))));
     }
 }
