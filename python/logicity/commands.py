@@ -275,7 +275,8 @@ def _add_distill(to: _Parser) -> None:
     to.add("--origin", type=_position, metavar="X,Y", help=help)
     help = "where y grows on a map of blocks: up, as on road maps, or down; default: up"
     to.add("--y", choices=("up", "down"), help=help)
-    to.add("--tick", type=_positive_float, default=1.0, metavar="SECONDS", help="length of a tick; default: 1")
+    help = "length of a tick, from 0.01 to 3600; default: 1"
+    to.add("--tick", type=_tick, default=1.0, metavar="SECONDS", help=help)
     to.add("--begin", type=_nonnegative_float, default=0.0, metavar="SECONDS", help="leave out earlier samples")
     to.add("--end", type=_positive_float, default=math.inf, metavar="SECONDS", help="leave out later samples")
     help = "an agent whose mean speed in a tick is less takes Stop; default: 0.5"
@@ -491,6 +492,13 @@ def _positive_float(text: str) -> float:
     raise argparse.ArgumentTypeError(f"expected a positive number, found `{text}`")
 
 
+def _tick(text: str) -> float:
+    with suppress(ValueError):
+        if 0.01 <= (value := float(text)) <= 3600:
+            return value
+    raise argparse.ArgumentTypeError(f"expected a number from 0.01 to 3600, found `{text}`")
+
+
 def _object(text: str) -> dict[str, object]:
     try:
         value = json.loads(text)
@@ -573,10 +581,14 @@ def _distill(given: argparse.Namespace) -> int:
     done = distill(recording, grid, given.out, settings, overwrite=given.force, source=source, progress=print_message)
     for clause in done.clauses:
         print_text(clause)
-    for part, words in {"all": "all", "line": "at lines", "free": "at lines of free intersections"}.items():
+    parts = {"all": "", "line": " at lines", "free": " at lines of free intersections"}
+    # All moments to learn from at lines are those at lines.
+    for part in parts if given.moments == "all" else ("line", "free"):
         row = done.report["test"][part]
         if row["moments"]:
-            print_text(f"held-out moments, {words}: {row['explained']:.1%} of {row['moments']} explained")
+            constant = f"{row['most_frequent_action']:.1%} by the most frequent action"
+            shares = f"{row['explained']:.1%} of {row['moments']} explained, {constant}"
+            print_text(f"held-out moments{parts[part]}: {shares}")
     print_message(f"wrote {given.out}")
     return 0
 

@@ -190,8 +190,9 @@ def distill(
     test = [example for example in examples if example.is_test]
     if not train or not test:
         what = "to learn from" if not train else "held out"
-        help = "check the cell size, the origin and the direction of y: cars must stand on the lanes of the map"
-        raise ValueError(f"the recording has no moment {what} at the line of an intersection\nhelp: {help}")
+        where = " at the line of an intersection" if chosen.moments == "junctions" else ""
+        help = _why_empty(recording, grid, placement)
+        raise ValueError(f"the recording has no moment {what}{where}\nhelp: {help}")
     progress(f"{len(train)} moments to learn from, {len(test)} held out")
     learned = _learn(train, words, chosen)
     progress(f"{len(learned['clauses'])} clauses learned")
@@ -212,6 +213,22 @@ def distill(
     for name, text in files.items():
         write_text(folder / name, text, by="distill", overwrite=overwrite)
     return Distilled(folder, tuple(clause["rule"] for clause in report["clauses"]), report)
+
+
+def _why_empty(recording: Recording, grid: Streets, placement: Placement) -> str:
+    """Return what to check about a recording without moments to learn from, or to hold out."""
+    states = sum(map(len, placement.moments.values()))
+    if not recording.tracks:
+        return "no state is read: check the times against `--begin` (0 by default) and `--end`, and the classes"
+    if all(len(track) == 1 for track in recording.tracks):
+        return "each agent has one state, or states farther apart than a gap: are the times in seconds?"
+    if placement.outside > states:
+        plane = "the units of x and y" if isinstance(grid, Roads) else "`--cell`, `--origin` and `--y`"
+        return f"{placement.outside} of {placement.outside + states} states are off the map: check {plane}"
+    return (
+        "no car drives over the end of a lane that leads to an intersection, in the part of the time that is needed: "
+        "check the map, `--line`, `--length` and `--test`"
+    )
 
 
 class _Words:
@@ -371,15 +388,24 @@ def _builtin_config(name: str) -> str:
     return name if "/" in name or name.endswith(".yaml") else f"configs/{name}.yaml"
 
 
-def _clause(clause: dict[str, Any], before: Sequence[str]) -> str:
+#: What holds in all moments at a line.
+_AT_LINE = "IsAtInter(X)"
+
+
+def _clause(clause: dict[str, Any], before: Sequence[str], always: Sequence[str]) -> str:
     """Return a learned clause as rule files write it. `before` are the actions with precedence."""
-    literals = [*(f"Not({action}(X))" for action in before), *clause["body"]]
+    # Who is at a line sees itself; the learner writes so where nothing else binds X.
+    learned = [literal for literal in clause["body"] if not (always and literal == "Sees(X, X)")]
+    body = [*(literal for literal in always if literal not in learned), *learned]
+    literals = [*(f"Not({action}(X))" for action in before), *body]
     return f"{clause['action']}(X) :- {', '.join(literals)}."
 
 
-def _clauses(learned: dict[str, Any]) -> list[str]:
+def _clauses(learned: dict[str, Any], words: _Words, settings: Settings) -> list[str]:
     order = [action["action"] for action in learned["actions"]]
-    return [_clause(clause, order[: order.index(clause["action"])]) for clause in learned["clauses"]]
+    # Clauses that were learned at lines say nothing about cars elsewhere.
+    always = [_AT_LINE] * (settings.moments == "junctions" and "IsAtInter" in words.names)
+    return [_clause(clause, order[: order.index(clause["action"])], always) for clause in learned["clauses"]]
 
 
 def _city(words: _Words, settings: Settings, learned: dict[str, Any], folder: Path) -> dict[str, str]:
@@ -399,7 +425,7 @@ def _city(words: _Words, settings: Settings, learned: dict[str, Any], folder: Pa
     included, own = _rules_of(config)
     if own is not None:
         files["words.dl"] = _inlined(own, set())
-    files["rules.dl"] = "\n".join([f'.include "{included}"', *_clauses(learned), ""])
+    files["rules.dl"] = "\n".join([f'.include "{included}"', *_clauses(learned, words, settings), ""])
     return files
 
 
@@ -442,7 +468,7 @@ class _Measured:
         folder: Path,
         progress: Callable[[str], object],
     ) -> None:
-        clauses = _clauses(learned)
+        clauses = _clauses(learned, words, settings)
         #: The rules with a predicate for each clause.
         text = (city / "rules.dl").read_text(encoding="utf-8")
         for number, clause in enumerate(clauses):
@@ -524,7 +550,7 @@ def _rules(words: _Words, learned: dict[str, Any], measured: _Measured, settings
         f"// and {_percent(test['free'].share)} of the {test['free'].total} of them in which the intersection is free.",
     ]
     lines.append(f'.include "{_rules_of(settings.config)[0]}"')
-    for clause, text, fired in zip(learned["clauses"], _clauses(learned), measured.fired, strict=True):
+    for clause, text, fired in zip(learned["clauses"], _clauses(learned, words, settings), measured.fired, strict=True):
         (holds, right), (holds_test, right_test) = fired["train"], fired["test"]
         lines += [
             "",
@@ -550,7 +576,7 @@ def _report(
 ) -> dict[str, Any]:
     thresholds = settings.thresholds
     clauses = []
-    for clause, text, fired in zip(learned["clauses"], _clauses(learned), measured.fired, strict=True):
+    for clause, text, fired in zip(learned["clauses"], _clauses(learned, words, settings), measured.fired, strict=True):
         clauses.append(
             {
                 "label": clause["label"],
@@ -638,7 +664,7 @@ def _markdown(report: dict[str, Any]) -> str:
     lines += ["## What they get wrong", "", "| driver | rules | held-out moments |", "|---|---|---|"]
     for driver, row in report["test"]["all"]["by_driver_and_rules"].items():
         lines += [f"| {driver} | {rules} | {count} |" for rules, count in row.items() if rules != driver]
-    lines += ["", "`wrong.jsonl` has the scenes, for `logicity infer`. The first moments:", ""]
+    lines += ["", "`wrong.jsonl` has the scenes, for `logicity infer` from where `distill` ran. The first moments:", ""]
     lines += ["| tick | id | cell | heading | driver | rules |", "|---|---|---|---|---|---|"]
     for wrong in report["wrong"][:40]:
         id = neutral(wrong["id"], lines=False).replace("|", "\\|")

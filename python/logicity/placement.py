@@ -576,7 +576,8 @@ def _find_lane(
     found = grid.find(angle, *front)
     if found is not None:
         lane = grid.lanes[found[0]]
-        if (lane.length - found[1]) * grid.cell >= length:
+        # The rear of a car may never be on a lane that is shorter than it.
+        if (lane.length - found[1]) * grid.cell >= min(length, lane.length * grid.cell / 2):
             state.lane, state.left = found[0], found[1] * grid.cell
             state.heading = lane.heading_at(found[1])
             return

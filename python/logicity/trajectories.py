@@ -9,6 +9,7 @@ import csv
 import gzip
 import math
 import os
+import zlib
 from collections.abc import Iterator
 from contextlib import suppress
 from dataclasses import dataclass, field
@@ -121,12 +122,12 @@ class _Resampler:
         self.shift = 0.0
         self.tracks: list[Track] = []
         self.samples = self.left_out = 0
-        self._open: dict[str, tuple[_Sample, Track | None]] = {}
+        self._open: dict[tuple[str, str], tuple[_Sample, Track | None]] = {}
 
-    def add(self, id: str, kind: str, sample: _Sample) -> str | None:
-        """Add a sample; return why it cannot follow the one before."""
+    def add(self, id: str, kind: str, sample: _Sample, space: str = "") -> str | None:
+        """Add a sample; return why it cannot follow the one before. Ids are those of a space of names."""
         self.samples += 1
-        last, track = self._open.get(id, (None, None))
+        last, track = self._open.get((space, id), (None, None))
         if last is not None and sample.t <= last.t:
             return f"`{id}` has the time {sample.t:g} s after {last.t:g} s; the times of an id must increase"
         if last is None or sample.t - last.t > max(GAP, 1.5 * self.tick) or (track is not None and track.kind != kind):
@@ -145,7 +146,7 @@ class _Resampler:
             # Halfway between two directions there is none of a car: the nearer sample has it.
             track.angle.append(sample.angle if share >= 0.5 else before.angle)
             track.speed.append(before.speed + share * (sample.speed - before.speed))
-        self._open[id] = (sample, track)
+        self._open[space, id] = (sample, track)
         return None
 
 
@@ -255,6 +256,10 @@ def read_trajectories(
     return Recording(tracks, tick, samples, left_out)
 
 
+#: What reading a compressed file raises if it is damaged.
+_DAMAGED = (EOFError, gzip.BadGzipFile, zlib.error)
+
+
 def _open(path: str) -> IO[bytes]:
     _logicity.check_readable(path, False)
     return cast("IO[bytes]", gzip.open(path, "rb")) if path.endswith(".gz") else open(path, "rb")
@@ -301,8 +306,8 @@ def _read_fcd(path: str, columns: Columns, to: _Resampler, begin: float, end: fl
     except ElementTree.ParseError as error:
         line, _ = error.position
         _fail(path, line, None, f"not XML: {error.msg if hasattr(error, 'msg') else error}", "is the file complete?")
-    except (EOFError, gzip.BadGzipFile, UnicodeDecodeError) as error:
-        _fail(path, None, None, f"damaged: {error}")
+    except (*_DAMAGED, UnicodeDecodeError) as error:
+        _fail(path, None, None, f"damaged: {error}", "is the file complete?")
 
 
 def _fcd_step(path: str) -> float:
@@ -310,7 +315,7 @@ def _fcd_step(path: str) -> float:
     times: list[float] = []
     # Reading the file as a whole reports what is wrong.
     with (
-        suppress(ElementTree.ParseError, EOFError, gzip.BadGzipFile, UnicodeDecodeError, ValueError),
+        suppress(ElementTree.ParseError, *_DAMAGED, UnicodeDecodeError, ValueError),
         _open(path) as file,
     ):
         for _, element in ElementTree.iterparse(file, ("start",)):
@@ -336,7 +341,8 @@ def _add_fcd(
     x, y, speed = (_attribute(path, lines, element, name) for name in ("x", "y", "speed"))
     # SUMO's angles grow clockwise from north.
     angle = math.radians(90 - _attribute(path, lines, element, "angle"))
-    fault = to.add(id, kind, _Sample(time, x, y, angle, speed))
+    # A vehicle and a person may have the same id.
+    fault = to.add(id, kind, _Sample(time, x, y, angle, speed), element.tag)
     if fault is not None:
         _fail(path, lines.line, "time", fault)
 
@@ -421,6 +427,8 @@ def _read_csv(path: str, columns: Columns, to: _Resampler, begin: float, end: fl
                     _fail(path, reader.line_num, columns.names["frame" if "frame" in texts else "t"], fault)
         except csv.Error as error:
             _fail(path, reader.line_num, None, f"not CSV: {error}")
+        except _DAMAGED as error:
+            _fail(path, reader.line_num, None, f"damaged: {error}", "is the file complete?")
 
 
 def _own_kind(columns: Columns, texts: dict[str, str]) -> str | None:

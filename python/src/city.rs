@@ -313,7 +313,7 @@ fn roads(py: Python<'_>, path: PathBuf) -> PyResult<Option<RoadInfo>> {
         let cells = map.lane_cells(number);
         let Some(last) = cells.last() else { continue };
         let middle = cells[cells.len() / 2];
-        let headings = cells.iter().map(|cell| map.lane_at(*cell).map_or("", Heading::name));
+        let headings = map.lane_headings(number).iter().map(|heading| heading.name());
         let zones = map.zones().filter(|zone| map.in_zone(zone, middle)).map(str::to_owned);
         numbers.insert(number, lanes.len());
         lanes.push((

@@ -132,6 +132,7 @@ def test_a_recording_elsewhere_is_refused(tmp_path: Path) -> None:
     [
         (["distill", "no-such.csv", "-o", "out"], 2, "no-such.csv"),
         (["distill", "a.csv", "-o", "out", "--origin", "1"], 2, "expected X,Y in meters"),
+        (["distill", "a.csv", "-o", "out", "--tick", "1e-6"], 2, "expected a number from 0.01 to 3600"),
         (["distill", "a.csv", "-o", "out", "--test", "1"], 2, "expected a number between 0 and 1"),
         (["map", "export", "square-5x5", "-o", "town.xml"], 2, "expected a name that ends in .net.xml"),
         (["map", "export", "square-5x5", "-o", "t.net.xml", "--junctions", "priority"], 2, "--main ZONE"),
@@ -347,7 +348,7 @@ def test_rules_of_a_city_on_an_imported_network_are_recovered(tmp_path: Path) ->
     # Where a trip ends, the recording does not tell where the car would have turned.
     assert report["test"]["line"]["explained"] >= 0.85, done.stdout
     rules = [clause["rule"] for clause in report["clauses"]]
-    assert "Stop(X) :- FromRight(Y, X), Not(TurnsRight(X)), Not(Waits(Y))." in rules, rules
+    assert "Stop(X) :- IsAtInter(X), FromRight(Y, X), Not(TurnsRight(X)), Not(Waits(Y))." in rules, rules
     logicity.Simulation(str(out / "city.yaml")).run(20)
     # The exported network is that of the file, so SUMO shows the run on it.
     back = tmp_path / "back.net.xml"

@@ -58,6 +58,28 @@ def test_compressed_files_and_parts_of_the_time(tmp_path: Path) -> None:
     assert (track.id, track.first, track.x) == ("a", 4, [4.0])
 
 
+def test_damaged_compressed_files_are_errors(tmp_path: Path) -> None:
+    text = "t,id,x,y\n" + "".join(f"{t},a,{t},0\n" for t in range(4000))
+    whole = gzip.compress(text.encode())
+    for name, content in {"cut.csv.gz": whole[: len(whole) // 2], "plain.csv.gz": text.encode()}.items():
+        (tmp_path / name).write_bytes(content)
+        with pytest.raises(ValueError, match=rf"{name}:\d+: damaged: ") as caught:
+            read_trajectories([str(tmp_path / name)])
+        assert "is the file complete?" in str(caught.value)
+
+
+def test_a_vehicle_may_have_the_id_of_a_person(tmp_path: Path) -> None:
+    attributes = 'id="0" x="{t}" y="0" angle="90" speed="1"'
+    steps = (
+        f'<timestep time="{t}"><vehicle {attributes.format(t=t)}/><person {attributes.format(t=t + 50)}/></timestep>'
+        for t in range(3)
+    )
+    (tmp_path / "both.xml").write_text(f"<fcd-export>{''.join(steps)}</fcd-export>")
+    one, other = read_trajectories([str(tmp_path / "both.xml")]).tracks
+    assert (one.kind, other.kind) == ("Car", "Pedestrian")
+    assert one.id == other.id == "0" and len(one) == len(other) == 3 and other.x[0] > one.x[-1]
+
+
 MAPPING = """
 columns:
   {frame: frame, id: trackId, kind: class, x: xCenter, y: yCenter, heading: heading, vx: xVelocity, vy: yVelocity}

@@ -810,6 +810,13 @@ impl CityMap {
         lane.and_then(|lane| Some(self.roads()?.path(lane))).unwrap_or_default()
     }
 
+    /// Returns the direction of travel at each of these cells.
+    pub fn lane_headings(&self, lane: usize) -> &[Heading] {
+        let lane = u32::try_from(lane).ok();
+        lane.and_then(|lane| Some(self.roads()?.path_headings(lane)))
+            .unwrap_or_default()
+    }
+
     /// Returns the cells of a connection of the road network between its two lanes, by its position there.
     pub fn connection_cells(&self, connection: usize) -> &[Cell] {
         let connection = u32::try_from(connection).ok();

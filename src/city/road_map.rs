@@ -467,6 +467,12 @@ impl RoadMap {
         ends.map_or(&[], |(&first, &end)| &self.paths[first as usize..end as usize])
     }
 
+    /// Returns the direction of travel at each cell of a lane for cars.
+    pub fn path_headings(&self, lane: u32) -> &[Heading] {
+        let ends = self.firsts.get(lane as usize).zip(self.firsts.get(lane as usize + 1));
+        ends.map_or(&[], |(&first, &end)| &self.facings[first as usize..end as usize])
+    }
+
     /// Returns the cells of a connection between its lanes.
     pub fn link(&self, connection: u32) -> &[Cell] {
         self.links.get(connection as usize).map_or(&[], Vec::as_slice)

@@ -4,8 +4,10 @@ use crate::city::Network;
 use crate::cli::failure::Failure;
 use crate::cli::inputs::{self, Inputs};
 use crate::cli::outputs::{ForceOption, finish, messages, unwritable};
+use crate::cli::report::report;
 use crate::cli::values::decimal;
-use crate::diag::{Sources, counted};
+use crate::datalog::codes;
+use crate::diag::{Diagnostic, Sources, Span, counted};
 use crate::sumo;
 use crate::yaml::read::is_name;
 use std::fmt::Write as _;
@@ -59,6 +61,7 @@ fn import(arguments: &ImportArguments, sources: &mut Sources) -> Result<(), Fail
         };
         let source = sources.add(path.display().to_string(), text);
         networks.push((path.as_path(), sumo::import(sources, source, arguments.cell)?));
+        warn_of_signals(&sumo::adaptive_signals(sources, source), sources);
     }
     let (network, zones) = side_by_side(networks)?;
     let output = arguments.output.as_path();
@@ -90,6 +93,22 @@ fn import(arguments: &ImportArguments, sources: &mut Sources) -> Result<(), Fail
         counts.join(", ")
     )?;
     Ok(())
+}
+
+/// Warns of signals whose phases the map repeats, although they follow the traffic.
+fn warn_of_signals(adaptive: &[Span], sources: &Sources) {
+    let Some((&first, others)) = adaptive.split_first() else {
+        return;
+    };
+    let message = "the phases of this signal follow the traffic, but not on the map";
+    let mut fault = Diagnostic::new(codes::IGNORED, message).at(first, "the map repeats its phases as they stand here");
+    if !others.is_empty() {
+        fault = fault.note(format!("{} like it", counted(others.len(), "further signal")));
+    }
+    report(
+        &[fault.help("make the network with static signals: `netgenerate --tls.default-type static`")],
+        sources,
+    );
 }
 
 /// The columns between two networks on a map.

@@ -607,6 +607,15 @@ impl Definition {
         }
     }
 
+    /// Returns whether only a road network can have rows of the predicate.
+    pub(crate) const fn needs_roads(&self) -> bool {
+        matches!(
+            self,
+            Definition::Pair(Pair::Yields(_))
+                | Definition::Quantity(Quantity::Limit | Quantity::Light | Quantity::RightOfWay | Quantity::Clearance)
+        )
+    }
+
     /// Returns the values from which the predicate is computed, in words.
     pub fn inputs(&self) -> &'static str {
         match self {

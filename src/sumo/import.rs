@@ -14,6 +14,7 @@ use crate::diag::{Diagnostic, SourceId, Sources, Span};
 use roxmltree::{Document, Node, ParsingOptions};
 use std::collections::HashMap;
 use std::fmt::Write;
+use std::ops::Range;
 
 /// The cells around the outermost point of a network.
 const MARGIN: f64 = 2.0;
@@ -23,6 +24,21 @@ const WIDTH: f64 = 3.2;
 const TOLERANCE: f64 = 0.25;
 /// The maximum number of elements and attributes of a file.
 const NODES_MAX: u32 = 20_000_000;
+
+/// Returns the heads of the signals of a network whose phases follow the traffic. Their map repeats the phases of the
+/// file.
+pub fn adaptive_signals(sources: &Sources, source: SourceId) -> Vec<Span> {
+    let text = sources.text(source);
+    let heads = text.match_indices("<tlLogic").map(|(at, _)| {
+        let length = text[at..].find('>').unwrap_or(0);
+        at..at + length
+    });
+    let is_adaptive = |head: &Range<usize>| {
+        let has = |attribute: &str| text[head.clone()].contains(attribute);
+        has("type=") && !has("type=\"static\"") && !has("type='static'")
+    };
+    heads.filter(is_adaptive).map(|head| Span::new(source, head)).collect()
+}
 
 /// Reads a network. A cell has sides of `cell` meters.
 ///

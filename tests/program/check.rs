@@ -222,6 +222,24 @@ fn check_reports_what_run_refuses() {
 }
 
 #[test]
+fn predicates_of_road_networks_are_empty_on_blocks() {
+    let folder = tempfile::tempdir().unwrap();
+    let rules = ".include \"right-of-way-roads.dl\"\nStop(X) :- IsAtInter(X), Clearance(X, Y, n), n < 3.\n";
+    write(folder.path(), "gaps.dl", rules);
+    let config = |map: &str| format!("base: right-of-way-roads\nmap: {map}\nregion: ~\nrules: gaps.dl\n");
+    for (map, count) in [("roundabout", 0), ("square-5x5", 3)] {
+        let config = write(folder.path(), "gaps.yaml", config(map));
+        let said = err(&run(&["check", &config], b""));
+        assert_eq!(said.matches("warning[empty-predicate]").count(), count, "{map}: {said}");
+        assert_eq!(
+            said.contains("only a road network has it, and the map has blocks"),
+            count > 0,
+            "{said}"
+        );
+    }
+}
+
+#[test]
 fn absent_agents_and_unread_outputs_are_reported() {
     let folder = tempfile::tempdir().unwrap();
     let clauses = ".decl Fleet(x: agent)\nFleet(X) :- IsTaxi(X), IsAtInter(X).\n\

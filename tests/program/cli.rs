@@ -2878,6 +2878,28 @@ fn folders_of_facts_are_ticks() {
     succeeds(&asked(&drawn, &[zero], &["--marginals"]));
 }
 
+/// A map repeats the phases of signals that follow the traffic, which the import says.
+#[test]
+fn import_warns_of_signals_that_follow_the_traffic() {
+    let folder = tempfile::tempdir().unwrap();
+    let [network, map] = ["town.net.xml", "town.yaml"].map(|name| folder.path().join(name));
+    let [network, map] = [network, map].map(|path| path.to_str().unwrap().to_owned());
+    let text = fs::read_to_string("tests/fixtures/networks/grid-signals.net.xml").unwrap();
+    fs::write(&network, &text).unwrap();
+    let quiet = logicity(["map", "import", &network, "-o", &map]);
+    succeeds(&quiet);
+    assert!(!err(&quiet).contains("warning"), "{}", err(&quiet));
+    fs::write(&network, text.replace("type=\"static\"", "type=\"actuated\"")).unwrap();
+    let warned = logicity(["map", "import", &network, "-o", &map, "--force"]);
+    succeeds(&warned);
+    let said = String::from_utf8_lossy(&warned.stderr);
+    assert!(
+        said.contains("warning[ignored]: the phases of this signal follow the traffic"),
+        "{said}"
+    );
+    assert!(said.contains("further signals like it"), "{said}");
+}
+
 /// Several networks become one map with a zone for each, which regions can name.
 #[test]
 fn networks_are_imported_side_by_side() {

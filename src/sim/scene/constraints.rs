@@ -111,6 +111,7 @@ impl CityTheory {
         for one in &read {
             self.derive_for_one(rules, *one, inputs, found);
         }
+        found.constraints.empty.extend(self.without_roads(rules));
         self.derive_cover(rules, &read, inputs, found);
         for arity in [1, 2] {
             let same = read.iter().filter(|one| one.config.definition.arity() == arity);

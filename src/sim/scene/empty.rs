@@ -181,6 +181,7 @@ fn reason(definition: &Definition) -> String {
         Definition::Static(Static::Concept(Concept { of, concept, .. })) => {
             format!("no {} has the concept `{concept}`", of.name().to_lowercase())
         }
+        definition if definition.needs_roads() => "only a road network has it, and the map has blocks".to_owned(),
         _ => "there is no such situation in this city".to_owned(),
     }
 }

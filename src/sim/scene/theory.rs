@@ -197,6 +197,16 @@ impl CityTheory {
         }
     }
 
+    /// Returns the inputs that only a road network can have rows of, on a map of blocks.
+    pub(super) fn without_roads(&self, rules: &Rules) -> Vec<PredicateId> {
+        let predicates = self.scenario.predicates.iter();
+        let needy = predicates.filter(|config| self.map.network().is_none() && config.definition.needs_roads());
+        let names: HashSet<&str> = needy.map(|config| config.name.value.as_str()).collect();
+        let declared = rules.predicates.iter().zip((0..).map(PredicateId));
+        let inputs = declared.filter(|(predicate, _)| predicate.input && names.contains(predicate.name.as_str()));
+        inputs.map(|(_, id)| id).collect()
+    }
+
     /// Returns whether a predicate has no rows in the city.
     pub(super) fn is_empty(&self, one: Known<'_>) -> bool {
         let definition = &one.config.definition;
