@@ -16,8 +16,11 @@ from .types import Clause, Diagnostic, StratumStats
 
 __all__ = ["Change", "Column", "Explanation", "Marginals", "Predicate", "Program", "Rows", "Session", "check"]
 
-Row = tuple[str | int | float, ...]
-"""A row: str for symbols, int for numbers and unsigned numbers, and float for floats."""
+Row = tuple[str | int | float | tuple[Any, ...] | None, ...]
+"""A row: str for symbols, int for numbers and unsigned numbers, and float for floats.
+
+A record is a tuple of its fields, behind the name of its branch if its type has branches; `nil` is None.
+"""
 
 RowsLike = Iterable[Sequence[object]] | npt.NDArray[Any] | Mapping[str, npt.ArrayLike]
 """Rows in the forms that `Session.insert` accepts."""
@@ -329,19 +332,20 @@ class Session:
 
                 - an iterable of tuples or lists with one value per column: str for a symbol, int for a 32-bit signed or
                   unsigned number, float or int for a float. Floats are rounded to 32 bits; NaN and infinities are
-                  valid;
+                  valid. A record `[1, "a"]` is `(1, "a")`, `$Circle(3)` is `("Circle", 3)`, and `nil` is None; or a str
+                  has the text of the record as in files of rows;
                 - an array of shape (n, columns), if one dtype fits all columns;
                 - a structured array of shape (n,), whose fields have the names of the columns, in any order;
                 - a mapping from the names of all columns to arrays of shape (n,).
 
-                In arrays, symbols have the dtype `U`, `StringDType`, or `object` with str. Numbers and unsigned numbers
-                have any integer dtype. Floats have any float or integer dtype.
+                In arrays, symbols have the dtype `U`, `StringDType`, or `object` with str, and records `object`.
+                Numbers and unsigned numbers have any integer dtype. Floats have any float or integer dtype.
 
         Raises:
             LimitError: If the rows would take more memory than `max_bytes`. No row is inserted then.
             TypeError: If a value or dtype does not match its column; bool is not a number.
-            ValueError: If a number is out of range, a row or array has the wrong shape, or rules derive the predicate.
-                No row is inserted then.
+            ValueError: If a number is out of range, a row or array has the wrong shape, a record does not fit its type
+                or is nested more than 10,000 deep, or rules derive the predicate. No row is inserted then.
         """
         return self._session.insert(predicate, rows)
 

@@ -1,7 +1,7 @@
 //! Conversion of rows from and to Python: tuples, or one numpy array per column.
 
-use logicity::datalog::internal::record_source;
-use logicity::datalog::{BaseType, Column, Predicate, Value};
+use logicity::datalog::internal::{NIL, record_fields, record_of_text, record_word, shapes};
+use logicity::datalog::{BaseType, Column, Predicate, RecordShape, Type, TypeId, Value};
 use logicity::symbol::{Symbol, Symbols};
 use numpy::{Element, PyArray1, PyArrayDescrMethods, PyReadonlyArray1, PyUntypedArray, PyUntypedArrayMethods};
 use pyo3::PyTypeInfo as _;
@@ -9,17 +9,26 @@ use pyo3::exceptions::{PyTypeError, PyValueError};
 use pyo3::intern;
 use pyo3::prelude::*;
 use pyo3::types::{PyBool, PyDict, PyFrozenSet, PyList, PyMapping, PySet, PySlice, PyString, PyTuple};
+use std::cell::RefCell;
 use std::collections::HashMap;
 
 /// The number of rows to convert between checks of signals and memory.
 const ROWS_PER_CHECK: usize = 1 << 16;
 
-/// Returns the word of a string.
-type Intern<'a> = dyn Fn(&str) -> PyResult<Value> + 'a;
+/// Maximum depth of records in records. Python hashes and compares nested tuples on its stack.
+const MAX_DEPTH: usize = 10_000;
+
+/// What makes the words of symbols and records.
+#[derive(Clone, Copy)]
+pub struct Maker<'a> {
+    /// Returns the word of a string.
+    pub symbol: &'a dyn Fn(&str) -> PyResult<Value>,
+    pub types: &'a [Type],
+}
 
 /// What a conversion of many rows needs from their session.
 pub struct Target<'a> {
-    pub symbol: &'a Intern<'a>,
+    pub maker: Maker<'a>,
     /// Checks that the session has memory for this number of words.
     pub room: &'a dyn Fn(usize) -> PyResult<()>,
 }
@@ -37,7 +46,18 @@ fn type_text(base: BaseType) -> &'static str {
         BaseType::Number => "numbers (int from -2147483648 to 2147483647)",
         BaseType::Unsigned => "unsigned numbers (int from 0 to 4294967295)",
         BaseType::Float => "floats (float of 32 bits)",
-        BaseType::Record => "records, which only rules and files make",
+        BaseType::Record => "records (tuple of their fields, or None for nil)",
+    }
+}
+
+/// Describes a value of a type with branches for messages.
+fn branch_text(shape: &RecordShape) -> String {
+    let name = shape.branch.iter().map(|name| format!("\"{name}\""));
+    let fields = shape.fields.iter().map(|(field, _)| field.clone());
+    let parts: Vec<String> = name.chain(fields).collect();
+    match parts.len() {
+        1 => format!("({},)", parts[0]),
+        _ => format!("({})", parts.join(", ")),
     }
 }
 
@@ -55,6 +75,20 @@ fn expects(predicate: &Predicate, column: &Column) -> String {
 enum Misfit {
     Type,
     Range,
+    /// A value that is no record of the type, for this reason.
+    Record(String),
+}
+
+impl Misfit {
+    /// Returns the error for a value, given what the column expects.
+    fn error(self, expects: &str, value: &Bound<'_, PyAny>) -> PyResult<PyErr> {
+        Ok(match self {
+            Misfit::Type => PyTypeError::new_err(format!("{expects}, not {}", value.repr()?)),
+            Misfit::Range => PyValueError::new_err(format!("{expects}; {} is out of range", value.repr()?)),
+            // A record may be too deep to print.
+            Misfit::Record(reason) => PyValueError::new_err(format!("{expects}: {reason}")),
+        })
+    }
 }
 
 fn number(base: BaseType, value: i128) -> Result<Value, Misfit> {
@@ -75,16 +109,24 @@ fn float(value: f64) -> Result<Value, Misfit> {
     }
 }
 
-/// Converts a value of a column. `symbol` interns a string.
-fn word(value: &Bound<'_, PyAny>, base: BaseType, symbol: &Intern<'_>) -> PyResult<Result<Value, Misfit>> {
+/// Converts a value of a column.
+fn word(value: &Bound<'_, PyAny>, column: &Column, maker: Maker<'_>) -> PyResult<Result<Value, Misfit>> {
+    match column.base {
+        BaseType::Record => record(value, column.ty, maker),
+        base => leaf(value, base, maker),
+    }
+}
+
+/// Converts a value of a type other than a record.
+fn leaf(value: &Bound<'_, PyAny>, base: BaseType, maker: Maker<'_>) -> PyResult<Result<Value, Misfit>> {
     if base == BaseType::Symbol {
         return match value.cast::<PyString>() {
-            Ok(text) => Ok(Ok(symbol(text.to_str()?)?)),
+            Ok(text) => Ok(Ok((maker.symbol)(text.to_str()?)?)),
             Err(_) => Ok(Err(Misfit::Type)),
         };
     }
     // In Python, bool is a subclass of int. Here it is an error.
-    if base == BaseType::Record || value.is_instance_of::<PyBool>() {
+    if value.is_instance_of::<PyBool>() {
         return Ok(Err(Misfit::Type));
     }
     if base == BaseType::Float {
@@ -101,12 +143,172 @@ fn word(value: &Bound<'_, PyAny>, base: BaseType, symbol: &Intern<'_>) -> PyResu
     })
 }
 
+/// A record whose fields are being converted.
+struct Open<'a, 'py> {
+    shape: &'a RecordShape,
+    fields: Vec<Bound<'py, PyAny>>,
+    words: Vec<u32>,
+    /// The tuple and its type.
+    of: (usize, TypeId),
+}
+
+/// Converts a record: a tuple or list of its fields, behind the name of its branch if its type has branches; `None` for
+/// `nil`; or its text as in files of rows.
+fn record(value: &Bound<'_, PyAny>, ty: TypeId, maker: Maker<'_>) -> PyResult<Result<Value, Misfit>> {
+    let mut open: Vec<Open<'_, '_>> = Vec::new();
+    // A tuple may occur many times, so its word is computed once.
+    let mut known: HashMap<(usize, TypeId), Value> = HashMap::new();
+    let (mut next, mut ty) = (value.clone(), ty);
+    loop {
+        let base = maker.types[ty.0 as usize].base;
+        let of = (next.as_ptr() as usize, ty);
+        let mut done = match (base, known.get(&of)) {
+            (_, Some(word)) => Some(*word),
+            (BaseType::Record, None) => match opened(&next, ty, maker)? {
+                Ok(Begun::Done(word)) => Some(word),
+                Ok(Begun::Open(shape, fields)) if open.len() < MAX_DEPTH => {
+                    let words = Vec::with_capacity(fields.len());
+                    open.push(Open {
+                        shape,
+                        fields,
+                        words,
+                        of,
+                    });
+                    None
+                }
+                Ok(Begun::Open(..)) => {
+                    let reason = format!("records are nested more than {MAX_DEPTH} deep");
+                    return Ok(Err(Misfit::Record(reason)));
+                }
+                Err(misfit) => return Ok(Err(misfit)),
+            },
+            (base, None) => match leaf(&next, base, maker)? {
+                Ok(word) => Some(word),
+                Err(misfit) => {
+                    let problem = if matches!(misfit, Misfit::Range) {
+                        ", which is out of range"
+                    } else {
+                        ""
+                    };
+                    let reason = format!("a field holds {}, not {}{problem}", type_text(base), next.repr()?);
+                    return Ok(Err(Misfit::Record(reason)));
+                }
+            },
+        };
+        // A value may complete the records around it.
+        loop {
+            let Some(record) = open.last_mut() else {
+                return Ok(Ok(done.unwrap_or_default()));
+            };
+            record.words.extend(done.take().map(|word| word.0));
+            let at = record.words.len();
+            if let (Some(field), Some((_, field_type))) = (record.fields.get(at), record.shape.fields.get(at)) {
+                (next, ty) = (field.clone(), *field_type);
+                break;
+            }
+            let word = record_word(record.shape, maker.types, &record.words, maker.symbol)?;
+            known.insert(record.of, word);
+            done = Some(word);
+            open.pop();
+        }
+    }
+}
+
+/// The start of a record: its word, or its shape and its fields.
+enum Begun<'a, 'py> {
+    Done(Value),
+    Open(&'a RecordShape, Vec<Bound<'py, PyAny>>),
+}
+
+fn opened<'a, 'py>(
+    value: &Bound<'py, PyAny>,
+    ty: TypeId,
+    maker: Maker<'a>,
+) -> PyResult<Result<Begun<'a, 'py>, Misfit>> {
+    let shapes = shapes(maker.types, ty);
+    let name = &maker.types[ty.0 as usize].name;
+    let plain = shapes.iter().find(|shape| shape.branch.is_none());
+    if let Ok(text) = value.cast::<PyString>() {
+        // The function that interns may fail in Python.
+        let failed = RefCell::new(None);
+        let symbol = |text: &str| match (maker.symbol)(text) {
+            Ok(word) => Some(Symbol(word.0)),
+            Err(error) => {
+                failed.replace(Some(error));
+                None
+            }
+        };
+        let read = record_of_text(text.to_str()?, ty, maker.types, &symbol);
+        if let Some(error) = failed.take() {
+            return Err(error);
+        }
+        return Ok(match read {
+            Ok(word) => Ok(Begun::Done(word)),
+            Err(expected) => {
+                let expected = expected.unwrap_or_else(|| "a known record".to_owned());
+                Err(Misfit::Record(format!("expected {expected} in {}", value.repr()?)))
+            }
+        });
+    }
+    if value.is_none() && plain.is_some() {
+        return Ok(Ok(Begun::Done((maker.symbol)(NIL)?)));
+    }
+    let is_row = value.is_instance_of::<PyTuple>() || value.is_instance_of::<PyList>();
+    let mut fields: Vec<Bound<'py, PyAny>> = match is_row {
+        true => value.try_iter()?.collect::<PyResult<_>>()?,
+        false => Vec::new(),
+    };
+    let shape = match (plain, is_row) {
+        (Some(shape), true) => Some(shape),
+        (Some(_), false) => None,
+        (None, _) => {
+            let branch = fields.first().and_then(|first| first.cast::<PyString>().ok()).cloned();
+            let branch = branch.as_ref().map(|branch| branch.to_str()).transpose()?;
+            let found = shapes
+                .iter()
+                .find(|shape| branch.is_some() && shape.branch.as_deref() == branch);
+            if found.is_some() {
+                fields.remove(0);
+            }
+            found
+        }
+    };
+    let Some(shape) = shape else {
+        let wanted = match plain {
+            Some(_) => "a tuple of its fields or None".to_owned(),
+            None => {
+                let all: Vec<String> = shapes.iter().map(branch_text).collect();
+                all.join(" or ")
+            }
+        };
+        let found = if is_row {
+            "this tuple".to_owned()
+        } else {
+            value.repr()?.to_string()
+        };
+        return Ok(Err(Misfit::Record(format!("a `{name}` is {wanted}, not {found}"))));
+    };
+    if fields.len() != shape.fields.len() {
+        let whole = match shape.branch {
+            Some(_) => branch_text(shape),
+            None => {
+                let names: Vec<&str> = shape.fields.iter().map(|(name, _)| name.as_str()).collect();
+                format!("({})", names.join(", "))
+            }
+        };
+        let (wanted, found) = (shape.fields.len(), fields.len());
+        let reason = format!("a `{name}` is {whole} with {wanted} fields, not {found}");
+        return Ok(Err(Misfit::Record(reason)));
+    }
+    Ok(Ok(Begun::Open(shape, fields)))
+}
+
 /// Converts a row. With `open`, `None` matches any value.
 pub fn row(
     predicate: &Predicate,
     values: &Bound<'_, PyAny>,
     open: bool,
-    symbol: &Intern<'_>,
+    maker: Maker<'_>,
 ) -> PyResult<Vec<Option<Value>>> {
     // Iterating these gives characters, keys, or values in any order.
     let is_row = values.is_instance_of::<PyTuple>() || values.is_instance_of::<PyList>();
@@ -139,18 +341,10 @@ pub fn row(
             words.push(None);
             continue;
         }
-        let misfit = match word(&value, column.base, symbol)? {
-            Ok(word) => {
-                words.push(Some(word));
-                continue;
-            }
-            Err(misfit) => misfit,
-        };
-        let (expects, value) = (expects(predicate, column), value.repr()?);
-        return Err(match misfit {
-            Misfit::Type => PyTypeError::new_err(format!("{expects}, not {value}")),
-            Misfit::Range => PyValueError::new_err(format!("{expects}; {value} is out of range")),
-        });
+        match word(&value, column, maker)? {
+            Ok(word) => words.push(Some(word)),
+            Err(misfit) => return Err(misfit.error(&expects(predicate, column), &value)?),
+        }
     }
     match count == predicate.arity() {
         true => Ok(words),
@@ -183,7 +377,7 @@ pub fn rows(predicate: &Predicate, given: &Bound<'_, PyAny>, target: &Target<'_>
         words: Vec::new(),
     };
     for values in given.try_iter()? {
-        let words = row(predicate, &values?, false, target.symbol);
+        let words = row(predicate, &values?, false, target.maker);
         let words = words.map_err(|error| in_row(given.py(), found.rows, &error))?;
         found.words.extend(words.into_iter().flatten());
         found.rows += 1;
@@ -290,7 +484,7 @@ fn of_columns(
                 predicate,
                 column,
                 part.cast::<PyUntypedArray>()?,
-                target.symbol,
+                target.maker,
                 (first..).zip(into),
             )?;
             array.py().check_signals()?;
@@ -304,18 +498,18 @@ fn fill<'a>(
     predicate: &Predicate,
     column: &Column,
     array: &Bound<'_, PyUntypedArray>,
-    symbol: &Intern<'_>,
+    maker: Maker<'_>,
     into: impl Iterator<Item = (usize, &'a mut Value)>,
 ) -> PyResult<()> {
     match (column.base, array.dtype().kind()) {
-        (BaseType::Symbol, b'U' | b'O' | b'T') => {
+        (BaseType::Symbol | BaseType::Record, b'U' | b'O' | b'T') => {
             for (value, (row, into)) in array.call_method0("tolist")?.try_iter()?.zip(into) {
                 let value = value?;
-                *into = match word(&value, BaseType::Symbol, symbol)? {
+                *into = match word(&value, column, maker)? {
                     Ok(word) => word,
-                    Err(_) => {
-                        let message = format!("row {row}: {}, not {}", expects(predicate, column), value.repr()?);
-                        return Err(PyTypeError::new_err(message));
+                    Err(misfit) => {
+                        let expects = format!("row {row}: {}", expects(predicate, column));
+                        return Err(misfit.error(&expects, &value)?);
                     }
                 };
             }
@@ -366,11 +560,24 @@ fn convert<'a, T: Element + Copy + std::fmt::Display>(
     Ok(())
 }
 
-/// Converts values to Python, with one Python string per symbol.
+/// Converts values to Python, with one Python object per symbol and record.
 struct Converter<'a, 'py> {
     py: Python<'py>,
     symbols: &'a Symbols,
     strings: HashMap<u32, Bound<'py, PyAny>>,
+    /// The depths of the records among them.
+    depths: HashMap<u32, usize>,
+}
+
+impl<'a, 'py> Converter<'a, 'py> {
+    fn new(py: Python<'py>, symbols: &'a Symbols) -> Self {
+        Converter {
+            py,
+            symbols,
+            strings: HashMap::new(),
+            depths: HashMap::new(),
+        }
+    }
 }
 
 impl<'py> Converter<'_, 'py> {
@@ -379,16 +586,59 @@ impl<'py> Converter<'_, 'py> {
             BaseType::Number => value.as_number().into_pyobject(self.py)?.into_any(),
             BaseType::Unsigned => value.0.into_pyobject(self.py)?.into_any(),
             BaseType::Float => value.as_float().into_pyobject(self.py)?.into_any(),
-            BaseType::Record => {
-                let text = || PyString::new(self.py, &record_source(value, self.symbols)).into_any();
-                self.strings.entry(value.0).or_insert_with(text).clone()
-            }
+            BaseType::Record => self.record(value)?,
             BaseType::Symbol => {
                 let text =
                     || PyString::new(self.py, self.symbols.resolve(Symbol(value.0)).unwrap_or_default()).into_any();
                 self.strings.entry(value.0).or_insert_with(text).clone()
             }
         })
+    }
+}
+
+impl<'py> Converter<'_, 'py> {
+    /// Converts a record to a tuple of its fields, behind the name of its branch if it has one; `nil` to `None`. Equal
+    /// records are one object.
+    fn record(&mut self, value: Value) -> PyResult<Bound<'py, PyAny>> {
+        let mut open = vec![value];
+        while let Some(&value) = open.last() {
+            if self.strings.contains_key(&value.0) {
+                open.pop();
+                continue;
+            }
+            let Some((branch, fields)) = record_fields(value, self.symbols) else {
+                self.strings.insert(value.0, self.py.None().into_bound(self.py));
+                continue;
+            };
+            let before = open.len();
+            let inner = |(base, word): &(BaseType, Value)| {
+                (*base == BaseType::Record && !self.strings.contains_key(&word.0)).then_some(*word)
+            };
+            open.extend(fields.iter().filter_map(inner));
+            if open.len() > before {
+                continue;
+            }
+            let depths = fields.iter().filter(|(base, _)| *base == BaseType::Record);
+            let depth = 1 + depths
+                .map(|(_, word)| self.depths.get(&word.0).copied().unwrap_or(0))
+                .max()
+                .unwrap_or(0);
+            if depth > MAX_DEPTH {
+                let message = format!("a record nested more than {MAX_DEPTH} deep; derive a predicate of its parts");
+                return Err(PyValueError::new_err(message));
+            }
+            self.depths.insert(value.0, depth);
+            let mut parts = Vec::with_capacity(fields.len() + 1);
+            if let Some(branch) = branch {
+                parts.push(PyString::intern(self.py, branch).into_any());
+            }
+            for (base, word) in fields {
+                parts.push(self.value(word, base)?);
+            }
+            self.strings.insert(value.0, PyTuple::new(self.py, parts)?.into_any());
+            open.pop();
+        }
+        Ok(self.strings[&value.0].clone())
     }
 }
 
@@ -399,11 +649,7 @@ pub fn tuples<'py, 'r>(
     rows: impl Iterator<Item = &'r [Value]>,
     symbols: &Symbols,
 ) -> PyResult<Bound<'py, PyList>> {
-    let mut converter = Converter {
-        py,
-        symbols,
-        strings: HashMap::new(),
-    };
+    let mut converter = Converter::new(py, symbols);
     let list = PyList::empty(py);
     for (position, row) in rows.enumerate() {
         let values = columns
@@ -433,11 +679,7 @@ pub fn arrays<'py, 'r, R: Iterator<Item = &'r [Value]>>(
             BaseType::Unsigned => PyArray1::from_vec(py, words.map(|word| word.0).collect()).into_any(),
             BaseType::Float => PyArray1::from_vec(py, words.map(Value::as_float).collect()).into_any(),
             base @ (BaseType::Symbol | BaseType::Record) => {
-                let mut converter = Converter {
-                    py,
-                    symbols,
-                    strings: HashMap::new(),
-                };
+                let mut converter = Converter::new(py, symbols);
                 let values = words.map(|word| Ok(converter.value(word, base)?.unbind()));
                 PyArray1::from_vec(py, values.collect::<PyResult<Vec<_>>>()?).into_any()
             }

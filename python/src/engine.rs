@@ -1,6 +1,6 @@
 //! Programs and sessions.
 
-use crate::columns::{self, Target};
+use crate::columns::{self, Maker, Target};
 use crate::{LimitArguments, Shared, Signals, input_error, limits_of, threads_of, to_python};
 use logicity::builtin::BuiltinFiles;
 use logicity::datalog;
@@ -281,7 +281,10 @@ impl PySession {
             let (id, predicate) = self.loaded.predicate(&name)?;
             let symbols = std::cell::RefCell::new(&mut made);
             let target = Target {
-                symbol: &|text| Ok(symbols.borrow_mut().intern(text)),
+                maker: Maker {
+                    symbol: &|text| Ok(symbols.borrow_mut().intern(text)),
+                    types: &self.loaded.program.rules().types,
+                },
                 room: &|_| Ok(()),
             };
             let found = columns::rows(predicate, &rows, &target)?;
@@ -350,9 +353,11 @@ impl PySession {
         let (id, predicate) = self.loaded.predicate(predicate)?;
         self.session.with(|session| {
             let symbols = session.symbols();
-            let row = columns::row(predicate, row, false, &|text| {
-                Ok(Value(symbols.get(text).map_or(u32::MAX, |symbol| symbol.0)))
-            })?;
+            let maker = Maker {
+                symbol: &|text| Ok(Value(symbols.get(text).map_or(u32::MAX, |symbol| symbol.0))),
+                types: &self.loaded.program.rules().types,
+            };
+            let row = columns::row(predicate, row, false, maker)?;
             let row: Vec<Value> = row.into_iter().flatten().collect();
             Ok(session.contains(id, &row))
         })
@@ -404,10 +409,11 @@ impl PySession {
             Some(row) => {
                 let (id, predicate) = loaded.predicate(fact)?;
                 let symbols = session.symbols();
-                Ok((
-                    id,
-                    columns::row(predicate, row, true, &|text| Ok(Value(symbols.intern(text).0)))?,
-                ))
+                let maker = Maker {
+                    symbol: &|text| Ok(Value(symbols.intern(text).0)),
+                    types: &loaded.program.rules().types,
+                };
+                Ok((id, columns::row(predicate, row, true, maker)?))
             }
             None => {
                 let mut sources = loaded.sources.clone();
@@ -493,12 +499,16 @@ impl PySession {
             }
         };
         // The caller's iterator may use this session, so the session stays unlocked during the conversion.
+        let symbol = |text: &str| {
+            self.session.with(|session| {
+                checked(rest + session.symbols().bytes() + text.len() as u64)?;
+                Ok(session.intern(text))
+            })
+        };
         let target = Target {
-            symbol: &|text| {
-                self.session.with(|session| {
-                    checked(rest + session.symbols().bytes() + text.len() as u64)?;
-                    Ok(session.intern(text))
-                })
+            maker: Maker {
+                symbol: &symbol,
+                types: &self.loaded.program.rules().types,
             },
             // The converted rows, and their copies among the pending changes.
             room: &|words| {

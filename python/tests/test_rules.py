@@ -249,6 +249,83 @@ def test_insert_accepts_many_forms_of_rows(rows: Any) -> None:
     assert held.rows("copy") == []
 
 
+RECORDS = """
+.type List = [head: number, tail: List]
+.type Shape = Circle {r: float} | Dot {} | Both {name: symbol, list: List, shape: Shape}
+.decl list(l: List)
+.decl shape(s: Shape)
+.input list, shape
+.decl part(l: List)
+part(l) :- list(l). part(t) :- part([_, t]).
+.decl inner(s: Shape)
+inner(s) :- shape($Both(_, _, s)).
+"""
+
+
+def test_records_are_tuples() -> None:
+    session = Session(Program(RECORDS))
+    shared = (2, (1, None))
+    session.insert("list", [((3, shared),), (shared,), ([7, None],), ("[9, [8, nil]]",)])
+    circle = ("Circle", 1.5)
+    session.insert("shape", [(circle,), (("Both", "a, b", shared, ("Dot",)),), ("$Both(c, nil, $Circle(2))",)])
+    session.commit()
+    assert set(session.rows("part")) == {
+        (None,),
+        ((1, None),),
+        (shared,),
+        ((3, shared),),
+        ((7, None),),
+        ((8, None),),
+        ((9, (8, None)),),
+    }
+    assert set(session.rows("inner")) == {(("Dot",),), (("Circle", 2.0),)}
+    assert (circle,) in session.rows("shape")
+    assert session.contains("part", ((1, None),)) and not session.contains("part", ((4, None),))
+    assert "inner($Dot)" in str(session.explain("inner", (("Dot",),)))
+    # What a session returns can be inserted into another one: as rows, and as arrays of objects.
+    again = Session(Program(RECORDS))
+    again.insert("list", session.columns("list"))
+    again.insert("shape", session.rows("shape"))
+    again.commit()
+    assert again.rows("part") == session.rows("part") and again.rows("inner") == session.rows("inner")
+    session.retract("list", [((3, shared),)])
+    change = session.commit()["part"]
+    assert list(change.removed) == [((3, shared),)]
+
+
+def test_records_that_do_not_fit_raise() -> None:
+    session = Session(Program(RECORDS))
+    cyclic: list[Any] = [1]
+    cyclic.append(cyclic)
+    deep: Any = None
+    for _ in range(20_000):
+        deep = (1, deep)
+    for predicate, value, message in [
+        ("list", 1, "a `List` is a tuple of its fields or None, not 1"),
+        ("list", (1,), r"a `List` is \(head, tail\) with 2 fields, not 1"),
+        ("list", ("a", None), "a field holds numbers .*, not 'a'"),
+        ("list", (1 << 40, None), "a field holds numbers .*, not 1099511627776, which is out of range"),
+        ("list", "[1, 2]", "expected `\\[` or `nil`"),
+        ("list", cyclic, "records are nested more than 10000 deep"),
+        ("list", deep, "records are nested more than 10000 deep"),
+        ("shape", None, "a `Shape` is"),
+        ("shape", ("Square", 1), r'a `Shape` is \("Circle", r\) or \("Dot",\) or \("Both", name, list, shape\)'),
+        ("shape", ("Circle",), r'a `Shape` is \("Circle", r\) with 1 fields, not 0'),
+    ]:
+        with pytest.raises(ValueError, match=message):
+            session.insert(predicate, [(value,)])
+    # A tuple that occurs often is converted once.
+    tree: Any = ("Dot",)
+    program = Program(".type T = Dot {} | Pair {a: T, b: T}\n.decl t(t: T)\n.input t\n")
+    for _ in range(200):
+        tree = ("Pair", tree, tree)
+    session = Session(program)
+    session.insert("t", [(tree,)])
+    session.commit()
+    [(found,)] = session.rows("t")
+    assert isinstance(found, tuple) and found[1] is found[2]
+
+
 def test_homogeneous_arrays_of_rows() -> None:
     held = session(".decl e(x: number, y: number)\n.input e\n.decl s(x: symbol, y: symbol)\n.input s\n")
     grid = np.arange(12, dtype=np.int16).reshape(6, 2)

@@ -18,6 +18,7 @@ use crate::syntax::ast::{
     Atom, Clause, ColumnDecl, Component, ComponentType, Decl, Init, Item, Literal, Name, Place, Scope, Term, TermKind,
     TypeDecl, TypeDefinition,
 };
+use crate::syntax::functor::Functor;
 
 /// Maximum depth of instances in instances, and of bases of bases.
 const MAX_DEPTH: usize = 64;
@@ -357,7 +358,14 @@ impl<'i> Maker<'i, '_> {
                         let names = decl.names.iter().map(|name| name.text.as_str());
                         self.made[at].predicates.extend(names);
                     }
-                    Item::Type(decl) => _ = self.made[at].types.insert(&decl.name.text),
+                    Item::Type(decl) => {
+                        self.made[at].types.insert(&decl.name.text);
+                        // Branches have no names in common with the types of other instances.
+                        if let TypeDefinition::Branches(branches) = &decl.definition {
+                            let names = branches.iter().map(|branch| branch.name.text.as_str());
+                            self.made[at].types.extend(names);
+                        }
+                    }
                     _ => {}
                 }
             }
@@ -598,7 +606,7 @@ impl Rename<'_, '_, '_> {
                     TypeDefinition::Record(fields) => self.fields(fields),
                     TypeDefinition::Branches(branches) => {
                         for branch in branches {
-                            self.place(&mut branch.name.place);
+                            self.declared(&mut branch.name);
                             self.fields(&mut branch.fields);
                         }
                     }
@@ -676,7 +684,15 @@ impl Rename<'_, '_, '_> {
     fn term(&mut self, term: &mut Term) {
         self.place(&mut term.place);
         match &mut term.kind {
-            TermKind::Functor(_, arguments) => arguments.iter_mut().for_each(|argument| self.term(argument)),
+            TermKind::Functor(functor, arguments) => {
+                if let (Functor::Pack, Some(TermKind::Symbol(branch))) =
+                    (functor, arguments.first_mut().map(|branch| &mut branch.kind))
+                    && !branch.is_empty()
+                {
+                    *branch = self.maker.type_name(Some(self.instance), branch, self.binding);
+                }
+                arguments.iter_mut().for_each(|argument| self.term(argument));
+            }
             TermKind::Cast(inner, ty) => {
                 self.term(inner);
                 self.type_name(ty);

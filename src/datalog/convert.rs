@@ -11,6 +11,7 @@ use crate::value::{Value, WHOLE, print_record};
 mod read;
 
 pub(crate) use read::read;
+pub use read::{record_of_text, record_word};
 
 /// A predicate as callers name it: by its name, or by its id, which takes no search.
 pub trait AsPredicate: Copy {

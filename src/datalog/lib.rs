@@ -156,8 +156,8 @@ mod workspace;
 pub use analysis::{constraints, diff};
 pub use check::{
     Atom, Clause, ClauseId, Column, Comparing, Constraint, DeclaredConstraint, Directive, Draw, Function, InputPolicy,
-    Literal, Past, PastOperator, Predicate, PredicateId, RowFormat, RowPlace, Rules, Stratum, Term, Type, TypeId,
-    VarId, drawn_probabilities,
+    Literal, Past, PastOperator, Predicate, PredicateId, RecordShape, RowFormat, RowPlace, Rules, Stratum, Term, Type,
+    TypeId, VarId, drawn_probabilities,
 };
 pub use convert::{AsPredicate, FromRow, FromValue, IntoRow, RowError, ToValue};
 pub use eval::delta::{Delta, PredicateChange, Rows};
@@ -184,9 +184,11 @@ pub use workspace::{Declaration, FactPattern, FactRow, Loaded, Workspace, is_com
 #[doc(hidden)]
 pub mod internal {
     pub use crate::chance::{hash as symbol_hash, word as chance_word};
+    pub use crate::check::shapes;
+    pub use crate::convert::{record_of_text, record_word};
     pub use crate::eval::limits::size;
     pub use crate::spans::Spans;
-    pub use crate::value::record_source;
+    pub use crate::value::{NIL, record_fields, record_source};
 
     pub mod threads {
         pub use crate::threads::{Pool, start};

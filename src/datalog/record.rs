@@ -120,6 +120,15 @@ impl<'s> Parts<'s> {
     }
 }
 
+/// The branch of a record and its fields, each with its kind or type.
+pub type Fields<'s, Kind, Word> = (Option<&'s str>, Vec<(Kind, Word)>);
+
+/// Returns the branch of a record and its fields with their kinds; `None` for `nil`.
+pub(crate) fn fields(record: u32, symbols: &Symbols) -> Option<Fields<'_, u8, u32>> {
+    let parts = Parts::of(record, symbols)?;
+    Some((parts.branch, (0..).map_while(|at| parts.field(at)).collect()))
+}
+
 /// Compares two records: `nil` is less than any other, then the branch decides, then the fields from the first to the
 /// last. `leaf` compares words of a kind other than a record.
 pub(crate) fn compare(a: u32, b: u32, symbols: &Symbols, leaf: impl Fn(u8, u32, u32) -> Ordering) -> Ordering {

@@ -298,6 +298,21 @@ pub fn record_source(value: Value, symbols: &Symbols) -> String {
     text
 }
 
+/// Returns the branch of a record and its fields with their types; `None` for `nil`.
+pub fn record_fields(value: Value, symbols: &Symbols) -> Option<record::Fields<'_, BaseType, Value>> {
+    let (branch, fields) = record::fields(value.0, symbols)?;
+    let typed = fields.into_iter();
+    Some((
+        branch,
+        typed
+            .map(|(kind, word)| (BaseType::of_kind(kind), Value(word)))
+            .collect(),
+    ))
+}
+
+/// The symbol of `nil`.
+pub const NIL: &str = record::NIL;
+
 /// Returns a record as messages show it.
 pub(crate) fn record_text(value: Value, symbols: &Symbols) -> String {
     let mut text = String::new();

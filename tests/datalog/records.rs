@@ -133,6 +133,35 @@ const PROGRAMS: &[(&str, &[(&str, &str)])] = &[
             ("q", "1\t2\n2\t0\n2\t3\n9\t2\n"),
         ],
     ),
+    // Branches: constructors, patterns, tests, nested, with and without fields; in components and beside each other.
+    (
+        ".type Shape = Circle {r: number} | Square {side: number} | Point {} | Both {a: Shape, b: Shape}\n.decl s(s: Shape)\n\
+         .decl area(s: Shape, n: number)\n.decl point(n: number)\n.decl in(s: Shape)\n\
+         s($Circle(3)). s($Point). s($Point()). s($Both($Square(2), $Both($Point, $Circle(1)))).\n\
+         in(s) :- s(s). in(a), in(b) :- in($Both(a, b)).\narea(s, 3 * r * r) :- in(s), s = $Circle(r). area(s, x * x) :- in(s), s = $Square(x).\n\
+         area(s, 0) :- in(s), s = $Point.\narea(s, n + m) :- in(s), s = $Both(a, b), area(a, n), area(b, m).\n\
+         point(n) :- n = count : { s($Point()) }. point(7) :- s($Both(_, $Both($Point, _))), !s($Square(2)).\n",
+        &[
+            ("point", "1\n7\n"),
+            (
+                "area",
+                "$Both($Point, $Circle(1))\t3\n$Both($Square(2), $Both($Point, $Circle(1)))\t7\n$Circle(1)\t3\n$Circle(3)\t27\n$Point\t0\n$Square(2)\t4\n",
+            ),
+        ],
+    ),
+    (
+        ".comp C { .type E = Num {n: number} | Add {a: E, b: E}\n.decl e(e: E)\n.decl v(e: E, n: number)\ne($Add($Num(1), $Num(2))).\n\
+         e(a), e(b) :- e($Add(a, b)).\nv(e, n) :- e(e), e = $Num(n). v(e, n + m) :- e(e), e = $Add(a, b), v(a, n), v(b, m). }\n\
+         .init c = C\n.init d = C\n.decl out(n: number)\nout(n) :- c.v($c.Add(_, _), n). out(n) :- d.v($d.Num(n), _).\n",
+        &[("out", "1\n2\n3\n")],
+    ),
+    // Records whose type nothing names, since they only stand for their fields.
+    (
+        ".decl a(x: number, y: number)\n.decl r(z: number)\n.decl s(x: number, y: number)\na(1, 2). a(2, 2). a(3, 2).\n\
+         r(z) :- a(x, y), r = [x, y], s = r, s = [v, w], w = z, z = v.\n\
+         s(v, w) :- a(x, y), [x, [y, _]] = [v, [w, x]]. s(v, 7) :- a(x, y), r = [_, y], r = [x, _], [v, 2] = r.\n",
+        &[("r", "2\n"), ("s", "1\t2\n1\t7\n2\t2\n2\t7\n3\t2\n3\t7\n")],
+    ),
     // Records without fields, and of unsigned numbers.
     (
         ".type Unit = []\n.type U = [n: unsigned, u: Unit]\n.decl u(u: U)\n.decl v(n: unsigned)\nu([4000000000, []]). u([1, nil]).\nv(n) :- u([n, []]).\n",
@@ -275,6 +304,34 @@ fn files_have_what_results_have() {
 }
 
 #[test]
+fn files_have_branches() {
+    let text = "$Circle(1)\n$Dot\n $Dot ( ) \n$Pair([1, [2, nil]], a b)\n";
+    let mut session = program(
+        ".type L = [n: number, l: L]\n.type K = Circle {r: number} | Dot {} | Pair {l: L, s: symbol}\n.decl k(k: K)\n.input k\n",
+    )
+    .session();
+    let mut sources = Sources::new();
+    let source = sources.add("k.facts", text);
+    let id = predicate(&session, "k");
+    assert_eq!(facts::load(&mut session, id, &sources, source).expect("rows"), 4);
+    session.commit().expect("small");
+    assert_eq!(
+        facts::print(&session, id),
+        "$Circle(1)\n$Dot\n$Pair([1, [2, nil]], a b)\n"
+    );
+    for (text, message) in [
+        ("$Square(1)\n", "expected `$Circle` or `$Dot` or `$Pair`"),
+        ("nil\n", "expected `$Circle` or `$Dot` or `$Pair`"),
+        ("$Circle\n", "expected `(` and the fields"),
+        ("$Circle(1\n", "expected `)`"),
+    ] {
+        let source = sources.add("wrong.facts", text);
+        let faults = facts::load(&mut session, id, &sources, source).expect_err("no row");
+        assert_eq!(faults[0].message, message, "{text}");
+    }
+}
+
+#[test]
 fn deep_records_need_no_deep_stack() {
     let mut text = "nil".to_owned();
     for _ in 0..50_000 {
@@ -350,7 +407,8 @@ fn explanations_show_records() {
     }
 }
 
-const TYPES: &str = ".type Pair = [x: number, y: symbol]\n.decl p(r: Pair)\n.decl n(x: number)\n.decl s(y: symbol)\n";
+const TYPES: &str = ".type Pair = [x: number, y: symbol]\n.decl p(r: Pair)\n.decl n(x: number)\n.decl s(y: symbol)\n\
+    .type Kind = Circle {r: number} | Dot {}\n.decl k(k: Kind)\n";
 
 #[test]
 fn faults_say_what_is_wrong() {
@@ -392,10 +450,45 @@ fn faults_say_what_is_wrong() {
             "a `number` cannot be compared with a `symbol`",
         ),
         ("n(x) :- p(r), r < [1, \"a\"], r = [x, _].", "type-mismatch", ""),
-        ("n(x) :- [x, 1] = [1, x].", "type-mismatch", "a record of unknown type"),
+        ("n(x) :- [x, 1] = [1].", "type-mismatch", "a record of unknown type"),
         ("p([x, \"a\"]) :- n(_).", "unbound-variable", ""),
         ("p([1, _]).", "unbound-variable", ""),
         ("n(1) :- !p([1, _]).", "unbound-variable", ""),
+        ("k($Circl(1)).", "unknown-type", "no type has a branch `Circl`"),
+        ("k($Circle(1, 2)).", "arity-mismatch", "`$Circle` has 1 field, not 2"),
+        ("k($Circle).", "arity-mismatch", "`$Circle` has 1 field, not 0"),
+        (
+            "k($Circle(\"a\")).",
+            "type-mismatch",
+            "the field `r` has type `number`, not `symbol`",
+        ),
+        (
+            "k(nil).",
+            "type-mismatch",
+            "`nil` is no value of `Kind`, which has branches",
+        ),
+        (
+            "n(1) :- k(s), s = nil.",
+            "type-mismatch",
+            "`nil` is no value of `Kind`, which has branches",
+        ),
+        (
+            "k([1]).",
+            "type-mismatch",
+            "a record without a branch, but `Kind` has branches",
+        ),
+        (
+            "p($Circle(1)).",
+            "type-mismatch",
+            "expected a value of type `Pair`, found `$Circle(1)` of type `Kind`",
+        ),
+        ("n(1) :- p($Circle(1)).", "type-mismatch", ""),
+        (
+            ".type A = Circle {}",
+            "duplicate-declaration",
+            "two branches are called `Circle`",
+        ),
+        (".type A = B {x: number} | C", "syntax", ""),
         ("n(strlen(r)) :- p(r).", "type-mismatch", ""),
         (
             ".type A = [x: number, x: number]",
@@ -478,6 +571,15 @@ fn random_program(random: &mut Random) -> String {
     text
 }
 
+/// Returns a text about lists with branches instead of records and `nil`.
+fn with_branches(text: &str) -> String {
+    let ty = ".type L = Cons {h: number, t: L} | Nil {} | Other {h: number, t: L}";
+    text.replace('[', "$Cons(")
+        .replace(']', ")")
+        .replace("nil", "$Nil")
+        .replace(".type L = $Cons(h: number, t: L)", ty)
+}
+
 #[test]
 fn random_programs_derive_what_the_naive_evaluator_derives() {
     const LISTS: &[&str] = &[
@@ -490,7 +592,13 @@ fn random_programs_derive_what_the_naive_evaluator_derives() {
     ];
     for seed in 0..60 {
         let mut random = Random(seed);
-        let text = random_program(&mut random);
+        let has_branches = seed % 2 == 1;
+        let spelled = |text: &str| match has_branches {
+            true => with_branches(text),
+            false => text.to_owned(),
+        };
+        let text = spelled(&random_program(&mut random));
+        let lists: Vec<String> = LISTS.iter().map(|list| spelled(list)).collect();
         let program = program(&text);
         let mut session = program.session();
         let mut held: BTreeSet<(bool, usize)> = BTreeSet::new();
@@ -500,8 +608,8 @@ fn random_programs_derive_what_the_naive_evaluator_derives() {
                 let gone = held.remove(&change) || !held.insert(change);
                 let (is_list, at) = change;
                 let result = match (is_list, gone) {
-                    (true, true) => session.retract("g", (LISTS[at],)),
-                    (true, false) => session.insert("g", (LISTS[at],)),
+                    (true, true) => session.retract("g", (&lists[at],)),
+                    (true, false) => session.insert("g", (&lists[at],)),
                     (false, true) => session.retract("n", (at % 3,)),
                     (false, false) => session.insert("n", (at % 3,)),
                 };

@@ -52,7 +52,7 @@ pub const WORDS: &[Word] = &[
         "type",
         Directive,
         ".type place <: symbol",
-        "Declares a type: a subtype, an alias or a union.",
+        "Declares a type: a subtype, an alias, a union, records (`[x: number]`) or branches (`A {x: number} | B {}`).",
     ),
     word(
         "symbol_type",
@@ -293,6 +293,12 @@ pub const WORDS: &[Word] = &[
         "Converts a symbol or another number to `float`.",
     ),
     word("to_string", Body, "to_string(x)", "Converts a number to a symbol."),
+    word(
+        "nil",
+        Body,
+        "x = nil",
+        "The record without fields that every record type has.",
+    ),
     word("as", Body, "as(x, type)", "Reinterprets x as a value of the type."),
     word(
         "range",

@@ -42,11 +42,11 @@ use crate::syntax::packed::FactRuns;
 use std::borrow::Cow;
 
 pub use chance::{Draw, drawn_probabilities};
+pub(crate) use rules::bind_all;
 pub use rules::{
     Atom, Clause, ClauseId, Column, Constraint, DeclaredConstraint, Directive, Function, Literal, Past, PastOperator,
-    Predicate, PredicateId, RecordShape, RowFormat, RowPlace, Rules, Stratum, Term, Type, TypeId, VarId,
+    Predicate, PredicateId, RecordShape, RowFormat, RowPlace, Rules, Stratum, Term, Type, TypeId, VarId, shapes,
 };
-pub(crate) use rules::{bind_all, shapes};
 #[cfg(feature = "optimizer")]
 pub(crate) use subsets::Budget;
 pub use subsets::Comparing;

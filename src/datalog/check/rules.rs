@@ -49,7 +49,7 @@ pub struct RecordShape {
 pub(crate) const RECORDS: TypeId = TypeId(4);
 
 /// Returns the shapes of the records of a type; of a subtype, those of its supertype.
-pub(crate) fn shapes(types: &[Type], mut ty: TypeId) -> &[RecordShape] {
+pub fn shapes(types: &[Type], mut ty: TypeId) -> &[RecordShape] {
     loop {
         let Some(found) = types.get(ty.0 as usize) else {
             return &[];

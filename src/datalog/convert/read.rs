@@ -1,4 +1,4 @@
-//! Records from text: `[1, abc]`, `nil`, `[1, [2, nil]]`.
+//! Records from text: `[1, abc]`, `nil`, `[1, [2, nil]]`, `$Circle(3)`.
 //!
 //! A symbol within a record stands as it is up to the comma or bracket after it, or in double quotes, where a quote is
 //! doubled.
@@ -16,6 +16,30 @@ pub(crate) struct Fault {
     pub at: usize,
     /// What is expected there; `None` if the text is a record that the table of symbols does not have.
     pub expected: Option<String>,
+}
+
+/// Returns the word of the record with this shape and these fields.
+pub fn record_word<E>(
+    shape: &RecordShape,
+    types: &[Type],
+    fields: &[u32],
+    symbol: impl Fn(&str) -> Result<Value, E>,
+) -> Result<Value, E> {
+    let kinds: Vec<u8> = (shape.fields.iter())
+        .map(|(_, ty)| types[ty.0 as usize].base.kind())
+        .collect();
+    let word = symbol(&record::shape(shape.branch.as_deref(), &kinds))?;
+    symbol(&record::encoded(word.0, fields.iter().copied()))
+}
+
+/// Returns the word of the record of a type with this text; `Err` with what is expected there.
+pub fn record_of_text(
+    text: &str,
+    ty: TypeId,
+    types: &[Type],
+    symbol: &dyn Fn(&str) -> Option<Symbol>,
+) -> Result<Value, Option<String>> {
+    read(text, ty, types, symbol).map_err(|fault| fault.expected)
 }
 
 /// A record whose fields are being read.
@@ -89,12 +113,8 @@ pub(crate) fn read(
                     if record.close != '\0' && !reader.eat(record.close.encode_utf8(&mut [0; 4])) {
                         return Err(reader.fault(&format!("`{}`", record.close)));
                     }
-                    let kinds: Vec<u8> = (record.shape.fields.iter())
-                        .map(|(_, ty)| types[ty.0 as usize].base.kind())
-                        .collect();
-                    let shape = word(reader.at, &record::shape(record.shape.branch.as_deref(), &kinds))?;
-                    let text = record::encoded(shape, record.words.iter().copied());
-                    done = Some(word(reader.at, &text)?);
+                    let word = |text: &str| word(reader.at, text).map(Value);
+                    done = Some(record_word(record.shape, types, &record.words, word)?.0);
                     open.pop();
                 }
             }
@@ -133,13 +153,35 @@ impl<'t> Reader<'t> {
 
     /// Reads the start of a record that has one of the shapes. Returns its shape and what closes it.
     fn open<'s>(&mut self, start: usize, shapes: &'s [RecordShape]) -> Result<(&'s RecordShape, char), Fault> {
+        self.at = start;
+        if self.eat("$") {
+            let name = self.token_of(|c| c.is_alphanumeric() || "_?.".contains(c));
+            let Some(shape) = shapes.iter().find(|shape| shape.branch.as_deref() == Some(name)) else {
+                self.at = start;
+                return Err(self.fault(&branches(shapes)));
+            };
+            self.skip();
+            let close = if self.eat("(") { ')' } else { '\0' };
+            if close == '\0' && !shape.fields.is_empty() {
+                return Err(self.fault("`(` and the fields"));
+            }
+            return Ok((shape, close));
+        }
         let plain = shapes.iter().find(|shape| shape.branch.is_none());
         self.at = start;
         match plain {
             Some(shape) if self.eat("[") => Ok((shape, ']')),
             Some(_) => Err(self.fault("`[` or `nil`")),
-            None => Err(self.fault("a record")),
+            None => Err(self.fault(&branches(shapes))),
         }
+    }
+
+    /// Reads the characters that are part of a token.
+    fn token_of(&mut self, is_part: impl Fn(char) -> bool) -> &'t str {
+        let rest = self.rest();
+        let end = rest.find(|c| !is_part(c)).unwrap_or(rest.len());
+        self.at += end;
+        &rest[..end]
     }
 
     /// Reads up to the next comma or bracket.
@@ -167,5 +209,16 @@ impl<'t> Reader<'t> {
             }
             text.push('"');
         }
+    }
+}
+
+/// Lists the branches of a type.
+fn branches(shapes: &[RecordShape]) -> String {
+    let names: Vec<String> = (shapes.iter())
+        .filter_map(|shape| Some(format!("`${}`", shape.branch.as_ref()?)))
+        .collect();
+    match names.is_empty() {
+        true => "a record".to_owned(),
+        false => names.join(" or "),
     }
 }

@@ -103,6 +103,7 @@ pub(crate) fn check(
     }
     check.join_compared(&pending);
     check.infer_records(lowered.as_ref(), &pending);
+    let pending = check.equated(lowered.as_ref(), pending);
     check.infer(lowered.as_ref(), &pending);
     let pending = check.directed(pending);
     check.types(head, lowered.as_ref(), &pending);

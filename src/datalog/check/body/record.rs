@@ -46,6 +46,24 @@ impl<'c> Check<'_, 'c> {
             TermKind::Symbol(name) if !name.is_empty() => Some((name.as_str(), branch.place.0)),
             _ => None,
         };
+        if let Some((name, span)) = branch {
+            match self.names.branch(name) {
+                Ok(ty) => self.narrow(to.index(), Use { ty, span: term.place.0 }),
+                Err(near) => {
+                    let message = format!("no type has a branch `{name}`");
+                    let fault = Diagnostic::new(codes::UNKNOWN_TYPE, message).at(span, "");
+                    let fault = match near {
+                        Some(near) => fault.did_you_mean(&near, &[span]),
+                        None => fault.help(format!("declare a type with it: `.type T = {name} {{x: number}}`")),
+                    };
+                    self.sound = false;
+                    if self.names.complete() {
+                        self.fault(fault);
+                    }
+                    self.excuse(to);
+                }
+            }
+        }
         self.push(Pending::Record {
             to,
             branch,
@@ -117,6 +135,139 @@ impl<'c> Check<'_, 'c> {
         }
     }
 
+    /// Replaces records of unknown type that are equal by equations of their fields.
+    ///
+    /// ```text
+    /// r = [x, y], s = r, s = [v, w]    becomes    x = v, y = w
+    /// ```
+    pub(super) fn equated(&mut self, head: Option<&Atom>, pending: Vec<Pending<'c>>) -> Vec<Pending<'c>> {
+        let mut pending = pending;
+        while let Some((equal, kept)) = self.untyped(head, &pending) {
+            let mut first: Option<Vec<Operand>> = None;
+            pending = (pending.into_iter().enumerate())
+                .filter_map(|(at, literal)| match literal {
+                    Pending::Record { fields, .. } if kept.contains(&at) => {
+                        let Some(first) = &mut first else {
+                            first = Some(fields);
+                            return None;
+                        };
+                        let mut equations = Vec::new();
+                        for (left, right) in first.iter_mut().zip(fields) {
+                            match (self.is_any(*left), self.is_any(right)) {
+                                (true, _) => *left = right,
+                                (false, true) => {}
+                                (false, false) => equations.push(Pending::Compare {
+                                    op: Comparison::Equal,
+                                    left: *left,
+                                    right,
+                                    span: right.span,
+                                }),
+                            }
+                        }
+                        Some(equations)
+                    }
+                    _ if kept.contains(&at) => None,
+                    other => Some(vec![other]),
+                })
+                .flatten()
+                .collect();
+            for id in equal {
+                self.excuse(id);
+            }
+            self.join_compared(&pending);
+            self.infer_records(head, &pending);
+        }
+        pending
+    }
+
+    /// Returns whether a field is `_`.
+    fn is_any(&self, field: Operand) -> bool {
+        match field.kind {
+            OperandKind::Variable(id) => {
+                let name = &self.variables[id.index()].name;
+                matches!(name, Name::Expression(term) if term.kind == TermKind::Wildcard)
+            }
+            _ => false,
+        }
+    }
+
+    /// Finds variables of unknown type that occur only in equations with each other and with two or more records of as
+    /// many fields. Returns them and the positions of these literals.
+    fn untyped(&self, head: Option<&Atom>, pending: &[Pending<'c>]) -> Option<(Vec<VarId>, Vec<usize>)> {
+        for (start, literal) in pending.iter().enumerate() {
+            let Pending::Record {
+                to,
+                fields: first,
+                branch: None,
+                ..
+            } = literal
+            else {
+                continue;
+            };
+            if self.type_of_variable(*to) != VariableType::Unknown {
+                continue;
+            }
+            let mut equal = vec![*to];
+            let mut next = 0;
+            while let Some(&id) = equal.get(next) {
+                next += 1;
+                for literal in pending {
+                    if let Pending::Compare {
+                        op: Comparison::Equal,
+                        left,
+                        right,
+                        ..
+                    } = literal
+                        && let (OperandKind::Variable(a), OperandKind::Variable(b)) = (left.kind, right.kind)
+                        && (a == id || b == id)
+                    {
+                        let other = if a == id { b } else { a };
+                        if !equal.contains(&other) {
+                            equal.push(other);
+                        }
+                    }
+                }
+            }
+            let is_equal = |operand: &Operand| matches!(operand.kind, OperandKind::Variable(id) if equal.contains(&id));
+            let mut literals = Vec::new();
+            let mut records = 0;
+            let mut elsewhere = head.is_some_and(|head| {
+                let mut variables = head.terms.iter().filter_map(|term| term.variable());
+                variables.any(|id| equal.contains(&id))
+            });
+            for (at, literal) in pending.iter().enumerate() {
+                match literal {
+                    Pending::Record {
+                        to,
+                        fields,
+                        branch: None,
+                        ..
+                    } if equal.contains(to) => {
+                        elsewhere |= fields.len() != first.len() || fields.iter().any(is_equal);
+                        records += 1;
+                        literals.push(at);
+                    }
+                    Pending::Compare {
+                        op: Comparison::Equal,
+                        left,
+                        right,
+                        ..
+                    } if is_equal(left) && is_equal(right) => {
+                        literals.push(at);
+                    }
+                    other => self.each_variable(std::slice::from_ref(other), None, &mut |id, _| {
+                        elsewhere |= equal.contains(&id);
+                    }),
+                }
+            }
+            if records > 1 && !elsewhere {
+                debug_assert!(literals.contains(&start));
+                return Some((equal, literals));
+            }
+        }
+        None
+    }
+
     /// Replaces records by literals that make them or take them apart, and reports those that do not fit their types.
     pub(super) fn directed(&mut self, pending: Vec<Pending<'c>>) -> Vec<Pending<'c>> {
         let mut records = Vec::new();
@@ -161,7 +312,7 @@ impl<'c> Check<'_, 'c> {
                         false => self.is_bound(Operand::variable(to, span)),
                         true => !*changed && fields.iter().all(|field| self.is_bound(*field)),
                     };
-                    let known = is_bound.then(|| self.fitting(to, branch, fields, span)).flatten();
+                    let known = is_bound.then(|| self.fitting(to, branch, fields)).flatten();
                     match known {
                         Some((shape, words)) => {
                             *changed = true;
@@ -258,7 +409,6 @@ impl<'c> Check<'_, 'c> {
         to: VarId,
         branch: Option<(&str, Span)>,
         fields: &[Operand],
-        span: Span,
     ) -> Option<(RecordShape, Vec<Operand>)> {
         let VariableType::Type(ty) = self.type_of_variable(to) else {
             return None;
@@ -297,7 +447,6 @@ impl<'c> Check<'_, 'c> {
             }
             typed.push(field);
         }
-        let _ = span;
         Some((shape, typed))
     }
 
@@ -357,14 +506,21 @@ impl<'c> Check<'_, 'c> {
         };
         let name = self.names.type_name(ty).to_owned();
         let shapes = self.names.shapes(ty);
-        let plain = shapes.first().filter(|shape| shape.branch.is_none());
-        let fault = match (plain, branch) {
-            (Some(shape), None) if shape.fields.len() != fields.len() => {
+        let branch = branch.map(|(branch, _)| branch);
+        let fault = match (shape(self.names, ty, branch), branch) {
+            (Some(shape), _) if shape.fields.len() != fields.len() => {
                 let (wanted, found) = (counted(shape.fields.len(), "field"), fields.len());
-                let message = format!("a record of type `{name}` has {wanted}, not {found}");
-                let shown = self.shape_text(shape);
-                let fault = Diagnostic::new(codes::ARITY_MISMATCH, message).at(span, "");
-                Some(fault.note(format!("the type is `.type {name} = {shown}`")))
+                let what = branch.map_or_else(|| format!("a record of type `{name}`"), |branch| format!("`${branch}`"));
+                let message = format!("{what} has {wanted}, not {found}");
+                let declared = match branch {
+                    Some(_) => format!("the branch is {}", written(shape)),
+                    None => format!("the type is `.type {name} = {}`", self.shape_text(shape)),
+                };
+                Some(
+                    Diagnostic::new(codes::ARITY_MISMATCH, message)
+                        .at(span, "")
+                        .note(declared),
+                )
             }
             (None, None) if !shapes.is_empty() => {
                 let branches: Vec<String> = shapes.iter().map(written).collect();
@@ -377,20 +533,11 @@ impl<'c> Check<'_, 'c> {
                 Some(Diagnostic::new(codes::TYPE_MISMATCH, message).at(span, ""))
             }
             // It is neither bound nor made. The check for safety reports variables, but not `_`.
-            _ => {
-                let any = |field: &&Operand| match field.kind {
-                    OperandKind::Variable(id) => {
-                        let name = &self.variables[id.index()].name;
-                        matches!(name, Name::Expression(term) if term.kind == TermKind::Wildcard)
-                    }
-                    _ => false,
-                };
-                fields.iter().find(any).map(|field| {
-                    Diagnostic::new(codes::UNBOUND_VARIABLE, "`_` in a record that is made here")
-                        .at(field.span, "nothing binds it")
-                        .help("write a variable that an atom binds, or a constant")
-                })
-            }
+            _ => fields.iter().find(|field| self.is_any(**field)).map(|field| {
+                Diagnostic::new(codes::UNBOUND_VARIABLE, "`_` in a record that is made here")
+                    .at(field.span, "nothing binds it")
+                    .help("write a variable that an atom binds, or a constant")
+            }),
         };
         if let Some(fault) = fault {
             let origin = self.origin(to).filter(|origin| *origin != span);

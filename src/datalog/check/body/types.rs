@@ -5,6 +5,7 @@ use crate::check::names::Names;
 use crate::check::rules::{Atom, Term, VarId};
 use crate::codes;
 use crate::diag::{Diagnostic, Span};
+use crate::record;
 use crate::symbol::Symbol;
 use crate::syntax::ast;
 use crate::syntax::ast::{BaseType, Comparison};
@@ -518,8 +519,9 @@ impl<'c> Check<'_, 'c> {
                         if let (OperandKind::Variable(id), Some(base)) = (side.kind, self.base_of(*other)) {
                             self.variables[id.index()].compared = Some(Names::base_type(base));
                         }
-                        if let (OperandKind::Constant(_, BaseType::Record), Some(id)) =
+                        if let (OperandKind::Constant(value, BaseType::Record), Some(id)) =
                             (side.kind, self.variable_of(*other))
+                            && self.symbols.resolve(Symbol(value.0)) == Some(record::NIL)
                             && let VariableType::Type(ty) = self.type_of(id)
                         {
                             self.check_nil(ty, side.span);

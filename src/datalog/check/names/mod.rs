@@ -44,6 +44,8 @@ pub(crate) struct Names {
     type_by_name: HashMap<String, Option<TypeId>>,
     /// The places of all type declarations, also of aliases.
     declared_types: HashMap<String, Span>,
+    /// The types and places of the branches of algebraic data types.
+    branches: indexmap::IndexMap<String, (TypeId, Span)>,
     predicate_by_name: HashMap<String, PredicateId>,
     /// The `.printsize` directive of each predicate.
     printsizes: HashMap<PredicateId, Span>,
@@ -73,6 +75,7 @@ pub(crate) fn declare(items: &[Item], complete: bool, inputs: InputPolicy, fault
         type_spans: Vec::new(),
         type_by_name: HashMap::new(),
         declared_types: HashMap::new(),
+        branches: indexmap::IndexMap::new(),
         predicate_by_name: HashMap::new(),
         printsizes: HashMap::new(),
         declared: 0,
@@ -172,6 +175,14 @@ impl Names {
 
     pub fn base(&self, id: TypeId) -> BaseType {
         self.types[id.0 as usize].base
+    }
+
+    /// Returns the type with this branch; `Err` with a similar name if there is none.
+    pub fn branch(&self, name: &str) -> Result<TypeId, Option<String>> {
+        match self.branches.get(name) {
+            Some((ty, _)) => Ok(*ty),
+            None => Err(did_you_mean(name, self.branches.keys().map(String::as_str)).map(str::to_owned)),
+        }
     }
 
     /// Returns the shapes of the records of a type.

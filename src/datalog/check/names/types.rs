@@ -148,6 +148,15 @@ impl Names {
                         faults.push(fault.help("rename one of them"));
                     }
                 }
+                if let Some(branch) = branch
+                    && let Some((_, earlier)) = self.branches.insert(branch.text.clone(), (id, branch.place.0))
+                {
+                    let message = format!("two branches are called `{}`", branch.text);
+                    let fault = Diagnostic::new(codes::DUPLICATE_DECLARATION, message)
+                        .at(branch.place.0, "again here")
+                        .also(earlier, "first here");
+                    faults.push(fault.help("rename one of them: `$` and the name determine the type of a value"));
+                }
                 let known = |field: &ColumnDecl| Some((field.name.text.clone(), self.type_named(&field.ty)?));
                 let resolved: Vec<(String, TypeId)> = fields.iter().filter_map(known).collect();
                 faulty[id.0 as usize] |= resolved.len() < fields.len();

@@ -4,13 +4,13 @@ use crate::codes;
 use crate::diag::{self, Diagnostic, did_you_mean};
 use crate::syntax::ast::BaseType;
 use crate::syntax::ast::{
-    ColumnDecl, Component, ComponentType, ConstraintDecl, ConstraintKind, Decl, DirectiveOption, Include, Init, Item,
-    Mark, MarkKind, Name, Override, Place, Plan, Pragma, Scope, TypeDecl, TypeDefinition,
+    Branch, ColumnDecl, Component, ComponentType, ConstraintDecl, ConstraintKind, Decl, DirectiveOption, Include, Init,
+    Item, Mark, MarkKind, Name, Override, Place, Plan, Pragma, Scope, TypeDecl, TypeDefinition,
 };
 use crate::syntax::lexer::{Kind, Token};
 
 use crate::syntax::parser::{
-    BRANCHES, DIRECTIVES, FOREIGN_DIRECTIVES, FUNCTORS, LATTICES, MAX_NESTING, OLD_TYPES, Parse, Parser, Reported,
+    DIRECTIVES, FOREIGN_DIRECTIVES, FUNCTORS, LATTICES, MAX_NESTING, OLD_TYPES, Parse, Parser, Reported,
 };
 
 /// The qualifiers of Soufflé that the parser accepts after the columns of a declaration.
@@ -559,6 +559,23 @@ impl Parser<'_> {
         }
     }
 
+    /// Parses the branches of an algebraic data type behind the name of the first one.
+    fn branches(&mut self, first: Name) -> Parse<Vec<Branch>> {
+        let mut branches = Vec::new();
+        let mut name = first;
+        loop {
+            if !self.eat(Kind::LBrace) {
+                return Err(self.expected("`{` and the fields of the branch"));
+            }
+            let fields = self.fields(Kind::RBrace)?;
+            branches.push(Branch { name, fields });
+            if !self.eat(Kind::Pipe) {
+                return Ok(branches);
+            }
+            name = self.name("the name of a branch")?;
+        }
+    }
+
     /// Returns the help for a declaration whose columns, after the parenthesis at token `open`, lack their types.
     /// `None` if they are more than names.
     fn with_types(&self, of: &str, open: usize) -> Option<String> {
@@ -693,17 +710,10 @@ impl Parser<'_> {
         }
         let mut members = Vec::new();
         loop {
-            let start = self.token();
             members.push(self.qualified("a type")?);
-            if self.kind() == Kind::LBrace {
-                // `A { x: number } | B {}`
-                self.skip_group(Kind::LBrace, Kind::RBrace, false);
-                while self.eat(Kind::Pipe) {
-                    self.skip_name();
-                    self.skip_group(Kind::LBrace, Kind::RBrace, false);
-                }
-                self.unsupported(self.span(start), "algebraic data types are", BRANCHES);
-                return Ok(TypeDefinition::Faulty);
+            // `A {x: number} | B {}`
+            if self.kind() == Kind::LBrace && members.len() == 1 {
+                return Ok(TypeDefinition::Branches(self.branches(members.remove(0))?));
             }
             if !self.eat(Kind::Pipe) {
                 break;

@@ -8,7 +8,7 @@ use crate::syntax::lexer::{Kind, Token};
 use core::net::Ipv4Addr;
 
 use crate::syntax::parser::clause::comparison;
-use crate::syntax::parser::{BRANCHES, FUNCTORS, NUMBERED, Parse, Parser, Reported};
+use crate::syntax::parser::{FUNCTORS, NUMBERED, Parse, Parser, Reported};
 
 /// Maximum height of an expression: an operator or function is one level above its highest operand.
 const MAX_HEIGHT: usize = 256;
@@ -157,6 +157,7 @@ impl Parser<'_> {
             (None, Kind::LParen) => return self.parenthesis(),
             (None, Kind::Ident) => self.word()?,
             (None, Kind::LBracket) => self.record()?,
+            (None, Kind::Dollar) if self.ahead(1).kind == Kind::Ident => self.branch()?,
             (None, _) => (self.constant()?, 0),
         };
         let place = self.place_from(start);
@@ -313,7 +314,6 @@ impl Parser<'_> {
             return Err(self.asp_aggregate());
         }
         let foreign = match token.kind {
-            Kind::Dollar if self.ahead(1).kind == Kind::Ident => Some(("algebraic data types (`$`) are", BRANCHES)),
             Kind::Dollar => Some(("counters (`$`) are", NUMBERED)),
             Kind::At => Some(("user-defined functors (`@`) are", FUNCTORS)),
             _ => None,
@@ -391,6 +391,25 @@ impl Parser<'_> {
             place: self.place_from(start),
         };
         let (fields, height) = self.fields_of(branch, Kind::RBracket, "`,` or `]`")?;
+        self.nesting = outside;
+        let height = self.higher(start, height)?;
+        Ok((TermKind::Functor(Functor::Pack, fields), height))
+    }
+
+    /// `$Circle(r)`, `$Point`
+    fn branch(&mut self) -> Parse<(TermKind, usize)> {
+        let start = self.bump();
+        let outside = self.nesting;
+        self.deeper()?;
+        let name = self.qualified("a branch")?;
+        let branch = Term {
+            kind: TermKind::Symbol(name.text),
+            place: name.place,
+        };
+        let (fields, height) = match self.eat(Kind::LParen) {
+            true => self.fields_of(branch, Kind::RParen, "`,` or `)`")?,
+            false => (vec![branch], 0),
+        };
         self.nesting = outside;
         let height = self.higher(start, height)?;
         Ok((TermKind::Functor(Functor::Pack, fields), height))

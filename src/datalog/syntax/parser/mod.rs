@@ -54,9 +54,6 @@ pub const DIRECTIVES: &[&str] = &[
 /// Help for what only the C preprocessor understands.
 const EXPAND: &str = "`check`, `query` and `repl` follow them without the option `--no-preprocessor`; `fmt` formats no file that has them";
 
-/// Help for algebraic data types.
-const BRANCHES: &str = "keep the values of each branch in a predicate, such as `Circle(shape, radius)`";
-
 /// Help for counters.
 const NUMBERED: &str = "number the rows by their order: `n = count : { A(y), y < x }`";
 
