@@ -377,7 +377,7 @@ def _learn(train: Sequence[_Example], words: _Words, settings: Settings) -> dict
 
 def _vocabulary() -> list[dict[str, Any]]:
     name, text = "vocabulary.dl", _logicity.read_file("rules/vocabulary.dl")
-    return _logicity.Program([(name, text)]).predicates()
+    return _logicity.Program([(name, text)], []).predicates()
 
 
 def _columns(count: int) -> str:

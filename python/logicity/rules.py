@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import os
 import re
-from collections.abc import Iterable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from typing import Any, Literal, NoReturn, cast, overload
 
@@ -21,6 +21,9 @@ Row = tuple[str | int | float | tuple[Any, ...] | None, ...]
 
 A record is a tuple of its fields, behind the name of its branch if its type has branches; `nil` is None.
 """
+
+Functors = Mapping[str, Callable[..., Iterable[Any]]]
+"""The functions for functors, by name."""
 
 RowsLike = Iterable[Sequence[object]] | npt.NDArray[Any] | Mapping[str, npt.ArrayLike]
 """Rows in the forms that `Session.insert` accepts."""
@@ -99,35 +102,42 @@ class Program:
     Args:
         text: The source of the rules.
         name: The file name in messages. `.include` paths are relative to its folder.
+        functors: The functions for the functors that `.functor` declares, by name. A function takes an array for each
+            argument, with the dtypes of `Session.columns`, and returns a sequence or array with one value for each
+            element, or None where there is none (`nil` for records). Without arguments it returns one value in a list.
+            It must return the same value for the same arguments, and may be called often.
 
     Raises:
         InputError: If the rules are invalid. The diagnostics list the errors of all files.
+        ValueError: If the program declares no functor of a given name.
     """
 
-    def __init__(self, text: str, name: str = "<text>") -> None:
+    def __init__(self, text: str, name: str = "<text>", *, functors: Functors | None = None) -> None:
         """Check and plan the rules."""
-        self._program = _logicity.Program([(name, text)])
+        self._program = _logicity.Program([(name, text)], list((functors or {}).items()))
 
     @classmethod
-    def load(cls, path: str | os.PathLike[str]) -> Program:
+    def load(cls, path: str | os.PathLike[str], *, functors: Functors | None = None) -> Program:
         """Read a rule file and its includes.
 
-        If the path does not exist, it may name a built-in file: `expert`, or `rules/expert.dl`.
+        If the path does not exist, it may name a built-in file: `expert`, or `rules/expert.dl`. `functors` has the
+        functions for the functors of the program.
 
         Raises:
             InputError: If the rules are invalid.
             OSError: If a file cannot be read (`FileNotFoundError` if it does not exist).
+            ValueError: If the program declares no functor of a given name.
         """
         name, text = _logicity.read_rules(rule_path("path", path))
-        return cls(text, name)
+        return cls(text, name, functors=functors)
 
-    def __getstate__(self) -> list[tuple[str, str]]:
-        """Return the sources."""
-        return self._program.files()
+    def __getstate__(self) -> tuple[list[tuple[str, str]], list[tuple[str, Any]]]:
+        """Return the sources and the functions of functors, which must be picklable."""
+        return self._program.files(), self._program.functors()
 
-    def __setstate__(self, files: list[tuple[str, str]]) -> None:
+    def __setstate__(self, state: tuple[list[tuple[str, str]], list[tuple[str, Any]]]) -> None:
         """Check and plan the rules again."""
-        self._program = _logicity.Program(files)
+        self._program = _logicity.Program(*state)
 
     def __repr__(self) -> str:
         """Show the name, and the numbers of predicates and clauses."""
@@ -370,6 +380,7 @@ class Session:
             The changes by predicate, for base and derived predicates. Predicates without changes are absent.
 
         Raises:
+            InputError: If a functor has no function. What a function raises is passed on.
             KeyboardInterrupt: On Ctrl-C.
             LimitError: If the evaluation exceeds a limit. The diagnostic names the clause.
         """

@@ -1,7 +1,7 @@
 //! Conversion of rows from and to Python: tuples, or one numpy array per column.
 
 use logicity::datalog::internal::{NIL, record_fields, record_of_text, record_word, shapes};
-use logicity::datalog::{BaseType, Column, Predicate, RecordShape, Type, TypeId, Value};
+use logicity::datalog::{BaseType, Column, FunctorBatch, Predicate, RecordShape, Type, TypeId, UserFunctor, Value};
 use logicity::symbol::{Symbol, Symbols};
 use numpy::{Element, PyArray1, PyArrayDescrMethods, PyReadonlyArray1, PyUntypedArray, PyUntypedArrayMethods};
 use pyo3::PyTypeInfo as _;
@@ -560,6 +560,71 @@ fn convert<'a, T: Element + Copy + std::fmt::Display>(
     Ok(())
 }
 
+/// Calls a function for a batch of calls of a functor: with an array for each argument. Returns the values.
+pub fn call(
+    function: &Bound<'_, PyAny>,
+    functor: &UserFunctor,
+    types: &[Type],
+    batch: &FunctorBatch<'_>,
+) -> PyResult<Vec<Option<Value>>> {
+    let (py, symbols) = (function.py(), batch.symbols());
+    let arguments = functor.arguments.iter().enumerate().map(|(at, argument)| {
+        let words = (0..batch.len()).map(|call| batch.row(call)[at]);
+        array(py, argument.base, words, symbols)
+    });
+    let arguments = PyTuple::new(py, arguments.collect::<PyResult<Vec<_>>>()?)?;
+    let found = function.call1(arguments)?;
+    let found = match found.cast::<PyUntypedArray>() {
+        Ok(array) => array.call_method0(intern!(py, "tolist"))?,
+        Err(_) => found,
+    };
+    let column = Column {
+        name: String::new(),
+        ty: functor.result,
+        base: functor.base,
+    };
+    let maker = Maker {
+        symbol: &|text| Ok(Value(symbols.intern(text).0)),
+        types,
+    };
+    // `None` is `nil` where there is one.
+    let has_nil = shapes(types, functor.result).iter().any(|shape| shape.branch.is_none());
+    let returns = || format!("the functor `{}` returns {}", functor.name, type_text(functor.base));
+    if found.is_instance_of::<PyString>() || found.try_iter().is_err() {
+        let message = format!("{}: expected a sequence of them, not {}", returns(), found.repr()?);
+        return Err(PyTypeError::new_err(message));
+    }
+    let mut values = Vec::with_capacity(batch.len());
+    for value in found.try_iter()? {
+        let value = value?;
+        values.push(match value.is_none() && !has_nil {
+            true => None,
+            false => match word(&value, &column, maker)? {
+                Ok(word) => Some(word),
+                Err(misfit) => return Err(misfit.error(&returns(), &value)?),
+            },
+        });
+        if values.len() > batch.len() {
+            break;
+        }
+    }
+    // Without arguments, all calls are the same.
+    if functor.arguments.is_empty() && values.len() == 1 {
+        values = vec![values[0]; batch.len()];
+    }
+    if values.len() != batch.len() {
+        let (name, wanted, found) = (&functor.name, batch.len(), values.len());
+        let more = if found > wanted {
+            "more".to_owned()
+        } else {
+            found.to_string()
+        };
+        let message = format!("the functor `{name}` must return {wanted} values, one for each call, not {more}");
+        return Err(PyValueError::new_err(message));
+    }
+    Ok(values)
+}
+
 /// Converts values to Python, with one Python object per symbol and record.
 struct Converter<'a, 'py> {
     py: Python<'py>,
@@ -674,17 +739,26 @@ pub fn arrays<'py, 'r, R: Iterator<Item = &'r [Value]>>(
     let dict = PyDict::new(py);
     for (at, column) in columns.iter().enumerate() {
         let words = rows().map(|row| row[at]);
-        let array = match column.base {
-            BaseType::Number => PyArray1::from_vec(py, words.map(Value::as_number).collect()).into_any(),
-            BaseType::Unsigned => PyArray1::from_vec(py, words.map(|word| word.0).collect()).into_any(),
-            BaseType::Float => PyArray1::from_vec(py, words.map(Value::as_float).collect()).into_any(),
-            base @ (BaseType::Symbol | BaseType::Record) => {
-                let mut converter = Converter::new(py, symbols);
-                let values = words.map(|word| Ok(converter.value(word, base)?.unbind()));
-                PyArray1::from_vec(py, values.collect::<PyResult<Vec<_>>>()?).into_any()
-            }
-        };
-        dict.set_item(&column.name, array)?;
+        dict.set_item(&column.name, array(py, column.base, words, symbols)?)?;
     }
     Ok(dict)
+}
+
+/// Converts the words of a column to an array.
+fn array<'py>(
+    py: Python<'py>,
+    base: BaseType,
+    words: impl Iterator<Item = Value>,
+    symbols: &Symbols,
+) -> PyResult<Bound<'py, PyAny>> {
+    Ok(match base {
+        BaseType::Number => PyArray1::from_vec(py, words.map(Value::as_number).collect()).into_any(),
+        BaseType::Unsigned => PyArray1::from_vec(py, words.map(|word| word.0).collect()).into_any(),
+        BaseType::Float => PyArray1::from_vec(py, words.map(Value::as_float).collect()).into_any(),
+        BaseType::Symbol | BaseType::Record => {
+            let mut converter = Converter::new(py, symbols);
+            let values = words.map(|word| Ok(converter.value(word, base)?.unbind()));
+            PyArray1::from_vec(py, values.collect::<PyResult<Vec<_>>>()?).into_any()
+        }
+    })
 }

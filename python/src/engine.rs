@@ -7,7 +7,7 @@ use logicity::datalog;
 use logicity::datalog::explain::{Explainer, ExplanationPrinter};
 use logicity::datalog::{ClauseId, InputPolicy, Predicate, PredicateId, Value, Workspace};
 use logicity::datalog::{
-    EvalError, Limits, MarginalOptions, Marginals, Probability, Program, RowError, StratumStats, Threads,
+    EvalError, FunctorBatch, Limits, MarginalOptions, Marginals, Probability, Program, RowError, StratumStats, Threads,
 };
 use logicity::diag::{Diagnostic, Sources, did_you_mean, to_json};
 use logicity::files::{ReadError, ReadFile as _};
@@ -17,7 +17,7 @@ use pyo3::types::{PyDict, PyList};
 use serde_json::json;
 use std::collections::HashMap;
 use std::path::{Path, PathBuf};
-use std::sync::Arc;
+use std::sync::{Arc, Mutex, PoisonError};
 
 pub fn register(module: &Bound<'_, PyModule>) -> PyResult<()> {
     module.add_function(wrap_pyfunction!(check, module)?)?;
@@ -44,9 +44,69 @@ pub struct Loaded {
     pub sources: Sources,
     pub program: Program,
     warnings: Vec<Diagnostic>,
+    functors: Functors,
+}
+
+/// The functions that define functors.
+#[derive(Default)]
+struct Functors {
+    functions: Vec<(String, Py<PyAny>)>,
+    /// The last exception of one of them.
+    raised: Arc<Mutex<Option<PyErr>>>,
+}
+
+impl Functors {
+    /// Defines the functors of a program.
+    fn of(program: Program, functions: Vec<(String, Py<PyAny>)>) -> PyResult<(Program, Functors)> {
+        let functors = Functors {
+            functions,
+            raised: Arc::default(),
+        };
+        let mut program = program;
+        for (name, function) in &functors.functions {
+            let rules = program.rules();
+            let Some(declared) = rules.functors.iter().find(|functor| functor.name == *name) else {
+                let all = rules.functors.iter().map(|functor| functor.name.as_str());
+                let near = did_you_mean(name, all);
+                let hint = near.map_or_else(String::new, |near| format!("; did you mean `{near}`?"));
+                return Err(PyValueError::new_err(format!(
+                    "the program declares no functor `{name}`{hint}"
+                )));
+            };
+            let (declared, types) = (declared.clone(), rules.types.clone());
+            let function = Python::attach(|py| function.clone_ref(py));
+            let raised = Arc::clone(&functors.raised);
+            let apply = move |batch: &FunctorBatch<'_>, values: &mut Vec<Option<Value>>| {
+                Python::attach(|py| {
+                    let found = columns::call(function.bind(py), &declared, &types, batch);
+                    found.map(|found| *values = found).map_err(|error| {
+                        let reason = error.to_string();
+                        raised.lock().unwrap_or_else(PoisonError::into_inner).replace(error);
+                        reason
+                    })
+                })
+            };
+            program = (program.define_batch(name, apply)).map_err(|error| PyValueError::new_err(error.to_string()))?;
+        }
+        Ok((program, functors))
+    }
+
+    /// Returns the exception of the function that ended an evaluation.
+    fn raised(&self) -> Option<PyErr> {
+        self.raised.lock().unwrap_or_else(PoisonError::into_inner).take()
+    }
 }
 
 impl Loaded {
+    /// Returns the exception for a failed evaluation: that of the function of a functor, if it raised one.
+    fn failed(&self, py: Python<'_>, error: &EvalError) -> PyErr {
+        let raised = match error {
+            EvalError::FailedFunctor { .. } => self.functors.raised(),
+            _ => None,
+        };
+        raised.unwrap_or_else(|| input_error(py, &[error.diagnostic(self.program.rules())], &self.sources))
+    }
+
     fn printer<'a>(&'a self, session: &'a datalog::Session) -> ExplanationPrinter<'a> {
         ExplanationPrinter::new(self.program.rules(), session.symbols(), &self.sources).quoting()
     }
@@ -85,8 +145,9 @@ type File = (String, String);
 #[pymethods]
 impl PyProgram {
     /// Loads the first of `files`. Includes come from the other files if there are any, and otherwise from disk.
+    /// `functors` has functions for the functors that the program declares.
     #[new]
-    fn new(py: Python<'_>, files: Vec<File>) -> PyResult<Self> {
+    fn new(py: Python<'_>, files: Vec<File>, functors: Vec<(String, Py<PyAny>)>) -> PyResult<Self> {
         let mut sources = Sources::new();
         let mut files = files.into_iter();
         let Some((name, text)) = files.next() else {
@@ -107,12 +168,16 @@ impl PyProgram {
             ((workspace, checked.diagnostics, program), sources)
         })?;
         match loaded {
-            (workspace, warnings, Ok(Some(program))) => Ok(PyProgram(Arc::new(Loaded {
-                workspace,
-                sources,
-                program,
-                warnings,
-            }))),
+            (workspace, warnings, Ok(Some(program))) => {
+                let (program, functors) = Functors::of(program, functors)?;
+                Ok(PyProgram(Arc::new(Loaded {
+                    workspace,
+                    sources,
+                    program,
+                    warnings,
+                    functors,
+                })))
+            }
             (_, faults, Ok(None)) => Err(input_error(py, &faults, &sources)),
             (_, _, Err(fault)) => Err(input_error(py, &[fault], &sources)),
         }
@@ -122,6 +187,14 @@ impl PyProgram {
     fn files(&self) -> Vec<(&str, &str)> {
         let sources = &self.0.sources;
         sources.ids().map(|id| (sources.name(id), sources.text(id))).collect()
+    }
+
+    /// Returns the functions that define functors, with their names.
+    fn functors(&self, py: Python<'_>) -> Vec<(String, Py<PyAny>)> {
+        let functions = self.0.functors.functions.iter();
+        functions
+            .map(|(name, function)| (name.clone(), function.clone_ref(py)))
+            .collect()
     }
 
     fn predicates<'py>(&self, py: Python<'py>) -> PyResult<Bound<'py, PyAny>> {
@@ -229,8 +302,8 @@ impl PySession {
             true => session.advance_with(cancel),
             false => session.commit_with(cancel),
         })?;
-        let Loaded { program, sources, .. } = &*this.loaded;
-        let delta = committed.map_err(|error| input_error(py, &[error.diagnostic(program.rules())], sources))?;
+        let delta = committed.map_err(|error| this.loaded.failed(py, &error))?;
+        let program = &this.loaded.program;
         let changes = PyDict::new(py);
         for change in delta.changes() {
             let predicate = &program.rules().predicates[change.predicate.index()];
@@ -301,8 +374,8 @@ impl PySession {
         }
         let made = Shared::new("Marginals", made);
         let computed = made.detached(py, |made, cancel| made.compute(cancel))?;
-        let Loaded { program, sources, .. } = &*self.loaded;
-        computed.map_err(|error| input_error(py, &[error.diagnostic(program.rules())], sources))?;
+        computed.map_err(|error| self.loaded.failed(py, &error))?;
+        let program = &self.loaded.program;
         made.with(|made| {
             let all = queries.iter().map(|id| {
                 let predicate = &program.rules().predicates[id.index()];
@@ -377,13 +450,23 @@ impl PySession {
             let rows = delta.of(predicate).map(|change| change.added.clone());
             Ok((query, answer, predicate, rows.unwrap_or_default()))
         })?;
-        let answered = answered.map_err(|faults: Vec<Diagnostic>| input_error(py, &faults, &sources));
+        let answered = answered.map_err(|faults: Vec<Diagnostic>| match self.loaded.functors.raised() {
+            Some(raised)
+                if faults
+                    .iter()
+                    .any(|fault| fault.code == logicity::datalog::codes::FAILED_FUNCTOR) =>
+            {
+                raised
+            }
+            _ => input_error(py, &faults, &sources),
+        });
         let (program, answer, predicate, rows) = answered?;
         let loaded = Loaded {
             workspace: Workspace::new(InputPolicy::Fixed),
             sources,
             program,
             warnings: Vec::new(),
+            functors: Functors::default(),
         };
         let session = PySession {
             loaded: Arc::new(loaded),

@@ -326,6 +326,140 @@ def test_records_that_do_not_fit_raise() -> None:
     assert isinstance(found, tuple) and found[1] is found[2]
 
 
+FUNCTORS = """
+.type List = [head: number, tail: List]
+.functor double(x: number): number
+.functor upper(symbol): symbol
+.functor half(x: number): number
+.functor push(n: number, l: List): List
+.functor pi(): float
+.decl n(x: number)
+.input n
+.decl d(x: number, y: number)
+d(x, @double(x)) :- n(x).
+.decl h(y: number)
+h(@half(x)) :- n(x).
+.decl s(s: symbol)
+s(@upper(to_string(x))) :- n(x), x < 2.
+.decl l(l: List)
+l(@push(x, [7, nil])) :- n(x), x < 2.
+.decl f(x: float)
+f(@pi()).
+"""
+
+
+def double(x: Any) -> Any:
+    return 2 * x
+
+
+def upper(words: Any) -> Any:
+    return [f"<{word}>" for word in words]
+
+
+def half(numbers: Any) -> Any:
+    return [number // 2 if number % 2 == 0 else None for number in numbers.tolist()]
+
+
+def push(heads: Any, tails: Any) -> Any:
+    return list(zip(heads, tails, strict=True))
+
+
+def pi() -> Any:
+    return [3.5]
+
+
+DEFINED: dict[str, Callable[..., Any]] = {"double": double, "upper": upper, "half": half, "push": push, "pi": pi}
+
+
+def test_functors_are_functions() -> None:
+    sizes = []
+
+    def counted(x: Any) -> Any:
+        sizes.append(len(x))
+        assert x.dtype == np.int32
+        return double(x)
+
+    program = Program(FUNCTORS, functors={**DEFINED, "double": counted})
+    session = Session(program)
+    session.insert("n", [(x,) for x in range(5000)])
+    session.commit()
+    assert session.rows("d") == [(x, 2 * x) for x in range(5000)]
+    assert session.count("h") == 2500 and session.rows("f") == [(3.5,)]
+    assert sorted(session.rows("s")) == [("<0>",), ("<1>",)]
+    assert set(session.rows("l")) == {((x, (7, None)),) for x in (0, 1)}
+    assert sum(sizes) == 5000 and len(sizes) == 2
+    # Sessions maintain what follows.
+    session.retract("n", [(3,)])
+    session.insert("n", [(10_000,)])
+    change = session.commit()["d"]
+    assert list(change.added) == [(10_000, 20_000)] and list(change.removed) == [(3, 6)]
+    assert session.query("n(x), @double(x) = 8").columns()["x"].tolist() == [4]
+    assert "8 = @double(4)" in str(session.explain("d", (4, 8)))
+
+
+def test_programs_with_functors_are_pickled() -> None:
+    program = pickle.loads(pickle.dumps(Program(FUNCTORS, functors=DEFINED)))
+    session = Session(program)
+    session.insert("n", [(21,)])
+    session.commit()
+    assert session.rows("d") == [(21, 42)]
+
+
+@pytest.mark.parametrize(
+    ("function", "kind", "message"),
+    [
+        (lambda x: x[:1], ValueError, "the functor `double` must return 2 values, one for each call, not 1"),
+        (lambda x: [*x, 1], ValueError, "must return 2 values, one for each call, not more"),
+        (lambda x: ["a"] * len(x), TypeError, "the functor `double` returns numbers .*, not 'a'"),
+        (
+            lambda x: [1 << 40] * len(x),
+            ValueError,
+            "the functor `double` returns numbers .*1099511627776 is out of range",
+        ),
+        (lambda x: 1, TypeError, "expected a sequence of them, not 1"),
+        (lambda x: "ab", TypeError, "expected a sequence of them, not 'ab'"),
+        (lambda x: 1 / 0, ZeroDivisionError, "division by zero"),
+        (lambda: [1], TypeError, "argument"),
+    ],
+)
+def test_what_functions_of_functors_raise_is_passed_on(
+    function: Callable[..., Any], kind: type[Exception], message: str
+) -> None:
+    text = ".functor double(x: number): number\n.decl n, d(x: number)\n.input n\nd(@double(x)) :- n(x).\n"
+    session = Session(Program(text, functors={"double": function}))
+    session.commit()
+    session.insert("n", [(1,), (2,)])
+    with pytest.raises(kind, match=message):
+        session.commit()
+    assert session.rows("n") == []
+    with pytest.raises(kind, match=message):
+        session.commit()
+    session.rollback()
+    session.commit()
+
+
+def test_missing_functions_of_functors() -> None:
+    with pytest.raises(ValueError, match="the program declares no functor `dubble`; did you mean `double`?"):
+        Program(FUNCTORS, functors={"dubble": double})
+    session = Session(Program(FUNCTORS))
+    with pytest.raises(InputError, match="the functor `double` has no definition") as raised:
+        session.commit()
+    assert "functors={" in str(raised.value)
+
+
+def test_functions_of_functors_cannot_use_their_session() -> None:
+    text = ".functor f(x: number): number\n.decl n(x: number)\n.input n\n.decl d(y: number)\nd(@f(x)) :- n(x).\n"
+    sessions: list[Session] = []
+
+    def function(x: Any) -> Any:
+        return sessions[0].rows("n")
+
+    sessions.append(Session(Program(text, functors={"f": function})))
+    sessions[0].insert("n", [(1,)])
+    with pytest.raises(RuntimeError):
+        sessions[0].commit()
+
+
 def test_homogeneous_arrays_of_rows() -> None:
     held = session(".decl e(x: number, y: number)\n.input e\n.decl s(x: symbol, y: symbol)\n.input s\n")
     grid = np.arange(12, dtype=np.int16).reshape(6, 2)

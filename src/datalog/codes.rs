@@ -10,6 +10,10 @@ crate::diagnostic_codes! {
     UNKNOWN_PREDICATE = "unknown-predicate", Error;
     /// A type that is not declared.
     UNKNOWN_TYPE = "unknown-type", Error;
+    /// A functor that is not declared.
+    UNKNOWN_FUNCTOR = "unknown-functor", Error;
+    /// A functor without a definition, or one whose definition fails.
+    FAILED_FUNCTOR = "failed-functor", Error;
     /// A type that is its own ancestor, directly or through others.
     CYCLIC_TYPE = "cyclic-type", Error;
     /// An atom with more or fewer arguments than its predicate's declaration.

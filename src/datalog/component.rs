@@ -640,6 +640,14 @@ impl Rename<'_, '_, '_> {
                 scope.predicate.iter_mut().for_each(|name| self.predicate(name));
                 self.place(&mut scope.place);
             }
+            Item::Functor(decl) => {
+                self.place(&mut decl.name.place);
+                for (name, ty) in &mut decl.arguments {
+                    name.iter_mut().for_each(|name| self.place(&mut name.place));
+                    self.type_name(ty);
+                }
+                self.type_name(&mut decl.result);
+            }
             Item::Clause(clause) => self.clause(clause),
             Item::Include(_) | Item::Component(_) | Item::Init(_) | Item::Override(_) => {}
         }

@@ -2,7 +2,7 @@
 
 use std::fmt;
 
-use crate::check::{Column, Predicate, PredicateId, Rules, Type};
+use crate::check::{Column, Predicate, PredicateId, Rules, Type, TypeId};
 use crate::diag::{counted, did_you_mean};
 use crate::symbol::{Symbol, Symbols};
 use crate::syntax::functor::BaseType;
@@ -368,6 +368,15 @@ impl IntoRow for () {
     }
 }
 
+impl<'s> FromRow<'s> for () {
+    fn check(predicate: &Predicate) -> Result<(), RowError> {
+        check_arity(predicate, 0)
+    }
+
+    #[inline]
+    fn from_row(_: &'s [Value], _: &[Column], _: &'s Symbols) -> Self {}
+}
+
 fn check_column<'s, T: FromValue<'s>>(predicate: &Predicate, column: usize) -> Result<(), RowError> {
     let Column { name, base, .. } = &predicate.columns[column];
     match T::reads(*base) {
@@ -407,6 +416,19 @@ pub(crate) fn check_words(predicate: &Predicate, row: &[Value], known: usize) ->
     Ok(())
 }
 
+/// Returns the word of a value; `None` if it does not fit the type.
+pub(crate) fn word_of(
+    value: &dyn ToValue,
+    (ty, base): (TypeId, BaseType),
+    types: &[Type],
+    symbol: &dyn Fn(&str) -> Option<Symbol>,
+) -> Option<Value> {
+    match (base, value.text()) {
+        (BaseType::Record, Some(text)) => read(text, ty, types, symbol).ok(),
+        _ => value.to_value(base, symbol),
+    }
+}
+
 /// Adds the words of a row to `words`.
 pub(crate) fn encode(
     predicate: &Predicate,
@@ -418,10 +440,7 @@ pub(crate) fn encode(
     let values = row.values();
     check_arity(predicate, values.len())?;
     for (value, column) in values.into_iter().zip(&predicate.columns) {
-        let word = match (column.base, value.text()) {
-            (BaseType::Record, Some(text)) => read(text, column.ty, types, symbol).ok(),
-            _ => value.to_value(column.base, symbol),
-        };
+        let word = word_of(value, (column.ty, column.base), types, symbol);
         let word = word.ok_or_else(|| RowError::ValueType {
             predicate: predicate.name.clone(),
             column: column.name.clone(),

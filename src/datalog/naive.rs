@@ -7,6 +7,7 @@ use crate::chance;
 use crate::check::{Atom, Clause, Literal, Past, PastOperator, PredicateId, Rules, Term};
 use crate::symbol::{Symbol, Symbols};
 use crate::syntax::ast::{BaseType, Comparison};
+use crate::syntax::functor::Functor;
 use crate::value::{Patterns, Value};
 use std::collections::BTreeSet;
 
@@ -204,7 +205,11 @@ fn result(rules: &Rules, literal: &Literal, known: &Binding, database: &Database
             ..
         } => {
             let arguments: Option<Vec<Value>> = arguments.iter().map(|argument| value(argument, known)).collect();
-            functor.apply(*base, &arguments?, symbols)
+            let arguments = arguments?;
+            match functor {
+                Functor::Call => rules.call(&arguments, symbols).ok()?,
+                _ => functor.apply(*base, &arguments, symbols),
+            }
         }
         Literal::Aggregate {
             op, base, atom, column, ..

@@ -1,6 +1,6 @@
 //! Plans as text: the order of scans and tests, with their key columns and indexes.
 
-use crate::check::{Clause, ClauseId, PredicateId};
+use crate::check::{Clause, ClauseId, PredicateId, UserFunctor};
 use crate::diag::Sources;
 use crate::plan::Compiled;
 use crate::plan::Plans;
@@ -117,16 +117,24 @@ fn show_expression(
     functor: Functor,
     base: BaseType,
     arguments: &[Slot],
+    functors: &[UserFunctor],
     value: &dyn Fn(Slot, BaseType) -> String,
 ) -> String {
     // Only the first argument of `substr` is a string.
     let base_of = |position: usize| match (functor, position) {
+        (Functor::Call, 0) => BaseType::Unsigned,
         (Functor::Substring, 1..) => BaseType::Number,
         _ => base,
     };
     let arguments: Vec<String> = (arguments.iter().enumerate())
         .map(|(position, &slot)| value(slot, base_of(position)))
         .collect();
+    // The first argument is the position of the functor.
+    if let (Functor::Call, Some((at, arguments))) = (functor, arguments.split_first()) {
+        let called = at.parse().ok().and_then(|at: usize| functors.get(at));
+        let name = called.map_or("", |called| &called.name);
+        return format!("@{name}({})", arguments.join(", "));
+    }
     let name = functor.name();
     match arguments.as_slice() {
         [left, right] if !matches!(functor, Functor::Min | Functor::Max | Functor::Cat) => {
@@ -249,7 +257,7 @@ impl Shown<'_> {
                 to,
                 test,
             } => {
-                let expression = show_expression(*functor, *base, arguments, value);
+                let expression = show_expression(*functor, *base, arguments, &self.compiled.rules.functors, value);
                 format!("{}   {} = {expression}", verb(*test), value(*to, *base))
             }
             Step::Aggregate {

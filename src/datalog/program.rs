@@ -4,12 +4,14 @@ use std::fmt;
 use std::path::Path;
 use std::sync::Arc;
 
-use crate::check::{InputPolicy, PredicateId, Rules};
-use crate::diag::{Diagnostic, SourceId, Sources, render};
+use crate::check::{FunctorBatch, FunctorError, InputPolicy, Predicate, PredicateId, Rules, UserFunctor};
+use crate::convert::{FromRow, ToValue, word_of};
+use crate::diag::{Diagnostic, SourceId, Sources, did_you_mean, render};
 use crate::files::{ReadError, ReadFile};
 #[cfg(feature = "optimizer")]
 use crate::plan::optimize;
 use crate::plan::{Compiled, Plans};
+use crate::value::Value;
 use crate::workspace;
 
 /// Checked rules with a plan for every clause; immutable and cheap to clone.
@@ -114,6 +116,107 @@ impl Program {
         Ok(Program(Arc::new(Compiled { rules, plans })))
     }
 
+    /// Defines a functor that the program declares: `.functor add(x: number, y: number): number`.
+    ///
+    /// The closure must return the same value for the same arguments. The engine calls it as often as it likes, from any
+    /// thread. With `None` it has no value, and the literal that applies it does not hold. `String` takes and gives
+    /// symbols, and records as text; see [`FromValue`](crate::FromValue).
+    ///
+    /// ```
+    /// use logicity_datalog::Program;
+    ///
+    /// let program = Program::parse(
+    ///     ".functor repeat(s: symbol, n: number): symbol
+    ///      .decl word(s: symbol) word(\"ha\").
+    ///      .decl laugh(s: symbol) laugh(@repeat(s, 3)) :- word(s).",
+    /// )?;
+    /// let program = program.define("repeat", |(s, n): (String, i64)| Some(s.repeat(n.try_into().ok()?)))?;
+    /// let mut session = program.session();
+    /// session.commit()?;
+    /// assert!(session.contains("laugh", ("hahaha",)));
+    /// # Ok::<(), Box<dyn std::error::Error>>(())
+    /// ```
+    ///
+    /// # Errors
+    /// If the program declares no such functor, or one with other arguments.
+    pub fn define<A, R>(
+        self,
+        functor: &str,
+        value: impl Fn(A) -> Option<R> + Send + Sync + 'static,
+    ) -> Result<Program, FunctorError>
+    where
+        A: for<'s> FromRow<'s>,
+        R: ToValue,
+    {
+        let rules = self.rules();
+        let declared = declared(rules, functor)?;
+        let columns = declared.arguments.clone();
+        let (ty, base, name) = (declared.result, declared.base, declared.name.clone());
+        let shape = Predicate::made(name, columns.clone(), String::new(), declared.span);
+        A::check(&shape).map_err(|error| FunctorError::Arguments {
+            functor: functor.to_owned(),
+            reason: error.to_string(),
+        })?;
+        let types = rules.types.clone();
+        self.define_batch(functor, move |batch, values| {
+            let symbols = batch.symbols();
+            for call in 0..batch.len() {
+                let word = match value(A::from_row(batch.row(call), &columns, symbols)) {
+                    None => None,
+                    Some(value) => {
+                        let symbol = |text: &str| Some(symbols.intern(text));
+                        let word = word_of(&value, (ty, base), &types, &symbol);
+                        let misfit = || {
+                            format!(
+                                "{} is no value of type `{}`",
+                                value.describe(),
+                                types[ty.0 as usize].name
+                            )
+                        };
+                        Some(word.ok_or_else(misfit)?)
+                    }
+                };
+                values.push(word);
+            }
+            Ok(())
+        })
+    }
+
+    /// Defines a functor for many calls at once: `values` receives a value for each call of the batch, in order, or `None`
+    /// for no value. An `Err` with its reason ends the commit.
+    ///
+    /// The value is a word of the declared type. The rules of [`Program::define`] apply.
+    ///
+    /// # Errors
+    /// If the program declares no such functor.
+    pub fn define_batch(
+        mut self,
+        functor: &str,
+        apply: impl Fn(&FunctorBatch<'_>, &mut Vec<Option<Value>>) -> Result<(), String> + Send + Sync + 'static,
+    ) -> Result<Program, FunctorError> {
+        declared(self.rules(), functor)?;
+        let compiled = Arc::make_mut(&mut self.0);
+        let mut functors = compiled.rules.functors.to_vec();
+        if let Some(declared) = functors.iter_mut().find(|declared| declared.name == functor) {
+            declared.define(apply);
+        }
+        compiled.rules.functors = functors.into();
+        Ok(self)
+    }
+
+    /// Gives the functors the definitions that another program has.
+    pub(crate) fn defined_as(mut self, other: &Program) -> Program {
+        if self.rules().functors.is_empty() {
+            return self;
+        }
+        let compiled = Arc::make_mut(&mut self.0);
+        let functors = compiled.rules.functors.iter().cloned();
+        compiled.rules.functors = functors
+            .map(|functor| functor.defined_as(&other.rules().functors))
+            .collect();
+        self
+    }
+
     /// Returns the checked rules.
     pub fn rules(&self) -> &Rules {
         &self.0.rules
@@ -131,6 +234,14 @@ impl Program {
     pub fn predicate(&self, name: &str) -> Option<PredicateId> {
         self.0.rules.predicate(name)
     }
+}
+
+fn declared<'r>(rules: &'r Rules, functor: &str) -> Result<&'r UserFunctor, FunctorError> {
+    let found = rules.functors.iter().find(|declared| declared.name == functor);
+    found.ok_or_else(|| FunctorError::Unknown {
+        functor: functor.to_owned(),
+        near: did_you_mean(functor, rules.functors.iter().map(|declared| declared.name.as_str())).map(str::to_owned),
+    })
 }
 
 /// The reasons why rules are no program. Displays them with the lines that they are about.

@@ -1,10 +1,12 @@
 //! Sessions: facts, their changes and what follows from them.
 
 use std::fmt;
+use std::sync::Arc;
 
 use crate::cancel::Cancel;
 use crate::check::{ClauseId, Literal, Predicate, PredicateId, Term};
 use crate::convert::{AsPredicate, FromRow, IntoRow, RowError, check_words, encode};
+use crate::eval::calls::Calls;
 use crate::eval::delta::{Delta, Rows};
 use crate::eval::exec::{self, CommitOptions, Store};
 use crate::eval::limits::{EvalError, Limits};
@@ -15,7 +17,7 @@ use crate::history::History;
 use crate::program::Program;
 use crate::symbol::Symbols;
 use crate::syntax::ast::BaseType;
-use crate::syntax::functor::AggregateOp;
+use crate::syntax::functor::{AggregateOp, Functor};
 use crate::value::Value;
 
 /// Facts and everything that the rules derive from them.
@@ -424,6 +426,15 @@ impl Session {
             workers: &self.workers,
             watch,
             cancel,
+            calls: None,
+        };
+        let calls = match self.program.rules().functors.is_empty() {
+            true => None,
+            false => Some(self.calls()?),
+        };
+        let options = CommitOptions {
+            calls: calls.as_ref(),
+            ..options
         };
         let known = self.symbols.len();
         match self.store.commit(&self.program.0, &self.symbols, options) {
@@ -441,6 +452,28 @@ impl Session {
                 Err(error)
             }
         }
+    }
+
+    /// Returns the functors of the program; an error if a clause applies one without a definition.
+    fn calls(&self) -> Result<Arc<Calls>, EvalError> {
+        let rules = self.program.rules();
+        for (clause, id) in rules.clauses.iter().zip((0..).map(ClauseId)) {
+            let applied = clause.body.iter().filter_map(|literal| match literal {
+                Literal::Compute {
+                    functor: Functor::Call,
+                    arguments,
+                    ..
+                } => rules.called(arguments),
+                _ => None,
+            });
+            if let Some(functor) = applied.into_iter().find(|functor| !functor.is_defined()) {
+                return Err(EvalError::UndefinedFunctor {
+                    functor: functor.name.clone(),
+                    clause: id,
+                });
+            }
+        }
+        Ok(Calls::new(&rules.functors))
     }
 
     /// Returns whether the row holds. A row that does not fit the predicate does not.
@@ -482,7 +515,15 @@ impl Session {
         (budget, bytes): (u64, u64),
         cancel: &Cancel,
     ) -> (Result<Option<Value>, Abort>, u64) {
-        (self.store).correlated(aggregate, parameters, &self.symbols, (budget, bytes, cancel))
+        let functors = &self.program.rules().functors;
+        let calls = (!functors.is_empty()).then(|| Calls::new(functors));
+        (self.store).correlated(
+            aggregate,
+            parameters,
+            &self.symbols,
+            (budget, bytes, cancel),
+            calls.as_ref(),
+        )
     }
 
     /// Returns the rows that hold, as tuples, arrays or vectors of Rust values; see [`FromRow`]. Their order is that of
@@ -583,7 +624,7 @@ impl Session {
     /// Returns a session of a query with the rows that the query reads. Its commit answers the query.
     ///
     /// `query` is the program of [`Workspace::ask`](crate::Workspace::ask) for the workspace of this session's program
-    /// and the symbols of this session. Its limits are those of this session, and of memory what this session leaves.
+    /// and the symbols of this session. It has the functors of this session's program. Its limits are those of this session, and of memory what this session leaves.
     ///
     /// ```
     /// # use logicity_datalog::cancel::Cancel;
@@ -610,6 +651,7 @@ impl Session {
     pub fn query(&self, query: &Program, cancel: &Cancel) -> Result<Session, EvalError> {
         /// Rows between two tests of the limit and of `cancel`.
         const PART: usize = 1 << 12;
+        let query = &query.clone().defined_as(&self.program);
         let mut session = query.session();
         let limit = self.bytes_left();
         session.set_limits(Limits {

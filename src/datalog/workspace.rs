@@ -397,7 +397,7 @@ impl Workspace {
 
     /// Returns the declarations of types and predicates; with `input`, all predicates are input.
     fn declarations(&self, input: bool) -> Vec<Item> {
-        let declared = |item: &&Item| matches!(item, Item::Type(_) | Item::Decl(_));
+        let declared = |item: &&Item| matches!(item, Item::Type(_) | Item::Decl(_) | Item::Functor(_));
         let mut items: Vec<Item> = self.gathered.items.iter().filter(declared).cloned().collect();
         let mut names = Vec::new();
         for item in &mut items {

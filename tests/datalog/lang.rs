@@ -898,6 +898,7 @@ fn check_expectations(what: &str, files: &[(String, String)]) -> Result<(), Stri
 fn rule_codes() -> impl Iterator<Item = Code> {
     let others = [
         codes::INVALID_FACT,
+        codes::FAILED_FUNCTOR,
         codes::CONSTRAINT_VIOLATION,
         codes::OLD_FORM,
         codes::CONTRADICTORY_BODY,

@@ -12,6 +12,7 @@ mod diff;
 mod engine;
 mod explain;
 mod format;
+mod functors;
 mod hostile;
 mod lang;
 mod near_files;

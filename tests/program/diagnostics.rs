@@ -267,6 +267,22 @@ fn scenes_and_facts_fail_as_their_fixtures_expect() {
 }
 
 #[test]
+fn functors_fail_as_their_fixture_expects() {
+    let path = fixtures().join("failed-functor.dl");
+    let output = logicity(&["query", path.to_str().unwrap(), "-D", "-"]);
+    let said = String::from_utf8(output.stderr).unwrap();
+    assert_eq!(output.status.code(), Some(1), "{said}");
+    for part in [
+        "error[failed-functor]: the functor `twice` has no definition",
+        "failed-functor.dl:5:6",
+        "program.define(\"twice\", ...)",
+        "functors={\"twice\": ...}",
+    ] {
+        assert!(said.contains(part), "{part} is missing in:\n{said}");
+    }
+}
+
+#[test]
 fn traces_fail_as_their_fixtures_expect() {
     let given: [(&str, &[&str]); 2] = [
         ("invalid-trace", &[]),

@@ -11,7 +11,7 @@ use crate::datalog::ast;
 use crate::datalog::ast::{Item, Literal, Name, Term, TermKind, TypeDefinition};
 use crate::datalog::codes;
 use crate::datalog::print;
-use crate::datalog::{InputPolicy, Program, Rules, Workspace};
+use crate::datalog::{Functor, InputPolicy, Program, Rules, Workspace};
 use crate::diag::{Diagnostic, Fix, MAX_FAULTS, SourceId, Sources, Span};
 use crate::files::{BUILTIN_FOLDER, ReadFile, normalize};
 use crate::sim::{Vocabulary, examine};
@@ -24,6 +24,8 @@ use std::path::{Path, PathBuf};
 pub enum Meaning {
     Predicate(String),
     Type(String),
+    /// A functor of the caller.
+    Functor(String),
     /// The path of an include.
     Include(String),
     /// A variable of the clause at this place.
@@ -34,9 +36,11 @@ impl Meaning {
     /// Returns the name, or the path of an include.
     pub fn name(&self) -> &str {
         match self {
-            Meaning::Predicate(name) | Meaning::Type(name) | Meaning::Include(name) | Meaning::Variable(_, name) => {
-                name
-            }
+            Meaning::Predicate(name)
+            | Meaning::Type(name)
+            | Meaning::Functor(name)
+            | Meaning::Include(name)
+            | Meaning::Variable(_, name) => name,
         }
     }
 
@@ -46,6 +50,7 @@ impl Meaning {
         match self {
             Meaning::Predicate(_) => Meaning::Predicate(name),
             Meaning::Type(_) => Meaning::Type(name),
+            Meaning::Functor(_) => Meaning::Functor(name),
             Meaning::Include(_) => Meaning::Include(name),
             Meaning::Variable(clause, _) => Meaning::Variable(*clause, name),
         }
@@ -227,6 +232,7 @@ impl Analysis {
                 };
                 (Item::Decl(own), &decl.doc)
             }
+            Item::Functor(decl) => (Item::Functor(ast::FunctorDecl { doc, ..decl.clone() }), &decl.doc),
             Item::Type(decl) => (Item::Type(ast::TypeDecl { doc, ..decl.clone() }), &decl.doc),
             _ => return None,
         };
@@ -408,6 +414,10 @@ fn declarations(files: &[(SourceId, ast::File)]) -> HashMap<Meaning, [usize; 3]>
                         found.entry(meaning).or_insert([file, item, at]);
                     }
                 }
+                Item::Functor(decl) => {
+                    let meaning = Meaning::Functor(decl.name.text.clone());
+                    found.entry(meaning).or_insert([file, item, 0]);
+                }
                 Item::Type(decl) => {
                     let meaning = Meaning::Type(decl.name.text.clone());
                     found.entry(meaning).or_insert([file, item, 0]);
@@ -455,6 +465,11 @@ impl Names {
                 meaning: Meaning::Include(include.path.clone()),
                 role: Role::Uses,
             }),
+            Item::Functor(decl) => {
+                self.add(&decl.name, Meaning::Functor, Role::Declares);
+                types(self, &decl.arguments.iter().map(|(_, ty)| ty).collect::<Vec<_>>());
+                types(self, &[&decl.result]);
+            }
             Item::Type(decl) => {
                 self.add(&decl.name, Meaning::Type, Role::Declares);
                 match &decl.definition {
@@ -520,6 +535,23 @@ impl Names {
                         meaning: Meaning::Variable(clause, name.clone()),
                         role: Role::Uses,
                     });
+                }
+            }
+            TermKind::Functor(Functor::Call, arguments) => {
+                if let Some((
+                    Term {
+                        kind: TermKind::Symbol(name),
+                        place,
+                    },
+                    arguments,
+                )) = arguments.split_first()
+                {
+                    self.found.push(Occurrence {
+                        span: place.0,
+                        meaning: Meaning::Functor(name.clone()),
+                        role: Role::Uses,
+                    });
+                    arguments.iter().for_each(|argument| self.term(argument));
                 }
             }
             TermKind::Functor(_, arguments) => arguments.iter().for_each(|argument| self.term(argument)),

@@ -205,6 +205,7 @@ impl Server {
             Meaning::Predicate(name) => (1, name.clone()),
             Meaning::Type(name) => (2, name.clone()),
             Meaning::Include(path) => (3, path.clone()),
+            Meaning::Functor(name) => (4, name.clone()),
         };
         let expected = file.names.iter().map(|one| match one.meaning == *meaning {
             true => kind_and_name(&Occurrence {

@@ -36,6 +36,7 @@ pub fn symbols(items: &[Item], text: &str, with_clauses: bool) -> Vec<Symbol> {
                 let names = decl.names.iter();
                 symbols.extend(names.map(|name| named(name, &decl.doc, SymbolKind::FUNCTION)));
             }
+            Item::Functor(decl) => symbols.push(named(&decl.name, &decl.doc, SymbolKind::FUNCTION)),
             Item::Type(decl) => symbols.push(named(&decl.name, &decl.doc, SymbolKind::CLASS)),
             Item::Clause(clause) if with_clauses => symbols.extend(clause.heads.first().map(|head| Symbol {
                 name: text[head.place.0.range()].to_owned(),

@@ -91,7 +91,9 @@ fn found(analysis: &Analysis) -> Vec<Token> {
                     Role::Uses => 0,
                 };
                 match &one.meaning {
-                    Meaning::Predicate(_) => (bytes, "function", role | library(analysis, &one.meaning)),
+                    Meaning::Predicate(_) | Meaning::Functor(_) => {
+                        (bytes, "function", role | library(analysis, &one.meaning))
+                    }
                     Meaning::Type(name) => {
                         let is_base = BaseType::ALL.iter().any(|base| base.name() == name);
                         let library = if is_base {

@@ -55,6 +55,12 @@ pub const WORDS: &[Word] = &[
         "Declares a type: a subtype, an alias, a union, records (`[x: number]`) or branches (`A {x: number} | B {}`).",
     ),
     word(
+        "functor",
+        Directive,
+        ".functor distance(x: symbol, y: symbol): number",
+        "Declares a functor that the caller defines in Rust or Python; rules apply it as `@distance(x, y)`.",
+    ),
+    word(
         "symbol_type",
         Directive,
         ".symbol_type place",

@@ -23,6 +23,7 @@ mod chance;
 pub(crate) mod clause;
 mod clauses;
 mod constraints;
+mod functors;
 pub(crate) mod inline;
 mod lint;
 pub(crate) mod names;
@@ -42,10 +43,12 @@ use crate::syntax::packed::FactRuns;
 use std::borrow::Cow;
 
 pub use chance::{Draw, drawn_probabilities};
+pub use functors::{FunctorBatch, FunctorError};
 pub(crate) use rules::bind_all;
 pub use rules::{
     Atom, Clause, ClauseId, Column, Constraint, DeclaredConstraint, Directive, Function, Literal, Past, PastOperator,
-    Predicate, PredicateId, RecordShape, RowFormat, RowPlace, Rules, Stratum, Term, Type, TypeId, VarId, shapes,
+    Predicate, PredicateId, RecordShape, RowFormat, RowPlace, Rules, Stratum, Term, Type, TypeId, UserFunctor, VarId,
+    shapes,
 };
 #[cfg(feature = "optimizer")]
 pub(crate) use subsets::Budget;
@@ -114,7 +117,12 @@ pub(crate) fn check(
     if faults.failed() {
         return (None, compared);
     }
-    let names::Names { types, predicates, .. } = names;
+    let names::Names {
+        types,
+        predicates,
+        functors,
+        ..
+    } = names;
     let mut clauses: Vec<Clause> = checked.clauses.into_iter().map(|clause| clause.clause).collect();
     clauses.extend(checked.hidden);
     let rules = Rules {
@@ -125,6 +133,7 @@ pub(crate) fn check(
         symbols: checked.symbols,
         constraints,
         functions: Vec::new(),
+        functors: functors.into(),
         pasts,
         chance,
     };

@@ -12,7 +12,9 @@ use crate::syntax::ast::{BaseType, Comparison, MarkKind};
 use crate::value::Value;
 use std::collections::HashMap;
 
+use crate::check::functors::{Definition, FunctorBatch};
 use crate::syntax::functor::{AggregateOp, Functor};
+use std::sync::Arc;
 
 /// The id of a type: its position in [`Rules::types`].
 #[derive(Clone, Copy, Debug, PartialEq, Eq, PartialOrd, Ord, Hash)]
@@ -529,12 +531,73 @@ pub struct Rules {
     pub constraints: Vec<DeclaredConstraint>,
     /// What the caller knows of base predicates with values. Loading leaves it empty; comparisons of rules read it.
     pub functions: Vec<Function>,
+    /// The functors that the caller defines.
+    pub functors: Arc<[UserFunctor]>,
     /// The symbols of all constants.
     pub symbols: Symbols,
     /// The memory of earlier ticks that temporal operators read.
     pub pasts: Vec<Past>,
     /// The hidden predicate that draws read, if clauses have probabilities. Its row is the word of the tick.
     pub chance: Option<PredicateId>,
+}
+
+/// A functor that `.functor` declares and the caller defines.
+#[derive(Clone, Debug)]
+pub struct UserFunctor {
+    /// The name, without `@`.
+    pub name: String,
+    /// The arguments.
+    pub arguments: Vec<Column>,
+    /// The type of the value.
+    pub result: TypeId,
+    /// The base type of the value.
+    pub base: BaseType,
+    /// The text of the doc comment.
+    pub doc: String,
+    /// The place of the name in the declaration.
+    pub span: Span,
+    /// What computes the values; `None` until [`Program::define`](crate::Program::define) gives it.
+    pub(crate) definition: Option<Definition>,
+}
+
+impl UserFunctor {
+    /// Sets what computes the values.
+    pub(crate) fn define(
+        &mut self,
+        apply: impl Fn(&FunctorBatch<'_>, &mut Vec<Option<Value>>) -> Result<(), String> + Send + Sync + 'static,
+    ) {
+        self.definition = Some(Definition(Arc::new(apply)));
+    }
+
+    /// Returns the functor with the definition that one of its name has.
+    pub(crate) fn defined_as(mut self, functors: &[UserFunctor]) -> UserFunctor {
+        let same = functors.iter().find(|functor| functor.name == self.name);
+        self.definition = same.and_then(|functor| functor.definition.clone());
+        self
+    }
+
+    /// Returns whether it has a definition.
+    pub fn is_defined(&self) -> bool {
+        self.definition.is_some()
+    }
+
+    /// Computes the values for `count` rows of arguments, in row-major order.
+    pub(crate) fn apply(
+        &self,
+        (rows, count): (&[Value], usize),
+        symbols: &Symbols,
+        values: &mut Vec<Option<Value>>,
+    ) -> Result<(), String> {
+        let missing = || format!("the functor `{}` has no definition", self.name);
+        let definition = self.definition.as_ref().ok_or_else(missing)?;
+        values.clear();
+        let batch = FunctorBatch::new(rows, (count, self.arguments.len()), symbols);
+        (definition.0)(&batch, values)?;
+        match values.len() == count {
+            true => Ok(()),
+            false => Err(format!("{} values for {count} calls", values.len())),
+        }
+    }
 }
 
 /// A base predicate whose last column is a function of the others.
@@ -650,7 +713,7 @@ impl Rules {
                     ..
                 } => {
                     for (at, argument) in arguments.iter().enumerate() {
-                        let base = functor.argument_base(*base, at);
+                        let base = self.argument_base(*functor, *base, arguments, at);
                         base.into_iter().for_each(|base| see(argument, base));
                     }
                     functor.result_base(*base).into_iter().for_each(|base| see(to, base));
@@ -665,6 +728,38 @@ impl Rules {
         let columns = &self.predicates[clause.head.predicate.index()].columns;
         (clause.head.terms.iter().zip(columns)).for_each(|(term, column)| see(term, column.base));
         bases
+    }
+
+    /// Returns the base type of an argument of a functor; `None` if it may have any.
+    pub(crate) fn argument_base(
+        &self,
+        functor: Functor,
+        base: BaseType,
+        arguments: &[Term],
+        at: usize,
+    ) -> Option<BaseType> {
+        match (functor, at) {
+            (Functor::Call, 0) => Some(BaseType::Unsigned),
+            (Functor::Call, _) => Some(self.called(arguments)?.arguments.get(at - 1)?.base),
+            _ => functor.argument_base(base, at),
+        }
+    }
+
+    /// Returns the value of [`Functor::Call`]; `None` if it has none.
+    pub(crate) fn call(&self, arguments: &[Value], symbols: &Symbols) -> Result<Option<Value>, String> {
+        let functor = arguments.first().and_then(|at| self.functors.get(at.0 as usize));
+        let functor = functor.ok_or("no such functor")?;
+        let mut values = Vec::new();
+        functor.apply((&arguments[1..], 1), symbols, &mut values)?;
+        Ok(values.pop().flatten())
+    }
+
+    /// Returns the functor that these arguments of [`Functor::Call`] name.
+    pub(crate) fn called(&self, arguments: &[Term]) -> Option<&UserFunctor> {
+        match arguments.first() {
+            Some(Term::Constant(at)) => self.functors.get(at.0 as usize),
+            _ => None,
+        }
     }
 
     /// Returns whether the predicate has [parameters](Predicate::parameters).

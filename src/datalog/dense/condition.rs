@@ -659,6 +659,9 @@ impl Body {
                 };
                 self.steps.push(step);
             }
+            Literal::Compute {
+                functor: Functor::Call, ..
+            } => return None,
             &Literal::Compute {
                 to,
                 functor,

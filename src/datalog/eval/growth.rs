@@ -184,6 +184,7 @@ fn grows(functor: Functor, base: BaseType, arguments: &[Term]) -> Option<Way> {
     match (functor, arguments) {
         (Functor::Add, _) if base == BaseType::Symbol => Some(Way::Up),
         (Functor::Cat | Functor::Pack, _) => Some(Way::Up),
+        (Functor::Call, _) => Some(Way::Somewhere),
         (Functor::Add, [left, right]) => Some(towards(sign(left).or(sign(right)))),
         (Functor::Subtract, [_, right]) => Some(towards(sign(right).map(|down| !down))),
         (Functor::Multiply | Functor::Power, _) => Some(Way::Somewhere),

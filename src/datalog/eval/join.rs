@@ -2,6 +2,7 @@
 // Decision: docs/decisions/evaluation.md#d017
 
 use crate::cancel::Cancel;
+use crate::eval::calls::Calls;
 use crate::eval::correlated::CorrelatedValues;
 use crate::eval::groups;
 use crate::eval::output::{Abort, Output};
@@ -12,6 +13,7 @@ use crate::symbol::{Symbol, Symbols};
 use crate::syntax::ast::{BaseType, Comparison};
 use crate::syntax::functor::{AggregateOp, Functor};
 use crate::value::{Patterns, Value};
+use std::sync::Arc;
 
 /// The rows that a step reads, as sorted batches. A leapfrog join has one batch for each list, and a correlated
 /// aggregate one for each source of its plans.
@@ -76,6 +78,8 @@ pub(crate) struct JoinState {
     pub(crate) symbol_bytes: u64,
     /// The correlated aggregates evaluated so far.
     pub(crate) correlated: CorrelatedValues,
+    /// The functors of the caller; `None` if no clause applies one.
+    pub(crate) calls: Option<Arc<Calls>>,
 }
 
 impl JoinState {
@@ -91,6 +95,7 @@ impl JoinState {
             next_poll: budget.min(Self::POLL_INTERVAL),
             symbol_bytes: u64::MAX,
             correlated: CorrelatedValues::default(),
+            calls: None,
         }
     }
 }
@@ -119,9 +124,11 @@ pub(crate) fn run<const W: usize>(
         cursors: Vec::new(),
         sets: WordSets::default(),
         known: &mut state.correlated,
+        calls: state.calls.as_deref(),
+        deferred: Vec::new(),
         out,
     };
-    let result = join.from(0, plan.steps.len());
+    let result = join.from(0, plan.steps.len()).and_then(|_| join.finish());
     (state.rows_scanned, state.next_poll) = (join.rows_scanned, join.next_poll);
     result?;
     // The last scan may have exceeded the budget.
@@ -152,8 +159,23 @@ struct Join<'a, const W: usize> {
     sets: WordSets,
     /// The correlated aggregates evaluated so far.
     known: &'a mut CorrelatedValues,
+    calls: Option<&'a Calls>,
+    /// The calls of functors that wait for others, by step.
+    deferred: Vec<Deferred>,
     out: &'a mut Output<W>,
 }
+
+/// Calls of a functor that wait until there are enough of them.
+struct Deferred {
+    /// The position of the step.
+    depth: usize,
+    /// The slots of each call.
+    slots: Vec<Value>,
+    calls: usize,
+}
+
+/// The number of calls of a functor that are evaluated together.
+const CALLS: usize = 4096;
 
 impl<const W: usize> Join<'_, W> {
     /// Runs the steps from `depth` to `end` and returns whether they succeeded at least once. A success of all steps
@@ -200,6 +222,10 @@ impl<const W: usize> Join<'_, W> {
                     test,
                 } => {
                     let value = match functor.makes_symbol() {
+                        true if *functor == Functor::Call => match self.call(depth, end, arguments)? {
+                            Some(value) => value,
+                            None => return Ok(false),
+                        },
                         true => self.make(*functor, *base, arguments)?,
                         false => self.compute(*functor, *base, arguments),
                     };
@@ -573,9 +599,11 @@ impl<const W: usize> Join<'_, W> {
                 cursors: Vec::new(),
                 sets: WordSets::default(),
                 known: &mut *self.known,
+                calls: self.calls,
+                deferred: Vec::new(),
                 out: &mut out,
             };
-            let result = join.from(1, plan.steps.len());
+            let result = join.from(1, plan.steps.len()).and_then(|_| join.finish());
             self.patterns = join.patterns.take();
             (self.rows_scanned, self.next_poll) = (join.rows_scanned, join.next_poll);
             result?;
@@ -625,6 +653,90 @@ impl<const W: usize> Join<'_, W> {
             return Err(Abort::Memory);
         }
         Ok(value)
+    }
+
+    /// Calls a functor of the caller. Returns `None` if the call waits for others; `finish` continues behind it.
+    #[cold]
+    fn call(&mut self, depth: usize, end: usize, arguments: &[Slot]) -> Result<Option<Option<Value>>, Abort> {
+        // In an existential group, the steps before this one ask whether it succeeds.
+        let is_asked = self.plan.enough[..depth].iter().any(|&part| part as usize > depth);
+        if is_asked || end != self.plan.steps.len() {
+            let rows: Vec<Value> = arguments[1..].iter().map(|&slot| self.slots[slot as usize]).collect();
+            let values = self.apply(arguments, (&rows, 1))?;
+            return Ok(Some(values.into_iter().next().flatten()));
+        }
+        let at = match self.deferred.iter().position(|deferred| deferred.depth == depth) {
+            Some(at) => at,
+            None => {
+                self.deferred.push(Deferred {
+                    depth,
+                    slots: Vec::new(),
+                    calls: 0,
+                });
+                self.deferred.len() - 1
+            }
+        };
+        let deferred = &mut self.deferred[at];
+        deferred.slots.extend_from_slice(self.slots);
+        deferred.calls += 1;
+        if deferred.calls == CALLS {
+            self.resume(at)?;
+        }
+        Ok(None)
+    }
+
+    /// Evaluates all calls that wait, and what follows from them.
+    fn finish(&mut self) -> Result<(), Abort> {
+        while let Some(at) = (0..self.deferred.len())
+            .filter(|&at| self.deferred[at].calls > 0)
+            .min_by_key(|&at| self.deferred[at].depth)
+        {
+            self.resume(at)?;
+        }
+        Ok(())
+    }
+
+    /// Evaluates the calls of a step, and continues behind each of them.
+    fn resume(&mut self, at: usize) -> Result<(), Abort> {
+        let deferred = &mut self.deferred[at];
+        let (depth, slots) = (deferred.depth, std::mem::take(&mut deferred.slots));
+        let calls = std::mem::take(&mut deferred.calls);
+        let plan = self.plan;
+        let Step::Compute {
+            arguments, to, test, ..
+        } = &plan.steps[depth]
+        else {
+            return Ok(());
+        };
+        let width = self.slots.len();
+        let call = |at: usize| &slots[at * width..(at + 1) * width];
+        let rows: Vec<Value> = (0..calls)
+            .flat_map(|at| arguments[1..].iter().map(move |&slot| call(at)[slot as usize]))
+            .collect();
+        let values = self.apply(arguments, (&rows, calls))?;
+        let before = self.slots.to_vec();
+        for (at, value) in values.into_iter().enumerate() {
+            self.slots.copy_from_slice(call(at));
+            if self.fill(*to, *test, value) {
+                self.from(depth + 1, plan.steps.len())?;
+            }
+        }
+        self.slots.copy_from_slice(&before);
+        Ok(())
+    }
+
+    fn apply(&mut self, arguments: &[Slot], rows: (&[Value], usize)) -> Result<Vec<Option<Value>>, Abort> {
+        self.rows_scanned += rows.1 as u64;
+        if self.rows_scanned > self.next_poll {
+            self.poll()?;
+        }
+        let at = self.slots[arguments[0] as usize].0 as usize;
+        let calls = self.calls.ok_or(Abort::Functor)?;
+        let values = calls.apply(at, rows, self.symbols).map_err(|_| Abort::Functor)?;
+        match self.symbols.bytes() > self.symbol_bytes {
+            true => Err(Abort::Memory),
+            false => Ok(values),
+        }
     }
 
     fn compute(&self, functor: Functor, base: BaseType, arguments: &[Slot]) -> Option<Value> {

@@ -6,6 +6,7 @@ use crate::diag::codes;
 use crate::diag::{Diagnostic, Limit, Span, counted};
 use crate::eval::growth;
 use crate::syntax::ast::Comparison;
+use crate::syntax::functor::Functor;
 use std::collections::BTreeSet;
 use std::fmt;
 
@@ -63,6 +64,22 @@ pub enum EvalError {
         /// A clause of the stratum that exceeded it.
         clause: ClauseId,
     },
+    /// The caller has defined no functor of this name; see [`Program::define`](crate::Program::define).
+    UndefinedFunctor {
+        /// The name of the functor.
+        functor: String,
+        /// The first clause that applies it.
+        clause: ClauseId,
+    },
+    /// The definition of a functor failed.
+    FailedFunctor {
+        /// The name of the functor.
+        functor: String,
+        /// Why it failed.
+        reason: String,
+        /// The clause that was evaluated.
+        clause: ClauseId,
+    },
     /// The caller cancelled it; see [`Session::commit_with`](crate::session::Session::commit_with).
     Cancelled {
         /// The clause that was evaluated.
@@ -79,17 +96,19 @@ impl EvalError {
             EvalError::TooManyRows { clause, .. }
             | EvalError::TooManySteps { clause, .. }
             | EvalError::TooMuchMemory { clause, .. }
+            | EvalError::UndefinedFunctor { clause, .. }
+            | EvalError::FailedFunctor { clause, .. }
             | EvalError::Cancelled { clause } => Some(clause),
         }
     }
 
-    /// Returns the exceeded limit. `None` for a cancelled evaluation.
+    /// Returns the exceeded limit. `None` for a cancelled evaluation and for functors.
     pub fn limit(&self) -> Option<Limit> {
         match *self {
             EvalError::TooManyRows { .. } => Some(Limit::Rows),
             EvalError::TooManySteps { .. } => Some(Limit::Steps),
             EvalError::TooMuchMemory { limit, .. } | EvalError::TooManyInputs { limit } => Some(Limit::Memory(limit)),
-            EvalError::Cancelled { .. } => None,
+            EvalError::Cancelled { .. } | EvalError::UndefinedFunctor { .. } | EvalError::FailedFunctor { .. } => None,
         }
     }
 
@@ -101,6 +120,26 @@ impl EvalError {
         let Some(clause) = clause else {
             return fault;
         };
+        if let EvalError::UndefinedFunctor { functor, .. } | EvalError::FailedFunctor { functor, .. } = self {
+            let declared = rules.functors.iter().find(|declared| declared.name == *functor);
+            let applies = |literal: &&Literal| match literal {
+                Literal::Compute {
+                    functor: Functor::Call,
+                    arguments,
+                    ..
+                } => rules.called(arguments).is_some_and(|called| called.name == *functor),
+                _ => false,
+            };
+            let span = match clause.body.iter().find(applies) {
+                Some(Literal::Compute { span, .. }) => *span,
+                _ => clause.span,
+            };
+            fault = fault.at(span, "applied here");
+            return match declared {
+                Some(declared) => fault.also(declared.span, "declared here"),
+                None => fault,
+            };
+        }
         let growth = self
             .limit()
             .and(self.clause())
@@ -142,6 +181,8 @@ impl fmt::Display for EvalError {
             EvalError::TooMuchMemory { limit, .. } => {
                 write!(f, "rows, indexes and symbols take more than {}", size(*limit))
             }
+            EvalError::UndefinedFunctor { functor, .. } => write!(f, "the functor `{functor}` has no definition"),
+            EvalError::FailedFunctor { functor, reason, .. } => write!(f, "the functor `{functor}` failed: {reason}"),
             EvalError::Cancelled { .. } => write!(f, "the evaluation was cancelled"),
         }
     }
@@ -160,7 +201,16 @@ impl std::error::Error for EvalError {}
 /// A diagnostic without a place, for callers that do not have the sources.
 impl From<EvalError> for Diagnostic {
     fn from(error: EvalError) -> Self {
+        if let EvalError::UndefinedFunctor { functor, .. } = &error {
+            return Diagnostic::new(crate::codes::FAILED_FUNCTOR, error.to_string()).help(format!(
+                "define it in Rust with `program.define(\"{functor}\", ...)`, or in Python with \
+                 `Program(..., functors={{\"{functor}\": ...}})`; the commands have no functors"
+            ));
+        }
         match error.limit() {
+            None if matches!(error, EvalError::FailedFunctor { .. }) => {
+                Diagnostic::new(crate::codes::FAILED_FUNCTOR, error.to_string())
+            }
             Some(limit) => Diagnostic::new(codes::LIMIT_EXCEEDED, error.to_string()).exceeds(limit),
             None => Diagnostic::new(codes::CANCELLED, error.to_string()),
         }

@@ -11,6 +11,7 @@
 //! - `workers` holds the threads, and `limits` bounds the resources of a commit.
 //! - `delta` and `stats` report what a commit changed and did.
 
+pub(crate) mod calls;
 pub(crate) mod correlated;
 pub mod delta;
 pub(crate) mod exec;

@@ -57,6 +57,8 @@ pub(crate) enum Abort {
     Memory,
     /// The caller cancelled it.
     Cancelled,
+    /// A functor of the caller failed.
+    Functor,
 }
 
 impl<const W: usize> Output<W> {

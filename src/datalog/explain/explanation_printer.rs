@@ -496,13 +496,19 @@ impl<'a> ExplanationPrinter<'a> {
                         let kind = record::parts(shape).1.get(at - 1);
                         kind.map_or(BaseType::Symbol, |kind| BaseType::of_kind(*kind))
                     }
-                    _ => functor.argument_base(*base, at).unwrap_or(*base),
+                    _ => self
+                        .rules
+                        .argument_base(*functor, *base, arguments, at)
+                        .unwrap_or(*base),
                 };
-                let arguments: Vec<String> = (arguments.iter().enumerate())
+                let shown: Vec<String> = (arguments.iter().enumerate())
                     .map(|(at, term)| self.term(clause, term, base(at), binding))
                     .collect();
                 let to = self.term(clause, to, self.computed_base(clause, literal), binding);
-                format!("{to} = {}", applied(*functor, &arguments))
+                if let (Functor::Call, Some(called)) = (functor, self.rules.called(arguments)) {
+                    return format!("{to} = @{}({})", called.name, shown[1..].join(", "));
+                }
+                format!("{to} = {}", applied(*functor, &shown))
             }
             Literal::Aggregate {
                 to, op, atom, column, ..

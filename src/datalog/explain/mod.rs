@@ -230,7 +230,7 @@ pub enum FailureKind {
 }
 
 /// The reason why a query has no answer.
-#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+#[derive(Clone, Debug, PartialEq, Eq)]
 #[non_exhaustive]
 pub enum ExplainError {
     /// The search would exceed its limit of steps; see [`Explainer::set_limit`].
@@ -243,6 +243,11 @@ pub enum ExplainError {
     TooMuchMemory {
         /// The limit, in bytes.
         limit: u64,
+    },
+    /// The definition of a functor failed.
+    Functor {
+        /// Why it failed.
+        reason: String,
     },
     /// The caller cancelled it; see [`Explainer::new_with`].
     Cancelled,
@@ -259,6 +264,7 @@ impl fmt::Display for ExplainError {
             ExplainError::TooMuchMemory { limit } => {
                 write!(f, "the search for an explanation takes more than {}", size(*limit))
             }
+            ExplainError::Functor { reason } => write!(f, "a functor failed: {reason}"),
             ExplainError::Cancelled => write!(f, "the search for an explanation was cancelled"),
         }
     }
@@ -272,6 +278,7 @@ impl From<ExplainError> for Diagnostic {
         let fault = |code| Diagnostic::new(code, error.to_string());
         match error {
             ExplainError::Cancelled => fault(codes::CANCELLED),
+            ExplainError::Functor { .. } => fault(crate::codes::FAILED_FUNCTOR),
             // Raising the limits of the session beyond this one does not raise it.
             ExplainError::TooMuchWork { limit } if limit < Explainer::LIMIT => {
                 fault(codes::LIMIT_EXCEEDED).exceeds(Limit::Steps)

@@ -25,7 +25,7 @@ use planner::{
 use steps::{Aim, ClausePlans, Grouping, Indexes, Plan, Step, StratumPlan};
 
 /// A program with its plans.
-#[derive(Debug)]
+#[derive(Clone, Debug)]
 pub(crate) struct Compiled {
     pub(crate) rules: Rules,
     /// The initial plans, made before any predicate has rows.

@@ -59,8 +59,25 @@ pub enum Item {
     Init(Init),
     /// `.override P`, in a component
     Override(Override),
+    /// `.functor f(x: number, y: symbol): number`
+    Functor(FunctorDecl),
     /// A fact or a rule.
     Clause(Clause),
+}
+
+/// `.functor f(x: number, y: symbol): number stateful`: a functor that the caller defines.
+#[derive(Clone, Debug, PartialEq, Eq)]
+pub struct FunctorDecl {
+    /// The name, without `@`.
+    pub name: Name,
+    /// The types of the arguments, each with its name if it has one.
+    pub arguments: Vec<(Option<Name>, Name)>,
+    /// The type of the value.
+    pub result: Name,
+    /// Whether it is `stateful`, which has no effect.
+    pub stateful: bool,
+    /// The text of the doc comment before the declaration.
+    pub doc: String,
 }
 
 /// `.include "path"`
@@ -434,7 +451,7 @@ pub enum TermKind {
     /// `x + 1`, `cat(x, y)`
     ///
     /// A record, too: the first argument of [`Functor::Pack`] is the name of the branch as a symbol, empty for
-    /// `[x, y]`; without arguments it is `nil`.
+    /// `[x, y]`; without arguments it is `nil`. The first argument of [`Functor::Call`] is the name of the functor.
     Functor(Functor, Vec<Term>),
     /// `as(x, type)`
     Cast(Box<Term>, Name),

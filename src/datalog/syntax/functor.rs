@@ -107,6 +107,9 @@ pub enum Functor {
     /// A field of a record: the arguments are its shape, the position of the field, and the record. A record of another
     /// shape has no such field. The base type of the literal is that of the field.
     Unpack,
+    /// `@f(x, y)`: a functor of the caller. The first argument is its position in [`Rules::functors`](crate::Rules).
+    /// The base type of the literal is that of the result.
+    Call,
 }
 
 use Functor::*;
@@ -123,6 +126,8 @@ pub(crate) enum Shape {
     Choice,
     /// Those of [`Functor::Pack`] and [`Functor::Unpack`], which the shape of the record determines.
     Record,
+    /// Those of [`Functor::Call`], which the declaration determines.
+    Declared,
 }
 
 const NUMERIC: &[BaseType] = &[BaseType::Number, BaseType::Unsigned, BaseType::Float];
@@ -175,6 +180,7 @@ impl Functor {
         (Choose, "choose"),
         (Pack, "[...]"),
         (Unpack, "[...]"),
+        (Call, "@"),
     ];
 
     /// Returns the spelling of the functor.
@@ -209,9 +215,9 @@ impl Functor {
         matches!(self, Negate | BitNot | Not)
     }
 
-    /// Returns whether the functor can create new symbols.
+    /// Returns whether the functor can create new symbols. What a functor of the caller does is unknown.
     pub fn makes_symbol(self) -> bool {
-        matches!(self, Cat | Substring | ToSymbol | Pack)
+        matches!(self, Cat | Substring | ToSymbol | Pack | Call)
     }
 
     /// Returns the precedence of an operator, from 1 (loosest) to 11; `None` for functions.
@@ -240,7 +246,7 @@ impl Functor {
             Substring => (3, 3),
             Range => (2, 3),
             Choose => (chance::FIXED, usize::MAX),
-            Pack => (1, usize::MAX),
+            Pack | Call => (1, usize::MAX),
             Unpack => (3, 3),
             Length | Ordinal | ToNumber | ToSymbol | ToFloat | ToUnsigned | Cast => (1, 1),
             _ if self.is_prefix() => (1, 1),
@@ -266,6 +272,7 @@ impl Functor {
             ToUnsigned => Shape::Convert(ANY, Unsigned),
             Choose => Shape::Choice,
             Pack | Unpack => Shape::Record,
+            Call => Shape::Declared,
             // The result has the base type of the named type.
             Cast => Shape::Convert(CASTABLE, Number),
         }
@@ -278,7 +285,7 @@ impl Functor {
         match self.shape() {
             Shape::Fixed(arguments, _) => arguments.get(at).copied(),
             Shape::Same(_) | Shape::Convert(..) => Some(base),
-            Shape::Choice => None,
+            Shape::Choice | Shape::Declared => None,
             Shape::Record => match (self, at) {
                 (_, 0) => Some(BaseType::Symbol),
                 (Unpack, 1) => Some(BaseType::Unsigned),
@@ -292,7 +299,7 @@ impl Functor {
     pub(crate) fn result_base(self, base: BaseType) -> Option<BaseType> {
         match self.shape() {
             _ if self == Cast => None,
-            Shape::Same(_) => Some(base),
+            Shape::Same(_) | Shape::Declared => Some(base),
             Shape::Fixed(_, result) | Shape::Convert(_, result) => Some(result),
             Shape::Choice => Some(BaseType::Number),
             Shape::Record if self == Unpack => Some(base),

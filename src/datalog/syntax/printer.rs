@@ -24,6 +24,15 @@ impl Display for Item {
     fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
         match self {
             Item::Include(include) => writeln!(f, ".include {}", Quoted(&include.path)),
+            Item::Functor(decl) => {
+                write!(f, "{}.functor {}(", Doc(&decl.doc), decl.name.text)?;
+                separated(f, &decl.arguments, |f, (name, ty)| match name {
+                    Some(name) => write!(f, "{}: {}", name.text, ty.text),
+                    None => f.write_str(&ty.text),
+                })?;
+                let stateful = if decl.stateful { " stateful" } else { "" };
+                writeln!(f, "): {}{stateful}", decl.result.text)
+            }
             Item::Type(decl) => {
                 let doc = Doc(&decl.doc);
                 match &decl.definition {
@@ -285,6 +294,21 @@ fn write_functor(f: &mut fmt::Formatter<'_>, functor: Functor, arguments: &[Term
         f.write_str(open)?;
         separated(f, fields, |f, field| write!(f, "{field}"))?;
         return f.write_str(close);
+    }
+    if let (
+        Functor::Call,
+        Some((
+            Term {
+                kind: TermKind::Symbol(name),
+                ..
+            },
+            arguments,
+        )),
+    ) = (functor, arguments.split_first())
+    {
+        write!(f, "@{name}(")?;
+        separated(f, arguments, |f, argument| write!(f, "{argument}"))?;
+        return f.write_char(')');
     }
     match (functor.precedence(), arguments) {
         (_, []) if functor == Functor::Pack => f.write_str("nil"),

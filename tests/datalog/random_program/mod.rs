@@ -215,6 +215,7 @@ impl Genome {
             strata: Vec::new(),
             constraints: Vec::new(),
             functions: Vec::new(),
+            functors: [].into(),
             pasts: Vec::new(),
             chance: None,
             symbols,

@@ -156,6 +156,19 @@ pub fn diff(left: &Rules, right: &Rules, options: &Options) -> Result<Equivalenc
     if !faults.is_empty() {
         return Err(faults);
     }
+    let calls = |rules: &Rules| {
+        let functor = rules.functors.first()?;
+        let fault = Diagnostic::new(
+            codes::UNSUPPORTED,
+            "rules with functors of the caller cannot be compared",
+        );
+        let fault = fault.at(functor.span, "only the caller knows its values");
+        Some(fault.help("replace it by a predicate of input rows on both sides"))
+    };
+    let faults: Vec<Diagnostic> = [left, right].into_iter().filter_map(calls).collect();
+    if !faults.is_empty() {
+        return Err(faults);
+    }
     if left.chance.is_some() || right.chance.is_some() {
         return diff(&left.with_draws_as_facts(), &right.with_draws_as_facts(), options);
     }

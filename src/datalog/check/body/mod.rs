@@ -28,6 +28,7 @@ use crate::value::{Patterns, Value};
 use aggregate::Allowed;
 
 mod aggregate;
+mod call;
 mod range;
 mod record;
 mod safety;
@@ -434,6 +435,7 @@ impl<'c> Check<'_, 'c> {
             }
             TermKind::Symbol(text) => OperandKind::Constant(Value(self.symbols.intern(text).0), BaseType::Symbol),
             TermKind::Functor(Functor::Pack, arguments) => self.record(term, arguments, into),
+            TermKind::Functor(Functor::Call, arguments) => self.call(term, arguments, into),
             TermKind::Functor(functor, arguments) => {
                 let arguments = arguments.iter().map(|argument| self.operand(argument, None)).collect();
                 let to = into.unwrap_or_else(|| self.value_of(term));
@@ -869,6 +871,7 @@ impl<'c> Check<'_, 'c> {
                 let bases: Vec<BaseType> = match functor.shape() {
                     Shape::Fixed(bases, _) => bases.to_vec(),
                     Shape::Choice => return Some(self.choice(*to, arguments, *span)),
+                    Shape::Declared => return Some(self.called(*to, arguments, *span)),
                     Shape::Record => {
                         let base = match functor {
                             Functor::Unpack => self.base_of_variable(*to).unwrap_or(BaseType::Record),

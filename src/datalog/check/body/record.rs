@@ -94,6 +94,7 @@ impl<'c> Check<'_, 'c> {
                 let columns = atom.terms.iter().enumerate();
                 columns.filter_map(|(column, term)| Some((term.variable()?, self.column(atom.predicate, column)?)))
             })
+            .chain(pending.iter().flat_map(|pending| self.arguments_of(pending)))
             .filter(|(_, ty)| self.names.base(*ty) == BaseType::Record)
             .collect();
         self.spread_fields(&mut records);

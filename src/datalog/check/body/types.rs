@@ -239,6 +239,7 @@ impl<'c> Check<'_, 'c> {
                         }
                         // `directed` makes these literals later.
                         Shape::Record => {}
+                        Shape::Declared => self.ties_of_call(result, arguments, *span, out),
                         Shape::Choice => {
                             for &argument in probabilities(arguments) {
                                 out.push(Tie::new(
@@ -589,7 +590,7 @@ impl<'c> Check<'_, 'c> {
 }
 
 /// Operands that must have the same base type.
-struct Tie {
+pub(super) struct Tie {
     kind: TieKind,
     operands: Vec<Operand>,
     allowed: &'static [BaseType],
@@ -597,14 +598,14 @@ struct Tie {
 }
 
 #[derive(Clone, Copy)]
-enum TieKind {
+pub(super) enum TieKind {
     Compare,
     Functor(&'static str),
     Probability,
 }
 
 impl Tie {
-    fn new(kind: TieKind, operands: &[Operand], allowed: &'static [BaseType], span: Span) -> Tie {
+    pub(super) fn new(kind: TieKind, operands: &[Operand], allowed: &'static [BaseType], span: Span) -> Tie {
         Tie {
             kind,
             operands: operands.to_vec(),
@@ -640,7 +641,7 @@ const EQUAL: &[BaseType] = &[
 ];
 
 /// Returns the list of just one base type.
-fn only(base: BaseType) -> &'static [BaseType] {
+pub(super) fn only(base: BaseType) -> &'static [BaseType] {
     match base {
         BaseType::Symbol => &[BaseType::Symbol],
         BaseType::Number => &[BaseType::Number],

@@ -11,9 +11,10 @@ use crate::eqrel::EQREL;
 use crate::check::InputPolicy;
 use crate::check::rules::{
     self, Column, Directive, Predicate, PredicateId, RECORDS, RecordShape, RowFormat, RowPlace, Type, TypeId,
+    UserFunctor,
 };
 use crate::syntax::ast::BaseType;
-use crate::syntax::ast::{Decl, Item, Mark, MarkKind, Name, Pragma};
+use crate::syntax::ast::{Decl, FunctorDecl, Item, Mark, MarkKind, Name, Pragma};
 use crate::syntax::include::Offered;
 
 /// Maximum number of columns of a predicate.
@@ -46,6 +47,10 @@ pub(crate) struct Names {
     declared_types: HashMap<String, Span>,
     /// The types and places of the branches of algebraic data types.
     branches: indexmap::IndexMap<String, (TypeId, Span)>,
+    /// The declared functors.
+    pub functors: Vec<UserFunctor>,
+    /// The positions of functors among them; `None` for a faulty declaration.
+    functor_by_name: HashMap<String, Option<u32>>,
     predicate_by_name: HashMap<String, PredicateId>,
     /// The `.printsize` directive of each predicate.
     printsizes: HashMap<PredicateId, Span>,
@@ -76,6 +81,8 @@ pub(crate) fn declare(items: &[Item], complete: bool, inputs: InputPolicy, fault
         type_by_name: HashMap::new(),
         declared_types: HashMap::new(),
         branches: indexmap::IndexMap::new(),
+        functors: Vec::new(),
+        functor_by_name: HashMap::new(),
         predicate_by_name: HashMap::new(),
         printsizes: HashMap::new(),
         declared: 0,
@@ -91,6 +98,11 @@ pub(crate) fn declare(items: &[Item], complete: bool, inputs: InputPolicy, fault
         }
     }
     names.declared = names.predicates.len();
+    for item in items {
+        if let Item::Functor(decl) = item {
+            names.declare_functor(decl, faults);
+        }
+    }
     for item in items {
         if let Item::Mark(mark) = item {
             names.mark(mark, faults);
@@ -119,6 +131,72 @@ impl Names {
             remember(&mut self.unknown.predicates, name);
         }
         known
+    }
+
+    fn declare_functor(&mut self, decl: &FunctorDecl, faults: &mut Faults) {
+        let name = &decl.name.text;
+        if let Some(known) = self.functor_by_name.get(name) {
+            let earlier = known.map(|at| &self.functors[at as usize]);
+            // Several files may declare a functor that they share.
+            let is_same = |earlier: &UserFunctor| {
+                let bases = earlier.arguments.iter().map(|argument| argument.ty);
+                let again: Vec<Option<TypeId>> =
+                    decl.arguments.iter().map(|(_, ty)| self.find_type(&ty.text)).collect();
+                bases.map(Some).eq(again) && self.find_type(&decl.result.text) == Some(earlier.result)
+            };
+            if let Some(earlier) = earlier.filter(|earlier| !is_same(earlier)) {
+                let message = format!("the functor `{name}` is declared twice");
+                let fault = Diagnostic::new(codes::DUPLICATE_DECLARATION, message)
+                    .at(decl.name.place.0, "declared again here")
+                    .also(earlier.span, "first declared here");
+                faults.push(fault);
+            }
+            return;
+        }
+        let result = self.type_named(&decl.result);
+        let mut arguments = Vec::new();
+        for (at, (argument, ty)) in decl.arguments.iter().enumerate() {
+            let Some(ty) = self.type_named(ty) else { continue };
+            arguments.push(Column {
+                name: argument
+                    .as_ref()
+                    .map_or_else(|| format!("x{}", at + 1), |name| name.text.clone()),
+                ty,
+                base: self.base(ty),
+            });
+        }
+        let known = result
+            .filter(|_| arguments.len() == decl.arguments.len())
+            .map(|result| {
+                self.functors.push(UserFunctor {
+                    name: name.clone(),
+                    arguments,
+                    result,
+                    base: self.base(result),
+                    doc: decl.doc.clone(),
+                    span: decl.name.place.0,
+                    definition: None,
+                });
+                u32::try_from(self.functors.len() - 1).expect("fewer than 2^32 functors")
+            });
+        self.functor_by_name.insert(name.clone(), known);
+    }
+
+    /// Returns the type with that name, if it is known.
+    fn find_type(&self, name: &str) -> Option<TypeId> {
+        self.type_by_name.get(name).copied().flatten()
+    }
+
+    /// Returns the position of the functor with that name, `None` if its declaration is faulty; `Err` with a similar name
+    /// if there is none.
+    pub fn functor(&self, name: &str) -> Result<Option<u32>, Option<String>> {
+        match self.functor_by_name.get(name) {
+            Some(known) => Ok(*known),
+            None => {
+                let all = self.functors.iter().map(|functor| functor.name.as_str());
+                Err(did_you_mean(name, all).map(str::to_owned))
+            }
+        }
     }
 
     /// Returns the predicate with that name, if it is declared.

@@ -35,6 +35,7 @@ impl<'a> Meter<'a> {
     ) -> Self {
         let mut state = JoinState::new(budget);
         state.symbol_bytes = symbol_bytes;
+        state.calls = options.calls.cloned();
         Meter {
             state,
             rules: Vec::new(),

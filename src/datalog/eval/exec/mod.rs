@@ -6,6 +6,7 @@ mod meter;
 
 use crate::cancel::Cancel;
 use crate::check::{Atom, ClauseId, Literal, PredicateId, Term};
+use crate::eval::calls::Calls;
 use crate::eval::correlated::CorrelatedValues;
 use crate::eval::delta::{Delta, Rows};
 use crate::eval::exec::adapt::Basis;
@@ -68,6 +69,7 @@ pub(crate) trait Store: Send + Sync {
         parameters: &[Value],
         symbols: &Symbols,
         limits: (u64, u64, &Cancel),
+        calls: Option<&Arc<Calls>>,
     ) -> (Result<Option<Value>, Abort>, u64);
     /// The plans in use.
     fn plans(&self) -> &Plans;
@@ -85,6 +87,8 @@ pub(crate) struct CommitOptions<'a> {
     pub(crate) watch: Option<&'a dyn Fn(EvalEvent)>,
     /// Polled on the calling thread.
     pub(crate) cancel: &'a Cancel,
+    /// The functors of the caller, if there are any.
+    pub(crate) calls: Option<&'a Arc<Calls>>,
 }
 
 /// Makes an empty store for a program.
@@ -264,6 +268,14 @@ impl<const W: usize> State<W> {
                         clause,
                     },
                     Abort::Cancelled => EvalError::Cancelled { clause },
+                    Abort::Functor => {
+                        let (functor, reason) = commit.options.calls.map(|calls| calls.failure()).unwrap_or_default();
+                        EvalError::FailedFunctor {
+                            functor,
+                            reason,
+                            clause,
+                        }
+                    }
                 })?
             };
             steps += work.work().map_or(0, |work| work.rows_scanned() + work.given_up);
@@ -407,7 +419,7 @@ impl<const W: usize> State<W> {
                         }
                         return Ok(StratumStats::Maintained(meter.finish(rounds)));
                     }
-                    Err(failure @ (_, Abort::Cancelled)) => return Err(failure),
+                    Err(failure @ (_, Abort::Cancelled | Abort::Functor)) => return Err(failure),
                     // The number of threads may decide where the evaluation stops, but not whether it exceeds the
                     // budget.
                     Err(_) => given_up = budget,
@@ -442,7 +454,7 @@ impl<const W: usize> State<W> {
         };
         let (results, rounds, meter) = match attempt(workers) {
             // The number of threads may decide which limit the evaluation exceeds first, and where.
-            Err((_, abort)) if several && abort != Abort::Cancelled => attempt(None)?,
+            Err((_, abort)) if several && !matches!(abort, Abort::Cancelled | Abort::Functor) => attempt(None)?,
             result => result?,
         };
         *cost = Cost {
@@ -726,6 +738,7 @@ impl<const W: usize> Store for State<W> {
         parameters: &[Value],
         symbols: &Symbols,
         (budget, bytes, cancel): (u64, u64, &Cancel),
+        calls: Option<&Arc<Calls>>,
     ) -> (Result<Option<Value>, Abort>, u64) {
         let Literal::Aggregate {
             op, base, atom, column, ..
@@ -758,6 +771,7 @@ impl<const W: usize> Store for State<W> {
         };
         let views: Vec<RowView<'_, W>> = self.complete_views(&self.plans, &plan).collect();
         let (mut state, mut out) = (JoinState::new(budget), Output::<W>::new(usize::MAX));
+        state.calls = calls.cloned();
         state.correlated = CorrelatedValues::within(bytes, self.plans.indexes.correlated_len());
         let result = join::run(&plan, &views, (symbols, cancel), &mut state, &mut out);
         let value = result.map(|()| out.take().first().map(|row| row.0[0]));
@@ -779,6 +793,7 @@ impl<const W: usize> Store for State<W> {
         if self.committed && plan.fold.is_none() {
             let views: Vec<RowView<'_, W>> = self.complete_views(&self.plans, plan).collect();
             let mut state = JoinState::new(u64::MAX);
+            state.calls = Some(Calls::new(&compiled.rules.functors));
             state.correlated = CorrelatedValues::caching(bytes);
             // This cannot overflow: what a clause derives is in its head's predicate, which is within the limit.
             let _ = join::run(plan, &views, (symbols, &Cancel::never()), &mut state, &mut out);

@@ -12,6 +12,7 @@ use crate::explain::{ExplainError, Pattern};
 use crate::session::Session;
 use crate::symbol::Symbol;
 use crate::syntax::ast::{BaseType, Comparison};
+use crate::syntax::functor::Functor;
 use crate::syntax::lexer::is_name;
 use crate::value::{Patterns, Value};
 use std::cell::{Cell, OnceCell, RefCell};
@@ -508,6 +509,11 @@ impl<'s> ProofSearch<'s> {
                 let longest = functor.symbol_length(*base, &arguments, symbols);
                 if longest > 0 && symbols.bytes() + longest > self.symbol_bytes {
                     return Err(self.too_much_memory());
+                }
+                if *functor == Functor::Call {
+                    self.step()?;
+                    let failed = |reason| ExplainError::Functor { reason };
+                    return self.rules().call(&arguments, symbols).map(Some).map_err(failed);
                 }
                 Ok(Some(functor.apply(*base, &arguments, symbols)))
             }

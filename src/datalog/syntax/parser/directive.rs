@@ -4,13 +4,13 @@ use crate::codes;
 use crate::diag::{self, Diagnostic, did_you_mean};
 use crate::syntax::ast::BaseType;
 use crate::syntax::ast::{
-    Branch, ColumnDecl, Component, ComponentType, ConstraintDecl, ConstraintKind, Decl, DirectiveOption, Include, Init,
-    Item, Mark, MarkKind, Name, Override, Place, Plan, Pragma, Scope, TypeDecl, TypeDefinition,
+    Branch, ColumnDecl, Component, ComponentType, ConstraintDecl, ConstraintKind, Decl, DirectiveOption, FunctorDecl,
+    Include, Init, Item, Mark, MarkKind, Name, Override, Place, Plan, Pragma, Scope, TypeDecl, TypeDefinition,
 };
 use crate::syntax::lexer::{Kind, Token};
 
 use crate::syntax::parser::{
-    DIRECTIVES, FOREIGN_DIRECTIVES, FUNCTORS, LATTICES, MAX_NESTING, OLD_TYPES, Parse, Parser, Reported,
+    DIRECTIVES, FOREIGN_DIRECTIVES, LATTICES, MAX_NESTING, OLD_TYPES, Parse, Parser, Reported,
 };
 
 /// The qualifiers of Soufflé that the parser accepts after the columns of a declaration.
@@ -100,6 +100,7 @@ impl Parser<'_> {
             "comp" => self.component(dot, doc),
             "init" => self.init(dot),
             "override" => self.overriding(dot),
+            "functor" => self.functor_decl(doc).map(|decl| Some(Item::Functor(decl))),
             "once" => {
                 let fault = Diagnostic::new(codes::IGNORED, "`.once` has no effect")
                     .at(span, "")
@@ -156,7 +157,6 @@ impl Parser<'_> {
                 if let Some((_, what)) = FOREIGN_DIRECTIVES.iter().find(|(foreign, _)| *foreign == name) {
                     let verb = if what.contains('(') { "are" } else { "is" };
                     let help = match name {
-                        "functor" => FUNCTORS,
                         "lattice" => LATTICES,
                         _ => "remove it; evaluation stops when the rules derive too many rows",
                     };
@@ -223,17 +223,6 @@ impl Parser<'_> {
                 }
                 self.skip_group(Kind::LBrace, Kind::RBrace, true);
             }
-            // `.functor f(x: number): symbol stateful`
-            "functor" => {
-                self.skip_name();
-                self.skip_group(Kind::LParen, Kind::RParen, false);
-                if self.eat(Kind::Colon) {
-                    self.skip_name();
-                }
-                if self.slice(self.token()) == "stateful" {
-                    self.bump();
-                }
-            }
             // `.limitsize P, Q(n=3)`
             _ => {
                 self.skip_name();
@@ -243,6 +232,38 @@ impl Parser<'_> {
                 self.skip_group(Kind::LParen, Kind::RParen, false);
             }
         }
+    }
+
+    /// `.functor f(x: number, symbol): number stateful`
+    fn functor_decl(&mut self, doc: String) -> Parse<FunctorDecl> {
+        let name = self.name("the functor's name")?;
+        self.wanted(Kind::LParen, "`(` and the types of the arguments")?;
+        let mut arguments = Vec::new();
+        while self.kind() != Kind::RParen {
+            let first = self.qualified("a type")?;
+            arguments.push(match self.eat(Kind::Colon) {
+                true => (Some(first), self.qualified("the type of the argument")?),
+                false => (None, first),
+            });
+            if !self.eat(Kind::Comma) {
+                break;
+            }
+        }
+        self.wanted(Kind::RParen, "`,` or `)`")?;
+        self.wanted(Kind::Colon, "`:` and the type of the value")?;
+        let result = self.qualified("the type of the value")?;
+        let word = self.token();
+        let stateful = word.kind == Kind::Ident && self.slice(word) == "stateful" && self.ahead(1).kind != Kind::LParen;
+        if stateful {
+            self.bump();
+        }
+        Ok(FunctorDecl {
+            name,
+            arguments,
+            result,
+            stateful,
+            doc,
+        })
     }
 
     /// Skips a name, which may have dots.

@@ -8,7 +8,7 @@ use crate::syntax::lexer::{Kind, Token};
 use core::net::Ipv4Addr;
 
 use crate::syntax::parser::clause::comparison;
-use crate::syntax::parser::{FUNCTORS, NUMBERED, Parse, Parser, Reported};
+use crate::syntax::parser::{NUMBERED, Parse, Parser, Reported};
 
 /// Maximum height of an expression: an operator or function is one level above its highest operand.
 const MAX_HEIGHT: usize = 256;
@@ -77,9 +77,14 @@ impl Parser<'_> {
 
     pub(super) fn begins_operand(&self, token: Token) -> bool {
         match token.kind {
-            Kind::Number | Kind::Address | Kind::Float | Kind::Unsigned | Kind::String | Kind::LParen | Kind::Minus => {
-                true
-            }
+            Kind::Number
+            | Kind::Address
+            | Kind::Float
+            | Kind::Unsigned
+            | Kind::String
+            | Kind::LParen
+            | Kind::Minus
+            | Kind::At => true,
             Kind::Ident | Kind::Underscore => self.infix(token).is_none(),
             _ => false,
         }
@@ -158,6 +163,7 @@ impl Parser<'_> {
             (None, Kind::Ident) => self.word()?,
             (None, Kind::LBracket) => self.record()?,
             (None, Kind::Dollar) if self.ahead(1).kind == Kind::Ident => self.branch()?,
+            (None, Kind::At) if self.ahead(1).kind == Kind::Ident => self.call()?,
             (None, _) => (self.constant()?, 0),
         };
         let place = self.place_from(start);
@@ -315,7 +321,10 @@ impl Parser<'_> {
         }
         let foreign = match token.kind {
             Kind::Dollar => Some(("counters (`$`) are", NUMBERED)),
-            Kind::At => Some(("user-defined functors (`@`) are", FUNCTORS)),
+            Kind::At if self.ahead(1).kind == Kind::At => Some((
+                "user-defined aggregates (`@@`) are",
+                "derive all values, and combine them in the caller",
+            )),
             _ => None,
         };
         if let Some((foreign, help)) = foreign {
@@ -413,6 +422,23 @@ impl Parser<'_> {
         self.nesting = outside;
         let height = self.higher(start, height)?;
         Ok((TermKind::Functor(Functor::Pack, fields), height))
+    }
+
+    /// `@f(x, y)`
+    fn call(&mut self) -> Parse<(TermKind, usize)> {
+        let start = self.bump();
+        let outside = self.nesting;
+        self.deeper()?;
+        let name = self.name("a functor")?;
+        let name = Term {
+            kind: TermKind::Symbol(name.text),
+            place: name.place,
+        };
+        self.wanted(Kind::LParen, "`(` and the arguments of the functor")?;
+        let (arguments, height) = self.fields_of(name, Kind::RParen, "`,` or `)`")?;
+        self.nesting = outside;
+        let height = self.higher(start, height)?;
+        Ok((TermKind::Functor(Functor::Call, arguments), height))
     }
 
     /// Parses the fields of a record up to the token that closes them. Returns them behind the branch, and their height.

@@ -42,6 +42,7 @@ pub const DIRECTIVES: &[&str] = &[
     "comp",
     "init",
     "override",
+    "functor",
     "disjoint",
     "implies",
     "covering",
@@ -56,9 +57,6 @@ const EXPAND: &str = "`check`, `query` and `repl` follow them without the option
 
 /// Help for counters.
 const NUMBERED: &str = "number the rows by their order: `n = count : { A(y), y < x }`";
-
-/// Help for functors of the user.
-const FUNCTORS: &str = "compute the values beforehand, and read them as the facts of a predicate";
 
 /// Help for lattices.
 const LATTICES: &str = "derive all values, and choose among them with `min` or `max` in another predicate";
@@ -93,11 +91,7 @@ const PAST: &str = "temporal operators are about the past: `P(x) since[0,9] Q(x)
 pub const FULL_STOP: &str = "a clause ends with a full stop";
 
 /// Directives of Soufflé that this language does not have, with their descriptions.
-const FOREIGN_DIRECTIVES: &[(&str, &str)] = &[
-    ("functor", "user-defined functors (`.functor`)"),
-    ("lattice", "lattices (`.lattice`)"),
-    ("limitsize", "`.limitsize`"),
-];
+const FOREIGN_DIRECTIVES: &[(&str, &str)] = &[("lattice", "lattices (`.lattice`)"), ("limitsize", "`.limitsize`")];
 
 /// Type directives of older Soufflé versions, with the supertype they imply.
 const OLD_TYPES: &[(&str, BaseType)] = &[("symbol_type", BaseType::Symbol), ("number_type", BaseType::Number)];
