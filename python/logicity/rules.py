@@ -243,14 +243,14 @@ class Explanation:
     Attributes:
         text: The explanation as a text tree, also `str()`.
         nodes: The same tree as data. The first node is the fact. Nodes refer to each other by index. A node that holds
-            is `{"holds", "height", "by": "input" | "text" | "clause" | "range" | "past", "clause", "binding",
-            "premises"}`. A node that follows from earlier ticks also has `tick`, the nearest one, and `when`, the ticks
-            in words. A node that does not hold is `{"absent", "because": "not-a-fact" | "no-clause" |
+            is `{"holds", "height", "by": "input" | "text" | "clause" | "range" | "past" | "removed-rows", "clause",
+            "binding", "premises"}`. A node that follows from earlier ticks also has `tick`, the nearest one, and
+            `when`, the ticks in words. A node that does not hold is `{"absent", "because": "not-a-fact" | "no-clause" |
             "not-looked-into" | "range", "clauses"}`. Each of its `clauses` has a `clause`, the nearest `binding`, and
-            the failing literals under
-            `fails`. An entry of `premises` or `fails` has the `literal` under the binding, and its `kind`: `fact`,
-            `in-view`, `not`, `comparison`, `expression` or `aggregate`. The first three kinds also have the `node` that
-            explains the literal.
+            the failing literals under `fails`. A clause whose body holds has `excluded-by`: the node of the row that
+            holds instead, or None where a limit ended the recursion. An entry of `premises` or `fails` has the
+            `literal` under the binding, and its `kind`: `fact`, `in-view`, `not`, `comparison`, `expression` or
+            `aggregate`. The first three kinds also have the `node` that explains the literal.
     """
 
     fact: str

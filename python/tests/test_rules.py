@@ -397,6 +397,34 @@ def test_functors_are_functions() -> None:
     assert "8 = @double(4)" in str(session.explain("d", (4, 8)))
 
 
+ROUNDS = """
+.decl edge(x: number, y: number, w: number)
+.input edge
+.decl seat(place: number, person: symbol) choice-domain place
+.input seat
+.decl far(x: number, w: number)
+far(0, 0). far(y, v + w) :- far(x, v), edge(x, y, w).
+far(x, v) <= far(x, w) :- w < v.
+"""
+
+
+def test_keys_and_subsumptions_decide_which_rows_hold() -> None:
+    session = Session(Program(ROUNDS))
+    session.insert("edge", [(0, 1, 4), (0, 2, 1), (2, 1, 2), (1, 0, 1)])
+    session.insert("seat", [(1, "bob"), (1, "ann"), (2, "bob")])
+    session.commit()
+    assert sorted(session.rows("far")) == [(0, 0), (1, 3), (2, 1)]
+    assert sorted(session.rows("seat")) == [(1, "ann"), (2, "bob")]
+    why_not = session.why_not("far", (1, 4))
+    [clause] = [clause for clause in why_not.nodes[0]["clauses"] if "excluded-by" in clause]
+    assert why_not.nodes[clause["excluded-by"]]["holds"] == "far(1, 3)"
+    session.retract("edge", [(2, 1, 2)])
+    session.retract("seat", [(1, "ann")])
+    changes = session.commit()
+    assert list(changes["far"].added) == [(1, 4)] and list(changes["far"].removed) == [(1, 3)]
+    assert list(changes["seat"].added) == [(1, "bob")]
+
+
 def test_programs_with_functors_are_pickled() -> None:
     program = pickle.loads(pickle.dumps(Program(FUNCTORS, functors=DEFINED)))
     session = Session(program)

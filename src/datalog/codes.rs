@@ -10,6 +10,8 @@ crate::diagnostic_codes! {
     UNKNOWN_PREDICATE = "unknown-predicate", Error;
     /// A type that is not declared.
     UNKNOWN_TYPE = "unknown-type", Error;
+    /// A column that the declaration of a predicate does not have.
+    UNKNOWN_COLUMN = "unknown-column", Error;
     /// A functor that is not declared.
     UNKNOWN_FUNCTOR = "unknown-functor", Error;
     /// A functor without a definition, or one whose definition fails.

@@ -544,6 +544,10 @@ impl<'i> Maker<'i, '_> {
                 let mut item = match item {
                     Item::Component(_) | Item::Init(_) | Item::Override(_) | Item::Include(_) => continue,
                     Item::Plan(_) if !kept => continue,
+                    Item::Subsumption(subsumption) if !is_fixed(&subsumption.weaker.predicate.text) => {
+                        kept = false;
+                        continue;
+                    }
                     Item::Clause(clause) => {
                         let mut clause = clause.clone();
                         if clause.probabilities.is_empty() {
@@ -622,6 +626,8 @@ impl Rename<'_, '_, '_> {
                 // It concerns components, which are no more.
                 decl.qualifiers.retain(|word| word.text != "overridable");
                 decl.qualifiers.iter_mut().for_each(|word| self.place(&mut word.place));
+                let columns = decl.choices.iter_mut().flatten();
+                columns.for_each(|column| self.place(&mut column.place));
             }
             Item::Mark(mark) => {
                 mark.names.iter_mut().for_each(|name| self.predicate(name));
@@ -639,6 +645,12 @@ impl Rename<'_, '_, '_> {
             Item::Scope(scope) => {
                 scope.predicate.iter_mut().for_each(|name| self.predicate(name));
                 self.place(&mut scope.place);
+            }
+            Item::Subsumption(subsumption) => {
+                self.atom(&mut subsumption.weaker);
+                self.atom(&mut subsumption.stronger);
+                subsumption.body.iter_mut().for_each(|literal| self.literal(literal));
+                self.place(&mut subsumption.place);
             }
             Item::Functor(decl) => {
                 self.place(&mut decl.name.place);

@@ -4,11 +4,12 @@
 //! until it derives nothing new. It shares no code with the real executor and stays unoptimized; tests compare the two.
 
 use crate::chance;
-use crate::check::{Atom, Clause, Literal, Past, PastOperator, PredicateId, Rules, Term};
+use crate::check::{Atom, Clause, Literal, Past, PastOperator, Predicate, PredicateId, Rules, Stratum, Term};
 use crate::symbol::{Symbol, Symbols};
 use crate::syntax::ast::{BaseType, Comparison};
 use crate::syntax::functor::Functor;
-use crate::value::{Patterns, Value};
+use crate::value::{self, Patterns, Value};
+use std::cmp::Ordering;
 use std::collections::BTreeSet;
 
 /// All rows that hold, indexed by [`PredicateId`].
@@ -34,6 +35,14 @@ pub fn evaluate(
         database[chance.index()].insert(chance::halves(chance::word(0, 0)).map(Value).to_vec());
     }
     for stratum in &rules.strata {
+        let predicates = stratum.predicates.iter();
+        if predicates
+            .map(|id| &rules.predicates[id.index()])
+            .any(Predicate::depends_on_rounds)
+        {
+            by_rounds(rules, stratum, symbols, &mut database);
+            continue;
+        }
         loop {
             let mut changed = false;
             for &clause in &stratum.clauses {
@@ -48,6 +57,82 @@ pub fn evaluate(
         }
     }
     database
+}
+
+/// Evaluates a stratum in rounds: first the clauses that read no predicate of it, then all clauses on the rows of the
+/// rounds before. Of the new rows of a round, those with a key that another row has do not hold. Then, in the order of
+/// values, each row ceases to hold that another row makes superfluous. The rounds end when a predicate has as many rows as
+/// its limit.
+fn by_rounds(rules: &Rules, stratum: &Stratum, symbols: &Symbols, database: &mut Database) {
+    let recursive = |clause: &Clause| {
+        let mut atoms = clause.body.iter().filter_map(Literal::atom);
+        atoms.any(|atom| stratum.predicates.contains(&atom.predicate))
+    };
+    // The rows that have ceased to hold.
+    let mut gone: Database = vec![BTreeSet::new(); database.len()];
+    let pairs: Vec<PredicateId> = (stratum.predicates.iter())
+        .filter_map(|id| rules.predicates[id.index()].subsumption)
+        .collect();
+    let order = |id: PredicateId, one: &[Value], other: &[Value]| {
+        let columns = rules.predicates[id.index()].columns.iter().zip(one.iter().zip(other));
+        let orders = columns.map(|(column, (one, other))| value::compare(column.base, *one, *other, symbols));
+        orders.fold(Ordering::Equal, Ordering::then)
+    };
+    let mut round = 0;
+    loop {
+        let mut found: Database = vec![BTreeSet::new(); database.len()];
+        for &clause in &stratum.clauses {
+            let clause = &rules.clauses[clause.index()];
+            if (round > 0 || !recursive(clause)) && !pairs.contains(&clause.head.predicate) {
+                found[clause.head.predicate.index()].extend(consequences(rules, clause, symbols, database));
+            }
+        }
+        let mut changed = false;
+        for &id in &stratum.predicates {
+            let predicate = &rules.predicates[id.index()];
+            let held = &mut database[id.index()];
+            let new = found[id.index()]
+                .difference(held)
+                .filter(|row| !gone[id.index()].contains(*row));
+            let mut new: Vec<Vec<Value>> = new.cloned().collect();
+            new.sort_by(|one, other| order(id, one, other));
+            for row in new {
+                let agrees =
+                    |other: &Vec<Value>, key: &Vec<usize>| key.iter().all(|&column| row[column] == other[column]);
+                let is_taken = |key: &Vec<usize>| held.iter().any(|other| agrees(other, key));
+                if !predicate.choices.iter().any(is_taken) {
+                    changed |= held.insert(row);
+                }
+            }
+        }
+        for &id in &stratum.predicates {
+            let Some(of) = rules.predicates[id.index()].subsumption else {
+                continue;
+            };
+            let clauses = rules.clauses.iter().filter(|clause| clause.head.predicate == of);
+            let pairs: BTreeSet<Vec<Value>> = clauses
+                .flat_map(|clause| consequences(rules, clause, symbols, database))
+                .collect();
+            let held = &mut database[id.index()];
+            let mut rows: Vec<Vec<Value>> = held.iter().cloned().collect();
+            rows.sort_by(|one, other| order(id, one, other));
+            for row in rows {
+                let is_stronger = |other: &Vec<Value>| *other != row && pairs.contains(&[&row[..], other].concat());
+                if held.iter().any(is_stronger) {
+                    held.remove(&row);
+                    gone[id.index()].insert(row);
+                }
+            }
+        }
+        let is_full = |id: &PredicateId| {
+            let limit = rules.predicates[id.index()].size_limit;
+            limit.is_some_and(|limit| database[id.index()].len() >= limit)
+        };
+        if !stratum.recursive || !changed || stratum.predicates.iter().any(is_full) {
+            return;
+        }
+        round += 1;
+    }
 }
 
 /// Returns the models of successive ticks with these facts, each with all facts of its tick. Draws have seed 0.

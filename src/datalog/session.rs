@@ -615,7 +615,13 @@ impl Session {
     pub fn fired(&self, clause: ClauseId) -> Vec<Vec<Value>> {
         if clause.index() < self.program.rules().clauses.len() {
             let bytes = self.bytes_left() / 4;
-            self.store.fired(&self.program.0, &self.symbols, clause, bytes)
+            let mut rows = self.store.fired(&self.program.0, &self.symbols, clause, bytes);
+            let rules = self.program.rules();
+            let head = rules.clauses[clause.index()].head.predicate;
+            if rules.predicates[head.index()].depends_on_rounds() {
+                rows.retain(|row| self.store.contains(head, row));
+            }
+            rows
         } else {
             Vec::new()
         }

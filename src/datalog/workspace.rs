@@ -404,6 +404,7 @@ impl Workspace {
             if let Item::Decl(decl) = item {
                 // `Workspace::check` reports the warnings about qualifiers.
                 decl.qualifiers.clear();
+                decl.choices.clear();
                 names.extend(decl.names.iter().cloned());
             }
         }
@@ -520,6 +521,7 @@ impl Workspace {
             names: vec![answer_name(clause.place)],
             columns: Some(columns),
             qualifiers: Vec::new(),
+            choices: Vec::new(),
             doc: String::new(),
         }));
         items.push(Item::Clause(clause));

@@ -174,7 +174,7 @@ fn short(node: &Value, clauses: &[usize], numbers: &[Option<u32>]) -> Value {
 fn clauses_of(node: &Node) -> Vec<ClauseId> {
     match node {
         Node::Fact(fact) => match &fact.origin {
-            Origin::Input | Origin::Past(_) => Vec::new(),
+            Origin::Input | Origin::Past(_) | Origin::Removed => Vec::new(),
             Origin::Source(clause) => vec![*clause],
             Origin::Derived(derivation) => vec![derivation.clause],
         },
@@ -206,7 +206,11 @@ fn children(node: &Node) -> impl Iterator<Item = NodeId> + '_ {
         Node::Fact(_) | Node::Absence(_) => (&[], &[]),
     };
     let failures = misses.iter().flat_map(|miss| failures(&miss.obstacle));
-    let premises = premises.iter().filter_map(premise_node);
+    let excluding = misses.iter().filter_map(|miss| match miss.obstacle {
+        Obstacle::Excluded { by, .. } => by,
+        _ => None,
+    });
+    let premises = premises.iter().filter_map(premise_node).chain(excluding);
     premises.chain(failures.filter_map(|failure| failure_node(&failure.kind)))
 }
 
@@ -226,7 +230,7 @@ fn failure_node(kind: &FailureKind) -> Option<NodeId> {
 
 fn failures(obstacle: &Obstacle) -> &[Failure] {
     match obstacle {
-        Obstacle::Head { .. } => &[],
+        Obstacle::Head { .. } | Obstacle::Excluded { .. } => &[],
         Obstacle::Body { failures, .. } => failures,
     }
 }
@@ -247,6 +251,7 @@ fn write_key(node: &Node, numbers: &[Option<u32>], key: &mut Vec<u32>) {
             key.extend(fact.row.iter().map(|value| value.0));
             match &fact.origin {
                 Origin::Input => key.push(0),
+                Origin::Removed => key.push(4),
                 // A tick has fewer than 2^64 numbers of its kind before it, so its halves identify it.
                 Origin::Past(tick) => key.extend([3, (tick >> 32) as u32, (tick & u64::from(u32::MAX)) as u32]),
                 Origin::Source(clause) => key.extend([1, clause.0]),
@@ -267,6 +272,11 @@ fn write_key(node: &Node, numbers: &[Option<u32>], key: &mut Vec<u32>) {
                     key.extend([2, count(misses.len())]);
                     for Miss { clause, obstacle } in misses {
                         key.push(clause.0);
+                        if let Obstacle::Excluded { binding, by } = obstacle {
+                            key.push(u32::MAX - 1);
+                            write_pattern(binding, key);
+                            key.push(number(*by));
+                        }
                         let Obstacle::Body { binding, failures } = obstacle else {
                             key.push(u32::MAX);
                             continue;

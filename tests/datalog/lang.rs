@@ -290,10 +290,6 @@ fn habits_of_other_languages_are_reported_once_with_help() {
             ".include \"vocabulary.dl\"\n.decl Near(x, y)",
             "`.decl Near(x: agent, y: agent)`",
         ),
-        (
-            ".decl C(x: number, y: number) choice-domain x",
-            "`C(x, y) :- All(x, _), y = min v : { All(x, v) }.`",
-        ),
         (".decl C(x: number) provenance", "remove it"),
         ("B(x) :- A(x), match(\"[a\", to_string(x)).", "Rust's `regex`"),
     ] {
@@ -1348,7 +1344,8 @@ fn item() -> impl Strategy<Value = ast::Item> {
         }),
         2 => (names(), columns, any::<bool>(), doc()).prop_map(|(names, columns, inline, doc)| {
             let qualifiers = inline.then(|| node("inline".to_owned())).into_iter().collect();
-            ast::Item::Decl(ast::Decl { names, columns: Some(columns), qualifiers, doc })
+            let choices = Vec::new();
+            ast::Item::Decl(ast::Decl { names, columns: Some(columns), qualifiers, choices, doc })
         }),
         1 => (kind, names(), options()).prop_map(|(kind, names, options)| {
             let option = |(key, value)| ast::DirectiveOption { key: node(key), value, place: place() };

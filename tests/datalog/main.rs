@@ -4,11 +4,13 @@ mod any_input;
 #[path = "../cases.rs"]
 mod cases;
 mod chance;
+mod choice;
 mod circuits;
 mod component;
 mod corpus;
 mod dense;
 mod diff;
+mod dominance;
 mod engine;
 mod explain;
 mod format;

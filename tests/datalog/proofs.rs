@@ -62,6 +62,7 @@ pub fn check(session: &Session, model: &naive::Database, explanation: &Explanati
                 assert!(model[fact.predicate.index()].contains(&fact.row));
                 match &fact.origin {
                     Origin::Past(_) => unreachable!("these rules look back on no tick"),
+                    Origin::Removed => unreachable!("these rules have no subsumption"),
                     Origin::Input => assert!(!rules.predicates[fact.predicate.index()].derived),
                     Origin::Source(clause) => assert!(rules.clauses[clause.index()].body.is_empty()),
                     Origin::Derived(derivation) => {

@@ -2791,7 +2791,8 @@ fn check_names_executors_only_for_cities() {
 #[test]
 fn a_fault_in_many_places_is_printed_once() {
     let folder = tempfile::tempdir().unwrap();
-    let text = ".decl insert(x: number)\n.limitsize insert(n=1)\n".to_owned() + &"insert(id(1)).\n".repeat(150);
+    let text =
+        ".decl insert(x: number)\n.decl other(x: number) provenance\n".to_owned() + &"insert(id(1)).\n".repeat(150);
     let rules = write(folder.path(), "rules.dl", text);
     let check = logicity(["check", &rules]);
     fails(

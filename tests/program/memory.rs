@@ -344,7 +344,7 @@ fn runaways_in_a_small_address_space_end_with_a_message() {
         .filter(|(name, _)| ["sparse rows", "a closure", "texts"].contains(name));
     for (name, rules) in runaways {
         let file = write(folder.path(), "runaway.dl", &format!("{DECLARATIONS}{rules}"));
-        let (code, error) = in_address_space(260_000, &["query", &file, "-D", "-"]);
+        let (code, error) = in_address_space(280_000, &["query", &file, "-D", "-"]);
         assert_eq!(code, Some(1), "{name}: {error}");
         let help = if name == "texts" { "bound them" } else { "`ulimit -v`" };
         assert!(error.contains(help), "{name}: {error}");

@@ -223,11 +223,13 @@ impl Analysis {
         let (item, doc) = match &self.files[file].1.items[item] {
             Item::Decl(decl) => {
                 let (columns, qualifiers) = (decl.columns.clone(), decl.qualifiers.clone());
+                let choices = decl.choices.clone();
                 let names = vec![decl.names[name].clone()];
                 let own = ast::Decl {
                     names,
                     columns,
                     qualifiers,
+                    choices,
                     doc,
                 };
                 (Item::Decl(own), &decl.doc)
@@ -501,6 +503,12 @@ impl Names {
                 if let Some(name) = &scope.predicate {
                     self.add(name, Meaning::Predicate, Role::Uses);
                 }
+            }
+            Item::Subsumption(subsumption) => {
+                self.clause = Some(subsumption.place.0);
+                self.atom(&subsumption.weaker, Role::Derives);
+                self.atom(&subsumption.stronger, Role::Uses);
+                subsumption.body.iter().for_each(|literal| self.literal(literal));
             }
             Item::Clause(clause) => {
                 self.clause = Some(clause.place.0);

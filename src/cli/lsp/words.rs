@@ -91,6 +91,12 @@ pub const WORDS: &[Word] = &[
         "Prints the number of rows of the predicate.",
     ),
     word(
+        "limitsize",
+        Directive,
+        ".limitsize Path(n=1000)",
+        "Ends the recursion of the predicate after the round in which it has n rows.",
+    ),
+    word(
         "pragma",
         Directive,
         ".pragma \"legacy\"",

@@ -56,7 +56,7 @@ fn targets<'a>(program: &'a Program, folder: &Path) -> Vec<Target<'a>> {
     for (id, predicate) in predicates(program) {
         for directive in &predicate.directives {
             let path = match directive.kind {
-                MarkKind::Input => continue,
+                MarkKind::Input | MarkKind::LimitSize => continue,
                 MarkKind::Output => path_of(folder, &predicate.name, directive),
                 MarkKind::PrintSize => None,
             };

@@ -17,7 +17,7 @@ use crate::cli::report::{exit, report};
 use crate::cli::{query, terminal};
 use crate::datalog;
 use crate::datalog::codes;
-use crate::datalog::{BaseType, ClauseId, MarkKind, PredicateId, Value, is_complete};
+use crate::datalog::{BaseType, ClauseId, PredicateId, Value, is_complete};
 use crate::datalog::{Limits, Session, facts};
 use crate::diag::{self, Diagnostic, SourceId, Sources};
 use command::Command;
@@ -333,12 +333,7 @@ impl<W: Write> Repl<W> {
         let place = bench.sources.locate(predicate.span);
         writeln!(self.out, ".decl {}    {place}", signature(session, id))?;
         for directive in &predicate.directives {
-            let word = match directive.kind {
-                MarkKind::Input => "input",
-                MarkKind::Output => "output",
-                MarkKind::PrintSize => "printsize",
-            };
-            writeln!(self.out, ".{word} {}", predicate.name)?;
+            writeln!(self.out, ".{} {}", directive.kind.name(), predicate.name)?;
         }
         for (clause, number) in rules.clauses.iter().zip(0..) {
             if clause.head.predicate == id && !clause.body.is_empty() {

@@ -85,6 +85,7 @@ fn declaration(place: Place) -> Decl {
         names: vec![name(chance::PREDICATE)],
         columns: Some(vec![column("high"), column("low")]),
         qualifiers: Vec::new(),
+        choices: Vec::new(),
         doc: "the word of the tick, from which all draws follow".to_owned(),
     }
 }

@@ -66,6 +66,13 @@ pub(crate) fn check(
     }
     for index in 0..names.predicates.len() {
         let predicate = &names.predicates[index];
+        let is_head = |checked: &Checked| checked.clause.head.predicate.index() == index;
+        let decides = !predicate.choices.is_empty() || predicate.subsumption.is_some();
+        if decides && (predicate.input || clauses.clauses.iter().any(is_head)) {
+            // Rounds decide about facts and inserted rows, too.
+            names.predicates[index].derived = true;
+        }
+        let predicate = &names.predicates[index];
         if predicate.input && predicate.derived && predicate.edb.is_none() {
             split_input(
                 PredicateId(u32::try_from(index).expect("fewer than 2^32 predicates")),

@@ -23,6 +23,7 @@ mod chance;
 pub(crate) mod clause;
 mod clauses;
 mod constraints;
+mod dominance;
 mod functors;
 pub(crate) mod inline;
 mod lint;
@@ -90,6 +91,7 @@ pub(crate) fn check(
     symbols: Symbols,
     faults: &mut Faults,
 ) -> (Option<Rules>, Comparing) {
+    let written = dominance::lower(written, faults);
     let drawn = chance::lower(&written, faults);
     let without_chance = drawn.as_deref().unwrap_or(&written);
     let lowered = temporal::lower(without_chance, faults);
@@ -102,7 +104,9 @@ pub(crate) fn check(
         lowered.hide(&mut names);
     }
     let chance = chance::hide(&mut names);
-    let checked = clause::check((items, &facts), &mut names, symbols, faults);
+    dominance::hide(&mut names);
+    let mut checked = clause::check((items, &facts), &mut names, symbols, faults);
+    dominance::edges(&names, &mut checked);
     let constraints = constraints::check(items, &mut names, faults);
     let pasts = lowered.as_ref().map_or_else(Vec::new, |lowered| lowered.pasts(&names));
     drop((replaced, lowered, drawn, written, facts));

@@ -118,6 +118,12 @@ pub struct Predicate {
     /// The literals that aggregate it bind them. Such a predicate stores no rows and is in no stratum; each of
     /// these literals evaluates its clauses in place. 0 for any other predicate.
     pub parameters: usize,
+    /// `choice-domain`: lists of columns. Of the rows with equal values in one of them, only one holds.
+    pub choices: Vec<Vec<usize>>,
+    /// The hidden predicate with the pairs of rows of which the second one makes the first one superfluous.
+    pub subsumption: Option<PredicateId>,
+    /// `.limitsize`: the number of rows after which its recursion ends.
+    pub size_limit: Option<usize>,
     /// Its `.input`, `.output` and `.printsize` directives with their options.
     pub directives: Vec<Directive>,
 }
@@ -135,6 +141,19 @@ pub struct Directive {
     pub compress: bool,
     /// The place of the name of the file, or of the predicate.
     pub span: Span,
+}
+
+impl Directive {
+    /// Returns a directive without options.
+    pub(crate) fn none(mark: &crate::syntax::ast::Mark) -> Directive {
+        Directive {
+            kind: mark.kind,
+            place: RowPlace::Usual,
+            format: RowFormat::default(),
+            compress: false,
+            span: mark.names[0].place.0,
+        }
+    }
 }
 
 /// The source or destination of rows.
@@ -190,8 +209,16 @@ impl Predicate {
             inline: false,
             magic: false,
             parameters: 0,
+            choices: Vec::new(),
+            subsumption: None,
+            size_limit: None,
             directives: Vec::new(),
         }
+    }
+
+    /// Returns whether the rounds in which rows are derived determine which rows hold.
+    pub(crate) fn depends_on_rounds(&self) -> bool {
+        !self.choices.is_empty() || self.subsumption.is_some() || self.size_limit.is_some()
     }
 
     /// Returns what messages call it: its name, or what it stands for if its name is only a number.

@@ -211,6 +211,9 @@ pub(crate) fn order(predicates: &[Predicate], clauses: &[Clause]) -> Vec<Stratum
             }
         }
     }
+    for (predicate, successors) in predicates.iter().zip(&mut successors) {
+        successors.extend(predicate.subsumption.map(PredicateId::index));
+    }
     let (component, count) = components(&successors);
     let mut members: Vec<Vec<PredicateId>> = vec![Vec::new(); count];
     for predicate in 0..predicates.len() {

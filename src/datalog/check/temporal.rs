@@ -642,6 +642,7 @@ impl<'c> Lowering<'c, '_> {
             }],
             columns,
             qualifiers: Vec::new(),
+            choices: Vec::new(),
             doc: shown,
         });
     }

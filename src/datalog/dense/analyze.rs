@@ -26,6 +26,8 @@ pub struct Unsupported {
 pub enum Construct {
     /// The predicate depends on itself.
     Recursion(PredicateId),
+    /// A predicate with keys or a limit of its size, whose rows depend on the order in which they are derived.
+    Rounds(PredicateId),
     /// The predicate has no columns, or more than two.
     Columns(PredicateId),
     /// The predicate has a column whose values may be no entities.
@@ -78,6 +80,9 @@ impl Unsupported {
                     named(predicate)
                 )
             }
+            Construct::Rounds(predicate) => {
+                format!("{} has at most one row for each key, or a limit", named(predicate))
+            }
             Construct::Constant => format!("a clause of {head} names a constant"),
             Construct::Draw => format!("a clause of {head} draws for each combination of more than two agents"),
             Construct::Expression => format!("a clause of {head} computes a value"),
@@ -108,6 +113,7 @@ impl Unsupported {
             | Construct::Expression
             | Construct::Comparison
             | Construct::Aggregate(_)
+            | Construct::Rounds(_)
             | Construct::NoVariable => None,
         }
     }
@@ -315,6 +321,9 @@ fn unfit(rules: &Rules, atom: &Atom) -> Option<(Construct, Span)> {
 /// Returns the reason why the dense executor cannot store a predicate, if any.
 pub(super) fn unfit_shape(rules: &Rules, id: PredicateId) -> Option<Construct> {
     let predicate = &rules.predicates[id.index()];
+    if predicate.depends_on_rounds() {
+        return Some(Construct::Rounds(id));
+    }
     if !(1..=2).contains(&predicate.arity()) {
         return Some(Construct::Columns(id));
     }

@@ -12,8 +12,10 @@
 //! - `delta` and `stats` report what a commit changed and did.
 
 pub(crate) mod calls;
+mod choice;
 pub(crate) mod correlated;
 pub mod delta;
+mod dominance;
 pub(crate) mod exec;
 pub(crate) mod groups;
 mod growth;

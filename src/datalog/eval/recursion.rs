@@ -6,6 +6,8 @@
 // Decision: docs/decisions/evaluation.md#d014
 
 use crate::check::{ClauseId, PredicateId};
+use crate::eval::choice::Choice;
+use crate::eval::dominance::Dominance;
 use crate::eval::exec::{Commit, Failure, Meter, Quota, State};
 use crate::eval::join::RowView;
 use crate::eval::output::Output;
@@ -18,7 +20,7 @@ use crate::plan::steps::{ClausePlans, IndexId, Plan, Source, Step, StratumPlan, 
 use crate::row::{Batch, ByWidth, Row, difference, merge};
 pub(crate) use datafrog::{Iteration, Relation, Variable};
 use std::cell::Ref;
-use std::collections::BTreeSet;
+use std::collections::{BTreeSet, HashSet};
 
 impl<const W: usize> State<W> {
     /// Returns the rows that follow from those in `outputs`, these included, and the number of rounds. `base` holds the
@@ -34,6 +36,17 @@ impl<const W: usize> State<W> {
     ) -> Result<(Vec<Vec<Row<W>>>, usize), Failure> {
         let plans = &commit.plans;
         let mut recursion = Recursion::new(commit.compiled, plans, stratum, base);
+        let rules = &commit.compiled.rules;
+        let members = || stratum.members.iter().filter(|_| stratum.by_rounds);
+        let mut choices: Vec<Option<Choice>> = members().map(|&member| Choice::of(rules, member)).collect();
+        let position = |predicate: PredicateId| plans.member[predicate.index()];
+        let mut dominance: Vec<Option<Dominance<W>>> = members()
+            .map(|&member| Dominance::of(rules, member, position))
+            .collect();
+        let pairs: BTreeSet<usize> = dominance.iter().flatten().map(|dominance| dominance.pairs).collect();
+        let limits: Vec<Option<usize>> = members()
+            .map(|member| rules.predicates[member.index()].size_limit)
+            .collect();
         let mut rounds = 0;
         loop {
             for (member, output) in outputs.iter_mut().enumerate() {
@@ -44,20 +57,68 @@ impl<const W: usize> State<W> {
                 if let Some(base) = base {
                     elements = difference(&elements, &base[member].rows);
                 }
+                if pairs.contains(&member) {
+                    continue;
+                }
+                if let Some(Some(dominance)) = dominance.get(member) {
+                    dominance.keep(&mut elements);
+                }
+                if let Some(Some(choice)) = choices.get_mut(member) {
+                    elements = choice.keep(elements, commit.symbols);
+                }
                 recursion.insert(member, elements, output);
             }
             if !recursion.iteration.changed() {
                 break;
             }
+            if !pairs.is_empty() {
+                let chosen = self.choose(plans, stratum, &recursion);
+                let deciding = |head: PredicateId| position(head).is_some_and(|member| pairs.contains(&member));
+                let sources = || {
+                    chosen
+                        .iter()
+                        .flat_map(|(_, _, plan)| &plan.steps)
+                        .flat_map(Step::sources)
+                };
+                recursion.keep(plans, |index| sources().any(|source| source.index == index));
+                let left = quota.left(0, stratum, meter)?;
+                for &member in &pairs {
+                    outputs[member] = Output::new(quota.rows);
+                    outputs[member].set_bytes(left / 2);
+                }
+                let held = recursion.hold();
+                for &(clause, over, plan) in chosen.iter().filter(|(_, _, plan)| deciding(plan.head)) {
+                    let Some(head) = position(plan.head) else { continue };
+                    let views: Vec<RowView<'_, W>> = self.delta_views(plan, &recursion, &held, plans).collect();
+                    let given = held[over].new.len();
+                    meter.run(clause, plan, (&views, given), commit.symbols, &mut outputs[head])?;
+                }
+                drop(held);
+                for (member, dominance) in dominance.iter_mut().enumerate() {
+                    let Some(dominance) = dominance else { continue };
+                    let found = meter.take(&mut outputs[dominance.pairs]);
+                    (outputs[dominance.pairs].check(found.len())).or_else(|stop| meter.fail_if(true, stratum, stop))?;
+                    let gone = dominance.decide(found, commit.symbols);
+                    recursion.remove(member, &gone, plans);
+                }
+            }
+            if recursion.has_reached(&limits) {
+                // The rows of this round hold; nothing follows from them.
+                while recursion.iteration.changed() {}
+                break;
+            }
             rounds += 1;
-            let chosen = self.choose(plans, stratum, &recursion);
+            let mut chosen = self.choose(plans, stratum, &recursion);
+            chosen.retain(|(_, _, plan)| position(plan.head).is_none_or(|member| !pairs.contains(&member)));
             let sources = || {
                 chosen
                     .iter()
                     .flat_map(|(_, _, plan)| &plan.steps)
                     .flat_map(Step::sources)
             };
-            recursion.keep(plans, |index| sources().any(|source| source.index == index));
+            if pairs.is_empty() {
+                recursion.keep(plans, |index| sources().any(|source| source.index == index));
+            }
             let held = recursion.hold();
             let known: usize = base.unwrap_or_default().iter().map(|table| table.rows.len()).sum();
             let total = known + recursion.left_out.iter().sum::<usize>() + held.iter().map(Held::len).sum::<usize>();
@@ -75,17 +136,27 @@ impl<const W: usize> State<W> {
                 let Some(head) = plans.member[plan.head.index()] else {
                     continue;
                 };
-                let view = |step: &Step| match step.source() {
-                    Some(source) if source.version != Version::Complete => recursion.view(&held, plans, source),
-                    _ => self.complete_view(plans, step),
-                };
                 views.clear();
-                views.extend(plan.steps.iter().map(view));
+                views.extend(self.delta_views(plan, &recursion, &held, plans));
                 let given = held[over].new.len();
                 meter.run(clause, plan, (&views, given), commit.symbols, &mut outputs[head])?;
             }
         }
         Ok((recursion.complete(&outputs), rounds))
+    }
+
+    /// Returns what the steps of a plan over new rows read.
+    fn delta_views<'a>(
+        &'a self,
+        plan: &'a Plan,
+        recursion: &'a Recursion<'_, W>,
+        held: &'a [Held<'a, W>],
+        plans: &'a Plans,
+    ) -> impl Iterator<Item = RowView<'a, W>> {
+        plan.steps.iter().map(move |step| match step.source() {
+            Some(source) if source.version != Version::Complete => recursion.view(held, plans, source),
+            _ => self.complete_view(plans, step),
+        })
     }
 
     /// Chooses the plans for a round, each with its clause and the member whose new rows it begins with.
@@ -136,6 +207,8 @@ struct Recursion<'a, const W: usize> {
     left_out: Vec<usize>,
     /// The secondary indexes of the members.
     grown: Vec<Grown<W>>,
+    /// Whether outputs may have rows that do not hold.
+    by_rounds: bool,
 }
 
 /// A secondary index over a growing relation.
@@ -177,7 +250,7 @@ impl<'b, const W: usize> Recursion<'b, W> {
         let name = |member: &PredicateId| &rules.predicates[member.index()].name;
         let variables = members.iter().map(|member| iteration.variable(name(member))).collect();
         let clauses = || stratum.clauses.iter().map(|clause| &plans.clauses[clause.index()]);
-        let mut forward = vec![base.is_none(); members.len()];
+        let mut forward = vec![base.is_none() && !stratum.by_rounds; members.len()];
         let alternatives = clauses().flat_map(|clause| &clause.alternatives).flatten();
         let all = clauses()
             .flat_map(|clause| &clause.deltas)
@@ -212,7 +285,42 @@ impl<'b, const W: usize> Recursion<'b, W> {
             left_out: vec![0; members.len()],
             forward,
             grown,
+            by_rounds: stratum.by_rounds,
         }
+    }
+
+    /// Removes rows of a member.
+    fn remove(&mut self, member: usize, gone: &HashSet<Row<W>>, plans: &Plans) {
+        if gone.is_empty() {
+            return;
+        }
+        let variable = &self.variables[member];
+        variable.recent.borrow_mut().elements.retain(|row| !gone.contains(row));
+        let mut stable = variable.stable.borrow_mut();
+        stable
+            .iter_mut()
+            .for_each(|rows| rows.elements.retain(|row| !gone.contains(row)));
+        stable.retain(|rows| !rows.is_empty());
+        for grown in self
+            .grown
+            .iter_mut()
+            .filter(|grown| grown.member == member && grown.kept)
+        {
+            let columns = &plans.indexes[grown.id].columns;
+            grown.stable = stable.iter().map(|rows| project(rows, columns)).collect();
+            grown.new = project(&variable.recent.borrow(), columns);
+        }
+    }
+
+    /// Returns whether a member has as many rows as its limit.
+    fn has_reached(&self, limits: &[Option<usize>]) -> bool {
+        let mut members = self.variables.iter().zip(limits);
+        members.any(|(variable, limit)| {
+            limit.is_some_and(|limit| {
+                let stable: usize = variable.stable.borrow().iter().map(|rows| rows.len()).sum();
+                stable + variable.recent.borrow().len() >= limit
+            })
+        })
     }
 
     /// Adds rows of a member, taken from its output, as new rows of the next round.
@@ -321,7 +429,7 @@ impl<'b, const W: usize> Recursion<'b, W> {
     fn complete(self, outputs: &[Output<W>]) -> Vec<Vec<Row<W>>> {
         drop(self.grown);
         let rows = |(variable, output): (Variable<Row<W>>, &Output<W>)| {
-            if self.base.is_some() || !output.has_all() {
+            if self.base.is_some() || self.by_rounds || !output.has_all() {
                 return variable.complete().elements;
             }
             variable.stable.borrow_mut().clear();

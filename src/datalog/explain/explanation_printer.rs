@@ -143,6 +143,7 @@ impl<'a> ExplanationPrinter<'a> {
         }
         match &fact.origin {
             Origin::Input => json!({ "holds": holds, "height": fact.height, "by": "input" }),
+            Origin::Removed => json!({ "holds": holds, "height": fact.height, "by": "removed-rows" }),
             Origin::Past(tick) => json!({
                 "holds": holds, "height": fact.height, "by": "past", "tick": tick,
                 "when": self.ticks(fact.predicate, *tick),
@@ -186,8 +187,15 @@ impl<'a> ExplanationPrinter<'a> {
                 let clauses: Vec<serde_json::Value> = (misses.iter())
                     .map(|miss| {
                         let clause = &self.rules.clauses[miss.clause.index()];
+                        if let Obstacle::Excluded { binding, by } = &miss.obstacle {
+                            let binding = self.binding_json(clause, binding);
+                            let clause = self.clause_json(miss.clause);
+                            return json!({
+                                "clause": clause, "binding": binding, "fails": [], "excluded-by": by.map(|by| by.0)
+                            });
+                        }
                         let (binding, fails) = match &miss.obstacle {
-                            Obstacle::Head { .. } => (Map::new(), Vec::new()),
+                            Obstacle::Head { .. } | Obstacle::Excluded { .. } => (Map::new(), Vec::new()),
                             Obstacle::Body { binding, failures } => {
                                 let fails = failures.iter().map(|failure| {
                                     let node = match failure.kind {
@@ -653,6 +661,9 @@ impl Drawing<'_> {
                 let mut item = Item::leaf(self.printer.row(fact.predicate, &pattern));
                 match &fact.origin {
                     Origin::Input => {}
+                    Origin::Removed => {
+                        item.text = format!("{}  derived from rows that a subsumption has removed", item.text);
+                    }
                     Origin::Past(tick) => {
                         item.text = format!("{}  {}", item.text, self.printer.ticks(fact.predicate, *tick));
                     }
@@ -757,7 +768,7 @@ impl Drawing<'_> {
             }
             AbsenceReason::NoClause(misses) => {
                 item.text = format!("{}: no clause of {} holds", item.text, predicate.name);
-                let bodies = |miss: &&Miss| matches!(miss.obstacle, Obstacle::Body { .. });
+                let bodies = |miss: &&Miss| !matches!(miss.obstacle, Obstacle::Head { .. });
                 let (bodies, heads): (Vec<&Miss>, Vec<&Miss>) = misses.iter().partition(bodies);
                 // The alternatives of a clause follow each other.
                 let span = |miss: &Miss| self.printer.rules.clauses[miss.clause.index()].span;
@@ -781,6 +792,7 @@ impl Drawing<'_> {
         let clause = &self.printer.rules.clauses[miss.clause.index()];
         match &miss.obstacle {
             Obstacle::Head { .. } => Vec::new(),
+            Obstacle::Excluded { by, .. } => vec![format!("excluded by {by:?}")],
             Obstacle::Body { binding, failures } => {
                 let literals = failures.iter().map(|failure| &clause.body[failure.literal]);
                 literals
@@ -826,6 +838,21 @@ impl Drawing<'_> {
         let clause = &self.printer.rules.clauses[miss.clause.index()];
         let (binding, failures) = match &miss.obstacle {
             Obstacle::Head { .. } => return self.other_heads(&[miss]),
+            Obstacle::Excluded { by: None, .. } => {
+                return vec![Item::leaf("its limit of rows ended the recursion before".to_owned())];
+            }
+            Obstacle::Excluded { by: Some(by), .. } => {
+                let text = match self.explanation.node(*by) {
+                    Node::Fact(fact) => {
+                        let row: Vec<Option<Value>> = fact.row.iter().copied().map(Some).collect();
+                        self.printer.row(fact.predicate, &row)
+                    }
+                    Node::Absence(_) => "another row".to_owned(),
+                };
+                let mut item = Item::leaf(format!("{text} holds instead"));
+                item.children.push(self.node(*by, depth + 1));
+                return vec![item];
+            }
             Obstacle::Body { binding, failures } => (binding, failures),
         };
         // An expression that occurs twice fails twice.

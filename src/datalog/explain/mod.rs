@@ -29,7 +29,7 @@ mod search;
 pub use explanation_printer::ExplanationPrinter;
 
 use crate::cancel::Cancel;
-use crate::check::{ClauseId, Literal, PredicateId};
+use crate::check::{Clause, ClauseId, Literal, PredicateId};
 use crate::diag::codes;
 use crate::diag::{Diagnostic, Limit, counted};
 use crate::eval::limits::size;
@@ -107,6 +107,8 @@ pub enum Origin {
     Source(ClauseId),
     /// A clause derives it.
     Derived(Derivation),
+    /// A clause derived it from rows that a subsumption has removed.
+    Removed,
 }
 
 /// A clause with the values of its variables.
@@ -194,6 +196,13 @@ pub enum Obstacle {
         binding: Pattern,
         /// The literals that fail under the binding; at least one.
         failures: Vec<Failure>,
+    },
+    /// The body holds, but the rounds of a recursion exclude the row.
+    Excluded {
+        /// The binding, by variable of the clause.
+        binding: Pattern,
+        /// The fact that holds instead, as it has the same key. `None` if a limit of the size ended the recursion.
+        by: Option<NodeId>,
     },
 }
 
@@ -542,6 +551,7 @@ impl Making {
                 Some(tick) => Origin::Past(tick),
                 None => Origin::Input,
             },
+            search::heights::Best::Removed => Origin::Removed,
             search::heights::Best::Source(clause) => Origin::Source(clause),
             search::heights::Best::Derived { clause, binding, rows } => {
                 let body = &search.rules().clauses[clause.index()].body;
@@ -612,12 +622,24 @@ impl Making {
         pattern: &Pattern,
     ) -> Result<Option<Obstacle>, ExplainError> {
         let clause = &search.rules().clauses[id.index()];
-        if clause.body.is_empty() {
+        let by_rounds = search.rules().predicates[clause.head.predicate.index()].depends_on_rounds();
+        if clause.body.is_empty() && !by_rounds {
             return Ok(None);
         }
         let mut binding: Binding = vec![None; clause.variables.len()];
         if let Err(column) = search::bind_head(clause, pattern, &mut binding) {
-            return Ok(Some(Obstacle::Head { column }));
+            return Ok((!clause.body.is_empty()).then_some(Obstacle::Head { column }));
+        }
+        if by_rounds {
+            let mut holds = None;
+            let all = vec![true; clause.body.len()];
+            search.solve(clause, &all, binding.clone(), 0, &mut |solution| {
+                holds.get_or_insert_with(|| solution.binding.to_vec());
+                false
+            })?;
+            if let Some(binding) = holds {
+                return self.excluded(search, clause, binding).map(Some);
+            }
         }
         let (binding, failing) = search.nearest(clause, binding)?;
         let mut failures = Vec::new();
@@ -651,5 +673,32 @@ impl Making {
             failures.push(Failure { literal, kind });
         }
         Ok(Some(Obstacle::Body { binding, failures }))
+    }
+
+    /// Returns what excludes the row that a clause derives with this binding.
+    fn excluded(
+        &mut self,
+        search: &ProofSearch<'_>,
+        clause: &Clause,
+        binding: Binding,
+    ) -> Result<Obstacle, ExplainError> {
+        let head = clause.head.predicate;
+        let predicate = &search.rules().predicates[head.index()];
+        let row = search::pattern(&clause.head, &binding);
+        let same = |key: &Vec<usize>| -> Pattern {
+            let columns = row.iter().enumerate();
+            columns.map(|(at, value)| value.filter(|_| key.contains(&at))).collect()
+        };
+        let mut by = None;
+        for pattern in predicate.choices.iter().map(same) {
+            if by.is_none() {
+                by = search.first_row(head, &pattern)?;
+            }
+        }
+        if let (None, Some(pairs)) = (&by, predicate.subsumption) {
+            by = search.stronger(head, pairs, &row)?;
+        }
+        let by = by.map(|row| self.fact(head, row));
+        Ok(Obstacle::Excluded { binding, by })
     }
 }

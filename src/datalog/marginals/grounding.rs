@@ -24,6 +24,8 @@ pub enum Inexact {
     TooLarge,
     /// An aggregate ranges over uncertain rows of this predicate, or of a hidden one.
     Aggregate(PredicateId),
+    /// The keys or the limit of this predicate decide which of its uncertain rows hold.
+    Rounds(PredicateId),
 }
 
 impl Inexact {
@@ -34,6 +36,10 @@ impl Inexact {
             Inexact::Aggregate(predicate) => {
                 let title = rules.predicates[predicate.index()].title();
                 format!("an aggregate ranges over uncertain rows ({title})")
+            }
+            Inexact::Rounds(predicate) => {
+                let title = rules.predicates[predicate.index()].title();
+                format!("rounds decide which uncertain rows hold ({title})")
             }
         }
     }
@@ -197,8 +203,13 @@ impl Grounding {
                 Literal::Aggregate { atom, .. } if is_uncertain(atom) => Some(atom.predicate),
                 _ => None,
             });
-            if let Some(predicate) = aggregated {
-                inexact.get_or_insert(Inexact::Aggregate(predicate));
+            let head = clause.head.predicate;
+            let reason = match aggregated.map(Inexact::Aggregate) {
+                None if rules.predicates[head.index()].depends_on_rounds() => Some(Inexact::Rounds(head)),
+                reason => reason,
+            };
+            if let Some(reason) = reason {
+                inexact.get_or_insert(reason);
                 ground.push(None);
                 continue;
             }
@@ -479,7 +490,8 @@ fn matching(session: &Session, atom: &Atom, instance: &[Value]) -> Vec<u32> {
     matches.map(|(at, _)| at).collect()
 }
 
-/// Returns the inputs whose facts may count as uncertain: those of symbols that no aggregate depends on.
+/// Returns the inputs whose facts may count as uncertain: those of symbols that no aggregate and no key
+/// depends on.
 pub(super) fn liftable(rules: &Rules) -> BTreeSet<PredicateId> {
     let aggregates = rules.clauses.iter().flat_map(|clause| &clause.body);
     let mut open: Vec<PredicateId> = aggregates
@@ -488,6 +500,8 @@ pub(super) fn liftable(rules: &Rules) -> BTreeSet<PredicateId> {
             _ => None,
         })
         .collect();
+    let by_rounds = (0..).map(PredicateId).zip(&rules.predicates);
+    open.extend(by_rounds.filter_map(|(id, predicate)| predicate.depends_on_rounds().then_some(id)));
     let mut read: BTreeSet<PredicateId> = BTreeSet::new();
     while let Some(predicate) = open.pop() {
         if read.insert(predicate) {

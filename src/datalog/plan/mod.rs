@@ -285,9 +285,11 @@ fn plan_stratum(rules: &Rules, stratum: &Stratum, groupings: &[Option<Grouping>]
     inputs.dedup();
     let small = |clause: &ClauseId| is_maintainable(&rules.clauses[clause.index()]);
     let grouped = members.iter().any(|member| groupings[member.index()].is_some());
+    let by_rounds = (members.iter()).any(|member| rules.predicates[member.index()].depends_on_rounds());
     StratumPlan {
         recursive,
-        maintainable: clauses.iter().all(small) && !grouped,
+        maintainable: clauses.iter().all(small) && !grouped && !by_rounds,
+        by_rounds,
         members,
         inputs,
         clauses,

@@ -454,6 +454,8 @@ pub(crate) struct StratumPlan {
     pub(crate) recursive: bool,
     /// Whether all clauses have maintenance plans. If not, any change recomputes the stratum.
     pub(crate) maintainable: bool,
+    /// Whether the rounds in which rows are derived determine which rows hold.
+    pub(crate) by_rounds: bool,
     /// The correlated predicates that the clauses evaluate in place, each after those that it needs.
     pub(crate) correlated: Vec<PredicateId>,
 }

@@ -62,14 +62,17 @@ fn restrict(rules: &Rules, wanted: impl Fn(PredicateId) -> bool) -> Option<Rules
     }
 }
 
-/// Returns the predicates that must be complete: what clauses negate or aggregate or a guard reads, and all that these
-/// depend on.
+/// Returns the predicates that must be complete: what clauses negate or aggregate or a guard reads, whose rows depend
+/// on rounds, and all that these depend on.
 fn complete(rules: &Rules) -> Vec<bool> {
     let mut complete = vec![false; rules.predicates.len()];
     for literal in rules.clauses.iter().flat_map(|clause| &clause.body) {
         if let Literal::Negative(atom) | Literal::Aggregate { atom, .. } | Literal::Guard(atom) = literal {
             complete[atom.predicate.index()] = true;
         }
+    }
+    for (predicate, complete) in rules.predicates.iter().zip(&mut complete) {
+        *complete |= predicate.depends_on_rounds();
     }
     let by_head = rules.clauses_by_head();
     let mut open: Vec<usize> = (0..complete.len()).filter(|&predicate| complete[predicate]).collect();
@@ -134,7 +137,7 @@ impl<'a> Transformer<'a> {
             derived[clause.head.predicate.index()] = true;
         }
         for (predicate, derived) in self.out.predicates.iter_mut().zip(derived) {
-            predicate.derived = derived;
+            predicate.derived = derived || predicate.derived && predicate.depends_on_rounds();
         }
     }
 

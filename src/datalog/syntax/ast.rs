@@ -61,8 +61,25 @@ pub enum Item {
     Override(Override),
     /// `.functor f(x: number, y: symbol): number`
     Functor(FunctorDecl),
+    /// `A(x) <= A(y) :- x < y.`
+    Subsumption(Subsumption),
     /// A fact or a rule.
     Clause(Clause),
+}
+
+/// `A(x) <= A(y) :- x < y.`: a row of A does not hold if another row makes it superfluous.
+#[derive(Clone, Debug, PartialEq, Eq)]
+pub struct Subsumption {
+    /// The row that does not hold.
+    pub weaker: Atom,
+    /// The row that holds instead.
+    pub stronger: Atom,
+    /// The body: a conjunction.
+    pub body: Vec<Literal>,
+    /// The text of the doc comment before it.
+    pub doc: String,
+    /// The text up to the full stop.
+    pub place: Place,
 }
 
 /// `.functor f(x: number, y: symbol): number stateful`: a functor that the caller defines.
@@ -153,6 +170,8 @@ pub struct Decl {
     pub columns: Option<Vec<ColumnDecl>>,
     /// Storage and evaluation qualifiers (`btree`, `inline` ...). Only `inline` has an effect.
     pub qualifiers: Vec<Name>,
+    /// `choice-domain x, (y, z)`: keys, each of which has at most one row of the predicate.
+    pub choices: Vec<Vec<Name>>,
     /// The text of the doc comment before the declaration.
     pub doc: String,
 }
@@ -166,7 +185,7 @@ pub struct ColumnDecl {
     pub ty: Name,
 }
 
-/// `.input A, B`, `.output A` or `.printsize A`.
+/// `.input A, B`, `.output A`, `.printsize A` or `.limitsize A(n=10)`.
 #[derive(Clone, Debug, PartialEq, Eq)]
 pub struct Mark {
     /// The directive.
@@ -479,6 +498,8 @@ pub enum MarkKind {
     Output,
     /// `.printsize`
     PrintSize,
+    /// `.limitsize`
+    LimitSize,
 }
 
 impl MarkKind {
@@ -488,6 +509,7 @@ impl MarkKind {
             MarkKind::Input => "input",
             MarkKind::Output => "output",
             MarkKind::PrintSize => "printsize",
+            MarkKind::LimitSize => "limitsize",
         }
     }
 }

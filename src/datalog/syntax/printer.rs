@@ -2,7 +2,9 @@
 
 use std::fmt::{self, Display, Write};
 
-use crate::syntax::ast::{Atom, Clause, File, Item, Literal, Operator, Temporal, Term, TermKind, TypeDefinition};
+use crate::syntax::ast::{
+    Atom, Clause, File, Item, Literal, Operator, Subsumption, Temporal, Term, TermKind, TypeDefinition,
+};
 use crate::syntax::ast::{Comparison, ComponentType, Name};
 use crate::syntax::functor::Functor;
 
@@ -24,6 +26,21 @@ impl Display for Item {
     fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
         match self {
             Item::Include(include) => writeln!(f, ".include {}", Quoted(&include.path)),
+            Item::Subsumption(subsumption) => {
+                let Subsumption {
+                    weaker,
+                    stronger,
+                    body,
+                    doc,
+                    ..
+                } = subsumption;
+                write!(f, "{}{weaker} <= {stronger} :- ", Doc(doc))?;
+                match body.as_slice() {
+                    [] => f.write_str("true")?,
+                    body => write_all(f, body)?,
+                }
+                f.write_str(".\n")
+            }
             Item::Functor(decl) => {
                 write!(f, "{}.functor {}(", Doc(&decl.doc), decl.name.text)?;
                 separated(f, &decl.arguments, |f, (name, ty)| match name {
@@ -76,6 +93,17 @@ impl Display for Item {
                 decl.qualifiers
                     .iter()
                     .try_for_each(|word| write!(f, " {}", word.text))?;
+                if !decl.choices.is_empty() {
+                    f.write_str(" choice-domain ")?;
+                    separated(f, &decl.choices, |f, columns| match columns.as_slice() {
+                        [column] => f.write_str(&column.text),
+                        many => {
+                            f.write_char('(')?;
+                            separated(f, many, |f, column| f.write_str(&column.text))?;
+                            f.write_char(')')
+                        }
+                    })?;
+                }
                 writeln!(f)
             }
             Item::Mark(mark) => {

@@ -169,6 +169,19 @@ pub fn diff(left: &Rules, right: &Rules, options: &Options) -> Result<Equivalenc
     if !faults.is_empty() {
         return Err(faults);
     }
+    let chooses = |rules: &Rules| {
+        let predicate = rules
+            .predicates
+            .iter()
+            .find(|predicate| predicate.depends_on_rounds())?;
+        let message = "rules whose rows depend on rounds cannot be compared";
+        let fault = Diagnostic::new(codes::UNSUPPORTED, message).at(predicate.span, "this has keys or a limit");
+        Some(fault.help("remove `choice-domain` and `.limitsize` on both sides"))
+    };
+    let faults: Vec<Diagnostic> = [left, right].into_iter().filter_map(chooses).collect();
+    if !faults.is_empty() {
+        return Err(faults);
+    }
     if left.chance.is_some() || right.chance.is_some() {
         return diff(&left.with_draws_as_facts(), &right.with_draws_as_facts(), options);
     }

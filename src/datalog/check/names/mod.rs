@@ -339,6 +339,7 @@ impl Names {
             faults.push(fault);
         }
         qualifiers(&decl.qualifiers, faults);
+        let choices = choices(decl, faults);
         for name in &decl.names {
             let span = name.place.0;
             if let Some(&earlier) = self.declared_types.get(&name.text) {
@@ -374,6 +375,9 @@ impl Names {
                 inline: has("inline") && !has("no_inline"),
                 magic: has("magic") && !has("no_magic"),
                 parameters: 0,
+                choices: choices.clone(),
+                subsumption: None,
+                size_limit: None,
                 directives: Vec::new(),
             });
             self.signatures.push(Signature {
@@ -418,11 +422,20 @@ impl Names {
     }
 
     fn mark(&mut self, mark: &Mark, faults: &mut Faults) {
-        let directive = read_options(mark, faults);
+        let directive = match mark.kind {
+            MarkKind::LimitSize => Directive::none(mark),
+            _ => read_options(mark, faults),
+        };
         for name in &mark.names {
             let Some(id) = self.resolve(name) else { continue };
             let predicate = &mut self.predicates[id.index()];
+            if mark.kind == MarkKind::LimitSize {
+                let limit = size_limit(mark, name, faults);
+                predicate.size_limit = predicate.size_limit.min(limit).or(limit);
+                continue;
+            }
             match mark.kind {
+                MarkKind::LimitSize => {}
                 MarkKind::Input => {
                     predicate.input = true;
                     self.signatures[id.index()].input.get_or_insert(name.place.0);
@@ -530,6 +543,67 @@ impl Names {
     }
 }
 
+/// Returns the keys of a predicate as positions of columns.
+fn choices(decl: &Decl, faults: &mut Faults) -> Vec<Vec<usize>> {
+    let columns = decl.columns.as_deref().unwrap_or_default();
+    let mut found = Vec::new();
+    for key in &decl.choices {
+        let mut positions = Vec::new();
+        for name in key {
+            match columns.iter().position(|column| column.name.text == name.text) {
+                Some(at) => positions.push(at),
+                None if decl.columns.is_none() => {}
+                None => {
+                    let message = format!("`{}` has no column `{}`", decl.names[0].text, name.text);
+                    let fault = Diagnostic::new(codes::UNKNOWN_COLUMN, message)
+                        .at(name.place.0, "")
+                        .also(decl.names[0].place.0, "declared here");
+                    let near = did_you_mean(&name.text, columns.iter().map(|column| column.name.text.as_str()));
+                    faults.push(match near {
+                        Some(near) => fault.did_you_mean(near, &[name.place.0]),
+                        None => fault.help("name a column of the declaration"),
+                    });
+                }
+            }
+        }
+        if positions.len() == key.len() {
+            positions.sort_unstable();
+            positions.dedup();
+            found.push(positions);
+        }
+    }
+    found
+}
+
+/// Returns the `n` of `.limitsize P(n=10)`.
+fn size_limit(mark: &Mark, name: &Name, faults: &mut Faults) -> Option<usize> {
+    let mut limit = None;
+    for option in &mark.options {
+        match (option.key.text.as_str(), option.value.parse::<usize>()) {
+            ("n", Ok(rows)) => limit = Some(rows),
+            ("n", Err(_)) => {
+                let message = format!("`n={}` is no number of rows", option.value);
+                faults.push(
+                    Diagnostic::new(codes::SYNTAX, message)
+                        .at(option.place.0, "")
+                        .help("write `n=1000`"),
+                );
+                return None;
+            }
+            (other, _) => {
+                let fault = Diagnostic::new(codes::IGNORED, format!("`{other}` has no effect"));
+                faults.push(fault.at(option.key.place.0, "").help("`.limitsize` has the option `n`"));
+            }
+        }
+    }
+    if limit.is_none() {
+        let message = format!("`.limitsize {}` has no limit", name.text);
+        let fault = Diagnostic::new(codes::SYNTAX, message).at(name.place.0, "");
+        faults.push(fault.help(format!("write the number of rows: `.limitsize {}(n=1000)`", name.text)));
+    }
+    limit
+}
+
 fn no_effect(pragma: &Pragma) -> Diagnostic {
     (Diagnostic::new(codes::IGNORED, "`.pragma` has no effect").at(pragma.place.0, ""))
         .help("remove it; only `.pragma \"magic-transform\" \"A,B\"` has one")
@@ -595,7 +669,7 @@ fn read_options(mark: &Mark, faults: &mut Faults) -> Directive {
                     let known = match mark.kind {
                         MarkKind::Input => "`file` or `stdin`",
                         MarkKind::Output => "`file` or `stdout`",
-                        MarkKind::PrintSize => "`stdoutprintsize`",
+                        MarkKind::PrintSize | MarkKind::LimitSize => "`stdoutprintsize`",
                     };
                     faults.push(fault.at(option.place.0, "").help(format!("use {known}")));
                 }

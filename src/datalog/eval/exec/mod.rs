@@ -7,6 +7,7 @@ mod meter;
 use crate::cancel::Cancel;
 use crate::check::{Atom, ClauseId, Literal, PredicateId, Term};
 use crate::eval::calls::Calls;
+use crate::eval::choice::Choice;
 use crate::eval::correlated::CorrelatedValues;
 use crate::eval::delta::{Delta, Rows};
 use crate::eval::exec::adapt::Basis;
@@ -534,7 +535,7 @@ impl<const W: usize> State<W> {
         if stratum.recursive {
             return self.grow(commit, stratum, None, outputs, quota, meter);
         }
-        let rows: Vec<_> = outputs.iter_mut().map(|output| meter.take(output)).collect();
+        let mut rows: Vec<_> = outputs.iter_mut().map(|output| meter.take(output)).collect();
         for (rows, output) in rows.iter().zip(&outputs) {
             output
                 .check(rows.len())
@@ -542,6 +543,13 @@ impl<const W: usize> State<W> {
         }
         let total: usize = rows.iter().map(Vec::len).sum();
         quota.check_rows(total, stratum, meter)?;
+        if stratum.by_rounds {
+            for (rows, &member) in rows.iter_mut().zip(&stratum.members) {
+                if let Some(mut choice) = Choice::of(&commit.compiled.rules, member) {
+                    *rows = choice.keep(std::mem::take(rows), commit.symbols);
+                }
+            }
+        }
         Ok((rows, 1))
     }
 

@@ -46,6 +46,8 @@ struct Height {
 #[derive(Clone)]
 pub(in crate::explain) enum Best {
     Input,
+    /// Its premises were removed.
+    Removed,
     Source(ClauseId),
     Derived {
         clause: ClauseId,
@@ -170,8 +172,8 @@ impl ProofSearch<'_> {
             })?;
         }
         let Some((height, clause, binding, rows)) = best else {
-            // Unreachable: a session holds only derived facts in derived predicates.
-            return Ok((0, Best::Input));
+            // A session holds only derived facts in derived predicates, so a subsumption has removed premises.
+            return Ok((0, Best::Removed));
         };
         let body = &rules.clauses[clause.index()].body;
         let rows = body.iter().zip(rows).map(|(literal, row)| match (literal, row) {

@@ -296,6 +296,37 @@ impl<'s> ProofSearch<'s> {
         Ok((rows.len() > 0).then(|| self.row(id, rows.get(0)).to_vec()))
     }
 
+    /// Returns a row that makes a row of the predicate superfluous. `pairs` has such pairs.
+    pub(super) fn stronger(
+        &self,
+        id: PredicateId,
+        pairs: PredicateId,
+        row: &[Option<Value>],
+    ) -> Result<Option<Vec<Value>>, ExplainError> {
+        for position in 0..u32::try_from(self.len(id)).unwrap_or(u32::MAX) {
+            self.step()?;
+            let stronger = self.row(id, position).to_vec();
+            let pair: Pattern = row.iter().copied().chain(stronger.iter().copied().map(Some)).collect();
+            for clause in self.clauses_of(pairs) {
+                let clause = &self.rules().clauses[clause.index()];
+                let mut binding: Binding = vec![None; clause.variables.len()];
+                if bind_head(clause, &pair, &mut binding).is_err() {
+                    continue;
+                }
+                let (binding, failing) = self.nearest(clause, binding)?;
+                // The weaker row itself does not hold.
+                let is_weaker = |literal: &usize| match &clause.body[*literal] {
+                    Literal::Positive(atom) => atom.predicate == id && pattern(atom, &binding) == row,
+                    _ => false,
+                };
+                if failing.iter().all(is_weaker) {
+                    return Ok(Some(stronger));
+                }
+            }
+        }
+        Ok(None)
+    }
+
     pub(super) fn some_row(&self, id: PredicateId, pattern: &[Option<Value>]) -> Result<bool, ExplainError> {
         Ok(self.first_row(id, pattern)?.is_some())
     }

@@ -3,7 +3,7 @@
 use crate::codes;
 use crate::diag::Diagnostic;
 use crate::syntax::ast::Comparison;
-use crate::syntax::ast::{Atom, Clause, Literal, Operator, Place, Term, TermKind};
+use crate::syntax::ast::{Atom, Clause, Item, Literal, Operator, Place, Subsumption, Term, TermKind};
 use crate::syntax::functor::{AggregateOp, Functor};
 use crate::syntax::lexer::{CONJUNCTION, DISJUNCTION, IMPLICATION, Kind, NEGATION, Token};
 
@@ -33,7 +33,7 @@ impl Parser<'_> {
         }
     }
 
-    pub(super) fn clause(&mut self, doc: String) -> Parse<Clause> {
+    pub(super) fn clause(&mut self, doc: String) -> Parse<Item> {
         let start = self.token();
         if self.is_negation(start) {
             return Err(self.expected_item(" (a head cannot be negated)"));
@@ -49,11 +49,34 @@ impl Parser<'_> {
         let mut body = Vec::new();
         match self.kind() {
             Kind::LessEqual => {
-                let span = self.span(self.token());
-                let rest = self.tokens[self.at..].iter().map(|token| token.kind);
-                let has_body = rest.take_while(|kind| *kind != Kind::Dot).any(|kind| kind == Kind::If);
-                let help = if has_body { DOMINATED } else { IMPLICATION };
-                return Err(self.unsupported(span, "subsumption (`<=` between heads) is", help));
+                let sign = self.bump();
+                let mut heads = heads;
+                let stronger = self.atom("the arguments of the atom: `(`")?;
+                let place = self.span(sign);
+                let (Some(weaker), true, true) = (heads.pop(), heads.is_empty(), probabilities.is_empty()) else {
+                    let fault = Diagnostic::new(codes::SYNTAX, "`<=` after several heads").at(place, "");
+                    self.faults.push(fault.help("write one subsumption for each of them"));
+                    return Err(Reported);
+                };
+                if weaker.predicate.text != stronger.predicate.text || self.kind() != Kind::If {
+                    let fault = Diagnostic::new(codes::SYNTAX, "`<=` between heads is no implication").at(place, "");
+                    let help = format!(
+                        "{IMPLICATION}; a subsumption is about two rows of one predicate, as in \
+                         `A(x, n) <= A(x, m) :- m < n.`"
+                    );
+                    self.faults.push(fault.help(help));
+                    return Err(Reported);
+                }
+                self.bump();
+                let body = self.disjunction()?;
+                self.full_stop("`,` or `.`", start)?;
+                return Ok(Item::Subsumption(Subsumption {
+                    weaker,
+                    stronger,
+                    body,
+                    doc,
+                    place: self.place_from(start),
+                }));
             }
             kind if kind == Kind::If || self.skip_foreign(IMPLICATION, "`:-`") => {
                 self.eat(Kind::If);
@@ -66,13 +89,13 @@ impl Parser<'_> {
             }
             _ => self.full_stop("`:-` or `.`", start)?,
         }
-        Ok(Clause {
+        Ok(Item::Clause(Clause {
             heads,
             probabilities,
             body,
             doc,
             place: self.place_from(start),
-        })
+        }))
     }
 
     /// `A(x), B(x)`
@@ -563,10 +586,6 @@ const EACH_HEAD: &str = "each head of such a clause has a probability: `0.3 :: A
 /// Help for several heads with one probability.
 const ONE_HEAD: &str = "`;` separates alternatives, of which at most one is drawn; for several consequences of one draw, \
                         draw a predicate of its own and derive them from it";
-
-/// Help for programs that use subsumption.
-const DOMINATED: &str = "derive all rows into another predicate, and copy those that no other row dominates: \
-                         `A(x) :- All(x), !Dominated(x).`";
 
 /// The words for the quantifiers in logic and other languages.
 const FOR_ALL: &[&str] = &["forall", "forAll", "Forall", "ForAll", "FORALL", "foreach"];

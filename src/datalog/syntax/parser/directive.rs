@@ -86,6 +86,7 @@ impl Parser<'_> {
             "input" => self.mark(MarkKind::Input).map(|mark| Some(Item::Mark(mark))),
             "output" => self.mark(MarkKind::Output).map(|mark| Some(Item::Mark(mark))),
             "printsize" => self.mark(MarkKind::PrintSize).map(|mark| Some(Item::Mark(mark))),
+            "limitsize" => self.mark(MarkKind::LimitSize).map(|mark| Some(Item::Mark(mark))),
             "include" => {
                 if self.kind() != Kind::String {
                     return Err(self.expected("the file's name in quotes"));
@@ -156,13 +157,9 @@ impl Parser<'_> {
                 }
                 if let Some((_, what)) = FOREIGN_DIRECTIVES.iter().find(|(foreign, _)| *foreign == name) {
                     let verb = if what.contains('(') { "are" } else { "is" };
-                    let help = match name {
-                        "lattice" => LATTICES,
-                        _ => "remove it; evaluation stops when the rules derive too many rows",
-                    };
-                    self.unsupported(span, &format!("{what} {verb}"), help);
+                    self.unsupported(span, &format!("{what} {verb}"), LATTICES);
                     let declared = self.token();
-                    self.skip_foreign_directive(name);
+                    self.skip_foreign_directive();
                     // Columns may name the type of a lattice.
                     let is_type = name == "lattice" && declared.kind == Kind::Ident;
                     return Ok(is_type.then(|| {
@@ -211,27 +208,12 @@ impl Parser<'_> {
         }
     }
 
-    /// Skips the rest of a directive of Soufflé after its name.
-    fn skip_foreign_directive(&mut self, name: &str) {
-        match name {
-            // `.lattice L<> { ... }`
-            "lattice" => {
-                while !matches!(self.kind(), Kind::LBrace | Kind::End | Kind::Preprocessor)
-                    && !self.at_known_directive()
-                {
-                    self.bump();
-                }
-                self.skip_group(Kind::LBrace, Kind::RBrace, true);
-            }
-            // `.limitsize P, Q(n=3)`
-            _ => {
-                self.skip_name();
-                while self.eat(Kind::Comma) {
-                    self.skip_name();
-                }
-                self.skip_group(Kind::LParen, Kind::RParen, false);
-            }
+    /// Skips the rest of a directive of Soufflé after its name: `.lattice L<> { ... }`
+    fn skip_foreign_directive(&mut self) {
+        while !matches!(self.kind(), Kind::LBrace | Kind::End | Kind::Preprocessor) && !self.at_known_directive() {
+            self.bump();
         }
+        self.skip_group(Kind::LBrace, Kind::RBrace, true);
     }
 
     /// `.functor f(x: number, symbol): number stateful`
@@ -264,13 +246,6 @@ impl Parser<'_> {
             stateful,
             doc,
         })
-    }
-
-    /// Skips a name, which may have dots.
-    pub(super) fn skip_name(&mut self) {
-        if self.eat(Kind::Ident) {
-            self.skip_parts();
-        }
     }
 
     /// `.comp A<T> : B<T>, C { ... }`
@@ -476,6 +451,7 @@ impl Parser<'_> {
                 names,
                 columns: None,
                 qualifiers: Vec::new(),
+                choices: Vec::new(),
                 doc,
             });
         }
@@ -494,10 +470,14 @@ impl Parser<'_> {
                 .note("it is a comparison of strings");
             self.faults.push(fault);
         }
-        let mut qualifiers = Vec::new();
+        let (mut qualifiers, mut choices) = (Vec::new(), Vec::new());
         while readable && self.names_more() {
+            if self.at_choice() {
+                choices.extend(self.choices()?);
+                continue;
+            }
             if !QUALIFIERS.contains(&self.slice(self.token())) {
-                match self.foreign_qualifier(&first, columns.as_deref().unwrap_or_default()) {
+                match self.foreign_qualifier() {
                     true => continue,
                     false => break,
                 }
@@ -516,8 +496,39 @@ impl Parser<'_> {
             names,
             columns,
             qualifiers,
+            choices,
             doc,
         })
+    }
+
+    fn at_choice(&self) -> bool {
+        self.slice(self.token()) == "choice"
+            && self.ahead(1).kind == Kind::Minus
+            && self.slice(self.ahead(2)) == "domain"
+    }
+
+    /// `choice-domain x, (y, z)`
+    fn choices(&mut self) -> Parse<Vec<Vec<Name>>> {
+        (0..3).for_each(|_| _ = self.bump());
+        let mut choices = Vec::new();
+        loop {
+            let mut columns = Vec::new();
+            if self.eat(Kind::LParen) {
+                loop {
+                    columns.push(self.name("a column")?);
+                    if !self.eat(Kind::Comma) {
+                        break;
+                    }
+                }
+                self.wanted(Kind::RParen, "`,` or `)`")?;
+            } else {
+                columns.push(self.name("a column, or `(` and columns")?);
+            }
+            choices.push(columns);
+            if !self.eat(Kind::Comma) {
+                return Ok(choices);
+            }
+        }
     }
 
     /// Parses the columns of the predicate `of`. `None` if one has the type of a lattice.
@@ -636,49 +647,17 @@ impl Parser<'_> {
         ))
     }
 
-    /// Skips and reports a qualifier of Soufflé that the language does not have: `choice-domain ...`. Returns
-    /// whether there is one.
-    fn foreign_qualifier(&mut self, of: &str, columns: &[ColumnDecl]) -> bool {
-        let first = self.token();
-        let is_choice =
-            self.slice(first) == "choice" && self.ahead(1).kind == Kind::Minus && self.slice(self.ahead(2)) == "domain";
-        let is_other = matches!(self.slice(first), "provenance" | "override");
-        if !is_choice && !is_other {
+    /// Skips and reports a qualifier of Soufflé that the language does not have: `provenance`. Returns whether there is
+    /// one.
+    fn foreign_qualifier(&mut self) -> bool {
+        let word = self.token();
+        if !matches!(self.slice(word), "provenance" | "override") {
             return false;
         }
         self.bump();
-        let mut word = self.slice(first).to_owned();
-        let mut span = self.span(first);
-        if is_choice {
-            self.bump();
-            let domain = self.bump();
-            span = span.to(self.span(domain));
-            "choice-domain".clone_into(&mut word);
-            // `x, (y, z)`
-            loop {
-                self.skip_name();
-                self.skip_group(Kind::LParen, Kind::RParen, false);
-                if !self.eat(Kind::Comma) {
-                    break;
-                }
-            }
-        }
-        let help = match (word.as_str(), columns) {
-            ("choice-domain", [key, value]) => {
-                let (key, value) = (&key.name.text, &value.name.text);
-                format!(
-                    "to keep one row for each `{key}`, derive all rows into another predicate and choose one: \
-                     `{of}({key}, {value}) :- All({key}, _), {value} = min v : {{ All({key}, v) }}.`"
-                )
-            }
-            ("choice-domain", _) => format!(
-                "to keep one row for each key, derive all rows into another predicate and choose one with an aggregate: \
-                 `{of}(x, y) :- All(x, _), y = min v : {{ All(x, v) }}.`"
-            ),
-            // They concern only storage.
-            _ => "remove it".to_owned(),
-        };
-        self.unsupported(span, &format!("the qualifier `{word}` is"), &help);
+        let what = format!("the qualifier `{}` is", self.slice(word));
+        // They concern only storage.
+        self.unsupported(self.span(word), &what, "remove it");
         true
     }
 

@@ -34,6 +34,7 @@ pub const DIRECTIVES: &[&str] = &[
     "input",
     "output",
     "printsize",
+    "limitsize",
     "pragma",
     "plan",
     "include",
@@ -91,7 +92,7 @@ const PAST: &str = "temporal operators are about the past: `P(x) since[0,9] Q(x)
 pub const FULL_STOP: &str = "a clause ends with a full stop";
 
 /// Directives of Soufflé that this language does not have, with their descriptions.
-const FOREIGN_DIRECTIVES: &[(&str, &str)] = &[("lattice", "lattices (`.lattice`)"), ("limitsize", "`.limitsize`")];
+const FOREIGN_DIRECTIVES: &[(&str, &str)] = &[("lattice", "lattices (`.lattice`)")];
 
 /// Type directives of older Soufflé versions, with the supertype they imply.
 const OLD_TYPES: &[(&str, BaseType)] = &[("symbol_type", BaseType::Symbol), ("number_type", BaseType::Number)];
@@ -567,7 +568,7 @@ impl<'a> Parser<'a> {
                     let word = self.bump();
                     self.rest_of_directive(name, word, doc)
                 }
-                None => self.clause(doc).map(|clause| Some(Item::Clause(clause))),
+                None => self.clause(doc).map(Some),
             },
             Kind::Bang => Err(self.expected_item(" (a head cannot be negated)")),
             Kind::Hash if self.slice(self.ahead(1)) == "include" && self.ahead(2).kind == Kind::String => {
@@ -584,7 +585,7 @@ impl<'a> Parser<'a> {
                 self.preprocessor(token);
                 Ok(None)
             }
-            _ if self.is_drawn() => self.clause(doc).map(|clause| Some(Item::Clause(clause))),
+            _ if self.is_drawn() => self.clause(doc).map(Some),
             _ => {
                 let reported = self.expected_item("");
                 self.bump();

@@ -1,0 +1,239 @@
+//! Subsumption: every program derives what the naive evaluator derives, at once and by increments.
+
+use crate::choice::{Random, compare, explain, predicate, program, shown};
+use crate::component::load;
+use logicity_datalog::diag::Sources;
+use logicity_datalog::explain::ExplanationPrinter;
+use logicity_datalog::{PredicateId, Program, Value, facts, format, parse, print};
+
+/// Programs with what some of their predicates hold.
+const PROGRAMS: &[(&str, &[(&str, &str)])] = &[
+    // Facts, constants, `_`, several subsumptions, a negation; neither row subsumes itself.
+    (
+        ".decl m(x: number)\nm(1). m(2). m(3).\n.decl r(x: number)\nr(1).\nm(x) <= m(y) :- !r(x), m(y).\n\
+         .decl p(x: symbol, n: number)\np(\"a\", 1). p(\"a\", 3). p(\"b\", 2). p(\"b\", 0). p(\"c\", 9).\np(x, n) <= p(x, m) :- n < m.\np(_, 9) <= p(_, 3) :- true.\n\
+         .decl o(x: symbol)\no(x) :- p(x, _).\n",
+        &[("m", "1\n"), ("p", "a\t3\nb\t2\n"), ("o", "a\nb\n")],
+    ),
+    // Of rows that make each other superfluous, the greatest one holds.
+    (
+        ".decl p(x: symbol, n: number)\np(\"b\", 1). p(\"a\", 1). p(\"c\", 1). p(\"d\", 2).\np(_, n) <= p(_, m) :- n <= m, m < 2.\n",
+        &[("p", "c\t1\nd\t2\n")],
+    ),
+    // Shortest paths on a graph with a cycle, where the recursion ends since longer paths do not hold.
+    (
+        ".decl e(x: number, y: number, w: number)\ne(0, 1, 4). e(0, 2, 1). e(2, 1, 2). e(1, 3, 1). e(2, 3, 5). e(3, 0, 1).\n\
+         .decl d(x: number, w: number)\nd(0, 0). d(y, v + w) :- d(x, v), e(x, y, w).\nd(x, v) <= d(x, w) :- w < v.\n",
+        &[("d", "0\t0\n1\t3\n2\t1\n3\t4\n")],
+    ),
+    // Intervals that contain others, in a component, with an aggregate over what holds.
+    (
+        ".comp C { .decl i(a: number, b: number)\ni(1, 5). i(2, 3). i(4, 9). i(a, d) :- i(a, b), i(c, d), c <= b, a < c.\ni(a, b) <= i(c, d) :- c <= a, b <= d. }\n\
+         .init c = C\n.decl n(n: number)\nn(n) :- n = count : { c.i(_, _) }.\n",
+        &[("c.i", "1\t9\n"), ("n", "1\n")],
+    ),
+    // A component that overrides a predicate has none of its subsumptions.
+    (
+        ".comp A { .decl p(x: number) overridable\np(1). p(2). p(x) <= p(y) :- x < y. }\n.comp B : A { .override p\np(1). p(2). }\n\
+         .init a = A\n.init b = B\n.decl o(x: number)\no(x) :- a.p(x), b.p(x).\n",
+        &[("a.p", "2\n"), ("b.p", "1\n2\n"), ("o", "2\n")],
+    ),
+    // The body reads a predicate of the same recursion.
+    (
+        ".decl a(x: number)\na(1). a(x + 1) :- b(x), x < 5.\n.decl b(x: number)\nb(x) :- a(x).\na(x) <= a(y) :- b(y), x + 1 < y.\n",
+        &[("a", "4\n5\n"), ("b", "1\n2\n3\n4\n5\n")],
+    ),
+];
+
+#[test]
+fn programs_derive_what_the_naive_evaluator_derives() {
+    for (text, wanted) in PROGRAMS {
+        let mut session = program(text).session();
+        session.commit().unwrap_or_else(|error| panic!("{error}\n{text}"));
+        compare(&session, text);
+        for (name, rows) in *wanted {
+            assert_eq!(shown(&session, name), *rows, "{name}\n{text}");
+        }
+        let mut sources = Sources::new();
+        let id = sources.add("a.dl", *text);
+        let tree = parse(&sources, id).file;
+        for printed in [print(&tree), format(&sources, id).expect("parses")] {
+            let mut again = program(&printed).session();
+            again.commit().expect("small");
+            for (name, rows) in *wanted {
+                assert_eq!(shown(&again, name), *rows, "{name}\n{printed}");
+            }
+        }
+    }
+}
+
+/// Returns a program of three strata over an input predicate, with subsumptions.
+fn random_program(random: &mut Random) -> String {
+    let mut text = ".decl e(x: symbol, y: number)\n.input e\n.decl i(x: symbol, y: number)\n.input i\ni(x, y) <= i(x, z) :- z < y.\n".to_owned();
+    for stratum in 0..3 {
+        text += &format!(".decl p{stratum}(x: symbol, y: number)\n.decl q{stratum}(x: symbol, y: number)\n");
+        let before = match stratum {
+            0 => vec!["e".to_owned(), "i".to_owned()],
+            _ => vec![format!("p{}", stratum - 1), format!("q{}", stratum - 1), "e".to_owned()],
+        };
+        let before: Vec<&str> = before.iter().map(String::as_str).collect();
+        for _ in 0..1 + random.below(2) {
+            let order = random.of(&[
+                "y < z",
+                "z < y",
+                "y <= z",
+                "z < y, e(x, _)",
+                "y != z, !e(x, y)",
+                "w < x, y = z",
+            ]);
+            let of = random.of(&["p", "q"]);
+            let other = random.of(&["x", "x", "w"]);
+            let same = if other == "w" && !order.contains("w <") {
+                ", w >= x"
+            } else {
+                ""
+            };
+            let order = if other == "x" {
+                order.replace("w < x", "y != z")
+            } else {
+                order.to_owned()
+            };
+            text += &format!("{of}{stratum}(x, y) <= {of}{stratum}({other}, z) :- {order}{same}.\n");
+        }
+        for _ in 0..2 + random.below(4) {
+            let (one, other) = (random.of(&before), random.of(&before));
+            text += &match random.below(7) {
+                0 | 1 => format!("p{stratum}(x, y) :- {one}(x, y).\n"),
+                2 => format!("p{stratum}(x, y) :- p{stratum}(x, z), {one}(_, y), z != y.\n"),
+                3 => format!("p{stratum}(x, y + 1) :- p{stratum}(x, y), {one}(x, _), y < 6.\n"),
+                4 => format!(
+                    "q{stratum}(x, y) :- p{stratum}(x, y), {one}(_, y). q{stratum}(x, y) :- q{stratum}(z, y), {other}(x, _), p{stratum}(z, _).\n"
+                ),
+                5 => format!("p{stratum}(x, y) :- q{stratum}(x, y), {other}(x, _).\n"),
+                _ => format!("q{stratum}(x, c) :- {one}(x, _), c = count : {{ {other}(x, _) }}.\n"),
+            };
+        }
+    }
+    text
+}
+
+#[test]
+fn random_programs_derive_what_the_naive_evaluator_derives() {
+    for seed in 0..150 {
+        let mut random = Random(seed);
+        let text = random_program(&mut random);
+        let program = program(&text);
+        let mut session = program.session();
+        for step in 0..4 {
+            for _ in 0..5 {
+                let row = (random.of(&["b", "a", "d", "c"]), random.below(4));
+                let name = random.of(&["e", "i"]);
+                match random.below(3) {
+                    0 => session.retract(name, row),
+                    _ => session.insert(name, row),
+                }
+                .expect("a row");
+            }
+            session.commit().expect("small");
+            compare(&session, &text);
+            let mut fresh = program.session();
+            for name in ["e", "i"] {
+                let stored = predicate(&session, name);
+                let stored = program.rules().predicates[stored.index()].edb.unwrap_or(stored);
+                let lines = facts::print(&session, stored);
+                for line in lines.lines().rev() {
+                    let (x, y) = line.split_once('\t').expect("two columns");
+                    fresh
+                        .insert(name, (x, y.parse::<i32>().expect("a number")))
+                        .expect("a row");
+                }
+            }
+            fresh.commit().expect("small");
+            for id in (0..).map(PredicateId).take(program.rules().predicates.len()) {
+                let name = &program.rules().predicates[id.index()].name;
+                assert_eq!(
+                    facts::print(&session, id),
+                    facts::print(&fresh, id),
+                    "{name}, seed {seed}, step {step}\n{text}"
+                );
+            }
+            explain(&session, &text);
+        }
+    }
+}
+
+#[test]
+fn explanations_name_the_row_that_holds_instead() {
+    let (text, _) = PROGRAMS[2];
+    let (sources, loaded) = load(text);
+    let program = Program::new(loaded.rules.expect("valid")).expect("small");
+    let mut session = program.session();
+    session.commit().expect("small");
+    let printer = ExplanationPrinter::new(program.rules(), session.symbols(), &sources);
+    let pattern = [1, 4].map(|n| Some(Value::number(n)));
+    let explanation = session
+        .explain_absence(predicate(&session, "d"), &pattern)
+        .expect("small")
+        .expect("absent");
+    let said = printer.tree(&explanation);
+    assert!(said.contains("d(1, 3) holds instead"), "{said}");
+    // The premise of this row holds no more.
+    let text = ".decl a(x: number)\na(1). a(x + 1) :- a(x), x < 3.\na(x) <= a(y) :- x = 2, y = 3.\n";
+    let (sources, loaded) = load(text);
+    let program = Program::new(loaded.rules.expect("valid")).expect("small");
+    let mut session = program.session();
+    session.commit().expect("small");
+    assert_eq!(shown(&session, "a"), "1\n3\n");
+    let printer = ExplanationPrinter::new(program.rules(), session.symbols(), &sources);
+    let proof = session
+        .explain(predicate(&session, "a"), &[Value::number(3)])
+        .expect("small")
+        .expect("holds");
+    assert_eq!(
+        printer.tree(&proof),
+        "a(3)  derived from rows that a subsumption has removed\n"
+    );
+}
+
+#[test]
+fn faults_say_what_is_wrong() {
+    let declared = ".decl p(x: number, y: number)\n.decl q(x: number)\np(1, 2). q(1).\n";
+    for (clause, code, message) in [
+        ("q(x) <= p(x, _).", "syntax", "`<=` between heads is no implication"),
+        (
+            "q(x) <= p(x, _) :- q(x).",
+            "syntax",
+            "`<=` between heads is no implication",
+        ),
+        ("q(x) <= q(y).", "syntax", ""),
+        ("q(x), q(2) <= q(y) :- x < y.", "syntax", "`<=` after several heads"),
+        ("q(x) <= q(y, 1) :- x < y.", "arity-mismatch", ""),
+        ("q(x) <= q(y) :- x < z.", "unbound-variable", ""),
+        ("q(x) <= q(y) :- x < \"a\".", "type-mismatch", ""),
+        ("q(x) <= q(y) :- x < y, r(x).", "unknown-predicate", ""),
+        (
+            "r(x) <= r(y) :- x < y.",
+            "unknown-predicate",
+            "no predicate `r` is declared",
+        ),
+        (
+            "q(x) <= q(y) :- !s(x), x < y.\n.decl s(x: number)\ns(x) :- q(x).",
+            "cyclic-negation",
+            "",
+        ),
+        (
+            ".decl k(x: number, y: number) choice-domain x\nk(1, 2).\nk(x, y) <= k(x, z) :- y < z.",
+            "unsupported",
+            "both keys and a subsumption",
+        ),
+    ] {
+        let (_, loaded) = load(&format!("{declared}{clause}\n"));
+        let faults: Vec<_> = loaded
+            .diagnostics
+            .iter()
+            .map(|fault| (fault.code.name(), &fault.message))
+            .collect();
+        let fits = |(found, said): &(&str, &String)| *found == code && said.contains(message);
+        assert!(faults.iter().any(fits), "{clause}: {faults:?}");
+    }
+}
