@@ -69,7 +69,7 @@ crate::diagnostic_codes! {
     DEAD_CLAUSE = "dead-clause", Warning;
     /// A feature of Soufflé, or a declaration of a task, that is accepted and has no effect here.
     IGNORED = "ignored", Warning;
-    /// A type declaration in the notation of older Soufflé versions.
+    /// A type declaration or a string in the notation of older Soufflé versions.
     OLD_FORM = "old-form", Warning;
     /// A body with two literals that never hold together.
     CONTRADICTORY_BODY = "contradictory-body", Warning;

@@ -509,6 +509,36 @@ fn faults_say_what_is_wrong() {
     }
 }
 
+#[test]
+fn faulty_types_are_reported_once() {
+    for text in [
+        ".type A = B {x: nothing}\n.decl p(a: A)\np($B(1)). p(x) :- p(x), x = $B(_).\n",
+        ".decl p(a: nothing, b: number)\n.decl q, w(x: number)\np([x, 1], x) :- q(x). w(x) :- !p([x, nil], x), q(x).\nq(1).\n",
+        ".type A = [x: nothing]\n.decl p(a: A)\np([1]).\n",
+    ] {
+        let found = messages(text);
+        let errors: Vec<_> = found.iter().filter(|(code, _)| *code != "ignored").collect();
+        assert!(matches!(errors[..], [("unknown-type", _)]), "{text}: {found:?}");
+    }
+    let found = messages(&format!("{TYPES}p(r) :- p(r), s(r).\n"));
+    assert!(!found.is_empty());
+    let (_, loaded) = load(&format!("{TYPES}s(\"a\"). s(r) :- p(r).\n"));
+    let helps = loaded.diagnostics.iter().flat_map(|fault| &fault.help);
+    assert!(
+        helps.into_iter().all(|help| !help.contains("to_")),
+        "{:?}",
+        loaded.diagnostics
+    );
+}
+
+#[test]
+fn records_have_ordinal_numbers() {
+    let text = ".type P = [a: number]\n.decl p(p: P)\np([1]). p([2]). p(nil).\n.decl same(p: P)\nsame(p) :- p(p), p(q), ord(p) = ord(q), p = [_].\n";
+    let mut session = program(text).session();
+    session.commit().expect("small");
+    assert_eq!(facts::print(&session, predicate(&session, "same")), "[1]\n[2]\n");
+}
+
 /// A linear congruential generator.
 struct Random(u64);
 

@@ -255,7 +255,7 @@ impl Functor {
     }
 
     pub(crate) fn shape(self) -> Shape {
-        use BaseType::{Float, Number, Symbol, Unsigned};
+        use BaseType::{Float, Number, Record, Symbol, Unsigned};
         match self {
             Negate => Shape::Same(SIGNED),
             Subtract | Multiply | Divide | Power | Range => Shape::Same(NUMERIC),
@@ -265,7 +265,7 @@ impl Functor {
             Cat => Shape::Same(&[Symbol]),
             Length => Shape::Fixed(&[Symbol], Number),
             Substring => Shape::Fixed(&[Symbol, Number, Number], Symbol),
-            Ordinal => Shape::Fixed(&[Symbol], Number),
+            Ordinal => Shape::Convert(&[Symbol, Record], Number),
             ToNumber => Shape::Convert(ANY, Number),
             ToSymbol => Shape::Convert(ANY, Symbol),
             ToFloat => Shape::Convert(ANY, Float),

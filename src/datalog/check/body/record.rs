@@ -48,7 +48,11 @@ impl<'c> Check<'_, 'c> {
         };
         if let Some((name, span)) = branch {
             match self.names.branch(name) {
-                Ok(ty) => self.narrow(to.index(), Use { ty, span: term.place.0 }),
+                Ok(Some(ty)) => self.narrow(to.index(), Use { ty, span: term.place.0 }),
+                Ok(None) => {
+                    self.sound = false;
+                    self.excuse(to);
+                }
                 Err(near) => {
                     let message = format!("no type has a branch `{name}`");
                     let fault = Diagnostic::new(codes::UNKNOWN_TYPE, message).at(span, "");
@@ -89,11 +93,20 @@ impl<'c> Check<'_, 'c> {
                 _ => None,
             }));
         // If nothing else determines the type of a record, its uses in the head and in negated atoms do.
-        let hints: Vec<(VarId, TypeId)> = atoms
+        let uses: Vec<(VarId, Option<TypeId>)> = atoms
             .flat_map(|atom| {
                 let columns = atom.terms.iter().enumerate();
-                columns.filter_map(|(column, term)| Some((term.variable()?, self.column(atom.predicate, column)?)))
+                columns.filter_map(|(column, term)| Some((term.variable()?, self.column(atom.predicate, column))))
             })
+            .collect();
+        // The type of the column has been reported.
+        for (id, _) in uses.iter().filter(|(_, ty)| ty.is_none()) {
+            let group = self.group(id.index());
+            self.variables[group].excused = true;
+            self.excuse(*id);
+        }
+        let hints: Vec<(VarId, TypeId)> = (uses.into_iter())
+            .filter_map(|(id, ty)| Some((id, ty?)))
             .chain(pending.iter().flat_map(|pending| self.arguments_of(pending)))
             .filter(|(_, ty)| self.names.base(*ty) == BaseType::Record)
             .collect();

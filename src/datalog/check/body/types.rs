@@ -350,7 +350,9 @@ impl<'c> Check<'_, 'c> {
             let operand = *operand;
             if let TieKind::Probability = tie.kind {
                 fault = fault.help("convert it: `to_float(n) / 100.0`");
-            } else if (*found == BaseType::Symbol) != (tie.allowed[0] == BaseType::Symbol) {
+            } else if (*found == BaseType::Symbol) != (tie.allowed[0] == BaseType::Symbol)
+                && ![*found, tie.allowed[0]].contains(&BaseType::Record)
+            {
                 let mend = self.rewritten(operand, tie.allowed[0]).or_else(|| {
                     let id = self.variable_of(operand)?;
                     Some(format!("convert it: `{}`", self.converted(id, tie.allowed[0])))
@@ -569,7 +571,9 @@ impl<'c> Check<'_, 'c> {
             fault = fault.help(format!(
                 "declare both columns with one type, or convert the value: `as({name}, {wanted})`"
             ));
-        } else {
+        } else if self.names.base(wanted_type) != BaseType::Record
+            && self.base_of_variable(id) != Some(BaseType::Record)
+        {
             let converted = self.converted(id, self.names.base(wanted_type));
             fault = fault.help(format!(
                 "convert the value: `{converted}`, or declare the columns with one type"

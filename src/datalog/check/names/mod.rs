@@ -45,8 +45,8 @@ pub(crate) struct Names {
     type_by_name: HashMap<String, Option<TypeId>>,
     /// The places of all type declarations, also of aliases.
     declared_types: HashMap<String, Span>,
-    /// The types and places of the branches of algebraic data types.
-    branches: indexmap::IndexMap<String, (TypeId, Span)>,
+    /// The types and places of the branches of algebraic data types; `None` for a faulty type.
+    branches: indexmap::IndexMap<String, (Option<TypeId>, Span)>,
     /// The declared functors.
     pub functors: Vec<UserFunctor>,
     /// The positions of functors among them; `None` for a faulty declaration.
@@ -255,8 +255,8 @@ impl Names {
         self.types[id.0 as usize].base
     }
 
-    /// Returns the type with this branch; `Err` with a similar name if there is none.
-    pub fn branch(&self, name: &str) -> Result<TypeId, Option<String>> {
+    /// Returns the type with this branch, `None` if that is faulty; `Err` with a similar name if there is none.
+    pub fn branch(&self, name: &str) -> Result<Option<TypeId>, Option<String>> {
         match self.branches.get(name) {
             Some((ty, _)) => Ok(*ty),
             None => Err(did_you_mean(name, self.branches.keys().map(String::as_str)).map(str::to_owned)),

@@ -103,6 +103,9 @@ impl Names {
             if let Some(id) = self.type_by_name[&decl.name.text]
                 && faulty[id.0 as usize]
             {
+                for (branch, _) in self.branches.values_mut().filter(|(ty, _)| *ty == Some(id)) {
+                    *branch = None;
+                }
                 self.type_by_name.insert(decl.name.text.clone(), None);
             }
         }
@@ -149,7 +152,7 @@ impl Names {
                     }
                 }
                 if let Some(branch) = branch
-                    && let Some((_, earlier)) = self.branches.insert(branch.text.clone(), (id, branch.place.0))
+                    && let Some((_, earlier)) = self.branches.insert(branch.text.clone(), (Some(id), branch.place.0))
                 {
                     let message = format!("two branches are called `{}`", branch.text);
                     let fault = Diagnostic::new(codes::DUPLICATE_DECLARATION, message)

@@ -723,20 +723,26 @@ impl<'a> Parser<'a> {
                 Some((_, 'v')) => out.push('\u{b}'),
                 Some((_, 'f')) => out.push('\u{c}'),
                 Some((_, c @ ('"' | '\'' | '\\'))) => out.push(c),
-                Some((_, c)) => bad.push((at, c)),
+                Some((_, c)) => {
+                    out.extend(['\\', c]);
+                    bad.push((at, c));
+                }
                 None => {}
             }
         }
         for (at, c) in bad {
             let start = token.start as usize + 1 + at;
-            let fault = Diagnostic::new(codes::SYNTAX, "unknown escape in a string")
-                .at(Span::new(self.source, start..start + 1 + c.len_utf8()), "")
-                .help(format!(
-                    "write `\\\\{c}` for a backslash before `{c}`, as in a regular expression"
-                ))
-                .note(
-                    "the escapes are `\\n`, `\\r`, `\\t`, `\\0`, `\\a`, `\\b`, `\\v`, `\\f`, `\\\"`, `\\'` and `\\\\`",
-                );
+            let span = Span::new(self.source, start..start + 1 + c.len_utf8());
+            let fault = Diagnostic::new(
+                codes::OLD_FORM,
+                "unknown escape in a string: the backslash stands for itself",
+            )
+            .at(span, "")
+            .help(format!(
+                "write `\\\\{c}` for a backslash before `{c}`, as in a regular expression"
+            ))
+            .fix("write two backslashes", [(span, format!("\\\\{c}"))])
+            .note("the escapes are `\\n`, `\\r`, `\\t`, `\\0`, `\\a`, `\\b`, `\\v`, `\\f`, `\\\"`, `\\'` and `\\\\`");
             self.faults.push(fault);
         }
         out
