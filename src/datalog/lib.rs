@@ -156,8 +156,8 @@ mod workspace;
 pub use analysis::{constraints, diff};
 pub use check::{
     Atom, Clause, ClauseId, Column, Comparing, Constraint, DeclaredConstraint, Directive, Draw, Function, FunctorBatch,
-    FunctorError, InputPolicy, Literal, Past, PastOperator, Predicate, PredicateId, RecordShape, RowFormat, RowPlace,
-    Rules, Stratum, Term, Type, TypeId, UserFunctor, VarId, drawn_probabilities,
+    FunctorError, InputPolicy, Literal, Numbering, Past, PastOperator, Predicate, PredicateId, RecordShape, RowFormat,
+    RowPlace, Rules, Stratum, Term, Type, TypeId, UserFunctor, VarId, drawn_probabilities,
 };
 pub use convert::{AsPredicate, FromRow, FromValue, IntoRow, RowError, ToValue};
 pub use eval::delta::{Delta, PredicateChange, Rows};

@@ -64,6 +64,24 @@ pub fn evaluate(
 /// values, each row ceases to hold that another row makes superfluous. The rounds end when a predicate has as many rows as
 /// its limit.
 fn by_rounds(rules: &Rules, stratum: &Stratum, symbols: &Symbols, database: &mut Database) {
+    if let [id] = stratum.predicates[..]
+        && let Some(numbering) = &rules.predicates[id.index()].numbering
+    {
+        let columns = &rules.predicates[id.index()].columns[1..];
+        let mut rows: Vec<Vec<Value>> = database[numbering.solutions.index()].iter().cloned().collect();
+        rows.sort_by(|one, other| {
+            let columns = columns.iter().zip(one.iter().zip(other));
+            let orders = columns.map(|(column, (one, other))| value::compare(column.base, *one, *other, symbols));
+            orders.fold(Ordering::Equal, Ordering::then)
+        });
+        let before = numbering.before.iter();
+        let mut next: u32 = before.map(|(of, each)| database[of.index()].len() as u32 * each).sum();
+        for row in rows {
+            database[id.index()].insert([&[Value(next)], &row[..]].concat());
+            next += numbering.each;
+        }
+        return;
+    }
     let recursive = |clause: &Clause| {
         let mut atoms = clause.body.iter().filter_map(Literal::atom);
         atoms.any(|atom| stratum.predicates.contains(&atom.predicate))

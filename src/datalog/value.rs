@@ -70,8 +70,8 @@ impl Functor {
         let made = |text: &str| Some(Value(symbols.intern(text).0));
         match (self, arguments) {
             (Choose, _) => return choose(arguments, symbols),
-            // `Rules::call` does it.
-            (Call, _) => return None,
+            // `Rules::call` does it, and the evaluation of a stratum.
+            (Call | Counter, _) => return None,
             (Cast, [value]) => return Some(*value),
             (Pack, [shape, fields @ ..]) => return made(&record::encoded(shape.0, fields.iter().map(|field| field.0))),
             (Unpack, [shape, at, whole]) => return record::field(shape.0, at.0, whole.0, symbols).map(Value),

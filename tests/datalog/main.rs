@@ -8,6 +8,7 @@ mod choice;
 mod circuits;
 mod component;
 mod corpus;
+mod counter;
 mod dense;
 mod diff;
 mod dominance;

@@ -281,6 +281,12 @@ pub const WORDS: &[Word] = &[
         "A part of a symbol; positions count from 0.",
     ),
     word(
+        "autoinc",
+        Body,
+        "autoinc()",
+        "A number of its own for each solution of the body.",
+    ),
+    word(
         "ord",
         Body,
         "ord(s)",

@@ -23,6 +23,7 @@ mod chance;
 pub(crate) mod clause;
 mod clauses;
 mod constraints;
+mod counter;
 mod dominance;
 mod functors;
 pub(crate) mod inline;
@@ -47,9 +48,9 @@ pub use chance::{Draw, drawn_probabilities};
 pub use functors::{FunctorBatch, FunctorError};
 pub(crate) use rules::bind_all;
 pub use rules::{
-    Atom, Clause, ClauseId, Column, Constraint, DeclaredConstraint, Directive, Function, Literal, Past, PastOperator,
-    Predicate, PredicateId, RecordShape, RowFormat, RowPlace, Rules, Stratum, Term, Type, TypeId, UserFunctor, VarId,
-    shapes,
+    Atom, Clause, ClauseId, Column, Constraint, DeclaredConstraint, Directive, Function, Literal, Numbering, Past,
+    PastOperator, Predicate, PredicateId, RecordShape, RowFormat, RowPlace, Rules, Stratum, Term, Type, TypeId,
+    UserFunctor, VarId, shapes,
 };
 #[cfg(feature = "optimizer")]
 pub(crate) use subsets::Budget;
@@ -127,8 +128,10 @@ pub(crate) fn check(
         functors,
         ..
     } = names;
+    let mut predicates = predicates;
     let mut clauses: Vec<Clause> = checked.clauses.into_iter().map(|clause| clause.clause).collect();
     clauses.extend(checked.hidden);
+    counter::finish(&mut predicates, &mut clauses);
     let rules = Rules {
         strata: strata::order(&predicates, &clauses),
         types,

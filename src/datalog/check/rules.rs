@@ -122,10 +122,23 @@ pub struct Predicate {
     pub choices: Vec<Vec<usize>>,
     /// The hidden predicate with the pairs of rows of which the second one makes the first one superfluous.
     pub subsumption: Option<PredicateId>,
+    /// What numbers its rows, for the hidden predicate of a clause with `autoinc()`.
+    pub numbering: Option<Numbering>,
     /// `.limitsize`: the number of rows after which its recursion ends.
     pub size_limit: Option<usize>,
     /// Its `.input`, `.output` and `.printsize` directives with their options.
     pub directives: Vec<Directive>,
+}
+
+/// The numbers of the solutions of a body: in the order of their values, each as many as the clause needs.
+#[derive(Clone, Debug, PartialEq, Eq)]
+pub struct Numbering {
+    /// The predicate with the solutions: the columns behind the number.
+    pub solutions: PredicateId,
+    /// The numbers that each solution takes.
+    pub each: u32,
+    /// The solutions that are numbered before, with the numbers that each of them takes.
+    pub before: Vec<(PredicateId, u32)>,
 }
 
 /// One `.input`, `.output` or `.printsize` directive of a predicate.
@@ -211,6 +224,7 @@ impl Predicate {
             parameters: 0,
             choices: Vec::new(),
             subsumption: None,
+            numbering: None,
             size_limit: None,
             directives: Vec::new(),
         }
@@ -218,7 +232,8 @@ impl Predicate {
 
     /// Returns whether the rounds in which rows are derived determine which rows hold.
     pub(crate) fn depends_on_rounds(&self) -> bool {
-        !self.choices.is_empty() || self.subsumption.is_some() || self.size_limit.is_some()
+        let decides = !self.choices.is_empty() || self.subsumption.is_some();
+        decides || self.numbering.is_some() || self.size_limit.is_some()
     }
 
     /// Returns what messages call it: its name, or what it stands for if its name is only a number.

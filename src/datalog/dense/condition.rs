@@ -660,7 +660,8 @@ impl Body {
                 self.steps.push(step);
             }
             Literal::Compute {
-                functor: Functor::Call, ..
+                functor: Functor::Call | Functor::Counter,
+                ..
             } => return None,
             &Literal::Compute {
                 to,

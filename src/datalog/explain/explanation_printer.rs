@@ -516,6 +516,9 @@ impl<'a> ExplanationPrinter<'a> {
                 if let (Functor::Call, Some(called)) = (functor, self.rules.called(arguments)) {
                     return format!("{to} = @{}({})", called.name, shown[1..].join(", "));
                 }
+                if *functor == Functor::Counter {
+                    return format!("{to} = autoinc()");
+                }
                 format!("{to} = {}", applied(*functor, &shown))
             }
             Literal::Aggregate {

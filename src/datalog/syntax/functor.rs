@@ -110,6 +110,9 @@ pub enum Functor {
     /// `@f(x, y)`: a functor of the caller. The first argument is its position in [`Rules::functors`](crate::Rules).
     /// The base type of the literal is that of the result.
     Call,
+    /// `autoinc()`: a number of its own for each solution of a body. The checker reads it from a hidden predicate, whose
+    /// clause applies it to that predicate and the values of the solution.
+    Counter,
 }
 
 use Functor::*;
@@ -181,6 +184,7 @@ impl Functor {
         (Pack, "[...]"),
         (Unpack, "[...]"),
         (Call, "@"),
+        (Counter, "autoinc"),
     ];
 
     /// Returns the spelling of the functor.
@@ -247,6 +251,7 @@ impl Functor {
             Range => (2, 3),
             Choose => (chance::FIXED, usize::MAX),
             Pack | Call => (1, usize::MAX),
+            Counter => (0, 0),
             Unpack => (3, 3),
             Length | Ordinal | ToNumber | ToSymbol | ToFloat | ToUnsigned | Cast => (1, 1),
             _ if self.is_prefix() => (1, 1),
@@ -266,6 +271,7 @@ impl Functor {
             Length => Shape::Fixed(&[Symbol], Number),
             Substring => Shape::Fixed(&[Symbol, Number, Number], Symbol),
             Ordinal => Shape::Convert(&[Symbol, Record], Number),
+            Counter => Shape::Fixed(&[], Number),
             ToNumber => Shape::Convert(ANY, Number),
             ToSymbol => Shape::Convert(ANY, Symbol),
             ToFloat => Shape::Convert(ANY, Float),

@@ -307,6 +307,7 @@ fn declare(rules: &mut Rules, columns: &[bool], span: Span) {
         parameters: 0,
         choices: Vec::new(),
         subsumption: None,
+        numbering: None,
         size_limit: None,
         derived: false,
         hidden: false,

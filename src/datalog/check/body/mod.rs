@@ -29,6 +29,7 @@ use aggregate::Allowed;
 
 mod aggregate;
 mod call;
+mod counter;
 mod range;
 mod record;
 mod safety;
@@ -77,6 +78,7 @@ pub(crate) fn check(
         variables: Vec::new(),
         bound: Vec::new(),
         edges: Vec::new(),
+        numbered_edges: Vec::new(),
         sound: true,
         lost: false,
     };
@@ -136,11 +138,19 @@ pub(crate) fn check(
         // No executor evaluates a faulty clause; the lints still use its complete literals.
         literals.extend(pending.iter().filter_map(|pending| check.written(pending)));
     }
+    if let (Some(lowered), true) = (&lowered, check.sound) {
+        let span = clause.place.0;
+        literals = check.numbered(lowered.predicate, literals, &mut variables, &mut hidden, span);
+    }
+    let numbered_edges = check.numbered_edges;
     let (edges, lost, sound) = (check.edges, check.lost, check.sound);
     let mut lowered = lowered?;
     let from = lowered.predicate;
     out.edges
         .extend(edges.into_iter().map(|(to, kind, span)| Edge { from, to, kind, span }));
+    let numbered = numbered_edges.into_iter();
+    out.edges
+        .extend(numbered.map(|(from, to, kind, span)| Edge { from, to, kind, span }));
     out.hidden.append(&mut hidden);
     if lost {
         return None;
@@ -314,6 +324,8 @@ pub(crate) struct Check<'a, 'c> {
     /// Whether each variable is bound; empty until [`Check::bindings`] ends.
     bound: Vec<bool>,
     edges: Vec<(PredicateId, EdgeKind, Span)>,
+    /// The edges of the predicates that number solutions.
+    numbered_edges: Vec<(PredicateId, PredicateId, EdgeKind, Span)>,
     sound: bool,
     /// Whether an atom was unusable.
     lost: bool,
@@ -437,6 +449,9 @@ impl<'c> Check<'_, 'c> {
             TermKind::Functor(Functor::Pack, arguments) => self.record(term, arguments, into),
             TermKind::Functor(Functor::Call, arguments) => self.call(term, arguments, into),
             TermKind::Functor(functor, arguments) => {
+                if *functor == Functor::Counter {
+                    self.check_counter(span);
+                }
                 let arguments = arguments.iter().map(|argument| self.operand(argument, None)).collect();
                 let to = into.unwrap_or_else(|| self.value_of(term));
                 self.push(Pending::Compute {

@@ -377,6 +377,7 @@ impl Names {
                 parameters: 0,
                 choices: choices.clone(),
                 subsumption: None,
+                numbering: None,
                 size_limit: None,
                 directives: Vec::new(),
             });

@@ -5,9 +5,9 @@ mod adapt;
 mod meter;
 
 use crate::cancel::Cancel;
-use crate::check::{Atom, ClauseId, Literal, PredicateId, Term};
+use crate::check::{Atom, ClauseId, Literal, Numbering, PredicateId, Term};
 use crate::eval::calls::Calls;
-use crate::eval::choice::Choice;
+use crate::eval::choice::{Choice, by_value};
 use crate::eval::correlated::CorrelatedValues;
 use crate::eval::delta::{Delta, Rows};
 use crate::eval::exec::adapt::Basis;
@@ -27,6 +27,7 @@ use crate::plan::steps::{Aim, IndexId, IndexSpec, Plan, Slot, Source, Step, Stra
 use crate::plan::{Compiled, Plans};
 use crate::row::{AnyBatch, Batch, ByWidth, Row, normalize};
 use crate::symbol::Symbols;
+use crate::syntax::ast::BaseType;
 use crate::syntax::functor::AggregateOp;
 use crate::value::Value;
 use std::sync::Arc;
@@ -507,6 +508,13 @@ impl<const W: usize> State<W> {
         meter: &mut Meter<'_>,
     ) -> Result<(Vec<Vec<Row<W>>>, usize), Failure> {
         let plans = &commit.plans;
+        if let [member] = stratum.members[..]
+            && let Some(numbering) = &commit.compiled.rules.predicates[member.index()].numbering
+        {
+            let rows = self.numbered(commit, member, numbering);
+            quota.check_rows(rows.len(), stratum, meter)?;
+            return Ok((vec![rows], 1));
+        }
         let mut outputs: Vec<Output<W>> = stratum.members.iter().map(|_| Output::new(quota.rows)).collect();
         if let ([output], [clause]) = (&mut outputs[..], &stratum.clauses[..]) {
             *output = Output::for_plan(&plans.clauses[clause.index()].complete, quota.rows);
@@ -551,6 +559,27 @@ impl<const W: usize> State<W> {
             }
         }
         Ok((rows, 1))
+    }
+
+    /// Numbers solutions in the order of their values.
+    fn numbered(&self, commit: &Commit<'_, W>, predicate: PredicateId, numbering: &Numbering) -> Vec<Row<W>> {
+        let columns = &commit.compiled.rules.predicates[predicate.index()].columns;
+        let bases: Vec<BaseType> = columns.iter().skip(1).map(|column| column.base).collect();
+        let before = numbering.before.iter();
+        let first: u64 = before.map(|(of, each)| self.len(*of) as u64 * u64::from(*each)).sum();
+        let mut solutions: Vec<Row<W>> = self.tables[numbering.solutions.index()].rows.to_vec();
+        solutions.sort_by(|one, other| by_value(&bases, &one.0, &other.0, commit.symbols));
+        let mut rows: Vec<Row<W>> = (solutions.iter().zip(0_u64..))
+            .map(|(solution, at)| {
+                let mut row = Row::ZERO;
+                // Numbers wrap around.
+                row.0[0] = Value((first + at * u64::from(numbering.each)) as u32);
+                row.0[1..=bases.len()].copy_from_slice(&solution.0[..bases.len()]);
+                row
+            })
+            .collect();
+        rows.sort_unstable();
+        rows
     }
 
     fn complete_views<'a>(&'a self, plans: &'a Plans, plan: &'a Plan) -> impl Iterator<Item = RowView<'a, W>> {

@@ -536,6 +536,11 @@ impl<'s> ProofSearch<'s> {
             } => {
                 let arguments: Option<Vec<Value>> = arguments.iter().map(|term| value(term, binding)).collect();
                 let Some(arguments) = arguments else { return Ok(None) };
+                if let (Functor::Counter, [of, values @ ..]) = (functor, &arguments[..]) {
+                    let pattern: Pattern = std::iter::once(None).chain(values.iter().copied().map(Some)).collect();
+                    let row = self.first_row(PredicateId(of.0), &pattern)?;
+                    return Ok(Some(row.map(|row| row[0])));
+                }
                 let symbols = self.session.symbols();
                 let longest = functor.symbol_length(*base, &arguments, symbols);
                 if longest > 0 && symbols.bytes() + longest > self.symbol_bytes {

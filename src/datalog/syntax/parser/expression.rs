@@ -8,7 +8,7 @@ use crate::syntax::lexer::{Kind, Token};
 use core::net::Ipv4Addr;
 
 use crate::syntax::parser::clause::comparison;
-use crate::syntax::parser::{NUMBERED, Parse, Parser, Reported};
+use crate::syntax::parser::{Parse, Parser, Reported};
 
 /// Maximum height of an expression: an operator or function is one level above its highest operand.
 const MAX_HEIGHT: usize = 256;
@@ -163,6 +163,10 @@ impl Parser<'_> {
             (None, Kind::Ident) => self.word()?,
             (None, Kind::LBracket) => self.record()?,
             (None, Kind::Dollar) if self.ahead(1).kind == Kind::Ident => self.branch()?,
+            (None, Kind::Dollar) => {
+                self.bump();
+                (TermKind::Functor(Functor::Counter, Vec::new()), 0)
+            }
             (None, Kind::At) if self.ahead(1).kind == Kind::Ident => self.call()?,
             (None, _) => (self.constant()?, 0),
         };
@@ -245,7 +249,6 @@ impl Parser<'_> {
             return self.applied_aggregate(name);
         }
         let help = match word {
-            "autoinc" => NUMBERED,
             _ if word.starts_with(|first: char| first.is_ascii_uppercase()) => {
                 "if it is a predicate, close the atom before it: literals are separated, as in `IsCar(X), IsBus(X)`"
             }
@@ -320,7 +323,6 @@ impl Parser<'_> {
             return Err(self.asp_aggregate());
         }
         let foreign = match token.kind {
-            Kind::Dollar => Some(("counters (`$`) are", NUMBERED)),
             Kind::At if self.ahead(1).kind == Kind::At => Some((
                 "user-defined aggregates (`@@`) are",
                 "derive all values, and combine them in the caller",

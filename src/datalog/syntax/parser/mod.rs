@@ -56,9 +56,6 @@ pub const DIRECTIVES: &[&str] = &[
 /// Help for what only the C preprocessor understands.
 const EXPAND: &str = "`check`, `query` and `repl` follow them without the option `--no-preprocessor`; `fmt` formats no file that has them";
 
-/// Help for counters.
-const NUMBERED: &str = "number the rows by their order: `n = count : { A(y), y < x }`";
-
 /// Help for lattices.
 const LATTICES: &str = "derive all values, and choose among them with `min` or `max` in another predicate";
 
