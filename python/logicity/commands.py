@@ -569,7 +569,9 @@ def _distill(given: argparse.Namespace) -> int:
     with _usage():
         grid = load_map(file, cell, origin, None if y is None else y == "up")
     given.config = given.config or config_for(grid)
-    thresholds = Thresholds(given.stop, given.halt, given.slow, given.fast, given.line, given.length, not given.centers)
+    with _usage():
+        rates = given.stop, given.halt, given.slow, given.fast
+        thresholds = Thresholds(*rates, given.line, given.length, not given.centers)
     settings = Settings(
         **{name: getattr(given, name) for name in ("config", "map", "use", "moments", "reaction", "test", "split")},
         **{name: getattr(given, name) for name in ("noise", "variables", "seed")},

@@ -14,7 +14,7 @@ import re
 import subprocess
 import sys
 import tempfile
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Callable, Iterable, Iterator, Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any, Literal
@@ -243,7 +243,7 @@ class _Words:
         if settings.use is not None:
             for name in settings.use:
                 if name not in known:
-                    raise ValueError(f"`{settings.config}` has no predicate `{name}`{did_you_mean(name, known)}")
+                    raise ValueError(_not_a_word(settings.config, name, known))
             self.names = list(dict.fromkeys(settings.use))
         elif own:
             self.names = [*base, *({"SameInter"} & known.keys()), *own]
@@ -258,6 +258,15 @@ class _Words:
     def rows(self, scene: str) -> dict[str, list[list[str]]]:
         """Return the rows of the words in a scene."""
         return dict(zip(self.asked, self.inference.rows(scene, self.asked), strict=True))
+
+
+def _not_a_word(config: str, name: str, known: Iterable[str]) -> str:
+    """Return why a name is no word, as the message of an error."""
+    file = _logicity.ConfigFile(config, "configs").value()
+    if name in file.get("predicates", {}).get("define", {}):
+        help = f"use a predicate about agents alone that reads it, in the rules of `{config}`"
+        return f"`{name}` of `{config}` has a value, which no clause of the learner reads\nhelp: {help}"
+    return f"`{config}` has no predicate `{name}`{did_you_mean(name, known)}"
 
 
 def _map_of(settings: Settings) -> Any:

@@ -377,8 +377,11 @@ def load_map(
     Raises:
         InputError: If the file is invalid.
         OSError: If it cannot be read.
-        ValueError: If `cell`, `origin` or `y_up` is given for a road network.
+        ValueError: If `cell`, `origin` or `y_up` is given for a road network, or the file is one of SUMO.
     """
+    if os.fspath(path).endswith((".net.xml", ".osm")):
+        help = f"make a map of it: `logicity map import {os.fspath(path)} -o town.yaml`"
+        raise ValueError(f"{os.fspath(path)}: a road network is no map\nhelp: {help}")
     info = _logicity.roads(_map_file(path))
     if info is None:
         return Grid.load(path, 1.0 if cell is None else cell, origin or (0.0, 0.0), y_up is not False)
@@ -444,6 +447,18 @@ class Thresholds:
     line: float = 6.0
     length: float = 5.0
     front: bool = True
+
+    def __post_init__(self) -> None:
+        """Check the order of the rates.
+
+        Raises:
+            ValueError: If a rate is less than one that must be smaller, such as `slow` than `stop`.
+        """
+        rates = {"halt": self.halt, "stop": self.stop, "slow": self.slow, "fast": self.fast}
+        given = [(name, rate) for name, rate in rates.items() if rate is not None]
+        for (one, lower), (other, upper) in pairwise(given):
+            if lower > upper:
+                raise ValueError(f"`{other}` is {upper:g}, less than `{one}`, which is {lower:g}")
 
     def action(self, speed: float) -> str:
         """Return the action of a mean speed in m/s."""

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import json
 import os
+import re
 import subprocess
 import sys
 from pathlib import Path
@@ -12,9 +13,10 @@ import pytest
 from conftest import needs
 
 import logicity
-from logicity.distill import FILES
-from logicity.placement import Grid
+from logicity.distill import FILES, Settings, distill
+from logicity.placement import Grid, load_map
 from logicity.sumo import export_network, find_program, network
+from logicity.trajectories import read_trajectories
 
 #: Right before left, but nobody waits for one that waits, so the city flows.
 RIGHT_BEFORE_LEFT = """
@@ -120,6 +122,17 @@ def test_wrong_moments_are_scenes_that_other_commands_accept(tmp_path: Path) -> 
             assert answer["egos"][id]["action"] != action
 
 
+def test_words_are_about_agents_alone(tmp_path: Path) -> None:
+    traffic = recorded(tmp_path, 60)
+    for name, message in {
+        "Clearance": "`Clearance` of `right-of-way-roads` has a value",
+        "MustYeild": "did you mean `MustYield`?",
+    }.items():
+        settings = Settings(config="right-of-way-roads", map="roundabout", use=("IsAtInter", name))
+        with pytest.raises(ValueError, match=re.escape(message)):
+            distill(read_trajectories([str(traffic)]), load_map("roundabout"), tmp_path / "out", settings)
+
+
 def test_a_recording_elsewhere_is_refused(tmp_path: Path) -> None:
     (tmp_path / "far.csv").write_text("t,id,x,y\n0,a,9000,9000\n1,a,9001,9000\n2,a,9002,9000\n")
     done = command("distill", str(tmp_path / "far.csv"), "--map", "square-5x5", "-o", str(tmp_path / "out"))
@@ -132,6 +145,8 @@ def test_a_recording_elsewhere_is_refused(tmp_path: Path) -> None:
     [
         (["distill", "no-such.csv", "-o", "out"], 2, "no-such.csv"),
         (["distill", "a.csv", "-o", "out", "--origin", "1"], 2, "expected X,Y in meters"),
+        (["distill", "a.csv", "-o", "out", "--map", "a.net.xml"], 2, "`logicity map import a.net.xml -o town.yaml`"),
+        (["distill", "a.csv", "-o", "out", "--slow", "0.2"], 2, "`slow` is 0.2, less than `stop`, which is 0.5"),
         (["distill", "a.csv", "-o", "out", "--tick", "1e-6"], 2, "expected a number from 0.01 to 3600"),
         (["distill", "a.csv", "-o", "out", "--test", "1"], 2, "expected a number between 0 and 1"),
         (["map", "export", "square-5x5", "-o", "town.xml"], 2, "expected a name that ends in .net.xml"),
