@@ -579,6 +579,10 @@ def _distill(given: argparse.Namespace) -> int:
     )
     print_message(f"reading {', '.join(given.trajectories)}")
     recording = read_trajectories(given.trajectories, columns, tick=given.tick, begin=given.begin, end=given.end)
+    if recording.assumed:
+        kind = (columns.default_kind if columns is not None else None) or "Car"
+        classes = ", ".join(f"{neutral(name)} ({count})" for name, count in sorted(recording.assumed.items())[:20])
+        print_message(f"samples of unknown classes that count as {kind}: {classes}; name them in `--columns`")
     source = ", ".join(Path(path).name for path in given.trajectories)
     done = distill(recording, grid, given.out, settings, overwrite=given.force, source=source, progress=print_message)
     for clause in done.clauses:

@@ -10,6 +10,7 @@ import gzip
 import math
 import os
 import zlib
+from collections import Counter
 from collections.abc import Iterator
 from contextlib import suppress
 from dataclasses import dataclass, field
@@ -96,12 +97,15 @@ class Recording:
             of their time; they are those at the beginning of the next one.
         samples: The number of samples read.
         left_out: The number of samples of classes that the mapping leaves out.
+        assumed: By class of a table that neither the mapping nor the program knows, the number of samples; they count
+            as the kind of others.
     """
 
     tracks: list[Track]
     tick: float
     samples: int
     left_out: int
+    assumed: dict[str, int] = field(default_factory=dict)
 
 
 @dataclass(frozen=True)
@@ -122,6 +126,7 @@ class _Resampler:
         self.shift = 0.0
         self.tracks: list[Track] = []
         self.samples = self.left_out = 0
+        self.assumed: Counter[str] = Counter()
         self._open: dict[tuple[str, str], tuple[_Sample, Track | None]] = {}
 
     def add(self, id: str, kind: str, sample: _Sample, space: str = "") -> str | None:
@@ -247,13 +252,15 @@ def read_trajectories(
     chosen = columns or Columns()
     tracks: list[Track] = []
     samples = left_out = 0
+    assumed: Counter[str] = Counter()
     for path in paths:
         to = _Resampler(tick)
         read = _read_fcd if path.removesuffix(".gz").endswith(".xml") else _read_csv
         read(path, chosen, to, begin, end)
         tracks += to.tracks
         samples, left_out = samples + to.samples, left_out + to.left_out
-    return Recording(tracks, tick, samples, left_out)
+        assumed.update(to.assumed)
+    return Recording(tracks, tick, samples, left_out, dict(assumed))
 
 
 #: What reading a compressed file raises if it is damaged.
@@ -400,12 +407,15 @@ def _read_csv(path: str, columns: Columns, to: _Resampler, begin: float, end: fl
                 if kind is None:
                     to.left_out += 1
                     continue
+                found = texts.get("kind", "")
+                if found not in ("", "Car", "Pedestrian", *columns.kinds):
+                    to.assumed[found] += 1
 
                 def number(name: str, texts: dict[str, str] = texts, line: int = reader.line_num) -> float:
                     with suppress(ValueError):
-                        found = float(texts[name])
-                        if math.isfinite(found):
-                            return found
+                        value = float(texts[name])
+                        if math.isfinite(value):
+                            return value
                     _fail(path, line, columns.names[name], f"expected a number, found `{texts[name][:40]}`")
 
                 t = number("frame") / (columns.frame_rate or 1.0) if "frame" in texts else number("t")

@@ -68,6 +68,13 @@ def test_damaged_compressed_files_are_errors(tmp_path: Path) -> None:
         assert "is the file complete?" in str(caught.value)
 
 
+def test_unknown_classes_are_counted(tmp_path: Path) -> None:
+    text = "t,id,kind,x,y\n0,a,Car,0,0\n0,b,Spaceship,5,0\n1,b,Spaceship,6,0\n0,c,bus,9,0\n"
+    columns = Columns(kinds={"bus": "Car"})
+    recording = read_trajectories([written(tmp_path / "a.csv", text)], columns)
+    assert recording.assumed == {"Spaceship": 2} and [track.kind for track in recording.tracks] == ["Car"] * 3
+
+
 def test_a_vehicle_may_have_the_id_of_a_person(tmp_path: Path) -> None:
     attributes = 'id="0" x="{t}" y="0" angle="90" speed="1"'
     steps = (
