@@ -247,10 +247,11 @@ class Explanation:
             "binding", "premises"}`. A node that follows from earlier ticks also has `tick`, the nearest one, and
             `when`, the ticks in words. A node that does not hold is `{"absent", "because": "not-a-fact" | "no-clause" |
             "not-looked-into" | "range", "clauses"}`. Each of its `clauses` has a `clause`, the nearest `binding`, and
-            the failing literals under `fails`. A clause whose body holds has `excluded-by`: the node of the row that
-            holds instead, or None where a limit ended the recursion. An entry of `premises` or `fails` has the
-            `literal` under the binding, and its `kind`: `fact`, `in-view`, `not`, `comparison`, `expression` or
-            `aggregate`. The first three kinds also have the `node` that explains the literal.
+            the failing literals under `fails`. A clause whose body holds has `excluded-by`: the node of the row
+            that holds instead, or None where a limit ended the recursion or that row no longer holds. An entry of
+            `premises` or `fails` has the `literal` under the binding, and its `kind`: `fact`, `in-view`, `not`,
+            `comparison`, `expression` or `aggregate`. The first three kinds also have the `node` that explains the
+            literal.
     """
 
     fact: str

@@ -303,6 +303,11 @@ fn opened<'a, 'py>(
     Ok(Ok(Begun::Open(shape, fields)))
 }
 
+/// Whether Python iterates over this in any order.
+fn has_no_order(values: &Bound<'_, PyAny>) -> bool {
+    values.is_instance_of::<PySet>() || values.is_instance_of::<PyFrozenSet>()
+}
+
 /// Converts a row. With `open`, `None` matches any value.
 pub fn row(
     predicate: &Predicate,
@@ -312,8 +317,7 @@ pub fn row(
 ) -> PyResult<Vec<Option<Value>>> {
     // Iterating these gives characters, keys, or values in any order.
     let is_row = values.is_instance_of::<PyTuple>() || values.is_instance_of::<PyList>();
-    let has_no_order = || values.is_instance_of::<PySet>() || values.is_instance_of::<PyFrozenSet>();
-    if !is_row && (values.is_instance_of::<PyString>() || has_no_order() || values.cast::<PyMapping>().is_ok()) {
+    if !is_row && (values.is_instance_of::<PyString>() || has_no_order(values) || values.cast::<PyMapping>().is_ok()) {
         let kind = values.get_type().name()?;
         let message = format!(
             "a row of `{}` must be a tuple of its values, not a {kind}",
@@ -590,7 +594,11 @@ pub fn call(
     // `None` is `nil` where there is one.
     let has_nil = shapes(types, functor.result).iter().any(|shape| shape.branch.is_none());
     let returns = || format!("the functor `{}` returns {}", functor.name, type_text(functor.base));
-    if found.is_instance_of::<PyString>() || found.try_iter().is_err() {
+    if found.is_instance_of::<PyString>()
+        || has_no_order(&found)
+        || found.cast::<PyMapping>().is_ok()
+        || found.try_iter().is_err()
+    {
         let message = format!("{}: expected a sequence of them, not {}", returns(), found.repr()?);
         return Err(PyTypeError::new_err(message));
     }

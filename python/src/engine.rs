@@ -4,7 +4,7 @@ use crate::columns::{self, Maker, Target};
 use crate::{LimitArguments, Shared, Signals, input_error, limits_of, threads_of, to_python};
 use logicity::builtin::BuiltinFiles;
 use logicity::datalog;
-use logicity::datalog::explain::{Explainer, ExplanationPrinter};
+use logicity::datalog::explain::{ExplainError, Explainer, ExplanationPrinter};
 use logicity::datalog::{ClauseId, InputPolicy, Predicate, PredicateId, Value, Workspace};
 use logicity::datalog::{
     EvalError, FunctorBatch, Limits, MarginalOptions, Marginals, Probability, Program, RowError, StratumStats, Threads,
@@ -520,8 +520,11 @@ impl PySession {
             text += &printer.tree(&explanation);
             Ok((fact, holds, text, printer.json(&explanation)["nodes"].take()))
         })?;
-        let (fact, holds, text, nodes) = explained
-            .map_err(|error: datalog::explain::ExplainError| input_error(py, &[error.into()], &loaded.sources))?;
+        let (fact, holds, text, nodes) =
+            explained.map_err(|error: ExplainError| match (&error, loaded.functors.raised()) {
+                (ExplainError::Functor { .. }, Some(raised)) => raised,
+                _ => input_error(py, &[error.into()], &loaded.sources),
+            })?;
         Ok((fact, holds, text, to_python(py, &nodes)?))
     }
 

@@ -433,6 +433,28 @@ def test_programs_with_functors_are_pickled() -> None:
     assert session.rows("d") == [(21, 42)]
 
 
+def test_explanations_pass_on_what_functors_raise() -> None:
+    class Once:
+        def __init__(self) -> None:
+            self.fails = False
+
+        def __call__(self, x: list[int]) -> list[int]:
+            if self.fails:
+                raise KeyError("gone")
+            return [2 * each for each in x]
+
+    double = Once()
+    text = ".functor double(x: number): number\n.decl n, d(x: number)\n.input n\nd(@double(x)) :- n(x).\n"
+    session = Session(Program(text, functors={"double": double}))
+    session.insert("n", [(1,)])
+    session.commit()
+    double.fails = True
+    with pytest.raises(KeyError, match="gone"):
+        session.explain("d(3)")
+    double.fails = False
+    assert not session.explain("d(3)").holds and session.explain("d(2)").holds
+
+
 @pytest.mark.parametrize(
     ("function", "kind", "message"),
     [
@@ -446,6 +468,8 @@ def test_programs_with_functors_are_pickled() -> None:
         ),
         (lambda x: 1, TypeError, "expected a sequence of them, not 1"),
         (lambda x: "ab", TypeError, "expected a sequence of them, not 'ab'"),
+        (lambda x: {2, 4}, TypeError, r"expected a sequence of them, not \{2, 4\}"),
+        (lambda x: {2: 4, 4: 8}, TypeError, r"expected a sequence of them, not \{2: 4, 4: 8\}"),
         (lambda x: 1 / 0, ZeroDivisionError, "division by zero"),
         (lambda: [1], TypeError, "argument"),
     ],

@@ -29,6 +29,13 @@ pub(crate) fn clauses(items: &[Item], done: &mut usize, faults: &mut Faults) -> 
         if count <= *done {
             continue;
         }
+        if !decl.choices.is_empty() {
+            let message = format!("`{}` is an equivalence relation and has keys", decl.names[0].text);
+            let fault = Diagnostic::new(codes::UNSUPPORTED, message).at(word.place.0, "");
+            let fault = fault.also(decl.names[0].place.0, "declared here");
+            faults.push(fault.help("remove `eqrel` or `choice-domain`"));
+            continue;
+        }
         let columns = match &decl.columns {
             Some(columns) if columns.len() != 2 => columns.len(),
             Some(_) => {

@@ -322,6 +322,16 @@ fn faults_say_what_is_wrong() {
             "unknown-column",
             "`p` has no column `y`",
         ),
+        (
+            ".decl p(x: number, y: number) inline choice-domain x\np(1, 2). p(1, 3).\n.decl o(x: number)\no(y) :- p(_, y).",
+            "unsupported",
+            "`p` is inline and has keys",
+        ),
+        (
+            ".decl p(x: number, y: number) eqrel choice-domain x\np(1, 2). p(1, 3).",
+            "unsupported",
+            "`p` is an equivalence relation and has keys",
+        ),
         (".decl p(x: number) choice-domain", "syntax", ""),
         (".decl p(x: number) choice-domain (x", "syntax", ""),
         (

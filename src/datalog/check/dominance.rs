@@ -9,6 +9,7 @@ use crate::check::clauses::{Clauses, Edge, EdgeKind};
 use crate::check::names::Names;
 use crate::codes;
 use crate::diag::{Diagnostic, Faults};
+use crate::eqrel::EQREL;
 use crate::syntax::ast::{
     Atom, Clause, ColumnDecl, Decl, Item, Literal, Name, Place, Scope, Subsumption, Term, TermKind,
 };
@@ -57,6 +58,17 @@ pub(crate) fn lower<'i>(items: Cow<'i, [Item]>, faults: &mut Faults) -> Cow<'i, 
                 let fault = Diagnostic::new(codes::UNSUPPORTED, message).at(subsumption.place.0, "");
                 let fault = fault.also(decl.names[0].place.0, "declared here");
                 faults.push(fault.help("choose in another predicate"));
+            }
+            for (decl, word) in own
+                .iter()
+                .flat_map(|decl| decl.qualifiers.iter().map(move |word| (decl, word)))
+            {
+                if ["inline", EQREL].contains(&word.text.as_str()) {
+                    let message = format!("`{}` is `{}` and has a subsumption", of.text, word.text);
+                    let fault = Diagnostic::new(codes::UNSUPPORTED, message).at(subsumption.place.0, "");
+                    let fault = fault.also(decl.names[0].place.0, "declared here");
+                    faults.push(fault.help(format!("remove `{}` from its declaration", word.text)));
+                }
             }
             out.push(Item::Decl(pairs(&name, of, columns)));
             declared.push(name.clone());

@@ -38,6 +38,7 @@ pub(crate) fn replace(items: &[Item], faults: &mut Faults) -> Option<Vec<Item>> 
         return None;
     }
     refuse_marks(items, &inline, faults);
+    refuse_keys(items, &inline, faults);
     let cyclic = refuse_cycles(items, &inline, faults);
     let mut meanings: Meanings<'_> = HashMap::new();
     let mut open: HashSet<&str> = HashSet::new();
@@ -159,6 +160,21 @@ fn refuse_marks(items: &[Item], inline: &HashMap<&str, Span>, faults: &mut Fault
                 let why = format!("is inline and named by `.{}`", mark.kind.name());
                 faults.push(refused(name, &why).also(declaration, "declared here"));
             }
+        }
+    }
+}
+
+/// Reports inline predicates with keys, which choose among rows.
+fn refuse_keys(items: &[Item], inline: &HashMap<&str, Span>, faults: &mut Faults) {
+    for item in items {
+        let Item::Decl(decl) = item else { continue };
+        let has_keys = !decl.choices.is_empty();
+        for name in decl
+            .names
+            .iter()
+            .filter(|name| has_keys && inline.contains_key(name.text.as_str()))
+        {
+            faults.push(refused(name, "is inline and has keys"));
         }
     }
 }

@@ -74,13 +74,8 @@ impl<const W: usize> State<W> {
             if !pairs.is_empty() {
                 let chosen = self.choose(plans, stratum, &recursion);
                 let deciding = |head: PredicateId| position(head).is_some_and(|member| pairs.contains(&member));
-                let sources = || {
-                    chosen
-                        .iter()
-                        .flat_map(|(_, _, plan)| &plan.steps)
-                        .flat_map(Step::sources)
-                };
-                recursion.keep(plans, |index| sources().any(|source| source.index == index));
+                // Fewer rows may lead to other plans below, so every index stays.
+                recursion.keep(plans, |_| true);
                 let left = quota.left(0, stratum, meter)?;
                 for &member in &pairs {
                     outputs[member] = Output::new(quota.rows);

@@ -842,7 +842,14 @@ impl Drawing<'_> {
         let (binding, failures) = match &miss.obstacle {
             Obstacle::Head { .. } => return self.other_heads(&[miss]),
             Obstacle::Excluded { by: None, .. } => {
-                return vec![Item::leaf("its limit of rows ended the recursion before".to_owned())];
+                let has_limit = self.printer.rules.predicates[clause.head.predicate.index()]
+                    .size_limit
+                    .is_some();
+                let text = match has_limit {
+                    true => "the recursion had ended at its limit of rows",
+                    false => "a row that no longer holds excluded it",
+                };
+                return vec![Item::leaf(text.to_owned())];
             }
             Obstacle::Excluded { by: Some(by), .. } => {
                 let text = match self.explanation.node(*by) {

@@ -201,7 +201,8 @@ pub enum Obstacle {
     Excluded {
         /// The binding, by variable of the clause.
         binding: Pattern,
-        /// The fact that holds instead, as it has the same key. `None` if a limit of the size ended the recursion.
+        /// The fact that holds instead. `None` if a limit of the size ended the recursion, or if what excluded the row
+        /// no longer holds itself.
         by: Option<NodeId>,
     },
 }
