@@ -4,7 +4,7 @@ use crate::choice::{Random, compare, explain, predicate, program, shown};
 use crate::component::load;
 use logicity_datalog::diag::Sources;
 use logicity_datalog::explain::ExplanationPrinter;
-use logicity_datalog::{PredicateId, Program, Value, facts, format, parse, print};
+use logicity_datalog::{Limits, PredicateId, Program, Value, facts, format, parse, print};
 
 /// Programs with what some of their predicates hold.
 const PROGRAMS: &[(&str, &[(&str, &str)])] = &[
@@ -254,4 +254,16 @@ fn faults_say_what_is_wrong() {
         let fits = |(found, said): &(&str, &String)| *found == code && said.contains(message);
         assert!(faults.iter().any(fits), "{clause}: {faults:?}");
     }
+}
+
+#[test]
+fn a_recursion_that_replaces_its_rows_without_end_is_stopped() {
+    let text = ".decl a(n: number)\na(0). a(n + 1) :- a(n).\na(x) <= a(y) :- x < y.\n";
+    let mut session = program(text).session();
+    session.set_limits(Limits {
+        rows: 1000,
+        ..Limits::default()
+    });
+    let error = session.commit().expect_err("endless").to_string();
+    assert!(error.contains("more than 1000 rows"), "{error}");
 }

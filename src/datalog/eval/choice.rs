@@ -35,6 +35,14 @@ impl Choice {
         })
     }
 
+    /// Returns about the memory of the keys, in bytes.
+    pub(crate) fn bytes(&self) -> usize {
+        let of = |(columns, held): &(Vec<usize>, HashSet<Vec<Value>>)| {
+            held.capacity() * (size_of::<Vec<Value>>() + columns.len() * size_of::<Value>())
+        };
+        self.keys.iter().map(of).sum()
+    }
+
     /// Keeps the rows of a round that hold. They must be different.
     pub(crate) fn keep<const W: usize>(&mut self, mut rows: Vec<Row<W>>, symbols: &Symbols) -> Vec<Row<W>> {
         rows.sort_by(|one, other| by_value(&self.bases, &one.0, &other.0, symbols));

@@ -31,6 +31,11 @@ impl<const W: usize> Dominance<W> {
         })
     }
 
+    /// Returns the number of rows that have ceased to hold.
+    pub(crate) fn gone(&self) -> usize {
+        self.gone.len()
+    }
+
     /// Removes rows that have ceased to hold before.
     pub(crate) fn keep(&self, rows: &mut Vec<Row<W>>) {
         if !self.gone.is_empty() {

@@ -117,10 +117,13 @@ impl<const W: usize> State<W> {
             let held = recursion.hold();
             let known: usize = base.unwrap_or_default().iter().map(|table| table.rows.len()).sum();
             let total = known + recursion.left_out.iter().sum::<usize>() + held.iter().map(Held::len).sum::<usize>();
-            quota.check_rows(total, stratum, meter)?;
+            // Rows that ceased to hold were derived, too: a recursion may replace its rows without end.
+            let gone: usize = dominance.iter().flatten().map(Dominance::gone).sum();
+            quota.check_rows(total + gone, stratum, meter)?;
+            let keys: usize = choices.iter().flatten().map(Choice::bytes).sum();
             let copies: usize = recursion.grown.iter().map(Grown::len).sum();
             // Merging copies rows and indexes. A quarter of the memory is for the bitmaps of known rows.
-            let used = 2 * (total + copies) * size_of::<Row<W>>();
+            let used = 2 * (total + copies + gone) * size_of::<Row<W>>() + keys;
             let left = quota.left(used.saturating_add((quota.bytes / 4) as usize), stratum, meter)?;
             let heads: BTreeSet<PredicateId> = chosen.iter().map(|(_, _, plan)| plan.head).collect();
             outputs
