@@ -60,8 +60,9 @@ fn import(arguments: &ImportArguments, sources: &mut Sources) -> Result<(), Fail
             false => inputs::read(path)?,
         };
         let source = sources.add(path.display().to_string(), text);
-        networks.push((path.as_path(), sumo::import(sources, source, arguments.cell)?));
-        warn_of_signals(&sumo::adaptive_signals(sources, source), sources);
+        let imported = sumo::import(sources, source, arguments.cell)?;
+        warn_of_signals(&imported.adaptive, sources);
+        networks.push((path.as_path(), imported.network));
     }
     let (network, zones) = side_by_side(networks)?;
     let output = arguments.output.as_path();

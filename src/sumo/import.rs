@@ -14,7 +14,6 @@ use crate::diag::{Diagnostic, SourceId, Sources, Span};
 use roxmltree::{Document, Node, ParsingOptions};
 use std::collections::HashMap;
 use std::fmt::Write;
-use std::ops::Range;
 
 /// The cells around the outermost point of a network.
 const MARGIN: f64 = 2.0;
@@ -25,26 +24,20 @@ const TOLERANCE: f64 = 0.25;
 /// The maximum number of elements and attributes of a file.
 const NODES_MAX: u32 = 20_000_000;
 
-/// Returns the heads of the signals of a network whose phases follow the traffic. Their map repeats the phases of the
-/// file.
-pub fn adaptive_signals(sources: &Sources, source: SourceId) -> Vec<Span> {
-    let text = sources.text(source);
-    let heads = text.match_indices("<tlLogic").map(|(at, _)| {
-        let length = text[at..].find('>').unwrap_or(0);
-        at..at + length
-    });
-    let is_adaptive = |head: &Range<usize>| {
-        let has = |attribute: &str| text[head.clone()].contains(attribute);
-        has("type=") && !has("type=\"static\"") && !has("type='static'")
-    };
-    heads.filter(is_adaptive).map(|head| Span::new(source, head)).collect()
+/// A network that was read.
+#[derive(Debug)]
+pub struct Imported {
+    /// The network.
+    pub network: Network,
+    /// The places that say of signals that their phases follow the traffic. The network repeats the phases of the file.
+    pub adaptive: Vec<Span>,
 }
 
 /// Reads a network. A cell has sides of `cell` meters.
 ///
 /// # Errors
 /// `invalid-map` with the place for a text that is no XML, that is no network, or that refers to what it does not have.
-pub fn import(sources: &Sources, source: SourceId, cell: f64) -> Result<Network, Diagnostic> {
+pub fn import(sources: &Sources, source: SourceId, cell: f64) -> Result<Imported, Diagnostic> {
     let text = sources.text(source);
     let options = ParsingOptions {
         allow_dtd: false,
@@ -78,7 +71,13 @@ pub fn import(sources: &Sources, source: SourceId, cell: f64) -> Result<Network,
         };
         return Err(reader.fault(root, message).help(help));
     }
-    reader.network(root)
+    let signals = root.children().filter(|node| node.has_tag_name("tlLogic"));
+    let types = signals.filter_map(|node| node.attribute_node("type"));
+    let adaptive = types.filter(|kind| kind.value() != "static");
+    Ok(Imported {
+        adaptive: adaptive.map(|kind| Span::new(source, kind.range())).collect(),
+        network: reader.network(root)?,
+    })
 }
 
 /// Returns the offset of a place, whose row and column count from 1.

@@ -9,7 +9,7 @@ mod import;
 
 pub use export::network_file;
 pub use fcd::{FcdWriter, Moving, Plane};
-pub use import::{adaptive_signals, import, map_file};
+pub use import::{Imported, import, map_file};
 
 use crate::city::Point;
 

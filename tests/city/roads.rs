@@ -47,7 +47,7 @@ fn text_of(name: &str) -> String {
 fn import(text: &str, cell: f64) -> Result<Network, Diagnostic> {
     let mut sources = Sources::new();
     let source = sources.add("town.net.xml", text);
-    sumo::import(&sources, source, cell)
+    sumo::import(&sources, source, cell).map(|imported| imported.network)
 }
 
 /// The map of a network, by way of its map file.

@@ -14,7 +14,7 @@ use std::fmt;
 /// or the number of threads.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub struct Limits {
-    /// Maximum number of rows of all derived predicates together. Default: 10^8.
+    /// Maximum number of rows of all derived predicates together, with those that a subsumption removes. Default: 10^8.
     pub rows: usize,
     /// Maximum number of rows that scans and tests visit. Default: 10^11, which takes some minutes.
     pub steps: u64,
