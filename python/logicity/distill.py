@@ -263,7 +263,7 @@ class _Words:
 def _not_a_word(config: str, name: str, known: Iterable[str]) -> str:
     """Return why a name is no word, as the message of an error."""
     file = _logicity.ConfigFile(config, "configs").value()
-    if name in file.get("predicates", {}).get("define", {}):
+    if "quantity" in (file.get("predicates", {}).get("define", {}).get(name) or {}):
         help = f"use a predicate about agents alone that reads it, in the rules of `{config}`"
         return f"`{name}` of `{config}` has a value, which no clause of the learner reads\nhelp: {help}"
     return f"`{config}` has no predicate `{name}`{did_you_mean(name, known)}"
@@ -413,7 +413,7 @@ def _clause(clause: dict[str, Any], before: Sequence[str], always: Sequence[str]
 def _clauses(learned: dict[str, Any], words: _Words, settings: Settings) -> list[str]:
     order = [action["action"] for action in learned["actions"]]
     # Clauses that were learned at lines say nothing about cars elsewhere.
-    always = [_AT_LINE] * (settings.moments == "junctions" and "IsAtInter" in words.names)
+    always = [_AT_LINE] if settings.moments == "junctions" and "IsAtInter" in words.names else []
     return [_clause(clause, order[: order.index(clause["action"])], always) for clause in learned["clauses"]]
 
 
