@@ -145,6 +145,7 @@ struct Instance<'i> {
     layers: Vec<Layer<'i>>,
     predicates: HashSet<&'i str>,
     types: HashSet<&'i str>,
+    branches: HashSet<&'i str>,
     children: HashMap<&'i str, usize>,
     /// The place of the `.init`.
     span: Span,
@@ -340,6 +341,7 @@ impl<'i> Maker<'i, '_> {
             layers: Vec::new(),
             predicates: HashSet::new(),
             types: HashSet::new(),
+            branches: HashSet::new(),
             children: HashMap::new(),
             span: place,
             copies: BTreeMap::new(),
@@ -360,10 +362,10 @@ impl<'i> Maker<'i, '_> {
                     }
                     Item::Type(decl) => {
                         self.made[at].types.insert(&decl.name.text);
-                        // Branches have no names in common with the types of other instances.
+                        // Each instance has its own branches.
                         if let TypeDefinition::Branches(branches) = &decl.definition {
                             let names = branches.iter().map(|branch| branch.name.text.as_str());
-                            self.made[at].types.extend(names);
+                            self.made[at].branches.extend(names);
                         }
                     }
                     _ => {}
@@ -709,7 +711,7 @@ impl Rename<'_, '_, '_> {
                     (functor, arguments.first_mut().map(|branch| &mut branch.kind))
                     && !branch.is_empty()
                 {
-                    *branch = self.maker.type_name(Some(self.instance), branch, self.binding);
+                    *branch = self.maker.global(self.instance, branch, |instance| &instance.branches);
                 }
                 arguments.iter_mut().for_each(|argument| self.term(argument));
             }

@@ -170,6 +170,24 @@ const PROGRAMS: &[(&str, &[(&str, &str)])] = &[
 ];
 
 #[test]
+fn branches_have_names_of_their_own() {
+    for text in [
+        // A type of an instance may have the name of a branch outside of it.
+        ".type Shape = Circle {r: number}\n.comp C { .type Circle = number\n.decl s(s: Shape)\ns($Circle(3)). }\n.init c = C\n",
+        // And a branch the name of a parameter.
+        ".comp C<T> { .type S = T {r: number}\n.decl s(s: S)\ns($T(3)). }\n.init c = C<number>\n",
+        // The instances around one have branches, too.
+        ".comp C { .type S = A {r: number}\n.comp D { .type A = number\n.decl s(s: S)\ns($A(3)). }\n.init d = D\n}\n.init c = C\n",
+    ] {
+        assert_eq!(messages(text), [], "{text}");
+        let mut session = program(text).session();
+        session.commit().expect("small");
+        compare(&session, &[], text);
+        assert!(rows(&session).iter().any(|(_, rows)| rows.contains("(3)")), "{text}");
+    }
+}
+
+#[test]
 fn programs_derive_what_the_naive_evaluator_derives() {
     for (text, wanted) in PROGRAMS {
         let mut session = program(text).session();
