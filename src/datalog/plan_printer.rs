@@ -135,6 +135,9 @@ fn show_expression(
         let name = called.map_or("", |called| &called.name);
         return format!("@{name}({})", arguments.join(", "));
     }
+    if functor == Functor::Counter {
+        return "autoinc()".to_owned();
+    }
     let name = functor.name();
     match arguments.as_slice() {
         [left, right] if !matches!(functor, Functor::Min | Functor::Max | Functor::Cat) => {

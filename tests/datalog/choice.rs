@@ -118,6 +118,63 @@ fn programs_derive_what_the_naive_evaluator_derives() {
     }
 }
 
+#[test]
+fn many_clauses_are_numbered() {
+    let text = (0..200).fold(".decl a(x: number)\na(1). a(2).\n".to_owned(), |text, at| {
+        text + &format!(
+            ".decl n{at}(x: number, n: number)\nn{at}(x, autoinc()) :- a(x), x > {}.\n",
+            at % 2
+        )
+    });
+    let mut session = program(&text).session();
+    session.commit().expect("small");
+    compare(&session, &text);
+    let mut numbers: Vec<i32> = (0..200)
+        .flat_map(|at| {
+            let rows = session.encoded_rows(predicate(&session, &format!("n{at}")));
+            rows.map(|row| row[1].as_number()).collect::<Vec<_>>()
+        })
+        .collect();
+    numbers.sort_unstable();
+    assert_eq!(numbers, (0..300).collect::<Vec<i32>>());
+}
+
+#[test]
+fn numbers_follow_those_before() {
+    let text = ".decl e, f(x: symbol)\n.input e, f\n.decl m, n(x: symbol, n: number)\nm(x, autoinc()) :- e(x).\n\
+                n(x, autoinc()) :- f(x).\n.output m, n\n";
+    let program = program(text);
+    let mut session = program.session();
+    session.insert("f", ("x",)).expect("a row");
+    session.commit().expect("small");
+    assert_eq!(shown(&session, "n"), "x\t0\n");
+    session.insert("e", ("a",)).expect("a row");
+    session.commit().expect("small");
+    compare(&session, text);
+    assert_eq!(shown(&session, "n"), "x\t1\n");
+    // They are uncertain where those before are.
+    let mut marginals = Marginals::new(&program, ["n"], MarginalOptions::default()).expect("queried");
+    marginals.insert("e", ("a",), 0.5).expect("a row");
+    marginals.insert("f", ("x",), 1.0).expect("a row");
+    marginals.compute(&Cancel::never()).expect("small");
+    let inexact = marginals.inexact();
+    assert!(matches!(inexact, Some(Inexact::Rounds(_))), "{inexact:?}");
+    for number in [0, 1] {
+        let found = marginals.probability("n", ("x", number)).expect("derived");
+        let (low, high) = found.interval.expect("estimated");
+        assert!(low < 0.5 && 0.5 < high, "{found:?}");
+    }
+}
+
+#[test]
+fn plans_show_numbers() {
+    let (sources, loaded) = load(".decl a, n(x: number)\na(1).\nn(autoinc()) :- a(_).\n");
+    let plans = Program::new(loaded.rules.expect("valid"))
+        .expect("small")
+        .show_plans(&sources);
+    assert!(plans.contains("= autoinc()"), "{plans}");
+}
+
 /// A linear congruential generator.
 pub(crate) struct Random(pub(crate) u64);
 

@@ -1,4 +1,4 @@
-//! `autoinc()`: a clause whose solutions are numbered reads the numbers from a hidden predicate.
+//! `autoinc()`: the clause reads the numbers of its solutions from a hidden predicate.
 //!
 //! ```text
 //! A(x, autoinc()) :- B(x, y), y > 0.    becomes    +1(x, y) :- B(x, y), y > 0.
@@ -14,7 +14,7 @@ use crate::check::rules::{Atom, Clause, Literal, Numbering, Predicate, Predicate
 use crate::check::strata;
 use crate::diag::Span;
 use crate::syntax::ast::BaseType;
-use crate::syntax::functor::{AggregateOp, Functor};
+use crate::syntax::functor::Functor;
 use crate::value::Value;
 
 /// The columns of the solutions: names and types.
@@ -46,7 +46,6 @@ pub(crate) fn finish(predicates: &mut [Predicate], clauses: &mut Vec<Clause>) {
     if predicates.iter().all(|predicate| predicate.numbering.is_none()) {
         return;
     }
-    let start = clauses.len();
     let numbered = |predicates: &[Predicate], id: PredicateId| predicates[id.index()].numbering.clone();
     let ids: Vec<PredicateId> = (0..)
         .map(PredicateId)
@@ -66,13 +65,9 @@ pub(crate) fn finish(predicates: &mut [Predicate], clauses: &mut Vec<Clause>) {
             }
         }
     }
-    clauses.truncate(start);
-    for id in ids {
-        clauses.extend(numbered(predicates, id).map(|numbering| clause(id, &numbering, predicates)));
-    }
 }
 
-/// Returns the clause of numbers. It counts the solutions that are numbered before, since it depends on them.
+/// Returns the clause of numbers.
 fn clause(id: PredicateId, numbering: &Numbering, predicates: &[Predicate]) -> Clause {
     let predicate = &predicates[id.index()];
     let span = predicate.span;
@@ -86,19 +81,6 @@ fn clause(id: PredicateId, numbering: &Numbering, predicates: &[Predicate]) -> C
     })];
     let mut arguments = vec![Term::Constant(Value(id.0))];
     arguments.extend(values);
-    for (at, (of, _)) in numbering.before.iter().enumerate() {
-        body.push(Literal::Aggregate {
-            to: variable(arity + at),
-            op: AggregateOp::Count,
-            base: BaseType::Number,
-            atom: Atom {
-                predicate: *of,
-                terms: vec![Term::Wildcard; predicates[of.index()].arity()],
-                span,
-            },
-            column: None,
-        });
-    }
     body.push(Literal::Compute {
         to: variable(0),
         functor: Functor::Counter,
@@ -106,8 +88,7 @@ fn clause(id: PredicateId, numbering: &Numbering, predicates: &[Predicate]) -> C
         arguments,
         span,
     });
-    let mut variables: Vec<String> = predicate.columns.iter().map(|column| column.name.clone()).collect();
-    variables.extend((0..numbering.before.len()).map(|at| format!("+before {at}")));
+    let variables: Vec<String> = predicate.columns.iter().map(|column| column.name.clone()).collect();
     Clause {
         head: Atom {
             predicate: id,

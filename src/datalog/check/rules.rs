@@ -146,17 +146,7 @@ pub struct Numbering {
 pub struct Directive {
     /// The kind of directive.
     pub kind: MarkKind,
-    /// The source or destination of the rows.
-    pub place: RowPlace,
-    /// The text format of the rows.
-    pub format: RowFormat,
-    /// Whether a file of results is compressed with gzip.
-    pub compress: bool,
-    /// The place of the name of the file, or of the predicate.
-    pub span: Span,
-}
-
-impl Directive {
+    impl Directive {
     /// Returns a directive without options.
     pub(crate) fn none(mark: &crate::syntax::ast::Mark) -> Directive {
         Directive {
@@ -167,6 +157,16 @@ impl Directive {
             span: mark.names[0].place.0,
         }
     }
+}
+
+/// The source or destination of the rows.
+    pub place: RowPlace,
+    /// The text format of the rows.
+    pub format: RowFormat,
+    /// Whether a file of results is compressed with gzip.
+    pub compress: bool,
+    /// The place of the name of the file, or of the predicate.
+    pub span: Span,
 }
 
 /// The source or destination of rows.
@@ -713,8 +713,7 @@ impl Rules {
             }
             if !std::mem::replace(&mut is_known[predicate.index()], true) {
                 let clauses = self.clauses.iter().filter(|clause| clause.head.predicate == predicate);
-                let atoms = clauses.flat_map(|clause| clause.body.iter().filter_map(Literal::atom));
-                open.extend(atoms.map(|atom| atom.predicate));
+                open.extend(clauses.flat_map(|clause| self.reads(clause)));
             }
         }
         false
@@ -810,15 +809,20 @@ impl Rules {
         predicate.is_some_and(|predicate| predicate.parameters > 0)
     }
 
+    /// Returns the predicates on whose rows those of a clause depend directly, with repetitions: its atoms, and what is
+    /// numbered before it.
+    pub(crate) fn reads<'r>(&'r self, clause: &'r Clause) -> impl Iterator<Item = PredicateId> + use<'r> {
+        let numbering = self.predicates[clause.head.predicate.index()].numbering.as_ref();
+        let before = numbering.into_iter().flat_map(|numbering| &numbering.before);
+        let atoms = clause.body.iter().filter_map(Literal::atom);
+        atoms.map(|atom| atom.predicate).chain(before.map(|(of, _)| *of))
+    }
+
     /// Returns the predicates that the bodies of clauses read, with repetitions, and the
     /// [correlated](Rules::is_correlated) ones, sorted. The former include what the clauses of the latter read.
     pub(crate) fn read_by(&self, clauses: impl IntoIterator<Item = ClauseId>) -> (Vec<PredicateId>, Vec<PredicateId>) {
-        let atoms = |clause: &Clause| {
-            let atoms = clause.body.iter().filter_map(Literal::atom);
-            atoms.map(|atom| atom.predicate).collect::<Vec<_>>()
-        };
         let clauses = clauses.into_iter().map(|id| &self.clauses[id.index()]);
-        let mut read: Vec<PredicateId> = clauses.flat_map(atoms).collect();
+        let mut read: Vec<PredicateId> = clauses.flat_map(|clause| self.reads(clause)).collect();
         let mut correlated = Vec::new();
         let mut position = 0;
         while let Some(&predicate) = read.get(position) {
@@ -830,7 +834,7 @@ impl Rules {
             if !correlated.contains(&predicate) {
                 correlated.push(predicate);
                 let clauses = self.clauses.iter().filter(|clause| clause.head.predicate == predicate);
-                read.extend(clauses.flat_map(atoms));
+                read.extend(clauses.flat_map(|clause| self.reads(clause)));
             }
         }
         correlated.sort_unstable();

@@ -213,6 +213,8 @@ pub(crate) fn order(predicates: &[Predicate], clauses: &[Clause]) -> Vec<Stratum
     }
     for (predicate, successors) in predicates.iter().zip(&mut successors) {
         successors.extend(predicate.subsumption.map(PredicateId::index));
+        let before = predicate.numbering.iter().flat_map(|numbering| &numbering.before);
+        successors.extend(before.map(|(of, _)| of.index()));
     }
     let (component, count) = components(&successors);
     let mut members: Vec<Vec<PredicateId>> = vec![Vec::new(); count];

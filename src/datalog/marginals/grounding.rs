@@ -24,7 +24,7 @@ pub enum Inexact {
     TooLarge,
     /// An aggregate ranges over uncertain rows of this predicate, or of a hidden one.
     Aggregate(PredicateId),
-    /// The keys or the limit of this predicate decide which of its uncertain rows hold.
+    /// Rounds decide which of its uncertain rows hold: it has keys, a limit, a subsumption or numbers.
     Rounds(PredicateId),
 }
 
@@ -506,8 +506,7 @@ pub(super) fn liftable(rules: &Rules) -> BTreeSet<PredicateId> {
     while let Some(predicate) = open.pop() {
         if read.insert(predicate) {
             let clauses = rules.clauses.iter().filter(|clause| clause.head.predicate == predicate);
-            let atoms = clauses.flat_map(|clause| clause.body.iter().filter_map(Literal::atom));
-            open.extend(atoms.map(|atom| atom.predicate));
+            open.extend(clauses.flat_map(|clause| rules.reads(clause)));
         }
     }
     let ids = (0..).map(PredicateId).zip(&rules.predicates);
@@ -539,12 +538,8 @@ fn uncertain(rules: &Rules, inputs: &BTreeSet<PredicateId>, weights: &BTreeMap<C
     while std::mem::take(&mut changed) {
         for clause in &rules.clauses {
             let head = clause.head.predicate.index();
-            let reads = |literal: &Literal| {
-                literal
-                    .atom()
-                    .is_some_and(|atom| uncertain[atom.predicate.index()] || Some(atom.predicate) == rules.chance)
-            };
-            if !uncertain[head] && clause.body.iter().any(reads) {
+            let may_vary = |read: PredicateId| uncertain[read.index()] || Some(read) == rules.chance;
+            if !uncertain[head] && rules.reads(clause).any(may_vary) {
                 uncertain[head] = true;
                 changed = true;
             }
@@ -560,8 +555,7 @@ fn relevant(rules: &Rules, mut uncertain: Vec<bool>, queries: &[PredicateId]) ->
     while let Some(predicate) = open.pop() {
         if !std::mem::replace(&mut needed[predicate.index()], true) {
             let clauses = rules.clauses.iter().filter(|clause| clause.head.predicate == predicate);
-            let atoms = clauses.flat_map(|clause| clause.body.iter().filter_map(Literal::atom));
-            open.extend(atoms.map(|atom| atom.predicate));
+            open.extend(clauses.flat_map(|clause| rules.reads(clause)));
         }
     }
     uncertain

@@ -31,15 +31,6 @@ impl Check<'_, '_> {
         hidden: &mut Vec<Clause>,
         span: Span,
     ) -> Vec<Literal> {
-        let is_counter = |literal: &Literal| {
-            matches!(
-                literal,
-                Literal::Compute {
-                    functor: Functor::Counter,
-                    ..
-                }
-            )
-        };
         let counters: Vec<Term> = (literals.iter())
             .filter_map(|literal| match literal {
                 Literal::Compute { to, .. } if is_counter(literal) => Some(*to),
@@ -49,6 +40,21 @@ impl Check<'_, '_> {
         if counters.is_empty() {
             return literals;
         }
+        // No executor evaluates a clause with a value whose type is unknown: a declaration is faulty.
+        self.split(head, &counters, literals.clone(), variables, hidden, span)
+            .unwrap_or(literals)
+    }
+
+    /// Returns the literals that remain; `None` if the type of a value is unknown.
+    fn split(
+        &mut self,
+        head: PredicateId,
+        counters: &[Term],
+        literals: Vec<Literal>,
+        variables: &mut Vec<Known>,
+        hidden: &mut Vec<Clause>,
+        span: Span,
+    ) -> Option<Vec<Literal>> {
         // What depends on the numbers stays.
         let mut late: BTreeSet<VarId> = counters.iter().filter_map(Term::variable).collect();
         let (mut early, mut rest) = (Vec::new(), Vec::new());
@@ -85,7 +91,7 @@ impl Check<'_, '_> {
                             let value = VarId(u32::try_from(variables.len()).expect("few variables"));
                             variables.push(Known {
                                 name: "_".to_owned(),
-                                ty: VariableType::Type(self.column(atom.predicate, column).unwrap_or(TypeId(0))),
+                                ty: VariableType::Type(self.column(atom.predicate, column)?),
                                 first: atom.span,
                                 count: 1,
                                 hidden: true,
@@ -111,11 +117,11 @@ impl Check<'_, '_> {
             let ty: TypeId = match ty {
                 VariableType::Type(ty) => *ty,
                 VariableType::Base(base) => Names::base_type(*base),
-                VariableType::Unknown => TypeId(0),
+                VariableType::Unknown => return None,
             };
-            (name.clone(), ty)
+            Some((name.clone(), ty))
         };
-        let typed: counter::Columns = columns.iter().map(typed).collect();
+        let typed: counter::Columns = columns.iter().map(typed).collect::<Option<_>>()?;
         let doc = "the solutions that `autoinc()` numbers".to_owned();
         let solutions = self.names.hide(typed.clone(), doc, span);
         for literal in &early {
@@ -165,8 +171,12 @@ impl Check<'_, '_> {
             });
         }
         body.append(&mut rest);
-        body
+        Some(body)
     }
+}
+
+fn is_counter(literal: &Literal) -> bool {
+    matches!(literal, Literal::Compute { functor, .. } if *functor == Functor::Counter)
 }
 
 fn equal(left: Term, right: Term, span: Span) -> Literal {
