@@ -119,6 +119,19 @@ fn programs_derive_what_the_naive_evaluator_derives() {
 }
 
 #[test]
+fn the_formatter_keeps_the_keys_together() {
+    let text = ".decl v( x :number,y: number )  choice - domain x,( x,y )\nv($+1,2*$):-v(x, - $),x!=$.\n\
+                .type T = N { n : number }\n.decl t(t: T)\nt($N( 1-choice )) :- v(choice,$-1).\n";
+    let mut sources = Sources::new();
+    let id = sources.add("a.dl", text);
+    assert_eq!(
+        format(&sources, id).expect("parses"),
+        ".decl v(x: number, y: number) choice-domain x, (x, y)\nv($ + 1, 2 * $) :- v(x, -$), x != $.\n\
+         .type T = N { n: number }\n.decl t(t: T)\nt($N(1 - choice)) :- v(choice, $ - 1).\n"
+    );
+}
+
+#[test]
 fn many_clauses_are_numbered() {
     let text = (0..200).fold(".decl a(x: number)\na(1). a(2).\n".to_owned(), |text, at| {
         text + &format!(

@@ -275,7 +275,7 @@ impl Layout<'_> {
         &self.text[token.start as usize..token.end as usize]
     }
 
-    /// Returns whether a sign stands between two values.
+    /// Returns whether a sign stands between two values. A `$` without a name is a value.
     fn is_binary(&self, before: Option<Token>, token: Token) -> bool {
         matches!(token.kind, Kind::Minus | Kind::Operator)
             && before.is_some_and(|before| {
@@ -289,8 +289,14 @@ impl Layout<'_> {
                         | Kind::String
                         | Kind::RParen
                         | Kind::RBracket
-                )
+                        | Kind::Dollar
+                ) && !self.is_choice(before)
             })
+    }
+
+    /// Returns whether this is the first part of `choice-domain`, which is one word.
+    fn is_choice(&self, token: Token) -> bool {
+        self.in_directive && self.word(token) == "choice"
     }
 
     /// Returns whether a comma separates the ends of a window.
@@ -313,7 +319,8 @@ impl Layout<'_> {
             // The dot of a directive touches the following name; a full stop touches the preceding token.
             (Dot, Ident) => left.end != right.start,
             (_, Dot) => false,
-            (LParen | LBracket | Bang | Dollar | At | Hash, _) => false,
+            (LParen | LBracket | Bang | At | Hash, _) | (Dollar, Ident) => false,
+            (Ident, Minus) if self.is_choice(left) => false,
             (Ident, LParen) => self.word(left) == "not",
             // The window of a temporal operator: `once[0,5]`.
             (Ident, LBracket) => false,
