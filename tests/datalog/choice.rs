@@ -188,6 +188,20 @@ fn plans_show_numbers() {
     assert!(plans.contains("= autoinc()"), "{plans}");
 }
 
+#[test]
+fn faults_of_a_limit_are_reported_once() {
+    let declared = ".decl a, b(x: number)\na(1). b(1).\n";
+    for (directive, wanted) in [
+        (".limitsize a, b(n=2, k=3)", "`k` has no effect"),
+        (".limitsize a, b(n=x)", "`n=x` is no number of rows"),
+        (".limitsize a, b()", "`.limitsize a, b` has no limit"),
+    ] {
+        let (_, loaded) = load(&format!("{declared}{directive}\n"));
+        let messages: Vec<_> = loaded.diagnostics.iter().map(|fault| &fault.message).collect();
+        assert_eq!(messages, [wanted], "{directive}");
+    }
+}
+
 /// A linear congruential generator.
 pub(crate) struct Random(pub(crate) u64);
 

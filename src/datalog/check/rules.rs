@@ -146,20 +146,7 @@ pub struct Numbering {
 pub struct Directive {
     /// The kind of directive.
     pub kind: MarkKind,
-    impl Directive {
-    /// Returns a directive without options.
-    pub(crate) fn none(mark: &crate::syntax::ast::Mark) -> Directive {
-        Directive {
-            kind: mark.kind,
-            place: RowPlace::Usual,
-            format: RowFormat::default(),
-            compress: false,
-            span: mark.names[0].place.0,
-        }
-    }
-}
-
-/// The source or destination of the rows.
+    /// The source or destination of the rows.
     pub place: RowPlace,
     /// The text format of the rows.
     pub format: RowFormat,

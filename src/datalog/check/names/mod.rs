@@ -423,26 +423,27 @@ impl Names {
     }
 
     fn mark(&mut self, mark: &Mark, faults: &mut Faults) {
-        let directive = match mark.kind {
-            MarkKind::LimitSize => Directive::none(mark),
-            _ => read_options(mark, faults),
-        };
+        if mark.kind == MarkKind::LimitSize {
+            let limit = size_limit(mark, faults);
+            for name in &mark.names {
+                if let Some(id) = self.resolve(name) {
+                    let predicate = &mut self.predicates[id.index()];
+                    predicate.size_limit = predicate.size_limit.min(limit).or(limit);
+                }
+            }
+            return;
+        }
+        let directive = read_options(mark, faults);
         for name in &mark.names {
             let Some(id) = self.resolve(name) else { continue };
             let predicate = &mut self.predicates[id.index()];
-            if mark.kind == MarkKind::LimitSize {
-                let limit = size_limit(mark, name, faults);
-                predicate.size_limit = predicate.size_limit.min(limit).or(limit);
-                continue;
-            }
             match mark.kind {
-                MarkKind::LimitSize => {}
                 MarkKind::Input => {
                     predicate.input = true;
                     self.signatures[id.index()].input.get_or_insert(name.place.0);
                 }
                 MarkKind::Output => predicate.output = true,
-                MarkKind::PrintSize => {
+                _ => {
                     predicate.printsize = true;
                     if let Some(earlier) = self.printsizes.insert(id, name.place.0) {
                         let message = format!("`{}` has two `.printsize` directives", name.text);
@@ -577,7 +578,7 @@ fn choices(decl: &Decl, faults: &mut Faults) -> Vec<Vec<usize>> {
 }
 
 /// Returns the `n` of `.limitsize P(n=10)`.
-fn size_limit(mark: &Mark, name: &Name, faults: &mut Faults) -> Option<usize> {
+fn size_limit(mark: &Mark, faults: &mut Faults) -> Option<usize> {
     let mut limit = None;
     for option in &mark.options {
         match (option.key.text.as_str(), option.value.parse::<usize>()) {
@@ -598,9 +599,11 @@ fn size_limit(mark: &Mark, name: &Name, faults: &mut Faults) -> Option<usize> {
         }
     }
     if limit.is_none() {
-        let message = format!("`.limitsize {}` has no limit", name.text);
-        let fault = Diagnostic::new(codes::SYNTAX, message).at(name.place.0, "");
-        faults.push(fault.help(format!("write the number of rows: `.limitsize {}(n=1000)`", name.text)));
+        let names: Vec<&str> = mark.names.iter().map(|name| name.text.as_str()).collect();
+        let names = names.join(", ");
+        let message = format!("`.limitsize {names}` has no limit");
+        let fault = Diagnostic::new(codes::SYNTAX, message).at(mark.names[0].place.0, "");
+        faults.push(fault.help(format!("write the number of rows: `.limitsize {names}(n=1000)`")));
     }
     limit
 }
@@ -670,7 +673,7 @@ fn read_options(mark: &Mark, faults: &mut Faults) -> Directive {
                     let known = match mark.kind {
                         MarkKind::Input => "`file` or `stdin`",
                         MarkKind::Output => "`file` or `stdout`",
-                        MarkKind::PrintSize | MarkKind::LimitSize => "`stdoutprintsize`",
+                        _ => "`stdoutprintsize`",
                     };
                     faults.push(fault.at(option.place.0, "").help(format!("use {known}")));
                 }
