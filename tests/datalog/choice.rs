@@ -189,6 +189,25 @@ fn plans_show_numbers() {
 }
 
 #[test]
+fn functors_of_the_caller_are_checked() {
+    let text = ".functor f(x: number): symbol\n.decl s, t(s: symbol)\n.input s\n";
+    let (_, loaded) = load(&format!("{text}t(@f(s)) :- s(s).\n"));
+    let messages: Vec<_> = loaded.diagnostics.iter().map(|fault| &fault.message).collect();
+    assert_eq!(
+        messages,
+        ["`@f` takes or returns values of type `number`, not `symbol`"]
+    );
+    let stray = program(&format!("{text}t(@f(1)) :- s(_).\n")).define_batch("f", |batch, values| {
+        values.extend((0..batch.len()).map(|_| Some(Value(u32::MAX))));
+        Ok(())
+    });
+    let mut session = stray.expect("declared").session();
+    session.insert("s", ("a",)).expect("a row");
+    let error = session.commit().expect_err("fails").to_string();
+    assert_eq!(error, "the functor `f` failed: a value is no symbol of this session");
+}
+
+#[test]
 fn faults_of_a_limit_are_reported_once() {
     let declared = ".decl a, b(x: number)\na(1). b(1).\n";
     for (directive, wanted) in [

@@ -1,4 +1,4 @@
-//! What defines the functors of the caller.
+//! Definitions of user-defined functors.
 
 use crate::symbol::Symbols;
 use crate::value::Value;
@@ -36,6 +36,9 @@ impl<'a> FunctorBatch<'a> {
     }
 
     /// Returns the arguments of a call.
+    ///
+    /// # Panics
+    /// If there is no such call.
     pub fn row(&self, call: usize) -> &'a [Value] {
         &self.rows[call * self.arity..(call + 1) * self.arity]
     }

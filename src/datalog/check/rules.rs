@@ -622,9 +622,13 @@ impl UserFunctor {
         values.clear();
         let batch = FunctorBatch::new(rows, (count, self.arguments.len()), symbols);
         (definition.0)(&batch, values)?;
-        match values.len() == count {
-            true => Ok(()),
-            false => Err(format!("{} values for {count} calls", values.len())),
+        if values.len() != count {
+            return Err(format!("{} values for {count} calls", values.len()));
+        }
+        let known = |value: &Value| (value.0 as usize) < symbols.len();
+        match matches!(self.base, BaseType::Symbol | BaseType::Record) && !values.iter().flatten().all(known) {
+            true => Err("a value is no symbol of this session".to_owned()),
+            false => Ok(()),
         }
     }
 }

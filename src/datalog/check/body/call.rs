@@ -107,9 +107,10 @@ impl<'c> Check<'_, 'c> {
         OperandKind::Variable(to)
     }
 
-    fn declaration(&self, arguments: &[Operand]) -> Option<&UserFunctor> {
+    /// Returns the functor that the first argument of a call names, with its position.
+    fn declaration(&self, arguments: &[Operand]) -> Option<(u32, &UserFunctor)> {
         match arguments.first()?.kind {
-            OperandKind::Constant(at, _) => self.names.functors.get(at.0 as usize),
+            OperandKind::Constant(at, _) => Some((at.0, self.names.functors.get(at.0 as usize)?)),
             _ => None,
         }
     }
@@ -127,7 +128,7 @@ impl<'c> Check<'_, 'c> {
         let declared = self
             .declaration(arguments)
             .into_iter()
-            .flat_map(|functor| &functor.arguments);
+            .flat_map(|(_, functor)| &functor.arguments);
         (arguments[1..].iter().zip(declared))
             .filter_map(|(operand, argument)| match operand.kind {
                 OperandKind::Variable(id) => Some((id, argument.ty)),
@@ -138,27 +139,23 @@ impl<'c> Check<'_, 'c> {
 
     /// Collects the base types of arguments and result.
     pub(super) fn ties_of_call(&self, result: Operand, arguments: &[Operand], span: Span, out: &mut Vec<Tie>) {
-        let Some(functor) = self.declaration(arguments) else {
+        let Some((at, functor)) = self.declaration(arguments) else {
             return;
         };
-        let kind = TieKind::Functor(Functor::Call.name());
+        let kind = TieKind::Call(at);
         for (operand, argument) in arguments[1..].iter().zip(&functor.arguments) {
             out.push(Tie::new(kind, &[*operand], only(argument.base), span));
         }
         out.push(Tie::new(kind, &[result], only(functor.base), span));
     }
 
-    /// Returns the finished literal.
-    pub(super) fn called(&mut self, to: VarId, arguments: &[Operand], span: Span) -> Literal {
-        let (bases, base) = match self.declaration(arguments) {
-            Some(functor) => (
-                functor.arguments.iter().map(|argument| argument.base).collect(),
-                functor.base,
-            ),
-            None => (Vec::new(), BaseType::Number),
-        };
-        let bases = std::iter::once(BaseType::Unsigned).chain(bases);
-        Literal::Compute {
+    /// Returns the finished literal; `None` if the functor is not declared.
+    pub(super) fn called(&mut self, to: VarId, arguments: &[Operand], span: Span) -> Option<Literal> {
+        let (_, functor) = self.declaration(arguments)?;
+        let base = functor.base;
+        let bases = functor.arguments.iter().map(|argument| argument.base);
+        let bases: Vec<BaseType> = std::iter::once(BaseType::Unsigned).chain(bases).collect();
+        Some(Literal::Compute {
             to: Term::Variable(to),
             functor: Functor::Call,
             base,
@@ -166,6 +163,6 @@ impl<'c> Check<'_, 'c> {
                 .map(|(&argument, base)| self.finished(argument, base))
                 .collect(),
             span,
-        }
+        })
     }
 }

@@ -886,7 +886,7 @@ impl<'c> Check<'_, 'c> {
                 let bases: Vec<BaseType> = match functor.shape() {
                     Shape::Fixed(bases, _) => bases.to_vec(),
                     Shape::Choice => return Some(self.choice(*to, arguments, *span)),
-                    Shape::Declared => return Some(self.called(*to, arguments, *span)),
+                    Shape::Declared => return self.called(*to, arguments, *span),
                     Shape::Record => {
                         let base = match functor {
                             Functor::Unpack => self.base_of_variable(*to).unwrap_or(BaseType::Record),

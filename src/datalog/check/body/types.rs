@@ -342,6 +342,10 @@ impl<'c> Check<'_, 'c> {
             let what = match tie.kind {
                 TieKind::Compare => "this takes values".to_owned(),
                 TieKind::Functor(name) => format!("`{name}` takes or returns values"),
+                TieKind::Call(at) => {
+                    let name = &self.names.functors[at as usize].name;
+                    format!("`@{name}` takes or returns values")
+                }
                 TieKind::Probability => "a probability is a value".to_owned(),
             };
             let message = format!("{what} of type {}, not `{}`", wanted.join(" or "), found.name());
@@ -364,6 +368,7 @@ impl<'c> Check<'_, 'c> {
             let name = match tie.kind {
                 TieKind::Compare => "=",
                 TieKind::Functor(name) => name,
+                TieKind::Call(at) => &self.names.functors[at as usize].name,
                 TieKind::Probability => "::",
             };
             let message = format!("`{name}` cannot mix a `{}` and a `{}`", base.name(), found.name());
@@ -605,6 +610,8 @@ pub(super) struct Tie {
 pub(super) enum TieKind {
     Compare,
     Functor(&'static str),
+    /// A functor of the caller, by its position.
+    Call(u32),
     Probability,
 }
 
