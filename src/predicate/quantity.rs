@@ -294,7 +294,7 @@ impl PredicateKind for Quantity {
             Quantity::Limit => "has this speed limit in km/h:",
             Quantity::Light => "sees this light:",
             Quantity::RightOfWay => "has this right of way against",
-            Quantity::Clearance => "waits this number of cells for",
+            Quantity::Clearance => "has its way free after this number of cells of",
             Quantity::Exit => "leaves its next intersection in the direction",
             Quantity::Distance => "has this distance in cells from",
             Quantity::Tick => "The tick is",

@@ -26,7 +26,7 @@ pub struct Unsupported {
 pub enum Construct {
     /// The predicate depends on itself.
     Recursion(PredicateId),
-    /// A predicate with keys or a limit of its size, whose rows depend on the order in which they are derived.
+    /// A predicate whose rows depend on the rounds of its evaluation.
     Rounds(PredicateId),
     /// The predicate has no columns, or more than two.
     Columns(PredicateId),
@@ -81,7 +81,7 @@ impl Unsupported {
                 )
             }
             Construct::Rounds(predicate) => {
-                format!("{} has at most one row for each key, or a limit", named(predicate))
+                format!("{} depends on the rounds in which rows are derived", named(predicate))
             }
             Construct::Constant => format!("a clause of {head} names a constant"),
             Construct::Draw => format!("a clause of {head} draws for each combination of more than two agents"),

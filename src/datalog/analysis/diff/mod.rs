@@ -175,8 +175,9 @@ pub fn diff(left: &Rules, right: &Rules, options: &Options) -> Result<Equivalenc
             .iter()
             .find(|predicate| predicate.depends_on_rounds())?;
         let message = "rules whose rows depend on rounds cannot be compared";
-        let fault = Diagnostic::new(codes::UNSUPPORTED, message).at(predicate.span, "this has keys or a limit");
-        Some(fault.help("remove `choice-domain` and `.limitsize` on both sides"))
+        let fault = Diagnostic::new(codes::UNSUPPORTED, message)
+            .at(predicate.span, "the rounds of its evaluation decide which rows it has");
+        Some(fault.help("remove its keys, limit, subsumption or `autoinc()` on both sides"))
     };
     let faults: Vec<Diagnostic> = [left, right].into_iter().filter_map(chooses).collect();
     if !faults.is_empty() {
