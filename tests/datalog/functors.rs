@@ -1,4 +1,4 @@
-//! Functors of the caller: every program derives what the naive evaluator derives, at once and by increments.
+//! User-defined functors: every program derives what the naive evaluator derives, at once and by increments.
 
 use crate::component::load;
 use logicity_datalog::cancel::Cancel;
@@ -301,7 +301,7 @@ fn missing_and_failing_definitions_are_errors() {
     session.insert("n", (1,)).expect("a row");
     assert_eq!(
         session.commit().expect_err("fails").to_string(),
-        "the functor `f` failed: 0 values for 1 calls"
+        "the functor `f` failed: 0 values for 1 call"
     );
     let wrong = program(text)
         .define("f", |(x,): (i64,)| Some(x << 40))

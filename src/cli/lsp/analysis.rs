@@ -24,7 +24,7 @@ use std::path::{Path, PathBuf};
 pub enum Meaning {
     Predicate(String),
     Type(String),
-    /// A functor of the caller.
+    /// A user-defined functor.
     Functor(String),
     /// The path of an include.
     Include(String),

@@ -6,7 +6,7 @@
 //! from bound ones. In the clause of a hidden predicate a guard may bind variables too, and a correlated aggregate
 //! binds parameters. The predicates are stratified.
 
-use crate::diag::{Sources, Span};
+use crate::diag::{Sources, Span, counted};
 use crate::symbol::Symbols;
 use crate::syntax::ast::{BaseType, Comparison, MarkKind};
 use crate::value::Value;
@@ -623,7 +623,8 @@ impl UserFunctor {
         let batch = FunctorBatch::new(rows, (count, self.arguments.len()), symbols);
         (definition.0)(&batch, values)?;
         if values.len() != count {
-            return Err(format!("{} values for {count} calls", values.len()));
+            let (values, calls) = (counted(values.len(), "value"), counted(count, "call"));
+            return Err(format!("{values} for {calls}"));
         }
         let known = |value: &Value| (value.0 as usize) < symbols.len();
         match matches!(self.base, BaseType::Symbol | BaseType::Record) && !values.iter().flatten().all(known) {

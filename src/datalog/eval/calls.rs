@@ -1,4 +1,4 @@
-//! The functors of the caller that a join applies.
+//! The user-defined functors that a join applies.
 
 use crate::check::UserFunctor;
 use crate::symbol::Symbols;

@@ -78,7 +78,7 @@ pub(crate) struct JoinState {
     pub(crate) symbol_bytes: u64,
     /// The correlated aggregates evaluated so far.
     pub(crate) correlated: CorrelatedValues,
-    /// The functors of the caller; `None` if no clause applies one.
+    /// The user-defined functors; `None` if no clause applies one.
     pub(crate) calls: Option<Arc<Calls>>,
 }
 
@@ -655,7 +655,7 @@ impl<const W: usize> Join<'_, W> {
         Ok(value)
     }
 
-    /// Calls a functor of the caller. Returns `None` if the call waits for others; `finish` continues behind it.
+    /// Calls a user-defined functor. Returns `None` if the call waits for others; `finish` continues behind it.
     #[cold]
     fn call(&mut self, depth: usize, end: usize, arguments: &[Slot]) -> Result<Option<Option<Value>>, Abort> {
         // In an existential group, the steps before this one ask whether it succeeds.

@@ -57,7 +57,7 @@ pub(crate) enum Abort {
     Memory,
     /// The caller cancelled it.
     Cancelled,
-    /// A functor of the caller failed.
+    /// A user-defined functor failed.
     Functor,
 }
 

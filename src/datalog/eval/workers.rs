@@ -185,7 +185,7 @@ impl Workers {
         out: &Output<W>,
     ) -> Vec<Worker<W>> {
         let count = self.threads.count.get();
-        // A plan with functors of the caller makes symbols, so one thread runs it.
+        // A plan with user-defined functors makes symbols, so one thread runs it.
         let worker = || Worker {
             out: out.fork(count),
             state: JoinState::new(state.budget.saturating_sub(state.rows_scanned)),

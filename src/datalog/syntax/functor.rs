@@ -107,7 +107,7 @@ pub enum Functor {
     /// A field of a record: the arguments are its shape, the position of the field, and the record. A record of another
     /// shape has no such field. The base type of the literal is that of the field.
     Unpack,
-    /// `@f(x, y)`: a functor of the caller. The first argument is its position in [`Rules::functors`](crate::Rules).
+    /// `@f(x, y)`: a user-defined functor. The first argument is its position in [`Rules::functors`](crate::Rules).
     /// The base type of the literal is that of the result.
     Call,
     /// `autoinc()`: a number of its own for each solution of a body. The checker reads it from a hidden predicate, whose
@@ -219,7 +219,7 @@ impl Functor {
         matches!(self, Negate | BitNot | Not)
     }
 
-    /// Returns whether the functor can create new symbols. What a functor of the caller does is unknown.
+    /// Returns whether the functor can create new symbols. What a user-defined functor does is unknown.
     pub fn makes_symbol(self) -> bool {
         matches!(self, Cat | Substring | ToSymbol | Pack | Call)
     }

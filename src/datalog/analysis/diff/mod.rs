@@ -160,7 +160,7 @@ pub fn diff(left: &Rules, right: &Rules, options: &Options) -> Result<Equivalenc
         let functor = rules.functors.first()?;
         let fault = Diagnostic::new(
             codes::UNSUPPORTED,
-            "rules with functors of the caller cannot be compared",
+            "rules with user-defined functors cannot be compared",
         );
         let fault = fault.at(functor.span, "only the caller knows its values");
         Some(fault.help("replace it by a predicate of input rows on both sides"))

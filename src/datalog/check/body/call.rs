@@ -1,4 +1,4 @@
-//! Functors of the caller: `@f(x, y)`.
+//! User-defined functors: `@f(x, y)`.
 
 use crate::check::body::types::{Tie, TieKind, only};
 use crate::check::body::{Check, Operand, OperandKind, Pending, Use};

@@ -610,7 +610,7 @@ pub(super) struct Tie {
 pub(super) enum TieKind {
     Compare,
     Functor(&'static str),
-    /// A functor of the caller, by its position.
+    /// A user-defined functor, by its position.
     Call(u32),
     Probability,
 }

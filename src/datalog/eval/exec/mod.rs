@@ -89,7 +89,7 @@ pub(crate) struct CommitOptions<'a> {
     pub(crate) watch: Option<&'a dyn Fn(EvalEvent)>,
     /// Polled on the calling thread.
     pub(crate) cancel: &'a Cancel,
-    /// The functors of the caller, if there are any.
+    /// The user-defined functors, if there are any.
     pub(crate) calls: Option<&'a Arc<Calls>>,
 }
 
