@@ -195,7 +195,8 @@ QUOTES: dict[str, list[str]] = {
             f"`{row}` from {vap('vap-backbone', row, 'random')} to {vap('vap-backbone', row, 'plain random')}"
             for row in ("modular-gnn", "modular-nlm", "e2e-gnn")
         ),
-        f"`e2e-nlm` from {vap('vap-backbone', 'e2e-nlm', 'random')} to {vap('vap-backbone', 'e2e-nlm', 'plain random')}",
+        f"`e2e-nlm` from {vap('vap-backbone', 'e2e-nlm', 'random')} to "
+        f"{vap('vap-backbone', 'e2e-nlm', 'plain random')}",
         *(
             f"({vap('vap-backbone', one, 'plain random')} and {vap('vap-backbone', other, 'plain random')}; the paper's"
             for one, other in [("modular-gnn", "modular-nlm"), ("e2e-gnn", "e2e-nlm")]
