@@ -98,7 +98,12 @@ const PROGRAMS: &[(&str, &[(&str, &str)])] = &[
 
 #[test]
 fn programs_derive_what_the_naive_evaluator_derives() {
-    for (text, wanted) in PROGRAMS {
+    derive_alike(PROGRAMS);
+}
+
+/// Compares programs with the naive evaluator and with what some of their predicates hold, also printed and formatted.
+pub fn derive_alike(programs: &[(&str, &[(&str, &str)])]) {
+    for (text, wanted) in programs {
         let mut session = program(text).session();
         session.commit().unwrap_or_else(|error| panic!("{error}\n{text}"));
         for (name, rows) in *wanted {
@@ -259,25 +264,37 @@ fn random_program(random: &mut Random) -> String {
             _ => vec![format!("p{}", stratum - 1), format!("q{}", stratum - 1), "e".to_owned()],
         };
         let before: Vec<&str> = before.iter().map(String::as_str).collect();
-        for _ in 0..2 + random.below(4) {
-            let (one, other) = (random.of(&before), random.of(&before));
-            text += &match random.below(7) {
-                0 | 1 => format!("p{stratum}(x, y) :- {one}(x, y).\n"),
-                2 => format!("p{stratum}(x, y) :- p{stratum}(x, z), {one}(_, y), z != y.\n"),
-                3 => format!("p{stratum}(x, y + 1) :- p{stratum}(x, y), {one}(x, _), y < 6.\n"),
-                4 => format!(
-                    "q{stratum}(x, y) :- p{stratum}(x, y), {one}(_, y). q{stratum}(x, y) :- q{stratum}(z, y), {other}(x, _), p{stratum}(z, _).\n"
-                ),
-                5 => format!("p{stratum}(x, y) :- q{stratum}(x, y), {other}(x, _).\n"),
-                _ => format!("q{stratum}(x, c) :- {one}(x, _), c = count : {{ {other}(x, _) }}.\n"),
-            };
-        }
+        text += &clauses(stratum, &before, random);
+    }
+    text
+}
+
+/// Returns random clauses of the predicates `p` and `q` of a stratum over those before.
+pub fn clauses(stratum: usize, before: &[&str], random: &mut Random) -> String {
+    let mut text = String::new();
+    for _ in 0..2 + random.below(4) {
+        let (one, other) = (random.of(before), random.of(before));
+        text += &match random.below(7) {
+            0 | 1 => format!("p{stratum}(x, y) :- {one}(x, y).\n"),
+            2 => format!("p{stratum}(x, y) :- p{stratum}(x, z), {one}(_, y), z != y.\n"),
+            3 => format!("p{stratum}(x, y + 1) :- p{stratum}(x, y), {one}(x, _), y < 6.\n"),
+            4 => format!(
+                "q{stratum}(x, y) :- p{stratum}(x, y), {one}(_, y). q{stratum}(x, y) :- q{stratum}(z, y), {other}(x, _), p{stratum}(z, _).\n"
+            ),
+            5 => format!("p{stratum}(x, y) :- q{stratum}(x, y), {other}(x, _).\n"),
+            _ => format!("q{stratum}(x, c) :- {one}(x, _), c = count : {{ {other}(x, _) }}.\n"),
+        };
     }
     text
 }
 
 #[test]
 fn random_programs_derive_what_the_naive_evaluator_derives() {
+    change_alike(random_program);
+}
+
+/// Compares sessions of random programs over `e` and `i` with the naive evaluator and with fresh sessions.
+pub fn change_alike(random_program: fn(&mut Random) -> String) {
     for seed in 0..150 {
         let mut random = Random(seed);
         let text = random_program(&mut random);

@@ -1,10 +1,9 @@
 //! Counters: every program derives what the naive evaluator derives, at once and by increments.
 
-use crate::choice::{Random, compare, explain, predicate, program, shown};
+use crate::choice::{Random, compare, derive_alike, explain, predicate, program, shown};
 use crate::component::load;
-use logicity_datalog::diag::Sources;
 use logicity_datalog::explain::ExplanationPrinter;
-use logicity_datalog::{PredicateId, Program, Value, facts, format, parse, print};
+use logicity_datalog::{PredicateId, Program, Value, facts};
 use std::collections::BTreeSet;
 
 /// Programs with what some of their predicates hold.
@@ -40,24 +39,7 @@ const PROGRAMS: &[(&str, &[(&str, &str)])] = &[
 
 #[test]
 fn programs_derive_what_the_naive_evaluator_derives() {
-    for (text, wanted) in PROGRAMS {
-        let mut session = program(text).session();
-        session.commit().unwrap_or_else(|error| panic!("{error}\n{text}"));
-        compare(&session, text);
-        for (name, rows) in *wanted {
-            assert_eq!(shown(&session, name), *rows, "{name}\n{text}");
-        }
-        let mut sources = Sources::new();
-        let id = sources.add("a.dl", *text);
-        let tree = parse(&sources, id).file;
-        for printed in [print(&tree), format(&sources, id).expect("parses")] {
-            let mut again = program(&printed).session();
-            again.commit().expect("small");
-            for (name, rows) in *wanted {
-                assert_eq!(shown(&again, name), *rows, "{name}\n{printed}");
-            }
-        }
-    }
+    derive_alike(PROGRAMS);
 }
 
 #[test]

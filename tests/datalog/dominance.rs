@@ -1,10 +1,9 @@
 //! Subsumption: every program derives what the naive evaluator derives, at once and by increments.
 
-use crate::choice::{Random, compare, explain, predicate, program, shown};
+use crate::choice::{Random, change_alike, clauses, derive_alike, predicate, program, shown};
 use crate::component::load;
-use logicity_datalog::diag::Sources;
 use logicity_datalog::explain::ExplanationPrinter;
-use logicity_datalog::{Limits, PredicateId, Program, Value, facts, format, parse, print};
+use logicity_datalog::{Limits, Program, Value};
 
 /// Programs with what some of their predicates hold.
 const PROGRAMS: &[(&str, &[(&str, &str)])] = &[
@@ -55,24 +54,7 @@ const PROGRAMS: &[(&str, &[(&str, &str)])] = &[
 
 #[test]
 fn programs_derive_what_the_naive_evaluator_derives() {
-    for (text, wanted) in PROGRAMS {
-        let mut session = program(text).session();
-        session.commit().unwrap_or_else(|error| panic!("{error}\n{text}"));
-        compare(&session, text);
-        for (name, rows) in *wanted {
-            assert_eq!(shown(&session, name), *rows, "{name}\n{text}");
-        }
-        let mut sources = Sources::new();
-        let id = sources.add("a.dl", *text);
-        let tree = parse(&sources, id).file;
-        for printed in [print(&tree), format(&sources, id).expect("parses")] {
-            let mut again = program(&printed).session();
-            again.commit().expect("small");
-            for (name, rows) in *wanted {
-                assert_eq!(shown(&again, name), *rows, "{name}\n{printed}");
-            }
-        }
-    }
+    derive_alike(PROGRAMS);
 }
 
 /// Returns a program of three strata over an input predicate, with subsumptions.
@@ -108,66 +90,14 @@ fn random_program(random: &mut Random) -> String {
             };
             text += &format!("{of}{stratum}(x, y) <= {of}{stratum}({other}, z) :- {order}{same}.\n");
         }
-        for _ in 0..2 + random.below(4) {
-            let (one, other) = (random.of(&before), random.of(&before));
-            text += &match random.below(7) {
-                0 | 1 => format!("p{stratum}(x, y) :- {one}(x, y).\n"),
-                2 => format!("p{stratum}(x, y) :- p{stratum}(x, z), {one}(_, y), z != y.\n"),
-                3 => format!("p{stratum}(x, y + 1) :- p{stratum}(x, y), {one}(x, _), y < 6.\n"),
-                4 => format!(
-                    "q{stratum}(x, y) :- p{stratum}(x, y), {one}(_, y). q{stratum}(x, y) :- q{stratum}(z, y), {other}(x, _), p{stratum}(z, _).\n"
-                ),
-                5 => format!("p{stratum}(x, y) :- q{stratum}(x, y), {other}(x, _).\n"),
-                _ => format!("q{stratum}(x, c) :- {one}(x, _), c = count : {{ {other}(x, _) }}.\n"),
-            };
-        }
+        text += &clauses(stratum, &before, random);
     }
     text
 }
 
 #[test]
 fn random_programs_derive_what_the_naive_evaluator_derives() {
-    for seed in 0..150 {
-        let mut random = Random(seed);
-        let text = random_program(&mut random);
-        let program = program(&text);
-        let mut session = program.session();
-        for step in 0..4 {
-            for _ in 0..5 {
-                let row = (random.of(&["b", "a", "d", "c"]), random.below(4));
-                let name = random.of(&["e", "i"]);
-                match random.below(3) {
-                    0 => session.retract(name, row),
-                    _ => session.insert(name, row),
-                }
-                .expect("a row");
-            }
-            session.commit().expect("small");
-            compare(&session, &text);
-            let mut fresh = program.session();
-            for name in ["e", "i"] {
-                let stored = predicate(&session, name);
-                let stored = program.rules().predicates[stored.index()].edb.unwrap_or(stored);
-                let lines = facts::print(&session, stored);
-                for line in lines.lines().rev() {
-                    let (x, y) = line.split_once('\t').expect("two columns");
-                    fresh
-                        .insert(name, (x, y.parse::<i32>().expect("a number")))
-                        .expect("a row");
-                }
-            }
-            fresh.commit().expect("small");
-            for id in (0..).map(PredicateId).take(program.rules().predicates.len()) {
-                let name = &program.rules().predicates[id.index()].name;
-                assert_eq!(
-                    facts::print(&session, id),
-                    facts::print(&fresh, id),
-                    "{name}, seed {seed}, step {step}\n{text}"
-                );
-            }
-            explain(&session, &text);
-        }
-    }
+    change_alike(random_program);
 }
 
 #[test]
