@@ -651,18 +651,15 @@ impl RoadMap {
     /// Returns the number of cells that a car drives until it has left the way of another in their next junction, by
     /// their cells and by the directions in which their routes leave it; `None` if their ways do not meet, or no longer.
     pub fn clearance(&self, other: (Cell, Option<Heading>), car: (Cell, Option<Heading>)) -> Option<u32> {
-        let theirs: Vec<Way> = self.ways(other.0, other.1).collect();
         let from = |way: &Way| self.network.connections[way.connection as usize].from;
         let junction = |way: &Way| self.network.lanes[from(way) as usize].to;
         let left = self.ways(car.0, car.1).filter_map(|way| {
-            let crossed =
-                (theirs.iter()).filter(|other| junction(other) == junction(&way) && from(other) != from(&way));
-            let crossed: Vec<Cell> = crossed.flat_map(|other| self.cells_of(other)).collect();
-            let (_, last) = self
-                .cells_of(&way)
-                .zip(0..)
-                .filter(|(cell, _)| crossed.contains(cell))
-                .last()?;
+            // Mostly none, as few of the cars in view come to the same junction.
+            let crossing = self
+                .ways(other.0, other.1)
+                .filter(|other| junction(other) == junction(&way) && from(other) != from(&way));
+            let crossed: Vec<Cell> = crossing.flat_map(|other| self.cells_of(other)).collect();
+            let (_, last) = (self.cells_of(way).zip(0..).filter(|(cell, _)| crossed.contains(cell))).last()?;
             Some(way.before + last + 1)
         });
         left.max()
@@ -696,7 +693,7 @@ impl RoadMap {
     }
 
     /// Returns the cells of a way from the first or the present one inside the junction to the first after it.
-    fn cells_of(&self, way: &Way) -> impl Iterator<Item = Cell> {
+    fn cells_of(&self, way: Way) -> impl Iterator<Item = Cell> {
         let end = self.path(self.network.connections[way.connection as usize].to).first();
         self.link(way.connection)[way.at as usize..].iter().chain(end).copied()
     }

@@ -14,6 +14,16 @@ pub fn load(text: &str) -> (Sources, Loaded) {
     preprocessor::load(&[("a.dl", text)], &Preprocessing::default())
 }
 
+/// Asserts that a program has a fault with this code whose message contains a text.
+pub fn has_fault(text: &str, code: &str, message: &str) {
+    let (_, loaded) = load(text);
+    let faults: Vec<_> = (loaded.diagnostics.iter())
+        .map(|fault| (fault.code.name(), fault.message.as_str()))
+        .collect();
+    let fits = |(found, said): &(&str, &str)| *found == code && said.contains(message);
+    assert!(faults.iter().any(fits), "{text}: {faults:#?}");
+}
+
 /// Returns the rows of each output as text, by the name of the predicate with `_` in place of dots.
 fn outputs(text: &str) -> BTreeMap<String, String> {
     let (sources, loaded) = load(text);

@@ -1,8 +1,8 @@
 //! User-defined functors: every program derives what the naive evaluator derives, at once and by increments.
 
-use crate::component::load;
+use crate::component::{has_fault, load};
 use logicity_datalog::cancel::Cancel;
-use logicity_datalog::diag::{Sources, render};
+use logicity_datalog::diag::{Diagnostic, Sources, render};
 use logicity_datalog::explain::ExplanationPrinter;
 use logicity_datalog::{
     EvalError, FunctorError, InputPolicy, PredicateId, Program, Session, Strategy, Value, Workspace, facts, format,
@@ -386,17 +386,14 @@ fn faults_say_what_is_wrong() {
         ("s(@f 1).", "syntax", ""),
         ("s(@f).", "syntax", ""),
     ] {
-        let (_, loaded) = load(&format!("{declared}{clause}\n"));
-        let faults = loaded.diagnostics.iter();
-        let errors: Vec<_> = faults
-            .filter(|fault| fault.is_error())
-            .map(|fault| (fault.code.name(), &fault.message))
-            .collect();
+        let text = format!("{declared}{clause}\n");
         if code.is_empty() {
+            let errors: Vec<_> = (load(&text).1.diagnostics.into_iter())
+                .filter(Diagnostic::is_error)
+                .collect();
             assert!(errors.is_empty(), "{clause}: {errors:?}");
         } else {
-            let fits = |(found, text): &(&str, &String)| *found == code && text.contains(message);
-            assert!(errors.iter().any(fits), "{clause}: {errors:?}");
+            has_fault(&text, code, message);
         }
     }
 }
