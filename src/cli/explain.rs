@@ -1,4 +1,4 @@
-//! `logicity explain`: explains a decision in a trace.
+//! `logicity explain`: explains a decision in a trace, or lists the firings of a clause.
 
 use crate::cancel::Cancel;
 use crate::city::{Action, Cell, Effect};
@@ -7,11 +7,13 @@ use crate::cli::limits::LimitOptions;
 use crate::cli::terminal;
 use crate::cli::trace::TraceReader;
 use crate::cli::values::integer;
+use crate::datalog::ClauseId;
 use crate::datalog::explain::{Explainer, ExplanationPrinter};
-use crate::diag::{Diagnostic, SourceId, Sources, did_you_mean, listed};
+use crate::diag::{Diagnostic, SourceId, Sources, counted, did_you_mean, listed};
 use crate::sim::codes;
-use crate::sim::{AskedFact, AskedTemporal, Decision, Driven, Replay, TraceTick, World};
+use crate::sim::{AskedFact, AskedTemporal, Decision, Driven, Firings, Replay, TraceTick, World};
 use serde_json::json;
+use std::collections::BTreeSet;
 use std::fmt;
 use std::io::Write;
 use std::path::PathBuf;
@@ -20,11 +22,11 @@ use std::path::PathBuf;
 pub struct Arguments {
     /// Trace written by `logicity run`
     trace: PathBuf,
-    /// Number of the tick [default: the last tick]
+    /// Number of the tick [default: the last tick; with --clause all ticks]
     #[arg(long, value_parser = integer(0..=u64::MAX))]
     tick: Option<u64>,
-    /// Name of the agent; unnecessary if FACT has values
-    #[arg(long, required_unless_present_any = ["why", "why_not"])]
+    /// Name of the agent; unnecessary if FACT has values; with --clause, lists only rows that contain it
+    #[arg(long, required_unless_present_any = ["why", "why_not", "clause"])]
     agent: Option<String>,
     /// Explain why this fact holds, instead of why the agent acted as it did: the name of any predicate, about the
     /// agent, or a fact such as `IsClose(Car_1, Car_2)`; `_` matches any value. A temporal operator asks about earlier
@@ -34,10 +36,16 @@ pub struct Arguments {
     /// Explain why this fact does not hold, for example the action `Fast`
     #[arg(long, value_name = "FACT")]
     why_not: Option<String>,
+    /// List the rows that a clause derived, each with its ticks: the clause by the start of its doc comment up to the
+    /// colon (`S1`), or by its file and line (`my.dl:7`)
+    #[arg(long, value_name = "CLAUSE", conflicts_with_all = ["why", "why_not"])]
+    clause: Option<String>,
     /// Print JSON with the keys `tick`, `agent`, `at`, `heading`, `derived`, `action` and `explanations`, plus `driven`
     /// for a controlled agent, and `parked_since` and `parked` for one that stands parked; for a fact that is not an
     /// action of the agent, with the keys `tick`, `fact`, `holds` and `nodes`, plus `base` for a base fact; for a
-    /// temporal literal with `because` and `witness` instead of `nodes`
+    /// temporal literal with `because` and `witness` instead of `nodes`; for a clause with the keys `ticks`, the number
+    /// of ticks searched, and `clauses`: each with `clause`, `fired`, `ticks` and `rows`, the facts with the first and
+    /// last ticks of the runs of successive ticks
     #[arg(long)]
     json: bool,
     /// Configuration to use instead of the one in the trace; must have the same content
@@ -68,6 +76,9 @@ pub fn run(arguments: &Arguments, sources: &mut Sources) -> Result<(), Failure> 
     let rules = arguments.rules.as_deref();
     let limits = trace.limits(rules, &arguments.limits);
     let mut replay = trace.replay(sources, arguments.config.as_deref(), rules, true, limits)?;
+    if let Some(asked) = &arguments.clause {
+        return print_firings(arguments, (trace, &mut replay), (asked, position), sources);
+    }
     let why_not = (arguments.why_not.as_ref())
         .filter(|_| position.is_some())
         .and_then(|name| replay.world().vocabulary.actions().find_ignoring_case(name));
@@ -113,6 +124,105 @@ pub fn run(arguments: &Arguments, sources: &mut Sources) -> Result<(), Failure> 
     }
     write!(out, "{account}")?;
     Ok(())
+}
+
+/// Prints the rows that the clauses of a label or place derived, with their ticks.
+fn print_firings(
+    arguments: &Arguments,
+    (mut trace, replay): (TraceReader, &mut Replay),
+    (asked, position): (&str, Option<usize>),
+    sources: &Sources,
+) -> Result<(), Failure> {
+    let program = replay.session().program().clone();
+    let rules = program.rules();
+    let labels = ExplanationPrinter::new(rules, &rules.symbols, sources);
+    let clauses: Vec<ClauseId> = replay.world().clauses().collect();
+    let is_asked = |clause: &ClauseId| labels.label(*clause) == asked || labels.place(*clause) == asked;
+    let mut found: Vec<Firings> = clauses.iter().copied().filter(is_asked).map(Firings::new).collect();
+    if found.is_empty() {
+        let known: Vec<String> = clauses.iter().map(|&clause| labels.label(clause)).collect();
+        let known: Vec<&str> = known.iter().map(String::as_str).collect();
+        let help = match (did_you_mean(asked, known.iter().copied()), known.is_empty()) {
+            (Some(near), _) => format!("did you mean `{near}`? The rules have {}", listed(&known)),
+            (None, false) => format!("the rules have {}", listed(&known)),
+            (None, true) => "the rules have no clauses".to_owned(),
+        };
+        return Err(Failure::Usage(format!("no clause is called `{asked}`\nhelp: {help}")));
+    }
+    let agent = position.map(|position| replay.value(position));
+    let mut searched = BTreeSet::new();
+    let mut add = |tick: &TraceTick, trace: &TraceReader| -> Result<(), Failure> {
+        load(replay, tick, trace)?;
+        searched.insert(tick.tick);
+        for firings in &mut found {
+            firings.add(replay.session(), tick.tick, |row| {
+                agent.is_none_or(|agent| row.contains(&agent))
+            });
+        }
+        Ok(())
+    };
+    if let Some(number) = arguments.tick {
+        let tick = find(&mut trace, Some(number))?;
+        add(&tick, &trace)?;
+    } else {
+        while let Some(tick) = trace.tick()? {
+            add(&tick, &trace)?;
+        }
+    }
+    let printer = ExplanationPrinter::new(rules, replay.session().symbols(), sources).quoting();
+    let mut out = terminal::results(arguments.json);
+    if arguments.json {
+        let clauses: Vec<serde_json::Value> = found.iter().map(|firings| firings_json(firings, &printer)).collect();
+        writeln!(out, "{}", json!({ "ticks": searched.len(), "clauses": clauses }))?;
+        return Ok(());
+    }
+    for (at, firings) in found.iter().enumerate() {
+        let ticks = match arguments.tick {
+            Some(number) => format!("in tick {number}"),
+            None => format!("in {} of {}", firings.ticks(), counted(searched.len(), "tick")),
+        };
+        if at > 0 {
+            writeln!(out)?;
+        }
+        writeln!(out, "{}", printer.title(firings.clause))?;
+        writeln!(out, "fired {} {ticks}", counted(firings.count(), "time"))?;
+        let rows = firings.rows.iter();
+        let lines: Vec<(String, String)> = rows
+            .map(|(row, runs)| (printer.head(firings.clause, row), listed_runs(runs)))
+            .collect();
+        let width = lines.iter().map(|(fact, _)| fact.chars().count()).max().unwrap_or(0);
+        for (fact, runs) in lines {
+            match arguments.tick {
+                Some(_) => writeln!(out, "  {fact}")?,
+                None => writeln!(out, "  {fact:<width$}  ticks {runs}")?,
+            }
+        }
+    }
+    Ok(())
+}
+
+/// Writes runs of ticks as `3 to 5, 9`.
+fn listed_runs(runs: &[(u64, u64)]) -> String {
+    let runs: Vec<String> = (runs.iter())
+        .map(|(first, last)| match first == last {
+            true => first.to_string(),
+            false => format!("{first} to {last}"),
+        })
+        .collect();
+    runs.join(", ")
+}
+
+fn firings_json(firings: &Firings, printer: &ExplanationPrinter<'_>) -> serde_json::Value {
+    let rows = firings.rows.iter();
+    let rows: Vec<serde_json::Value> = rows
+        .map(|(row, runs)| json!({ "fact": printer.head(firings.clause, row), "ticks": runs }))
+        .collect();
+    json!({
+        "clause": printer.clause_json(firings.clause),
+        "fired": firings.count(),
+        "ticks": firings.ticks(),
+        "rows": rows,
+    })
 }
 
 /// Sets the replay to a tick of the trace.

@@ -44,7 +44,7 @@ pub(crate) use tick::width::in_words;
 pub use tick::world::{TICK_LIMITS, World};
 pub use tick::{WHOLE_MAX, WINDOW_MAX};
 pub use trace::{
-    Account, Archive, ArchivedFile, ClauseCoverage, Coverage, DeadlockReport, Decision, Driven, LOOK_TICKS, Replay,
-    STUCK_TICKS, TRACE_VERSION, TraceAgent, TraceHeader, TraceState, TraceTick, TraceWriter, WaitsFor, find_deadlocks,
-    hash_sources, trace_limits, waits,
+    Account, Archive, ArchivedFile, ClauseCoverage, Coverage, DeadlockReport, Decision, Driven, Firings, LOOK_TICKS,
+    Replay, STUCK_TICKS, TRACE_VERSION, TraceAgent, TraceHeader, TraceState, TraceTick, TraceWriter, WaitsFor,
+    find_deadlocks, hash_sources, trace_limits, waits,
 };

@@ -655,6 +655,53 @@ fn check_reports_coverage() {
         assert_eq!(printed.split_whitespace().next().unwrap(), clause["fired"].to_string());
     }
 
+    // `explain --clause` lists each of these firings, and agrees with the decision of every tick that it names.
+    for clause in clauses {
+        let doc = clause["clause"]["doc"].as_str().unwrap();
+        let label = doc.split(':').next().unwrap();
+        let output = logicity(["explain", "--json", trace, "--clause", label]);
+        assert_eq!(code(&output), 0, "{}", err(&output));
+        let listed: Value = serde_json::from_str(&out(&output)).unwrap();
+        assert_eq!(listed["ticks"], 60);
+        let [found] = listed["clauses"].as_array().unwrap().as_slice() else {
+            panic!("{listed}")
+        };
+        for key in ["clause", "fired", "ticks"] {
+            assert_eq!(found[key], clause[key], "{label}");
+        }
+        let Some(row) = found["rows"].get(0) else { continue };
+        let run = row["ticks"][0].as_array().unwrap();
+        let (first, last) = (run[0].to_string(), run[1].as_u64().unwrap());
+        let fact = row["fact"].as_str().unwrap();
+        let agent = fact.split('"').nth(1).unwrap();
+        let output = logicity(["explain", trace, "--clause", label, "--agent", agent, "--tick", &first]);
+        assert_eq!(
+            out(&output).lines().skip(1).collect::<Vec<_>>(),
+            [&format!("fired 1 time in tick {first}"), &format!("  {fact}")]
+        );
+        if last < 59 {
+            let after = (last + 1).to_string();
+            let output = logicity(["explain", trace, "--clause", label, "--agent", agent, "--tick", &after]);
+            assert!(out(&output).contains("fired 0 times in tick"), "{}", out(&output));
+        }
+    }
+    let first = &clauses[0]["clause"];
+    let file = first["file"].as_str().unwrap().rsplit('/').next().unwrap();
+    let place = format!("{file}:{}", first["line"]);
+    let output = logicity(["explain", trace, "--clause", &place]);
+    assert_eq!(code(&output), 0, "{}", err(&output));
+    assert!(out(&output).contains(&format!("[{place}]")), "{}", out(&output));
+    fails(
+        &logicity(["explain", trace, "--clause", "s1"]),
+        2,
+        &["no clause is called `s1`", "did you mean `S1`?"],
+    );
+    fails(
+        &logicity(["explain", trace, "--clause", "S1", "--why", "Stop"]),
+        2,
+        &["cannot be used with"],
+    );
+
     // Of two equivalent literals, neither matters.
     let rules = write(
         folder.path(),

@@ -309,8 +309,8 @@ impl<'a> ExplanationPrinter<'a> {
     }
 
     /// Returns the title and place of a clause: the first line of its doc comment, or else its text, and `file:line`.
-    pub fn title(&self, clause: ClauseId) -> String {
-        let clause = &self.rules.clauses[clause.index()];
+    pub fn title(&self, clause_id: ClauseId) -> String {
+        let clause = &self.rules.clauses[clause_id.index()];
         let title = match clause.doc.lines().next() {
             Some(line) if !line.trim().is_empty() => line.trim().to_owned(),
             _ => {
@@ -318,16 +318,22 @@ impl<'a> ExplanationPrinter<'a> {
                 words.join(" ")
             }
         };
-        format!("{title}  [{}]", self.place(clause))
+        format!("{title}  [{}]", self.place(clause_id))
     }
 
     /// Returns the short name of a clause: its doc comment up to the first colon (`S2`), or else `file:line`.
-    pub fn label(&self, clause: ClauseId) -> String {
-        let clause = &self.rules.clauses[clause.index()];
+    pub fn label(&self, clause_id: ClauseId) -> String {
+        let clause = &self.rules.clauses[clause_id.index()];
         match clause.doc.split_once(':') {
             Some((label, _)) if !label.is_empty() && !label.contains(char::is_whitespace) => label.to_owned(),
-            _ => self.place(clause),
+            _ => self.place(clause_id),
         }
+    }
+
+    /// Returns a row that a clause derived, as a fact.
+    pub fn head(&self, clause: ClauseId, row: &[Value]) -> String {
+        let row: Vec<Option<Value>> = row.iter().copied().map(Some).collect();
+        self.row(self.rules.clauses[clause.index()].head.predicate, &row)
     }
 
     /// Returns a clause as its source has it.
@@ -336,7 +342,8 @@ impl<'a> ExplanationPrinter<'a> {
     }
 
     /// Returns `file:line` of a clause, without the folder.
-    fn place(&self, clause: &Clause) -> String {
+    pub fn place(&self, clause: ClauseId) -> String {
+        let clause = &self.rules.clauses[clause.index()];
         let name = self.sources.file(clause.span);
         let file = name.rsplit(['/', '\\']).next().unwrap_or(name);
         format!("{file}:{}", self.sources.position(clause.span).line)
@@ -671,8 +678,7 @@ impl Drawing<'_> {
                         item.text = format!("{}  {}", item.text, self.printer.ticks(fact.predicate, *tick));
                     }
                     Origin::Source(clause) => {
-                        let clause = &self.printer.rules.clauses[clause.index()];
-                        item.text = format!("{}  [{}]", item.text, self.printer.place(clause));
+                        item.text = format!("{}  [{}]", item.text, self.printer.place(*clause));
                     }
                     Origin::Derived(derivation) => {
                         // In the present tick, the fact of a temporal operator is its operand: show it once.
@@ -823,7 +829,7 @@ impl Drawing<'_> {
                 children: vec![Item::leaf(format!("its head has another value in column {column}"))],
             },
             all => {
-                let place = |clause: &ClauseId| self.printer.place(&self.printer.rules.clauses[clause.index()]);
+                let place = |clause: &ClauseId| self.printer.place(*clause);
                 let mut places: Vec<String> = all.iter().take(HEADS_SHOWN).map(place).collect();
                 if all.len() > HEADS_SHOWN {
                     places.push("...".to_owned());

@@ -1,8 +1,59 @@
-//! Rule coverage over many states: which clauses fired, and which literals never mattered.
+//! Rule coverage over many states: which clauses fired, when, and which literals never mattered.
 
-use crate::datalog::Session;
 use crate::datalog::explain::{ExplainError, Explainer};
-use crate::datalog::{ClauseId, Literal, Rules};
+use crate::datalog::{ClauseId, Literal, Rules, Session, Value};
+use std::collections::BTreeMap;
+
+/// The ticks in which one clause derived each of its rows.
+#[derive(Clone, Debug, PartialEq, Eq)]
+#[non_exhaustive]
+pub struct Firings {
+    /// The clause.
+    pub clause: ClauseId,
+    /// For each row that it derived, the first and last ticks of the runs of successive ticks, in order.
+    pub rows: BTreeMap<Vec<Value>, Vec<(u64, u64)>>,
+}
+
+impl Firings {
+    /// Creates the firings of a clause in no tick.
+    pub fn new(clause: ClauseId) -> Self {
+        Firings {
+            clause,
+            rows: BTreeMap::new(),
+        }
+    }
+
+    /// Adds those rows that the clause derives in a tick for which `counts` returns true. Ticks must ascend.
+    pub fn add(&mut self, session: &Session, tick: u64, counts: impl Fn(&[Value]) -> bool) {
+        for row in session.fired(self.clause).into_iter().filter(|row| counts(row)) {
+            let runs = self.rows.entry(row).or_default();
+            match runs.last_mut() {
+                Some((_, last)) if *last + 1 == tick => *last = tick,
+                _ => runs.push((tick, tick)),
+            }
+        }
+    }
+
+    /// Returns the number of rows that it derived, summed over all ticks.
+    pub fn count(&self) -> u64 {
+        self.rows.values().flatten().map(|(first, last)| last - first + 1).sum()
+    }
+
+    /// Returns the number of ticks in which it derived a row.
+    pub fn ticks(&self) -> u64 {
+        let mut runs: Vec<(u64, u64)> = self.rows.values().flatten().copied().collect();
+        runs.sort_unstable();
+        let (mut total, mut next) = (0, 0);
+        for (first, last) in runs {
+            let first = first.max(next);
+            if first <= last {
+                total += last - first + 1;
+                next = last + 1;
+            }
+        }
+        total
+    }
+}
 
 /// The coverage of a program's clauses over a number of states.
 #[derive(Clone, Debug, Default, PartialEq, Eq)]

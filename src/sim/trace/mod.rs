@@ -8,7 +8,7 @@ mod replay;
 mod writer;
 
 pub use archive::{Archive, ArchivedFile, hash_sources};
-pub use coverage::{ClauseCoverage, Coverage};
+pub use coverage::{ClauseCoverage, Coverage, Firings};
 pub use deadlock::{DeadlockReport, LOOK_TICKS, STUCK_TICKS, WaitsFor, find_deadlocks, waits};
 pub use decision::{Account, Decision};
 pub use replay::{Replay, TraceAgent, TraceHeader, TraceState, TraceTick, trace_limits};
