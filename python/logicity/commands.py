@@ -19,8 +19,9 @@ from typing import Any, NoReturn, cast
 import numpy as np
 
 from . import _logicity
-from .errors import InputError, UntrustedError
+from .errors import InputError, UntrustedError, extra
 from .evaluation import Benchmark, Evaluation, Interval, Policy, Progress, Shape, action_table, model_shape, table
+from .figures import ENDINGS, plot_returns
 from .files import check_writable, write_json
 from .modes import ENVIRONMENTS, checked_mode
 from .signals import ending_on_signals
@@ -129,6 +130,8 @@ def _add_evaluate(to: _Parser) -> None:
     )
     to.add("--by-action", action="store_true", help=help)
     to.add("--traces", type=Path, metavar="FOLDER", help="write one trace per episode into one folder per mode")
+    help = "draw the return of every episode, and how it ended, in a .svg or .png file"
+    to.add("--plot", type=_figure, metavar="FILE", help=help)
 
 
 def _add_train(to: _Parser) -> None:
@@ -345,6 +348,13 @@ def _write_json(given: argparse.Namespace, by: str, value: object) -> None:
     if given.json is not None:
         write_json(given.json, value, by=by, overwrite=given.force)
         print_message(f"wrote {given.json}")
+
+
+def _figure(text: str) -> Path:
+    path = Path(text)
+    if path.suffix not in ENDINGS:
+        raise argparse.ArgumentTypeError(f"expected a file that ends in {' or '.join(ENDINGS)}, not `{text}`")
+    return path
 
 
 def _modes(text: str) -> list[str]:
@@ -629,6 +639,10 @@ def _evaluate(given: argparse.Namespace) -> int:
     from .rule_policy import rule_policies
 
     _check_json(given, "evaluate")
+    if given.plot is not None:
+        with extra("learn"):
+            import matplotlib  # noqa: F401
+        check_writable(given.plot, by="evaluate", overwrite=given.force)
     if given.traces is not None:
         _check_folder("--traces", given.traces)
     results: list[Evaluation] = []
@@ -672,6 +686,9 @@ def _evaluate(given: argparse.Namespace) -> int:
                 print_text(f"\n{action_table(results)}")
     if given.traces is not None:
         print_message(f"wrote {given.traces}")
+    if given.plot is not None:
+        plot_returns(given.plot, results, by="evaluate", overwrite=given.force)
+        print_message(f"wrote {given.plot}")
     _write_json(given, "evaluate", [result.to_dict() for result in results])
     return 0
 

@@ -16,7 +16,7 @@ from typing import Any
 import gymnasium
 import numpy as np
 import pytest
-from conftest import COUNTING, SLOW, Interrupt
+from conftest import COUNTING, SLOW, Interrupt, needs
 from numpy.typing import NDArray
 
 import logicity
@@ -729,3 +729,31 @@ def test_ctrl_c_ends_many_short_steps(tmp_path: Path, ctrl_c: Interrupt) -> None
     baseline.add()
     assert len(baseline.report()["episodes"]) == 10
     assert interrupted - begun < (time.monotonic() - interrupted) / 2
+
+
+def test_a_plot_shows_how_every_episode_ended(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    needs("matplotlib", "learn")
+    plot, other = tmp_path / "returns.svg", tmp_path / "other.svg"
+    arguments = ["evaluate", "--policy", "rules/easy.dl", "--modes", "easy,medium", "--split", "val"]
+    assert main([*arguments, "--plot", str(plot), "--json", str(tmp_path / "results.json")]) == 0
+    assert f"wrote {plot}" in capsys.readouterr().err
+    text = plot.read_text(encoding="utf-8")
+    results = json.loads((tmp_path / "results.json").read_text(encoding="utf-8"))
+    # A circle for each episode, and one in the legend.
+    for color, ended in (("#55a868", True), ("#c44e52", False)):
+        of = [
+            [record for record in result["episodes"] if not record["truncated"] and record["success"] == ended]
+            for result in results
+        ]
+        assert text.count(f"fill: {color}; stroke: {color}") == sum(len(each) + 1 for each in of)
+    for title in ("easy: easy, val", "easy: medium, val"):
+        assert f"<!-- {title} -->" in text
+    assert main([*arguments, "--plot", str(other)]) == 0
+    assert other.read_bytes() == plot.read_bytes()
+    mine = tmp_path / "mine.svg"
+    mine.write_text("mine")
+    assert main([*arguments, "--plot", str(mine)]) == 2 and mine.read_text() == "mine"
+    with pytest.raises(SystemExit) as exit:
+        main([*arguments, "--plot", "returns.pdf"])
+    assert exit.value.code == 2
+    assert "ends in .png or .svg, not `returns.pdf`" in capsys.readouterr().err

@@ -39,6 +39,7 @@ TINY: dict[str, dict[str, Any]] = {
     "ppo": {"settings": {"network": [16, 8], "n_steps": 16, "batch_size": 32}},
     "a2c": {"settings": {"network": [16, 8], "n_steps": 16}},
     "nlm-dqn": {"settings": {"network": [8], "depth": 2, "learning_starts": 100, "batch_size": 16, "buffer_size": 500}},
+    "nlm-ppo": {"settings": {"network": [8], "depth": 2, "n_steps": 16, "batch_size": 32}},
     "mb-shooting": {
         "settings": {"members": 2, "width": 8, "sequences": 4, "horizon": 2, "random_steps": 100, "buffer_size": 500}
     },
@@ -52,6 +53,7 @@ TINY: dict[str, dict[str, Any]] = {
     "mlp": {"settings": {"network": [8], "batch_size": 32}},
     "gnn": {"settings": {"network": [8], "batch_size": 32}},
     "nlm": {"settings": {"depth": 1, "outputs": 2, "batch_size": 32}},
+    "transformer": {"settings": {"layers": 1, "heads": 2, "head_width": 3, "feedforward": 8, "batch_size": 32}},
     "hri": {"settings": {"restarts": 2, "depth": 1, "batch": 16}, "demonstrations": 0.1},
     "popper": {"settings": {"timeout": 5.0}, **ONE_UPDATE},
     "maxsynth": {"settings": {"timeout": 5.0}, **ONE_UPDATE},
@@ -86,7 +88,7 @@ def test_every_mode_of_the_paper_has_a_configuration_for_every_algorithm() -> No
             assert (config.algorithm, config.mode, config.steps) == (algorithm, mode, 200_000)
     for file in BASELINES.glob("*.yaml"):
         config = TrainConfig.load(file)
-        if config.algorithm == "ppo":
+        if config.algorithm in ("ppo", "nlm-ppo"):
             # Otherwise Stable-Baselines3 warns about truncated batches.
             settings: Any = config.settings
             assert settings.n_steps * config.envs % settings.batch_size == 0

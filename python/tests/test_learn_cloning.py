@@ -22,18 +22,26 @@ from logicity.learn.cloning import (  # noqa: E402
     GnnLearner,
     MlpLearner,
     NlmLearner,
+    TransformerLearner,
     shuffled,
 )
 from logicity.learn.demonstrations import DemonstrationData, layout_of  # noqa: E402
 from logicity.learn.gnn import GraphNetwork  # noqa: E402
 from logicity.learn.run import check_start  # noqa: E402
+from logicity.learn.transformer import TransformerNetwork  # noqa: E402
 
-LEARNERS: dict[str, type[CloningLearner]] = {"mlp": MlpLearner, "gnn": GnnLearner, "nlm": NlmLearner}
+LEARNERS: dict[str, type[CloningLearner]] = {
+    "mlp": MlpLearner,
+    "gnn": GnnLearner,
+    "nlm": NlmLearner,
+    "transformer": TransformerLearner,
+}
 #: Settings that make a learner small.
 SMALL: dict[str, dict[str, Any]] = {
     "mlp": {"network": [8]},
     "gnn": {"network": [8, 8]},
     "nlm": {"depth": 2, "breadth": 2, "outputs": 3},
+    "transformer": {"layers": 2, "heads": 2, "head_width": 3, "feedforward": 8},
 }
 
 
@@ -77,6 +85,7 @@ def crossing(steps: int, seed: int) -> DemonstrationData:
             800,
         ),
         ("nlm", {"depth": 2, "breadth": 2, "outputs": 8, "learning_rate": 3e-2}, 250),
+        ("transformer", {"layers": 2, "heads": 4, "head_width": 4, "feedforward": 32, "learning_rate": 1e-2}, 400),
     ],
 )
 def test_a_learner_learns_a_rule_exactly(
@@ -222,6 +231,7 @@ def test_wrong_files_are_rejected(tmp_path: Path) -> None:
         ("mlp", {"depth": 3}),
         ("nlm", {"breadth": 1}),
         ("gnn", {"layers": 0}),
+        ("transformer", {"heads": 0}),
         ("gnn", {"class_power": 1.5}),
         ("nlm", {"learning_rate": float("inf")}),
         ("nlm", {"batch_size": "64"}),
@@ -312,6 +322,53 @@ def test_a_graph_network_equals_explicit_loops_over_edges(reverse: bool, present
                 after.append(convolution.nn(total))
             nodes = after
         assert torch.allclose(network.readout(nodes[0]), fast[scene], atol=1e-12)
+
+
+def test_a_transformer_equals_explicit_attention_between_present_entities() -> None:
+    layout = layout_of("medium")
+    torch.manual_seed(4)
+    network = TransformerNetwork(layout, 4, layers=2, heads=2, head_width=3, feedforward=8).double()
+    torch.nn.init.normal_(network.ego)
+    observations = (torch.rand(30, layout.width) < 0.03).double()
+    fast = network(observations)
+    counts = set()
+    for scene, observation in enumerate(observations):
+        true = {atom: value for atom, value in zip(layout.atoms(), observation, strict=True)}
+        present = [
+            entity
+            for entity in range(5)
+            if entity == 0 or any(value > 0 and entity in entities for (_, entities), value in true.items())
+        ]
+        counts.add(len(present))
+        tokens = {}
+        for entity in present:
+            atoms = [true[name, (entity,)] for name in layout.unary]
+            atoms += [true[name, (0, entity)] for name in layout.binary]
+            atoms += [true[name, (entity, 0)] for name in layout.binary]
+            tokens[entity] = network.embedding(torch.stack(atoms)) + (network.ego if entity == 0 else 0)
+        for layer in network.layers:
+            queries, keys, values = (
+                {entity: layer.norm(tokens[entity]) @ weight.T + bias for entity in present}
+                for weight, bias in zip(layer.inputs.weight.chunk(3), layer.inputs.bias.chunk(3), strict=True)
+            )
+            after = {}
+            for one in present:
+                heads = []
+                for head in range(2):
+                    part = slice(3 * head, 3 * head + 3)
+                    scores = torch.stack(
+                        [
+                            queries[one][part] @ keys[other][part] / 3**0.5
+                            + layer.relations(torch.stack([true[name, (one, other)] for name in layout.binary]))[head]
+                            for other in present
+                        ]
+                    )
+                    heads.append(scores.softmax(0) @ torch.stack([values[other][part] for other in present]))
+                token = tokens[one] + layer.output(torch.cat(heads))
+                after[one] = token + layer.perceptron(token)
+            tokens = after
+        assert torch.allclose(network.readout(network.norm(tokens[0])), fast[scene], atol=1e-10)
+    assert len(counts) > 2
 
 
 @pytest.mark.parametrize("algorithm", list(LEARNERS))

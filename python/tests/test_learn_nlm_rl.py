@@ -15,7 +15,8 @@ from logicity.learn import TrainConfig, load_policy, train  # noqa: E402
 from logicity.learn.cloning import LogicNetwork  # noqa: E402
 from logicity.learn.demonstrations import layout_of  # noqa: E402
 from logicity.learn.extractor import LogicFeatures  # noqa: E402
-from logicity.learn.nlm_dqn import NlmDqnLearner  # noqa: E402
+from logicity.learn.nlm_rl import NlmDqnLearner, NlmPpoLearner  # noqa: E402
+from logicity.learn.stable_baselines import algorithm_of  # noqa: E402
 
 SETTINGS = {
     "depth": 2,
@@ -71,6 +72,21 @@ def test_few_entities_and_equal_observations_take_less_work_for_the_same_result(
     torch.testing.assert_close(gradients[1], gradients[0], rtol=1e-4, atol=1e-4)
     for row in (0, 51):
         torch.testing.assert_close(network(observations[row : row + 1]), results[0][row : row + 1])
+
+
+def test_ppo_has_an_nlm_and_separate_layers_for_policy_and_value(tmp_path: Path) -> None:
+    settings = {"depth": 2, "outputs": 3, "network": [8], "batch_size": 16, "n_steps": 8}
+    learner = NlmPpoLearner(config(algorithm="nlm-ppo", settings=settings, envs=2))
+    try:
+        model = learner.policy().model
+        assert isinstance(model.policy.features_extractor, LogicFeatures)
+        for layers in (model.policy.mlp_extractor.policy_net, model.policy.mlp_extractor.value_net):
+            linear = [layer for layer in layers if isinstance(layer, torch.nn.Linear)]
+            assert [(layer.in_features, layer.out_features) for layer in linear] == [(3, 8)]
+        model.save(tmp_path / "model.zip")
+        assert algorithm_of(tmp_path / "model.zip") == "nlm-ppo"
+    finally:
+        learner.close()
 
 
 def test_the_network_has_the_layers_of_the_settings() -> None:

@@ -9,7 +9,8 @@ from pathlib import Path
 from typing import Any, TypeAlias
 
 from ..evaluation import Interval
-from ..files import reserved, write_json, write_text
+from ..figures import ENDINGS, write_panels
+from ..files import write_json, write_text
 from ..terminal import aligned, first_line
 from .cells import finished
 from .paper import paper_table
@@ -211,26 +212,14 @@ class Report:
         return [*written, *(path for name, draw in drawings.items() for path in self._draw(root, name, draw))]
 
     def _draw(self, root: Path, name: str, draw: Callable[[Any, str], None]) -> list[Path]:
-        """Draw a panel for each mode, and write them as PNG and SVG. The same results give the same bytes."""
-        import matplotlib
-        from matplotlib.figure import Figure
-
-        columns = min(len(self.modes), 2)
-        rows = -(-len(self.modes) // columns)
-        tallest = max(len(self.table(mode)) for mode in self.modes)
+        """Draw a panel for each mode, and write them as PNG and SVG."""
+        modes = list(self.modes)
+        titles = [f"{self.experiment.title}: {Path(mode).stem}" for mode in modes]
+        tallest = max(len(self.table(mode)) for mode in modes)
         height = max(4.2, 0.22 * tallest) if name == "bars" else 4.2
-        written = {root / f"{name}.png": {"Software": None}, root / f"{name}.svg": {"Date": None}}
-        with matplotlib.rc_context({"svg.hashsalt": "logicity"}):
-            figure = Figure(figsize=(7.2 * columns, height * rows), layout="constrained")
-            for at, mode in enumerate(self.modes, 1):
-                axes = figure.add_subplot(rows, columns, at)
-                axes.set_title(f"{self.experiment.title}: {Path(mode).stem}", fontsize=10)
-                draw(axes, mode)
-            for path, metadata in written.items():
-                with reserved(path, by=None) as output:
-                    figure.savefig(output.temporary, format=path.suffix[1:], dpi=150, metadata=metadata)
-                    output.finish()
-        return list(written)
+        written = [root / f"{name}{ending}" for ending in ENDINGS]
+        write_panels(written, titles, lambda axes, at: draw(axes, modes[at]), height)
+        return written
 
     def _bars(self, axes: Any, mode: str) -> None:
         """Draw the headline of each entry with its interval, and the paper's as a diamond."""

@@ -1,7 +1,7 @@
 """Behavior cloning: networks that imitate the actions of the oracle in the recorded demonstrations.
 
-Three learners share the training loop: a multilayer perceptron (`mlp`), a graph neural network (`gnn`) and a Neural
-Logic Machine (`nlm`).
+Four learners share the training loop: a multilayer perceptron (`mlp`), a graph neural network (`gnn`), a Neural Logic
+Machine (`nlm`) and a transformer (`transformer`).
 """
 
 from __future__ import annotations
@@ -27,8 +27,12 @@ from .learner import LearnedPolicy, Learner, check_shape, minimize
 from .nlm import NeuralLogicMachine
 from .settings import Count, LearnerSettings, LearningRate, NonNegative, Positive, Share, Training, Widths
 from .storage import restore_optimizer
+from .transformer import TransformerNetwork
 
-__all__ = ["ClonedPolicy", "CloningLearner", "GnnLearner", "LogicNetwork", "LogicSettings", "MlpLearner", "NlmLearner"]
+__all__ = [
+    *("ClonedPolicy", "CloningLearner", "GnnLearner", "LogicNetwork", "LogicSettings", "MlpLearner", "NlmLearner"),
+    "TransformerLearner",
+]
 
 #: The version of the files of policies.
 FORMAT = 1
@@ -104,6 +108,19 @@ class LogicSettings(LearnerSettings):
 
 class NlmSettings(CloningSettings, LogicSettings):
     """The settings of `nlm`."""
+
+
+class TransformerSettings(CloningSettings):
+    """The settings of `transformer`."""
+
+    layers: Count = 3
+    """The number of layers."""
+    heads: Count = 8
+    """The number of heads of the attention."""
+    head_width: Count = 8
+    """The number of features of a head; a token has heads * head_width."""
+    feedforward: Count = 1024
+    """The width of the hidden layer after the attention."""
 
 
 class LogicNetwork(nn.Module):
@@ -346,7 +363,24 @@ class NlmLearner(CloningLearner):
         return nn.Sequential(logic, nn.Linear(logic.width, len(ACTIONS)))
 
 
-_LEARNERS: dict[str, type[CloningLearner]] = {"mlp": MlpLearner, "gnn": GnnLearner, "nlm": NlmLearner}
+class TransformerLearner(CloningLearner):
+    """Behavior cloning of a transformer over the entities."""
+
+    settings_class = TransformerSettings
+
+    @staticmethod
+    def new_network(layout: Layout, settings: TransformerSettings) -> nn.Module:
+        """Create the layers of attention, and a linear layer on the ego."""
+        options = settings.model_dump(include={"layers", "heads", "head_width", "feedforward"})
+        return TransformerNetwork(layout, len(ACTIONS), **options)
+
+
+_LEARNERS: dict[str, type[CloningLearner]] = {
+    "mlp": MlpLearner,
+    "gnn": GnnLearner,
+    "nlm": NlmLearner,
+    "transformer": TransformerLearner,
+}
 
 
 def shuffled(observations: Tensor, layout: Layout, generator: torch.Generator) -> Tensor:

@@ -1,10 +1,10 @@
-"""Deep Q-learning with a Neural Logic Machine as features: NLM-DQN of the paper."""
+"""Deep Q-learning and PPO with a Neural Logic Machine as features."""
 
 from __future__ import annotations
 
 from typing import Any
 
-from stable_baselines3 import DQN
+from stable_baselines3 import DQN, PPO
 
 from .cloning import LogicSettings
 from .demonstrations import layout_of
@@ -12,9 +12,10 @@ from .extractor import LogicFeatures
 from .settings import Training
 from .stable_baselines import StableBaselinesLearner, settings_model
 
-__all__ = ["NlmDqnLearner", "NlmDqnSettings"]
+__all__ = ["NlmDqnLearner", "NlmDqnSettings", "NlmPpoLearner", "NlmPpoSettings"]
 
 _DqnSettings: Any = settings_model(DQN)
+_PpoSettings: Any = settings_model(PPO)
 
 
 class NlmDqnSettings(_DqnSettings, LogicSettings):
@@ -24,10 +25,17 @@ class NlmDqnSettings(_DqnSettings, LogicSettings):
     """
 
 
-class NlmDqnLearner(StableBaselinesLearner):
-    """Deep Q-learning whose features are the predicates that a Neural Logic Machine invents for the ego."""
+class NlmPpoSettings(_PpoSettings, LogicSettings):
+    """The settings of `nlm-ppo`: those of PPO, and those of the Neural Logic Machine.
 
-    settings_class = NlmDqnSettings
+    `network` lists the widths of the layers with ReLU after the predicates of the ego. The policy and the value have
+    layers of their own.
+    """
+
+
+class LogicLearner(StableBaselinesLearner):
+    """An algorithm whose features are the predicates that a Neural Logic Machine invents for the ego."""
+
     observations = ("groundings",)
 
     @classmethod
@@ -45,3 +53,15 @@ class NlmDqnLearner(StableBaselinesLearner):
             "features_extractor_kwargs": {**features, **options},
             "net_arch": list(settings.pop("network")),
         }
+
+
+class NlmDqnLearner(LogicLearner):
+    """Deep Q-learning: NLM-DQN of the paper."""
+
+    settings_class = NlmDqnSettings
+
+
+class NlmPpoLearner(LogicLearner):
+    """Proximal policy optimization, which the paper's program also has."""
+
+    settings_class = NlmPpoSettings

@@ -125,6 +125,7 @@ _ALGORITHMS: dict[str, tuple[type[BaseAlgorithm], str]] = {
     "ppo": (PPO, "clip_range"),
     "a2c": (A2C, "normalize_advantage"),
     "nlm-dqn": (DQN, "exploration_fraction"),
+    "nlm-ppo": (PPO, "clip_range"),
 }
 
 #: The most bytes of the description in a model of Stable-Baselines3, which is read before the model is loaded.
@@ -151,11 +152,11 @@ def algorithm_of(path: str | os.PathLike[str]) -> str:
     found = [name for name, (_, distinctive) in _ALGORITHMS.items() if isinstance(saved, dict) and distinctive in saved]
     if not found:
         raise ValueError(f"{os.fspath(path)} is not a model of {', '.join(_ALGORITHMS)}")
-    if "dqn" in found:
-        features = str(saved.get("policy_kwargs", {}))
-        return "nlm-dqn" if "LogicFeatures" in features else "dqn"
     # PPO also has A2C's setting.
-    return "ppo" if "ppo" in found else found[0]
+    name = next(name for name in ("dqn", "ppo", "a2c") if name in found)
+    with_logic = f"nlm-{name}"
+    has_logic = "LogicFeatures" in str(saved.get("policy_kwargs", {}))
+    return with_logic if has_logic and with_logic in _ALGORITHMS else name
 
 
 class StableBaselinesPolicy(StoredPolicy):
