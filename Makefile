@@ -103,7 +103,7 @@ WASM := target/wasm32-unknown-unknown/playground/logicity_playground.wasm
 # its package may name versions that the registry has withdrawn.
 WASM_BINDGEN_VERSION = $(shell sed -n 's/^wasm-bindgen = "=\(.*\)"/\1/p' docs/playground/Cargo.toml)
 WASM_BINDGEN = target/tools/wasm-bindgen-$(WASM_BINDGEN_VERSION)
-VIEWER := elements data run ground map agent viewer
+VIEWER := elements data run ground roster map agent viewer
 playground: $(PLAYGROUND) $(VENV)/bin/python
 	$(PROGRAM)
 	$(VENV)/bin/pip install --quiet --disable-pip-version-check pytest ruff selenium

@@ -24,9 +24,11 @@ from selenium import webdriver
 from selenium.webdriver.chrome.options import Options
 from selenium.webdriver.chrome.service import Service
 from selenium.webdriver.common.action_chains import ActionChains
+from selenium.webdriver.common.actions.action_builder import ActionBuilder
 from selenium.webdriver.common.by import By
 from selenium.webdriver.common.keys import Keys
 from selenium.webdriver.remote.webdriver import WebDriver
+from selenium.webdriver.support.select import Select
 from selenium.webdriver.support.wait import WebDriverWait
 
 ROOT = pathlib.Path(__file__).parent.parent
@@ -142,13 +144,26 @@ def scrub(browser: WebDriver, tick: int) -> None:
     browser.execute_script(change, browser.find_element(By.ID, "scrub"), tick)
 
 
-def click_strip(browser: WebDriver, tick: int, agent: int, agents: int) -> None:
+def rows(browser: WebDriver) -> list[str]:
+    """The texts of the rows of the strip chart: names of agents, and of groups with a triangle in front."""
+    return [row.text for row in browser.find_elements(By.CSS_SELECTOR, "#rows button")]
+
+
+def click_strip(browser: WebDriver, tick: int, name: str) -> None:
     """Click a decision on the strip chart."""
-    strip = browser.find_element(By.ID, "strip")
-    width, height = strip.size["width"], strip.size["height"]
-    across = (tick + 0.5) / TICKS * width - width / 2
-    down = (agent + 0.5) / agents * height - height / 2
-    ActionChains(browser).move_to_element_with_offset(strip, round(across), round(down)).click().perform()
+    row = next(row for row in browser.find_elements(By.CSS_SELECTOR, "#rows button") if row.text == name)
+    place = """arguments[0].scrollIntoView({block: "center"});
+        const [row, strip] = [arguments[0], document.getElementById("strip")].map((one) => one.getBoundingClientRect());
+        return [strip.left, strip.width, (row.top + row.bottom) / 2];"""
+    left, width, y = browser.execute_script(place, row)
+    click_at(browser, left + (tick + 0.5) / TICKS * width, y)
+
+
+def click_at(browser: WebDriver, x: float, y: float) -> None:
+    """Click a place of the window."""
+    actions = ActionBuilder(browser)
+    actions.pointer_action.move_to_location(round(x), round(y)).click()
+    actions.perform()
 
 
 def test_the_page_explains_three_different_actions(page: Callable[..., WebDriver], trace: list[dict]) -> None:
@@ -163,7 +178,7 @@ def test_the_page_explains_three_different_actions(page: Callable[..., WebDriver
             for position, state in enumerate(tick["agents"])
             if state["action"] == wanted and tick["tick"] > 10
         )
-        click_strip(browser, tick, agent, len(names))
+        click_strip(browser, tick, names[agent])
         # The chart may have fewer pixels than ticks, so the slider sets the exact tick.
         scrub(browser, tick)
         shown = text(browser, "agent")
@@ -402,10 +417,9 @@ def test_a_click_on_a_moment_shows_the_learned_clause_that_decides(
     page: Callable[..., WebDriver], trace: list[dict], learned: dict
 ) -> None:
     browser = page(name="learned.html")
-    names = [agent["id"] for agent in trace[0]["agents"]]
     for clause in learned["clauses"]:
         agent, tick = re.fullmatch(r"trace\.jsonl, (\S+) in tick (\d+)", clause["first"]).groups()
-        click_strip(browser, int(tick), names.index(agent), len(names))
+        click_strip(browser, int(tick), agent)
         scrub(browser, int(tick))
         # It alone explains this moment, and it is in the visible part of the list.
         deciding = browser.find_elements(By.CSS_SELECTOR, "#clauses tr[data-deciding]")
@@ -723,15 +737,224 @@ def test_the_page_names_no_path(tmp_path: pathlib.Path) -> None:
 
 def test_the_rows_and_ticks_of_the_chart_are_named(page: Callable[..., WebDriver], trace: list[dict]) -> None:
     browser = page()
-    names = [row.text for row in browser.find_elements(By.CSS_SELECTOR, "#rows button")]
-    assert names == [agent["id"] for agent in trace[0]["agents"]]
+    kinds = {"Car": [], "Pedestrian": []}
+    for agent in trace[0]["agents"]:
+        kinds[agent["type"]].append(agent["id"])
+    expected = [row for kind, agents in kinds.items() for row in [f"▾ {kind} ({len(agents)})", *agents]]
+    assert rows(browser) == expected
     strip = browser.find_element(By.ID, "strip").rect
-    for agent, row in enumerate(browser.find_elements(By.CSS_SELECTOR, "#rows button")):
+    for place, row in enumerate(browser.find_elements(By.CSS_SELECTOR, "#rows button")):
         middle = row.rect["y"] + row.rect["height"] / 2 - strip["y"]
-        assert int(middle / strip["height"] * len(names)) == agent
+        assert int(middle / strip["height"] * len(expected)) == place
     for label in browser.find_elements(By.CSS_SELECTOR, "#axis span:not(.start, .end)"):
         wanted = strip["x"] + (int(label.text) + 0.5) / TICKS * strip["width"]
         assert abs(label.rect["x"] + label.rect["width"] / 2 - wanted) < 2
+
+
+@pytest.fixture(scope="module")
+def sixty(folder: pathlib.Path) -> list[dict]:
+    """Write `sixty.html`: a run of 60 agents. Return its trace."""
+    config = folder / "sixty.yaml"
+    config.write_text(
+        "base: expert\nregion: 373\nagents:\n  test:\n    cars:\n      - {priority: 1, count: 20, concepts: [bus]}\n"
+        "      - {priority: 2, count: 20, concepts: [tiro]}\n    pedestrians: [{count: 20}]\n"
+    )
+    options = ["--ticks", "60", "--no-pictures", "--out", folder / "sixty", "--html", folder / "sixty.html"]
+    subprocess.run([PROGRAM, "run", config, *options], cwd=ROOT, check=True, capture_output=True)
+    return [json.loads(line) for line in (folder / "sixty/trace.jsonl").read_text().splitlines()]
+
+
+SHOWN = "return arguments[0].getBoundingClientRect().toJSON()"
+
+
+def box_of(browser: WebDriver, element: str) -> dict[str, float]:
+    return browser.execute_script(SHOWN, browser.find_element(By.ID, element))
+
+
+@pytest.mark.parametrize("width", [757, 1400])
+def test_the_map_has_room_beside_many_agents(folder: pathlib.Path, sixty: list[dict], width: int) -> None:
+    browser = start(width, 757)
+    try:
+        metrics = {"width": width, "height": 757, "deviceScaleFactor": 1, "mobile": False}
+        browser.execute_cdp_cmd("Emulation.setDeviceMetricsOverride", metrics)
+        browser.get((folder / "sixty.html").as_uri())
+        wait_for(browser)
+        photograph(browser, f"sixty-{width}.png")
+        before = box_of(browser, "stages")["height"]
+        assert before > (255 if width == 757 else 330)
+        # Keys on the bar move it, and do nothing else.
+        bar = browser.find_element(By.ID, "split-below")
+        share = int(bar.get_attribute("aria-valuenow"))
+        bar.send_keys(*[Keys.ARROW_DOWN] * 4)
+        larger = box_of(browser, "stages")["height"]
+        assert larger - before > 0.07 * 650 and text(browser, "tick") == "tick 0"
+        assert int(bar.get_attribute("aria-valuenow")) - share in range(7, 10)
+        bar.send_keys(Keys.HOME)
+        assert bar.get_attribute("aria-valuenow") == bar.get_attribute("aria-valuemin") == "25"
+        bar.send_keys(Keys.END)
+        assert bar.get_attribute("aria-valuenow") == bar.get_attribute("aria-valuemax") == "85"
+        # The pointer moves it as far as it goes.
+        ActionChains(browser).drag_and_drop_by_offset(bar, 0, -200).perform()
+        moved = box_of(browser, "split-below")["y"]
+        wide = box_of(browser, "side")["width"]
+        if width > 820:
+            ActionChains(browser).drag_and_drop_by_offset(browser.find_element(By.ID, "split-side"), -100, 0).perform()
+            assert abs(box_of(browser, "side")["width"] - wide - 100) < 3
+            wide = box_of(browser, "side")["width"]
+        # The browser remembers both.
+        browser.refresh()
+        wait_for(browser)
+        assert abs(box_of(browser, "split-below")["y"] - moved) < 2
+        assert abs(box_of(browser, "side")["width"] - wide) < 2
+        for bar in browser.find_elements(By.CSS_SELECTOR, ".split"):
+            if bar.is_displayed():
+                bar.send_keys(Keys.ENTER)
+        assert abs(box_of(browser, "stages")["height"] - before) < 2
+        assert browser.get_log("browser") == []
+    finally:
+        browser.quit()
+
+
+def test_agents_are_found_by_name_kind_and_action(page: Callable[..., WebDriver], sixty: list[dict]) -> None:
+    header, tick = sixty[0], sixty[41]
+    states = dict(zip([agent["id"] for agent in header["agents"]], tick["agents"], strict=True))
+    browser = page("#tick=40", "sixty.html")
+    body, field = browser.find_element(By.TAG_NAME, "body"), browser.find_element(By.ID, "find-name")
+    body.send_keys("/")
+    assert browser.switch_to.active_element == field
+    field.send_keys("bus")
+    assert text(browser, "found") == "20 of 60 agents"
+    assert rows(browser) == [
+        "▾ Car (20/40)",
+        *(agent["id"] for agent in header["agents"] if "bus" in agent["concepts"]),
+    ]
+    assert "20 of 60 agents match the filter" in text(browser, "agent")
+    photograph(browser, "found.png")
+    # Keys in the field are text.
+    assert text(browser, "tick") == "tick 40"
+    field.send_keys(Keys.ESCAPE)
+    assert len(rows(browser)) == 62 and text(browser, "found") == ""
+    Select(browser.find_element(By.ID, "find-kind")).select_by_visible_text("Pedestrian (20)")
+    assert rows(browser)[0] == "▾ Pedestrian (20)" and len(rows(browser)) == 21
+    Select(browser.find_element(By.ID, "find-kind")).select_by_index(0)
+    # Cars stand before pedestrians.
+    stopped = sorted((name for name, state in states.items() if state["action"] == "Stop"), key=lambda name: name[0])
+    Select(browser.find_element(By.ID, "find-action")).select_by_visible_text("Stop")
+    assert [row for row in rows(browser) if "(" not in row] == stopped
+    links = [link.text for link in browser.find_elements(By.CSS_SELECTOR, "#agent .agents .agent-link")]
+    assert links == stopped
+    # The keys for the next agent pass those that do not match.
+    browser.execute_script("document.activeElement.blur()")
+    for name in [*stopped[:3]]:
+        body.send_keys("n")
+        assert text(browser, "agent").startswith(name)
+    body.send_keys("p")
+    assert text(browser, "agent").startswith(stopped[1])
+    shown = pixels(browser)
+    browser.find_element(By.ID, "find-all").click()
+    assert len(rows(browser)) == 62 and pixels(browser) != shown
+    # The strip has no row that the names do not have.
+    strip, names = box_of(browser, "strip"), box_of(browser, "rows")
+    assert strip["height"] == names["height"]
+
+
+def test_a_group_can_be_closed(page: Callable[..., WebDriver], sixty: list[dict]) -> None:
+    browser = page("#tick=5", "sixty.html")
+    group = browser.find_element(By.CSS_SELECTOR, "#rows .group")
+    assert group.get_attribute("aria-expanded") == "true"
+    group.click()
+    group = browser.find_element(By.CSS_SELECTOR, "#rows .group")
+    assert group.get_attribute("aria-expanded") == "false" and group.text == "▸ Car (40)"
+    assert len(rows(browser)) == 22
+    # The row of the group has the shares of the actions: in this tick, from the top, in the order of the legend.
+    actions = ["Slow", "Normal", "Fast", "Stop"]
+    cars = [
+        state["action"]
+        for agent, state in zip(sixty[0]["agents"], sixty[6]["agents"], strict=True)
+        if agent["type"] == "Car"
+    ]
+    colors = {"Slow": "#a06a00", "Normal": "#0b7f5b", "Fast": "#2f6fb0", "Stop": "#c8401a"}
+    column = """const strip = document.getElementById("strip"), x = Math.floor(5.5 / 60 * strip.width);
+        const {data} = strip.getContext("2d").getImageData(x, 0, 1, 13);
+        return Array.from({length: 13}, (_, y) => "#" + [0, 1, 2].map((at) =>
+            data[4 * y + at].toString(16).padStart(2, "0")).join(""));"""
+    found = browser.execute_script(column)
+    expected = [color for action in actions for color in [colors[action]] * round(13 * cars.count(action) / 40)]
+    assert found[0] == expected[0] and found[-1] == expected[-1]
+    for action in actions:
+        assert abs(found.count(colors[action]) - 13 * cars.count(action) / 40) <= 1.5
+    photograph(browser, "closed.png")
+    group.click()
+    assert len(rows(browser)) == 62
+
+
+def test_targets_are_large_enough_for_fingers(folder: pathlib.Path, sixty: list[dict], other: list[dict]) -> None:
+    browser = start(500, 1000)
+    targets = """const found = [];
+        for (const one of document.querySelectorAll("a, button, input, select, summary, [role=separator], canvas")) {
+            const {width, height} = one.getBoundingClientRect();
+            if (!one.checkVisibility() || !width || one.closest("[popover]")) continue;
+            const name = one.id || one.className || one.textContent;
+            if (width < 24 || height < 24) found.push(`${name}: ${width} x ${height}`);
+        }
+        return found;"""
+    try:
+        metrics = {"width": 390, "height": 844, "deviceScaleFactor": 2, "mobile": True}
+        browser.execute_cdp_cmd("Emulation.setDeviceMetricsOverride", metrics)
+        for name in ("sixty.html", "pair.html"):
+            for address in ("#tick=30", "#tick=30&agent=Car_2"):
+                browser.get("about:blank")
+                browser.get((folder / name).as_uri() + address)
+                wait_for(browser)
+                for tab in ("why", "time", "rules"):
+                    browser.find_element(By.CSS_SELECTOR, f"#tabs [data-tab={tab}]").click()
+                    assert browser.execute_script(targets) == [], (name, address, tab)
+                    photograph(browser, f"phone-{tab}-{name}.png")
+    finally:
+        browser.quit()
+
+
+def test_a_long_name_leaves_room_for_the_titles(page: Callable[..., WebDriver], folder: pathlib.Path) -> None:
+    name = "Waits" + "x" * 250
+    rules = folder / "long.dl"
+    rules.write_text(
+        f'.include "vocabulary.dl"\n.decl {name}(x: agent)\n/// L1: it waits\n'
+        f"{name}(X) :- IsAtInter(X), IsInInter(Y).\n"
+        f"/// S1: stop\nStop(X) :- {name}(X).\nStop(X) :- CollidingClose(X, Y).\n"
+    )
+    options = ["--rules", rules, "--ticks", "20", "--no-pictures", "--out", folder / "long"]
+    command = [PROGRAM, "run", "expert", *options, "--html", folder / "long.html"]
+    subprocess.run(command, cwd=ROOT, check=True, capture_output=True)
+    browser = page("#tick=3&agent=Car_2", "long.html")
+    box = browser.find_element(By.ID, "clause-box").rect["width"]
+    cells = browser.find_elements(By.CSS_SELECTOR, "#clauses tr:nth-child(2) td")
+    assert cells[1].get_attribute("title") == name and cells[2].text == "L1: it waits"
+    assert cells[1].rect["width"] < 0.4 * box and cells[2].rect["width"] > 0.4 * box
+    assert browser.execute_script("return document.documentElement.scrollWidth <= innerWidth")
+    photograph(browser, "long.png")
+
+
+def test_the_map_opens_on_the_agents(
+    page: Callable[..., WebDriver], tmp_path: pathlib.Path, folder: pathlib.Path
+) -> None:
+    config = folder / "corner.yaml"
+    config.write_text("base: easy\nregion: 100\nagents: {test: {cars: [{priority: 1, count: 3}]}}\n")
+    options = ["--ticks", "3", "--no-pictures", "--out", tmp_path, "--html", folder / "corner.html"]
+    subprocess.run([PROGRAM, "run", config, *options], cwd=ROOT, check=True, capture_output=True)
+    browser = page(name="corner.html")
+    button = browser.find_element(By.ID, "whole")
+    first = pixels(browser)
+    assert button.get_attribute("aria-label") == "show the whole map"
+    photograph(browser, "corner.png")
+    button.click()
+    whole = pixels(browser)
+    assert whole != first and button.get_attribute("aria-label") == "show all agents"
+    button.click()
+    assert pixels(browser) == first
+    browser.find_element(By.ID, "closer").click()
+    assert button.get_attribute("aria-label") == "show all agents"
+    button.click()
+    assert pixels(browser) == first
 
 
 def measure(pages: list[str]) -> None:

@@ -229,6 +229,7 @@ fn simulate(
         ..Tally::default()
     };
     while tally.ticks < ticks && !cancel.requested() {
+        let state = (record.as_ref()).and_then(|record| record.state(simulation));
         let begin = Instant::now();
         let tick = simulation.tick(&[])?.tick;
         tally.deciding += begin.elapsed();
@@ -240,7 +241,7 @@ fn simulate(
             tally.add_broken(constraints::violations_among(snapshot.session(), known), tick);
         }
         if let Some(record) = &mut record {
-            record.tick(simulation)?;
+            record.tick(simulation, state)?;
         }
         bar.inc(1);
     }
@@ -265,6 +266,8 @@ struct Pictures {
     drawing: Option<Drawing>,
     /// The ticks of the animation that are not drawn yet.
     kept: Vec<Frame>,
+    /// The last tick; before the first one, the state that it will decide.
+    shown: Frame,
     last: Output,
 }
 
@@ -282,7 +285,8 @@ struct Named {
     shown: Vec<String>,
 }
 
-/// What changes of a picture from tick to tick.
+/// What changes of a picture from tick to tick: as in the trace, the state in which the tick decides, and its actions.
+#[derive(Clone)]
 struct Frame {
     tick: u64,
     /// Place, facing and action of each agent.
@@ -290,16 +294,22 @@ struct Frame {
 }
 
 impl Frame {
-    fn now(tick: u64, simulation: &Simulation) -> Frame {
-        let decided = &simulation.report().agents;
-        let agents = simulation.agents().iter().enumerate().map(|(index, agent)| {
+    /// Returns the state that the next tick decides, without actions.
+    fn before(simulation: &Simulation) -> Frame {
+        let agents = simulation.agents().iter().map(|agent| {
             let sprite = Sprite::of(agent, "", None);
-            let action = (simulation.now() > 0).then(|| decided[index].action);
-            (sprite.at, sprite.facing, action)
+            (sprite.at, sprite.facing, None)
         });
         Frame {
-            tick,
+            tick: simulation.now(),
             agents: agents.collect(),
+        }
+    }
+
+    /// Adds the actions of the tick, which is over.
+    fn decide(&mut self, simulation: &Simulation) {
+        for ((.., action), done) in self.agents.iter_mut().zip(&simulation.report().agents) {
+            *action = Some(done.action);
         }
     }
 
@@ -343,13 +353,13 @@ impl Pictures {
     }
 
     /// Adds a frame to the animation.
-    fn add(&mut self, simulation: &Simulation, names: &[Named], frame: Frame) -> io::Result<()> {
+    fn add(&mut self, simulation: &Simulation, names: &[Named], frame: &Frame) -> io::Result<()> {
         match &mut self.drawing {
             Some(Drawing { overview, animation }) => {
                 animation.push(&overview.draw(frame.tick, &frame.sprites(simulation, names)))
             }
             None => {
-                self.kept.push(frame);
+                self.kept.push(frame.clone());
                 Ok(())
             }
         }
@@ -379,18 +389,17 @@ impl Record {
         let pictures = if arguments.no_pictures {
             None
         } else {
+            let first = Frame::before(simulation);
             let mut pictures = Pictures {
                 icons: Arc::new(arguments.icons.load(simulation.seed())?),
                 scale: arguments.scale,
                 begun: Some(create("city.gif")?),
                 drawing: None,
                 kept: Vec::new(),
+                shown: first.clone(),
                 last: create("last.png")?,
             };
-            let first = Frame::now(0, simulation);
-            if arguments.crop {
-                pictures.kept.push(first);
-            } else {
+            if !arguments.crop {
                 let whole = Extent::whole(simulation.world().map());
                 pictures.begin(simulation, &names, whole, &first, &folder.join("city.gif"))?;
             }
@@ -408,15 +417,21 @@ impl Record {
         unwritable(&self.folder.join(name), &error)
     }
 
-    /// Writes the last tick.
-    fn tick(&mut self, simulation: &Simulation) -> Result<(), Failure> {
+    /// Returns the state that the next tick decides, if it will be drawn.
+    fn state(&self, simulation: &Simulation) -> Option<Frame> {
+        self.pictures.as_ref().map(|_| Frame::before(simulation))
+    }
+
+    /// Writes the last tick. `state` is the state that it decided.
+    fn tick(&mut self, simulation: &Simulation, state: Option<Frame>) -> Result<(), Failure> {
         (self.trace.tick(simulation)).map_err(|error| self.fault("trace.jsonl", error))?;
-        let tick = simulation.report().tick;
-        if let Some(pictures) = &mut self.pictures
-            && tick < MAX_FRAMES
-        {
-            let added = pictures.add(simulation, &self.names, Frame::now(tick, simulation));
-            added.map_err(|error| self.fault("city.gif", error))?;
+        if let (Some(pictures), Some(mut frame)) = (&mut self.pictures, state) {
+            frame.decide(simulation);
+            if frame.tick < MAX_FRAMES {
+                let added = pictures.add(simulation, &self.names, &frame);
+                added.map_err(|error| unwritable(&self.folder.join("city.gif"), &error))?;
+            }
+            pictures.shown = frame;
         }
         Ok(())
     }
@@ -428,20 +443,24 @@ impl Record {
         finish(self.trace.into_inner(), &path("trace.jsonl"))?;
         let mut written = vec![path("trace.jsonl")];
         if let Some(mut pictures) = self.pictures {
-            let last = Frame::now(simulation.now(), simulation);
-            let mut kept = mem::take(&mut pictures.kept).into_iter();
-            if let Some(first) = kept.next() {
-                let frames = [&first, &last].into_iter().chain(kept.as_slice());
+            let kept = mem::take(&mut pictures.kept);
+            if pictures.drawing.is_none() {
+                let last = pictures.shown.clone();
+                let first = kept.first().unwrap_or(&last);
+                let frames = kept.iter().chain([&last]);
                 let cells = frames.flat_map(|frame| frame.agents.iter().map(|(at, ..)| *at));
                 let visited = Extent::around(simulation.world().map(), cells, CROP_MARGIN);
-                pictures.begin(simulation, &self.names, visited, &first, &path("city.gif"))?;
+                pictures.begin(simulation, &self.names, visited, first, &path("city.gif"))?;
             }
-            for frame in kept {
+            for frame in &kept {
                 let added = pictures.add(simulation, &self.names, frame);
                 added.map_err(|error| fault("city.gif", error))?;
             }
             let Pictures {
-                drawing, last: mut out, ..
+                drawing,
+                shown: last,
+                last: mut out,
+                ..
             } = pictures;
             let Drawing { overview, animation } = drawing.expect("the animation has begun");
             let animation = animation.finish().map_err(|error| fault("city.gif", error))?;

@@ -7,7 +7,7 @@ use logicity::city::{Action, Cell, Split, field_of_view};
 use logicity::datalog::explain::{Explainer, ExplanationPrinter};
 use logicity::diag::{self, Sources};
 use logicity::page::{Comparison, LIVE_TICKS, Live, Page};
-use logicity::render::{Class, Icons, Renderer, Scale, Viewport};
+use logicity::render::{Class, Difficulty, Icons, Overview, Renderer, Scale, Sprite, Viewport, write_png};
 use logicity::rng::Seed;
 use logicity::sim::codes;
 use logicity::sim::{Replay, Settings, Simulation, TraceHeader, TraceTick, TraceWriter, World};
@@ -15,6 +15,7 @@ use logicity::task::spf::{ControlMode, Env, Origin, RecordError, SpfTask, record
 use logicity::yaml;
 use serde_json::{Value, json};
 use std::collections::{BTreeMap, BTreeSet};
+use std::fs;
 use std::io::Read;
 use std::process::Command;
 use std::sync::Arc;
@@ -140,6 +141,73 @@ impl Run {
         }
         page
     }
+}
+
+/// A picture with a number shows the state that the tick with this number decided, and its actions, as the trace, the
+/// page and `explain` do.
+#[test]
+fn pictures_pages_traces_and_explanations_number_ticks_alike() {
+    let folder = tempfile::tempdir().unwrap();
+    let path = |name: &str| folder.path().join(name).to_str().unwrap().to_owned();
+    let logicity = |arguments: &[&str]| -> String {
+        let command = Command::new(env!("CARGO_BIN_EXE_logicity")).args(arguments).output();
+        let output = command.unwrap();
+        assert!(output.status.success(), "{}", String::from_utf8_lossy(&output.stderr));
+        String::from_utf8(output.stdout).unwrap()
+    };
+    let (out, html, trace) = (path("out"), path("page.html"), path("out/trace.jsonl"));
+    let options = ["--seed", "3", "--ticks", "7", "--out", &out, "--html", &html];
+    logicity(&[&["run", "expert"], &options[..]].concat());
+
+    let world = crate::shipped_world::world("expert", None, |_| ());
+    let mut city = Simulation::new(Arc::clone(&world), Split::Test, Seed(3), Settings::default()).unwrap();
+    for _ in 0..6 {
+        city.tick(&[]).unwrap();
+    }
+    let names: Vec<String> = city.agents().iter().map(|agent| agent.name().to_string()).collect();
+    let before = city.agents().to_vec();
+    city.tick(&[]).unwrap();
+    let decided: Vec<Action> = city.report().agents.iter().map(|done| done.action).collect();
+    let agents = before.iter().zip(&names).zip(&decided);
+    let sprites: Vec<Sprite<'_>> = agents
+        .map(|((agent, name), action)| Sprite::of(agent, name, Some(*action)))
+        .collect();
+    let icons = Arc::new(Icons::new(Seed(3), Difficulty::default()));
+    let picture = Overview::new(world.map(), icons).unwrap().draw(6, &sprites);
+    let mut expected = Vec::new();
+    write_png(&picture, &mut expected).unwrap();
+    assert!(
+        fs::read(path("out/last.png")).unwrap() == expected,
+        "the picture of tick 6"
+    );
+    let mut frames = gif::DecodeOptions::new()
+        .read_info(fs::File::open(path("out/city.gif")).unwrap())
+        .unwrap();
+    let count = std::iter::from_fn(|| frames.read_next_frame().unwrap().map(|_| ())).count();
+    assert_eq!(count, 7, "one frame for each tick");
+
+    let text = fs::read_to_string(&trace).unwrap();
+    let ticks: Vec<TraceTick> = text
+        .lines()
+        .skip(1)
+        .map(|line| TraceTick::read(line).unwrap())
+        .collect();
+    assert_eq!((ticks.len(), ticks[6].tick), (7, 6));
+    let shown = unpack(&fs::read_to_string(&html).unwrap());
+    assert_eq!((&shown["first"], &shown["count"]), (&json!(0), &json!(7)));
+    for (agent, sprite) in sprites.iter().enumerate() {
+        let state: Value = serde_json::from_str(text.lines().last().unwrap()).unwrap();
+        let at = json!([sprite.at.row, sprite.at.col]);
+        assert_eq!(state["agents"][agent]["at"], at);
+        assert_eq!(shown["ticks"][6]["at"][agent], at);
+        assert_eq!(shown["ticks"][6]["action"][agent], json!(decided[agent].index()));
+    }
+    let proof = logicity(&["explain", &trace, "--agent", &names[0]]);
+    let place = format!(
+        "tick 6: {} at [{}, {}]",
+        names[0], before[0].cell.row, before[0].cell.col
+    );
+    assert!(proof.starts_with(&place), "{proof}");
 }
 
 fn written(write: impl FnOnce(&mut Vec<u8>) -> std::io::Result<()>) -> String {

@@ -27,7 +27,7 @@ class AgentPanel {
     // Parts that the reader opened stay open from tick to tick.
     const open = new Set([...panel.querySelectorAll("details[open]")].map((details) => details.dataset.part));
     if (agent < 0) {
-      panel.replaceChildren(...this.overview(tick));
+      panel.replaceChildren(...this.overview(tick).filter((part) => part));
       return;
     }
     const { id, kind, concepts, priority } = data.agents[agent];
@@ -93,22 +93,37 @@ class AgentPanel {
     return make("span", { class: "badge", id, style: `background:${COLORS[action]}` }, action);
   }
 
-  /** Returns the list of all agents; those that differ between two runs come first. */
+  /** Returns the lists of the agents that match the filter, by kind; those that differ between two runs come first. */
   overview(tick) {
     const { data, run } = this;
     const different = new Set(this.page.difference?.at(tick)?.acts);
-    const order = data.agents.map((_, agent) => agent).sort((a, b) => different.has(b) - different.has(a));
-    const items = order.map((agent) =>
+    const item = (agent) =>
       make(
         "li",
         { class: different.has(agent) ? "different" : null },
         make("span", { class: "swatch", style: `background:${COLORS[run.action(tick, agent)]}` }),
         this.agentLink(agent),
         ` ${run.action(tick, agent)}`,
-      ),
-    );
+      );
+    const { roster } = this.page;
+    const groups = roster.groups(tick).flatMap((group) => {
+      const order = group.agents.toSorted((a, b) => different.has(b) - different.has(a));
+      return [
+        make("h3", {}, `${group.name} (${roster.count(group)})`),
+        make("ul", { class: "agents" }, ...order.map(item)),
+      ];
+    });
     const title = make("h2", {}, "Click an agent to see why it acts as it does");
-    return [this.runName() ?? title, make("ul", { class: "agents" }, ...items)];
+    return [this.runName() ?? title, this.foundAgents(tick), ...groups];
+  }
+
+  /** Returns how many agents match the filter, if there is one, with a button that clears it. */
+  foundAgents(tick) {
+    const { roster, finder } = this.page;
+    if (!roster.isFiltered) return null;
+    const words = `${roster.agents(tick).length} of ${this.run.agents} agents match the filter. `;
+    const clear = make("button", { type: "button", onclick: () => finder.clear() }, "show all");
+    return make("p", { class: "found" }, words, clear);
   }
 
   /** Returns place, goal, priority and cause. */

@@ -1,45 +1,88 @@
 // The timeline: the action of every agent in every tick.
 
-/** The height of a row, in page pixels. */
+/** The height of a row, in page pixels, and on a screen for fingers. */
 const ROW = 14;
+const TOUCH_ROW = 24;
+const TOUCH = matchMedia("(max-width: 820px), (pointer: coarse)");
 
 class Chart {
   constructor(page) {
     Object.assign(this, { page, runs: page.runs, run: page.runs[0], now: page.now });
-    this.nameRows();
-    this.draw();
+    this.fillRows();
     this.listen();
   }
 
-  nameRows() {
-    this.names = this.run.data.agents.map(({ id, concepts }, agent) =>
-      make(
-        "button",
-        {
-          type: "button",
-          tabindex: -1,
-          title: [id, ...concepts].join(" "),
-          style: `height:${ROW}px`,
-          onclick: () => this.page.choose({ agent }),
-        },
-        id,
-      ),
-    );
-    $("rows").append(...this.names);
+  /** The height of a row, in page pixels. */
+  get row() {
+    return TOUCH.matches ? TOUCH_ROW : ROW;
+  }
+
+  /** Lists the agents that match the filter in the present tick, below the name of their kind. A row is an agent or a
+   *  group. */
+  fillRows() {
+    const { roster } = this.page;
+    const groups = roster.groups(this.now.tick);
+    const rows = groups.flatMap((group) => [
+      { group },
+      ...(roster.closed.has(group.name) ? [] : group.agents.map((agent) => ({ agent }))),
+    ]);
+    const key = JSON.stringify([groups, [...roster.closed], this.row]);
+    if (key === this.rowsKey) return;
+    Object.assign(this, { rowsKey: key, rows, places: new Map(rows.map(({ agent }, place) => [agent, place])) });
+    this.names = new Map();
+    $("rows").replaceChildren(...rows.map(({ group, agent }) => (group ? this.nameGroup(group) : this.nameAgent(agent))));
+    this.markedRow = undefined;
+    this.draw();
+  }
+
+  nameGroup(group) {
+    const { roster } = this.page;
+    const isOpen = !roster.closed.has(group.name);
+    const turn = () => {
+      if (isOpen) roster.closed.add(group.name);
+      else roster.closed.delete(group.name);
+      this.fillRows();
+    };
+    const words = `${group.name} (${roster.count(group)})`;
+    const short = `${group.name} (${roster.count(group).replace(" of ", "/")})`;
+    const attributes = {
+      type: "button",
+      class: "group",
+      title: `${words}: ${isOpen ? "hide" : "show"} these agents`,
+      "aria-expanded": String(isOpen),
+      style: `height:${this.row}px`,
+      onclick: turn,
+    };
+    return make("button", attributes, `${isOpen ? "▾" : "▸"} ${short}`);
+  }
+
+  nameAgent(agent) {
+    const { id, concepts } = this.run.data.agents[agent];
+    const attributes = {
+      type: "button",
+      tabindex: -1,
+      title: [id, ...concepts].join(" "),
+      style: `height:${this.row}px`,
+      onclick: () => this.page.choose({ agent }),
+    };
+    const name = make("button", attributes, id);
+    this.names.set(agent, name);
+    return name;
   }
 
   listen() {
+    TOUCH.addEventListener("change", () => this.fillRows());
     new ResizeObserver(() => this.draw()).observe($("strip-box"));
     const strip = $("strip");
     const decision = (event) => {
       const box = strip.getBoundingClientRect();
       const within = (share, count) => Math.max(0, Math.min(count - 1, Math.floor(share * count)));
       const [x, y] = [(event.clientX - box.left) / box.width, (event.clientY - box.top) / box.height];
-      return [within(x, this.run.count), within(y, this.run.agents)];
+      return [within(x, this.run.count), this.rows[within(y, this.rows.length)]?.agent];
     };
     const seek = (event) => {
       const [tick, agent] = decision(event);
-      this.page.choose({ tick, agent });
+      this.page.choose(agent === undefined ? { tick } : { tick, agent });
     };
     strip.addEventListener("pointerdown", (event) => {
       strip.setPointerCapture(event.pointerId);
@@ -48,8 +91,12 @@ class Chart {
     strip.addEventListener("pointermove", (event) => {
       if (event.buttons) return seek(event);
       const [tick, agent] = decision(event);
-      const actions = this.runs.map((run) => run.action(tick, agent));
       const { agents, first } = this.run.data;
+      if (agent === undefined) {
+        strip.title = `tick ${first + tick}`;
+        return;
+      }
+      const actions = this.runs.map((run) => run.action(tick, agent));
       strip.title = `${agents[agent].id}, tick ${first + tick}: ${[...new Set(actions)].join(" and ")}`;
     });
   }
@@ -58,31 +105,30 @@ class Chart {
   draw() {
     const strip = $("strip");
     const unit = pixelUnit();
-    strip.style.height = `${ROW * this.run.agents}px`;
+    const high = this.row * this.rows.length;
+    strip.style.height = `${high}px`;
     strip.width = Math.max(1, Math.round($("plot").clientWidth * unit));
-    strip.height = Math.max(1, Math.round(ROW * this.run.agents * unit));
+    strip.height = Math.max(1, Math.round(high * unit));
     this.paint(strip.getContext("2d"), strip.width, strip.height);
     this.page.difference?.drawMarks($("plot").clientWidth);
     this.drawAxis();
     this.drawCursor();
   }
 
-  /** Draws the rows of all agents. With two runs, a row has a lane for each. */
+  /** Draws the rows. With two runs, a row has a lane for each. */
   paint(paint, width, height) {
-    const row = height / this.run.agents;
+    const row = height / Math.max(1, this.rows.length);
     const { clause, of } = this.now;
     const lanes = this.runs.length;
     paint.fillStyle = isDark() ? "#1f2228" : "#ffffff";
     paint.fillRect(0, 0, width, height);
     this.runs.forEach((run, lane) => {
       const fired = clause >= 0 && of === lane ? run.data.fired_sets.map((set) => set.includes(clause)) : null;
-      for (let agent = 0; agent < run.agents; agent += 1) {
-        const [top, bottom] = [
-          agent * row + (lane * (row - 1)) / lanes,
-          agent * row + ((lane + 1) * (row - 1)) / lanes,
-        ];
-        this.paintLane(paint, run, agent, fired, width, top, bottom);
-      }
+      this.rows.forEach(({ group, agent }, place) => {
+        const [top, bottom] = [lane, lane + 1].map((at) => place * row + (at * (row - 1)) / lanes);
+        if (!group) this.paintLane(paint, run, agent, fired, width, top, bottom);
+        else if (this.page.roster.closed.has(group.name)) this.paintShares(paint, run, group, width, top, bottom);
+      });
     });
     this.paintMarks(paint, width, row);
   }
@@ -111,11 +157,29 @@ class Chart {
     paint.globalAlpha = 1;
   }
 
+  /** Draws the shares of the actions of a group in each tick, one above the other. */
+  paintShares(paint, run, { agents }, width, top, bottom) {
+    const scale = width / this.run.count;
+    for (let tick = 0; tick < this.run.count; tick += 1) {
+      const [left, right] = [Math.round(tick * scale), Math.round((tick + 1) * scale)];
+      if (left === right) continue;
+      const counts = new Array(run.data.actions.length).fill(0);
+      for (const agent of agents) counts[run.act(tick, agent)] += 1;
+      let before = 0;
+      const edge = (sum) => Math.round(top + ((bottom - top) * sum) / agents.length);
+      counts.forEach((count, action) => {
+        paint.fillStyle = COLORS[run.data.actions[action]];
+        paint.fillRect(left, edge(before), right - left, edge(before + count) - edge(before));
+        before += count;
+      });
+    }
+  }
+
   /** Frames deadlocks, and marks the ticks in which a driven agent violated a clause. */
   paintMarks(paint, width, row) {
     const lanes = this.runs.length;
     this.runs.forEach(({ data }, lane) => {
-      const unit = row / ROW;
+      const unit = row / this.row;
       const [offset, high] = [(lane * (row - 1)) / lanes, (row - 1) / lanes];
       paint.strokeStyle = isDark() ? "#ffffff" : "#000000";
       paint.lineWidth = 1.5 * unit;
@@ -123,19 +187,20 @@ class Chart {
         const x = ((since - data.first) / this.run.count) * width;
         const end = Math.min(((until + 1 - data.first) / this.run.count) * width, width);
         if (x >= width) continue;
-        for (const agent of agents)
+        for (const place of agents.map((agent) => this.places.get(agent)).filter((place) => place !== undefined))
           paint.strokeRect(
             x + unit,
-            agent * row + offset + 0.75 * unit,
+            place * row + offset + 0.75 * unit,
             Math.max(end - x - 1.5 * unit, 2 * unit),
             high - 1.5 * unit,
           );
       }
       paint.fillStyle = paint.strokeStyle;
       for (const { tick, agent, broken } of data.driven ?? []) {
-        if (!broken.length || tick >= this.run.count) continue;
+        const place = this.places.get(agent);
+        if (!broken.length || tick >= this.run.count || place === undefined) continue;
         const [left, right] = [tick, tick + 1].map((at) => (at / this.run.count) * width);
-        paint.fillRect(left, agent * row + offset, Math.max(right - left, 3 * unit), high);
+        paint.fillRect(left, place * row + offset, Math.max(right - left, 3 * unit), high);
       }
     });
   }
@@ -172,15 +237,17 @@ class Chart {
     const { tick, part, agent } = this.now;
     const width = $("plot").clientWidth;
     $("cursor").style.left = `${((tick + part + 0.5) / this.run.count) * width}px`;
-    $("row-cursor").hidden = agent < 0;
-    if (agent >= 0) Object.assign($("row-cursor").style, { top: `${agent * ROW}px`, height: `${ROW}px` });
+    const place = this.places.get(agent);
+    const { row } = this;
+    $("row-cursor").hidden = place === undefined;
+    if (place !== undefined) Object.assign($("row-cursor").style, { top: `${place * row}px`, height: `${row}px` });
     if (agent === this.markedRow) return;
-    this.names[this.markedRow]?.removeAttribute("aria-current");
-    this.names[agent]?.setAttribute("aria-current", "true");
+    this.names.get(this.markedRow)?.removeAttribute("aria-current");
+    this.names.get(agent)?.setAttribute("aria-current", "true");
     this.markedRow = agent;
     const box = $("strip-box");
-    const top = agent * ROW;
-    if (agent >= 0 && (top < box.scrollTop || top + ROW > box.scrollTop + box.clientHeight))
-      box.scrollTop = top - ROW * Math.floor(box.clientHeight / ROW / 2);
+    const top = place * row;
+    if (place !== undefined && (top < box.scrollTop || top + row > box.scrollTop + box.clientHeight))
+      box.scrollTop = top - row * Math.floor(box.clientHeight / row / 2);
   }
 }

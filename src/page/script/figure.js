@@ -48,13 +48,13 @@ class Figure {
   }
 
   size(figure) {
-    const { maps, run } = this.page;
+    const { maps, chart } = this.page;
     if (figure === "map")
       return {
         width: (maps.length * maps[0].canvas.width) / pixelUnit() + 8 * (maps.length - 1),
         height: maps[0].canvas.height / pixelUnit() + 58,
       };
-    return { width: 1100, height: ROW * run.agents + 84 };
+    return { width: 1100, height: ROW * chart.rows.length + 84 };
   }
 
   draw(paint, figure, width, height) {
@@ -87,8 +87,12 @@ class Figure {
   drawChart(paint, width, height) {
     const { chart, run, difference } = this.page;
     const [left, top] = [110, difference ? 46 : 30];
-    const [wide, high] = [width - left - 20, ROW * run.agents];
-    run.data.agents.forEach(({ id }, agent) => this.text(paint, id, left - 6, top + (agent + 0.5) * ROW, 400, "right"));
+    const [wide, high] = [width - left - 20, ROW * chart.rows.length];
+    chart.rows.forEach(({ group, agent }, place) => {
+      const y = top + (place + 0.5) * ROW;
+      if (group) this.text(paint, `${group.name} (${this.page.roster.count(group)})`, 8, y, 600);
+      else this.text(paint, run.data.agents[agent].id, left - 6, y, 400, "right");
+    });
     if (difference) {
       this.text(paint, "differences", left - 6, top - 9, 400, "right");
       this.part(paint, left, top - 16, wide, 14, 1, () => difference.paint(paint, wide, 14));

@@ -60,6 +60,7 @@ class CityMap {
     const [row, col] = this.cellAt(x, y);
     camera.scale = Math.max(0.5, Math.min(80, camera.scale * by));
     camera.fits = false;
+    this.page.nameFit();
     camera.row = row - (y - canvas.height / 2) / camera.scale;
     camera.col = col - (x - canvas.width / 2) / camera.scale;
     this.page.draw();
@@ -143,6 +144,7 @@ class CityMap {
       camera.row -= (here[1] - before[1]) / camera.scale;
       camera.col -= (here[0] - before[0]) / camera.scale;
       camera.fits = false;
+      this.page.nameFit();
       this.page.setFollow(false);
       this.page.draw();
     });
@@ -199,8 +201,12 @@ class CityMap {
     const rank = (one) => 2 * (one === agent) + (this.run.data.agents[one].kind === "Pedestrian");
     const order = this.run.data.agents.map((_, one) => one).sort((a, b) => rank(a) - rank(b));
     const different = this.page.difference?.at(tick);
+    const { roster } = this.page;
+    const isOther = (one) =>
+      (clause >= 0 && of === this.number && !this.run.fired(tick, one).includes(clause)) ||
+      (roster.isFiltered && !roster.has(one, tick));
     for (const one of order) {
-      const faint = clause >= 0 && of === this.number && one !== agent && !this.run.fired(tick, one).includes(clause);
+      const faint = one !== agent && isOther(one);
       paint.globalAlpha = faint ? 0.35 : 1;
       this.drawAgent(paint, one, different);
       paint.globalAlpha = 1;

@@ -15,7 +15,9 @@ class Page extends Viewer {
     this.describe();
     this.summaries = runs.map((one, number) => new Summary(one, this, number));
     this.addPanes();
+    this.finder = new Finder(this);
     this.chart = new Chart(this);
+    this.splits = ["below", "side"].map((name) => new Split(name));
     this.figure = new Figure(this);
     this.listen();
     this.readAddress();
@@ -78,6 +80,7 @@ class Page extends Viewer {
 
   key(event) {
     if (event.ctrlKey || event.metaKey || event.altKey || $("keys").open) return;
+    if (event.target.type === "search") return;
     const inField = ["SELECT", "INPUT"].includes(event.target.tagName);
     const onButton = ["BUTTON", "SUMMARY"].includes(event.target.tagName);
     const ten = event.shiftKey ? 10 : 1;
@@ -99,8 +102,15 @@ class Page extends Viewer {
       ".": () => this.jump(1),
       ",": () => this.jump(-1),
       "?": () => $("keys").showModal(),
+      "/": () => this.find(),
     };
     this.useKey(event, acts);
+  }
+
+  /** Goes to the fields of the filter. */
+  find() {
+    this.showTab("time");
+    $("find-name").focus();
   }
 
   draw() {
@@ -235,6 +245,8 @@ class Page extends Viewer {
     $("scrub").value = tick;
     $("tick").textContent = `tick ${this.run.data.first + tick}`;
     this.refreshControls();
+    this.finder.fill(tick);
+    this.chart.fillRows();
     const shown = `${clause} ${of}`;
     if (shown !== this.shownClause) {
       this.shownClause = shown;

@@ -41,7 +41,12 @@ class Summary {
         "tr",
         { "data-clause": clause, "data-decides": decides },
         make("td", {}, String(count)),
-        make("td", {}, make("span", { class: "swatch", style: `background:${COLORS[head] ?? "var(--faint)"}` }), head),
+        make(
+          "td",
+          { title: head },
+          make("span", { class: "swatch", style: `background:${COLORS[head] ?? "var(--faint)"}` }),
+          head,
+        ),
         make(
           "td",
           {},

@@ -8,6 +8,7 @@ class Viewer {
      *  is the run of the clause. */
     this.now = { tick: 0, agent: -1, clause: -1, of: 0, hover: -1, playing: false, speed: 5, follow: false, part: 0 };
     this.fitsMap = false;
+    this.roster = new Roster(this);
     this.camera = new Camera(scenery.ground.map.rows, scenery.ground.map.cols);
   }
 
@@ -73,7 +74,6 @@ class Viewer {
 
   /** Returns the actions of keys that every page has. */
   keys() {
-    const { agents } = this.run;
     const zoom = (by) => () => this.maps[0].zoom(by);
     return {
       "+": zoom(1.4),
@@ -81,10 +81,19 @@ class Viewer {
       "-": zoom(1 / 1.4),
       0: () => this.turnFit(),
       f: () => this.choose({ follow: !this.now.follow }),
-      n: () => this.choose({ agent: (this.now.agent + 1) % agents }),
-      p: () => this.choose({ agent: (Math.max(this.now.agent, 0) + agents - 1) % agents }),
+      n: () => this.chooseNext(1),
+      p: () => this.chooseNext(-1),
       Escape: () => this.choose({ agent: -1, clause: -1 }),
     };
+  }
+
+  /** Chooses the next or the previous one of the agents that match the filter. */
+  chooseNext(by) {
+    const agents = this.roster.agents(this.now.tick);
+    if (!agents.length) return;
+    const at = agents.indexOf(this.now.agent);
+    const from = at < 0 && by < 0 ? 0 : at;
+    this.choose({ agent: agents[(from + by + agents.length) % agents.length] });
   }
 
   /** Performs the action of a key, if it has one. */
@@ -112,7 +121,15 @@ class Viewer {
     this.fitsMap = whole;
     camera.frame(whole ? [0, 0, camera.rows, camera.cols] : this.region, canvas.width, canvas.height);
     this.setFollow(false);
+    this.nameFit();
     this.draw();
+  }
+
+  /** Names what a click on the button for the fit shows. */
+  nameFit() {
+    const words = this.camera.fits && !this.fitsMap ? "show the whole map" : "show all agents";
+    Object.assign($("whole"), { title: `${words} (0)` });
+    $("whole").setAttribute("aria-label", words);
   }
 
   /** Fits the region that agents visit; if it fits already, the whole map, and so on in turn. */
