@@ -3,7 +3,7 @@
 use crate::city::{Cell, CityMap};
 use crate::render::icon::Icons;
 use crate::render::label::{self, PAPER};
-use crate::render::legend;
+use crate::render::legend::{self, Slot};
 use crate::render::picture::{Picture, PixelBox};
 use crate::render::renderer::Renderer;
 use crate::render::sprite::Sprite;
@@ -82,7 +82,10 @@ impl CloseUp {
         let shown = agents.iter().zip(boxes);
         let shown: Vec<_> = shown.filter_map(|(agent, figure)| Some((*agent, figure?))).collect();
         label::draw(&label::place(&shown, area, LONGEST_NAME), &mut picture);
-        legend::draw_agents(agents, None, &self.icons, &mut picture, (right, area.y + SPACE), bottom);
+        let (left, top) = (right, area.y + SPACE);
+        let beside = Slot { left, top, bottom };
+        let slots: Vec<Slot> = [beside].into_iter().chain(Slot::below(area, left, bottom)).collect();
+        legend::draw_agents(agents, None, &self.icons, &mut picture, &slots);
         picture
     }
 

@@ -18,6 +18,8 @@ use std::collections::BTreeMap;
 pub(super) const WIDTH: i32 = 210;
 /// Height of a row of the legend, in pixels.
 const ROW: i32 = 24;
+/// The least height of a row, if otherwise classes of agents had no place, in pixels.
+const LOWEST_ROW: i32 = 18;
 /// Extra space above a heading, in pixels.
 const BREAK: i32 = 8;
 /// The longest name that fits beside a sample and a count, in characters.
@@ -220,52 +222,159 @@ pub(super) fn draw_static(
     column.y + BREAK
 }
 
-/// Draws the classes of agents and their counts, above `bottom`. `labels` are those of cars and of pedestrians.
+/// A part of a picture where the legend can continue: its left side, the center of its first row at the full height of
+/// rows, and its lower end, in pixels.
+#[derive(Clone, Copy, Debug)]
+pub(super) struct Slot {
+    pub left: i32,
+    pub top: i32,
+    pub bottom: i32,
+}
+
+impl Slot {
+    /// Returns the columns below a map, as far as the picture is higher than the map: those between the left side of the
+    /// map and `right`.
+    pub fn below(map: PixelBox, right: i32, bottom: i32) -> impl Iterator<Item = Slot> {
+        let top = map.y + map.height.cast_signed() + BREAK + ROW / 2;
+        let count = if top + 3 * ROW > bottom {
+            0
+        } else {
+            (right - map.x) / (WIDTH + BREAK)
+        };
+        (0..count).map(move |number| Slot {
+            left: map.x + number * (WIDTH + BREAK),
+            top,
+            bottom,
+        })
+    }
+}
+
+/// The agents of a type in the legend.
+struct Section<'a> {
+    kind: AgentKind,
+    heading: &'static str,
+    label: Option<&'a str>,
+    /// Names, classes and counts.
+    classes: Vec<(String, &'a Class, usize)>,
+    /// The number of classes with a row. One more row counts the others.
+    shown: usize,
+}
+
+impl Section<'_> {
+    /// Returns the number of rows, with the heading.
+    fn rows(&self) -> usize {
+        1 + self.shown + usize::from(self.shown < self.classes.len())
+    }
+}
+
+/// Returns the places of the rows of sections: for each row the position of its slot and the center. `None` if there is
+/// not enough space. A heading stands above at least one row.
+fn arranged(sections: &[Section<'_>], slots: &[Slot], row: i32) -> Option<Vec<Vec<(usize, i32)>>> {
+    let (mut slot, mut y) = (0, slots.first()?.top);
+    let mut places = Vec::new();
+    for section in sections {
+        let mut of_section = Vec::new();
+        for number in 0..section.rows() {
+            let needed = if number == 0 { 2 * row } else { row };
+            if y - row / 2 + needed > slots[slot].bottom {
+                slot += 1;
+                y = slots.get(slot)?.top;
+            }
+            of_section.push((slot, y));
+            y += row;
+        }
+        y += BREAK;
+        places.push(of_section);
+    }
+    Some(places)
+}
+
+/// Returns the height of rows, and the places of the rows of sections as [`arranged`]. Omits as many classes as it must,
+/// of the sections with the most, and then whole sections. `None` without slots.
+fn fitted(sections: &mut Vec<Section<'_>>, slots: &[Slot]) -> Option<(i32, Vec<Vec<(usize, i32)>>)> {
+    loop {
+        let found = (LOWEST_ROW..=ROW)
+            .rev()
+            .find_map(|row| Some((row, arranged(sections, slots, row)?)));
+        if found.is_some() {
+            return found;
+        }
+        let longest = (0..sections.len()).max_by_key(|&section| sections[section].shown)?;
+        match sections[longest].shown {
+            1 => {
+                sections.pop();
+                for section in sections.iter_mut() {
+                    section.shown = section.classes.len();
+                }
+            }
+            _ => sections[longest].shown -= 1,
+        }
+    }
+}
+
+/// Draws the classes of agents and their counts into the slots, in order. Rows become lower if there is not enough
+/// space; if that is not enough, the last row of a type counts the omitted classes. `labels` are those of cars and of
+/// pedestrians.
 pub(super) fn draw_agents(
     agents: &[Sprite<'_>],
     labels: Option<[&str; 2]>,
     icons: &Icons,
     picture: &mut Picture,
-    (left, top): (i32, i32),
-    bottom: i32,
+    slots: &[Slot],
 ) {
-    let mut column = Column { picture, left, y: top };
-    let sections = [(AgentKind::Car, "CARS"), (AgentKind::Pedestrian, "PEDESTRIANS")];
-    for (section, (kind, heading)) in sections.into_iter().enumerate() {
+    let kinds = [(AgentKind::Car, "CARS"), (AgentKind::Pedestrian, "PEDESTRIANS")];
+    let counts = kinds.map(|(kind, _)| {
         let mut classes: BTreeMap<(Option<&str>, Class), usize> = BTreeMap::new();
         for agent in agents.iter().filter(|agent| agent.kind == kind) {
             *classes.entry((agent.kind_name, agent.class())).or_default() += 1;
         }
-        // A section needs a heading, one class, and the line that counts the omitted ones.
-        if classes.is_empty() || column.y + 3 * ROW > bottom {
-            continue;
-        }
-        let right = (left + WIDTH - 8, column.y);
-        if let Some(labels) = labels {
-            (column.picture).text(labels[section], right, &FONT_6X13, MUTED, Alignment::Right);
-        }
-        column.heading(heading);
-        for (position, ((kind_name, class), count)) in classes.iter().enumerate() {
-            let left_over = classes.len() - position;
-            if left_over > 1 && column.y + 2 * ROW > bottom {
-                column.row(&format!("and {left_over} more"), None, |_, _, _| {});
-                break;
-            }
-            let name = match (kind_name, labels) {
-                (None, _) => class.to_string(),
-                (Some(own), None) => (*own).to_owned(),
-                (Some(own), Some(_)) => format!("{own} {}1, ..", own_prefix(own)),
-            };
-            let name = capitalised(&one_line(&name, NAME));
-            column.row(&name, Some(*count), |picture, x, y| {
-                let size = match kind {
-                    AgentKind::Car => 15,
-                    AgentKind::Pedestrian => 23,
+        classes
+    });
+    let sections = (kinds.iter().zip(&counts).enumerate()).filter(|(_, (_, classes))| !classes.is_empty());
+    let mut sections: Vec<Section<'_>> = sections
+        .map(|(position, (&(kind, heading), classes))| {
+            let named = classes.iter().map(|((kind_name, class), &count)| {
+                let name = match (kind_name, labels) {
+                    (None, _) => class.to_string(),
+                    (Some(own), None) => (*own).to_owned(),
+                    (Some(own), Some(_)) => format!("{own} {}1, ..", own_prefix(own)),
                 };
-                picture.stamp(&icons.stamp(class, 0, Facing::Right, size), x, y);
+                (capitalised(&one_line(&name, NAME)), class, count)
+            });
+            Section {
+                kind,
+                heading,
+                label: labels.map(|labels| labels[position]),
+                shown: classes.len(),
+                classes: named.collect(),
+            }
+        })
+        .collect();
+    let Some((row, places)) = fitted(&mut sections, slots) else {
+        return;
+    };
+    for (section, places) in sections.iter().zip(places) {
+        let columns = |(slot, y): (usize, i32)| (slots[slot].left, y);
+        let (left, y) = columns(places[0]);
+        if let Some(label) = section.label {
+            picture.text(label, (left + WIDTH - 8, y), &FONT_6X13, MUTED, Alignment::Right);
+        }
+        Column { picture, left, y }.heading(section.heading);
+        let left_over = section.classes.len() - section.shown;
+        for (at, (name, class, count)) in places[1..].iter().zip(&section.classes[..section.shown]) {
+            let (left, y) = columns(*at);
+            Column { picture, left, y }.row(name, Some(*count), |picture, x, y| {
+                let size = match section.kind {
+                    AgentKind::Car => 15.min(row - 4),
+                    AgentKind::Pedestrian => 23.min(row),
+                };
+                picture.stamp(&icons.stamp(class, 0, Facing::Right, size.cast_unsigned()), x, y);
             });
         }
-        column.y += BREAK;
+        if let (Some(at), 1..) = (places.last(), left_over) {
+            let (left, y) = columns(*at);
+            Column { picture, left, y }.row(&format!("and {left_over} more"), None, |_, _, _| {});
+        }
     }
 }
 
@@ -317,4 +426,91 @@ pub(super) fn draw_status(
     }
     let after = left + 9 * (tick.len() + 2).max(10) as i32;
     picture.text(&line, (after, middle), &FONT_6X13, TEXT, Alignment::Left);
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    fn slot(left: i32, rows: i32) -> Slot {
+        Slot {
+            left,
+            top: 100,
+            bottom: 100 - ROW / 2 + rows * ROW,
+        }
+    }
+
+    /// Returns the height of rows, the slots of the rows of each section, and the number of classes with a row.
+    fn fit(classes: [usize; 2], slots: &[Slot]) -> Option<(i32, Vec<Vec<usize>>, Vec<usize>)> {
+        let class = Class::building(Building::House);
+        let mut sections: Vec<Section<'_>> = (AgentKind::ALL.into_iter().zip(classes))
+            .map(|(kind, count)| Section {
+                kind,
+                heading: "",
+                label: None,
+                classes: vec![(String::new(), &class, 1); count],
+                shown: count,
+            })
+            .collect();
+        let (row, places) = fitted(&mut sections, slots)?;
+        for (slot, slots_row) in places.iter().flatten().map(|(slot, y)| (slot, y)) {
+            assert!(slots_row + row / 2 <= slots[*slot].bottom + 1, "{places:?}");
+        }
+        for (section, places) in sections.iter().zip(&places) {
+            assert_eq!(places.len(), section.rows());
+            assert_eq!(places[0].0, places[1].0, "a heading stands above a row");
+        }
+        let of_slots = places.iter().map(|rows| rows.iter().map(|(slot, _)| *slot).collect());
+        Some((
+            row,
+            of_slots.collect(),
+            sections.iter().map(|section| section.shown).collect(),
+        ))
+    }
+
+    #[test]
+    fn the_legend_continues_where_there_is_space() {
+        // Two headings, and a break of less than a row.
+        assert_eq!(
+            fit([3, 2], &[slot(0, 8)]).unwrap(),
+            (ROW, vec![vec![0; 4], vec![0; 3]], vec![3, 2])
+        );
+        let (row, slots, shown) = fit([6, 3], &[slot(0, 5), slot(300, 7)]).unwrap();
+        assert_eq!((row, shown), (ROW, vec![6, 3]));
+        assert_eq!(slots, [vec![0, 0, 0, 0, 0, 1, 1], vec![1, 1, 1, 1]]);
+        // A heading would be alone at the end of the first slot.
+        let (_, slots, _) = fit([3, 2], &[slot(0, 5), slot(300, 7)]).unwrap();
+        assert_eq!(slots[1], [1, 1, 1]);
+    }
+
+    #[test]
+    fn rows_become_lower_before_classes_are_omitted() {
+        let (row, _, shown) = fit([6, 3], &[slot(0, 10)]).unwrap();
+        assert!((LOWEST_ROW..ROW).contains(&row), "{row}");
+        assert_eq!(shown, [6, 3]);
+        let (row, _, shown) = fit([20, 3], &[slot(0, 10)]).unwrap();
+        assert!(row < LOWEST_ROW + 3, "{row}");
+        assert!(shown[0] >= 6 && shown[1] == 3, "{shown:?}");
+        assert_eq!(fit([20, 20], &[slot(0, 5)]).unwrap().2, [1, 1]);
+        assert_eq!(fit([20, 20], &[slot(0, 4)]).unwrap().2, [3]);
+        assert!(fit([20, 20], &[slot(0, 2)]).unwrap().2.is_empty());
+        assert_eq!(fit([20, 20], &[]), None);
+    }
+
+    #[test]
+    fn slots_lie_below_a_low_map() {
+        let map = PixelBox {
+            x: 30,
+            y: 40,
+            width: 500,
+            height: 300,
+        };
+        let slots: Vec<Slot> = Slot::below(map, 560, 800).collect();
+        assert_eq!(
+            slots.iter().map(|slot| slot.left).collect::<Vec<_>>(),
+            [30, 30 + WIDTH + BREAK]
+        );
+        assert!(slots.iter().all(|slot| slot.top > 340 && slot.bottom == 800));
+        assert_eq!(Slot::below(map, 560, 380).count(), 0);
+    }
 }

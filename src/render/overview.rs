@@ -6,7 +6,7 @@ use crate::render::icon::Icons;
 use crate::render::label;
 use crate::render::label::PAPER;
 use crate::render::legend;
-use crate::render::legend::MUTED;
+use crate::render::legend::{MUTED, Slot};
 use crate::render::picture::Picture;
 use crate::render::picture::PixelBox;
 use crate::render::renderer::Renderer;
@@ -55,8 +55,8 @@ pub struct Overview {
     map: Renderer,
     /// The place of the map on the picture.
     area: PixelBox,
-    /// The top left corner of the legend of agents.
-    agents: (i32, i32),
+    /// The parts of the picture for the legend of agents.
+    agents: Vec<Slot>,
 }
 
 impl Overview {
@@ -116,11 +116,14 @@ impl Overview {
         legend::draw_title(&map.name, &mut frame, left, STATUS / 2);
         let fine = scale.cells == 1;
         let top = legend::draw_static((map, actions), &icons, fine, &mut frame, left, STATUS);
+        let bottom = height - MARGIN;
+        let beside = Slot { left, top, bottom };
+        let agents = [beside].into_iter().chain(Slot::below(area, left, bottom));
         Ok(Overview {
             frame,
             map: Renderer::with_zones(map, icons, view),
             area,
-            agents: (left, top),
+            agents: agents.collect(),
         })
     }
 
@@ -157,9 +160,8 @@ impl Overview {
         label::draw(&label::place(&shown, self.area, label::LONGEST), &mut picture);
         let off_map = agents.len() - shown.len();
         legend::draw_status(tick, agents, off_map, &mut picture, self.area.x, STATUS / 2);
-        let bottom = picture.height().cast_signed() - MARGIN;
         let labels = Some(["C1, C2, ..", "P1, P2, .."]);
-        legend::draw_agents(agents, labels, self.map.icons(), &mut picture, self.agents, bottom);
+        legend::draw_agents(agents, labels, self.map.icons(), &mut picture, &self.agents);
         picture
     }
 
