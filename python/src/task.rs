@@ -467,7 +467,9 @@ impl PyTask {
     ) -> PyResult<Bound<'py, PyArray3<u8>>> {
         let map = self.task.world().map();
         if self.overview.get().is_none() {
-            let overview = Overview::new(map, Arc::new(Icons::default()));
+            let icons = Icons::default().with_looks(&self.task.world().scenario.looks);
+            let icons = icons.map_err(|fault| PyValueError::new_err(fault.reason))?;
+            let overview = Overview::new(map, Arc::new(icons));
             let _ = (self.overview).set(overview.map_err(|error| PyValueError::new_err(error.to_string()))?);
         }
         let overview = self.overview.get().expect("it has just been set");

@@ -15,6 +15,7 @@ mod drive;
 mod generate;
 mod grid;
 mod kind;
+mod look;
 mod map;
 mod model;
 mod motion;
@@ -36,6 +37,7 @@ pub use agent::{Agent, Rest, place_agents};
 pub(crate) use area::{Area, Rectangle};
 pub use grid::{Cell, Heading};
 pub use kind::{AgentKind, AgentName, KindId, KindName, KindTable, OwnKind, PICTURES, speed_cells};
+pub use look::{Look, OwnLook};
 pub use map::{CityMap, Layout, SEMANTIC_MAX, STATIC_LAYERS};
 pub use model::{
     AgentConfig, AgentGroup, AgentSet, Blocks, Building, Buildings, Landmarks, MapConfig, OwnGroups, Region, Routing,

@@ -1,17 +1,19 @@
 //! `logicity icons`, and the icon options of other commands.
 
-use crate::city::Split;
+use crate::city::{OwnLook, Split};
 use crate::cli::failure::Failure;
 use crate::cli::inputs::Inputs;
 use crate::cli::limits::MemoryOption;
 use crate::cli::outputs::{ForceOption, finish, messages, unwritable};
 use crate::cli::terminal;
 use crate::cli::values::{integer, one_of};
+use crate::diag::Diagnostic;
 use crate::files;
 use crate::render::{
     Class, Difficulty, DrawingVersion, Icons, Mode, PACK_FILE_MAX, PACK_FILES_MAX, Pack, PackFault, sheet, write_png,
 };
 use crate::rng::Seed;
+use crate::yaml::codes;
 use std::io::Write;
 use std::path::{Path, PathBuf};
 
@@ -66,9 +68,10 @@ impl IconOptions {
         files.map(|file| file.path()).collect()
     }
 
-    /// The icons of a seed. A note on standard error names the classes that a pack lacks.
-    pub fn load(&self, seed: Seed) -> Result<Icons, Failure> {
-        let icons = Icons::new(seed, self.difficulty).with_version(self.drawing_version);
+    /// The icons of a seed, with the looks of a configuration. A note on standard error names the classes that a pack
+    /// lacks.
+    pub fn load(&self, seed: Seed, looks: &[OwnLook]) -> Result<Icons, Failure> {
+        let icons = with_looks(Icons::new(seed, self.difficulty), looks)?.with_version(self.drawing_version);
         let Some(folder) = &self.pack else {
             return Ok(icons);
         };
@@ -87,6 +90,14 @@ impl IconOptions {
         }
         Ok(icons.with_pack(pack))
     }
+}
+
+/// Returns icons with the looks of a configuration.
+pub fn with_looks(icons: Icons, looks: &[OwnLook]) -> Result<Icons, Failure> {
+    icons.with_looks(looks).map_err(|fault| {
+        let message = format!("a drawing of the configuration cannot be used: {}", fault.reason);
+        Diagnostic::new(codes::INVALID_VALUE, message).into()
+    })
 }
 
 fn load_pack(folder: &Path, mode: Mode) -> Result<Pack, Failure> {
@@ -149,7 +160,10 @@ pub fn run(arguments: &Arguments) -> Result<(), Failure> {
     let path = &sheet_of.output;
     let inputs = Inputs::new(sheet_of.icons.files());
     let mut out = sheet_of.force.create("icons", path, &inputs)?;
-    let icons = sheet_of.icons.load(Seed(sheet_of.seed))?.with_split(sheet_of.split);
+    let icons = sheet_of
+        .icons
+        .load(Seed(sheet_of.seed), &[])?
+        .with_split(sheet_of.split);
     let picture = sheet(&icons, &sheet_of.classes);
     write_png(&picture, &mut out).map_err(|error| unwritable(path, &error))?;
     finish(out, path)?;

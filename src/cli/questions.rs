@@ -2,6 +2,7 @@
 
 use crate::city::Split;
 use crate::cli::failure::Failure;
+use crate::cli::icons::with_looks;
 use crate::cli::inputs::Inputs;
 use crate::cli::limits::LimitOptions;
 use crate::cli::load::load_city;
@@ -225,7 +226,10 @@ fn draw(
     inputs: &Inputs,
 ) -> Result<(), Failure> {
     make_folder(folder)?;
-    let icons = Arc::new(Icons::new(Seed(arguments.seed), Difficulty::CLEAN));
+    let icons = Arc::new(with_looks(
+        Icons::new(Seed(arguments.seed), Difficulty::CLEAN),
+        &world.scenario.looks,
+    )?);
     let bar = terminal::progress("picture", (set.questions.len() + set.demonstrations.len()) as u64);
     let mut batch: Vec<(PathBuf, Vec<u8>)> = Vec::new();
     set.draw_pictures(world, &icons, |name, picture| {

@@ -391,7 +391,11 @@ impl Record {
         } else {
             let first = Frame::before(simulation);
             let mut pictures = Pictures {
-                icons: Arc::new(arguments.icons.load(simulation.seed())?),
+                icons: Arc::new(
+                    arguments
+                        .icons
+                        .load(simulation.seed(), &simulation.world().scenario.looks)?,
+                ),
                 scale: arguments.scale,
                 begun: Some(create("city.gif")?),
                 drawing: None,

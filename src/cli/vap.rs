@@ -164,7 +164,7 @@ impl Make {
             pictures: !self.no_pictures,
             threads: worlds.threads,
         };
-        let icons = self.icons.load(request.icon_seed())?;
+        let icons = self.icons.load(request.icon_seed(), &city.scenario.looks)?;
         let folder = Folder::make(&self.out)?;
         let writer = DatasetWriter::new(request, city, icons)?;
         let summary = with_bar("frame", |progress| {

@@ -176,7 +176,7 @@ fn load(
         reader.header.rules = rules.display().to_string();
         reader.header.rules_hash = hash_sources(sources, &files);
     }
-    let icons = icons.load(Seed(reader.header.seed))?;
+    let icons = icons.load(Seed(reader.header.seed), &replay.world().scenario.looks)?;
     let mut page = Page::new(&replay, &reader.header, &icons, sources)?;
     // The number of ticks is unknown before the end of the file, but its size is known.
     let bar = ProgressBar::new(reader.length).with_style(

@@ -16,8 +16,9 @@
 
 use crate::config::codes;
 use crate::datalog::codes::INCLUDE_CYCLE;
-use crate::diag::{self, Diagnostic, SourceId, Sources, similar_file, similar_file_in};
+use crate::diag::{self, Diagnostic, SourceId, Sources, Span, similar_file, similar_file_in};
 use crate::files::{BUILTIN_FOLDER, ReadError, ReadFile, normalize};
+use crate::located::Located;
 use crate::yaml;
 use crate::yaml::{Value, YamlNode};
 use std::collections::{HashMap, HashSet};
@@ -46,6 +47,12 @@ const RULES: Kind = Kind {
     folder: "rules",
     ending: "dl",
     what: "rules",
+};
+
+const DRAWING: Kind = Kind {
+    folder: "pictures",
+    ending: "svg",
+    what: "a drawing",
 };
 
 /// The kinds of built-in files, and the key of a run configuration for each part.
@@ -212,6 +219,22 @@ impl<'a> Composer<'a> {
         let reference = crate::yaml::read::text(node, "the path of a file", &mut self.faults)?;
         let folder = self.path_of(node).parent().unwrap_or(Path::new(""));
         Some(normalize(&folder.join(reference)))
+    }
+
+    /// Returns the text of the drawing that a value names, with its place, and the name of the file.
+    pub fn drawing(&mut self, node: &YamlNode, most: usize) -> Option<(Located<String>, String)> {
+        let (path, text) = self.refer(node, DRAWING)?;
+        if text.len() > most {
+            let message = format!("`{}` has {} bytes, the limit is {most}", path.display(), text.len());
+            let fault = Diagnostic::new(diag::codes::LIMIT_EXCEEDED, message).at(node.span, "");
+            self.faults
+                .push(fault.help("simplify the drawing: traces and pages contain it"));
+            return None;
+        }
+        let name = path.file_name().unwrap_or_default().to_string_lossy().into_owned();
+        let source = self.sources.add(path.display().to_string(), text.clone());
+        let span = Span::new(source, 0..text.len());
+        Some((Located { value: text, span }, name))
     }
 
     /// Returns the name of the file that a tree came from, without its extension.

@@ -1,6 +1,7 @@
 //! Reads the kinds of agents of a configuration.
 
-use crate::city::{Action, AgentKind, KindId, KindName, KindTable, OwnKind, PICTURES};
+use crate::city::{Action, AgentKind, KindId, KindName, KindTable, Look, OwnKind, OwnLook};
+use crate::config::looks::look;
 use crate::diag::{self, Diagnostic, listed};
 use crate::located::Located;
 use crate::predicate::{Concept, Definition};
@@ -18,6 +19,8 @@ const MOVES: [Action; 3] = [Action::Slow, Action::Normal, Action::Fast];
 #[derive(Default)]
 pub(super) struct Kinds<'n> {
     pub table: KindTable,
+    /// The looks of kinds that have no icon of a concept.
+    pub looks: Vec<Located<OwnLook>>,
     /// What kinds say of precedence, read after the actions.
     pub orders: Vec<Order<'n>>,
 }
@@ -71,19 +74,17 @@ fn kind<'n>(key: &Key, node: &'n YamlNode, found: &mut Kinds<'n>, faults: &mut V
     let cells = fields
         .optional("cells")
         .map_or(Some(usual), |node| cells(node, usual, faults));
-    let picture = match standard {
+    let picture_node = match standard {
         Some(_) => None,
         None => fields.optional("picture"),
     };
-    let picture = picture.map_or(Some(key.text.as_str()), |node| {
-        let of_kind = PICTURES.iter().filter(|(kind, _)| of.is_none_or(|of| of == *kind));
-        let known: Vec<(&str, &str)> = of_kind.map(|(_, picture)| (*picture, *picture)).collect();
-        choice(node, &known, faults)
-    });
+    // A word names an icon; other looks belong to the name of the kind.
+    let is_icon = picture_node.is_none_or(|node| matches!(node.value, Value::Scalar { .. }));
+    let look = picture_node.map_or(Some(Look::default()), |node| look(node, of, faults));
     let order = (fields.optional("priority"), fields.optional("default"));
     let usual = "`of: Car` drives on streets, `of: Pedestrian` walks on sidewalks";
     fields.close_with(Some(usual), faults);
-    let (Some(of), Some(cells), Some(picture)) = (of, cells, picture) else {
+    let (Some(of), Some(cells), Some(look)) = (of, cells, look) else {
         return;
     };
     let kind = match standard {
@@ -95,7 +96,15 @@ fn kind<'n>(key: &Key, node: &'n YamlNode, found: &mut Kinds<'n>, faults: &mut V
             let Some(name) = own_name(key, &found.table, faults) else {
                 return;
             };
-            let picture = picture.to_owned();
+            let shown = key.text.clone();
+            let picture = match look.icon.clone().filter(|_| is_icon) {
+                Some(icon) => icon,
+                None => shown.clone(),
+            };
+            if let Some(node) = picture_node.filter(|_| !is_icon) {
+                let value = OwnLook { of, name: shown, look };
+                found.looks.push(Located { value, span: node.span });
+            }
             found.table.add(OwnKind { name, of, picture }, cells);
             found.table.all().last().expect("it was added")
         }

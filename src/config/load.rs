@@ -12,6 +12,7 @@ use crate::config::actions::actions;
 use crate::config::codes;
 use crate::config::compose::{AGENTS, Composer, Kind, MAP, PREDICATES, RUN, Read, TASK};
 use crate::config::kinds::{Kinds, kinds, kinds_help};
+use crate::config::looks::{distinct, insert_drawings};
 use crate::config::model::*;
 use crate::config::predicates::{Concepts, Predicates, carried, check_kinds, predicates};
 use crate::config::roads;
@@ -61,7 +62,7 @@ pub fn load_scenario(sources: &mut Sources, path: &Path, read: Read<'_>) -> Resu
     let mut composer = Composer::new(sources, read);
     let scenario = composer
         .root(path, RUN, &PARTS_OF_RUN)
-        .and_then(|tree| scenario(&mut composer, &tree));
+        .and_then(|mut tree| scenario(&mut composer, &mut tree));
     finish(scenario, composer.faults)
 }
 
@@ -81,9 +82,9 @@ pub enum Loaded {
 pub fn load_any(sources: &mut Sources, path: &Path, read: Read<'_>) -> Result<Loaded, Vec<Diagnostic>> {
     let mut composer = Composer::new(sources, read);
     let tree = composer.root(path, RUN, &PARTS_OF_RUN);
-    let loaded = tree.and_then(|tree| match part_of_run(&tree) {
+    let loaded = tree.and_then(|mut tree| match part_of_run(&tree) {
         Some(("map", _)) => map(&tree, composer.name_of(&tree), &mut composer.faults).map(Loaded::Map),
-        _ => scenario(&mut composer, &tree).map(|scenario| Loaded::Scenario(Box::new(scenario))),
+        _ => scenario(&mut composer, &mut tree).map(|scenario| Loaded::Scenario(Box::new(scenario))),
     });
     finish(loaded, composer.faults)
 }
@@ -172,7 +173,9 @@ fn is_part(composer: &mut Composer<'_>, tree: &YamlNode) -> bool {
     true
 }
 
-fn scenario(composer: &mut Composer<'_>, tree: &YamlNode) -> Option<Scenario> {
+fn scenario(composer: &mut Composer<'_>, tree: &mut YamlNode) -> Option<Scenario> {
+    insert_drawings(tree, composer);
+    let tree = &*tree;
     if is_part(composer, tree) {
         return None;
     }
@@ -195,8 +198,11 @@ fn scenario(composer: &mut Composer<'_>, tree: &YamlNode) -> Option<Scenario> {
     let predicates = (fields.required("predicates", faults))
         .zip(kinds.as_ref())
         .and_then(|(node, kinds)| predicates(node, &kinds.table, faults));
+    let mut looks = Vec::new();
     if let (Some(kinds), Some(predicates)) = (&kinds, &predicates) {
         check_kinds(&kinds.table, predicates, faults);
+        let all = kinds.looks.iter().chain(&predicates.looks).cloned();
+        looks = distinct(all.collect(), faults);
     }
     let regions = fields
         .optional("region")
@@ -247,6 +253,7 @@ fn scenario(composer: &mut Composer<'_>, tree: &YamlNode) -> Option<Scenario> {
         splits: splits?,
         predicates: predicates?.used,
         kinds: kinds?.table,
+        looks,
         actions: actions?,
         routing: routing?,
         trip_ends: trip_ends?,

@@ -14,6 +14,7 @@ pub mod codes;
 mod compose;
 mod kinds;
 mod load;
+mod looks;
 mod model;
 mod predicates;
 mod roads;

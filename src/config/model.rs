@@ -2,7 +2,7 @@
 //!
 //! The serialized form omits file names and places. [`Scenario::hash`] is its hash.
 
-use crate::city::{Action, ActionTable, AgentSet, KindId, KindTable, MapConfig, Routing, Split, TripEnds};
+use crate::city::{Action, ActionTable, AgentSet, KindId, KindTable, MapConfig, OwnLook, Routing, Split, TripEnds};
 use crate::diag::Span;
 use crate::located::Located;
 use crate::predicate::Definition;
@@ -533,6 +533,9 @@ pub struct Scenario {
     /// The kinds of agents.
     #[serde(skip_serializing_if = "KindTable::is_standard")]
     pub kinds: KindTable,
+    /// The looks of concepts and kinds in pictures.
+    #[serde(skip_serializing_if = "Vec::is_empty")]
+    pub looks: Vec<OwnLook>,
     /// The selection of one action from the derived ones.
     pub actions: ActionsConfig,
     /// The algorithm by which agents choose routes.

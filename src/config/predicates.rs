@@ -1,7 +1,8 @@
 //! Reads the base predicates of a configuration, and the concepts that they define.
 
-use crate::city::{Action, AgentKind, KindTable};
+use crate::city::{Action, AgentKind, KindTable, OwnLook};
 use crate::config::kinds::of_own_kind;
+use crate::config::looks::of_concept;
 use crate::config::model::*;
 use crate::diag::{self, Diagnostic, MAX_FAULTS, Span, did_you_mean, listed};
 use crate::located::Located;
@@ -21,6 +22,8 @@ pub(super) struct Predicates {
     pub used: Vec<PredicateConfig>,
     /// All definitions, used or not.
     defined: Vec<PredicateConfig>,
+    /// The looks of concepts.
+    pub looks: Vec<Located<OwnLook>>,
 }
 
 pub(super) fn predicates(node: &YamlNode, kinds: &KindTable, faults: &mut Vec<Diagnostic>) -> Option<Predicates> {
@@ -40,7 +43,7 @@ pub(super) fn predicates(node: &YamlNode, kinds: &KindTable, faults: &mut Vec<Di
         faults.push(Diagnostic::new(diag::codes::LIMIT_EXCEEDED, message).at(define?.span, ""));
         return None;
     }
-    let mut defined = Vec::new();
+    let (mut defined, mut looks) = (Vec::new(), Vec::new());
     for (key, node) in entries {
         let fault = if key.text == SEES {
             Some(format!("`{SEES}` is predefined: it is the field of view"))
@@ -61,6 +64,11 @@ pub(super) fn predicates(node: &YamlNode, kinds: &KindTable, faults: &mut Vec<Di
             span: key.span,
         };
         let definition = of_own_kind(node, kinds, faults).unwrap_or_else(|| definition_of(node, faults));
+        looks.extend(
+            definition
+                .as_ref()
+                .and_then(|definition| of_concept(node, definition, faults)),
+        );
         defined.extend(definition.map(|definition| PredicateConfig { name, definition }));
     }
     let used = match selection {
@@ -81,7 +89,7 @@ pub(super) fn predicates(node: &YamlNode, kinds: &KindTable, faults: &mut Vec<Di
         },
         definition: Sees.into(),
     });
-    Some(Predicates { used, defined })
+    Some(Predicates { used, defined, looks })
 }
 
 /// Reads a definition. Drops the faults after the last unknown key, which it may have caused.

@@ -703,7 +703,14 @@ impl Definition {
         let further_keys = mappings.clone().flat_map(|(keys, _)| &keys[1..]);
         let keys = mappings.clone().map(|(keys, _)| &keys[0]).chain(further_keys);
         let given: Vec<(&str, &YamlNode)> = keys.filter_map(|key| Some((*key, fields.optional(*key)?))).collect();
+        // Whoever reads configurations reads the looks of a concept.
+        let picture = fields.optional("picture");
         fields.close(faults);
+        if let Some(picture) = picture.filter(|_| !given.iter().any(|(key, _)| *key == "concept")) {
+            let message = "only a concept has a `picture`";
+            let fault = Diagnostic::new(codes::INVALID_VALUE, message).at(picture.span, "");
+            faults.push(fault.help("remove it; the picture of a kind stands under `kinds`"));
+        }
         let value = |key: &&str| Some(given.iter().find(|(given, _)| given == key)?.1);
         let found = mappings.clone().find_map(|(keys, read)| {
             let nodes: Vec<&YamlNode> = keys.iter().map(value).collect::<Option<_>>()?;

@@ -68,12 +68,18 @@ const BLUE: Ink = Ink::hex(0x0022_58e0);
 const AMBER: Ink = Ink::hex(0x00ff_b020);
 const TYRE: Ink = Ink::hex(0x0018_191c);
 
-/// Draws a car. `noise` is the difficulty, 0..=1: more of it makes car types share colors and wears markings.
+/// Draws a car, in `color` if it is given. `noise` is the difficulty, 0..=1: more of it makes car types share colors and
+/// wears markings.
 ///
 /// Shapes are those of the concepts in both styles. The test style has other colors, light, windows and markings.
-pub(super) fn draw<R: Rng>(features: &Features, dice: &mut Dice<R>, noise: f32, style: Style) -> Drawing {
+pub(super) fn draw<R: Rng>(
+    features: &Features,
+    dice: &mut Dice<R>,
+    noise: f32,
+    (style, color): (Style, Option<Ink>),
+) -> Drawing {
     if features.bicycle {
-        return bicycle(dice, style);
+        return bicycle(dice, style, color);
     }
     let shape = match features {
         Features { bus: true, .. } => Shape::Bus,
@@ -103,7 +109,10 @@ pub(super) fn draw<R: Rng>(features: &Features, dice: &mut Dice<R>, noise: f32, 
     let other = dice.ink(paints);
     let mut car = Car {
         length,
-        paint: usual.mix(other, noise * dice.between(0.0, 0.8)),
+        paint: {
+            let drawn = usual.mix(other, noise * dice.between(0.0, 0.8));
+            color.unwrap_or(drawn)
+        },
         wear: noise * dice.between(0.0, 0.75),
         style,
         dice,
@@ -134,10 +143,11 @@ pub(super) fn draw<R: Rng>(features: &Features, dice: &mut Dice<R>, noise: f32, 
 }
 
 /// Draws a bicycle with its rider.
-fn bicycle<R: Rng>(dice: &mut Dice<R>, style: Style) -> Drawing {
+fn bicycle<R: Rng>(dice: &mut Dice<R>, style: Style, color: Option<Ink>) -> Drawing {
     let length = dice.between(1.5, 1.65);
     let frame = dice.ink(style.choose(&SPORTS_PAINTS[..], &TEST_SPORTS_PAINTS[..]));
     let jacket = dice.ink(style.choose(&PAINTS[..], &TEST_PAINTS[..]));
+    let (frame, jacket) = (color.unwrap_or(frame), color.unwrap_or(jacket));
     let helmet = dice.ink(style.choose(&BUS_PAINTS[..], &TEST_BUS_PAINTS[..]));
     let at = places(length);
     let mut body = Sketch::default();

@@ -1,15 +1,16 @@
 //! Icons: maps a class, an instance, a facing and a size to pixels.
 
-use crate::city::{AgentKind, Split};
+use crate::city::{AgentKind, OwnLook, Split};
 use crate::render::class::{Class, Facing, Subject};
 use crate::render::difficulty::{Difficulty, DrawingVersion, Style};
 use crate::render::framing::Framing;
-use crate::render::pack::{Mode, Pack, shrunk};
+use crate::render::pack::{DrawingFault, Mode, Pack, drawing, shrunk};
 use crate::render::picture::{PixelBox, Silhouette, Stamp};
 use crate::render::sketch::{Dice, Ink, Sketch, byte};
 use crate::render::{building, car, pedestrian};
 use crate::rng::{Purpose, Rng, Seed};
 use resvg::tiny_skia::{FilterQuality, Pixmap, PixmapPaint, Transform};
+use std::borrow::Cow;
 use std::collections::BTreeMap;
 use std::sync::{Arc, Mutex, MutexGuard, PoisonError};
 
@@ -56,7 +57,44 @@ pub struct Icons {
     version: DrawingVersion,
     split: Split,
     pack: Option<Pack>,
+    looks: Looks,
     kept: Mutex<Kept>,
+}
+
+/// The looks that a configuration gives to concepts and kinds, with rasterized drawings.
+#[derive(Debug, Default)]
+struct Looks(BTreeMap<(AgentKind, String), (OwnLook, Option<Pixmap>)>);
+
+impl Looks {
+    /// Returns the looks of the concepts of an agent, in their order.
+    fn of<'l, 'c>(
+        &'l self,
+        kind: AgentKind,
+        concepts: &'c [String],
+    ) -> impl Iterator<Item = &'l (OwnLook, Option<Pixmap>)> + use<'l, 'c> {
+        let look = move |concept: &'c String| self.0.get(&(kind, concept.clone()));
+        // Most cities have none.
+        let concepts = if self.0.is_empty() { &[] } else { concepts };
+        concepts.iter().filter_map(look)
+    }
+
+    /// Returns the concepts with the concepts whose icons they have.
+    fn with_icons<'c>(&self, kind: AgentKind, concepts: &'c [String]) -> Cow<'c, [String]> {
+        let icons: Vec<String> = self
+            .of(kind, concepts)
+            .filter_map(|(own, _)| own.look.icon.clone())
+            .collect();
+        match icons.is_empty() {
+            true => concepts.into(),
+            false => icons.into_iter().chain(concepts.iter().cloned()).collect(),
+        }
+    }
+
+    /// Returns the color of the agents with these concepts.
+    fn color(&self, kind: AgentKind, concepts: &[String]) -> Option<Ink> {
+        let [r, g, b] = self.of(kind, concepts).find_map(|(own, _)| own.look.color)?;
+        Some(Ink::hex(u32::from_be_bytes([0, r, g, b])))
+    }
 }
 
 impl Kept {
@@ -85,8 +123,25 @@ impl Icons {
             version: DrawingVersion::default(),
             split: Split::Train,
             pack: None,
+            looks: Looks::default(),
             kept: Mutex::default(),
         }
+    }
+
+    /// Returns these icons with the looks that a configuration gives to its concepts and kinds.
+    ///
+    /// # Errors
+    /// The first drawing that cannot be used; those of a loaded configuration can.
+    pub fn with_looks(self, looks: &[OwnLook]) -> Result<Icons, DrawingFault> {
+        let rasterized = looks.iter().map(|own| {
+            let art = own.look.drawing.as_deref().map(drawing).transpose()?;
+            Ok(((own.of, own.name.clone()), (own.clone(), art)))
+        });
+        Ok(Icons {
+            looks: Looks(rasterized.collect::<Result<_, DrawingFault>>()?),
+            kept: Mutex::default(),
+            ..self
+        })
     }
 
     /// Returns these icons with a pack that extends or replaces the generated ones, as its mode says.
@@ -240,24 +295,76 @@ impl Icons {
         let mut dice = Dice(self.seed.stream(Purpose::ICON, hash, instance.into()));
         let (noise, style) = (self.difficulty.share(), self.style(hash, instance));
         let drawing = match (&class.0, self.art(class).get(instance as usize)) {
-            (Subject::Agent(AgentKind::Car, _), Some(art)) => Drawing::CarArt(art),
-            (Subject::Agent(AgentKind::Pedestrian, _), Some(art)) => Drawing::PedestrianArt(art),
+            (Subject::Agent(AgentKind::Car, _), Some(art)) => Drawing::CarArt(art, Sketch::default()),
+            (Subject::Agent(AgentKind::Pedestrian, _), Some(art)) => Drawing::PedestrianArt(art, Sketch::default()),
             (Subject::Building(_), Some(art)) => Drawing::BuildingArt(art),
             (Subject::Building(building), None) => Drawing::Square(building::draw(*building, &mut dice, noise)),
-            (Subject::Agent(AgentKind::Pedestrian, concepts), None) => {
-                let (_, features) = Class::features(concepts);
-                let mut sketch = pedestrian::draw(&features, facing.side(), &mut dice, noise, style);
-                badges(&mut sketch, AgentKind::Pedestrian, concepts, (0.0, 0.12), 0.14);
-                Drawing::Square(sketch)
-            }
-            (Subject::Agent(AgentKind::Car, concepts), None) => {
-                let (features, _) = Class::features(concepts);
-                let mut car = car::draw(&features, &mut dice, noise, style);
-                badges(&mut car.body, AgentKind::Car, concepts, (0.0, 0.36 * car.length), 0.19);
-                Drawing::Car(car)
+            (Subject::Agent(kind, concepts), None) => {
+                let own_art = self.looks.of(*kind, concepts).find_map(|(_, art)| art.as_ref());
+                let with_icons = self.looks.with_icons(*kind, concepts);
+                let (car_features, pedestrian_features) = Class::features(&with_icons);
+                let color = self.looks.color(*kind, concepts);
+                match (kind, own_art) {
+                    (AgentKind::Pedestrian, None) => {
+                        let looks = (style, color);
+                        let mut sketch = pedestrian::draw(&pedestrian_features, facing.side(), &mut dice, noise, looks);
+                        self.badges(&mut sketch, AgentKind::Pedestrian, concepts, (0.0, 0.12), 0.14);
+                        Drawing::Square(sketch)
+                    }
+                    (AgentKind::Pedestrian, Some(art)) => {
+                        let mut sketch = Sketch::default();
+                        self.badges(&mut sketch, AgentKind::Pedestrian, concepts, (0.0, 0.3), 0.14);
+                        Drawing::PedestrianArt(art, sketch)
+                    }
+                    (AgentKind::Car, None) => {
+                        let mut car = car::draw(&car_features, &mut dice, noise, (style, color));
+                        self.badges(&mut car.body, AgentKind::Car, concepts, (0.0, 0.36 * car.length), 0.19);
+                        Drawing::Car(car)
+                    }
+                    (AgentKind::Car, Some(art)) => {
+                        let (short, long) = (art.width().min(art.height()), art.width().max(art.height()));
+                        #[allow(clippy::cast_precision_loss)]
+                        let length = long as f32 / short as f32;
+                        let mut sketch = Sketch::default();
+                        self.badges(&mut sketch, AgentKind::Car, concepts, (0.0, 0.3 * length), 0.19);
+                        Drawing::CarArt(art, sketch)
+                    }
+                }
             }
         };
         (drawing, dice)
+    }
+
+    /// Adds round badges: those of the looks, and a letter for each concept without looks, in a color derived from its
+    /// name. A badge beside a chosen color is dark.
+    fn badges(&self, sketch: &mut Sketch, kind: AgentKind, concepts: &[String], (x, y): (f32, f32), radius: f32) {
+        let letter = |concept: &String| concept.chars().take(1).flat_map(char::to_uppercase).collect();
+        let badge = |concept: &'_ String| -> Option<(String, Ink)> {
+            let sum = concept
+                .bytes()
+                .fold(7_u32, |sum, byte| sum.wrapping_mul(31).wrapping_add(byte.into()));
+            #[allow(clippy::cast_precision_loss)]
+            let ink = Ink::hsl((sum % 17) as f32 / 17.0, 0.85, 0.42);
+            match self.looks.of(kind, std::slice::from_ref(concept)).next() {
+                Some((own, _)) => {
+                    let ink = own.look.color.map_or(ink, |_| Ink::hex(0x0026_2a33));
+                    Some((own.look.badge.clone()?, ink))
+                }
+                None if Class::is_drawn(kind, concept) => None,
+                None => Some((letter(concept), ink)),
+            }
+        };
+        for (number, (text, ink)) in (0_u8..3).zip(concepts.iter().filter_map(badge)) {
+            let y = y - f32::from(number) * 2.1 * radius;
+            // Two characters are as wide as a larger badge.
+            let (radius, high) = match text.chars().count() {
+                0 | 1 => (radius, 0.95 * radius),
+                _ => (1.2 * radius, 0.85 * radius),
+            };
+            sketch.oval(x, y, radius, radius, Ink::WHITE);
+            sketch.oval(x, y, radius * 0.88, radius * 0.88, ink);
+            sketch.letters(&text, (x, y), high, high * 0.25, Ink::WHITE);
+        }
     }
 
     /// Returns an icon as a square PNG on a transparent ground, scaled to fit into `side` pixels, 1 to [`ICON_MAX`].
@@ -357,32 +464,15 @@ fn lay(stamp: &Stamp, pixels: &mut [u8], (width, height): (u32, u32), (x, y): (u
     }
 }
 
-/// Adds a round badge for each concept without its own looks: a letter, in a color derived from the name.
-fn badges(sketch: &mut Sketch, kind: AgentKind, concepts: &[String], (x, y): (f32, f32), radius: f32) {
-    let others = concepts.iter().filter(|concept| !Class::is_drawn(kind, concept));
-    for (number, concept) in (0_u8..3).zip(others) {
-        let sum = concept
-            .bytes()
-            .fold(7_u32, |sum, byte| sum.wrapping_mul(31).wrapping_add(byte.into()));
-        #[allow(clippy::cast_precision_loss)]
-        let ink = Ink::hsl((sum % 17) as f32 / 17.0, 0.85, 0.42);
-        let y = y - f32::from(number) * 2.1 * radius;
-        sketch.oval(x, y, radius, radius, Ink::WHITE);
-        sketch.oval(x, y, radius * 0.88, radius * 0.88, ink);
-        let letter: String = concept.chars().take(1).flat_map(char::to_uppercase).collect();
-        sketch.letters(&letter, (x, y), radius * 0.95, radius * 0.24, Ink::WHITE);
-    }
-}
-
 /// The parts of an icon, at any size.
 enum Drawing<'a> {
     /// Fills a square.
     Square(Sketch),
     Car(car::Drawing),
-    /// From a pack; its short side has the size.
-    CarArt(&'a Pixmap),
-    /// From a pack; fits into a square.
-    PedestrianArt(&'a Pixmap),
+    /// A picture whose short side has the size, and badges on it.
+    CarArt(&'a Pixmap, Sketch),
+    /// A picture that fits into a square, and badges on it.
+    PedestrianArt(&'a Pixmap, Sketch),
     BuildingArt(&'a Pixmap),
 }
 
@@ -441,7 +531,7 @@ impl Drawing<'_> {
                 car.ground.paint(&mut ground, transform);
                 car.body.paint(&mut body, transform);
             }
-            Drawing::CarArt(_) | Drawing::PedestrianArt(_) | Drawing::BuildingArt(_) => {}
+            Drawing::CarArt(..) | Drawing::PedestrianArt(..) | Drawing::BuildingArt(_) => {}
         }
         Layers { ground, body }
     }
@@ -458,20 +548,20 @@ impl Drawing<'_> {
         body
     }
 
-    /// Returns the body if it is from a pack. A car rotates, and its short side has the size. Others fit into a square,
-    /// and pedestrians face left or right.
+    /// Returns the body if it is a picture. A car rotates, and its short side has the size. Others fit into a square, and
+    /// pedestrians face left or right.
     fn art(&self, facing: Facing, size: u32) -> Option<Pixmap> {
         let (art, turn) = match self {
-            Drawing::CarArt(art) => (art, turned(facing, 1.0)),
-            Drawing::PedestrianArt(art) if facing.side() == pedestrian::Side::Left => {
+            Drawing::CarArt(art, _) => (art, turned(facing, 1.0)),
+            Drawing::PedestrianArt(art, _) if facing.side() == pedestrian::Side::Left => {
                 (art, Transform::from_scale(-1.0, 1.0))
             }
-            Drawing::PedestrianArt(art) | Drawing::BuildingArt(art) => (art, Transform::identity()),
+            Drawing::PedestrianArt(art, _) | Drawing::BuildingArt(art) => (art, Transform::identity()),
             Drawing::Square(_) | Drawing::Car(_) => return None,
         };
         let (width, height) = (art.width() as f32, art.height() as f32);
         let fitted = match self {
-            Drawing::CarArt(_) => width.min(height),
+            Drawing::CarArt(..) => width.min(height),
             _ => width.max(height),
         };
         let scale = size as f32 / fitted;
@@ -493,6 +583,14 @@ impl Drawing<'_> {
         };
         let transform = transform.pre_scale(rest_x, rest_y);
         body.draw_pixmap(0, 0, small.as_ref(), &paint, transform, None);
+        let side = size as f32;
+        match self {
+            Drawing::CarArt(_, badges) => badges.paint(&mut body, turned(facing, side).post_concat(middle)),
+            Drawing::PedestrianArt(_, badges) => {
+                badges.paint(&mut body, Transform::from_scale(side, side).post_concat(middle));
+            }
+            Drawing::BuildingArt(_) | Drawing::Square(_) | Drawing::Car(_) => {}
+        }
         Some(body)
     }
 }

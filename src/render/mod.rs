@@ -75,7 +75,7 @@ pub use framing::Framing;
 pub use ground::{GroundPlan, Site};
 pub use icon::{Atlas, ICON_MAX, Icons};
 pub use overview::{Marked, Overview};
-pub use pack::{Mode, PACK_FILE_MAX, PACK_FILES_MAX, Pack, PackFault};
+pub use pack::{DrawingFault, Mode, PACK_FILE_MAX, PACK_FILES_MAX, Pack, PackFault, check_drawing};
 pub use picture::{Picture, PixelBox};
 pub use renderer::{Placement, Renderer};
 pub use sheet::sheet;

@@ -7,6 +7,7 @@ use resvg::usvg::{self, ImageHrefResolver, Options, Tree, roxmltree};
 use sha2::{Digest, Sha256};
 use std::collections::BTreeMap;
 use std::fmt;
+use std::ops::Range;
 use std::panic::{AssertUnwindSafe, catch_unwind};
 
 /// The largest file of a pack, in bytes.
@@ -163,7 +164,16 @@ fn icon(file: &str, bytes: &[u8]) -> Result<(Class, Pixmap), String> {
         .as_deref()
     {
         Some("png") => picture(bytes)?,
-        Some("svg") => drawing(bytes)?,
+        Some("svg") => {
+            let text = std::str::from_utf8(bytes).map_err(|_| "not UTF-8 text")?;
+            drawing(text).map_err(|fault| match &fault.place {
+                Some(place) => {
+                    let line = 1 + text[..place.start].matches('\n').count();
+                    format!("line {line}: {}", fault.reason)
+                }
+                None => fault.reason,
+            })?
+        }
         _ => return Err("it is neither `.png` nor `.svg`".into()),
     };
     let largest = art.width().max(art.height());
@@ -221,16 +231,61 @@ fn check_aspect(width: f32, height: f32) -> Result<(), String> {
     }
 }
 
-fn drawing(bytes: &[u8]) -> Result<Pixmap, String> {
-    let text = std::str::from_utf8(bytes).map_err(|_| "not UTF-8 text")?;
+/// Why a drawing cannot be used.
+#[derive(Clone, Debug, PartialEq, Eq)]
+pub struct DrawingFault {
+    /// The reason.
+    pub reason: String,
+    /// The bytes of its text to which the reason applies, if it does not apply to all.
+    pub place: Option<Range<usize>>,
+}
+
+impl From<String> for DrawingFault {
+    fn from(reason: String) -> DrawingFault {
+        DrawingFault { reason, place: None }
+    }
+}
+
+impl From<&str> for DrawingFault {
+    fn from(reason: &str) -> DrawingFault {
+        reason.to_owned().into()
+    }
+}
+
+/// Checks the text of an SVG drawing: it must be self-contained, without references to other files, text, filters or
+/// scripts, and within the limits of packs.
+///
+/// # Errors
+/// The reason why it cannot be used.
+pub fn check_drawing(text: &str) -> Result<(), DrawingFault> {
+    drawing(text).map(|_| ())
+}
+
+/// Returns the bytes of the character at a line and a column, which count from 1.
+fn place_of(text: &str, at: roxmltree::TextPos) -> Range<usize> {
+    let line = text
+        .split_inclusive('\n')
+        .take(at.row.saturating_sub(1) as usize)
+        .map(str::len)
+        .sum::<usize>();
+    let rest = &text[line..];
+    let column = rest.char_indices().nth(at.col.saturating_sub(1) as usize);
+    let start = line + column.map_or(rest.len(), |(start, _)| start);
+    start..start + text[start..].chars().next().map_or(0, char::len_utf8)
+}
+
+/// Draws the text of an SVG drawing.
+pub(super) fn drawing(text: &str) -> Result<Pixmap, DrawingFault> {
     // Forbids entities, which can expand without bounds, and limits the nodes.
     let limits = roxmltree::ParsingOptions {
         allow_dtd: false,
         nodes_limit: NODES_MAX,
         ..roxmltree::ParsingOptions::default()
     };
-    let document = roxmltree::Document::parse_with_options(text, limits)
-        .map_err(|error| format!("not an SVG drawing: {error}"))?;
+    let document = roxmltree::Document::parse_with_options(text, limits).map_err(|error| DrawingFault {
+        reason: format!("not an SVG drawing: {error}"),
+        place: Some(place_of(text, error.pos())),
+    })?;
     check_elements(&document)?;
     check_nesting(&document)?;
     let options = Options {
@@ -274,12 +329,16 @@ fn drawing(bytes: &[u8]) -> Result<Pixmap, String> {
 }
 
 /// Rejects elements with external or expensive content.
-fn check_elements(document: &roxmltree::Document<'_>) -> Result<(), String> {
+fn check_elements(document: &roxmltree::Document<'_>) -> Result<(), DrawingFault> {
     let mut styles = 0;
     let patterns = document.descendants().any(|node| node.has_tag_name((SVG, "pattern")));
     for node in document.descendants().filter(roxmltree::Node::is_element) {
         let name = node.tag_name().name();
-        let fault = |why: String| Err(format!("line {}: {why}", document.text_pos_at(node.range().start).row));
+        let fault = |reason: String| {
+            let start = node.range().start;
+            let place = Some(start..start + 1 + name.len());
+            Err(DrawingFault { reason, place })
+        };
         match name {
             "image" | "feImage" => return fault(format!("`{name}` embeds another picture; draw it instead")),
             "text" => return fault("text is not supported; convert it to paths".into()),
@@ -306,7 +365,7 @@ fn check_elements(document: &roxmltree::Document<'_>) -> Result<(), String> {
         }
     }
     match styles > STYLE_MAX {
-        true => Err(format!("style sheets of {styles} bytes; the limit is {STYLE_MAX}")),
+        true => Err(format!("style sheets of {styles} bytes; the limit is {STYLE_MAX}").into()),
         false => Ok(()),
     }
 }

@@ -42,10 +42,17 @@ const TEST_CLOTHES: [u32; 8] = [
 const TEST_BRIGHT: [u32; 6] = [0x9ed8c6, 0xd3b3e6, 0xf3c6a5, 0x6b8f3a, 0xc9dcf2, 0x8c5a3c];
 const TEST_MUTED: [u32; 6] = [0x2b2b30, 0x5a1f2c, 0xe6e0d2, 0x1f3a4a, 0x46361f, 0x9fb0c0];
 
-/// Draws a pedestrian. `noise` is the difficulty, 0..=1: more of it makes the types share clothes.
+/// Draws a pedestrian, in clothes of `color` if it is given. `noise` is the difficulty, 0..=1: more of it makes the types
+/// share clothes.
 ///
 /// Figures have the proportions of their concepts in both styles. The test style has other colors, light and things.
-pub(super) fn draw<R: Rng>(features: &Features, side: Side, dice: &mut Dice<R>, noise: f32, style: Style) -> Sketch {
+pub(super) fn draw<R: Rng>(
+    features: &Features,
+    side: Side,
+    dice: &mut Dice<R>,
+    noise: f32,
+    (style, color): (Style, Option<Ink>),
+) -> Sketch {
     let Features { old, young } = *features;
     let clothes = style.choose(&CLOTHES[..], &TEST_CLOTHES[..]);
     let bright = style.choose(&BRIGHT[..], &TEST_BRIGHT[..]);
@@ -81,7 +88,10 @@ pub(super) fn draw<R: Rng>(features: &Features, side: Side, dice: &mut Dice<R>, 
         lean: if old { dice.between(0.07, 0.12) } else { 0.0 },
         stride: dice.between(0.04, 0.1) * if old { 0.6 } else { 1.0 },
         wide: dice.between(0.15, 0.19) * if young { 0.85 } else { 1.0 },
-        coat: coat.mix(adult_coat, noise * dice.between(0.0, 0.8)),
+        coat: {
+            let drawn = coat.mix(adult_coat, noise * dice.between(0.0, 0.8));
+            color.unwrap_or(drawn)
+        },
         trousers: dice.ink(if young { bright } else { &TROUSERS }),
         skin: dice.ink(&SKINS),
         hair,

@@ -17,6 +17,7 @@ mod external;
 mod handed;
 mod hostile;
 mod kinds;
+mod looks;
 #[path = "../datalog/near_files.rs"]
 mod near_files;
 #[path = "../datalog/pages.rs"]

@@ -110,6 +110,9 @@ impl Place {
                         Some(Step::Key(above)) if above == SAMPLE_PREDICATE && key == "of" => {
                             entries.insert("concept".into(), json!("taxi"));
                         }
+                        Some(Step::Key(above)) if above == SAMPLE_PREDICATE && key == "picture" => {
+                            entries.extend([("concept".into(), json!("taxi")), ("of".into(), json!("Car"))]);
+                        }
                         Some(Step::Key(above))
                             if above == SAMPLE_PREDICATE && ["near", "within"].contains(&&key[..]) =>
                         {

@@ -3,7 +3,8 @@
 
 use crate::cases::cases;
 use logicity::city::{
-    Action, AgentKind, Blocks, Building, Buildings, Landmarks, MapConfig, Split, Terrain, Widths, ZoneConfig, ZonePart,
+    Action, AgentKind, Blocks, Building, Buildings, Landmarks, Look, MapConfig, OwnLook, Split, Terrain, Widths,
+    ZoneConfig, ZonePart,
 };
 use logicity::city::{Cell, CityMap};
 use logicity::diag::{Sources, Span};
@@ -1020,4 +1021,133 @@ fn a_failing_output_is_an_error_and_no_panic() {
         let result = write_png(&frame, Full(room));
         assert_eq!(result.err().map(|error| error.kind()), Some(io::ErrorKind::StorageFull));
     }
+}
+
+/// The looks of a configuration, as loading gives them.
+fn own_look(name: &str, of: AgentKind, look: Look) -> OwnLook {
+    OwnLook {
+        of,
+        name: name.to_owned(),
+        look,
+    }
+}
+
+/// Icons with the looks of a configuration differ from each other, and change nothing for other agents.
+#[test]
+fn looks_of_a_configuration_can_be_told_apart() {
+    let text = |text: &str| Some(text.to_owned());
+    let svg = |color: &str| {
+        let start = r#"<svg xmlns="http://www.w3.org/2000/svg" viewBox="0 0 20 50">"#;
+        Some(Arc::from(format!(
+            r##"{start}<rect width="20" height="50" rx="4" fill="{color}"/></svg>"##
+        )))
+    };
+    let looks = |of: AgentKind, icon: &str| {
+        let plain = Look::default();
+        let red = Some([0xd6, 0x2f, 0x2f]);
+        let blue = Some([0x2f, 0x6f, 0xd0]);
+        let all = [
+            Look {
+                color: red,
+                ..plain.clone()
+            },
+            Look {
+                color: blue,
+                ..plain.clone()
+            },
+            Look {
+                badge: text("A"),
+                ..plain.clone()
+            },
+            Look {
+                badge: text("AB"),
+                ..plain.clone()
+            },
+            Look {
+                badge: text("A"),
+                color: red,
+                ..plain.clone()
+            },
+            Look {
+                icon: text(icon),
+                ..plain.clone()
+            },
+            Look {
+                icon: text(icon),
+                color: blue,
+                ..plain.clone()
+            },
+            Look {
+                icon: text(icon),
+                badge: text("7"),
+                ..plain.clone()
+            },
+            Look {
+                drawing: svg("#c8102e"),
+                ..plain.clone()
+            },
+            Look {
+                drawing: svg("#10c82e"),
+                ..plain.clone()
+            },
+            Look {
+                drawing: svg("#c8102e"),
+                badge: text("1"),
+                ..plain
+            },
+        ];
+        let named = (all.into_iter().enumerate()).map(|(number, look)| own_look(&format!("own{number}"), of, look));
+        named.collect::<Vec<_>>()
+    };
+    for (of, icon) in [
+        (AgentKind::Car, "bus"),
+        (AgentKind::Car, "bicycle"),
+        (AgentKind::Pedestrian, "old"),
+    ] {
+        let own = looks(of, icon);
+        let icons = Icons::new(Seed(5), Difficulty::CLEAN).with_looks(&own).unwrap();
+        let drawn: Vec<Vec<u8>> = (own.iter())
+            .map(|own| icons.png(&Class::agent(of, std::slice::from_ref(&own.name)), 0, Facing::Up, 48))
+            .collect();
+        for (one, other) in (0..drawn.len()).flat_map(|one| (0..one).map(move |other| (one, other))) {
+            let difference = mean_difference(&rgba(&drawn[one]).1, &rgba(&drawn[other]).1);
+            assert!(difference > 0.5, "{of:?} {icon}: {one} and {other}, {difference}");
+        }
+        // A drawing turns with a car, and not with a pedestrian.
+        let class = Class::agent(of, &["own8".to_owned()]);
+        let [up, left] = [Facing::Up, Facing::Left].map(|facing| rgba(&icons.png(&class, 0, facing, 48)).1);
+        assert_eq!(mean_difference(&up, &left) > 10.0, of == AgentKind::Car);
+        let plain = Icons::new(Seed(5), Difficulty::CLEAN);
+        for class in Class::known() {
+            assert_eq!(
+                icons.png(&class, 3, Facing::Up, 32),
+                plain.png(&class, 3, Facing::Up, 32)
+            );
+        }
+    }
+    // A chosen color covers most of a car; the hue of a drawing is kept.
+    let own = looks(AgentKind::Car, "bus");
+    let icons = Icons::new(Seed(5), Difficulty::CLEAN).with_looks(&own).unwrap();
+    for (name, reddish) in [("own0", true), ("own1", false), ("own8", true)] {
+        let class = Class::agent(AgentKind::Car, &[name.to_owned()]);
+        for instance in 0..10 {
+            let (_, pixels) = rgba(&icons.png(&class, instance, Facing::Up, 48));
+            let colored = pixels.chunks_exact(4).filter(|pixel| {
+                let (red, blue) = (i32::from(pixel[0]), i32::from(pixel[2]));
+                pixel[3] > 200 && (red - blue).abs() > 50 && (red > blue) == reddish
+            });
+            let opaque = pixels.chunks_exact(4).filter(|pixel| pixel[3] > 200).count();
+            assert!(3 * colored.count() > opaque, "{name}, instance {instance}");
+        }
+    }
+    let faulty = own_look(
+        "own",
+        AgentKind::Car,
+        Look {
+            drawing: Some(Arc::from("<svg>")),
+            ..Look::default()
+        },
+    );
+    let fault = Icons::default().with_looks(&[faulty]).unwrap_err();
+    assert!(fault.reason.contains("not an SVG drawing"), "{fault:?}");
 }
