@@ -2,11 +2,14 @@
 
 from __future__ import annotations
 
+import importlib
 import os
+import shutil
 import signal
 import sys
 import traceback
 from collections.abc import Sequence
+from contextlib import suppress
 from types import TracebackType
 
 from . import _logicity
@@ -34,6 +37,8 @@ def main(arguments: Sequence[str] | None = None) -> int:
         sys.excepthook = _print_exception
     _open_standard_streams()
     argv = list(sys.argv[1:] if arguments is None else arguments)
+    if any(argument == "--video" or argument.startswith("--video=") for argument in argv):
+        _offer_encoder()
     # Rust writes to the same streams through separate buffers. A process may have no such streams.
     for stream in (sys.stdout, sys.stderr):
         if stream is not None and not stream.closed:
@@ -49,6 +54,14 @@ def main(arguments: Sequence[str] | None = None) -> int:
     from .commands import run
 
     return run(tuple(words), rest)
+
+
+def _offer_encoder() -> None:
+    """Name the program ffmpeg that the extra `video` installs, unless there is another one."""
+    if os.environ.get("LOGICITY_FFMPEG") or shutil.which("ffmpeg"):
+        return
+    with suppress(ImportError, RuntimeError):
+        os.environ["LOGICITY_FFMPEG"] = str(importlib.import_module("imageio_ffmpeg").get_ffmpeg_exe())
 
 
 def _open_standard_streams() -> None:

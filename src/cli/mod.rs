@@ -16,6 +16,7 @@ mod fact;
 mod failure;
 mod fcd;
 mod fmt;
+mod frames;
 mod icons;
 mod induce;
 mod infer;
@@ -48,6 +49,7 @@ mod terminal;
 mod trace;
 mod values;
 mod vap;
+mod video;
 mod view;
 
 use crate::cli::failure::Failure;

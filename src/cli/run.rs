@@ -2,15 +2,17 @@
 
 use crate::cancel::Cancel;
 use crate::city::codes;
-use crate::city::{Action, Cell, KindId, Split};
+use crate::city::{Action, KindId, Split};
 use crate::cli::failure::Failure;
+use crate::cli::frames::{Drawn, Frame};
 use crate::cli::icons::IconOptions;
 use crate::cli::inputs::Inputs;
 use crate::cli::limits::LimitOptions;
 use crate::cli::load::load_city;
 use crate::cli::outputs::{ForceOption, finish, is_stdout, refuse_stdout_as_folder, unremovable, unwritable};
 use crate::cli::report::{agents_in_words, report};
-use crate::cli::values::{integer, one_of, threads};
+use crate::cli::values::{integer, one_of, scale, threads};
+use crate::cli::video::{CROP_MARGIN, Part, Traces, VideoOptions};
 use crate::cli::{signals, terminal};
 use crate::datalog::constraints;
 use crate::datalog::explain::ExplanationPrinter;
@@ -18,7 +20,7 @@ use crate::datalog::{Clause, ClauseId};
 use crate::diag::{self, Diagnostic, SourceId, Sources, counted};
 use crate::files::{Output, make_folder, remove_own};
 use crate::page::DECISIONS_MAX;
-use crate::render::{Animation, Extent, Facing, Icons, Overview, Scale, Sprite, write_png};
+use crate::render::{Animation, Extent, Icons, Overview, Scale, write_png};
 use crate::rng::Seed;
 use crate::sim::{
     DeadlockReport, Executor, LOOK_TICKS, MAX_ENTITIES, STUCK_TICKS, Settings, Simulation, TraceWriter, WaitsFor,
@@ -38,8 +40,6 @@ use std::time::{Duration, Instant};
 const MAX_FRAMES: u64 = 1000;
 /// The time for which the animation shows a tick.
 const FRAME_DELAY: Duration = Duration::from_millis(100);
-/// The number of cells between the agents and the edge of a cropped picture, so that their icons and labels fit.
-const CROP_MARGIN: u32 = 4;
 
 #[derive(clap::Args)]
 pub struct Arguments {
@@ -74,7 +74,7 @@ pub struct Arguments {
     #[arg(long, value_name = "FILE", conflicts_with = "no_trace")]
     html: Option<PathBuf>,
     /// Write the trace but no pictures; removes the pictures of an earlier run in the folder, which would not fit it
-    #[arg(long, conflicts_with_all = ["pack", "difficulty", "drawing_version", "crop", "scale"])]
+    #[arg(long, conflicts_with_all = ["pack", "difficulty", "drawing_version"])]
     no_pictures: bool,
     /// Show only the part of the map that agents visit in this run. Pictures are drawn when the run has ended
     #[arg(long)]
@@ -85,18 +85,15 @@ pub struct Arguments {
     scale: Option<Scale>,
     #[command(flatten)]
     icons: IconOptions,
+    #[command(flatten)]
+    video: VideoOptions,
     /// Print the summary but write no files
-    #[arg(long)]
+    #[arg(long, conflicts_with = "video")]
     no_trace: bool,
     #[command(flatten)]
     limits: LimitOptions,
     #[command(flatten)]
     force: ForceOption,
-}
-
-fn scale(text: &str) -> Result<Scale, String> {
-    let scale = text.parse().ok().and_then(Scale::pixels);
-    scale.ok_or_else(|| "expected an integer from 1 to 64".to_owned())
 }
 
 /// The counts of the summary.
@@ -121,6 +118,12 @@ pub fn run(arguments: &Arguments, sources: &mut Sources) -> Result<(), Failure> 
     if arguments.html.as_deref().is_some_and(is_stdout) {
         let message = "the summary goes to standard output, so the page of `--html` cannot";
         return Err(Failure::Usage(format!("{message}\nhelp: name a file")));
+    }
+    if arguments.no_pictures && arguments.video.video.is_none() && (arguments.crop || arguments.scale.is_some()) {
+        let message = "`--crop` and `--scale` cannot be used with `--no-pictures`, which omits what they change";
+        return Err(Failure::Usage(format!(
+            "{message}\nhelp: omit them, or write a video: `--video city.mp4`"
+        )));
     }
     let city = load_city(
         sources,
@@ -158,6 +161,7 @@ pub fn run(arguments: &Arguments, sources: &mut Sources) -> Result<(), Failure> 
         .as_deref()
         .map(|page| arguments.force.create("run", page, &inputs))
         .transpose()?;
+    let video = arguments.video.begin(&arguments.force, "run", &inputs)?;
 
     let tally = simulate(arguments, ticks, &mut simulation, record.as_mut(), &cancel)?;
     let mut written = record.map_or_else(|| Ok(Vec::new()), |record| record.finish(&simulation))?;
@@ -173,9 +177,27 @@ pub fn run(arguments: &Arguments, sources: &mut Sources) -> Result<(), Failure> 
         }
         _ => Ok(()),
     };
+    let video = match (video, written.first().cloned()) {
+        (Some(video), Some(trace)) => {
+            let part = Part {
+                crop: arguments.crop,
+                scale: arguments.scale,
+            };
+            let traces = Traces {
+                files: vec![(&trace, [None; 2])],
+                names: Vec::new(),
+                range: (0, u64::MAX),
+            };
+            video
+                .write(&traces, part, &arguments.icons)
+                .map(|path| written.push(path))
+        }
+        _ => Ok(()),
+    };
     let mut out = terminal::out();
     write!(out, "{}", summary(&mut simulation, &tally, sources, &written))?;
     page?;
+    video?;
     if tally.ticks < ticks {
         writeln!(out, "interrupted after {} of {ticks} ticks", tally.ticks)?;
         return Err(Failure::Interrupted);
@@ -254,7 +276,7 @@ struct Record {
     folder: PathBuf,
     trace: TraceWriter<Output>,
     pictures: Option<Pictures>,
-    names: Vec<Named>,
+    drawn: Vec<Drawn>,
 }
 
 /// The animation, and the picture of the last tick.
@@ -276,64 +298,12 @@ struct Drawing {
     animation: Animation<Output>,
 }
 
-/// What never changes of an agent in pictures.
-struct Named {
-    name: String,
-    /// Its kind, if the configuration defines it.
-    kind: Option<String>,
-    /// The concepts that its icon shows.
-    shown: Vec<String>,
-}
-
-/// What changes of a picture from tick to tick: as in the trace, the state in which the tick decides, and its actions.
-#[derive(Clone)]
-struct Frame {
-    tick: u64,
-    /// Place, facing and action of each agent.
-    agents: Vec<(Cell, Facing, Option<Action>)>,
-}
-
-impl Frame {
-    /// Returns the state that the next tick decides, without actions.
-    fn before(simulation: &Simulation) -> Frame {
-        let agents = simulation.agents().iter().map(|agent| {
-            let sprite = Sprite::of(agent, "", None);
-            (sprite.at, sprite.facing, None)
-        });
-        Frame {
-            tick: simulation.now(),
-            agents: agents.collect(),
-        }
-    }
-
-    /// Adds the actions of the tick, which is over.
-    fn decide(&mut self, simulation: &Simulation) {
-        for ((.., action), done) in self.agents.iter_mut().zip(&simulation.report().agents) {
-            *action = Some(done.action);
-        }
-    }
-
-    /// Returns the agents as sprites. `names` are the agents' names.
-    fn sprites<'a>(&self, simulation: &'a Simulation, names: &'a [Named]) -> Vec<Sprite<'a>> {
-        let agents = simulation.agents().iter().zip(names).zip(&self.agents);
-        agents
-            .map(|((agent, named), &(at, facing, action))| Sprite {
-                at,
-                facing,
-                concepts: &named.shown,
-                kind_name: named.kind.as_deref(),
-                ..Sprite::of(agent, &named.name, action)
-            })
-            .collect()
-    }
-}
-
 impl Pictures {
     /// Chooses the part of the map to show, and begins the animation. `first` is the state before the first tick.
     fn begin(
         &mut self,
         simulation: &Simulation,
-        names: &[Named],
+        drawn: &[Drawn],
         part: Extent,
         first: &Frame,
         path: &Path,
@@ -345,7 +315,7 @@ impl Pictures {
             Some(_) => Failure::Usage(format!("{error}\nhelp: use a smaller `--scale`, or `--crop`")),
             None => Diagnostic::new(codes::INVALID_MAP, error.to_string()).into(),
         })?;
-        let sample = overview.draw(first.tick, &first.sprites(simulation, names));
+        let sample = overview.draw(first.tick, &first.sprites(drawn));
         let out = self.begun.take().expect("the animation has not begun");
         let animation = Animation::new(out, &sample, FRAME_DELAY).map_err(|error| unwritable(path, &error))?;
         self.drawing = Some(Drawing { overview, animation });
@@ -353,11 +323,9 @@ impl Pictures {
     }
 
     /// Adds a frame to the animation.
-    fn add(&mut self, simulation: &Simulation, names: &[Named], frame: &Frame) -> io::Result<()> {
+    fn add(&mut self, drawn: &[Drawn], frame: &Frame) -> io::Result<()> {
         match &mut self.drawing {
-            Some(Drawing { overview, animation }) => {
-                animation.push(&overview.draw(frame.tick, &frame.sprites(simulation, names)))
-            }
+            Some(Drawing { overview, animation }) => animation.push(&overview.draw(frame.tick, &frame.sprites(drawn))),
             None => {
                 self.kept.push(frame.clone());
                 Ok(())
@@ -379,13 +347,7 @@ impl Record {
         let create = |name: &str| arguments.force.create("run", &folder.join(name), inputs);
         let trace = TraceWriter::new(create("trace.jsonl")?, simulation, sources, rule_files)
             .map_err(|error| unwritable(&folder.join("trace.jsonl"), &error))?;
-        let kinds = &simulation.world().scenario.kinds;
-        let named = simulation.agents().iter().map(|agent| Named {
-            name: agent.name().to_string(),
-            kind: (!agent.kind_id.is_standard()).then(|| agent.name().kind_name().to_owned()),
-            shown: kinds.shown(agent.kind, &agent.concepts).into_owned(),
-        });
-        let names: Vec<Named> = named.collect();
+        let drawn = Drawn::of_city(simulation);
         let pictures = if arguments.no_pictures {
             None
         } else {
@@ -405,12 +367,12 @@ impl Record {
             };
             if !arguments.crop {
                 let whole = Extent::whole(simulation.world().map());
-                pictures.begin(simulation, &names, whole, &first, &folder.join("city.gif"))?;
+                pictures.begin(simulation, &drawn, whole, &first, &folder.join("city.gif"))?;
             }
             Some(pictures)
         };
         Ok(Record {
-            names,
+            drawn,
             folder,
             trace,
             pictures,
@@ -432,7 +394,7 @@ impl Record {
         if let (Some(pictures), Some(mut frame)) = (&mut self.pictures, state) {
             frame.decide(simulation);
             if frame.tick < MAX_FRAMES {
-                let added = pictures.add(simulation, &self.names, &frame);
+                let added = pictures.add(&self.drawn, &frame);
                 added.map_err(|error| unwritable(&self.folder.join("city.gif"), &error))?;
             }
             pictures.shown = frame;
@@ -454,10 +416,10 @@ impl Record {
                 let frames = kept.iter().chain([&last]);
                 let cells = frames.flat_map(|frame| frame.agents.iter().map(|(at, ..)| *at));
                 let visited = Extent::around(simulation.world().map(), cells, CROP_MARGIN);
-                pictures.begin(simulation, &self.names, visited, first, &path("city.gif"))?;
+                pictures.begin(simulation, &self.drawn, visited, first, &path("city.gif"))?;
             }
             for frame in &kept {
-                let added = pictures.add(simulation, &self.names, frame);
+                let added = pictures.add(&self.drawn, frame);
                 added.map_err(|error| fault("city.gif", error))?;
             }
             let Pictures {
@@ -469,7 +431,7 @@ impl Record {
             let Drawing { overview, animation } = drawing.expect("the animation has begun");
             let animation = animation.finish().map_err(|error| fault("city.gif", error))?;
             finish(animation, &path("city.gif"))?;
-            let picture = overview.draw(last.tick, &last.sprites(simulation, &self.names));
+            let picture = overview.draw(last.tick, &last.sprites(&self.drawn));
             write_png(&picture, &mut out).map_err(|error| fault("last.png", error))?;
             finish(out, &path("last.png"))?;
             written.extend([path("city.gif"), path("last.png")]);

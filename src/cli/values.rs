@@ -1,5 +1,6 @@
 //! Parsers of the values of options.
 
+use crate::render::Scale;
 use clap::builder::{PossibleValue, PossibleValuesParser, TypedValueParser};
 use std::ffi::OsStr;
 use std::fmt::Display;
@@ -115,4 +116,10 @@ pub fn threads(text: &str) -> Result<NonZeroUsize, String> {
     let count = count.ok_or_else(|| format!("expected an integer from 0 to {THREADS_MAX}; 0 means one per core"))?;
     let cores = || std::thread::available_parallelism().unwrap_or(NonZeroUsize::MIN);
     Ok(NonZeroUsize::new(count).unwrap_or_else(cores))
+}
+
+/// Parses the side of a cell in pictures, in pixels.
+pub fn scale(text: &str) -> Result<Scale, String> {
+    let scale = text.parse().ok().and_then(Scale::pixels);
+    scale.ok_or_else(|| "expected an integer from 1 to 64".to_owned())
 }

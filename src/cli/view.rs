@@ -7,11 +7,13 @@ use crate::cli::limits::LimitOptions;
 use crate::cli::outputs::{ForceOption, finish, messages, unwritable};
 use crate::cli::terminal;
 use crate::cli::trace::TraceReader;
-use crate::cli::values::integer;
+use crate::cli::values::{integer, scale};
+use crate::cli::video::{Part, Traces, VideoOptions};
 use crate::datalog::Limits;
 use crate::diag::{Diagnostic, SourceId, Sources};
 use crate::files::Output;
 use crate::page::{Comparison, Page};
+use crate::render::Scale;
 use crate::rng::Seed;
 use crate::sim::codes;
 use crate::sim::hash_sources;
@@ -25,9 +27,9 @@ pub struct Arguments {
     /// Trace written by `logicity run`; two traces are shown side by side, with their differences
     #[arg(required = true, num_args = 1..=2, value_name = "TRACE")]
     traces: Vec<PathBuf>,
-    /// Write the page to FILE; `-` means standard output
-    #[arg(short, long, value_name = "FILE", default_value = "city.html")]
-    output: PathBuf,
+    /// Write the page to FILE; `-` means standard output [default: city.html, or no page with --video]
+    #[arg(short, long, value_name = "FILE")]
+    output: Option<PathBuf>,
     /// Number of the first tick to show
     #[arg(long, value_parser = integer(0..=u64::MAX), default_value_t = 0)]
     from: u64,
@@ -42,6 +44,15 @@ pub struct Arguments {
     #[arg(long, value_name = "RULES")]
     rules: Vec<PathBuf>,
     #[command(flatten)]
+    video: VideoOptions,
+    /// Show only the part of the map that agents visit, in the video
+    #[arg(long, requires = "video")]
+    crop: bool,
+    /// Side of a cell in the video, in pixels, 1 to 64 [default: at most 12, so that the longer side of the map has at
+    /// most 1000]
+    #[arg(long, value_name = "PIXELS", value_parser = scale, requires = "video")]
+    scale: Option<Scale>,
+    #[command(flatten)]
     icons: IconOptions,
     #[command(flatten)]
     limits: LimitOptions,
@@ -50,9 +61,9 @@ pub struct Arguments {
 }
 
 pub fn run(arguments: &Arguments, sources: &mut Sources) -> Result<(), Failure> {
-    let Arguments {
-        traces, output, icons, ..
-    } = arguments;
+    let Arguments { traces, icons, .. } = arguments;
+    let default = arguments.video.video.is_none().then(|| PathBuf::from("city.html"));
+    let output = arguments.output.clone().or(default);
     let range = (arguments.from, arguments.ticks.unwrap_or(u64::MAX));
     // The file given for a trace, or for both.
     let file = |files: &'_ [PathBuf], number: usize| files.get(number).or(files.last()).cloned();
@@ -64,29 +75,63 @@ pub fn run(arguments: &Arguments, sources: &mut Sources) -> Result<(), Failure> 
     }
     let inputs = Inputs::new(traces.clone()).with(icons.files());
     let inputs = inputs.with(arguments.config.iter().chain(&arguments.rules).cloned());
-    let mut file_out = arguments.force.create("view", output, &inputs)?;
-    let mut pages = Vec::new();
-    for (number, trace) in traces.iter().enumerate() {
-        let files = [file(&arguments.config, number), file(&arguments.rules, number)];
-        let files = [files[0].as_deref(), files[1].as_deref()];
-        let limits = |trace: &TraceReader, rules: Option<&Path>| trace.limits(rules, &arguments.limits);
-        pages.push(load(trace, range, files, Explain::Recorded, limits, icons, sources)?);
+    let page = output
+        .as_deref()
+        .map(|output| arguments.force.create("view", output, &inputs));
+    let page = page.transpose()?;
+    let video = arguments.video.begin(&arguments.force, "view", &inputs)?;
+    let results: Vec<&Path> = output
+        .as_deref()
+        .into_iter()
+        .chain(arguments.video.video.as_deref())
+        .collect();
+    let mut out = messages(&results);
+    let files = |number: usize| [file(&arguments.config, number), file(&arguments.rules, number)];
+    if let (Some(mut file_out), Some(output)) = (page, &output) {
+        let mut pages = Vec::new();
+        for (number, trace) in traces.iter().enumerate() {
+            let files = files(number);
+            let files = [files[0].as_deref(), files[1].as_deref()];
+            let limits = |trace: &TraceReader, rules: Option<&Path>| trace.limits(rules, &arguments.limits);
+            pages.push(load(trace, range, files, Explain::Recorded, limits, icons, sources)?);
+        }
+        if !arguments.config.is_empty() || !arguments.rules.is_empty() {
+            // The files that these name are known only now.
+            Inputs::of(sources).refuse(output)?;
+        }
+        let fail = |error| unwritable(output, &error);
+        if let [left, right] = &pages[..] {
+            let comparison = Comparison::new([left, right], names([&traces[0], &traces[1]]))?;
+            comparison.write(&mut file_out).map_err(fail)?;
+            writeln!(out, "{}", comparison.summary())?;
+        } else {
+            pages[0].write(&mut file_out).map_err(fail)?;
+        }
+        finish(file_out, output)?;
+        writeln!(out, "wrote {}", output.display())?;
     }
-    if !arguments.config.is_empty() || !arguments.rules.is_empty() {
-        // The files that these name are known only now.
-        Inputs::of(sources).refuse(output)?;
+    if let Some(video) = video {
+        let own: Vec<[Option<PathBuf>; 2]> = (0..traces.len()).map(files).collect();
+        let files = traces
+            .iter()
+            .zip(&own)
+            .map(|(trace, own)| (trace.as_path(), own.each_ref().map(Option::as_deref)));
+        let names = match &traces[..] {
+            [left, right] => names([left, right]).into(),
+            _ => Vec::new(),
+        };
+        let shown = Traces {
+            files: files.collect(),
+            names,
+            range,
+        };
+        let part = Part {
+            crop: arguments.crop,
+            scale: arguments.scale,
+        };
+        let path = video.write(&shown, part, icons)?;
+        writeln!(out, "wrote {}", path.display())?;
     }
-    let mut out = messages(&[output]);
-    let fail = |error| unwritable(output, &error);
-    if let [left, right] = &pages[..] {
-        let comparison = Comparison::new([left, right], names([&traces[0], &traces[1]]))?;
-        comparison.write(&mut file_out).map_err(fail)?;
-        writeln!(out, "{}", comparison.summary())?;
-    } else {
-        pages[0].write(&mut file_out).map_err(fail)?;
-    }
-    finish(file_out, output)?;
-    writeln!(out, "wrote {}", output.display())?;
     Ok(())
 }
 

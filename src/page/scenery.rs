@@ -65,9 +65,7 @@ impl Scenery {
         let [mut cars, mut pedestrians, mut buildings]: [Shown; 3] = Default::default();
         let icons_of_agents = (agents.iter().zip(replay.kinds()).enumerate())
             .map(|(position, (agent, &kind))| {
-                // The number in its name selects the instance, as in other pictures of the run.
-                let number = agent.id.rsplit('_').next().and_then(|number| number.parse().ok());
-                let instance = number.unwrap_or(u32::try_from(position).unwrap_or(0));
+                let instance = agent.instance(position);
                 let class = Class::agent(kind, &table.shown(kind, &agent.concepts));
                 match kind {
                     AgentKind::Car => vec![cars.position(class, instance, Facing::Up)],

@@ -42,6 +42,7 @@
 //! This module does not depend on rules or simulation. It reads no clock and opens no file; a [`Sprite`] describes an
 //! agent.
 
+mod beside;
 mod building;
 mod car;
 mod class;
@@ -67,6 +68,7 @@ mod view;
 mod weather;
 mod zone;
 
+pub use beside::beside;
 pub use class::{Class, Facing};
 pub use close_up::CloseUp;
 pub use difficulty::{Difficulty, DrawingVersion};

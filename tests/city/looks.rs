@@ -137,7 +137,7 @@ fn faulty_pictures_have_messages_with_places() {
         ("{badge: TAXI}", "expected one or two letters or digits"),
         ("{badge: \"é\"}", "expected one or two letters or digits"),
         ("{}", "an empty picture"),
-        ("{colour: red}", "did you mean `color`?"),
+        ("{colr: red}", "did you mean `color`?"),
         ("{icon: gull}", "expected one of `ambulance`"),
         ("[bus]", "expected a picture (a mapping), found a list"),
         ("{svg: nothing}", "not an SVG drawing"),

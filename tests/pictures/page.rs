@@ -210,6 +210,48 @@ fn pictures_pages_traces_and_explanations_number_ticks_alike() {
     assert!(proof.starts_with(&place), "{proof}");
 }
 
+/// A trace contains the drawings of its configuration: a page of the trace alone shows them.
+#[test]
+fn a_page_shows_the_pictures_that_its_trace_records() {
+    let folder = tempfile::tempdir().unwrap();
+    let config = "base: expert\npredicates: {define: {IsTaxi: {concept: taxi, of: Car, picture: taxi.svg}}}\n\
+                  agents: {test: {cars: [{priority: 1, concepts: [taxi], count: 2}, {priority: 2}]}}\n";
+    let svg = |color: &str| {
+        let start = r#"<svg xmlns="http://www.w3.org/2000/svg" viewBox="0 0 20 50">"#;
+        format!(r#"{start}<rect width="20" height="50" fill="{color}"/></svg>"#)
+    };
+    let logicity = |arguments: &[&str]| {
+        let mut command = Command::new(env!("CARGO_BIN_EXE_logicity"));
+        let output = command.args(arguments).current_dir(folder.path()).output().unwrap();
+        assert!(output.status.success(), "{}", String::from_utf8_lossy(&output.stderr));
+    };
+    let cars = |page: &str| {
+        let page = fs::read_to_string(folder.path().join(page)).unwrap();
+        let (.., scenery) = parts(&page).into_iter().find(|(kind, ..)| kind == "scenery").unwrap();
+        scenery["atlases"][0]["png"].as_str().unwrap().to_owned()
+    };
+    fs::write(folder.path().join("city.yaml"), config).unwrap();
+    let run = [
+        "run",
+        "city.yaml",
+        "--ticks",
+        "2",
+        "--no-pictures",
+        "--html",
+        "run.html",
+    ];
+    let mut seen = BTreeSet::new();
+    for color in ["red", "blue"] {
+        fs::write(folder.path().join("taxi.svg"), svg(color)).unwrap();
+        logicity(&run);
+        fs::remove_file(folder.path().join("taxi.svg")).unwrap();
+        logicity(&["view", "out/trace.jsonl", "-o", "view.html"]);
+        assert_eq!(cars("run.html"), cars("view.html"));
+        seen.insert(cars("view.html"));
+    }
+    assert_eq!(seen.len(), 2, "the drawings differ");
+}
+
 fn written(write: impl FnOnce(&mut Vec<u8>) -> std::io::Result<()>) -> String {
     let mut out = Vec::new();
     write(&mut out).unwrap();

@@ -37,3 +37,5 @@ mod shortcuts;
 mod souffle;
 #[cfg(unix)]
 mod terminal;
+#[cfg(unix)]
+mod video;

@@ -60,6 +60,15 @@ pub struct TraceAgent {
     pub priority: i32,
 }
 
+impl TraceAgent {
+    /// Returns the number that selects the instance of its icon, given its position: that in its name, as in pictures of
+    /// the run itself.
+    pub fn instance(&self, position: usize) -> u32 {
+        let number = self.id.rsplit('_').next().and_then(|number| number.parse().ok());
+        number.unwrap_or(u32::try_from(position).unwrap_or(0))
+    }
+}
+
 /// One tick of a trace.
 #[derive(Clone, Debug, Deserialize)]
 pub struct TraceTick {
