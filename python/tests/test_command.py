@@ -218,3 +218,25 @@ def test_a_process_forked_after_a_command_ends_on_sigterm() -> None:
     ran = subprocess.run([sys.executable, "-c", program], capture_output=True, text=True, timeout=100)
     assert ran.returncode == 0 and ran.stderr.endswith("143\n"), ran.stderr
     assert time.monotonic() - begun < 50
+
+
+def test_videos_use_the_encoder_of_the_extra(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """The command finds the program that `imageio_ffmpeg` brings, unless the user has one."""
+    (tmp_path / "imageio_ffmpeg.py").write_text("def get_ffmpeg_exe():\n    return '/brought/ffmpeg'\n")
+    monkeypatch.syspath_prepend(tmp_path)
+    monkeypatch.delitem(sys.modules, "imageio_ffmpeg", raising=False)
+    monkeypatch.setenv("PATH", str(tmp_path))
+    monkeypatch.setenv("LOGICITY_FFMPEG", "/own/ffmpeg")
+    main(["run", "--video=a.mp4", "--help"])
+    assert os.environ["LOGICITY_FFMPEG"] == "/own/ffmpeg"
+    monkeypatch.delenv("LOGICITY_FFMPEG")
+    main(["run", "--help"])
+    assert "LOGICITY_FFMPEG" not in os.environ
+    main(["run", "--video", "a.mp4", "--help"])
+    assert os.environ["LOGICITY_FFMPEG"] == "/brought/ffmpeg"
+    monkeypatch.delenv("LOGICITY_FFMPEG")
+    program = tmp_path / "ffmpeg"
+    program.write_text("#!/bin/sh\n")
+    program.chmod(0o755)
+    main(["run", "--video", "a.mp4", "--help"])
+    assert "LOGICITY_FFMPEG" not in os.environ
