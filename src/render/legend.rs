@@ -267,9 +267,12 @@ impl Section<'_> {
     }
 }
 
-/// Returns the places of the rows of sections: for each row the position of its slot and the center. `None` if there is
-/// not enough space. A heading stands above at least one row.
-fn arranged(sections: &[Section<'_>], slots: &[Slot], row: i32) -> Option<Vec<Vec<(usize, i32)>>> {
+/// For each section and each of its rows: the position of the slot, and the center.
+type Places = Vec<Vec<(usize, i32)>>;
+
+/// Returns the places of the rows of sections. `None` if there is not enough space. A heading stands above at least one
+/// row.
+fn arranged(sections: &[Section<'_>], slots: &[Slot], row: i32) -> Option<Places> {
     let (mut slot, mut y) = (0, slots.first()?.top);
     let mut places = Vec::new();
     for section in sections {
@@ -291,7 +294,7 @@ fn arranged(sections: &[Section<'_>], slots: &[Slot], row: i32) -> Option<Vec<Ve
 
 /// Returns the height of rows, and the places of the rows of sections as [`arranged`]. Omits as many classes as it must,
 /// of the sections with the most, and then whole sections. `None` without slots.
-fn fitted(sections: &mut Vec<Section<'_>>, slots: &[Slot]) -> Option<(i32, Vec<Vec<(usize, i32)>>)> {
+fn fitted(sections: &mut Vec<Section<'_>>, slots: &[Slot]) -> Option<(i32, Places)> {
     loop {
         let found = (LOWEST_ROW..=ROW)
             .rev()
