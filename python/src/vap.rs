@@ -332,6 +332,7 @@ fn make_dataset(
         agents: one_of("agents", agents, &Agents::ALL, Agents::name)?,
         split,
         worlds: first_world..first_world.saturating_add(worlds),
+        shard: None,
         seed,
         pictures: images,
         threads: threads_of(threads)?,

@@ -8,7 +8,7 @@ use serde_json::{Value, json};
 use std::io::Write;
 
 /// The catalogs of all modules, with what their messages concern.
-const CATALOGS: [(&str, Catalog); 9] = [
+const CATALOGS: [(&str, Catalog); 10] = [
     ("rules and facts", datalog::codes::CATALOG),
     ("configurations", yaml::codes::CATALOG),
     ("configurations", config::codes::CATALOG),
@@ -16,6 +16,7 @@ const CATALOGS: [(&str, Catalog); 9] = [
     ("cities, scenes and traces", sim::codes::CATALOG),
     ("recorded episodes", task::spf::codes::CATALOG),
     ("data sets", task::vap::codes::CATALOG),
+    ("shards of data sets", task::codes::CATALOG),
     ("examples of learning", task::induction::codes::CATALOG),
     ("any input", diag::codes::CATALOG),
 ];

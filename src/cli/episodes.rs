@@ -8,18 +8,20 @@ use crate::cli::limits::LimitOptions;
 use crate::cli::load::load_city;
 use crate::cli::outputs::{ForceOption, finish, messages, unwritable};
 use crate::cli::terminal;
-use crate::cli::values::{integer, one_of};
-use crate::diag::{Diagnostic, Sources, counted};
+use crate::cli::values::{ShardOption, integer, one_of};
+use crate::diag::{Diagnostic, SourceId, Sources, counted};
 use crate::files;
+use crate::task::shard::{self, Origin, Shard};
 use crate::task::spf::codes;
 use crate::task::spf::{
-    Baseline, ControlMode, Env, Episode, EpisodeSet, Policy, RANDOM_RUNS, Rollout, SpfTask, make_episodes, rollout,
-    summarize,
+    Baseline, ControlMode, Env, Episode, EpisodeSet, EpisodeShard, Policy, RANDOM_RUNS, Rollout, SpfTask,
+    make_episodes, rollout, summarize,
 };
+use serde::{Deserialize, Serialize};
 use serde_json::json;
 use std::collections::BTreeMap;
 use std::io::Write;
-use std::path::PathBuf;
+use std::path::{Path, PathBuf};
 use std::sync::Arc;
 
 #[derive(clap::Args)]
@@ -65,6 +67,8 @@ struct Make {
     /// Seed of the episodes
     #[arg(long, value_parser = integer(0..=u64::MAX), default_value_t = 0)]
     seed: u64,
+    #[command(flatten)]
+    shard: ShardOption,
     /// Write the episodes to FILE; `-` means standard output [default: the file that the configuration names]
     #[arg(short, long, value_name = "FILE")]
     output: Option<PathBuf>,
@@ -180,8 +184,66 @@ fn differs(table: &ActionTable, episode: &Episode, done: &Rollout) -> Option<Str
     })
 }
 
+/// What the episodes of a shard depend on besides the configuration.
+#[derive(Clone, PartialEq, Serialize, Deserialize)]
+#[serde(deny_unknown_fields)]
+struct Requested {
+    split: String,
+    count: usize,
+    seed: u64,
+}
+
 impl Make {
+    /// Writes a shard.
+    fn run_shard(&self, shard: Shard, sources: &mut Sources) -> Result<(), Failure> {
+        let Some(path) = &self.output else {
+            return Err(Failure::Usage(
+                "a shard is no file of episodes: name a file for it with `--output`".into(),
+            ));
+        };
+        let Which {
+            config,
+            split,
+            rules,
+            limits,
+        } = &self.which;
+        let city = load_city(sources, config, rules.as_deref(), limits)?;
+        let rules_hash = city.rules_hash.clone();
+        let task = Arc::new(SpfTask::new(Arc::new(city.world()?), sources)?);
+        let count = self.which.count(self.count);
+        let origin = Origin {
+            config: config.clone(),
+            rules: rules.clone(),
+            config_hash: task.world().scenario.hash.clone(),
+            rules_hash,
+            request: Requested {
+                split: split.name().to_owned(),
+                count,
+                seed: self.seed,
+            },
+        };
+        let mut out = self.force.create("episodes", path, &Inputs::of(sources))?;
+        let bar = terminal::progress("episode", shard.share(count) as u64);
+        let made = EpisodeShard::draw(&task, (*split, count, self.seed), shard, |found| {
+            bar.set_position(found as u64)
+        })?;
+        bar.finish_and_clear();
+        made.write(&origin, &mut out)
+            .map_err(|error| unwritable(path, &error))?;
+        finish(out, path)?;
+        let found = counted(made.episodes.len(), "possible episode");
+        let (searched, path_shown) = (made.searched, path.display());
+        writeln!(
+            messages(&[path]),
+            "wrote shard {shard} to {path_shown}: {found} in {searched} draws"
+        )?;
+        Ok(())
+    }
+
     fn run(&self, sources: &mut Sources) -> Result<(), Failure> {
+        if let Some(shard) = self.shard.shard {
+            return self.run_shard(shard, sources);
+        }
         let (task, split) = (self.which.task(sources)?, self.which.split);
         let count = self.which.count(self.count);
         let named = task.config().episodes[split as usize]
@@ -215,6 +277,50 @@ impl Make {
         )?;
         Ok(())
     }
+}
+
+/// Joins the shards in some files, for `logicity merge`.
+pub fn merge(shards: &[SourceId], output: &Path, force: &ForceOption, sources: &mut Sources) -> Result<(), Failure> {
+    let header = |&source: &SourceId| {
+        let header = shard::read::<Requested>(sources.text(source), source)?.header;
+        Ok::<_, Diagnostic>((sources.name(source).to_owned(), header.shard, header.origin))
+    };
+    let known: Vec<_> = shards.iter().map(header).collect::<Result<_, _>>()?;
+    let order = shard::in_order(&known)?;
+    let origin = &known[0].2;
+    let city = load_city(
+        sources,
+        &origin.config,
+        origin.rules.as_deref(),
+        &LimitOptions::default(),
+    )?;
+    origin.check(&city.scenario.hash, &city.rules_hash)?;
+    let Requested { split, count, seed } = &origin.request;
+    let split = Split::ALL.into_iter().find(|known| known.name() == split);
+    let split = split.ok_or_else(|| shard::invalid("the request of the shards names an unknown split"))?;
+    let task = Arc::new(SpfTask::new(Arc::new(city.world()?), sources)?);
+    let mut made = Vec::new();
+    for index in order {
+        let source = shards[index];
+        let read = shard::read::<Requested>(sources.text(source), source)?;
+        made.push(EpisodeShard::read(&read, source, &task, split)?);
+    }
+    let mut out = force.create("merge", output, &Inputs::of(sources))?;
+    let bar = terminal::progress("episode", *count as u64);
+    let request = (split, *count, *seed);
+    let (set, added) = EpisodeShard::join(&task, request, &made, |found| bar.set_position(found as u64))?;
+    bar.finish_and_clear();
+    set.write(&mut out).map_err(|error| unwritable(output, &error))?;
+    finish(out, output)?;
+    let mut said = messages(&[output]);
+    let (joined, path) = (counted(made.len(), "shard"), output.display());
+    writeln!(
+        said,
+        "joined {joined}; {} searched in addition",
+        counted(usize::try_from(added).unwrap_or(0), "draw")
+    )?;
+    writeln!(said, "wrote {} to {path}: {}", counted(*count, "episode"), set.hash())?;
+    Ok(())
 }
 
 impl Show {

@@ -28,6 +28,7 @@ mod load;
 mod lsp;
 mod map;
 mod memory;
+mod merge;
 mod new;
 mod outputs;
 mod pddl;
@@ -108,6 +109,8 @@ enum Command {
     Questions(questions::Arguments),
     /// Generate or check data sets of Visual Action Prediction: pictures, boxes, facts and labels
     Vap(vap::Arguments),
+    /// Join the shards that `--shard` makes of episodes, questions or data sets of pictures
+    Merge(merge::Arguments),
     /// Import road networks of SUMO as maps, or export maps to SUMO
     Map(map::Arguments),
     /// Write a run as floating car data of SUMO: the positions of all agents over time
@@ -266,6 +269,7 @@ fn run(mut command: clap::Command, arguments: &[OsString]) -> u8 {
         Command::Episodes(arguments) => episodes::run(&arguments, &mut sources),
         Command::Pddl(arguments) => pddl::run(&arguments, &mut sources),
         Command::Questions(arguments) => questions::run(&arguments, &mut sources),
+        Command::Merge(arguments) => merge::run(&arguments, &mut sources),
         Command::Vap(arguments) => vap::run(&arguments, &mut sources),
         #[cfg(feature = "lsp")]
         Command::Lsp(arguments) => lsp::run(&arguments),

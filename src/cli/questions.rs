@@ -8,15 +8,17 @@ use crate::cli::limits::LimitOptions;
 use crate::cli::load::load_city;
 use crate::cli::outputs::{ForceOption, finish, is_stdout, messages, print_others, refuse_mixing, unwritable};
 use crate::cli::terminal;
-use crate::cli::values::{integer, one_of};
-use crate::diag::Sources;
+use crate::cli::values::{ShardOption, integer, one_of};
+use crate::diag::{Diagnostic, SourceId, Sources, counted};
 use crate::files::{Output, make_folder};
 use crate::render::{Difficulty, Icons, write_png};
 use crate::rng::Seed;
 use crate::sim::World;
 use crate::task::questions::{
-    Extent, Mix, Prompt, QUESTIONS_MAX, QuestionSet, Request, RulesFile, SHOTS_MAX, Style, askable,
+    Extent, Mix, Prompt, QUESTIONS_MAX, QuestionSet, QuestionShard, Request, RequestRecord, RulesFile, SHOTS_MAX,
+    Style, askable,
 };
+use crate::task::shard::{self, Origin, Shard};
 use crate::yaml::codes;
 use std::io::{self, Write};
 use std::path::{Path, PathBuf};
@@ -87,14 +89,144 @@ pub struct Arguments {
     #[arg(long, value_name = "FILE")]
     demonstrations_csv: Option<PathBuf>,
     #[command(flatten)]
+    shard: ShardOption,
+    #[command(flatten)]
     limits: LimitOptions,
     #[command(flatten)]
     force: ForceOption,
 }
 
+impl Arguments {
+    fn request(&self) -> Request {
+        let (count, about) = match self.mini {
+            true => (MINI.0, MINI.1.map(str::to_owned).to_vec()),
+            false => (self.count as usize, self.about.clone()),
+        };
+        Request {
+            count,
+            shots: self.shots as usize,
+            split: self.split,
+            demonstrations: self.demonstrations,
+            entities: self.entities,
+            style: self.style,
+            prompt: self.prompt,
+            mix: self.mix,
+            about,
+            seed: self.seed,
+        }
+    }
+
+    /// Writes a shard.
+    fn run_shard(&self, shard: Shard, sources: &mut Sources) -> Result<(), Failure> {
+        if self.csv.is_some() || self.demonstrations_csv.is_some() {
+            return Err(Failure::Usage("a shard cannot have tables: leave out `--csv`".into()));
+        }
+        let Some(path) = &self.output else {
+            return Err(Failure::Usage("name a file for the shard with `--output`".into()));
+        };
+        let city = load_city(sources, &self.config, self.rules.as_deref(), &self.limits)?;
+        let request = self.request();
+        let origin = Origin {
+            config: self.config.clone(),
+            rules: self.rules.clone(),
+            config_hash: city.scenario.hash.clone(),
+            rules_hash: city.rules_hash.clone(),
+            request: RequestRecord::of(&request),
+        };
+        let world = Arc::new(city.world()?);
+        let mut out = self.force.create("questions", path, &Inputs::of(sources))?;
+        let bar = terminal::progress("question", shard.share(request.count) as u64);
+        let made = QuestionShard::draw(&world, &request, shard, |found| bar.set_position(found as u64));
+        bar.finish_and_clear();
+        let made = made.map_err(faults_of_request)?;
+        made.write(&origin, &mut out)
+            .map_err(|error| unwritable(path, &error))?;
+        finish(out, path)?;
+        let (found, path_shown) = (
+            counted(usize::try_from(made.searched).unwrap_or(0), "world"),
+            path.display(),
+        );
+        writeln!(
+            messages(&[path]),
+            "wrote shard {shard} to {path_shown}: {found} searched"
+        )?;
+        Ok(())
+    }
+}
+
+/// Returns the failure of a request. The configuration is valid, so an invalid value is one of the request.
+fn faults_of_request(faults: Vec<Diagnostic>) -> Failure {
+    match faults.iter().all(|fault| fault.code == codes::INVALID_VALUE) {
+        true => Failure::option(faults),
+        false => Failure::Input(faults),
+    }
+}
+
+/// Joins the shards in some files, for `logicity merge`.
+pub fn merge(shards: &[SourceId], output: &Path, force: &ForceOption, sources: &mut Sources) -> Result<(), Failure> {
+    let header = |&source: &SourceId| {
+        let header = shard::read::<RequestRecord>(sources.text(source), source)?.header;
+        Ok::<_, Diagnostic>((sources.name(source).to_owned(), header.shard, header.origin))
+    };
+    let known: Vec<_> = shards.iter().map(header).collect::<Result<_, _>>()?;
+    let order = shard::in_order(&known)?;
+    let origin = &known[0].2;
+    let request = origin.request.request()?;
+    let pictures = match request.style {
+        Style::Picture => Some(picture_folder(Some(output))?),
+        _ => None,
+    };
+    let city = load_city(
+        sources,
+        &origin.config,
+        origin.rules.as_deref(),
+        &LimitOptions::default(),
+    )?;
+    origin.check(&city.scenario.hash, &city.rules_hash)?;
+    let (rule_file, hash) = (city.rule_files[0], city.rules_hash.clone());
+    let world = Arc::new(city.world()?);
+    let mut made = Vec::new();
+    for index in order {
+        let source = shards[index];
+        let read = shard::read::<RequestRecord>(sources.text(source), source)?;
+        made.push(QuestionShard::read(&read, source, &world)?);
+    }
+    let inputs = Inputs::of(sources);
+    let questions = match is_stdout(output) {
+        true => None,
+        false => Some(force.create("merge", output, &inputs)?),
+    };
+    let bar = terminal::progress("question", request.count as u64);
+    let joined = QuestionSet::join(&world, request, &made, |found| bar.set_position(found as u64));
+    bar.finish_and_clear();
+    let (set, added) = joined.map_err(faults_of_request)?;
+    if let Some(folder) = &pictures {
+        draw(&set, &world, folder, force, &inputs)?;
+    }
+    let (joined, added) = (counted(made.len(), "shard"), usize::try_from(added).unwrap_or(0));
+    writeln!(
+        messages(&[output]),
+        "joined {joined}; {} searched in addition",
+        counted(added, "world")
+    )?;
+    let rules = RulesFile {
+        name: sources.name(rule_file),
+        hash: &hash,
+        sources,
+    };
+    publish(&set, &world, rules, (output, questions), pictures.as_deref())
+}
+
 pub fn run(arguments: &Arguments, sources: &mut Sources) -> Result<(), Failure> {
+    if let Some(shard) = arguments.shard.shard {
+        return arguments.run_shard(shard, sources);
+    }
     let pictures = match arguments.style {
-        Style::Picture => Some(picture_folder(arguments)?),
+        Style::Picture if arguments.csv.is_some() || arguments.demonstrations_csv.is_some() => {
+            let message = "a table cannot have pictures: use another `--style`, or leave out `--csv`";
+            return Err(Failure::Usage(message.to_owned()));
+        }
+        Style::Picture => Some(picture_folder(arguments.output.as_deref())?),
         _ => None,
     };
     let named: Vec<(&str, &Path)> = [
@@ -114,22 +246,8 @@ pub fn run(arguments: &Arguments, sources: &mut Sources) -> Result<(), Failure> 
     )?;
     let (rule_file, hash) = (city.rule_files[0], city.rules_hash.clone());
     let world = Arc::new(city.world()?);
-    let (count, about) = match arguments.mini {
-        true => (MINI.0, MINI.1.map(str::to_owned).to_vec()),
-        false => (arguments.count as usize, arguments.about.clone()),
-    };
-    let request = Request {
-        count,
-        shots: arguments.shots as usize,
-        split: arguments.split,
-        demonstrations: arguments.demonstrations,
-        entities: arguments.entities,
-        style: arguments.style,
-        prompt: arguments.prompt,
-        mix: arguments.mix,
-        about,
-        seed: arguments.seed,
-    };
+    let request = arguments.request();
+    let count = request.count;
     let inputs = Inputs::of(sources);
     let begin = |path: Option<&Path>| {
         path.map(|path| arguments.force.create("questions", path, &inputs))
@@ -142,15 +260,9 @@ pub fn run(arguments: &Arguments, sources: &mut Sources) -> Result<(), Failure> 
     let bar = terminal::progress("question", count as u64);
     let set = QuestionSet::draw(&world, request, |found| bar.set_position(found as u64));
     bar.finish_and_clear();
-    // The configuration is valid, so an invalid value is one of the request.
-    let set = set.map_err(
-        |faults| match faults.iter().all(|fault| fault.code == codes::INVALID_VALUE) {
-            true => Failure::option(faults),
-            false => Failure::Input(faults),
-        },
-    )?;
+    let set = set.map_err(faults_of_request)?;
     if let Some(folder) = &pictures {
-        draw(&set, &world, folder, arguments, &inputs)?;
+        draw(&set, &world, folder, &arguments.force, &inputs)?;
     }
     let rules = RulesFile {
         name: sources.name(rule_file),
@@ -164,23 +276,35 @@ pub fn run(arguments: &Arguments, sources: &mut Sources) -> Result<(), Failure> 
     let paths: Vec<&Path> = named.iter().map(|(_, path)| *path).collect();
     let tables = [arguments.csv.as_deref(), arguments.demonstrations_csv.as_deref()];
     print_others(&mut *messages(&paths), &tables)?;
-    let Some(path) = output else {
+    let output = output.unwrap_or(Path::new("-"));
+    publish(&set, &world, rules, (output, questions), pictures.as_deref())
+}
+
+/// Writes the questions to a file, or to standard output without one, and prints what they are.
+fn publish(
+    set: &QuestionSet,
+    world: &World,
+    rules: RulesFile<'_>,
+    (path, file): (&Path, Option<Output>),
+    pictures: Option<&Path>,
+) -> Result<(), Failure> {
+    if file.is_none() {
         let mut out = io::BufWriter::new(terminal::data());
-        set.write_json(&world, rules, "", &mut out)?;
+        set.write_json(world, rules, "", &mut out)?;
         // Dropping the buffer would ignore errors.
         out.flush()?;
         return Ok(());
-    };
-    let folder = pictures.as_deref().and_then(Path::file_name).unwrap_or_default();
+    }
+    let folder = pictures.and_then(Path::file_name).unwrap_or_default();
     let folder = folder.to_string_lossy();
-    write(questions, output, |out| set.write_json(&world, rules, &folder, out))?;
+    write(file, Some(path), |out| set.write_json(world, rules, &folder, out))?;
     let answers = set.answers();
-    let counts = askable(&world)
+    let counts = askable(world)
         .into_iter()
         .map(|action| format!("{} {}", action.name(), answers[action.index()]));
     let counts: Vec<String> = counts.collect();
-    let mut out = messages(&paths);
-    if let Some(folder) = &pictures {
+    let (mut out, count) = (messages(&[path]), set.questions.len());
+    if let Some(folder) = pictures {
         writeln!(
             out,
             "wrote {} pictures to {}",
@@ -203,12 +327,9 @@ pub fn run(arguments: &Arguments, sources: &mut Sources) -> Result<(), Failure> 
 }
 
 /// Returns the folder of the pictures: that of the output without its extension, and `-pictures`.
-fn picture_folder(arguments: &Arguments) -> Result<PathBuf, Failure> {
+fn picture_folder(output: Option<&Path>) -> Result<PathBuf, Failure> {
     let usage = |message: &str| Err(Failure::Usage(message.to_owned()));
-    if arguments.csv.is_some() || arguments.demonstrations_csv.is_some() {
-        return usage("a table cannot have pictures: use another `--style`, or leave out `--csv`");
-    }
-    let Some(output) = arguments.output.as_deref().filter(|path| !is_stdout(path)) else {
+    let Some(output) = output.filter(|path| !is_stdout(path)) else {
         return usage("`--style picture` writes pictures beside the questions: name a file with `--output`");
     };
     let Some(name) = output.file_stem().and_then(|name| name.to_str()) else {
@@ -222,12 +343,12 @@ fn draw(
     set: &QuestionSet,
     world: &Arc<World>,
     folder: &Path,
-    arguments: &Arguments,
+    force: &ForceOption,
     inputs: &Inputs,
 ) -> Result<(), Failure> {
     make_folder(folder)?;
     let icons = Arc::new(with_looks(
-        Icons::new(Seed(arguments.seed), Difficulty::CLEAN),
+        Icons::new(Seed(set.request.seed), Difficulty::CLEAN),
         &world.scenario.looks,
     )?);
     let bar = terminal::progress("picture", (set.questions.len() + set.demonstrations.len()) as u64);
@@ -238,18 +359,18 @@ fn draw(
         batch.push((folder.join(name), bytes));
         bar.inc(1);
         match batch.len() {
-            BATCH => finish_pictures(&std::mem::take(&mut batch), arguments, inputs),
+            BATCH => finish_pictures(&std::mem::take(&mut batch), force, inputs),
             _ => Ok(()),
         }
     })?;
     bar.finish_and_clear();
-    finish_pictures(&batch, arguments, inputs)
+    finish_pictures(&batch, force, inputs)
 }
 
 /// Writes the files of pictures.
-fn finish_pictures(pictures: &[(PathBuf, Vec<u8>)], arguments: &Arguments, inputs: &Inputs) -> Result<(), Failure> {
+fn finish_pictures(pictures: &[(PathBuf, Vec<u8>)], force: &ForceOption, inputs: &Inputs) -> Result<(), Failure> {
     let paths: Vec<&Path> = pictures.iter().map(|(path, _)| path.as_path()).collect();
-    let mut outputs = arguments.force.create_all("questions", &paths, inputs)?;
+    let mut outputs = force.create_all("questions", &paths, inputs)?;
     for (output, (path, bytes)) in outputs.iter_mut().zip(pictures) {
         output.write_all(bytes).map_err(|error| unwritable(path, &error))?;
     }

@@ -1,6 +1,7 @@
 //! Parsers of the values of options.
 
 use crate::render::Scale;
+use crate::task::shard::Shard;
 use clap::builder::{PossibleValue, PossibleValuesParser, TypedValueParser};
 use std::ffi::OsStr;
 use std::fmt::Display;
@@ -105,6 +106,15 @@ pub fn decimal(range: RangeInclusive<f64>) -> impl Fn(&str) -> Result<f64, Strin
         let number = text.parse().ok().filter(|number| range.contains(number));
         number.ok_or_else(|| format!("expected a number from {} to {}", range.start(), range.end()))
     }
+}
+
+/// The option to make one of several shards.
+#[derive(clap::Args)]
+pub struct ShardOption {
+    /// Make only part I of N, from 1/N to N/N; `logicity merge` joins all of them to what one process makes without
+    /// this option
+    #[arg(long, value_name = "I/N", value_parser = Shard::parse)]
+    pub shard: Option<Shard>,
 }
 
 /// The maximum number of threads: each needs memory, and systems refuse to start several thousand.

@@ -8,10 +8,11 @@ use crate::cli::limits::{LimitOptions, MemoryOption};
 use crate::cli::load::load_city;
 use crate::cli::outputs::{ForceOption, refuse_stdout_as_folder};
 use crate::cli::terminal;
-use crate::cli::values::{integer, one_of, threads};
+use crate::cli::values::{ShardOption, integer, one_of, threads};
 use crate::diag::Sources;
 use crate::files::Folder;
 use crate::render::{Difficulty, Icons};
+use crate::task;
 use crate::task::vap::{
     Agents, Dataset, DatasetError, DatasetRequest, DatasetWriter, Estimate, Manifest, Mode, Statistics, WORLDS_MAX,
     WorldCounts, Worlds, icon_seed, percent, published_worlds, total,
@@ -76,6 +77,8 @@ impl WorldOptions {
 struct Make {
     #[command(flatten)]
     worlds: WorldOptions,
+    #[command(flatten)]
+    shard: ShardOption,
     /// Write tables only; boxes are the same as with pictures
     #[arg(long)]
     no_pictures: bool,
@@ -139,6 +142,32 @@ impl From<DatasetError> for Failure {
     }
 }
 
+/// Joins the shards in some folders, for `logicity merge`.
+pub fn merge(shards: &[PathBuf], out: &Path, force: &ForceOption, sources: &mut Sources) -> Result<(), Failure> {
+    refuse_stdout_as_folder(out)?;
+    let open = |path: &PathBuf| Dataset::open(Folder::new(path));
+    let sets = shards.iter().map(open).collect::<Result<Vec<_>, _>>()?;
+    let mode = sets[0].mode();
+    let city = load_city(sources, Path::new(mode.config()), None, &LimitOptions::default())?;
+    let hashes = (city.scenario.hash.clone(), city.rules_hash.clone());
+    let world = city.world()?;
+    let made_with = [hashes.0.as_str(), hashes.1.as_str()];
+    let summary = with_bar("world", |progress| {
+        let city = (&world.vocabulary, made_with);
+        task::vap::merge(out, &sets, city, force.overwrite(), progress, &Cancel::never())
+    })?;
+    writeln!(
+        terminal::out(),
+        "shards: {}, worlds copied: {}, in {}: {}; labels of cars: {}",
+        sets.len(),
+        summary.made,
+        out.display(),
+        summary.manifest.worlds.len(),
+        action_shares(summary.manifest.actions)
+    )?;
+    Ok(())
+}
+
 /// Runs `work` with a progress bar. `work` reports the numbers of units done and in total.
 fn with_bar<R>(unit: &str, work: impl FnOnce(&(dyn Fn(u64, u64) + Sync)) -> R) -> R {
     let bar = terminal::progress(unit, 0);
@@ -160,6 +189,7 @@ impl Make {
             agents: worlds.agents,
             split: worlds.split,
             worlds: worlds.numbers(),
+            shard: self.shard.shard,
             seed: worlds.seed,
             pictures: !self.no_pictures,
             threads: worlds.threads,

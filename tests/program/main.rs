@@ -31,6 +31,7 @@ mod repl;
 mod repository;
 #[path = "../root.rs"]
 mod root;
+mod shards;
 #[path = "../city/shipped_world.rs"]
 mod shipped_world;
 mod shortcuts;

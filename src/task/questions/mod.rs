@@ -8,11 +8,13 @@
 mod mix;
 #[cfg(feature = "render")]
 mod pictures;
+mod shard;
 mod statement;
 mod wording;
 mod words;
 
 pub use mix::Mix;
+pub use shard::{QUESTION_SHARDS, QuestionShard, RequestRecord};
 pub use wording::{RulesFile, letter};
 
 use crate::city::{Action, AgentKind, AgentName, AgentSet, Split};
@@ -20,7 +22,7 @@ use crate::datalog::ClauseId;
 use crate::datalog::explain::Explainer;
 use crate::diag::{self, Diagnostic, did_you_mean, listed};
 use crate::predicate::Definition;
-use crate::rng::{Purpose, Rng, RngExt, Seed};
+use crate::rng::{Purpose, RngExt, Seed};
 use crate::sim::{Facts, GroundState, MAX_ENTITIES, Settings, Simulation, World};
 use crate::task::questions::mix::{Category, paper_shares, shares};
 use crate::yaml::codes;
@@ -215,20 +217,26 @@ impl QuestionSet {
         request: Request,
         mut watch: impl FnMut(usize),
     ) -> Result<QuestionSet, Vec<Diagnostic>> {
+        QuestionSet::join(world, request, &[], &mut watch).map(|(set, _)| set)
+    }
+
+    /// Joins all shards, in order, to the set of [`draw`](QuestionSet::draw). Searches the worlds that no shard has.
+    /// Also returns their number.
+    ///
+    /// # Errors
+    /// As for [`draw`](QuestionSet::draw).
+    pub fn join(
+        world: &Arc<World>,
+        request: Request,
+        shards: &[QuestionShard],
+        mut watch: impl FnMut(usize),
+    ) -> Result<(QuestionSet, u64), Vec<Diagnostic>> {
         check(world, &request)?;
         let mut known = Known::default();
-        let mut shown = QuestionSearch::new(world, &request, request.demonstrations, (request.shots, Mix::Equal));
-        let mut demonstrations = match request.shots {
-            0 => Vec::new(),
-            _ => shown.run(&[], &mut known, |_| ()).map_err(|fault| vec![fault])?,
-        };
-        known.compositions = demonstrations
-            .iter()
-            .map(|question| composition(world, question))
-            .collect();
+        let mut demonstrations = demonstrations(world, &request, &mut known).map_err(|fault| vec![fault])?;
         let mut search = QuestionSearch::new(world, &request, request.split, (request.count, request.mix));
         let mut questions = search
-            .run(&request.about, &mut known, &mut watch)
+            .run(&request.about, &mut known, shards, &mut watch)
             .map_err(|fault| vec![fault])?;
         let lacking = |action: &Action| {
             let answers = |questions: &[Question]| questions.iter().any(|question| question.answer == *action);
@@ -246,7 +254,7 @@ impl QuestionSet {
             question.clauses = deriving(world, question).map_err(|fault| vec![fault])?;
         }
         let predicates = &world.vocabulary.predicates;
-        Ok(QuestionSet {
+        let set = QuestionSet {
             demonstrations,
             questions,
             predicates: (predicates.iter())
@@ -254,7 +262,8 @@ impl QuestionSet {
                 .collect(),
             worlds: search.worlds,
             request,
-        })
+        };
+        Ok((set, search.added))
     }
 
     /// Returns the number of questions with each answer, in the order of [`Action::STANDARD`].
@@ -382,6 +391,19 @@ fn check(world: &World, request: &Request) -> Result<(), Vec<Diagnostic>> {
     }
 }
 
+/// Draws the demonstrations of a set, and notes them.
+fn demonstrations(world: &Arc<World>, request: &Request, known: &mut Known) -> Result<Vec<Question>, Diagnostic> {
+    let mut search = QuestionSearch::new(world, request, request.demonstrations, (request.shots, Mix::Equal));
+    let demonstrations = match request.shots {
+        0 => Vec::new(),
+        _ => search.run(&[], known, &[], |_| ())?,
+    };
+    known.compositions = (demonstrations.iter())
+        .map(|question| composition(world, question))
+        .collect();
+    Ok(demonstrations)
+}
+
 /// Excludes duplicates.
 #[derive(Default)]
 struct Known {
@@ -399,8 +421,23 @@ struct QuestionSearch<'w> {
     seed: Seed,
     count: usize,
     mix: Mix,
+    /// The number of worlds from which a mix by concept counts its categories.
+    category_worlds: usize,
     found: BTreeMap<Category, Vec<Question>>,
     worlds: usize,
+    /// The number of worlds that no shard has.
+    added: u64,
+}
+
+impl Known {
+    /// Returns the questions that are new, and notes them.
+    fn fresh(&mut self, world: &World, mut found: Vec<(Category, Question)>) -> Vec<(Category, Question)> {
+        found.retain(|(_, question)| {
+            !self.compositions.contains(&composition(world, question))
+                && self.questions.insert(unordered(world, question))
+        });
+        found
+    }
 }
 
 impl<'w> QuestionSearch<'w> {
@@ -412,24 +449,41 @@ impl<'w> QuestionSearch<'w> {
             seed: Seed(request.seed),
             count,
             mix,
+            category_worlds: CATEGORY_WORLDS,
             found: BTreeMap::new(),
             worlds: 0,
+            added: 0,
         }
     }
 
-    /// Finds the questions and returns them in an order independent of their answers.
-    fn run(
-        &mut self,
-        about: &[String],
-        known: &mut Known,
-        mut watch: impl FnMut(usize),
-    ) -> Result<Vec<Question>, Diagnostic> {
+    /// Creates the city whose worlds the search looks at.
+    fn city(&self) -> Result<Simulation, Diagnostic> {
         let agents = self.world.scenario.agent_set(self.split).map_or(0, AgentSet::len);
         if agents > MAX_ENTITIES {
             let message = format!("{agents} agents are too many; the limit is {MAX_ENTITIES}");
             return Err(Diagnostic::new(diag::codes::LIMIT_EXCEEDED, message));
         }
-        let mut city = Simulation::new(Arc::clone(self.world), self.split, self.seed, Settings::default())?;
+        Simulation::new(Arc::clone(self.world), self.split, self.seed, Settings::default())
+    }
+
+    /// Adds questions that are new.
+    fn add(&mut self, found: Vec<(Category, Question)>) {
+        for (category, question) in found {
+            self.found.entry(category).or_default().push(question);
+        }
+        self.worlds += 1;
+    }
+
+    /// Finds the questions and returns them in an order independent of their answers. Takes those of worlds that a
+    /// shard has from there.
+    fn run(
+        &mut self,
+        about: &[String],
+        known: &mut Known,
+        shards: &[QuestionShard],
+        mut watch: impl FnMut(usize),
+    ) -> Result<Vec<Question>, Diagnostic> {
+        let mut city = self.city()?;
         let mut wanted = BTreeMap::new();
         while self.worlds < WORLDS + self.count {
             // Later worlds can only add categories to a mix by concept.
@@ -443,11 +497,15 @@ impl<'w> QuestionSearch<'w> {
             if sure == self.count {
                 break;
             }
-            let mut stream = self
-                .seed
-                .stream(Purpose::QUESTION, self.worlds as u64, self.split as u64);
-            self.look(&mut city, about, known, &mut stream)?;
-            self.worlds += 1;
+            let number = self.worlds as u64;
+            let found = match QuestionShard::found(shards, number) {
+                Some(found) => found,
+                None => {
+                    self.added += 1;
+                    self.look(&mut city, about, number)?
+                }
+            };
+            self.add(known.fresh(self.world, found));
         }
         self.choose()
     }
@@ -467,7 +525,7 @@ impl<'w> QuestionSearch<'w> {
                 let shares = Action::STANDARD.into_iter().zip(paper_shares(self.count));
                 shares.map(|(action, share)| ((Vec::new(), action), share)).collect()
             }
-            Mix::ByConcept if self.worlds < CATEGORY_WORLDS => BTreeMap::new(),
+            Mix::ByConcept if self.worlds < self.category_worlds => BTreeMap::new(),
             Mix::ByConcept => {
                 let found = self.found.keys().map(|category| (category.clone(), usize::MAX));
                 shares(self.count, &found.collect())
@@ -475,14 +533,14 @@ impl<'w> QuestionSearch<'w> {
         }
     }
 
-    /// Samples questions from one world.
+    /// Samples questions from the world with a number.
     fn look(
-        &mut self,
+        &self,
         city: &mut Simulation,
         about: &[String],
-        known: &mut Known,
-        stream: &mut impl Rng,
-    ) -> Result<(), Diagnostic> {
+        number: u64,
+    ) -> Result<Vec<(Category, Question)>, Diagnostic> {
+        let mut stream = self.seed.stream(Purpose::QUESTION, number, self.split as u64);
         let seed: u64 = stream.random();
         city.restart_drawn(Seed(seed), |_| ())?;
         let carries = |concepts: &[String]| about.is_empty() || concepts.iter().any(|concept| about.contains(concept));
@@ -523,15 +581,10 @@ impl<'w> QuestionSearch<'w> {
                 }
             }
         }
-        for (category, drawn) in drawn {
-            for (_, question) in drawn {
-                let composed = known.compositions.contains(&composition(self.world, &question));
-                if !composed && known.questions.insert(unordered(self.world, &question)) {
-                    self.found.entry(category.clone()).or_default().push(question);
-                }
-            }
-        }
-        Ok(())
+        let listed = |(category, drawn): (Category, Vec<(u64, Question)>)| {
+            drawn.into_iter().map(move |(_, question)| (category.clone(), question))
+        };
+        Ok(drawn.into_iter().flat_map(listed).collect())
     }
 
     /// Returns a decision as a question with its entities in random order.

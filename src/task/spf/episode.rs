@@ -424,12 +424,10 @@ impl EpisodeSet {
             here(invalid("the header does not contain the `map` of the episodes"))
                 .help("draw the episodes again with `logicity episodes make`")
         })?;
-        let agent =
-            |HeaderAgent { id, concepts, priority }| Ok((agent_name(&id, kinds)?, Character { concepts, priority }));
         let agents: Vec<(AgentName, Character)> = header
             .agents
             .into_iter()
-            .map(agent)
+            .map(|agent| agent.read(kinds))
             .collect::<Result<_, _>>()
             .map_err(here)?;
         let mut episodes = Vec::new();
@@ -459,15 +457,6 @@ impl EpisodeSet {
     /// If there are no episodes, or the names of their agents differ.
     pub fn write(&self, out: &mut impl Write) -> io::Result<()> {
         let first = self.episodes.first().expect("at least one episode");
-        let character = |agent: &EpisodeAgent| Character {
-            concepts: Arc::clone(&agent.concepts),
-            priority: agent.priority,
-        };
-        let agent = |agent: &EpisodeAgent| HeaderAgent {
-            id: agent.name.to_string(),
-            concepts: Arc::clone(&agent.concepts),
-            priority: agent.priority,
-        };
         let header = Header {
             episodes: "logicity".to_owned(),
             version: VERSION,
@@ -475,30 +464,11 @@ impl EpisodeSet {
             split: self.split.name().to_owned(),
             map: Some(self.map.clone()),
             seed: self.seed,
-            agents: first.agents.iter().map(agent).collect(),
+            agents: first.agents.iter().map(HeaderAgent::of).collect(),
         };
         writeln!(out, "{}", serde_json::to_string(&header)?)?;
         for episode in &self.episodes {
-            let agents = || episode.agents.iter().zip(&first.agents);
-            assert!(
-                episode.agents.len() == first.agents.len() && agents().all(|(agent, usual)| agent.name == usual.name)
-            );
-            let changed = agents().filter(|(agent, usual)| character(agent) != character(usual));
-            let line = Line {
-                seed: episode.seed,
-                trips: (episode.agents.iter())
-                    .map(|agent| [agent.start.row, agent.start.col, agent.goal.row, agent.goal.col])
-                    .collect(),
-                changes: changed
-                    .map(|(agent, _)| (agent.name.to_string(), character(agent)))
-                    .collect(),
-                oracle: episode.oracle.as_ref().map(|oracle| LineOracle {
-                    steps: oracle.steps,
-                    total: oracle.total,
-                    constrained: oracle.constrained.clone(),
-                }),
-            };
-            writeln!(out, "{}", serde_json::to_string(&line)?)?;
+            writeln!(out, "{}", serde_json::to_string(&Line::of(episode, &first.agents))?)?;
         }
         Ok(())
     }
@@ -524,7 +494,71 @@ fn parse<'t, T: Deserialize<'t>>(line: &'t str, source: SourceId, start: usize, 
     })
 }
 
+impl HeaderAgent {
+    fn of(agent: &EpisodeAgent) -> HeaderAgent {
+        HeaderAgent {
+            id: agent.name.to_string(),
+            concepts: Arc::clone(&agent.concepts),
+            priority: agent.priority,
+        }
+    }
+
+    fn read(self, kinds: &KindTable) -> Result<(AgentName, Character), Diagnostic> {
+        let HeaderAgent { id, concepts, priority } = self;
+        Ok((agent_name(&id, kinds)?, Character { concepts, priority }))
+    }
+}
+
+/// A line of a shard: an episode with its agents, and the number of its draw.
+#[derive(Serialize, Deserialize)]
+#[serde(deny_unknown_fields)]
+pub(super) struct DrawnLine {
+    pub(super) draw: u64,
+    agents: Vec<HeaderAgent>,
+    episode: Line,
+}
+
+impl DrawnLine {
+    pub(super) fn of(draw: u64, episode: &Episode) -> DrawnLine {
+        DrawnLine {
+            draw,
+            agents: episode.agents.iter().map(HeaderAgent::of).collect(),
+            episode: Line::of(episode, &episode.agents),
+        }
+    }
+
+    pub(super) fn read(self, kinds: &KindTable, actions: &ActionTable) -> Result<Episode, Diagnostic> {
+        let agents = self.agents.into_iter().map(|agent| agent.read(kinds));
+        self.episode.read(&agents.collect::<Result<Vec<_>, _>>()?, actions)
+    }
+}
+
 impl Line {
+    /// Returns the line of an episode, whose agents have the names of the usual ones.
+    fn of(episode: &Episode, usual: &[EpisodeAgent]) -> Line {
+        let character = |agent: &EpisodeAgent| Character {
+            concepts: Arc::clone(&agent.concepts),
+            priority: agent.priority,
+        };
+        let agents = || episode.agents.iter().zip(usual);
+        assert!(episode.agents.len() == usual.len() && agents().all(|(agent, usual)| agent.name == usual.name));
+        let changed = agents().filter(|(agent, usual)| character(agent) != character(usual));
+        Line {
+            seed: episode.seed,
+            trips: (episode.agents.iter())
+                .map(|agent| [agent.start.row, agent.start.col, agent.goal.row, agent.goal.col])
+                .collect(),
+            changes: changed
+                .map(|(agent, _)| (agent.name.to_string(), character(agent)))
+                .collect(),
+            oracle: episode.oracle.as_ref().map(|oracle| LineOracle {
+                steps: oracle.steps,
+                total: oracle.total,
+                constrained: oracle.constrained.clone(),
+            }),
+        }
+    }
+
     fn read(self, usual: &[(AgentName, Character)], actions: &ActionTable) -> Result<Episode, Diagnostic> {
         if self.trips.len() != usual.len() {
             let plural = if self.trips.len() == 1 { "" } else { "s" };

@@ -37,7 +37,10 @@ pub use episode::{Episode, EpisodeAgent, EpisodeSet, MapIdentity, OracleRun};
 pub use evaluate::{Baseline, BatchEvaluator, RANDOM_RUNS};
 pub use explain::{describe, explain, explain_shield};
 pub use metrics::{ActionRate, JointRates, Rate, Score, Summary, summarize};
-pub use rollout::{DRAWS_MAX, Policy, Rollout, make_episodes, reset_demanding, rollout, rollouts, steps_by_action};
+pub use rollout::{
+    DRAWS_MAX, EPISODE_SHARDS, EpisodeShard, Policy, Rollout, make_episodes, reset_demanding, rollout, rollouts,
+    steps_by_action,
+};
 pub use search::{Planned, Planner, SearchBounds};
 pub use trace::{Origin, RecordError, record};
 pub use vector::{Autoreset, Begin, EpisodeSource, Info, ObservationKind, Outcome, SubEnv, VectorEnv};

@@ -2,14 +2,17 @@
 
 use crate::city::{Action, ActionTable, AgentKind, Split};
 use crate::datalog::{ClauseId, Literal};
-use crate::diag::Diagnostic;
 use crate::diag::codes;
+use crate::diag::{Diagnostic, SourceId, Span};
 use crate::rng::{Purpose, RngExt, Seed};
 use crate::sim::Actions;
-use crate::task::spf::episode::episode_seed;
+use crate::task::shard::{self, Origin, Shard, ShardText};
+use crate::task::spf::episode::{DrawnLine, episode_seed};
 use crate::task::spf::{ControlMode, Env, Episode, EpisodeSet, MapIdentity, OracleRun, SpfTask};
 use crate::yaml::codes::INVALID_VALUE;
+use serde::Serialize;
 use std::collections::BTreeMap;
+use std::io::{self, Write};
 use std::sync::Arc;
 
 impl Purpose {
@@ -300,18 +303,20 @@ impl Wanted {
         })
     }
 
-    /// Accepts an episode if it meets an open requirement.
-    fn take(&mut self, concepts: &[String], done: &Rollout) -> bool {
-        let asks = |action: usize| done.constrained[action] > 0;
-        if !done.success || !(0..Action::MAX).any(asks) {
-            return false;
-        }
+    /// Accepts an episode that the oracle solves with a constrained step if it meets an open requirement.
+    fn take(&mut self, task: &SpfTask, ego: usize, episode: &Episode) -> bool {
+        let table = task.world().vocabulary.actions();
+        let oracle = episode.oracle.as_ref().expect("the oracle solved it");
+        let asked = oracle.constrained.keys().filter_map(|name| table.find(name));
+        let asked: Vec<usize> = asked.map(Action::index).collect();
+        let asks = |action: usize| asked.contains(&action);
+        let concepts = &episode.agents[ego].concepts;
         let lacking = self.actions.iter().any(|wanted| *wanted > 0);
         let helps = (0..Action::MAX).any(|action| self.actions[action] > 0 && asks(action));
         if lacking && !helps {
             return false;
         }
-        if let Some((_, wanted)) = self.concepts.iter_mut().find(|(kind, _)| **kind == *concepts) {
+        if let Some((_, wanted)) = self.concepts.iter_mut().find(|(kind, _)| kind == concepts) {
             if *wanted == 0 {
                 return false;
             }
@@ -381,9 +386,176 @@ pub fn make_episodes(
     split: Split,
     count: usize,
     seed: u64,
+    watch: impl FnMut(usize),
+) -> Result<EpisodeSet, Diagnostic> {
+    let mut draws = Draws::new(task, split, seed)?;
+    search(task, (split, count, seed), &mut draws, Draws::episode, watch)
+}
+
+/// The episodes of a part of the draws, by the numbers of the draws.
+#[derive(Clone, Debug, PartialEq)]
+pub struct EpisodeShard {
+    /// Which part.
+    pub shard: Shard,
+    /// The number of searched draws of this part.
+    pub searched: u64,
+    /// Those of the draws that a set may contain.
+    pub episodes: BTreeMap<u64, Episode>,
+}
+
+impl EpisodeShard {
+    /// Searches a part of the draws of [`make_episodes`] until it has its share of the episodes. `watch` as there.
+    ///
+    /// # Errors
+    /// As for [`make_episodes`], but the shard may have too few episodes.
+    pub fn draw(
+        task: &Arc<SpfTask>,
+        (split, count, seed): (Split, usize, u64),
+        shard: Shard,
+        mut watch: impl FnMut(usize),
+    ) -> Result<EpisodeShard, Diagnostic> {
+        let mut draws = Draws::new(task, split, seed)?;
+        Wanted::new(task, count).check(&draws.env, split, count)?;
+        let share = shard.share(count);
+        let mut wanted = Wanted::new(task, share);
+        let (mut taken, mut searched, mut episodes) = (0, 0, BTreeMap::new());
+        while taken < share && searched < DRAWS.saturating_mul(share as u64) {
+            let draw = shard.item(searched);
+            searched += 1;
+            if let Some(episode) = draws.episode(draw)? {
+                taken += usize::from(wanted.take(task, draws.ego, &episode));
+                watch(taken);
+                episodes.insert(draw, episode);
+            }
+        }
+        Ok(EpisodeShard {
+            shard,
+            searched,
+            episodes,
+        })
+    }
+
+    /// Joins all shards, in order, to the set of [`make_episodes`]. Searches the few draws that no shard has. Also
+    /// returns their number.
+    ///
+    /// # Errors
+    /// As for [`make_episodes`].
+    pub fn join(
+        task: &Arc<SpfTask>,
+        (split, count, seed): (Split, usize, u64),
+        shards: &[EpisodeShard],
+        watch: impl FnMut(usize),
+    ) -> Result<(EpisodeSet, u64), Diagnostic> {
+        let mut state = (Draws::new(task, split, seed)?, 0);
+        let of = shards.len().max(1) as u64;
+        let episode = |(draws, added): &mut (Draws, u64), draw: u64| match shards.get((draw % of) as usize) {
+            Some(shard) if draw / of < shard.searched => Ok(shard.episodes.get(&draw).cloned()),
+            _ => {
+                *added += 1;
+                draws.episode(draw)
+            }
+        };
+        let set = search(task, (split, count, seed), &mut state, episode, watch)?;
+        Ok((set, state.1))
+    }
+
+    /// Writes the file of the shard.
+    ///
+    /// # Errors
+    /// Errors of `out`.
+    pub fn write<R: Serialize>(&self, origin: &Origin<R>, out: &mut impl Write) -> io::Result<()> {
+        let lines = self
+            .episodes
+            .iter()
+            .map(|(draw, episode)| DrawnLine::of(*draw, episode));
+        shard::write(out, (EPISODE_SHARDS, self.shard), origin, self.searched, lines)
+    }
+
+    /// Reads the lines of a shard, which follow its header.
+    ///
+    /// # Errors
+    /// `invalid-shard`, and `invalid-episode`, with the place of the line.
+    pub fn read<R>(
+        ShardText { header, lines }: &ShardText<'_, R>,
+        source: SourceId,
+        task: &SpfTask,
+        split: Split,
+    ) -> Result<EpisodeShard, Diagnostic> {
+        let scenario = &task.world().scenario;
+        let mut episodes = BTreeMap::new();
+        for (start, text) in lines {
+            let here = |fault: Diagnostic| fault.at(Span::new(source, *start..start + text.len()), "in this line");
+            let line: DrawnLine = shard::parse(text, source, *start, "an episode of a shard")?;
+            let draw = line.draw;
+            let episode = line.read(&scenario.kinds, &scenario.actions.table).map_err(here)?;
+            episode.place(task, split, ControlMode::First).map_err(here)?;
+            if episode.oracle.is_none() || episodes.insert(draw, episode).is_some() {
+                return Err(here(shard::invalid(format!(
+                    "draw {draw} has no oracle or occurs twice"
+                ))));
+            }
+        }
+        Ok(EpisodeShard {
+            shard: header.shard,
+            searched: header.searched,
+            episodes,
+        })
+    }
+}
+
+/// What the files of shards of episodes are of.
+pub const EPISODE_SHARDS: &str = "logicity episodes";
+
+/// Random episodes by number. Each is a function of its number, the seed and the split.
+struct Draws {
+    env: Env,
+    split: Split,
+    seed: Seed,
+    /// The position of the ego among the agents.
+    ego: usize,
+}
+
+impl Draws {
+    fn new(task: &Arc<SpfTask>, split: Split, seed: u64) -> Result<Draws, Diagnostic> {
+        let env = Env::new(Arc::clone(task), split, ControlMode::First)?;
+        Ok(Draws {
+            ego: env.controlled_cars()[0].agent(),
+            env,
+            split,
+            seed: Seed(seed),
+        })
+    }
+
+    /// Returns the episode of a draw with the run of the oracle, if the oracle solves it with a constrained step.
+    fn episode(&mut self, draw: u64) -> Result<Option<Episode>, Diagnostic> {
+        // These seeds differ from those of environments, whose last number is 0, and from those of other splits.
+        let seed: u64 = self.seed.stream(Purpose::EPISODE, draw, 1 + self.split as u64).random();
+        self.env.reset(seed)?;
+        self.env.set_horizon(STEPS_MAX);
+        let done = rollout(&mut self.env, Policy::Oracle)?;
+        if !done.success || done.constrained == [0; Action::MAX] {
+            return Ok(None);
+        }
+        let mut episode = self.env.episode().clone();
+        episode.oracle = Some(OracleRun {
+            steps: done.steps,
+            total: done.total,
+            constrained: done.constrained_by_name(self.env.task().world().vocabulary.actions()),
+        });
+        Ok(Some(episode))
+    }
+}
+
+/// Searches a set among the episodes of draws, in their order.
+fn search<S>(
+    task: &Arc<SpfTask>,
+    (split, count, seed): (Split, usize, u64),
+    state: &mut S,
+    episode: impl Fn(&mut S, u64) -> Result<Option<Episode>, Diagnostic>,
     mut watch: impl FnMut(usize),
 ) -> Result<EpisodeSet, Diagnostic> {
-    let mut env = Env::new(Arc::clone(task), split, ControlMode::First)?;
+    let env = Env::new(Arc::clone(task), split, ControlMode::First)?;
+    let ego = env.controlled_cars()[0].agent();
     let mut wanted = Wanted::new(task, count);
     wanted.check(&env, split, count)?;
     let mut episodes: Vec<Episode> = Vec::new();
@@ -392,19 +564,7 @@ pub fn make_episodes(
         if episodes.len() == count {
             break;
         }
-        // These seeds differ from those of environments, whose last number is 0, and from those of other splits.
-        let seed: u64 = Seed(seed).stream(Purpose::EPISODE, draw, 1 + split as u64).random();
-        env.reset(seed)?;
-        env.set_horizon(STEPS_MAX);
-        let done = rollout(&mut env, Policy::Oracle)?;
-        let ego = &env.city().agents()[env.controlled_cars()[0].agent()];
-        if wanted.take(&ego.concepts, &done) {
-            let mut episode = env.episode().clone();
-            episode.oracle = Some(OracleRun {
-                steps: done.steps,
-                total: done.total,
-                constrained: done.constrained_by_name(task.world().vocabulary.actions()),
-            });
+        if let Some(episode) = episode(state, draw)?.filter(|episode| wanted.take(task, ego, episode)) {
             episodes.push(episode);
             watch(episodes.len());
         }

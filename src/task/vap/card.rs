@@ -1,20 +1,21 @@
 //! Writes the `README.md` of a data set.
 
 use crate::city::Action;
+use crate::sim::Vocabulary;
 use crate::task::vap::folder::{DatasetSettings, Manifest};
 use crate::task::vap::table::{ENTITY_NAMES, ENTITY_NUMBERS, PAIR_NAMES, VISIBLE};
-use crate::task::vap::{FIRST_TICK, Mode, SIDE, TICKS, Worlds, percent, total};
+use crate::task::vap::{FIRST_TICK, Mode, SIDE, TICKS, percent, total};
 use std::fmt::Write as _;
 
 /// Returns the text of the file.
-pub(super) fn card(mode: Mode, manifest: &Manifest, worlds: &Worlds) -> String {
+pub(super) fn card(mode: Mode, manifest: &Manifest, vocabulary: &Vocabulary) -> String {
     let parts = [
         beginning(manifest),
         pictures(manifest),
         labels(mode, manifest),
         concepts(manifest),
         atoms(manifest),
-        columns(worlds),
+        columns(vocabulary),
     ];
     parts.join("\n")
 }
@@ -154,9 +155,9 @@ fn atoms(manifest: &Manifest) -> String {
     text
 }
 
-fn columns(worlds: &Worlds) -> String {
+fn columns(vocabulary: &Vocabulary) -> String {
     let predicates = |arity: usize| {
-        let all = &worlds.world().vocabulary.predicates;
+        let all = &vocabulary.predicates;
         let names = all.iter().filter(|predicate| predicate.arity == arity);
         names
             .map(|predicate| format!("`{}`", predicate.name))

@@ -76,6 +76,11 @@ impl Dataset {
         Ok(samples.map_err(|fault| fault.note(format!("in `{}`", folder.path().display())))?)
     }
 
+    /// Returns the folder.
+    pub(super) fn folder(&self) -> &Folder {
+        &self.folder
+    }
+
     fn manifest_path(&self) -> PathBuf {
         self.folder.path().join(MANIFEST)
     }

@@ -8,8 +8,9 @@ use crate::files::{Folder, Overwrite};
 use crate::render::{Icons, Picture, write_png};
 use crate::rng::Seed;
 use crate::sim::{LoadedCity, run_polled, start_threads, threads_of};
+use crate::task::shard::Shard;
 use crate::task::vap::error::DatasetError;
-use crate::task::vap::folder::{Description, ENTITIES, PAIRS, WorldWriter};
+use crate::task::vap::folder::{Description, ENTITIES, PAIRS, ShardFile, WorldWriter};
 use crate::task::vap::table::{Table, count_concepts};
 use crate::task::vap::{
     Agents, DatasetSettings, FIRST_TICK, Manifest, Mode, TICKS, WorldRecord, Worlds, card, count_actions, count_atoms,
@@ -35,6 +36,8 @@ pub struct DatasetRequest {
     pub split: Split,
     /// The numbers of the worlds.
     pub worlds: Range<u32>,
+    /// Which part of these worlds to make.
+    pub shard: Option<Shard>,
     /// The seed of all draws.
     pub seed: u64,
     /// Whether to draw pictures. Without pictures the tables are the same.
@@ -51,6 +54,7 @@ impl DatasetRequest {
             agents: Agents::Fixed,
             split,
             worlds: 0..published_worlds(split),
+            shard: None,
             seed: 0,
             pictures: true,
             threads: NonZeroUsize::MIN,
@@ -145,8 +149,15 @@ impl DatasetWriter {
         cancel: &Cancel,
     ) -> Result<DatasetSummary, DatasetError> {
         let description = Description::begin(folder, &self.settings, overwrite)?;
+        let all = &self.request.worlds;
+        let part = self.request.shard.map(|shard| ShardFile {
+            shard,
+            first_world: all.start,
+            worlds: all.end - all.start,
+        });
+        folder::note_shard(folder, part.as_ref())?;
         folder::remove_partials(folder)?;
-        let numbers = self.request.worlds.clone();
+        let numbers = self.request.shard.map_or(all.clone(), |shard| shard.part(all));
         let missing: Vec<u32> = numbers
             .filter(|&number| !folder.has(&folder::world_name(number)))
             .collect();
@@ -155,7 +166,7 @@ impl DatasetWriter {
             self.write_world(folder, number, step)
         })?;
         let manifest = Manifest::new(self.settings.clone(), folder::records(folder)?);
-        let card = card::card(self.request.mode, &manifest, &self.worlds);
+        let card = card::card(self.request.mode, &manifest, &self.worlds.world().vocabulary);
         description.finish(folder, &card, &manifest)?;
         Ok(DatasetSummary {
             made: missing.len(),

@@ -1,5 +1,5 @@
 //! The layout of a data set on disk: one folder per world, named by its number, and at the end `README.md` and
-//! `manifest.json`.
+//! `manifest.json`; `shard.json` in a shard.
 //!
 //! Each world is written under a temporary name, `.NAME.partial`, and renamed when complete. The next command removes
 //! temporary files that an interrupted command has left. A [`Description`] keeps other commands from the folder.
@@ -7,6 +7,7 @@
 use crate::diag::{Diagnostic, json_error};
 use crate::files::{FileError, Folder, Output, Overwrite};
 use crate::render::DrawingVersion;
+use crate::task::shard::{self, Shard};
 use crate::task::vap::codes;
 use crate::task::vap::error::{DatasetError, Occupied};
 use serde::{Deserialize, Serialize};
@@ -14,8 +15,8 @@ use sha2::{Digest, Sha256};
 use std::collections::BTreeMap;
 use std::ffi::OsStr;
 use std::io::ErrorKind;
-use std::ops::RangeInclusive;
-use std::path::{Path, PathBuf};
+use std::ops::{Range, RangeInclusive};
+use std::path::{Component, Path, PathBuf};
 
 /// The value of [`DatasetSettings::data`].
 pub(super) const DATA: &str = "logicity vap";
@@ -44,6 +45,8 @@ fn is_first_drawing(number: &u8) -> bool {
 /// The file of a data set with its settings and worlds.
 pub const MANIFEST: &str = "manifest.json";
 const CARD: &str = "README.md";
+/// The file that makes a data set a shard: a [`ShardFile`].
+const SHARD: &str = "shard.json";
 pub(super) const ENTITIES: &str = "entities.parquet";
 pub(super) const PAIRS: &str = "pairs.parquet";
 /// The [`WorldFile`] in the folder of a world.
@@ -367,7 +370,7 @@ fn is_sealed(text: &str) -> bool {
 /// The kind of a file or folder in the folder of a data set, which its name determines.
 #[derive(Clone, Copy, PartialEq, Eq)]
 pub(super) enum Entry {
-    /// `README.md` or `manifest.json`.
+    /// `README.md`, `manifest.json` or `shard.json`.
     Description,
     /// The world with this number.
     World(u32),
@@ -389,12 +392,102 @@ impl Entry {
         let whole = name.strip_prefix('.').and_then(|name| name.strip_suffix(PARTIAL));
         match world(name) {
             Some(number) => Entry::World(number),
-            None if name == CARD || name == MANIFEST => Entry::Description,
+            None if [CARD, MANIFEST, SHARD].contains(&name) => Entry::Description,
             None if whole.and_then(world).is_some() && path.is_dir() => Entry::Partial,
             None if Output::is_temporary(path) => Entry::Temporary,
             None => Entry::Other,
         }
     }
+}
+
+/// The file `shard.json` of a data set that is a shard.
+#[derive(Clone, Debug, PartialEq, Eq, Serialize, Deserialize)]
+#[serde(deny_unknown_fields)]
+pub struct ShardFile {
+    /// Which shard.
+    pub shard: Shard,
+    /// The number of the first world of all shards.
+    pub first_world: u32,
+    /// The number of the worlds of all shards.
+    pub worlds: u32,
+}
+
+impl ShardFile {
+    /// Returns the numbers of the worlds of all shards.
+    pub(super) fn all(&self) -> Range<u32> {
+        self.first_world..self.first_world.saturating_add(self.worlds)
+    }
+}
+
+/// Writes which shard a data set is, unless the folder says so already.
+///
+/// # Errors
+/// [`DatasetError::Occupied`] if the folder has another shard, or a data set that is not this shard.
+pub(super) fn note_shard(set: &Folder, shard: Option<&ShardFile>) -> Result<(), DatasetError> {
+    let found = if set.has(SHARD) { Some(read_shard(set)?) } else { None };
+    let is_new = !set.has(MANIFEST)
+        && !set
+            .entries()?
+            .iter()
+            .any(|path| matches!(Entry::of(path), Entry::World(_)));
+    match (shard, found) {
+        (None, None) => Ok(()),
+        (Some(shard), Some(found)) if *shard == found => Ok(()),
+        (Some(shard), None) if is_new => {
+            let output = set.replace(SHARD)?;
+            Ok(set.finish(SHARD, output, &pretty(shard))?)
+        }
+        (_, found) => Err(Occupied {
+            path: set.path().join(if found.is_some() { SHARD } else { MANIFEST }),
+            reason: match found {
+                Some(found) => format!("the folder has shard {} of {} worlds", found.shard, found.worlds),
+                None => "the folder has a data set that is not this shard".to_owned(),
+            },
+            replaceable: false,
+        }
+        .into()),
+    }
+}
+
+/// Reads which shard a data set is.
+///
+/// # Errors
+/// `invalid-shard` if the file is missing or faulty.
+pub(super) fn read_shard(set: &Folder) -> Result<ShardFile, DatasetError> {
+    let path = set.path().join(SHARD);
+    if !set.has(SHARD) {
+        let fault = shard::invalid(format!(
+            "`{}` is not a shard of a data set: it has no `{SHARD}`",
+            set.path().display()
+        ));
+        return Err(fault.help("make it with `logicity vap make --shard I/N`").into());
+    }
+    let text = set.read_text(SHARD)?;
+    let parsed = serde_json::from_str(&text);
+    Ok(parsed.map_err(|error| shard::invalid(format!("`{}`: {}", path.display(), json_error(&error))))?)
+}
+
+/// Copies a world of a data set, and compares its files with its record.
+pub(super) fn copy_world(
+    from: &Folder,
+    to: &Folder,
+    settings: &DatasetSettings,
+    record: &WorldRecord,
+) -> Result<(), DatasetError> {
+    let folder = from.folder(&world_name(record.world));
+    let mut writer = WorldWriter::begin(to, record.world)?;
+    for (name, expected) in &record.files {
+        let path = folder.path().join(name);
+        if !Path::new(name).components().eq([Component::Normal(name.as_ref())]) {
+            return Err(wrong(&path, "is not in the folder of the world").into());
+        }
+        match folder.read_of_length(name, expected.bytes as u64) {
+            Err(error) => return Err(wrong(&path, error).into()),
+            Ok(Some(bytes)) if file_record(&bytes) == *expected => writer.put(name.clone(), &bytes)?,
+            Ok(_) => return Err(wrong(&path, "has changed since it was made").into()),
+        }
+    }
+    Ok(writer.finish(settings.clone(), |_| record.clone())?)
 }
 
 /// Removes worlds with temporary names. The caller holds the [`Description`] of the folder.

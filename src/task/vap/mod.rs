@@ -12,13 +12,15 @@ pub mod codes;
 mod dataset;
 mod error;
 mod folder;
+mod merge;
 mod stats;
 pub mod table;
 
 pub use check::Dataset;
 pub use dataset::{DatasetRequest, DatasetSummary, DatasetWriter, WORLDS_MAX};
 pub use error::{DatasetError, Occupied};
-pub use folder::{DatasetSettings, FileRecord, MANIFEST, Manifest, WorldRecord};
+pub use folder::{DatasetSettings, FileRecord, MANIFEST, Manifest, ShardFile, WorldRecord};
+pub use merge::merge;
 pub use stats::{Estimate, Statistics, WorldCounts};
 
 use crate::city::{Action, AgentGroup, AgentKind, AgentName, AgentSet, Split};
