@@ -11,8 +11,10 @@ import sys
 import time
 from collections.abc import Callable, Iterator, Sequence
 from contextlib import contextmanager, suppress
+from dataclasses import dataclass
+from datetime import date
 from difflib import get_close_matches
-from functools import partial, reduce
+from functools import cache, partial, reduce
 from pathlib import Path
 from typing import Any, NoReturn, cast
 
@@ -26,7 +28,7 @@ from .files import check_writable, write_json
 from .modes import ENVIRONMENTS, checked_mode
 from .signals import ending_on_signals
 from .terminal import flush, neutral, print_message, print_text
-from .types import ObservationKind
+from .types import ObservationKind, Split
 
 __all__ = ["SUMMARIES", "parser_of", "run"]
 
@@ -110,8 +112,8 @@ def parser_of(words: tuple[str, ...]) -> tuple[argparse.ArgumentParser, Callable
 
 def _add_evaluate(to: _Parser) -> None:
     help = (
-        "oracle, random, the file of a policy (.pt), a rule file (.dl), the folder of a run of `logicity train`, "
-        "or, with `--trust`, a model of Stable-Baselines3 (.zip)"
+        "oracle, random, the file of a policy (.pt, .safetensors), a rule file (.dl), the folder of a run of `logicity "
+        "train`, a folder of policies of `logicity release`, or, with `--trust`, a model of Stable-Baselines3 (.zip)"
     )
     to.add("--policy", required=True, help=help)
     _add_trust(to, "the policy")
@@ -199,6 +201,69 @@ def _add_experiment(to: _Parser) -> None:
     _add_wandb(to)
     _add_trust(to, "a policy that a training configuration names under `start`")
     to.add("--run", type=Path, metavar="FOLDER", help="folder of the results; default: runs/EXPERIMENT")
+
+
+def _add_release(to: _Parser) -> None:
+    to.add("folder", type=Path, help="the folder to write; each data set has its own folder in it")
+    help = (
+        "data sets to write, separated by commas: spf-episodes, spf-demonstrations, questions, "
+        "vap-MODE-AGENTS-DIFFICULTY, vap for all of these, policies for none; default: all"
+    )
+    to.add("--only", type=_names, metavar="NAMES", help=help)
+    to.add("--modes", type=_modes, help=f"modes of episodes and demonstrations; default: {','.join(ENVIRONMENTS)}")
+    help = "number of episodes of each mode and split, drawn with `--seed`; default: the recorded episodes"
+    to.add("--episodes", type=_positive, metavar="N", help=help)
+    to.add("--questions", type=_positive, default=1000, metavar="N", help="questions of each set; default: 1000")
+    help = "worlds of each split; default: 100 for train, 20 for val and test"
+    to.add("--worlds", type=_positive, metavar="N", help=help)
+    help = "modes of questions and pictures: easy, hard; default: both"
+    to.add("--vap-modes", type=partial(_choices, known=("easy", "hard")), default=("easy", "hard"), help=help)
+    help = "sets of agents of the worlds: fixed, random; default: both"
+    to.add("--agents", type=partial(_choices, known=("fixed", "random")), default=("fixed", "random"), help=help)
+    help = "difficulties of the pictures, from 0 to 100; default: 0,50,100"
+    to.add("--difficulties", type=_difficulties, default=(0, 50, 100), help=help)
+    to.add("--no-pictures", action="store_true", help="write only the tables of worlds")
+    to.add("--seed", type=_seed, default=0, help="seed of what is drawn; default: 0")
+    help = "number of threads that draw pictures; 0 means one per core; default: 0"
+    to.add("--threads", type=partial(_whole, least=0), default=0, metavar="N", help=help)
+    help = (
+        "also pack the trained policies of published results, such as results/spf.json, to the folder `policies`; can "
+        "be repeated"
+    )
+    to.add("--results", type=Path, action="append", default=[], metavar="FILE", help=help)
+    help = "folder with the folders of the experiments in which the policies were trained; default: runs"
+    to.add("--runs", type=Path, default=Path("runs"), metavar="FOLDER", help=help)
+    help = "day of the release; default: today, or that of the interrupted command"
+    to.add("--date", type=_date, metavar="YYYY-MM-DD", help=help)
+    to.add("--url", help="address of the release or of the project, for its metadata")
+
+
+def _add_import_episodes(to: _Parser) -> None:
+    to.add("file", type=Path, help="the pickle, such as test_100_episodes.pkl")
+    help = "the mode whose agents and rules the episodes have, or a configuration file"
+    to.add("--mode", type=_mode, required=True, help=help)
+    to.add("--split", type=str.lower, choices=("train", "val", "test"), default="test", help="default: test")
+    to.add("--seed", type=_seed, default=0, help="seed of the random events during the episodes; default: 0")
+    help = "the file of episodes to write"
+    to.add("-o", "--output", type=Path, required=True, metavar="FILE", help=help)
+    _add_force(to)
+
+
+def _add_shards(to: _Parser) -> None:
+    to.add("count", type=_positive, metavar="N", help="the number of shards")
+    to.add("--jobs", type=_positive, metavar="N", help="processes; default: the number of processors")
+    where = "at ADDRESS, whose machines share the folder, or on a new one on this machine"
+    to.add("--ray", nargs="?", const="local", metavar="ADDRESS", help=f"make the shards on the Ray cluster {where}")
+    help = (
+        "make the shards as an array of jobs of Slurm; the values are parameters of submitit, for example "
+        "timeout_min=60,slurm_partition=cpu"
+    )
+    to.add("--slurm", nargs="?", const={}, type=_parameters, metavar="KEY=VALUE,...", help=help)
+    help = (
+        "the command after `--`: `episodes make`, `questions` or `vap make` with its options and `--output`; the "
+        "shards lie in the folder OUTPUT-shards"
+    )
+    to.add("command", nargs="+", metavar="COMMAND", help=help)
 
 
 def _add_ask(to: _Parser) -> None:
@@ -377,10 +442,11 @@ def _named_policy(text: str, trust: bool) -> tuple[Policy, str, str | None, Obse
         help = f"\nhelp: did you mean `{near[0]}`?" if near else ""
         expected = "oracle, random, the file of a policy, or the folder of a run"
         raise _UsageError(f"unknown policy `{text}`: expected {expected}{help}")
-    if path.is_dir() and not any(path.glob("best.*")):
+    from .learn.policies import load_policy, policy_files
+
+    if path.is_dir() and not policy_files(path):
         what = "a folder without a file `best.*`, which `logicity train` writes at the end of a run"
         raise _UsageError(f"`{text}` is {what}\nhelp: name the file of a policy")
-    from .learn import load_policy
 
     saved = load_policy(path, trust=trust)
     return saved.policy, saved.path.stem, saved.mode, saved.observation, saved.egos
@@ -389,8 +455,8 @@ def _named_policy(text: str, trust: bool) -> tuple[Policy, str, str | None, Obse
 def _rule_file(text: str) -> Path | None:
     """Return the rule file, possibly a built-in one or the best policy of a run, that `--policy` names, if any."""
     path = Path(text)
-    file = path / "best.dl" if path.is_dir() else path
-    if file.suffix == ".dl":
+    files = [path / "best.dl", path / "policy.dl"] if path.is_dir() else [path]
+    for file in (each for each in files if each.suffix == ".dl"):
         with suppress(FileNotFoundError):
             _logicity.read_file(os.fspath(file))
             return file
@@ -519,6 +585,38 @@ def _object(text: str) -> dict[str, object]:
     return value
 
 
+def _choices(text: str, known: tuple[str, ...]) -> tuple[str, ...]:
+    names = tuple(dict.fromkeys(text.split(",")))
+    if unknown := [name for name in names if name not in known]:
+        raise argparse.ArgumentTypeError(f"expected {' or '.join(known)}, found `{unknown[0]}`")
+    return names
+
+
+def _difficulties(text: str) -> tuple[int, ...]:
+    return tuple(dict.fromkeys(_whole(each, 0, 100) for each in text.split(",")))
+
+
+def _date(text: str) -> str:
+    try:
+        return date.fromisoformat(text).isoformat()
+    except ValueError:
+        raise argparse.ArgumentTypeError(f"expected a day such as 2026-12-01, found `{text}`") from None
+
+
+def _mode(text: str) -> str:
+    (mode,) = _modes(text) if "," not in text and text != "all" else ("",)
+    if not mode:
+        raise argparse.ArgumentTypeError(f"expected one mode, found `{text}`")
+    return mode
+
+
+def _parameters(text: str) -> dict[str, Any]:
+    found: dict[str, Any] = {}
+    for each in text.split(","):
+        found |= _assignment(each)
+    return found
+
+
 def _nonnegative_float(text: str) -> float:
     return 0.0 if text in ("0", "0.0") else _positive_float(text)
 
@@ -636,7 +734,7 @@ def _map_export(given: argparse.Namespace) -> int:
 
 
 def _evaluate(given: argparse.Namespace) -> int:
-    from .rule_policy import rule_policies
+    from .release.policies import packed_policies
 
     _check_json(given, "evaluate")
     if given.plot is not None:
@@ -645,39 +743,24 @@ def _evaluate(given: argparse.Namespace) -> int:
         check_writable(given.plot, by="evaluate", overwrite=given.force)
     if given.traces is not None:
         _check_folder("--traces", given.traces)
+    packed = packed_policies(Path(given.policy)) if Path(given.policy).is_dir() else None
+    runs: list[_Run] = []
+    # A benchmark runs the random policy once for all policies.
+    benchmark_of = cache(_benchmark)
+    if packed is None:
+        runs = _runs(given, given.policy, None, None, benchmark_of)
+    for entry in packed or []:
+        runs += _runs(given, str(Path(given.policy) / entry["file"]), entry["name"], entry["mode"], benchmark_of)
+    if not runs:
+        raise _UsageError(f"`{given.policy}` has no policy for these modes\nhelp: leave out `--modes`")
+    for run in runs:
+        if run.traces is not None:
+            run.benchmark.check_traces(run.traces, given.force)
     results: list[Evaluation] = []
-    trained = kind = egos = None
-    rules = _rule_file(given.policy)
-    if rules is not None:
-        # The same rules read the observations of each mode in another order.
-        compiled = rule_policies(rules, given.modes)
-        name, modes = rules.stem, [each.mode for each in compiled]
-        policies: list[Policy] = list(compiled)
-    else:
-        policy, name, trained, kind, egos = _named_policy(given.policy, given.trust)
-        modes = given.modes or ([checked_mode(trained)] if trained is not None else list(ENVIRONMENTS))
-        policies = [policy] * len(modes)
-    policy = policies[0]
-    stems = [Path(mode).stem for mode in modes]
-    if given.traces is not None and len(set(stems)) < len(stems):
-        raise _UsageError("modes with the same name would write traces to the same folder: evaluate one at a time")
-    if given.traces is not None and policy == "random":
-        raise _UsageError("the random policy runs every episode ten times and supports no traces")
-    observation = _check_kind(given.observation, kind, policy)
-    # As in the validation and the test of the run.
-    overrides = None if egos is None else {"task": {"egos": egos}}
-    benchmarks = [Benchmark(mode, given.split, observation=observation, overrides=overrides) for mode in modes]
-    _check_fit(policy, trained, benchmarks)
-    folders = [None if given.traces is None else given.traces / stem for stem in stems]
-    runs = list(zip(benchmarks, policies, folders, strict=True))
-    # Check everything before the first mode runs, so that no mode fails late.
-    for benchmark, each, folder in runs:
-        _check_prediction(each, given.policy, trained, benchmark)
-        if folder is not None:
-            benchmark.check_traces(folder, given.force)
     try:
-        for benchmark, each, folder in runs:
-            results.append(benchmark.evaluate(each, name=name, traces=folder, overwrite=given.force))
+        for run in runs:
+            benchmark = run.benchmark
+            results.append(benchmark.evaluate(run.policy, name=run.name, traces=run.traces, overwrite=given.force))
     finally:
         # An error must not hide the results of the modes before.
         if results:
@@ -691,6 +774,69 @@ def _evaluate(given: argparse.Namespace) -> int:
         print_message(f"wrote {given.plot}")
     _write_json(given, "evaluate", [result.to_dict() for result in results])
     return 0
+
+
+@dataclass(frozen=True)
+class _Run:
+    """A policy to evaluate on a benchmark."""
+
+    benchmark: Benchmark
+    policy: Policy
+    name: str
+    traces: Path | None
+
+
+def _runs(
+    given: argparse.Namespace,
+    named: str,
+    packed: str | None,
+    mode: str | None,
+    benchmark_of: Callable[[str, Split, ObservationKind, int | None], Benchmark],
+) -> list[_Run]:
+    """Return the evaluations of a policy, after a check that it fits. A packed one has a name and a mode."""
+    from .rule_policy import rule_policies
+
+    trained = kind = egos = None
+    modes = given.modes
+    if mode is not None:
+        if modes is not None and mode not in modes:
+            return []
+        modes = [mode]
+    rules = _rule_file(named)
+    if rules is not None:
+        # The same rules read the observations of each mode in another order.
+        compiled = rule_policies(rules, modes)
+        name, modes = rules.stem, [each.mode for each in compiled]
+        policies: list[Policy] = list(compiled)
+    else:
+        policy, name, trained, kind, egos = _named_policy(named, given.trust)
+        modes = modes or ([checked_mode(trained)] if trained is not None else list(ENVIRONMENTS))
+        policies = [policy] * len(modes)
+    policy = policies[0]
+    stems = [Path(mode).stem for mode in modes]
+    if given.traces is not None and len(set(stems)) < len(stems):
+        raise _UsageError("modes with the same name would write traces to the same folder: evaluate one at a time")
+    if given.traces is not None and policy == "random":
+        raise _UsageError("the random policy runs every episode ten times and supports no traces")
+    observation = _check_kind(given.observation, kind, policy)
+    benchmarks = [benchmark_of(mode, given.split, observation, egos) for mode in modes]
+    _check_fit(policy, trained, benchmarks)
+    root = given.traces if given.traces is None or packed is None else given.traces / packed
+    folders = [None if root is None else root / stem for stem in stems]
+    runs = [
+        _Run(benchmark, each, packed or name, folder)
+        for benchmark, each, folder in zip(benchmarks, policies, folders, strict=True)
+    ]
+    # Check everything before the first mode runs, so that no mode fails late.
+    for run in runs:
+        _check_prediction(run.policy, named, trained, run.benchmark)
+    return runs
+
+
+def _benchmark(mode: str, split: Split, observation: ObservationKind, egos: int | None) -> Benchmark:
+    # As in the validation and the test of the run.
+    overrides = None if egos is None else {"task": {"egos": egos}}
+    return Benchmark(mode, split, observation=observation, overrides=overrides)
 
 
 def _train(given: argparse.Namespace) -> int:
@@ -772,6 +918,73 @@ def _experiment(given: argparse.Namespace) -> int:
     written = report.write(root)
     print_text(f"written: {', '.join(str(path) for path in written)}")
     return int(any(cell.identity in failed and not cell.optional for cell in cells))
+
+
+def _release(given: argparse.Namespace) -> int:
+    from .experiments.results import read_results
+    from .release import DataSetOptions, release
+    from .release.policies import ResultsFile
+
+    _check_folder("FOLDER", given.folder)
+    options = DataSetOptions(
+        episodes=given.episodes,
+        questions=given.questions,
+        worlds=given.worlds,
+        vap_modes=given.vap_modes,
+        agents=given.agents,
+        difficulties=given.difficulties,
+        pictures=not given.no_pictures,
+        seed=given.seed,
+        threads=given.threads,
+        **({} if given.modes is None else {"modes": tuple(given.modes)}),
+    )
+    results = [
+        ResultsFile(file, given.runs / str(read_results(file)["experiment"])) for file in map(_existing, given.results)
+    ]
+    try:
+        done = release(
+            given.folder,
+            options,
+            only=given.only,
+            results=results,
+            date=given.date,
+            url=given.url,
+            progress=print_message,
+        )
+    except FileExistsError as error:
+        raise _UsageError(str(error)) from None
+    print_text(f"data sets written: {len(done.made)}, complete already: {len(done.kept)}, in {given.folder}")
+    if results:
+        print_text(f"policies packed: {len(done.policies)}, left out: {len(done.left_out)}")
+    return 0
+
+
+def _existing(path: Path) -> Path:
+    if not path.exists():
+        raise FileNotFoundError(errno.ENOENT, "no such file", str(path))
+    return path
+
+
+def _import_episodes(given: argparse.Namespace) -> int:
+    from .published import import_episodes
+
+    done = import_episodes(given.file, given.mode, given.split, given.output, seed=given.seed, overwrite=given.force)
+    print_text(done)
+    print_message(f"wrote {given.output}")
+    return 0
+
+
+def _shards(given: argparse.Namespace) -> int:
+    from .shards import make_shards
+
+    if given.ray is not None and given.slurm is not None:
+        raise _UsageError("--ray, --slurm: choose one")
+    with _usage():
+        made = make_shards(
+            given.command, given.count, jobs=given.jobs, ray=given.ray, slurm=given.slurm, progress=print_message
+        )
+    print_text(made, end="")
+    return 0
 
 
 def _results_folder(given: argparse.Namespace, file: Path) -> Path:
@@ -894,6 +1107,9 @@ _COMMANDS: dict[tuple[str, ...], tuple[Callable[[_Parser], None], Callable[[argp
     ("experiment",): (_add_experiment, _experiment),
     ("distill",): (_add_distill, _distill),
     ("map", "export"): (_add_map_export, _map_export),
+    ("release",): (_add_release, _release),
+    ("import-episodes",): (_add_import_episodes, _import_episodes),
+    ("shards",): (_add_shards, _shards),
     ("ask",): (_add_ask, _ask),
     ("grade",): (_add_grade, _grade),
     ("describe",): (lambda to: None, _describe),

@@ -14,11 +14,12 @@ from pickle import UnpicklingError
 from typing import Any
 
 from . import _logicity
-from .errors import checked_path
+from .errors import checked_path, extra
+from .terminal import first_line
 
 __all__ = [
     *("check_readable", "check_writable", "file_hash", "json_text", "read_json", "read_tensors", "read_text"),
-    *("reserved", "write_json", "write_text"),
+    *("reserved", "write_json", "write_safetensors", "write_text"),
 ]
 
 
@@ -111,10 +112,14 @@ def write_text(path: str | os.PathLike[str], text: str, *, by: str | None = None
 def read_tensors(path: str | os.PathLike[str], expected: str) -> Any:
     """Return the content of a file of `torch.save` that has only tensors and plain data. Nothing in it runs as code.
 
+    A file with the suffix `.safetensors` is one that `write_safetensors` wrote.
+
     Raises:
         ValueError: If PyTorch cannot read it as such. The message says what is expected, such as `a policy`.
     """
     check_readable(path)
+    if Path(path).suffix == ".safetensors":
+        return _read_safetensors(path, expected)
     import torch
 
     try:
@@ -135,3 +140,81 @@ def read_tensors(path: str | os.PathLike[str], expected: str) -> Any:
         # Depending on the bytes, PyTorch raises almost any exception.
         message = "it may be damaged"
     raise ValueError(f"{os.fspath(path)} is not {expected}: PyTorch cannot read it as plain data; {message}")
+
+
+def write_safetensors(path: str | os.PathLike[str], content: Any) -> None:
+    """Write tensors and plain data to a file in the format safetensors, which has the plain data in its metadata.
+
+    Raises:
+        ImportError: If safetensors, which the extra `learn` installs, is missing.
+        TypeError: If a value is neither a tensor nor plain data.
+    """
+    with extra("learn"):
+        import safetensors.torch
+
+    tensors: dict[str, Any] = {}
+    metadata = {"format": "pt", _PLAIN: json.dumps(_without_tensors(content, "", tensors))}
+    with reserved(path, by=None) as output:
+        Path(output.temporary).write_bytes(safetensors.torch.save(tensors, metadata))
+        output.finish()
+
+
+#: The key of the metadata of safetensors that has the plain data.
+_PLAIN = "logicity"
+
+
+def _without_tensors(value: Any, name: str, tensors: dict[str, Any]) -> Any:
+    """Return a value as JSON. A tensor, and what JSON lacks, becomes a mapping with one key that begins with `$`."""
+    import torch
+
+    if isinstance(value, torch.Tensor):
+        # Names of values in lists and mappings, such as `weights.actor.0.bias`.
+        tensors[name] = value.detach().cpu().contiguous().clone()
+        return {"$tensor": name}
+    if value is None or isinstance(value, (bool, int, float, str)):
+        return value
+    if isinstance(value, (list, tuple)):
+        values = [_without_tensors(each, f"{name}.{at}", tensors) for at, each in enumerate(value)]
+        return {"$tuple": values} if isinstance(value, tuple) else values
+    if isinstance(value, dict):
+        within = f"{name}." if name else ""
+        items = [(key, _without_tensors(each, f"{within}{key}", tensors)) for key, each in value.items()]
+        if all(isinstance(key, str) and not key.startswith("$") for key in value):
+            return dict(items)
+        return {"$items": [[_without_tensors(key, "", tensors), each] for key, each in items]}
+    raise TypeError(f"{name}: {type(value).__name__} is neither a tensor nor plain data")
+
+
+def _with_tensors(value: Any, tensors: dict[str, Any]) -> Any:
+    """Return the value of which `_without_tensors` returned the JSON."""
+    if isinstance(value, list):
+        return [_with_tensors(each, tensors) for each in value]
+    if not isinstance(value, dict):
+        return value
+    match value:
+        case {"$tensor": name}:
+            return tensors[name]
+        case {"$tuple": values}:
+            return tuple(_with_tensors(each, tensors) for each in values)
+        case {"$items": items}:
+            return {_with_tensors(key, tensors): _with_tensors(each, tensors) for key, each in items}
+    return {key: _with_tensors(each, tensors) for key, each in value.items()}
+
+
+def _read_safetensors(path: str | os.PathLike[str], expected: str) -> Any:
+    with extra("learn"):
+        import safetensors
+
+    try:
+        with safetensors.safe_open(os.fspath(path), framework="pt", device="cpu") as file:
+            metadata = file.metadata() or {}
+            tensors = {name: file.get_tensor(name) for name in file.keys()}
+        if _PLAIN not in metadata:
+            raise ValueError(f"its metadata lacks the key `{_PLAIN}`")
+        return _with_tensors(json.loads(metadata[_PLAIN]), tensors)
+    except Exception as error:
+        if isinstance(error, OSError) and error.filename is not None:
+            raise
+        # A faulty file raises an exception of safetensors, or one of the types of what it lacks.
+        reason = first_line(str(error), type(error).__name__)
+    raise ValueError(f"{os.fspath(path)} is not {expected}: {reason}")

@@ -3,7 +3,7 @@
 use std::ffi::OsString;
 
 /// The commands that the Python package implements, as words of the command line, and their summaries.
-pub const PYTHON_COMMANDS: [(&[&str], &str); 12] = [
+pub const PYTHON_COMMANDS: [(&[&str], &str); 15] = [
     (
         &["evaluate"],
         "Measure a policy on recorded episodes with the metrics of the paper",
@@ -21,6 +21,18 @@ pub const PYTHON_COMMANDS: [(&[&str], &str); 12] = [
         "Learn the rules that recorded traffic follows, and report how much they explain",
     ),
     (&["map", "export"], "Write a map as a road network for SUMO"),
+    (
+        &["release"],
+        "Write data sets with metadata, and trained policies, as folders to publish, or resume",
+    ),
+    (
+        &["import-episodes"],
+        "Read the episodes of the published program from its pickle, without running it",
+    ),
+    (
+        &["shards"],
+        "Make the shards of a command in processes, on a Ray cluster or on Slurm, and join them",
+    ),
     (
         &["ask"],
         "Send the questions of `logicity questions` to a chat endpoint, or resume a run",

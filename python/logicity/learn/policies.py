@@ -19,7 +19,7 @@ from .registry import LEARNERS, learner_class
 if TYPE_CHECKING:
     from ..types import ArrayKind
 
-__all__ = ["SavedPolicy", "load_policy"]
+__all__ = ["SavedPolicy", "load_policy", "policy_files"]
 
 
 @dataclass(frozen=True)
@@ -50,8 +50,8 @@ def load_policy(path: str | os.PathLike[str], *, trust: bool = False) -> SavedPo
     loading it can run any code in it, so this needs `trust`.
 
     Args:
-        path: A file that `LearnedPolicy.save` wrote, the folder of a finished run of `logicity train`, or a model of
-            Stable-Baselines3, whose suffix is `.zip`.
+        path: A file that `LearnedPolicy.save` wrote, the folder of a finished run of `logicity train`, the file or the
+            folder of a policy of a release, or a model of Stable-Baselines3, whose suffix is `.zip`.
         trust: Whether the file may run code.
 
     Raises:
@@ -61,7 +61,7 @@ def load_policy(path: str | os.PathLike[str], *, trust: bool = False) -> SavedPo
     """
     file = Path(path)
     if file.is_dir():
-        best = sorted(file.glob("best.*"))
+        best = policy_files(file)
         if not best:
             what = "a folder without a file `best.*`, which `logicity train` writes at the end of a run"
             raise FileNotFoundError(f"`{file}` is {what}\nhelp: name the file of a policy")
@@ -80,13 +80,13 @@ def load_policy(path: str | os.PathLike[str], *, trust: bool = False) -> SavedPo
             remedy = "if you trust its origin, pass `--trust` (Python: `trust=True`)"
             raise UntrustedError(f"{file} is {what}; {remedy}")
         policy: LearnedPolicy = from_stable_baselines(file)
-    elif file.suffix == ".pt":
+    elif file.suffix in (".pt", ".safetensors"):
         content = read_tensors(file, "a policy")
         saved = content if isinstance(content, dict) else {}
     elif file.suffix == ".dl":
         saved = dict(saved_by(file))
     else:
-        raise ValueError(f"{file} is not a policy: its suffix must be .dl, .pt or .zip")
+        raise ValueError(f"{file} is not a policy: its suffix must be .dl, .pt, .safetensors or .zip")
     algorithm = saved.get("algorithm")
     if not isinstance(algorithm, str) or algorithm not in LEARNERS:
         what = f"has the unknown learner `{neutral(algorithm)}`" if isinstance(algorithm, str) else "names no learner"
@@ -95,6 +95,11 @@ def load_policy(path: str | os.PathLike[str], *, trust: bool = False) -> SavedPo
         policy = learner_class(algorithm).policy_class.load(file)
     mode, observation = (recorded.get(key, saved.get(key)) for key in ("mode", "observation"))
     return SavedPolicy(policy, file, algorithm, mode, observation, recorded.get("egos"))
+
+
+def policy_files(folder: Path) -> list[Path]:
+    """Return the files of the policy of a run, or of a policy of a release."""
+    return sorted([*folder.glob("best.*"), *folder.glob("policy.dl"), *folder.glob("policy.safetensors")])
 
 
 def _recorded(file: Path) -> dict[str, Any]:
