@@ -494,6 +494,9 @@ MODULES = {
     "logicity.vap": "Visual Action Prediction",
     "logicity.questions": "Questions for language models",
     "logicity.icons": "Icon packs",
+    "logicity.release": "Releases",
+    "logicity.shards": "Shards",
+    "logicity.published": "Episodes of the published program",
     "logicity.errors": "Exceptions",
     "logicity.types": "Types",
 }

@@ -105,7 +105,7 @@ _NAMES = {
     ],
 }
 _HOMES = {name: module for module, names in _NAMES.items() for name in names}
-_MODULES = ("envs", "icons", "learn", "questions", "torch", "vap")
+_MODULES = ("envs", "icons", "learn", "questions", "release", "torch", "vap")
 
 __all__ = [
     "ACTIONS",

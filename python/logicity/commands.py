@@ -230,7 +230,7 @@ def _add_release(to: _Parser) -> None:
         "also pack the trained policies of published results, such as results/spf.json, to the folder `policies`; can "
         "be repeated"
     )
-    to.add("--results", type=Path, action="append", default=[], metavar="FILE", help=help)
+    to.add("--results", type=Path, action="append", metavar="FILE", help=help)
     help = "folder with the folders of the experiments in which the policies were trained; default: runs"
     to.add("--runs", type=Path, default=Path("runs"), metavar="FOLDER", help=help)
     help = "day of the release; default: today, or that of the interrupted command"
@@ -926,20 +926,24 @@ def _release(given: argparse.Namespace) -> int:
     from .release.policies import ResultsFile
 
     _check_folder("FOLDER", given.folder)
-    options = DataSetOptions(
-        episodes=given.episodes,
-        questions=given.questions,
-        worlds=given.worlds,
-        vap_modes=given.vap_modes,
-        agents=given.agents,
-        difficulties=given.difficulties,
-        pictures=not given.no_pictures,
-        seed=given.seed,
-        threads=given.threads,
-        **({} if given.modes is None else {"modes": tuple(given.modes)}),
-    )
+    if given.only is not None and "policies" in given.only and not given.results:
+        raise _UsageError("--only policies: name the published results with `--results`, such as results/spf.json")
+    with _usage():
+        options = DataSetOptions(
+            episodes=given.episodes,
+            questions=given.questions,
+            worlds=given.worlds,
+            vap_modes=given.vap_modes,
+            agents=given.agents,
+            difficulties=given.difficulties,
+            pictures=not given.no_pictures,
+            seed=given.seed,
+            threads=given.threads,
+            **({} if given.modes is None else {"modes": tuple(given.modes)}),
+        )
     results = [
-        ResultsFile(file, given.runs / str(read_results(file)["experiment"])) for file in map(_existing, given.results)
+        ResultsFile(file, given.runs / str(read_results(file)["experiment"]))
+        for file in map(_existing, given.results or [])
     ]
     try:
         done = release(

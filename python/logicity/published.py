@@ -27,7 +27,7 @@ from .shards import run_command
 from .terminal import neutral
 from .types import Split
 
-__all__ = ["Imported", "PublishedEpisode", "import_episodes", "read_published"]
+__all__ = ["Imported", "PublishedAgent", "PublishedEpisode", "import_episodes", "read_published"]
 
 #: Longer bytes are skipped. Positions take 16; grids of cities take megabytes, which only they need.
 _BYTES_MAX = 4096

@@ -2,6 +2,7 @@ from __future__ import annotations
 
 import hashlib
 import json
+import shutil
 import subprocess
 import sys
 from dataclasses import replace
@@ -11,12 +12,13 @@ from types import SimpleNamespace
 from typing import Any
 
 import pytest
-from conftest import ROOT, needs
+from conftest import ROOT, needs, picture
 
 from logicity import _logicity
 from logicity.__main__ import main
-from logicity.release import DataSetOptions, Release, data_sets, pack_policies, release
-from logicity.release.policies import ResultsFile
+from logicity.release import DataSetOptions, Release, ResultsFile, pack_policies, release
+from logicity.release.datasets import SPLITS, data_sets
+from logicity.release.write import write_documents
 
 needs("pyarrow", "release")
 needs("gymnasium", "release")
@@ -119,6 +121,21 @@ def test_the_records_are_those_of_the_files(released: Path) -> None:
     assert type(first["test-entities/IsCar"]) is bool and first["test-entities/IsCar"]
 
 
+@THIRD_PARTY
+def test_croissant_loads_pictures(shown: Path, tmp_path: Path) -> None:
+    mlcroissant = needs("mlcroissant", "croissant")
+    needs("PIL", "icons")
+    for split in SPLITS:
+        shutil.copytree(shown, tmp_path / split)
+    (tmp_path / "release.json").write_text("{}")
+    write_documents(tmp_path, data_sets(replace(SMALL, pictures=True))[3], "2026-12-01", None)
+    dataset = mlcroissant.Dataset(jsonld=str(tmp_path / "croissant.json"))
+    assert not dataset.metadata.ctx.issues.errors and not dataset.metadata.ctx.issues.warnings
+    records = list(islice(dataset.records("train-pictures"), 10))
+    assert [record["train-pictures/picture"].size for record in records] == [(1024, 1024)] * 10
+    assert records[0]["train-pictures/picture"].getpixel((0, 0)) == tuple(map(int, picture(0, 11)[0, 0]))
+
+
 def test_a_complete_release_is_kept_and_an_interrupted_one_resumed(released: Path, tmp_path: Path) -> None:
     done = release(released, SMALL)
     assert done == Release((), NAMES, (), {})
@@ -174,6 +191,21 @@ def test_a_full_release_has_all_data_sets() -> None:
     assert other.command == "logicity release DIR --only vap-easy-random-7 --worlds 1 --difficulties 7 --no-pictures"
 
 
+@pytest.mark.parametrize(
+    ("values", "message"),
+    [
+        ({"modes": ("simple",)}, "unknown mode `simple`"),
+        ({"agents": ("all",)}, "unknown set of agents `all`; known: fixed, random"),
+        ({"vap_modes": ("expert",)}, "unknown mode of pictures `expert`"),
+        ({"difficulties": (101,)}, "difficulties: expected 0 to 100, not 101"),
+        ({"episodes": 0}, "episodes: expected 1 to 100000, not 0"),
+    ],
+)
+def test_faulty_options_are_refused(values: dict[str, Any], message: str) -> None:
+    with pytest.raises(ValueError, match=message):
+        DataSetOptions(**values)
+
+
 def test_the_command(tmp_path: Path, released: Path, capfd: pytest.CaptureFixture[str]) -> None:
     options = ["--only", "spf-episodes", "--modes", "easy", "--episodes", "4", "--date", "2026-12-01"]
     options += ["--url", "https://example.org/logicity"]
@@ -185,6 +217,7 @@ def test_the_command(tmp_path: Path, released: Path, capfd: pytest.CaptureFixtur
     assert "has another release, with other settings" in capfd.readouterr().err
     for words, message in [
         (["--only", "x"], "unknown data set `x`"),
+        (["--only", "policies"], "name the published results with `--results`"),
         (["--difficulties", "101"], "expected an integer from 0 to 100"),
         (["--agents", "all"], "expected fixed or random, found `all`"),
         (["--date", "now"], "expected a day such as 2026-12-01"),

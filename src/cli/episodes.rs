@@ -24,6 +24,9 @@ use std::io::Write;
 use std::path::{Path, PathBuf};
 use std::sync::Arc;
 
+/// The largest number of episodes in a set.
+const COUNT_MAX: u32 = 100_000;
+
 #[derive(clap::Args)]
 pub struct Arguments {
     #[command(subcommand)]
@@ -62,7 +65,7 @@ struct Make {
     #[command(flatten)]
     which: Which,
     /// Number of episodes [default: 40 for val, 100 for train and test]
-    #[arg(long, value_parser = integer(1..=100_000_u32))]
+    #[arg(long, value_parser = integer(1..=COUNT_MAX))]
     count: Option<u32>,
     /// Seed of the episodes
     #[arg(long, value_parser = integer(0..=u64::MAX), default_value_t = 0)]
@@ -298,6 +301,12 @@ pub fn merge(shards: &[SourceId], output: &Path, force: &ForceOption, sources: &
     let Requested { split, count, seed } = &origin.request;
     let split = Split::ALL.into_iter().find(|known| known.name() == split);
     let split = split.ok_or_else(|| shard::invalid("the request of the shards names an unknown split"))?;
+    if !(1..=COUNT_MAX as usize).contains(count) {
+        return Err(shard::invalid(format!(
+            "the request of the shards has {count} episodes, not 1 to {COUNT_MAX}"
+        ))
+        .into());
+    }
     let task = Arc::new(SpfTask::new(Arc::new(city.world()?), sources)?);
     let mut made = Vec::new();
     for index in order {

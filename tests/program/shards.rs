@@ -163,7 +163,7 @@ fn only_complete_and_unchanged_shards_are_joined() {
     refused(&["one"], &["error[invalid-shard]: shard 2/2 is missing"]);
     refused(&["one", "one", "two"], &["`one` and `one` are both shard 1/2"]);
     refused(&["one", "other"], &["`other` and `one` are of different data sets"]);
-    let text = fs::read_to_string(folder.join("two")).unwrap();
+    let [first, text] = ["one", "two"].map(|name| fs::read_to_string(folder.join(name)).unwrap());
     fs::write(folder.join("cut"), &text[..text.len() - 9]).unwrap();
     refused(&["one", "cut"], &["cut or changed", "cut:1:1"]);
     fs::write(folder.join("none"), "").unwrap();
@@ -194,6 +194,20 @@ fn only_complete_and_unchanged_shards_are_joined() {
         &["this command reads it"],
     );
     // A line with a right hash that does not fit the city.
+    fs::write(
+        folder.join("huge"),
+        forged(&text, "\"count\":2", "\"count\":18446744073709551615"),
+    )
+    .unwrap();
+    fs::write(
+        folder.join("huge-too"),
+        forged(&first, "\"count\":2", "\"count\":18446744073709551615"),
+    )
+    .unwrap();
+    refused(
+        &["huge", "huge-too"],
+        &["has 18446744073709551615 episodes, not 1 to 100000"],
+    );
     fs::write(folder.join("forged"), forged(&text, "\"Car_1\"", "\"Car_7\"")).unwrap();
     refused(&["one", "forged"], &["error[invalid-episode]", "forged:2:1"]);
 }

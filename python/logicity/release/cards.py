@@ -1,4 +1,4 @@
-"""The documents of a release for people: cards with the front matter of model and data hubs, data sheets, licence."""
+"""The documents of a release for people: cards with the front matter of model and data hubs, data sheets, license."""
 
 from __future__ import annotations
 
@@ -6,7 +6,7 @@ import json
 from collections.abc import Mapping, Sequence
 from typing import Any
 
-from .croissant import About, Records
+from .croissant import About, Column, Records
 
 __all__ = ["LICENSE", "card", "data_sheet", "front_matter"]
 
@@ -54,13 +54,16 @@ def card(about: About, records: Sequence[Records], sizes: str, usage: str, confi
         "`croissant.json` describes the files and their columns for machines, `DATASHEET.md` how the data was made and "
         "what it is for, and `sha256sum --check SHA256SUMS` checks the files.",
     ]
+    by_columns: dict[tuple[Column, ...], list[Records]] = {}
     for each in records:
+        by_columns.setdefault(tuple(each.columns), []).append(each)
+    for columns, alike in by_columns.items():
         rows = [
-            f"| `{column.name}` | {_kind(column.kind, column.length)} | {column.description} |"
-            for column in each.columns
+            f"| `{column.name}` | {_kind(column.kind, column.length)} | {column.description} |" for column in columns
         ]
         table = "\n".join(["| column | type | meaning |", "|---|---|---|", *rows])
-        parts.append(f"## {each.name}\n\n{each.description}\n\n{table}")
+        listed = "\n".join(f"- `{each.name}`: {each.description}" for each in alike)
+        parts.append(f"## {alike[0].name}{' and others' * (len(alike) > 1)}\n\n{listed}\n\n{table}")
     return front_matter(matter) + "\n" + "\n\n".join(parts) + "\n"
 
 

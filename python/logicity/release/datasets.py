@@ -11,11 +11,12 @@ from pathlib import Path
 from typing import Any, Literal
 
 from .. import _logicity
-from ..errors import extra
+from ..errors import checked_integer, did_you_mean, extra
 from ..files import reserved
 from ..modes import MODES
 from ..offline import demonstrations
 from ..shards import run_command
+from ..tasks import load_task
 from ..types import Split
 from ..vap.make import Drawing, check_dataset, make_dataset
 from .croissant import Column, DataFile, FilePattern, Kind, Records
@@ -55,6 +56,22 @@ class DataSetOptions:
     pictures: bool = True
     seed: int = 0
     threads: int = 0
+
+    def __post_init__(self) -> None:
+        """Raise `ValueError` for an unknown name or a number that is out of range."""
+        for what, given, known in (
+            ("mode", self.modes, list(MODES.values())),
+            ("mode of pictures", self.vap_modes, ["easy", "hard"]),
+            ("set of agents", self.agents, ["fixed", "random"]),
+        ):
+            if unknown := [name for name in given if name not in known]:
+                raise ValueError(f"unknown {what} `{unknown[0]}`{did_you_mean(unknown[0], known)}")
+        for name, least, most in (("episodes", 1, 100_000), ("questions", 1, 20_000), ("worlds", 1, 100_000)):
+            if (value := getattr(self, name)) is not None:
+                checked_integer(name, value, least, most)
+        for difficulty in self.difficulties:
+            checked_integer("difficulties", difficulty, 0, 100)
+        checked_integer("seed", self.seed)
 
 
 @dataclass(frozen=True)
@@ -104,12 +121,12 @@ _RESPONSIBLE: dict[str, Any] = {
     "machineAnnotationTools": ["the Datalog engine of logicity"],
     "dataBiases": "Starts, goals and concepts of agents are drawn from the distributions of the configuration, which "
     "are those of the benchmark and not those of real traffic.",
-    "dataLimitations": "The rules are simple, agents never collide, and all streets are of one kind of map. Results "
-    "say little about driving on real roads.",
+    "dataLimitations": "The rules are simple, agents pass through each other where no rule stops them, and only a few "
+    "kinds of streets occur. Results say little about driving on real roads.",
     "dataSocialImpact": "Policies trained on the data must not control vehicles. Rules such as a right of way by "
     "priority are for study only.",
-    "dataReleaseMaintenancePlan": "A new version of the program makes the data sets again. Hashes of configuration and "
-    "rules in the files tell versions apart.",
+    "dataReleaseMaintenancePlan": "A new version of the program makes the data sets again. The version and the hashes "
+    "of configurations and rules, in `release.json` or in the data, tell releases apart.",
 }
 
 
@@ -144,7 +161,7 @@ def _command(name: str, options: DataSetOptions, names: Sequence[str]) -> str:
 
 def _episode_file(options: DataSetOptions, mode: str, split: Split) -> str | None:
     """Return the text of the recorded episodes, or `None` if they are drawn."""
-    return _logicity.read_file(f"configs/episodes/{mode}-{split}.jsonl") if options.episodes is None else None
+    return _logicity.read_file(f"<builtin>/configs/episodes/{mode}-{split}.jsonl") if options.episodes is None else None
 
 
 def _drawn_episodes(options: DataSetOptions, mode: str, split: Split) -> str:
@@ -209,7 +226,7 @@ def _episodes(options: DataSetOptions) -> DataSet:
         ),
         keywords=("planning", "reinforcement-learning"),
         responsible=_RESPONSIBLE,
-        settings={"modes": list(options.modes), "episodes": options.episodes, "seed": _seed(options)},
+        settings={"episodes": options.episodes, "seed": _seed(options), "hashes": _hashes(options)},
         command=_command("spf-episodes", options, ("modes", "episodes", "seed")),
         make=make,
         records=records,
@@ -217,6 +234,12 @@ def _episodes(options: DataSetOptions) -> DataSet:
         usage="A configuration names the files under `task: {episodes: {test: FILE}}`; `logicity evaluate --modes "
         "CONFIGURATION` measures policies on them.",
     )
+
+
+def _hashes(options: DataSetOptions) -> dict[str, dict[str, str]]:
+    """Return the hashes of the configuration and of the rules of each mode."""
+    described = {mode: _logicity.describe(load_task(mode)) for mode in options.modes}
+    return {mode: {key: each[f"{key}_hash"] for key in ("config", "rules")} for mode, each in described.items()}
 
 
 def _seed(options: DataSetOptions) -> int | None:
@@ -323,7 +346,7 @@ def _demonstrations(options: DataSetOptions) -> DataSet:
         keywords=("imitation-learning", "offline-reinforcement-learning"),
         responsible=_RESPONSIBLE
         | {"dataCollection": "The oracle drives a simulated car: it takes the action that the rules derive."},
-        settings={"modes": list(options.modes), "episodes": options.episodes, "seed": _seed(options)},
+        settings={"episodes": options.episodes, "seed": _seed(options), "hashes": _hashes(options)},
         command=_command("spf-demonstrations", options, ("modes", "episodes", "seed")),
         make=make,
         records=records,

@@ -93,7 +93,8 @@ def pack_policies(
         rows: dict[tuple[Any, ...], list[Row]] = {}
         for row in document["rows"]:
             rows.setdefault((row["mode"], row["learner"], row["variant"], row["seed"]), []).append(row)
-        for cell in loaded.cells(Selection()):
+        seeds = tuple(sorted({row["seed"] for row in document["rows"]}))
+        for cell in loaded.cells(Selection(seeds=seeds)):
             published = rows.get((cell.mode, cell.row, cell.variant, cell.seed))
             if cell.hidden or published is None:
                 continue
@@ -106,6 +107,7 @@ def pack_policies(
             else:
                 left_out[name] = reason
                 say(f"{name}: left out: {reason}")
+    _sums(folder)
     return packed, left_out
 
 
@@ -222,9 +224,13 @@ def _flat(values: Mapping[str, Any], prefix: str = "") -> list[tuple[str, Any]]:
 
 
 def _index(folder: Path, known: Mapping[str, Any]) -> None:
-    """Write the index of the policies, and the checksums of all files."""
+    """Write the index of the policies."""
     entries = [known[name] for name in sorted(known)]
     _text(folder / INDEX, json_text({"format": 1, "version": __version__, "policies": entries}))
+
+
+def _sums(folder: Path) -> None:
+    """Write the checksums of all files."""
     paths = (path for path in folder.rglob("*") if path.is_file() and path.name != "SHA256SUMS")
     lines = sorted((path.relative_to(folder).as_posix(), path) for path in paths if not path.name.startswith("."))
     _text(folder / "SHA256SUMS", "".join(f"{file_hash(path)}  {name}\n" for name, path in lines))

@@ -5,8 +5,8 @@ use crate::diag::{Diagnostic, SourceId, Span};
 use crate::sim::{Facts, World};
 use crate::task::questions::mix::Category;
 use crate::task::questions::{
-    CATEGORY_WORLDS, Extent, Known, Mix, Prompt, Question, QuestionSearch, Request, Source, Style, WORLDS, check,
-    demonstrations,
+    CATEGORY_WORLDS, Extent, Known, Mix, Prompt, QUESTIONS_MAX, Question, QuestionSearch, Request, SHOTS_MAX, Source,
+    Style, WORLDS, check, demonstrations,
 };
 use crate::task::shard::{self, Origin, Shard, ShardText};
 use serde::{Deserialize, Serialize};
@@ -64,11 +64,18 @@ impl RequestRecord {
     /// Returns the request.
     ///
     /// # Errors
-    /// `invalid-shard` if a name is unknown.
+    /// `invalid-shard` if a name is unknown, or a number out of range.
     pub fn request(&self) -> Result<Request, Diagnostic> {
         fn named<T: Copy>(all: &[T], name: fn(T) -> &'static str, text: &str) -> Result<T, Diagnostic> {
             let found = all.iter().copied().find(|&one| name(one) == text);
             found.ok_or_else(|| shard::invalid(format!("the request of a shard has the unknown value `{text}`")))
+        }
+        if !(1..=QUESTIONS_MAX as usize).contains(&self.count) || self.shots > SHOTS_MAX as usize {
+            let message = format!(
+                "the request of a shard has {} questions, {} shots",
+                self.count, self.shots
+            );
+            return Err(shard::invalid(message).help(format!("at most {QUESTIONS_MAX} and {SHOTS_MAX} are possible")));
         }
         Ok(Request {
             count: self.count,
