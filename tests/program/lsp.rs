@@ -382,6 +382,40 @@ fn rules_for_an_input_are_faulty_only_in_a_city() {
 }
 
 #[test]
+fn branches_of_algebraic_data_types_are_names() {
+    let mut editor = Editor::start();
+    let text = "/// A figure.\n.type Shape = Circle {r: number} | Group {a: Shape, b: Shape}\n.decl s(s: Shape)\n.output s\n\
+                s($Circle(1)).\ns(a) :- s($Group(a, $Circle(_))).\n";
+    assert!(editor.open("a.dl", text).is_empty());
+    let circle = 1 + "s($".len() as u32;
+    let definition = editor.at("textDocument/definition", "a.dl", (4, circle), json!({}));
+    assert_eq!(definition["range"], range(1, 14, 20));
+    let definition = editor.at("textDocument/definition", "a.dl", (5, 12), json!({}));
+    assert_eq!(definition["range"], range(1, 35, 40));
+    let hover = editor.at("textDocument/hover", "a.dl", (4, circle), json!({}));
+    let shown = hover["contents"]["value"].as_str().unwrap();
+    assert!(
+        shown.contains("Circle {r: number}") && shown.contains("A figure."),
+        "{shown}"
+    );
+    let asked = json!({ "context": { "includeDeclaration": true } });
+    let all = editor.at("textDocument/references", "a.dl", (1, 15), asked);
+    assert_eq!(all.as_array().unwrap().len(), 3);
+    let renamed = editor.at("textDocument/rename", "a.dl", (4, circle), json!({ "newName": "Disk" }));
+    let edits = renamed.to_string();
+    assert_eq!(edits.matches("\"Disk\"").count(), 3, "{edits}");
+    let items = editor.at("textDocument/completion", "a.dl", (5, 11), json!({}));
+    let labels: Vec<&str> = items
+        .as_array()
+        .unwrap()
+        .iter()
+        .map(|item| item["label"].as_str().unwrap())
+        .collect();
+    assert_eq!(labels, ["Circle", "Group"]);
+    editor.end();
+}
+
+#[test]
 fn open_texts_have_precedence_over_files() {
     let mut editor = Editor::start();
     fs::write(editor.path("parts.dl"), ".decl Old(x: symbol)\n.input Old\n").unwrap();

@@ -26,6 +26,8 @@ pub enum Meaning {
     Type(String),
     /// A user-defined functor.
     Functor(String),
+    /// A branch of an algebraic data type.
+    Branch(String),
     /// The path of an include.
     Include(String),
     /// A variable of the clause at this place.
@@ -39,6 +41,7 @@ impl Meaning {
             Meaning::Predicate(name)
             | Meaning::Type(name)
             | Meaning::Functor(name)
+            | Meaning::Branch(name)
             | Meaning::Include(name)
             | Meaning::Variable(_, name) => name,
         }
@@ -51,6 +54,7 @@ impl Meaning {
             Meaning::Predicate(_) => Meaning::Predicate(name),
             Meaning::Type(_) => Meaning::Type(name),
             Meaning::Functor(_) => Meaning::Functor(name),
+            Meaning::Branch(_) => Meaning::Branch(name),
             Meaning::Include(_) => Meaning::Include(name),
             Meaning::Variable(clause, _) => Meaning::Variable(*clause, name),
         }
@@ -423,6 +427,12 @@ fn declarations(files: &[(SourceId, ast::File)]) -> HashMap<Meaning, [usize; 3]>
                 Item::Type(decl) => {
                     let meaning = Meaning::Type(decl.name.text.clone());
                     found.entry(meaning).or_insert([file, item, 0]);
+                    if let TypeDefinition::Branches(branches) = &decl.definition {
+                        for branch in branches {
+                            let meaning = Meaning::Branch(branch.name.text.clone());
+                            found.entry(meaning).or_insert([file, item, 0]);
+                        }
+                    }
                 }
                 _ => {}
             }
@@ -481,8 +491,10 @@ impl Names {
                         types(self, &fields.iter().map(|field| &field.ty).collect::<Vec<_>>());
                     }
                     TypeDefinition::Branches(branches) => {
-                        let fields = branches.iter().flat_map(|branch| &branch.fields);
-                        types(self, &fields.map(|field| &field.ty).collect::<Vec<_>>());
+                        for branch in branches {
+                            self.add(&branch.name, Meaning::Branch, Role::Declares);
+                            types(self, &branch.fields.iter().map(|field| &field.ty).collect::<Vec<_>>());
+                        }
                     }
                     TypeDefinition::Faulty => {}
                 }
@@ -545,7 +557,8 @@ impl Names {
                     });
                 }
             }
-            TermKind::Functor(Functor::Call, arguments) => {
+            // The first argument is the name of the functor or of the branch, which is empty for a record.
+            TermKind::Functor(functor @ (Functor::Call | Functor::Pack), arguments) => {
                 if let Some((
                     Term {
                         kind: TermKind::Symbol(name),
@@ -554,11 +567,17 @@ impl Names {
                     arguments,
                 )) = arguments.split_first()
                 {
-                    self.found.push(Occurrence {
-                        span: place.0,
-                        meaning: Meaning::Functor(name.clone()),
-                        role: Role::Uses,
-                    });
+                    let meaning = match functor {
+                        Functor::Call => Meaning::Functor(name.clone()),
+                        _ => Meaning::Branch(name.clone()),
+                    };
+                    if !name.is_empty() {
+                        self.found.push(Occurrence {
+                            span: place.0,
+                            meaning,
+                            role: Role::Uses,
+                        });
+                    }
                     arguments.iter().for_each(|argument| self.term(argument));
                 }
             }

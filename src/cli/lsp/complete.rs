@@ -61,18 +61,21 @@ pub fn complete(analysis: &Analysis, byte: usize, client: &Client) -> Value {
     }
     let of_types = (before.starts_with(".decl") && before.ends_with(':'))
         || (before.starts_with(".type") && before.ends_with([':', '=', '|']));
+    let of_branches = before.ends_with('$');
     let mut seen = BTreeSet::new();
     let declared = analysis.declared().filter(|meaning| match meaning {
         Meaning::Type(_) => of_types,
-        Meaning::Predicate(_) => !of_types,
+        Meaning::Branch(_) => of_branches,
+        Meaning::Predicate(_) => !of_types && !of_branches,
         _ => false,
     });
     let names: Vec<&Meaning> = declared.filter(|meaning| seen.insert(meaning.name())).collect();
     let complete = names.len() <= NAMES_MAX;
     let fits = |meaning: &&&Meaning| complete || meaning.name().to_lowercase().contains(&begun);
-    let kind = match of_types {
-        true => CompletionItemKind::CLASS,
-        false => CompletionItemKind::FUNCTION,
+    let kind = match (of_types, of_branches) {
+        (true, _) => CompletionItemKind::CLASS,
+        (_, true) => CompletionItemKind::ENUM_MEMBER,
+        _ => CompletionItemKind::FUNCTION,
     };
     let mut items = Vec::new();
     if of_types {
@@ -81,7 +84,7 @@ pub fn complete(analysis: &Analysis, byte: usize, client: &Client) -> Value {
     }
     let names = names.iter().filter(fits).take(NAMES_MAX);
     items.extend(names.map(|meaning| item(meaning, kind)));
-    if !before.starts_with('.') && analysis.in_body(byte) {
+    if !before.starts_with('.') && !of_branches && analysis.in_body(byte) {
         let words = WORDS.iter();
         let words = words.filter(|word| matches!(word.place, Place::Body | Place::Operator));
         items.extend(words.map(|word| keyword(word, word.name.to_owned())));

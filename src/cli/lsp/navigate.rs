@@ -134,7 +134,7 @@ impl Server {
         let (document, _, found) = self.named(&params.text_document_position)?;
         let found = found.filter(|one| !matches!(one.meaning, Meaning::Include(_)) && !is_base_type(&one.meaning));
         let Some(one) = found else {
-            return refuse("only predicates, types and variables can be renamed".to_owned());
+            return refuse("only predicates, types, branches, functors and variables can be renamed".to_owned());
         };
         if !datalog::is_name(new) {
             return refuse(format!("`{new}` is not a name"));
@@ -206,6 +206,7 @@ impl Server {
             Meaning::Type(name) => (2, name.clone()),
             Meaning::Include(path) => (3, path.clone()),
             Meaning::Functor(name) => (4, name.clone()),
+            Meaning::Branch(name) => (5, name.clone()),
         };
         let expected = file.names.iter().map(|one| match one.meaning == *meaning {
             true => kind_and_name(&Occurrence {
@@ -270,6 +271,7 @@ impl Server {
         let shown = found.into_iter().take(SYMBOLS_MAX).map(|(_, name, uri, text, one)| {
             let kind = match one.meaning {
                 Meaning::Type(_) => SymbolKind::CLASS,
+                Meaning::Branch(_) => SymbolKind::ENUM_MEMBER,
                 _ => SymbolKind::FUNCTION,
             };
             json!({ "name": name, "kind": kind, "location": { "uri": uri, "range": text.range_of(one.span) } })

@@ -174,7 +174,8 @@ impl Programs {
         name: &str,
         cancelled: &dyn Fn() -> bool,
     ) -> Result<Option<&RuleFile>, Cancelled> {
-        let meanings = [Meaning::Predicate, Meaning::Type, Meaning::Functor].map(|kind| kind(name.to_owned()));
+        let meanings =
+            [Meaning::Predicate, Meaning::Type, Meaning::Functor, Meaning::Branch].map(|kind| kind(name.to_owned()));
         let mentions = self.select(|one| meanings.iter().any(|meaning| one.mentions(meaning)), cancelled)?;
         let entries = reached(&self.includers(), files.iter().copied());
         let programs = reached(&self.includes(), members(&entries));

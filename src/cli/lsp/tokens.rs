@@ -11,7 +11,7 @@ use std::collections::BTreeSet;
 use std::ops::Range;
 
 /// The types of tokens; a token has the position of its type.
-pub const TYPES: [&str; 9] = [
+pub const TYPES: [&str; 10] = [
     "comment",
     "string",
     "number",
@@ -21,6 +21,7 @@ pub const TYPES: [&str; 9] = [
     "function",
     "parameter",
     "variable",
+    "enumMember",
 ];
 
 /// The modifiers of tokens; a token has the sum of their powers of two.
@@ -103,6 +104,7 @@ fn found(analysis: &Analysis) -> Vec<Token> {
                         };
                         (bytes, "type", role | library)
                     }
+                    Meaning::Branch(_) => (bytes, "enumMember", role | library(analysis, &one.meaning)),
                     Meaning::Variable(..) => (bytes, "variable", 0),
                     Meaning::Include(_) => continue,
                 }
