@@ -5,16 +5,17 @@ use crate::cli::configuration::{self, Checked, Opened};
 use crate::cli::failure::Failure;
 use crate::cli::limits::LimitOptions;
 use crate::cli::load::{inputs_of, load_workspace_from};
-use crate::cli::preprocessor::PreprocessorOptions;
 use crate::cli::report::report;
+use crate::cli::souffle::SouffleOptions;
 use crate::cli::terminal;
 use crate::cli::trace::TraceReader;
 use crate::config::ActionsConfig;
+use crate::datalog::codes;
 use crate::datalog::dense::{self, Unsupported};
 use crate::datalog::diff::{Cut, Equivalence};
 use crate::datalog::explain::ExplanationPrinter;
 use crate::datalog::{BaseType, Clause, ClauseId, Column, InputPolicy, PredicateId, Program, Rules, Stratum};
-use crate::diag::{Diagnostic, Sources, counted, to_json};
+use crate::diag::{Code, Diagnostic, Sources, counted, to_json};
 use crate::files::ReadFile;
 use crate::sim::{
     CONFLICT_BUDGET, Coverage, Finding, Overlap, conflict_lints, conflicts, earlier_facts, examine as examine_rules,
@@ -24,6 +25,9 @@ use serde_json::json;
 use std::collections::HashSet;
 use std::io::{self, Write};
 use std::path::{Path, PathBuf};
+
+/// The warnings that Soufflé has, too.
+const WARNINGS_OF_SOUFFLE: [Code; 2] = [codes::SINGLETON_VARIABLE, codes::OLD_FORM];
 
 #[derive(clap::Args)]
 pub struct Arguments {
@@ -47,8 +51,11 @@ pub struct Arguments {
     /// Also report literals and clauses that are always true or redundant
     #[arg(long)]
     lints: bool,
+    /// Warn only of what Soufflé warns of: variables that occur once, and forms of older versions
+    #[arg(long, conflicts_with = "lints")]
+    souffle: bool,
     #[command(flatten)]
-    preprocessor: PreprocessorOptions,
+    options: SouffleOptions,
     #[command(flatten)]
     limits: LimitOptions,
 }
@@ -66,7 +73,7 @@ pub fn run(arguments: &Arguments, sources: &mut Sources) -> Result<(), Failure> 
         files = Box::new(archive);
     }
     for path in &paths {
-        let report = match examine(arguments, path, &*files, sources) {
+        let mut report = match examine(arguments, path, &*files, sources) {
             Ok(report) => report,
             Err(Failure::Usage(message)) => {
                 unreadable.push(message);
@@ -74,6 +81,10 @@ pub fn run(arguments: &Arguments, sources: &mut Sources) -> Result<(), Failure> 
             }
             Err(other) => return Err(other),
         };
+        if arguments.souffle {
+            let found = &mut report.found;
+            found.retain(|fault| fault.is_error() || WARNINGS_OF_SOUFFLE.contains(&fault.code));
+        }
         if arguments.json {
             writeln!(out, "{}", report.json(path, sources))?;
         } else {
@@ -199,8 +210,7 @@ impl Report {
         files: &dyn ReadFile,
         sources: &mut Sources,
     ) -> Result<Option<Rules>, Failure> {
-        let preprocessing = arguments.preprocessor.preprocessing();
-        let mut texts = match load_workspace_from(sources, path, InputPolicy::Fixed, preprocessing, files) {
+        let mut texts = match load_workspace_from(sources, path, InputPolicy::Fixed, &arguments.options, files) {
             Ok(texts) => texts,
             Err(Failure::Input(faults)) => {
                 self.found = faults;

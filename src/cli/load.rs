@@ -7,8 +7,9 @@ use crate::cli::inputs::{read_with, unreadable};
 use crate::cli::kind::Kind;
 use crate::cli::limits::LimitOptions;
 use crate::cli::report::report;
+use crate::cli::souffle::SouffleOptions;
 use crate::config::{load_map, missing_file, rule_file};
-use crate::datalog::{InputPolicy, Preprocessing, Program, Workspace};
+use crate::datalog::{InputPolicy, Program, Workspace};
 use crate::diag::{Diagnostic, Sources};
 use crate::files::ReadFile;
 use crate::rng::Seed;
@@ -45,15 +46,15 @@ pub fn compile(workspace: &Workspace) -> Result<(Program, Vec<Diagnostic>), Fail
 
 /// Reads a rule file, given as a path or a bare name such as `hard`, and its includes.
 pub fn load_workspace(sources: &mut Sources, path: &Path, inputs: InputPolicy) -> Result<Workspace, Failure> {
-    load_workspace_from(sources, path, inputs, Preprocessing::default(), &BuiltinFiles)
+    load_workspace_from(sources, path, inputs, &SouffleOptions::default(), &BuiltinFiles)
 }
 
-/// Reads a rule file and its includes from `files`, preprocessed as `preprocessing` says.
+/// Reads a rule file and its includes from `files`, as `options` say.
 pub fn load_workspace_from(
     sources: &mut Sources,
     path: &Path,
     inputs: InputPolicy,
-    preprocessing: Preprocessing,
+    options: &SouffleOptions,
     files: &dyn ReadFile,
 ) -> Result<Workspace, Failure> {
     let path = rule_file(path, files);
@@ -62,8 +63,7 @@ pub fn load_workspace_from(
         return Err(fault.into());
     }
     let entry = sources.add(path.display().to_string(), text);
-    let mut workspace = Workspace::new(inputs);
-    workspace.set_preprocessing(preprocessing);
+    let mut workspace = options.workspace(inputs);
     workspace.add(sources, entry, files);
     Ok(workspace)
 }

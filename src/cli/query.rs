@@ -11,8 +11,8 @@ use crate::cli::inputs::Inputs;
 use crate::cli::limits::LimitOptions;
 use crate::cli::load::load_workspace_from;
 use crate::cli::outputs::ForceOption;
-use crate::cli::preprocessor::PreprocessorOptions;
 use crate::cli::report::report;
+use crate::cli::souffle::SouffleOptions;
 use crate::cli::terminal;
 use crate::cli::values::{integer, threads};
 use crate::datalog::cancel::Cancel;
@@ -82,7 +82,7 @@ pub struct Arguments {
     #[arg(long, value_name = "N", value_parser = threads, default_value = "1")]
     threads: NonZeroUsize,
     #[command(flatten)]
-    preprocessor: PreprocessorOptions,
+    souffle: SouffleOptions,
     #[command(flatten)]
     limits: LimitOptions,
     #[command(flatten)]
@@ -106,7 +106,7 @@ pub fn run(arguments: &Arguments, sources: &mut Sources) -> Result<(), Failure> 
         sources,
         &arguments.rules,
         InputPolicy::Extensible,
-        arguments.preprocessor.preprocessing(),
+        &arguments.souffle,
         &BuiltinFiles,
     )?;
     // Only a question needs the syntax trees, which may be large.

@@ -14,6 +14,8 @@ crate::diagnostic_codes! {
     UNKNOWN_COLUMN = "unknown-column", Error;
     /// A functor that is not declared.
     UNKNOWN_FUNCTOR = "unknown-functor", Error;
+    /// A macro that is used in place of a clause and that no `#define` defines.
+    UNKNOWN_MACRO = "unknown-macro", Error;
     /// A functor without a definition, or one whose definition fails.
     FAILED_FUNCTOR = "failed-functor", Error;
     /// A type that is its own ancestor, directly or through others.

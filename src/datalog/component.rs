@@ -121,6 +121,7 @@ struct Binding<'i> {
     arguments: HashMap<&'i str, Argument<'i>>,
 }
 
+#[derive(Clone)]
 struct Argument<'i> {
     /// The name as the program writes it outside of all components.
     component: String,
@@ -136,6 +137,9 @@ struct Layer<'i> {
     binding: Rc<Binding<'i>>,
     /// The predicates that components derived from it define anew.
     overridden: Rc<HashSet<&'i str>>,
+    /// Whether a parameter stands for it or for a component derived from it, so that what it declares depends on the
+    /// instance.
+    by_parameter: bool,
 }
 
 struct Instance<'i> {
@@ -143,6 +147,8 @@ struct Instance<'i> {
     path: String,
     parent: Option<usize>,
     layers: Vec<Layer<'i>>,
+    /// The bindings of the component and of its bases. Lookup only, never iterated.
+    bindings: HashMap<usize, Rc<Binding<'i>>>,
     predicates: HashSet<&'i str>,
     types: HashSet<&'i str>,
     branches: HashSet<&'i str>,
@@ -217,8 +223,41 @@ impl<'i> Maker<'i, '_> {
         names
     }
 
-    /// Returns the component of this name, as the text of the component `scope` sees it.
+    /// Returns the component of this name, as the text of the component `scope` sees it: one in it or in a base of it,
+    /// else in those around it.
     fn find(&self, name: &str, mut scope: Option<usize>) -> Option<usize> {
+        while let Some(at) = scope {
+            if let Some(found) = self.inherited(name, at) {
+                return Some(found);
+            }
+            scope = self.definitions[at].parent;
+        }
+        self.top.get(name).copied()
+    }
+
+    /// Returns the component of this name in a component or in one of its bases that no parameter stands for.
+    fn inherited(&self, name: &str, of: usize) -> Option<usize> {
+        let mut seen = HashSet::new();
+        let mut open = vec![of];
+        while let Some(at) = open.pop() {
+            let Definition {
+                component,
+                parent,
+                nested,
+            } = &self.definitions[at];
+            if let Some(&found) = nested.get(name) {
+                return Some(found);
+            }
+            if seen.insert(at) {
+                let bases = component.bases.iter().rev();
+                open.extend(bases.filter_map(|base| self.around(&base.name.text, *parent)));
+            }
+        }
+        None
+    }
+
+    /// Returns the component of this name in a component or in those around it.
+    fn around(&self, name: &str, mut scope: Option<usize>) -> Option<usize> {
         while let Some(at) = scope {
             if let Some(&found) = self.definitions[at].nested.get(name) {
                 return Some(found);
@@ -292,8 +331,14 @@ impl<'i> Maker<'i, '_> {
                 };
                 (parameter.text.as_str(), argument)
             });
+        // In a component within another one, the parameters of that have their meaning, too.
+        let around = self.definitions[definition].parent.and_then(|parent| {
+            let mut instances = std::iter::successors(instance, |&at| self.made[at].parent);
+            instances.find_map(|at| self.made[at].bindings.get(&parent))
+        });
+        let around = around.map_or_else(HashMap::new, |around| around.arguments.clone());
         Some(Rc::new(Binding {
-            arguments: arguments.collect(),
+            arguments: around.into_iter().chain(arguments).collect(),
         }))
     }
 
@@ -339,6 +384,7 @@ impl<'i> Maker<'i, '_> {
             path,
             parent,
             layers: Vec::new(),
+            bindings: HashMap::new(),
             predicates: HashSet::new(),
             types: HashSet::new(),
             branches: HashSet::new(),
@@ -351,9 +397,11 @@ impl<'i> Maker<'i, '_> {
             definition,
             binding: inner,
             overridden: Rc::new(HashSet::new()),
+            by_parameter: false,
         };
         self.layers(own, at, &mut vec![definition], &mut layers);
         for layer in &layers {
+            self.made[at].bindings.insert(layer.definition, layer.binding.clone());
             for item in &self.definitions[layer.definition].component.items {
                 match item {
                     Item::Decl(decl) => {
@@ -425,6 +473,7 @@ impl<'i> Maker<'i, '_> {
                 definition,
                 binding,
                 overridden: overridden.clone(),
+                by_parameter: own.by_parameter || own.binding.arguments.contains_key(base.name.text.as_str()),
             };
             chain.push(definition);
             self.layers(layer, instance, chain, layers);
@@ -438,19 +487,21 @@ impl<'i> Maker<'i, '_> {
 
     /// Reports an `.override` of a predicate that no base declares, or that is not overridable.
     fn check_override(&mut self, name: &'i Name, bases: &[Layer<'i>]) {
-        let items = bases
-            .iter()
-            .flat_map(|base| &self.definitions[base.definition].component.items);
-        let declared = items.filter_map(|item| match item {
-            Item::Decl(decl) if decl.names.iter().any(|known| known.text == name.text) => Some(decl),
+        let items = bases.iter().flat_map(|base| {
+            let items = self.definitions[base.definition].component.items.iter();
+            items.map(|item| (item, base.by_parameter))
+        });
+        let declared = items.filter_map(|(item, by_parameter)| match item {
+            Item::Decl(decl) if decl.names.iter().any(|known| known.text == name.text) => Some((decl, by_parameter)),
             _ => None,
         });
-        let declared: Vec<&Decl> = declared.collect();
-        let fixed = declared
-            .iter()
-            .find(|decl| !decl.qualifiers.iter().any(|word| word.text == "overridable"));
+        let declared: Vec<(&Decl, bool)> = declared.collect();
+        // Which predicates a parameter provides, and how, is not known where the component is written.
+        let fixed = declared.iter().find(|(decl, by_parameter)| {
+            !by_parameter && !decl.qualifiers.iter().any(|word| word.text == "overridable")
+        });
         let (text, place) = (&name.text, name.place.0);
-        if let Some(decl) = fixed {
+        if let Some((decl, _)) = fixed {
             let known = decl
                 .names
                 .iter()
@@ -531,6 +582,7 @@ impl<'i> Maker<'i, '_> {
             definition,
             binding,
             overridden,
+            ..
         } in &layers
         {
             let component = self.definitions[*definition].component;
@@ -605,7 +657,11 @@ impl Rename<'_, '_, '_> {
     fn item(&mut self, item: &mut Item) {
         match item {
             Item::Type(TypeDecl { name, definition, .. }) => {
-                self.declared(name);
+                // A declaration of a parameter declares the type that it stands for.
+                match self.binding.arguments.contains_key(name.text.as_str()) {
+                    true => self.type_name(name),
+                    false => self.declared(name),
+                }
                 match definition {
                     TypeDefinition::Subtype(of) | TypeDefinition::Alias(of) => self.type_name(of),
                     TypeDefinition::Union(members) => members.iter_mut().for_each(|member| self.type_name(member)),

@@ -108,8 +108,8 @@
 //! - A commit stays within [`Limits`]: by default 10⁸ derived rows, 10¹¹ scanned rows and 4 GiB. Beyond that it fails
 //!   with an [`EvalError`], and the session stays as it was. The limits count work, so the outcome does not depend on
 //!   time.
-//! - Algebraic data types, lattices and user-defined functors of Soufflé are not supported. The checker reports them with
-//!   the code `unsupported`.
+//! - Lattices and user-defined aggregates of Soufflé are not supported. The checker reports them with the code
+//!   `unsupported`.
 //!
 //! The engine performs no I/O, reads no clock and is deterministic: threads ([`Session::set_threads`]) change neither
 //! rows nor their order. It knows nothing of cities, egos or actions.

@@ -18,7 +18,7 @@ use crate::symbol::{Symbol, Symbols};
 use crate::check::clause;
 use crate::check::witness::{renamed, renamed_term};
 use crate::check::{self as rules, Comparing, PredicateId, Rules};
-use crate::check::{Elsewhere, InputPolicy, check, inline, names, temporal};
+use crate::check::{Elsewhere, InputPolicy, Policy, check, inline, names, temporal};
 use crate::component::Instances;
 use crate::eqrel;
 use crate::record;
@@ -92,7 +92,7 @@ pub struct Declaration {
 #[derive(Clone, Debug, Default)]
 pub struct Workspace {
     gathered: Gathered,
-    inputs: InputPolicy,
+    policy: Policy,
     preprocessing: Preprocessing,
     instances: Instances,
     /// The number of declarations of equivalence relations whose clauses are there.
@@ -118,8 +118,12 @@ impl Workspace {
 
     /// Creates an empty workspace.
     pub fn new(inputs: InputPolicy) -> Self {
-        Workspace {
+        let policy = Policy {
             inputs,
+            ..Policy::default()
+        };
+        Workspace {
+            policy,
             ..Workspace::default()
         }
     }
@@ -151,7 +155,13 @@ impl Workspace {
 
     /// Sets whether rules may derive `.input` predicates.
     pub fn set_inputs(&mut self, inputs: InputPolicy) {
-        self.inputs = inputs;
+        self.policy.inputs = inputs;
+    }
+
+    /// Sets whether the program is in the types of Soufflé's option `--legacy`: a head takes values of any type with the
+    /// base type of its column. Forms of older versions then cause no warning.
+    pub fn set_legacy(&mut self, legacy: bool) {
+        self.policy.legacy = legacy;
     }
 
     /// Sets how the sources that are added from now on are preprocessed, and the folders of the files they include.
@@ -234,10 +244,14 @@ impl Workspace {
             complete: !(self.gathered.incomplete || self.instances.incomplete),
             offered: &self.gathered.offered,
         };
-        let (rules, compared) = check((items, facts), elsewhere, self.inputs, Symbols::new(), &mut faults);
+        let (rules, compared) = check((items, facts), elsewhere, self.policy, Symbols::new(), &mut faults);
+        let mut diagnostics = faults.finish();
+        if self.policy.legacy {
+            diagnostics.retain(|fault| fault.code != codes::OLD_FORM);
+        }
         Loaded {
             rules,
-            diagnostics: faults.finish(),
+            diagnostics,
             compared,
         }
     }
@@ -373,7 +387,7 @@ impl Workspace {
         let (rules, _) = check(
             (Cow::Owned(items), Cow::Owned(FactRuns::default())),
             self.elsewhere(),
-            self.inputs,
+            self.policy,
             Symbols::new(),
             &mut faults,
         );
@@ -486,7 +500,7 @@ impl Workspace {
         let (rules, compared) = check(
             (Cow::Owned(items), Cow::Owned(FactRuns::default())),
             self.elsewhere(),
-            self.inputs,
+            self.policy,
             symbols,
             &mut faults,
         );
@@ -500,7 +514,7 @@ impl Workspace {
     /// Returns the base types of the variables in the body of a clause whose head has no columns.
     fn bases(&self, clause: &Clause, variables: &[&str], faults: &mut Faults) -> Vec<BaseType> {
         let items = self.asked(Vec::new(), clause.clone());
-        let mut known = names::declare(&items, true, self.inputs, faults);
+        let mut known = names::declare(&items, true, self.policy, faults);
         let checked = clause::check((&items, &FactRuns::default()), &mut known, Symbols::new(), faults);
         known.report_unknown(&self.gathered.offered, faults);
         let base_of = |name: &&str| {

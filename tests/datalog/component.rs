@@ -76,6 +76,30 @@ const PAIRS: &[(&str, &str)] = &[
         ".decl c_p, c_q, c_r, d_p, d_q, d_r(x: number)\n.output c_p, d_p\nc_q(1). c_r(2). c_p(x) :- c_q(x).\n\
          d_q(1). d_r(1). d_r(2). d_p(x) :- d_q(x), d_r(x).\n",
     ),
+    // Components of a base; parameters of the component around one, which a parameter of its own hides.
+    (
+        ".comp M<T> {\n .decl p(x: T) .output p\n .comp In { .decl q(x: T) .output q\n q(x) :- p(x). }\n\
+         .comp Own<T> { .decl r(x: T) .output r\n r(\"a\"). }\n}\n\
+         .comp N : M<number> { p(1). .init i = In\n .init o = Own<symbol> }\n.comp L : N { .init j = In }\n.init n = N\n.init l = L\n",
+        ".decl n_p, n_i_q, l_p, l_i_q, l_j_q(x: number)\n.decl n_o_r, l_o_r(x: symbol)\n\
+         .output n_p, n_i_q, l_p, l_i_q, l_j_q, n_o_r, l_o_r\nn_p(1). l_p(1). n_o_r(\"a\"). l_o_r(\"a\").\n\
+         n_i_q(x) :- n_p(x). l_i_q(x) :- l_p(x). l_j_q(x) :- l_p(x).\n",
+    ),
+    // A component may override what a parameter of it declares, and may declare a type that a parameter names.
+    (
+        ".comp M { .decl p(x: symbol) .output p\n p(\"m\"). }\n.comp X<T, U> : T { .override p\n p(\"x\"). .type U <: number\n .decl q(x: U) .output q\n q(1). }\n\
+         .init y = X<M, V>\n.decl r(x: V)\n.output r\nr(x) :- y.q(x).\n",
+        ".type V <: number\n.decl y_p(x: symbol)\n.decl y_q, r(x: V)\n.output y_p, y_q, r\ny_p(\"x\"). y_q(1). r(x) :- y_q(x).\n",
+    ),
+    // An inline predicate about records, by those of the components for their fields.
+    (
+        ".comp Number { .type T = number\n .decl same(a: T, b: T, r: T) inline\n same(a, b, a) :- a = b. }\n\
+         .comp Pair<D> { .init d = D\n .type T = [a: d.T, b: d.T]\n .decl same(a: T, b: T, r: T) inline\n \
+         same([a, b], [c, d], [e, f]) :- d.same(a, c, e), d.same(b, d, f). }\n.comp Pairs : Pair<Number> {}\n\
+         .comp Same<C> : C { .decl in(a: T, b: T)\n .decl out(r: T) .output out\n out(r) :- in(a, b), same(a, b, r). }\n\
+         .init s = Same<Pairs>\ns.in([1, 2], [1, 2]). s.in([1, 2], [2, 1]).\n",
+        ".type P = [a: number, b: number]\n.decl s_out(r: P)\n.output s_out\ns_out([1, 2]).\n",
+    ),
     // Several bases, and clauses of a component for predicates of its bases.
     (
         ".comp A { .decl p(x: number) p(1). }\n.comp B { .decl q(x: number) q(2). }\n\

@@ -97,7 +97,7 @@ fn random_program(random: &mut Random) -> String {
 
 #[test]
 fn random_programs_derive_what_the_naive_evaluator_derives() {
-    change_alike(random_program);
+    change_alike(150, random_program, |program| program);
 }
 
 #[test]

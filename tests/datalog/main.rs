@@ -18,6 +18,7 @@ mod format;
 mod functors;
 mod hostile;
 mod lang;
+mod mixed;
 mod near_files;
 #[cfg(feature = "optimizer")]
 mod optimize;

@@ -162,6 +162,15 @@ const PROGRAMS: &[(&str, &[(&str, &str)])] = &[
          s(v, w) :- a(x, y), [x, [y, _]] = [v, [w, x]]. s(v, 7) :- a(x, y), r = [_, y], r = [x, _], [v, 2] = r.\n",
         &[("r", "2\n"), ("s", "1\t2\n1\t7\n2\t2\n2\t7\n3\t2\n3\t7\n")],
     ),
+    // Their fields imply their shape where they do not equal others.
+    (
+        ".type L = [h: number, t: L]\n.decl a(x: number, s: symbol, l: L)\n.decl same, cast(x: number)\n.decl k(n: number)\n\
+         a(1, \"a\", nil). a(2, \"a\", [1, nil]). a(2, \"b\", nil).\n\
+         same(x) :- a(x, s, l), a(2, t, _), ord([x, [s, l]]) = ord([2, [t, [1, nil]]]).\n\
+         k(n) :- n = count : { a(x, s, _), r = [x, s], ord(r) = ord([2, \"b\"]) }.\n\
+         cast(x) :- a(x, _, l), as([1, nil], L) = l.\n",
+        &[("same", "2\n"), ("k", "1\n"), ("cast", "2\n")],
+    ),
     // Records without fields, and of unsigned numbers.
     (
         ".type Unit = []\n.type U = [n: unsigned, u: Unit]\n.decl u(u: U)\n.decl v(n: unsigned)\nu([4000000000, []]). u([1, nil]).\nv(n) :- u([n, []]).\n",
@@ -456,7 +465,11 @@ fn faults_say_what_is_wrong() {
             "type-mismatch",
             "expected a value of type `number`, found `nil`",
         ),
-        ("n([1, \"a\"]).", "type-mismatch", "a record of unknown type"),
+        (
+            "n([1, \"a\"]).",
+            "type-mismatch",
+            "expected a value of type `number`, found `[1, \"a\"]` of type `record`",
+        ),
         (
             "n(x) :- p([x, y]), n(y).",
             "type-mismatch",
@@ -468,7 +481,7 @@ fn faults_say_what_is_wrong() {
             "a `number` cannot be compared with a `symbol`",
         ),
         ("n(x) :- p(r), r < [1, \"a\"], r = [x, _].", "type-mismatch", ""),
-        ("n(x) :- [x, 1] = [1].", "type-mismatch", "a record of unknown type"),
+        ("n(x) :- [x, 1] = [y].", "type-mismatch", "a record of unknown type"),
         ("p([x, \"a\"]) :- n(_).", "unbound-variable", ""),
         ("p([1, _]).", "unbound-variable", ""),
         ("n(1) :- !p([1, _]).", "unbound-variable", ""),
@@ -531,6 +544,10 @@ fn faulty_types_are_reported_once() {
         ".type A = B {x: nothing}\n.decl p(a: A)\np($B(1)). p(x) :- p(x), x = $B(_).\n",
         ".decl p(a: nothing, b: number)\n.decl q, w(x: number)\np([x, 1], x) :- q(x). w(x) :- !p([x, nil], x), q(x).\nq(1).\n",
         ".type A = [x: nothing]\n.decl p(a: A)\np([1]).\n",
+        // The types that contain one, in any order.
+        ".type A = [b: B, c: symbol]\n.type S <: B\n.type B = [x: nothing, y: A]\n.decl p(a: A, b: S)\n.decl q(s: S)\n.input q\np([[1, r], \"a\"], r) :- q(r).\n",
+        // What such a record contains.
+        ".decl p(a: nothing)\n.input p\n.decl q(n: number)\nq(1). q(n) :- p(r), r = [n, [m, s]], q(m), s = [n].\n",
     ] {
         let found = messages(text);
         let errors: Vec<_> = found.iter().filter(|(code, _)| *code != "ignored").collect();

@@ -2,7 +2,7 @@
 
 use crate::rule_files::RuleFiles;
 use logicity_datalog::diag::{Diagnostic, Sources};
-use logicity_datalog::{PredicateId, Program, Value, ast, facts, load, naive, parse, print};
+use logicity_datalog::{InputPolicy, PredicateId, Program, Value, Workspace, ast, facts, load, naive, parse, print};
 
 fn diagnostics(text: &str) -> Vec<(&'static str, usize, String)> {
     let mut sources = Sources::new();
@@ -319,6 +319,116 @@ fn a_dead_clause_with_several_heads_is_marked_once() {
         .expect("a warning");
     // The other clause, and the declaration.
     assert_eq!(dead.secondary.len(), 2, "{dead:#?}");
+}
+
+/// An inline predicate whose clauses bind its columns only by ones that do not.
+#[test]
+fn inline_predicates_may_bind_nothing_by_others() {
+    let text = ".decl a(x: number)\n.decl o(x: number, y: number)\n.output o\na(-3). a(2). a(5).\n\
+                .decl less(x: number, y: number) inline\nless(x, y) :- x < y.\n\
+                .decl near(x: number, y: number) inline\nnear(x, y) :- less(y, x + 4), (less(x, y); same(x, y)).\n\
+                .decl same(x: number, y: number) inline\nsame(x, x) :- true.\n\
+                .decl abs(x: number, y: number) inline\nabs(x, x) :- x >= 0. abs(x, y) :- less(x, 0), y = 0 - x.\n\
+                .decl twice(x: number, y: number) inline\ntwice(x, y) :- abs(x, z), y = 2 * z.\n\
+                o(x, y) :- a(x), a(y), near(x, y). o(x, y) :- a(x), twice(x, y), !near(x, 2).\n";
+    assert_eq!(diagnostics(text), []);
+    let mut sources = Sources::new();
+    let entry = sources.add("a.dl", text);
+    let rules = load(&mut sources, entry, &RuleFiles).rules.expect("checked");
+    let naive = naive::evaluate(&rules, &rules.symbols, []);
+    let mut session = Program::new(rules).expect("small").session();
+    session.commit().expect("small");
+    let o = session.program().predicate("o").expect("declared");
+    assert_eq!(
+        naive[o.0 as usize],
+        session.encoded_rows(o).map(<[Value]>::to_vec).collect()
+    );
+    assert_eq!(facts::print(&session, o), "-3\t-3\n-3\t6\n2\t2\n2\t5\n5\t5\n5\t10\n");
+}
+
+#[test]
+fn an_equation_with_any_value_holds_of_values() {
+    let text = ".decl a(x: number)\n.decl o(x: number)\n.output o\na(0). a(1).\n\
+                o(x) :- a(x), _ = 1 / x. o(2) :- _ = [1]. o(3) :- a(x), [x, _] = [1, 2], as(x, float) = _. o(4) :- a(y), _ = y + 1, !a(4).\n\
+                #if RAM_DOMAIN_SIZE == 32\no(32).\n#endif\n";
+    assert_eq!(diagnostics(text), []);
+    let mut sources = Sources::new();
+    let entry = sources.add("a.dl", text);
+    let rules = load(&mut sources, entry, &RuleFiles).rules.expect("checked");
+    let naive = naive::evaluate(&rules, &rules.symbols, []);
+    let mut session = Program::new(rules).expect("small").session();
+    session.commit().expect("small");
+    let o = session.program().predicate("o").expect("declared");
+    assert_eq!(
+        naive[o.0 as usize],
+        session.encoded_rows(o).map(<[Value]>::to_vec).collect()
+    );
+    assert_eq!(facts::print(&session, o), "1\n2\n3\n4\n32\n");
+}
+
+#[test]
+fn what_an_unknown_predicate_may_bind_is_no_fault() {
+    let text = ".decl abs(x: number, y: number) inline\nabs(x, x) :- x >= 0. abs(x, y) :- x < 0, y = 0 - x.\n\
+                .decl o(x: number)\n.output o\no(y) :- e(z), x = as(z, number) - 1, abs(x, y), y > 64.\n";
+    let codes: Vec<_> = diagnostics(text).into_iter().map(|(code, ..)| code).collect();
+    assert_eq!(codes, ["unknown-predicate"]);
+}
+
+/// Messages call what the checker makes by what it stands for.
+#[test]
+fn messages_name_no_hidden_predicate() {
+    let before = ".decl a(x: symbol, n: number)\n.input a\n.decl d(x: symbol, n: number)\n.output d\nd(x, n) :- a(x, n).\n\
+                  .decl less(x: number, y: number) inline\nless(x, y) :- x < y, z > y.\n";
+    for (clause, wanted) in [
+        ("d(x, n) <= d(x, m, k) :- n < m.", "`d` takes 2 arguments, not 3"),
+        (
+            "d(x, n) <= d(x, m) :- !d(x, m), n < m.",
+            "`d` depends on its own negation",
+        ),
+        (
+            "d(x, n) <= d(x, m) :- c = count : { d(_, n) }, n < m, c > 2.",
+            "`d` depends on an aggregate over itself",
+        ),
+        ("d(x, autoinc()) :- d(x, _).", "`d` depends on an aggregate over itself"),
+        ("d(x, m) :- a(x, m), less(m, m).", "no positive atom binds `z`"),
+        (
+            "d(x, m) :- a(x, m), m = max y : { a(x, y), d(x, z), z < y }.",
+            "`d` depends on an aggregate over itself",
+        ),
+    ] {
+        let text = format!("{before}{clause}\n");
+        let mut sources = Sources::new();
+        let entry = sources.add("a.dl", &text);
+        let found = load(&mut sources, entry, &RuleFiles).diagnostics;
+        let fault = found.iter().find(|fault| fault.message == wanted);
+        let fault = fault.unwrap_or_else(|| panic!("{clause}\n{found:#?}"));
+        let labels = fault.primary.iter().chain(&fault.secondary).map(|label| &label.message);
+        let said: Vec<&String> = labels.chain(&fault.help).chain(&fault.notes).collect();
+        assert!(said.iter().all(|said| !said.contains('+')), "{clause}\n{said:?}");
+        let of_aggregate = said.iter().any(|said| said.contains("its result is another variable"));
+        assert!(!of_aggregate, "{clause}\n{said:?}");
+    }
+}
+
+/// With `--legacy`, a head takes values of every type with the base type of its column.
+#[test]
+fn programs_for_older_versions_have_other_types() {
+    let text = ".symbol_type A\n.type B\n.number_type N\n.decl a(x: symbol, y: A, n: number)\n.input a\n\
+                .decl b(x: B, y: symbol, n: N)\n.output b\nb(x, x, n), b(y, y, n) :- a(x, y, n).\n";
+    let found = |text: &str, legacy| {
+        let mut sources = Sources::new();
+        let entry = sources.add("a.dl", text);
+        let mut workspace = Workspace::new(InputPolicy::Extensible);
+        workspace.set_legacy(legacy);
+        workspace.add(&mut sources, entry, &RuleFiles);
+        let loaded = workspace.check().diagnostics.into_iter();
+        loaded.map(|fault| fault.code.name()).collect::<Vec<_>>()
+    };
+    assert!(found(text, false).contains(&"type-mismatch"));
+    assert_eq!(found(text, true), [""; 0]);
+    // Base types still differ.
+    let other = text.replace("b(x, x, n)", "b(n, x, n)");
+    assert_eq!(found(&other, true), ["type-mismatch"]);
 }
 
 #[test]

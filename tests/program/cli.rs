@@ -2845,11 +2845,11 @@ fn a_fault_in_many_places_is_printed_once() {
     fails(
         &check,
         1,
-        &["the functor `id` is not supported", "and 146 more places", "151 errors"],
+        &["there is no functor `id`", "and 146 more places", "151 errors"],
     );
     assert_eq!(err(&check).matches("error[").count(), 2, "{}", err(&check));
     let json = logicity(["check", "--json", &rules]);
-    assert_eq!(out(&json).matches("the functor `id`").count(), 150);
+    assert_eq!(out(&json).matches("there is no functor `id`").count(), 150);
 }
 
 /// Several folders of `query` have the facts of successive ticks.

@@ -77,6 +77,51 @@ fn macros_and_folders_are_options_of_souffle() {
     );
 }
 
+#[test]
+fn programs_for_older_versions_run_with_an_option() {
+    let folder = tempfile::tempdir().unwrap();
+    let at = |name: &str| folder.path().join(name).display().to_string();
+    let text =
+        ".type Type\n.decl raw(x: symbol)\n.input raw\n.decl isType(t: Type)\n.output isType\nisType(x) :- raw(x).\n";
+    write(folder.path(), &[("old.dl", text), ("facts/raw.facts", "a\nb\n")]);
+    let (old, facts) = (at("old.dl"), at("facts"));
+    fails(&run(&["check", &old], b""), 1, &["type-mismatch", "`--legacy`"]);
+    let checked = run(&["check", "--legacy", &old], b"");
+    assert_eq!((code(&checked), err(&checked).as_str()), (0, ""));
+    let ran = run(&["query", "--legacy", &old, "-F", &facts, "-D", "-"], b"");
+    assert!(code(&ran) == 0 && out(&ran).contains("a\nb\n"), "{}", err(&ran));
+    let asked = run(
+        &["repl", "--legacy", &old, "-F", &facts],
+        b"?- isType(x).\n.reload\n?- isType(\"b\").\n",
+    );
+    assert!(code(&asked) == 0 && out(&asked).contains('a'), "{}", err(&asked));
+}
+
+#[test]
+fn warnings_can_be_those_of_souffle() {
+    let folder = tempfile::tempdir().unwrap();
+    let path = folder.path().join("a.dl").display().to_string();
+    let text = ".type T\n.decl a(x: T) brie\n.input a\n.decl b(x: T)\n.output b\nb(x) :- a(x). b(x) :- a(x), x = x.\nb(\"c\") :- a(x).\n";
+    write(folder.path(), &[("a.dl", text)]);
+    let said = |options: &[&str]| {
+        let checked = run(&[&["check", &path], options].concat(), b"");
+        assert_eq!(code(&checked), 0, "{}", err(&checked));
+        let said = err(&checked);
+        let mut codes: Vec<String> = said
+            .lines()
+            .filter_map(|line| Some(line.strip_prefix("warning[")?.split_once(']')?.0.to_owned()))
+            .collect();
+        codes.sort();
+        codes.dedup();
+        codes
+    };
+    let all = said(&[]);
+    assert!(all.len() > 3 && all.contains(&"ignored".to_owned()), "{all:?}");
+    assert_eq!(said(&["--souffle"]), ["old-form", "singleton-variable"]);
+    assert_eq!(said(&["--souffle", "--legacy"]), ["singleton-variable"]);
+    fails(&run(&["check", "--souffle", "--lints", &path], b""), 2, &["--lints"]);
+}
+
 /// A clause of a component has one message for all of its instances, if they say the same.
 #[test]
 fn a_component_is_reported_once_for_all_instances() {

@@ -10,11 +10,10 @@ use crate::builtin::BuiltinFiles;
 use crate::cli::diff::{CORE_EFFORT, in_city};
 use crate::cli::failure::Failure;
 use crate::cli::load::{inputs_of, load_workspace_from};
+use crate::cli::souffle::SouffleOptions;
 use crate::datalog::codes;
 use crate::datalog::diff::{Difference, Equivalence, Options, diff, unsat_core};
-use crate::datalog::{
-    BaseType, Clause, Comparison, InputPolicy, Literal, Preprocessing, Rules, Term, VarId, is_name, quoted,
-};
+use crate::datalog::{BaseType, Clause, Comparison, InputPolicy, Literal, Rules, Term, VarId, is_name, quoted};
 use crate::diag::{Diagnostic, SourceId, Sources, Span};
 use crate::files::{ReadError, ReadFile};
 use crate::sim::CityTheory;
@@ -196,7 +195,7 @@ fn restricted(
         sources,
         &overlay.path,
         InputPolicy::Fixed,
-        Preprocessing::default(),
+        &SouffleOptions::default(),
         &overlay,
     )?;
     workspace.set_inputs(inputs_of(&workspace, false));

@@ -12,8 +12,8 @@ use crate::cli::fact;
 use crate::cli::fact::Question;
 use crate::cli::failure::Failure;
 use crate::cli::limits::LimitOptions;
-use crate::cli::preprocessor::PreprocessorOptions;
 use crate::cli::report::{exit, report};
+use crate::cli::souffle::SouffleOptions;
 use crate::cli::{query, terminal};
 use crate::datalog;
 use crate::datalog::codes;
@@ -47,7 +47,7 @@ pub struct Arguments {
     #[arg(short = 'F', long, value_name = "DIR")]
     facts: Option<PathBuf>,
     #[command(flatten)]
-    preprocessor: PreprocessorOptions,
+    souffle: SouffleOptions,
     #[command(flatten)]
     limits: LimitOptions,
 }
@@ -59,7 +59,7 @@ pub fn run(arguments: &Arguments, sources: &mut Sources) -> Result<(), Failure> 
             rows: ROWS_MAX,
             ..Limits::default()
         }),
-        arguments.preprocessor.preprocessing(),
+        arguments.souffle.clone(),
     )?;
     let mut lines = Lines::open();
     let mut repl = Repl {

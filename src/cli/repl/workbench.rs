@@ -16,13 +16,14 @@ use crate::cli::inputs::read;
 use crate::cli::kind::Kind;
 use crate::cli::query;
 use crate::cli::query::Times;
+use crate::cli::souffle::SouffleOptions;
 use crate::config::rule_file;
 use crate::datalog;
 use crate::datalog::codes;
 use crate::datalog::{
     BaseType, Functor, InputPolicy, Predicate, PredicateId, Rules, Value, Workspace, ast, internal::record_source,
 };
-use crate::datalog::{Delta, Limits, Loaded, Preprocessing, Program, RowError, Session, facts};
+use crate::datalog::{Delta, Limits, Loaded, Program, RowError, Session, facts};
 use crate::diag::{Diagnostic, SourceId, Sources, Span};
 use crate::symbol::Symbol;
 use indexmap::IndexMap;
@@ -32,7 +33,7 @@ use std::path::{Path, PathBuf};
 pub struct Workbench<'s> {
     pub sources: &'s mut Sources,
     pub workspace: Workspace,
-    preprocessing: Preprocessing,
+    options: SouffleOptions,
     pub session: Session,
     /// Times of the last change.
     pub times: Times,
@@ -76,15 +77,14 @@ pub struct Answer {
 
 impl<'s> Workbench<'s> {
     /// Returns a workbench without sources.
-    pub fn new(sources: &'s mut Sources, limits: Limits, preprocessing: Preprocessing) -> Result<Self, Failure> {
-        let mut workspace = Workspace::new(InputPolicy::Extensible);
-        workspace.set_preprocessing(preprocessing.clone());
+    pub fn new(sources: &'s mut Sources, limits: Limits, options: SouffleOptions) -> Result<Self, Failure> {
+        let workspace = options.workspace(InputPolicy::Extensible);
         let loaded = workspace.check();
         let rules = loaded.rules.ok_or(loaded.diagnostics)?;
         Ok(Workbench {
             sources,
             workspace,
-            preprocessing,
+            options,
             session: Program::new(rules)?.session(),
             times: Times::default(),
             limits,
@@ -117,8 +117,7 @@ impl<'s> Workbench<'s> {
     /// Reloads all files. Typed sources stay; clauses and facts retracted from files return.
     pub fn reload(&mut self) -> Result<Outcome, Failure> {
         let first_new = self.sources.ids().count();
-        let mut workspace = Workspace::new(InputPolicy::Extensible);
-        workspace.set_preprocessing(self.preprocessing.clone());
+        let mut workspace = self.options.workspace(InputPolicy::Extensible);
         for path in &self.files {
             let text = read(path)?;
             let entry = self.sources.add(path.display().to_string(), text);

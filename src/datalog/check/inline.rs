@@ -41,27 +41,15 @@ pub(crate) fn replace(items: &[Item], faults: &mut Faults) -> Option<Vec<Item>> 
     refuse_keys(items, &inline, faults);
     let cyclic = refuse_cycles(items, &inline, faults);
     let mut meanings: Meanings<'_> = HashMap::new();
-    let mut open: HashSet<&str> = HashSet::new();
     for clause in clauses(items) {
-        for head in clause
-            .heads
-            .iter()
-            .filter(|head| inline.contains_key(head.predicate.text.as_str()))
-        {
+        for head in &clause.heads {
             let name = head.predicate.text.as_str();
-            meanings.entry(name).or_default().push((head, &clause.body));
-            // A larger body cannot replace an atom.
-            let is_small = clause.body.iter().map(size).sum::<usize>() <= MAX_GROWTH;
-            let is_open = || {
-                let bound = bound_by_all(&clause.body.iter().collect::<Vec<_>>(), &HashSet::new());
-                let mut terms = head.terms.iter();
-                terms.any(|term| matches!(&term.kind, TermKind::Variable(name) if !bound.contains(name.as_str())))
-            };
-            if !clause.body.is_empty() && is_small && is_open() {
-                open.insert(name);
+            if inline.contains_key(name) {
+                meanings.entry(name).or_default().push((head, &clause.body));
             }
         }
     }
+    let open = open_predicates(&meanings);
     refuse_negated(items, &meanings, &open, faults);
     meanings.retain(|name, _| open.contains(name) && !cyclic.contains(name));
     if meanings.is_empty() && cyclic.is_empty() {
@@ -107,6 +95,64 @@ pub(crate) fn replace(items: &[Item], faults: &mut Faults) -> Option<Vec<Item>> 
         }
     }
     Some(out)
+}
+
+/// Returns the inline predicates with a clause that does not bind all columns, itself or by other ones of this kind.
+fn open_predicates<'c>(meanings: &Meanings<'c>) -> HashSet<&'c str> {
+    let mut open: Unbound<'c> = HashMap::new();
+    // A longer chain of such predicates is refused.
+    for _ in 0..=MAX_DEPTH {
+        let mut found: Unbound<'c> = HashMap::new();
+        for (&name, clauses) in meanings {
+            for (head, body) in clauses {
+                // A larger body cannot replace an atom.
+                if body.is_empty() || body.iter().map(size).sum::<usize>() > MAX_GROWTH {
+                    continue;
+                }
+                let weakened = weakened(body, &open);
+                let bound = bound_by_all(&weakened.iter().collect::<Vec<_>>(), &HashSet::new());
+                for (column, term) in head.terms.iter().enumerate() {
+                    names_of(term, false, &mut |variable| {
+                        if !bound.contains(variable) {
+                            found.entry(name).or_default().insert(column);
+                        }
+                    });
+                }
+            }
+        }
+        if found == open {
+            break;
+        }
+        open = found;
+    }
+    open.into_keys().collect()
+}
+
+/// The columns of inline predicates that some clause of theirs does not bind.
+type Unbound<'c> = HashMap<&'c str, HashSet<usize>>;
+
+/// Returns a body in which atoms do not contain the variables that they do not bind.
+fn weakened(body: &[Literal], open: &Unbound<'_>) -> Vec<Literal> {
+    let mut body = body.to_vec();
+    for literal in &mut body {
+        match literal {
+            Literal::Atom { negated: false, atom } => {
+                let unbound = open.get(atom.predicate.text.as_str());
+                for &column in unbound.into_iter().flatten() {
+                    if let Some(term) = atom.terms.get_mut(column) {
+                        term.kind = TermKind::Wildcard;
+                    }
+                }
+            }
+            Literal::Any(alternatives) => {
+                for all in alternatives {
+                    *all = weakened(all, open);
+                }
+            }
+            _ => {}
+        }
+    }
+    body
 }
 
 /// Returns names that a body binds outside of aggregates, whichever of its alternatives hold: all of them unless

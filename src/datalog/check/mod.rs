@@ -74,6 +74,15 @@ pub enum InputPolicy {
     Extensible,
 }
 
+/// What the checker permits.
+#[derive(Clone, Copy, Debug, Default)]
+pub(crate) struct Policy {
+    /// Whether rules may derive `.input` predicates.
+    pub inputs: InputPolicy,
+    /// Whether a head takes values of any type with the base type of its column, as Soufflé does with `--legacy`.
+    pub legacy: bool,
+}
+
 /// What is known of declarations outside of the checked items.
 #[derive(Clone, Copy)]
 pub(crate) struct Elsewhere<'a> {
@@ -88,7 +97,7 @@ pub(crate) struct Elsewhere<'a> {
 pub(crate) fn check(
     (written, facts): (Cow<'_, [ast::Item]>, Cow<'_, FactRuns>),
     elsewhere: Elsewhere<'_>,
-    inputs: InputPolicy,
+    policy: Policy,
     symbols: Symbols,
     faults: &mut Faults,
 ) -> (Option<Rules>, Comparing) {
@@ -100,7 +109,7 @@ pub(crate) fn check(
     let replaced = inline::replace(without_time, faults);
     let syntax_is_good = !faults.failed();
     let items = replaced.as_deref().unwrap_or(without_time);
-    let mut names = names::declare(items, elsewhere.complete, inputs, faults);
+    let mut names = names::declare(items, elsewhere.complete, policy, faults);
     if let Some(lowered) = &lowered {
         lowered.hide(&mut names);
     }

@@ -50,23 +50,27 @@ pub(crate) fn check(edges: &[Edge], names: &Names, faults: &mut Faults) {
         for &step in &back {
             covered[step] = true;
         }
-        let name = |id: PredicateId| names.predicate(id).name.as_str();
         let what = match edge.kind {
             EdgeKind::Aggregates => "an aggregate over itself",
             _ => "its own negation",
         };
-        let message = match back.as_slice() {
-            [] => format!("`{}` depends on {what}", name(edge.from)),
-            _ => format!(
-                "`{}` depends on {what}, through {}",
-                name(edge.from),
-                through(edge, &back, edges, names)
-            ),
+        let (about, through) = about(edge, &back, edges, names);
+        let message = match through.as_str() {
+            "" => format!("{about} depends on {what}"),
+            _ => format!("{about} depends on {what}, through {through}"),
         };
-        let step = |edge: &Edge| match edge.kind {
-            EdgeKind::Needs => format!("`{}` needs `{}`", name(edge.from), name(edge.to)),
-            EdgeKind::Negates => format!("`{}` needs that `{}` does not hold", name(edge.from), name(edge.to)),
-            EdgeKind::Aggregates => format!("`{}` needs all of `{}`", name(edge.from), name(edge.to)),
+        let shown = |id: PredicateId| shown(names.predicate(id));
+        let step = |edge: &Edge| {
+            let (from, to) = (shown(edge.from), shown(edge.to));
+            let need = match names.predicate(edge.from).is_numbered() {
+                true => "need",
+                false => "needs",
+            };
+            match edge.kind {
+                EdgeKind::Needs => format!("{from} {need} {to}"),
+                EdgeKind::Negates => format!("{from} {need} that {to} does not hold"),
+                EdgeKind::Aggregates => format!("{from} {need} all of {to}"),
+            }
         };
         let mut fault = Diagnostic::new(codes::CYCLIC_NEGATION, message).at(edge.span, step(edge));
         for &at in back.iter().take(SHOWN_MAX) {
@@ -79,17 +83,19 @@ pub(crate) fn check(edges: &[Edge], names: &Names, faults: &mut Faults) {
             });
         }
         let help = match edge.kind {
-            EdgeKind::Aggregates => format!(
-                "aggregate over a predicate that does not depend on `{}`",
-                name(edge.from)
-            ),
-            _ => format!(
-                "define `{}` without `{}`, or remove one of these steps",
-                name(edge.to),
-                name(edge.from)
-            ),
+            _ if [edge.from, edge.to].iter().any(|&id| names.predicate(id).is_numbered()) => {
+                "remove one of these steps".to_owned()
+            }
+            EdgeKind::Aggregates => {
+                let from = shown(edge.from);
+                format!("aggregate over a predicate that does not depend on {from}")
+            }
+            _ => {
+                let (from, to) = (shown(edge.from), shown(edge.to));
+                format!("define {to} without {from}, or remove one of these steps")
+            }
         };
-        let looks_back = |edge: &Edge| names.predicate(edge.to).hidden && name(edge.to).contains(' ');
+        let looks_back = |edge: &Edge| names.predicate(edge.to).hidden && names.predicate(edge.to).name.contains(' ');
         if looks_back(edge) || back.iter().any(|&step| looks_back(&edges[step])) {
             fault = fault.help("a window that begins with 0 contains the present tick; let it begin with 1");
         }
@@ -101,17 +107,35 @@ pub(crate) fn check(edges: &[Edge], names: &Names, faults: &mut Faults) {
     }
 }
 
-fn through(edge: &Edge, back: &[usize], edges: &[Edge], names: &Names) -> String {
-    let between: Vec<PredicateId> = std::iter::once(edge.to)
-        .chain(back.iter().map(|&step| edges[step].to))
-        .filter(|&id| id != edge.from)
-        .collect();
-    let shown = between.iter().take(SHOWN_MAX);
-    let mut shown: Vec<String> = shown.map(|&id| format!("`{}`", names.predicate(id).name)).collect();
-    if between.len() > SHOWN_MAX {
-        shown.push(counted(between.len() - SHOWN_MAX, "other"));
+/// Returns what messages call a predicate.
+fn shown(predicate: &Predicate) -> String {
+    match predicate.is_numbered() {
+        true => predicate.title().to_owned(),
+        false => format!("`{}`", predicate.name),
     }
-    shown.join(" and ")
+}
+
+/// Returns the first declared predicate of a cycle, and the others.
+fn about(edge: &Edge, back: &[usize], edges: &[Edge], names: &Names) -> (String, String) {
+    let cycle = std::iter::once(edge.from).chain(std::iter::once(edge.to));
+    let mut cycle: Vec<PredicateId> = cycle.chain(back.iter().map(|&step| edges[step].to)).collect();
+    // It ends where it begins.
+    cycle.pop();
+    let first = cycle
+        .iter()
+        .position(|&id| !names.predicate(id).is_numbered())
+        .unwrap_or(0);
+    cycle.rotate_left(first);
+    let about = shown(names.predicate(cycle[0]));
+    cycle.retain(|&id| !names.predicate(id).is_numbered());
+    let between = cycle.get(1..).unwrap_or_default();
+    let mut through: Vec<String> = (between.iter().take(SHOWN_MAX))
+        .map(|&id| shown(names.predicate(id)))
+        .collect();
+    if between.len() > SHOWN_MAX {
+        through.push(counted(between.len() - SHOWN_MAX, "other"));
+    }
+    (about, through.join(" and "))
 }
 
 /// Returns the edges of a shortest path between two predicates of one component.

@@ -19,7 +19,7 @@ use crate::symbol::Symbols;
 use crate::check::InputPolicy;
 use crate::check::clauses::{Clauses, Edge, EdgeKind, Guard, Known, renumber};
 use crate::check::names::Names;
-use crate::check::rules::{Atom, Clause, Literal, PredicateId, Term, TypeId, VarId};
+use crate::check::rules::{Atom, Clause, Literal, PredicateId, RecordShape, Term, TypeId, VarId};
 use crate::syntax::ast;
 use crate::syntax::ast::TermKind;
 use crate::syntax::ast::{BaseType, Comparison, names_in, names_of};
@@ -77,6 +77,7 @@ pub(crate) fn check(
         pending: vec![Vec::new()],
         variables: Vec::new(),
         bound: Vec::new(),
+        shapes: HashMap::new(),
         edges: Vec::new(),
         numbered_edges: Vec::new(),
         sound: true,
@@ -323,6 +324,8 @@ pub(crate) struct Check<'a, 'c> {
     variables: Vec<Variable<'c>>,
     /// Whether each variable is bound; empty until [`Check::bindings`] ends.
     bound: Vec<bool>,
+    /// The shapes of records whose type nothing names. Lookup only, never iterated.
+    shapes: HashMap<VarId, RecordShape>,
     edges: Vec<(PredicateId, EdgeKind, Span)>,
     /// The edges of the predicates that number solutions.
     numbered_edges: Vec<(PredicateId, PredicateId, EdgeKind, Span)>,
@@ -689,7 +692,11 @@ impl<'c> Check<'_, 'c> {
             return false;
         };
         let (wanted, found) = (columns.len(), atom.terms.len());
-        if wanted != found {
+        // The atoms of a subsumption are checked themselves.
+        let is_pair = self.names.predicate(predicate).is_numbered();
+        if wanted != found && is_pair {
+            self.sound = false;
+        } else if wanted != found {
             let plural = |count: usize| if count == 1 { "argument" } else { "arguments" };
             let name = &atom.predicate.text;
             let message = format!("`{name}` takes {wanted} {}, not {found}", plural(wanted));
@@ -763,7 +770,7 @@ impl<'c> Check<'_, 'c> {
                 if *op == Comparison::Equal {
                     // `_ = max x : { ... }` only requires that the maximum exists.
                     for (any, value) in [(left, right), (right, left)] {
-                        if any.kind == TermKind::Wildcard && matches!(value.kind, TermKind::Aggregate(_)) {
+                        if any.kind == TermKind::Wildcard && is_value(value) {
                             self.operand(value, None);
                             return;
                         }
@@ -806,7 +813,7 @@ impl<'c> Check<'_, 'c> {
         }
         if let Some(input) = self.names.signatures[predicate.index()].input {
             let name = &head.predicate.text;
-            let (code, help) = match self.names.inputs {
+            let (code, help) = match self.names.policy.inputs {
                 InputPolicy::Fixed => (
                     codes::DERIVED_INPUT,
                     "derive another predicate, with one clause that copies the input",

@@ -299,12 +299,44 @@ impl<'c> Check<'_, 'c> {
             if !changed {
                 pending = self.replaced(pending, true, &mut changed);
             }
-            if !changed {
+            if !changed && !self.name_shapes(&pending) {
                 break;
             }
         }
-        self.report_records(&pending);
+        let certain = self.sound;
+        self.report_records(&pending, certain);
         pending
+    }
+
+    /// Gives a record of unknown type the shape that its fields imply, since that is all it needs. Returns whether there
+    /// is one.
+    fn name_shapes(&mut self, pending: &[Pending<'c>]) -> bool {
+        let mut records = Vec::new();
+        records_in(pending, &mut records);
+        let untyped = records.into_iter().find_map(|(to, fields, branch)| {
+            let group = &self.variables[self.group(to.index())];
+            let is_unknown = group.narrowest.is_none() && !group.excused && branch.is_none();
+            if !is_unknown
+                || self.shapes.contains_key(&to)
+                || !matches!(self.base_of_variable(to), None | Some(BaseType::Record))
+            {
+                return None;
+            }
+            let field = |field: &Operand| match field.kind {
+                // No context asks for another type.
+                OperandKind::Whole(_) => Some(BaseType::Number),
+                _ => self.base_of(*field),
+            };
+            let bases: Option<Vec<BaseType>> = fields.iter().map(field).collect();
+            Some((to, bases?))
+        });
+        let Some((to, bases)) = untyped else { return false };
+        let fields = (1..)
+            .zip(bases)
+            .map(|(at, base)| (format!("x{at}"), Names::base_type(base)));
+        let fields = fields.collect();
+        self.shapes.insert(to, RecordShape { branch: None, fields });
+        true
     }
 
     /// Replaces the records that are bound or, with `make`, the first one whose fields are bound.
@@ -424,10 +456,10 @@ impl<'c> Check<'_, 'c> {
         branch: Option<(&str, Span)>,
         fields: &[Operand],
     ) -> Option<(RecordShape, Vec<Operand>)> {
-        let VariableType::Type(ty) = self.type_of_variable(to) else {
-            return None;
+        let shape = match self.type_of_variable(to) {
+            VariableType::Type(ty) => shape(self.names, ty, branch.map(|(name, _)| name)).cloned()?,
+            _ => self.shapes.get(&to).cloned()?,
         };
-        let shape = shape(self.names, ty, branch.map(|(name, _)| name)).cloned()?;
         if shape.fields.len() != fields.len() {
             return None;
         }
@@ -479,18 +511,21 @@ impl<'c> Check<'_, 'c> {
         self.fault(fault.help(format!("write one of its branches: {}", branches.join(", "))));
     }
 
-    /// Reports the records whose type is unknown or has no such shape.
-    fn report_records(&mut self, pending: &[Pending<'c>]) {
+    /// Reports the records whose type has no such shape or, if it is `certain` that no earlier fault is the cause, is
+    /// unknown.
+    fn report_records(&mut self, pending: &[Pending<'c>], certain: bool) {
         for pending in pending {
             match pending {
-                Pending::Aggregate { body, .. } => self.report_records(body),
+                Pending::Aggregate { body, .. } => self.report_records(body, certain),
                 Pending::Record {
                     to,
                     branch,
                     fields,
                     span,
                 } => {
-                    if self.variables[self.group(to.index())].excused {
+                    let is_unknown = !matches!(self.type_of_variable(*to), VariableType::Type(_));
+                    if self.variables[self.group(to.index())].excused || (is_unknown && !certain) {
+                        self.excuse(*to);
                         self.excuse_fields(fields);
                         continue;
                     }

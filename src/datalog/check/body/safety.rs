@@ -1,7 +1,7 @@
 //! Safety: which variables the body binds, and what could bind the others.
 
 use crate::check::rules::{Term, VarId};
-use crate::check::witness::written;
+use crate::check::witness::{is_shadow, written};
 use crate::codes;
 use crate::diag::Diagnostic;
 use crate::syntax::ast;
@@ -120,6 +120,11 @@ impl<'c> Check<'_, 'c> {
     pub(super) fn bindings(&mut self, head: &ast::Atom, is_fact: bool, guard: Option<Guard>, pending: &[Pending<'c>]) {
         self.bound = vec![false; self.variables.len()];
         self.bind_all(pending);
+        // A reported construct may bind its variables.
+        for index in 0..self.variables.len() {
+            self.bound[index] |= self.variables[index].excused || self.variables[self.group(index)].excused;
+        }
+        self.bind_all(pending);
         // Report the causes first, not the values computed from them.
         let mut computed = vec![false; self.variables.len()];
         mark_computed(pending, &mut computed);
@@ -159,10 +164,6 @@ impl<'c> Check<'_, 'c> {
                 return;
             }
             self.bound[index] = true;
-            let group = self.group(index);
-            if self.variables[group].excused || self.variables[index].excused {
-                continue;
-            }
             let is_renamed = matches!(self.variables[index].name, Name::Written(_)) && self.is_hidden(index);
             if self.is_hidden(index) && !(is_renamed && self.sound) {
                 // Its operands include a reported variable, or it stands for one.
@@ -173,7 +174,7 @@ impl<'c> Check<'_, 'c> {
             let name = written(&name).to_owned();
             let mut fault = Diagnostic::new(codes::UNBOUND_VARIABLE, format!("no positive atom binds `{name}`"))
                 .at(self.variables[index].first, "");
-            if is_renamed {
+            if is_renamed && self.is_of_aggregate(index) {
                 fault = fault.note("in the body of an aggregate, its result is another variable");
             }
             if is_fact {
@@ -226,6 +227,12 @@ impl<'c> Check<'_, 'c> {
             }
             self.fault(fault);
         }
+    }
+
+    /// Returns whether the variable stands for one in the body of an aggregate, not for one of an inline predicate.
+    fn is_of_aggregate(&self, index: usize) -> bool {
+        let id = VarId(u32::try_from(index).expect("fewer than 2^32 variables"));
+        self.variables[index].level > 0 || is_shadow(&self.name(id))
     }
 
     /// Returns the name of a bound variable that differs from `name` in case only.

@@ -542,8 +542,8 @@ impl<'c> Check<'_, 'c> {
         }
     }
 
-    /// Reports a variable that does not fit its column. A head requires a subtype of the column, a negated atom the
-    /// same base type.
+    /// Reports a variable that does not fit its column. A head requires a subtype of the column; a negated atom, and a
+    /// head in the types of older programs, the same base type.
     fn fits(&mut self, atom: &Atom, column: usize, span: Span, is_head: bool) {
         let (Term::Variable(id), Some(wanted)) = (atom.terms[column], self.column(atom.predicate, column)) else {
             return;
@@ -551,7 +551,7 @@ impl<'c> Check<'_, 'c> {
         let fits = match self.type_of(id) {
             VariableType::Unknown => true,
             VariableType::Base(base) => base == self.names.base(wanted),
-            VariableType::Type(found) if is_head => self.names.is_subtype(found, wanted),
+            VariableType::Type(found) if is_head && !self.names.policy.legacy => self.names.is_subtype(found, wanted),
             VariableType::Type(found) => self.names.base(found) == self.names.base(wanted),
         };
         if fits {
@@ -576,6 +576,9 @@ impl<'c> Check<'_, 'c> {
             fault = fault.help(format!(
                 "declare both columns with one type, or convert the value: `as({name}, {wanted})`"
             ));
+            if self.names.has_old_types {
+                fault = fault.help("if the program is for Soufflé's option `--legacy`, use that option here");
+            }
         } else if self.names.base(wanted_type) != BaseType::Record
             && self.base_of_variable(id) != Some(BaseType::Record)
         {

@@ -8,7 +8,7 @@ use crate::codes;
 use crate::diag::{self, Diagnostic, Faults, Span, counted, did_you_mean};
 use crate::eqrel::EQREL;
 
-use crate::check::InputPolicy;
+use crate::check::Policy;
 use crate::check::rules::{
     self, Column, Directive, Predicate, PredicateId, RECORDS, RecordShape, RowFormat, RowPlace, Type, TypeId,
     UserFunctor,
@@ -47,6 +47,8 @@ pub(crate) struct Names {
     declared_types: HashMap<String, Span>,
     /// The types and places of the branches of algebraic data types; `None` for a faulty type.
     branches: indexmap::IndexMap<String, (Option<TypeId>, Span)>,
+    /// Whether a type is declared in the notation of older versions of Soufflé.
+    pub has_old_types: bool,
     /// The declared functors.
     pub functors: Vec<UserFunctor>,
     /// The positions of functors among them; `None` for a faulty declaration.
@@ -59,8 +61,8 @@ pub(crate) struct Names {
     unknown: Unknown,
     /// Whether all declarations are known. If not, the checker reports no unknown names.
     complete: bool,
-    /// Whether rules may derive `.input` predicates.
-    pub inputs: InputPolicy,
+    /// What the checker permits.
+    pub policy: Policy,
     /// By [`PredicateId`]: the component of each declared predicate. Predicates of one component depend on each other.
     pub components: Vec<usize>,
 }
@@ -72,7 +74,7 @@ struct Unknown {
     types: indexmap::IndexMap<String, Vec<Span>>,
 }
 
-pub(crate) fn declare(items: &[Item], complete: bool, inputs: InputPolicy, faults: &mut Faults) -> Names {
+pub(crate) fn declare(items: &[Item], complete: bool, policy: Policy, faults: &mut Faults) -> Names {
     let mut names = Names {
         types: Vec::new(),
         predicates: Vec::new(),
@@ -81,6 +83,7 @@ pub(crate) fn declare(items: &[Item], complete: bool, inputs: InputPolicy, fault
         type_by_name: HashMap::new(),
         declared_types: HashMap::new(),
         branches: indexmap::IndexMap::new(),
+        has_old_types: false,
         functors: Vec::new(),
         functor_by_name: HashMap::new(),
         predicate_by_name: HashMap::new(),
@@ -88,7 +91,7 @@ pub(crate) fn declare(items: &[Item], complete: bool, inputs: InputPolicy, fault
         declared: 0,
         unknown: Unknown::default(),
         complete,
-        inputs,
+        policy,
         components: Vec::new(),
     };
     names.declare_types(items, faults);

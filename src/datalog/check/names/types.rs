@@ -27,11 +27,19 @@ impl Names {
         for item in items {
             let Item::Type(decl) = item else { continue };
             let name = decl.name.text.as_str();
+            // The parent of an old form is not written.
+            self.has_old_types |=
+                matches!(&decl.definition, TypeDefinition::Subtype(parent) if parent.place == decl.name.place);
             if self.type_by_name.contains_key(name) {
                 let fault = Diagnostic::new(codes::DUPLICATE_DECLARATION, format!("the type `{name}` is built in"))
                     .at(decl.name.place.0, "");
                 faults.push(fault);
-            } else if let Some(earlier) = first.get(name) {
+            } else if let Some(earlier) = first.get(name).filter(|earlier| {
+                // What a lattice is about may be declared beside it.
+                ![&earlier.definition, &decl.definition]
+                    .iter()
+                    .any(|one| matches!(one, TypeDefinition::Faulty))
+            }) {
                 let fault = Diagnostic::new(
                     codes::DUPLICATE_DECLARATION,
                     format!("the type `{name}` is declared twice"),
@@ -99,6 +107,7 @@ impl Names {
         self.refuse_subtypes_of_unions(&declared, &mut faulty, faults);
         self.settle_parents(&mut faulty, faults);
         self.settle_unions(&declared, &mut faulty, faults);
+        self.spread_faults(&mut faulty);
         for decl in &declared {
             if let Some(id) = self.type_by_name[&decl.name.text]
                 && faulty[id.0 as usize]
@@ -170,6 +179,25 @@ impl Names {
             }
             self.types[id.0 as usize].parent = Some(RECORDS);
             self.types[id.0 as usize].shapes = found;
+        }
+    }
+
+    /// Makes the types faulty whose fields, members or parents are: nothing more can be said of their values.
+    fn spread_faults(&self, faulty: &mut [bool]) {
+        let mut users: Vec<Vec<usize>> = vec![Vec::new(); self.types.len()];
+        for (id, ty) in self.types.iter().enumerate() {
+            let fields = ty.shapes.iter().flat_map(|shape| &shape.fields).map(|(_, field)| field);
+            for part in fields.chain(&ty.members).chain(&ty.parent) {
+                users[part.0 as usize].push(id);
+            }
+        }
+        let mut spreading: Vec<usize> = (0..faulty.len()).filter(|&id| faulty[id]).collect();
+        while let Some(id) = spreading.pop() {
+            for user in std::mem::take(&mut users[id]) {
+                if !std::mem::replace(&mut faulty[user], true) {
+                    spreading.push(user);
+                }
+            }
         }
     }
 

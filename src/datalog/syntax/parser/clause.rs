@@ -375,11 +375,11 @@ impl Parser<'_> {
                 if AggregateOp::named(self.slice(start)).is_some() {
                     return Err(self.applied_aggregate(start));
                 }
-                return Err(self.unsupported(
-                    atom.place.0,
-                    &format!("the functor `{}` is", atom.predicate.text),
-                    "an atom has no value to compare",
-                ));
+                let message = format!("there is no functor `{}`", atom.predicate.text);
+                let fault = Diagnostic::new(codes::UNKNOWN_FUNCTOR, message).at(atom.place.0, "");
+                self.faults
+                    .push(fault.help("an atom has no value to compare; if it is a macro, include its file"));
+                return Err(Reported);
             }
             return Ok(Literal::Atom { negated: false, atom });
         };

@@ -8,10 +8,24 @@ use crate::syntax::lexer::{Kind, Token};
 use core::net::Ipv4Addr;
 
 use crate::syntax::parser::clause::comparison;
-use crate::syntax::parser::{Parse, Parser, Reported};
+use crate::syntax::parser::{Parse, Parser, Reported, is_macro_name};
 
 /// Maximum height of an expression: an operator or function is one level above its highest operand.
 const MAX_HEIGHT: usize = 256;
+
+/// Functors of Soufflé that this language does not have, with help.
+const FOREIGN_FUNCTORS: &[(&str, &str)] = &[
+    (
+        "recursive_iteration_cnt",
+        "rules do not read how often a recursion has run; `.limitsize` ends one",
+    ),
+    ("ftoi", "write `to_number(x)`"),
+    ("ftou", "write `to_unsigned(x)`"),
+    ("itof", "write `to_float(x)`"),
+    ("itou", "write `to_unsigned(x)`"),
+    ("utof", "write `to_float(x)`"),
+    ("utoi", "write `to_number(x)`"),
+];
 
 impl Parser<'_> {
     /// Returns the binary operator that the token writes.
@@ -248,13 +262,22 @@ impl Parser<'_> {
         if AggregateOp::named(word).is_some() {
             return self.applied_aggregate(name);
         }
+        if let Some((_, help)) = FOREIGN_FUNCTORS.iter().find(|(foreign, _)| *foreign == word) {
+            return self.unsupported(self.span(name), &format!("the functor `{word}` is"), help);
+        }
         let help = match word {
+            _ if is_macro_name(word) => {
+                "if it is a macro, include the file that defines it; the reference lists the functors"
+            }
             _ if word.starts_with(|first: char| first.is_ascii_uppercase()) => {
-                "if it is a predicate, close the atom before it: literals are separated, as in `IsCar(X), IsBus(X)`"
+                "if it is a predicate, close the atom before it: literals are separated, as in `IsCar(X), IsBus(X)`; \
+                 if it is a macro, include the file that defines it"
             }
             _ => "an argument is a variable, a constant, `_` or an expression; the reference lists the functors",
         };
-        self.unsupported(self.span(name), &format!("the functor `{word}` is"), help)
+        let fault = Diagnostic::new(codes::UNKNOWN_FUNCTOR, format!("there is no functor `{word}`"));
+        self.faults.push(fault.at(self.span(name), "").help(help));
+        Reported
     }
 
     /// Returns whether an aggregate of literals in function notation begins here: `count(A(x))`.

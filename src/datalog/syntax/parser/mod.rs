@@ -13,6 +13,7 @@ use crate::syntax::ast::{File, Include, Item, Literal, Name, Place};
 use crate::syntax::lexer;
 use crate::syntax::lexer::{COMMENT, CONJUNCTION, DISJUNCTION, DocLine, IMPLICATION, Kind, Lexed, NEGATION, Token};
 use crate::syntax::packed::PackedFacts;
+use std::collections::HashSet;
 use std::ops::RangeInclusive;
 
 mod clause;
@@ -24,6 +25,9 @@ pub(crate) use clause::negate;
 
 /// Maximum number of enclosing negations, parentheses and braces.
 const MAX_NESTING: usize = 64;
+
+/// Maximum number of tokens between the parentheses of a macro without a definition.
+const MAX_MACRO: usize = 4096;
 
 /// The names of all directives, without the dot.
 pub const DIRECTIVES: &[&str] = &[
@@ -151,9 +155,18 @@ struct Parser<'a> {
     dropped: bool,
     /// The number of components around the current token.
     components: usize,
+    /// The predicates that the source declares; `None` until a use of a macro may stand in place of a clause.
+    declared: Option<HashSet<&'a str>>,
     /// Takes the facts of plain constants, if present.
     packed: Option<PackedFacts>,
     faults: &'a mut Faults,
+}
+
+/// Returns whether a name is written as those of macros usually are.
+fn is_macro_name(name: &str) -> bool {
+    name.len() > 1
+        && name.contains(|c: char| c.is_ascii_uppercase())
+        && !name.contains(|c: char| c.is_ascii_lowercase())
 }
 
 /// Returns the words that write negation in a source: `Not` and `not`, unless a `.decl` there declares them.
@@ -218,6 +231,7 @@ impl<'a> Parser<'a> {
             marks: Vec::new(),
             dropped: false,
             components: 0,
+            declared: None,
             packed: None,
             faults,
         }
@@ -565,7 +579,13 @@ impl<'a> Parser<'a> {
                     let word = self.bump();
                     self.rest_of_directive(name, word, doc)
                 }
-                None => self.clause(doc).map(Some),
+                None => match self.end_of_macro() {
+                    Some(end) => {
+                        self.unknown_macro(end);
+                        Ok(None)
+                    }
+                    None => self.clause(doc).map(Some),
+                },
             },
             Kind::Bang => Err(self.expected_item(" (a head cannot be negated)")),
             Kind::Hash if self.slice(self.ahead(1)) == "include" && self.ahead(2).kind == Kind::String => {
@@ -589,6 +609,66 @@ impl<'a> Parser<'a> {
                 Err(reported)
             }
         }
+    }
+
+    /// Returns the position behind the use of a macro that stands in place of a clause and that no `#define` replaced:
+    /// `DEBUG(edge)`, where the next clause or directive follows on the next line.
+    fn end_of_macro(&mut self) -> Option<usize> {
+        let name = self.slice(self.token());
+        if !is_macro_name(name) {
+            return None;
+        }
+        let mut end = self.at + 1;
+        if self.tokens[end].kind == Kind::LParen {
+            let mut depth = 0_usize;
+            let rest = self.tokens[end..].iter().take(MAX_MACRO);
+            let close = rest.enumerate().find_map(|(ahead, token)| {
+                match token.kind {
+                    Kind::LParen => depth += 1,
+                    Kind::RParen => depth -= 1,
+                    _ => {}
+                }
+                (depth == 0).then_some(ahead)
+            })?;
+            end += close + 1;
+        }
+        let next = self.tokens[end];
+        let (dot, word) = (next, self.tokens[(end + 1).min(self.tokens.len() - 1)]);
+        let is_item = match next.kind {
+            Kind::End | Kind::Preprocessor | Kind::RBrace => true,
+            Kind::Ident | Kind::Hash => next.first_on_line,
+            Kind::Dot => next.first_on_line && word.kind == Kind::Ident && dot.end == word.start,
+            _ => false,
+        };
+        (is_item && !self.declares(name)).then_some(end)
+    }
+
+    /// Reports a macro without a definition, and skips its use, which ends at a position.
+    fn unknown_macro(&mut self, end: usize) {
+        let token = self.token();
+        let name = self.slice(token);
+        let fault = Diagnostic::new(codes::UNKNOWN_MACRO, format!("no macro `{name}` is defined"));
+        let fault = fault.at(self.span(token), "").help(format!(
+            "include the file that defines it, or define it: `#define {name}`; a fact ends with a full stop"
+        ));
+        self.faults.push(fault);
+        self.at = end;
+    }
+
+    /// Returns whether the source declares a predicate of that name.
+    fn declares(&mut self, name: &str) -> bool {
+        let (text, tokens) = (self.text, self.tokens);
+        let word = |token: &Token| &text[token.start as usize..token.end as usize];
+        let declared = self.declared.get_or_insert_with(|| {
+            let starts =
+                (tokens.iter().enumerate()).filter(|(_, token)| token.kind == Kind::Ident && word(token) == "decl");
+            let names = starts.flat_map(|(at, _)| {
+                let names = tokens[at + 1..].iter();
+                names.take_while(|token| matches!(token.kind, Kind::Ident | Kind::Comma))
+            });
+            names.map(word).collect()
+        });
+        declared.contains(name)
     }
 
     /// Reports a directive of the C preprocessor.

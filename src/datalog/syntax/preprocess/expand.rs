@@ -30,7 +30,10 @@ const MAX_DEPTH: usize = 100;
 const VARIADIC: &str = "__VA_ARGS__";
 
 /// The macros that the preprocessor defines.
-pub(super) const BUILTIN: [&str; 3] = ["__LINE__", "__FILE__", "__COUNTER__"];
+pub(super) const BUILTIN: [&str; 4] = ["__LINE__", "__FILE__", "__COUNTER__", DOMAIN_SIZE];
+
+/// The macro of Soufflé for the number of bits of a value.
+const DOMAIN_SIZE: &str = "RAM_DOMAIN_SIZE";
 
 /// The arguments of a use of a macro, and the `)` after them.
 type Arguments = (Vec<Vec<Piece>>, Piece);
@@ -356,6 +359,7 @@ impl Macros {
             (None, None) => piece.span()?,
         };
         let (text, kind) = match name {
+            DOMAIN_SIZE => ("32".to_owned(), PieceKind::Number),
             "__LINE__" => (sources.position(place).line.to_string(), PieceKind::Number),
             "__FILE__" => {
                 let name = sources.name(place.source).replace('\\', "\\\\").replace('"', "\\\"");

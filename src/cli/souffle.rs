@@ -1,11 +1,11 @@
-//! The options of the preprocessor.
+//! The options of Soufflé with which commands read programs.
 
-use crate::datalog::Preprocessing;
+use crate::datalog::{InputPolicy, Preprocessing, Workspace};
 use std::path::PathBuf;
 
 /// Options for every command that reads rule files as programs of their own. Their names are those of Soufflé.
 #[derive(clap::Args, Clone, Debug, Default)]
-pub struct PreprocessorOptions {
+pub struct SouffleOptions {
     /// Define macros in all rule files: `NAME=VALUE`, or `NAME` for the value 1; several stand between spaces
     #[arg(short = 'M', long = "macro", value_name = "NAME=VALUE", value_parser = definition)]
     macros: Vec<String>,
@@ -15,10 +15,22 @@ pub struct PreprocessorOptions {
     /// Follow no directives such as `#define`: they are errors
     #[arg(long, conflicts_with = "macros")]
     no_preprocessor: bool,
+    /// Read a program for Soufflé's option `--legacy`: a head takes values of any type with the same base type, and old
+    /// forms cause no warning
+    #[arg(long)]
+    legacy: bool,
 }
 
-impl PreprocessorOptions {
-    pub fn preprocessing(&self) -> Preprocessing {
+impl SouffleOptions {
+    /// Returns an empty workspace that reads programs with these options.
+    pub fn workspace(&self, inputs: InputPolicy) -> Workspace {
+        let mut workspace = Workspace::new(inputs);
+        workspace.set_preprocessing(self.preprocessing());
+        workspace.set_legacy(self.legacy);
+        workspace
+    }
+
+    fn preprocessing(&self) -> Preprocessing {
         let mut preprocessing = Preprocessing::default();
         preprocessing.enabled = !self.no_preprocessor;
         preprocessing.folders.clone_from(&self.folders);
